@@ -41,7 +41,7 @@ def edl_rate(edl: Edl, asked: Fraction | None) -> Fraction:
     if edl.drop:
         message += "; drop-frame time codes are of 30000/1001 (29.97) or 60000/1001 fps"
         how = HOW.format("30000/1001", "60000/1001")
-    elif edl.events:
+    elif edl.last_label > 0:
         message += f"; the highest frame label is {edl.last_label:02d}, so the rate is "
         message += f"above {edl.last_label} fps"
     raise OptionError(Fault("BAT054", message, place, (), how))

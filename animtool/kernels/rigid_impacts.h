@@ -1,8 +1,8 @@
 // Impacts: bodies that meet fast enough to bounce. The points of a pair are solved together from
-// the velocities before, with the joints of both (Newton's law of restitution, Coulomb's
-// friction); what that sets in motion meets the next pair with its new velocity, until no pair
-// approaches (sequential impacts: Newton's cradle). Pairs that approach equally fast are solved
-// together. The energy never grows: where friction would add some, the impulses are less.
+// the velocities before, with the joints of both bodies (Newton's law of restitution, Coulomb's
+// friction). Pairs that approach because of it are solved next, with their new velocities, until
+// none approaches (sequential impacts, as in Newton's cradle); pairs that approach equally fast
+// are solved together. Where friction would add kinetic energy, the impulses are scaled down.
 #pragma once
 
 #include <functional>

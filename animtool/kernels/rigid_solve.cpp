@@ -54,39 +54,31 @@ class Solver {
         torques_(torques), colliders_(colliders), anchors_(anchors), settings_(settings),
         step_(step), small_(step / settings.substeps), h_(small_), count_(states.size()) {}
 
-  // Whether somebody comes so fast that he will bounce within the step.
+  // Whether two approach so fast that they will bounce within the step.
   bool bounces() {
-    for (const Contact& c : find_contacts(world_, states_, colliders_, settings_, step_)) {
+    find();
+    for (const Contact& c : contacts_) {
       if (!(c.material.restitution > 0)) continue;
       const State& a = states_[c.a];
+      const std::size_t b = c.b < 0 ? count_ : static_cast<std::size_t>(c.b);
       const Vec spin = spin_of(world_.bodies[c.a], a);
-      const Pose pose = pose_of(a);
-      double pull = length(forces_[c.a]) * world_.bodies[c.a].ease;
-      if (c.b >= 0) {
-        const auto b = static_cast<std::size_t>(c.b);
-        pull = std::max(pull, length(forces_[b]) * world_.bodies[b].ease);
-      }
-      const double rest = pull * small_ / c.material.restitution;
+      const Pose pose = pose_of(a), other = c.b < 0 ? c.motion->at(0) : pose_of(states_[b]);
+      const double rest = rest_of(c.a, b, c.material.restitution);
       for (std::size_t k = 0; k < static_cast<std::size_t>(c.count); ++k) {
-        Vec off = a.velocity + cross(spin, pose.rotated(c.own[k]));
-        if (c.b < 0) {
-          const Pose other = c.motion->at(0);
-          off = off - c.motion->displacement(other.to_world(c.other[k]), other) * (1 / step_);
-        } else {
-          const State& b = states_[static_cast<std::size_t>(c.b)];
-          off = off - b.velocity -
-                cross(spin_of(world_.bodies[static_cast<std::size_t>(c.b)], b),
-                      rotate(b.turn, c.other[k]));
-        }
-        if (dot(off, c.normal) > rest) return true;
+        const Vec own = a.velocity + cross(spin, pose.rotated(c.own[k]));
+        const Vec theirs =
+            c.b < 0 ? c.motion->displacement(other.to_world(c.other[k]), other) * (1 / step_)
+                    : states_[b].velocity + cross(spin_of(world_.bodies[b], states_[b]),
+                                                  other.rotated(c.other[k]));
+        if (dot(own - theirs, c.normal) > rest) return true;
       }
     }
     return false;
   }
 
   Report run() {
-    contacts_ = find_contacts(world_, states_, colliders_, settings_, step_);
-    if (wake()) contacts_ = find_contacts(world_, states_, colliders_, settings_, step_);
+    if (!found_) find();
+    if (wake()) find();
     make_islands();
     speeds_.assign(count_ + 1, {});
     pushed_.assign(count_ + 1, 0);
@@ -104,6 +96,11 @@ class Solver {
     std::vector<std::size_t> contacts;
     bool parting = false;  // somebody is still on the way out of another
   };
+
+  void find() {
+    contacts_ = find_contacts(world_, states_, colliders_, settings_, step_);
+    found_ = true;
+  }
 
   // ---- who is awake
 
@@ -368,7 +365,6 @@ class Solver {
   // right there.
   void advance(const Island& island, double time, double end) {
     const std::size_t joints = island.joints.size();
-
     // What stopped bodies at once is no force that lasts: it does not grow with the time.
     const double scale = std::min(time / h_, 1.0);
     if (time != h_) {
@@ -381,7 +377,8 @@ class Solver {
     for (const std::size_t i : island.bodies) pushed_[i] = 0;
     for (const std::size_t i : island.bodies) push(i);
     for (Patch& p : patches_) begin_warm(p, scale);
-    for (std::size_t k = 0; k < joints; ++k) begin_warm(world_.joints[island.joints[k]], rows_[k], scale);
+    for (std::size_t k = 0; k < joints; ++k)
+      begin_warm(world_.joints[island.joints[k]], rows_[k], scale);
     for (std::size_t k = 0; k < joints; ++k) bend(island.joints[k], rows_[k], end);
     iterate(island, true);
     mark(island);
@@ -469,13 +466,15 @@ class Solver {
     return p.gap + dot(patch.normal, far - own) - patch.skin;
   }
 
-  // Speed below which a patch does not bounce: what forces on either of both bring back within a
-  // small step rests.
+  // Speed below which two do not bounce but rest: forces on either bring back what is slower
+  // within a small step.
+  double rest_of(std::size_t a, std::size_t b, double restitution) const {
+    double pull = length(forces_[a]) * world_.bodies[a].ease;
+    if (b < count_) pull = std::max(pull, length(forces_[b]) * world_.bodies[b].ease);
+    return pull * small_ / (restitution > 0 ? restitution : 1);
+  }
   double rest_of(const Patch& patch) const {
-    double pull = length(forces_[patch.a]) * world_.bodies[patch.a].ease;
-    if (patch.b < count_)
-      pull = std::max(pull, length(forces_[patch.b]) * world_.bodies[patch.b].ease);
-    return pull * small_ / (patch.restitution > 0 ? patch.restitution : 1);
+    return rest_of(patch.a, patch.b, patch.restitution);
   }
 
   // Where points are now.
@@ -899,6 +898,7 @@ class Solver {
   Softness contact_ = Softness::of(STIFF / small_, CONTACT_DAMPING, h_);
   Softness joint_ = Softness::of(STIFF / small_, JOINT_DAMPING, h_);
   std::vector<Contact> contacts_;
+  bool found_ = false;  // contacts, of this step
   std::vector<std::size_t> parents_;
   std::vector<Island> islands_;
   std::vector<Speed> speeds_;  // of the bodies, and of what does not move
@@ -923,8 +923,8 @@ Report step_world(const World& world, std::vector<State>& states, std::vector<Ke
                   double step) {
   Solver whole(world, states, kept, held, forces, torques, colliders, anchors, settings, step);
   if (settings.substeps == 1 || !whole.bounces()) return whole.run();
-  // Who bounces meets others than those that were on his way: all look for contacts anew in
-  // each small step.
+  // A body that bounces meets others than those that were in its way: contacts are found anew
+  // in each small step.
   Settings small = settings;
   small.substeps = 1;
   std::vector<collide::Collider> around = colliders;

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from conftest import data_folder
 from support.planted_takes import (
+    codes,
     eased,
     edited,
     held,
@@ -23,14 +24,11 @@ from support.planted_takes import (
 )
 
 from animtool.errors import AnimtoolError, Fault
-from animtool.rules import own_rules
 from animtool.scene.sources import open_source
 from animtool.take import Take
 from animtool.validation.motion.body import feet_of
 from animtool.validation.motion.size import body_axis
 from animtool.validation.motion.subject import MotionSubject
-
-RULES = [rule for rule in own_rules().values() if rule.takes]
 
 HEADING = "faults planted in real captures: found | of"
 # Shorter takes show no usual motion; of longer ones the middle is enough.
@@ -70,17 +68,6 @@ CASES: dict[str, tuple[Plant, str, float]] = {
     "names swapped": (whole(sides_renamed), "MOT210", 0.5),
     "sides exchanged": (whole(sides_exchanged(0.5)), "MOT210", 0.4),
 }
-
-
-def codes(take: Take) -> set[str]:
-    def fault_at(
-        code: str, joint: str, frame: float | None, message: str, hint: str
-    ) -> Fault:
-        del joint, frame
-        return Fault(code, message, hint=hint)
-
-    subject = MotionSubject(take, fault_at)
-    return {fault.code for rule in RULES for fault in rule.load()(subject)}
 
 
 @cache

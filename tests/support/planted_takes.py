@@ -8,12 +8,15 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from animtool._types import FloatArray
+from animtool.errors import Fault
 from animtool.maths import so3
 from animtool.motion import Channel
 from animtool.rig.kinematics import rest_size
 from animtool.rig.sides import pair_sides
+from animtool.rules import own_rules
 from animtool.take import Take
 from animtool.units import UpAxis
+from animtool.validation.motion.subject import MotionSubject
 
 Edit = Callable[[Take], Take]
 
@@ -423,3 +426,19 @@ TAKES = [
     Planted("Y up, stated as Z", "stride", up_z, "MOT214"),
     Planted("upside down", "walk", rolled(180.0), "MOT214"),
 ]  # fmt: skip
+
+TAKE_RULES = [rule for rule in own_rules().values() if rule.takes]
+
+
+def codes(take: Take) -> set[str]:
+    """Return the codes that the rules of takes find in one, seen alone."""
+
+    def fault_at(
+        code: str, joint: str, frame: float | None, message: str, hint: str
+    ) -> Fault:
+        del joint, frame
+        return Fault(code, message, hint=hint)
+
+    # A rig of another size is another character, and not in another unit.
+    subject = MotionSubject(take, fault_at)
+    return {fault.code for rule in TAKE_RULES for fault in rule.load()(subject)}

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from support.rigid import FLOOR, Rigid, ball, box
+from support.rigid import FLOOR, GRAVITY, Rigid, ball, box
 
 AWAKE = {"sleep": {"speed": 0}}
 FREE = {"forces": [], **AWAKE}
@@ -42,6 +43,31 @@ def test_what_falls_flat_rises_and_does_not_turn(
     rise = found.path(top + np.linspace(-0.02, 0.02, 9))[:, 0, 1].max() - low
     assert rise == pytest.approx(e**2, rel=HEIGHT)
     assert np.abs(found.spins()).max() < 1e-4
+
+
+@pytest.mark.parametrize("size", [0.02, 1.0, 20.0])
+@pytest.mark.parametrize("lean", [0, 37])
+@pytest.mark.parametrize("origin", [[0, 0, 0], [1000, -2000, 500]])
+def test_a_bounce_is_the_same_at_any_place_attitude_and_size(
+    tmp_path: Path, origin: list[int], lean: int, size: float
+) -> None:
+    angle = math.radians(lean)
+    up = np.array([math.sin(angle), math.cos(angle), 0])
+    turn = [math.cos(angle / 2), 0, 0, -math.sin(angle / 2)]
+    at = (np.array(origin) + up * 1.2 * size).tolist()
+    keys = {"rotate": turn, "restitution": 0.5, "friction": 0}
+    found = Rigid(
+        tmp_path,
+        box([0.4 * size] * 3, at=at, **keys),
+        colliders=[{"shape": {"plane": {}}, "at": origin, "rotate": turn}],
+        forces=[{"gravity": {"acceleration": (-GRAVITY * up).tolist()}}],
+        **AWAKE,
+    )
+    top = 1.5 * math.sqrt(2 * size / GRAVITY)
+    path = found.path(top + np.linspace(-0.02, 0.02, 9))[:, 0] - origin
+    rise = (path @ up).max() / size - 0.2
+    assert rise == pytest.approx(0.25, abs=1e-5)
+    assert np.abs(found.spins()).max() < 1e-5
 
 
 @pytest.mark.parametrize("step", [None, 1 / 240, 1 / 1000])

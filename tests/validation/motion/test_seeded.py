@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from support.planted_takes import (
     at_frames,
+    codes,
     eased,
     held,
     reference_first,
@@ -26,13 +27,9 @@ from support.planted_takes import (
 )
 
 from animtool.edit.resample import resampled
-from animtool.errors import Fault
-from animtool.rules import own_rules
 from animtool.scene.sources import open_source
 from animtool.take import Take
-from animtool.validation.motion.subject import MotionSubject
 
-RULES = [rule for rule in own_rules().values() if rule.takes]
 ROOT = Path(__file__).parents[3]
 SAMPLES = ("samples/walk/walk.bvh", "samples/stride/stride.clip.yaml")
 RATES, SIZES = (24, 25, 60, 120), (0.2, 1.0, 1.7)
@@ -56,18 +53,6 @@ def takes() -> list[Take]:
             )
             found.append(under_a_root(other) if (i + k) % 2 else other)
     return found
-
-
-def codes(take: Take) -> set[str]:
-    def fault_at(
-        code: str, joint: str, frame: float | None, message: str, hint: str
-    ) -> Fault:
-        del joint, frame
-        return Fault(code, message, hint=hint)
-
-    # A rig of another size is another character, and not in another unit.
-    subject = MotionSubject(take, fault_at)
-    return {fault.code for rule in RULES for fault in rule.load()(subject)}
 
 
 def popped(low: float, high: float, *, stays: bool) -> Plant:
