@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from animtool.errors import NAMING
-from animtool.plugins import lazy_names
+from animtool.core.errors import NAMING
+from animtool.core.plugins import lazy_names
 
 if TYPE_CHECKING:
     __version__: str
@@ -18,9 +18,10 @@ if TYPE_CHECKING:
     from animtool.batch.run import run_batch as run_batch
     from animtool.batch.spec import BatchSpec as BatchSpec
     from animtool.clip.clip import Clip as Clip
-    from animtool.clock import Clock as Clock
-    from animtool.errors import AnimtoolError as AnimtoolError
-    from animtool.errors import Fault as Fault
+    from animtool.core.clock import Clock as Clock
+    from animtool.core.errors import AnimtoolError as AnimtoolError
+    from animtool.core.errors import Fault as Fault
+    from animtool.core.shot import Shot as Shot
     from animtool.formats.bvh import read_bvh as read_bvh
     from animtool.formats.bvh import write_bvh as write_bvh
     from animtool.motion import Channel as Channel
@@ -35,7 +36,6 @@ if TYPE_CHECKING:
     from animtool.scene.options import BakeOptions as BakeOptions
     from animtool.scene.sources import SourceOptions as SourceOptions
     from animtool.scene.sources import open_source as open_source
-    from animtool.shot import Shot as Shot
     from animtool.take import Take as Take
     from animtool.take import TakeStream as TakeStream
     from animtool.validation.options import ValidateOptions as ValidateOptions
@@ -43,19 +43,19 @@ if TYPE_CHECKING:
     from animtool.validation.run import validate as validate
 
 _PUBLIC = {
-    "AnimtoolError": "animtool.errors",
+    "AnimtoolError": "animtool.core.errors",
     "BakeOptions": "animtool.scene.options",
     "BatchSpec": "animtool.batch.spec",
     "Channel": "animtool.motion",
     "Clip": "animtool.clip.clip",
-    "Clock": "animtool.clock",
-    "Fault": "animtool.errors",
+    "Clock": "animtool.core.clock",
+    "Fault": "animtool.core.errors",
     "Finding": "animtool.validation.run",
     "Joint": "animtool.rig.skeleton",
     "Motion": "animtool.motion",
     "Rig": "animtool.rig.skeleton",
     "RunOptions": "animtool.batch.run",
-    "Shot": "animtool.shot",
+    "Shot": "animtool.core.shot",
     "SourceOptions": "animtool.scene.sources",
     "Take": "animtool.take",
     "TakeStream": "animtool.take",
@@ -84,8 +84,8 @@ def _as_arguments(text: str) -> str:
     """Return the text of an error with arguments in place of flags."""
     if "--" not in text:
         return text
+    from animtool.core.options import as_arguments
     from animtool.ik.options import TakeOptions
-    from animtool.options import as_arguments
     from animtool.scene.options import BakeOptions
     from animtool.scene.sources import SourceOptions
 

@@ -7,11 +7,11 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from animtool._types import FloatArray
-from animtool.errors import Fault, FormatError, Severity, listed
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault, FormatError, Severity, listed
+from animtool.core.quantities import length_text
 from animtool.maths import so3
 from animtool.motion import Channel, Motion
-from animtool.quantities import length_text
 from animtool.rig.driver_plan import DriverPlan, plan_of
 from animtool.rig.drivers import TWIST, split_coordinate
 from animtool.rig.driving import (

@@ -12,8 +12,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from animtool._types import FloatArray
-from animtool.errors import Fault
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault
 from animtool.motion import Motion
 from animtool.rig.skeleton import Rig
 from animtool.take import Take, TakeStream

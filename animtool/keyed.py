@@ -9,11 +9,11 @@ from typing import TypeAlias, TypeVar
 
 import numpy as np
 
-from animtool._types import FloatArray
-from animtool.errors import Fault, OptionError, excerpt
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault, OptionError, excerpt
+from animtool.core.similar import similar
 from animtool.maths.curves import cubic_curves, evaluate
 from animtool.maths.tangents import auto_clamped
-from animtool.similar import similar
 
 Choice = TypeVar("Choice", bound=StrEnum)
 

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from animtool._types import BoolArray, FloatArray, IntArray
-from animtool.clock import Clock
-from animtool.errors import Fault, OptionError, counted
-from animtool.rates import rate_label
-from animtool.units import UpAxis
+from animtool.core.array_types import BoolArray, FloatArray, IntArray
+from animtool.core.clock import Clock
+from animtool.core.errors import Fault, OptionError, counted
+from animtool.core.rates import rate_label
+from animtool.core.units import UpAxis
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,8 +8,8 @@ from typing import TypeAlias
 
 import numpy as np
 
-from animtool._types import FloatArray, IntArray
-from animtool.errors import Fault, OptionError
+from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.errors import Fault, OptionError
 
 
 @dataclass(frozen=True, slots=True)

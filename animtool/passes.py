@@ -14,16 +14,16 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any, TypeAlias, cast
 
-from animtool._types import FloatArray
-from animtool.clock import Clock
+from animtool.core.array_types import FloatArray
+from animtool.core.clock import Clock
+from animtool.core.errors import Fault, OptionError, excerpt, listed
+from animtool.core.plugins import load_object, load_plugin, plugin_points
+from animtool.core.similar import similar
 from animtool.driving import driven_stream, driven_take
-from animtool.errors import Fault, OptionError, excerpt, listed
 from animtool.maths.curves import Curves
 from animtool.motion import Channel, Motion
-from animtool.plugins import load_object, load_plugin, plugin_points
 from animtool.rig.skeleton import Rig
 from animtool.scores import PassScores
-from animtool.similar import similar
 from animtool.take import Take, TakeStream
 from animtool.transforms import Track
 

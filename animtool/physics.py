@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from animtool._types import FloatArray, IntArray
-from animtool.errors import Fault
+from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.errors import Fault
 
 STILL: FloatArray = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
 

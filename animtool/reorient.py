@@ -7,7 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from animtool._types import FloatArray, IntArray
+from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.units import UpAxis, up_from_up
 from animtool.maths import so3
 from animtool.motion import Channel, Motion
 from animtool.rig.placed import at_origin, placed_rig
@@ -15,7 +16,6 @@ from animtool.rig.placement import Placement
 from animtool.rig.skeleton import Rig
 from animtool.take import TakeStream
 from animtool.transforms import placed_track, turned_track
-from animtool.units import UpAxis, up_from_up
 
 
 def reorient(stream: TakeStream, up: UpAxis) -> TakeStream:

@@ -7,8 +7,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
-from animtool.errors import percent
-from animtool.quantities import angle_text, length_text, plain
+from animtool.core.errors import percent
+from animtool.core.quantities import angle_text, length_text, plain
 
 # Of what a good result has: a table is not to show what rounding leaves.
 NEGLIGIBLE = 1e-4

@@ -13,12 +13,12 @@ from itertools import pairwise
 
 import numpy as np
 
-from animtool._types import FloatArray
-from animtool.clock import Clock
-from animtool.errors import Fault, OptionError, counted
+from animtool.core.array_types import FloatArray
+from animtool.core.clock import Clock
+from animtool.core.errors import Fault, OptionError, counted
+from animtool.core.rates import rate_label
 from animtool.maths.curves import Curves
 from animtool.motion import Channel, Motion, MotionCurve
-from animtool.rates import rate_label
 from animtool.rig.kinematics import WorldTransforms, forward
 from animtool.rig.placement import Placement
 from animtool.rig.skeleton import Rig
@@ -209,7 +209,7 @@ class TakeStream:
         start: Time code of the first frame; None where the source states none.
         step: Time codes from one frame to the next.
         blocks: Motions of consecutive frames that share their rest and animated
-            joints. Reading them may raise `animtool.errors.FormatError`.
+            joints. Reading them may raise `animtool.core.errors.FormatError`.
         notices: Warnings and notes about the source; complete once the blocks are
             read.
         details: What the source states beyond this, for reports.

@@ -10,8 +10,8 @@ from typing import Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from animtool._types import BoolArray, FloatArray
-from animtool.errors import Fault
+from animtool.core.array_types import BoolArray, FloatArray
+from animtool.core.errors import Fault
 from animtool.maths import so3
 from animtool.rig.placement import Placement
 

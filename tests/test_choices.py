@@ -9,11 +9,11 @@ from typing import Any
 import pytest
 from support.small_takes import content, small
 
+from animtool.core.errors import OptionError
 from animtool.edit.layers import LayerMode, blend, layer
 from animtool.edit.mirroring import Axis, mirror
 from animtool.edit.retiming import time_warp
 from animtool.edit.root_motion import RootMotionOptions
-from animtool.errors import OptionError
 from animtool.keyed import Interpolation
 from animtool.passes import PassContext, apply_pass, find_pass
 from animtool.take import Take, TakeStream

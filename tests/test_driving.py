@@ -11,13 +11,13 @@ import pytest
 from support.cli import animtool
 
 from animtool import Clip, Rig, open_source
-from animtool._types import FloatArray
 from animtool.clip.keyed_take import keyed_take
 from animtool.clip.sample import sample_values
-from animtool.clock import Clock
+from animtool.core.array_types import FloatArray
+from animtool.core.clock import Clock
+from animtool.core.errors import FormatError
 from animtool.driver_run import DriverRun
 from animtool.driving import driven_stream, driven_take
-from animtool.errors import FormatError
 from animtool.maths import so3
 from animtool.motion import Channel, Motion
 from animtool.passes import PassContext, apply_pass, find_pass

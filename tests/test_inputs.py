@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 from animtool import BakeOptions, bake
-from animtool.errors import FormatError
-from animtool.files import FileState, Inputs, note_input, recorded_inputs
-from animtool.output import replacing
+from animtool.core.errors import FormatError
+from animtool.core.files.output import replacing
+from animtool.core.files.reading import FileState, Inputs, note_input, recorded_inputs
 from animtool.rig.file import load_rig
 from animtool.scene.file import load_scene
 from animtool.scene.progress import prefetch

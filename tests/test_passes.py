@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 from support.small_takes import small, with_tracks
 
-from animtool.errors import OptionError
+from animtool.core.errors import OptionError
 from animtool.motion import Motion
 from animtool.passes import Pass, PassContext, Scope, TakePart, apply_pass
 from animtool.take import Take, TakeStream

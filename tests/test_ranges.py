@@ -8,7 +8,14 @@ from typing import Annotated
 
 import pytest
 
-from animtool.options import OF_ENTRY, Range, above, at_least, or_more, range_faults
+from animtool.core.options import (
+    OF_ENTRY,
+    Range,
+    above,
+    at_least,
+    or_more,
+    range_faults,
+)
 from animtool.systems.springs.spec import RopeModel
 
 RANGES = {

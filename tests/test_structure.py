@@ -176,16 +176,16 @@ def test_names_are_made_of_the_words_of_the_field(folder: str) -> None:
     assert sorted(found) == []
 
 
-# Who opens a file without `animtool.files`, and which.
+# Who opens a file without `animtool.core.files.reading`, and which.
 OPENED = {
-    "animtool.files": "what is named, once it was looked at",
+    "animtool.core.files.reading": "what is named, once it was looked at",
     "animtool.batch.ledger": "a lock that it writes",
     "animtool.batch.records": "a record that it writes",
     "animtool.batch.pool": "/proc",
     "animtool.batch.timeline": "a cut list that timeline_text has looked at",
     "animtool.batch.work": "/proc",
-    "animtool.leftovers": "/proc",
-    "animtool.placing": "files that it writes, and their folders",
+    "animtool.core.files.leftovers": "/proc",
+    "animtool.core.files.placing": "files that it writes, and their folders",
     "animtool.scene.progress": "/proc and cgroups",
     "animtool.usd.checks.value_clips": "layers that dependencies has looked at",
     "animtool.usd.dependencies": "layers that it has looked at",
@@ -196,7 +196,7 @@ OPENED = {
     "animtool.usd.rig_layer": "a layer in memory",
     "animtool.usd.point_info": "layers that dependencies has looked at",
     "animtool.mocap.retarget.names": "a table that is part of animtool",
-    "animtool.spool": "what it has written itself",
+    "animtool.core.files.spool": "what it has written itself",
     "animtool.rules": "pages that are part of animtool",
 }
 READS = {

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from animtool._types import FloatArray
-from animtool.clock import Clock
-from animtool.errors import AnimtoolError, Fault, OptionError
+from animtool.core.array_types import FloatArray
+from animtool.core.clock import Clock
+from animtool.core.errors import AnimtoolError, Fault, OptionError
 from animtool.formats.bvh import read_bvh
 from animtool.maths import so3
 from animtool.motion import Channel, Motion

@@ -26,10 +26,10 @@ from animtool.batch.records import (
     text_in,
 )
 from animtool.batch.work import Status
+from animtool.core.errors import Fault, FormatError
+from animtool.core.files.output import check_outputs, together, write_parts
+from animtool.core.files.placing import output_error
 from animtool.documents.yaml_text import yaml_text
-from animtool.errors import Fault, FormatError
-from animtool.output import check_outputs, together, write_parts
-from animtool.placing import output_error
 
 # A process that makes a chunk takes about 1 s to start, and looks at the whole
 # batch: a hundredth of this [s].

@@ -10,9 +10,9 @@ from math import floor
 from animtool.batch.cut_metadata import CutMetadata
 from animtool.batch.spans import Span
 from animtool.batch.timeline import NEAR
-from animtool.config import Config
-from animtool.shot import SHOT_START, MediaTimecode, Shot, frames_within
-from animtool.timecode import parse_timecode
+from animtool.core.config import Config
+from animtool.core.shot import SHOT_START, MediaTimecode, Shot, frames_within
+from animtool.core.timecode import parse_timecode
 
 SHOT_NAMES = (
     *("shot", "clip", "track", "first", "last", "begin", "end", "head", "tail"),

@@ -7,10 +7,10 @@ from dataclasses import dataclass, fields
 from fractions import Fraction
 from typing import Any
 
-from animtool.documents.names import nearest
-from animtool.errors import excerpt
-from animtool.rates import LARGEST_FRAME, parse_rate
-from animtool.timecode import is_timecode
+from animtool.core.errors import excerpt
+from animtool.core.names import nearest
+from animtool.core.rates import LARGEST_FRAME, parse_rate
+from animtool.core.timecode import is_timecode
 
 
 @dataclass(frozen=True, slots=True)

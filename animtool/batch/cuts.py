@@ -38,9 +38,8 @@ from animtool.batch.timeline import (
     seconds_of,
 )
 from animtool.batch.timeline_rate import edl_rate, timeline_rate
-from animtool.config import find_config
-from animtool.documents.names import nearest
-from animtool.errors import (
+from animtool.core.config import find_config
+from animtool.core.errors import (
     Fault,
     FormatError,
     OptionError,
@@ -49,9 +48,10 @@ from animtool.errors import (
     excerpt,
     listed,
 )
-from animtool.files import MatchedFile
+from animtool.core.files.reading import MatchedFile
+from animtool.core.names import nearest
+from animtool.core.shot import Shot
 from animtool.scene.sources import source_stem
-from animtool.shot import Shot
 
 # What names of files and of variables' users may hold everywhere.
 # What a person reads of a timeline of thousands of clips.
@@ -233,7 +233,7 @@ class _Reader:
     def clip(self, entry: Shown) -> None:
         """Take a clip."""
         # It imports numpy, and a batch of files is planned without.
-        from animtool.clock import MAX_FRAMES
+        from animtool.core.clock import MAX_FRAMES
 
         clip, named = entry.clip, entry.named
         medium = self.medium(clip, named)

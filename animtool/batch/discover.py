@@ -25,8 +25,7 @@ from animtool.batch.item import (
 from animtool.batch.overrides import Overridden, overridden
 from animtool.batch.spec import BatchSpec, Limits
 from animtool.batch.variants import file_name, name_problems, variant_pattern
-from animtool.documents.names import check_given, is_named
-from animtool.errors import (
+from animtool.core.errors import (
     Fault,
     NothingFoundError,
     OptionError,
@@ -34,10 +33,11 @@ from animtool.errors import (
     listed,
     refuse_warnings,
 )
-from animtool.files import MatchedFile, Places, files_meant, nearest_file
-from animtool.output import inside
-from animtool.rates import rate_label
-from animtool.readers import BVH, DOCUMENT, READERS
+from animtool.core.files.output import inside
+from animtool.core.files.reading import MatchedFile, Places, files_meant, nearest_file
+from animtool.core.names import check_given, is_named
+from animtool.core.rates import rate_label
+from animtool.core.readers import BVH, DOCUMENT, READERS
 from animtool.scene.sources import is_timeline, source_stem
 from animtool.usd.jobs import check_suffix
 

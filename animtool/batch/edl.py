@@ -15,10 +15,10 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from animtool.batch.timeline import check_text
-from animtool.errors import Fault, FormatError, Severity, excerpt
-from animtool.files import read_input
-from animtool.rates import parse_rate, rate_label
-from animtool.timecode import count_rate, parse_timecode
+from animtool.core.errors import Fault, FormatError, Severity, excerpt
+from animtool.core.files.reading import read_input
+from animtool.core.rates import parse_rate, rate_label
+from animtool.core.timecode import count_rate, parse_timecode
 
 # Events of a feature film, with all their comments, take a hundredth [bytes].
 MAX_BYTES = 100_000_000

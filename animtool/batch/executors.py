@@ -21,9 +21,9 @@ from animtool.batch.records import RecordError, json_of_file, text_in
 from animtool.batch.spec import Limits, made_by
 from animtool.batch.work import ItemBuilder, Outcome
 from animtool.batch.worker_process import WorkerProcess, WorkerTask
-from animtool.documents.names import nearest
-from animtool.errors import Fault, OptionError, OutputError, excerpt
-from animtool.plugins import load_object, load_plugin, plugin_points
+from animtool.core.errors import Fault, OptionError, OutputError, excerpt
+from animtool.core.names import nearest
+from animtool.core.plugins import load_object, load_plugin, plugin_points
 
 PLUGIN_GROUP = "animtool.executors"
 

@@ -26,17 +26,17 @@ from animtool.batch.variants import (
     value_problem,
     values_of_text,
 )
-from animtool.config import project_roots
+from animtool.core.config import project_roots
+from animtool.core.errors import excerpt
+from animtool.core.names import is_variable_name
+from animtool.core.timecode import is_timecode
 from animtool.documents.check import FileModel, check_version, validated
 from animtool.documents.document import Document, Location, read_document
 from animtool.documents.fields import IgnoreModel, Name, Real, Whole, WholeFrame, key
-from animtool.documents.names import is_variable_name
 from animtool.documents.references import referred_input
-from animtool.errors import excerpt
 from animtool.scene.options import BakeOptions
 from animtool.scene.output_fields import KeyReader, option_keys, with_keys
 from animtool.scene.sources import SourceOptions, is_timeline
-from animtool.timecode import is_timecode
 
 Value = str | Real | bool
 

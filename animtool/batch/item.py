@@ -24,13 +24,13 @@ from animtool.batch.records import (
     text_in,
 )
 from animtool.batch.spec import BatchSpec, named_from
-from animtool.documents.names import is_named, nearest
-from animtool.errors import Fault, FormatError, OptionError, excerpt
-from animtool.files import MatchedFile
-from animtool.output import inside, name_problem
+from animtool.core.errors import Fault, FormatError, OptionError, excerpt
+from animtool.core.files.output import inside, name_problem
+from animtool.core.files.reading import MatchedFile
+from animtool.core.names import is_named, nearest
+from animtool.core.shot import Shot
 from animtool.scene.options import BakeOptions
 from animtool.scene.sources import fitting_options, source_stem
-from animtool.shot import Shot
 
 if TYPE_CHECKING:
     from animtool.scene.outputs import OutputReport

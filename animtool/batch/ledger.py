@@ -33,11 +33,11 @@ from animtool.batch.records import (
     whole_in,
 )
 from animtool.batch.spec import place_of
-from animtool.errors import Fault, LockedError, OutputError, excerpt
-from animtool.files import FileState
-from animtool.leftovers import is_running
-from animtool.output import replacing
-from animtool.placing import output_error
+from animtool.core.errors import Fault, LockedError, OutputError, excerpt
+from animtool.core.files.leftovers import is_running
+from animtool.core.files.output import replacing
+from animtool.core.files.placing import output_error
+from animtool.core.files.reading import FileState
 
 if TYPE_CHECKING:
     from filelock import FileLock

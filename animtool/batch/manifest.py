@@ -27,9 +27,9 @@ from animtool.batch.records import (
     texts_in,
     whole_in,
 )
-from animtool.errors import Fault
-from animtool.files import FileState, open_input
-from animtool.output import replacing
+from animtool.core.errors import Fault
+from animtool.core.files.output import replacing
+from animtool.core.files.reading import FileState, open_input
 from animtool.scores import PassScores, Score, ScoreUnit
 
 # What names, digests and clocks can be.

@@ -7,8 +7,8 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from animtool.errors import Fault, Severity, listed
-from animtool.files import MatchedFile, Places, files_meant
+from animtool.core.errors import Fault, Severity, listed
+from animtool.core.files.reading import MatchedFile, Places, files_meant
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,9 +14,9 @@ from animtool.batch.item import Item
 from animtool.batch.ledger import History
 from animtool.batch.manifest import FileRecord, ItemRecord, digest_of, file_digest
 from animtool.batch.spec import made_by, named_from, place_of
-from animtool.errors import Fault, FormatError, OptionError, OutputError
-from animtool.files import FileState, Places
-from animtool.output import name_key
+from animtool.core.errors import Fault, FormatError, OptionError, OutputError
+from animtool.core.files.output import name_key
+from animtool.core.files.reading import FileState, Places
 from animtool.scores import PassScores
 
 

@@ -31,10 +31,10 @@ from animtool.batch.work import (
     needed_modules,
     serve,
 )
-from animtool.errors import Fault, OutputError
-from animtool.leftovers import remove_leftovers
-from animtool.signals import without_interrupts
-from animtool.supervisor import CRASHES, crash_fault, without_main
+from animtool.core.errors import Fault, OutputError
+from animtool.core.files.leftovers import remove_leftovers
+from animtool.core.process.signals import without_interrupts
+from animtool.core.process.supervisor import CRASHES, crash_fault, without_main
 
 # One thread each: as many processes run as there are processors.
 ENVIRONMENT = {

@@ -17,9 +17,16 @@ from pathlib import Path
 from types import TracebackType
 from typing import IO, Any, NoReturn, Self
 
-from animtool.errors import Fault, FormatError, OutputError, Severity, counted, excerpt
-from animtool.files import open_input, read_input
-from animtool.placing import output_error
+from animtool.core.errors import (
+    Fault,
+    FormatError,
+    OutputError,
+    Severity,
+    counted,
+    excerpt,
+)
+from animtool.core.files.placing import output_error
+from animtool.core.files.reading import open_input, read_input
 
 # Longer than the longest path that any system has.
 MAX_TEXT = 40_000

@@ -10,8 +10,8 @@ from animtool.batch.discover import Batch
 from animtool.batch.item import Item
 from animtool.batch.plan import Reason
 from animtool.batch.work import Measured, Outcome, Status
-from animtool.errors import ExitCode, Fault, Severity
-from animtool.junit import JunitCase, junit_xml
+from animtool.core.errors import ExitCode, Fault, Severity
+from animtool.core.junit import JunitCase, junit_xml
 from animtool.scores import PassScores, badness
 
 # How many of the slowest items, and of the worst errors, a summary names.

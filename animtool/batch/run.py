@@ -22,8 +22,8 @@ from animtool.batch.plan import (
 from animtool.batch.report import BatchReport, ItemReport
 from animtool.batch.spec import BatchSpec, named_from, place_of
 from animtool.batch.work import ItemBuilder, Outcome, Status
-from animtool.errors import Fault, OptionError
-from animtool.leftovers import remove_leftovers
+from animtool.core.errors import Fault, OptionError
+from animtool.core.files.leftovers import remove_leftovers
 
 EXECUTOR = "processes"
 

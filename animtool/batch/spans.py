@@ -15,7 +15,7 @@ from animtool.batch.timeline import (
     exact_rate,
     seconds_of,
 )
-from animtool.errors import excerpt
+from animtool.core.errors import excerpt
 
 # What systems call effects that are no `TimeEffect` and change times all the same.
 _OF_TIME = re.compile(r"time\W*_?(warp|remap|ramp|curve)|retime|speed", re.IGNORECASE)

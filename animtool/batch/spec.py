@@ -11,7 +11,7 @@ from pathlib import Path, PurePosixPath
 
 from animtool.batch.overrides import Override
 from animtool.batch.variants import Variants
-from animtool.errors import excerpt
+from animtool.core.errors import excerpt
 from animtool.scene.options import BakeOptions
 
 # Beyond what anybody waits for, and within what systems can count.
@@ -130,7 +130,7 @@ def made_by() -> dict[str, str]:
     """
     from importlib.metadata import PackageNotFoundError, version
 
-    from animtool.plugins import plugin_points
+    from animtool.core.plugins import plugin_points
 
     versions = {}
     for name in PACKAGES:

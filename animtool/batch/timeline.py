@@ -17,9 +17,9 @@ from typing import Any
 from urllib.parse import unquote, urlsplit
 from zipfile import ZipFile
 
-from animtool.errors import Fault, FormatError, OptionError, excerpt
-from animtool.files import FileState, open_input
-from animtool.rates import rate_from_float
+from animtool.core.errors import Fault, FormatError, OptionError, excerpt
+from animtool.core.files.reading import FileState, open_input
+from animtool.core.rates import rate_from_float
 
 # A feature film with all its metadata takes a fifth [bytes].
 MAX_BYTES = 100_000_000

@@ -10,9 +10,9 @@ from typing import Any
 
 from animtool.batch.edl import Edl
 from animtool.batch.timeline import HIGHEST_RATE, LOWEST_RATE, exact_rate
-from animtool.config import find_config
-from animtool.errors import Fault, FormatError, OptionError, Severity
-from animtool.rates import rate_from_float, rate_label
+from animtool.core.config import find_config
+from animtool.core.errors import Fault, FormatError, OptionError, Severity
+from animtool.core.rates import rate_from_float, rate_label
 
 HOW = (
     "state it: --fps {} (or {}), `fps` of the scene or the batch file's options, or "

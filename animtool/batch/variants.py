@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from decimal import Decimal, InvalidOperation
 from pathlib import Path
 
+from animtool.core.errors import Fault, FormatError, OptionError, counted, excerpt
+from animtool.core.names import is_variable_name
 from animtool.documents.document import read_text
-from animtool.documents.names import is_variable_name
-from animtool.errors import Fault, FormatError, OptionError, counted, excerpt
 
 # More items than a person means; a slip of a step asks for millions.
 MAX_VARIANTS = 10_000

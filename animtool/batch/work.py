@@ -17,13 +17,13 @@ from typing import TYPE_CHECKING
 from animtool.batch.item import Item, ItemTask
 from animtool.batch.manifest import FileRecord, record_of
 from animtool.batch.spec import named_from
-from animtool.documents.names import is_named
-from animtool.errors import AnimtoolError, Fault, excerpt
-from animtool.files import FileState, Inputs, note_input, recorded_inputs
-from animtool.placing import output_error
-from animtool.readers import BVH, DOCUMENT, READERS, USD
+from animtool.core.errors import AnimtoolError, Fault, excerpt
+from animtool.core.files.placing import output_error
+from animtool.core.files.reading import FileState, Inputs, note_input, recorded_inputs
+from animtool.core.names import is_named
+from animtool.core.process.supervisor import follow_parent, report_reading
+from animtool.core.readers import BVH, DOCUMENT, READERS, USD
 from animtool.scores import PassScores
-from animtool.supervisor import follow_parent, report_reading
 
 if TYPE_CHECKING:
     from animtool.scene.outputs import OutputReport

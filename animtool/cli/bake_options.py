@@ -21,10 +21,10 @@ from animtool.cli.options import (
     source_options_record,
     stacked,
 )
-from animtool.documents.names import check_given, is_named
-from animtool.errors import Fault, FormatError
-from animtool.files import is_there
-from animtool.options import options_of
+from animtool.core.errors import Fault, FormatError
+from animtool.core.files.reading import is_there
+from animtool.core.names import check_given, is_named
+from animtool.core.options import options_of
 from animtool.scene.options import BakeOptions
 
 if TYPE_CHECKING:
@@ -172,7 +172,7 @@ def timeline_shot(
     cuts = read_cut(path, params["shot"], options)
     console.faults(cuts.notices)
     if not cuts.shots:
-        from animtool.errors import Fault, FormatError
+        from animtool.core.errors import Fault, FormatError
 
         hint = f"animtool batch {path} TAKES finds media by the names of clips"
         raise FormatError(Fault("BAT042", "the shot has no media", str(path), (), hint))

@@ -27,9 +27,9 @@ from animtool.cli.options import (
     listed_paths,
     set_option,
 )
-from animtool.documents.names import is_named
-from animtool.errors import Severity, listed
-from animtool.signals import TerminatedError
+from animtool.core.errors import Severity, listed
+from animtool.core.names import is_named
+from animtool.core.process.signals import TerminatedError
 
 if TYPE_CHECKING:
     from animtool.batch.report import BatchReport, ItemReport
@@ -276,7 +276,7 @@ def batch(console: Console, /, inputs: tuple[str, ...], **params: Any) -> None:
     _tell(console, report, params, _Repeat(inputs, params))
     if params["junit"] is not None:
         from animtool.batch.report import junit_report
-        from animtool.output import check_outputs, write_parts
+        from animtool.core.files.output import check_outputs, write_parts
 
         check_outputs([params["junit"]], [], overwrite=True)
         write_parts(params["junit"], [junit_report(report.items).encode()])

@@ -13,8 +13,8 @@ from animtool.batch.report import BatchReport, ItemReport
 from animtool.batch.run import Listener
 from animtool.batch.work import Status
 from animtool.cli.console import Console, columns
-from animtool.errors import AnimtoolError, counted
-from animtool.quantities import escaped, json_printed, length_text
+from animtool.core.errors import AnimtoolError, counted
+from animtool.core.quantities import escaped, json_printed, length_text
 
 if TYPE_CHECKING:
     from rich.console import RenderableType

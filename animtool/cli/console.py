@@ -17,9 +17,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import TextIO
 
-from animtool.errors import Fault, Severity
-from animtool.quantities import escaped, json_printed
-from animtool.supervisor import note_said
+from animtool.core.errors import Fault, Severity
+from animtool.core.process.supervisor import note_said
+from animtool.core.quantities import escaped, json_printed
 
 _COLORS = {Severity.ERROR: "31", Severity.WARNING: "33", Severity.NOTE: "36"}
 

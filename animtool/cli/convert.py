@@ -20,7 +20,7 @@ from animtool.cli.options import (
 )
 from animtool.cli.outputs import all_named, skipped, writing_options
 from animtool.clip.reduction.tolerance import KEY_TOLERANCE
-from animtool.documents.names import is_named
+from animtool.core.names import is_named
 
 
 @click.command(
@@ -151,7 +151,7 @@ def _markers(
 
 
 def _rig(console: Console, source: Path, output: Path, params: dict[str, Any]) -> None:
-    from animtool.errors import counted
+    from animtool.core.errors import counted
     from animtool.scene.convert_rig import convert_rig
 
     for name in (

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from animtool.errors import counted, listed
-from animtool.quantities import length_text, plain
+from animtool.core.errors import counted, listed
+from animtool.core.quantities import length_text, plain
 
 if TYPE_CHECKING:
     from animtool.clip.key_report import ChannelError

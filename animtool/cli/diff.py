@@ -21,8 +21,8 @@ from animtool.cli.options import (
     source_options,
     source_options_record,
 )
-from animtool.errors import ExitCode, counted
-from animtool.quantities import length_text, plain
+from animtool.core.errors import ExitCode, counted
+from animtool.core.quantities import length_text, plain
 
 if TYPE_CHECKING:
     from animtool.report.compare import TakeDifference
@@ -140,7 +140,7 @@ def _options(first: Path, second: Path, params: dict[str, Any]) -> list[Any]:
 
 def _text(difference: TakeDifference) -> list[str]:
     """Return what was compared, and the largest differences."""
-    from animtool.clock import frame_label
+    from animtool.core.clock import frame_label
 
     compared = [
         counted(difference.joints, "joint"),
@@ -170,7 +170,7 @@ def _text(difference: TakeDifference) -> list[str]:
 
 def _points_text(difference: PointsDifference) -> list[str]:
     """Return what was compared of points, and the largest differences."""
-    from animtool.clock import frame_label
+    from animtool.core.clock import frame_label
 
     prims, samples = (
         counted(difference.prims, "prim"),

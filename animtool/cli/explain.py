@@ -8,10 +8,10 @@ import click
 
 from animtool.cli.console import Console
 from animtool.cli.options import common_options, format_option
-from animtool.quantities import escaped_lines
+from animtool.core.quantities import escaped_lines
 
 if TYPE_CHECKING:
-    from animtool.rules import Rule
+    from animtool.core.rules import Rule
 
 
 @click.command(
@@ -30,7 +30,7 @@ def explain(console: Console, /, codes: tuple[str, ...], report_format: str) -> 
 
     Without a code all are listed.
     """
-    from animtool.rules import all_rules, find_rule, page_text
+    from animtool.core.rules import all_rules, find_rule, page_text
 
     rules = [find_rule(code) for code in codes]
     if not codes:

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 from animtool.cli.console import finite
 from animtool.cli.convert_summary import channel_lines, channels_json
-from animtool.clock import frame_label
-from animtool.errors import counted, listed
+from animtool.core.clock import frame_label
+from animtool.core.errors import counted, listed
+from animtool.core.quantities import angle_text, duration_text, length_text, plain
 from animtool.ik.report import BEYOND, limit_counts, status_counts, status_text
-from animtool.quantities import angle_text, duration_text, length_text, plain
 
 if TYPE_CHECKING:
     from animtool.ik.report import GoalReport, Misses

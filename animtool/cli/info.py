@@ -18,7 +18,7 @@ from animtool.cli.options import (
     source_options,
     source_options_record,
 )
-from animtool.documents.names import check_given, is_named
+from animtool.core.names import check_given, is_named
 
 
 @click.command(
@@ -47,7 +47,7 @@ def info(console: Console, /, files: tuple[Path, ...], **params: Any) -> None:
     (.targets.yaml): its goals. Of C3D, TRC and npz files: markers, gaps, spikes. Of a
     scene (.scene.yaml): its sources, passes and systems, and what would be baked.
     """
-    from animtool.errors import AnimtoolError
+    from animtool.core.errors import AnimtoolError
     from animtool.formats.marker_files import is_marker_file
 
     described: list[tuple[Any, Callable[[Any], list[str]]]] = []

@@ -6,10 +6,10 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from animtool.clock import span_label
-from animtool.errors import counted, listed, percent
-from animtool.quantities import angle_text, plain
-from animtool.rates import rate_label
+from animtool.core.clock import span_label
+from animtool.core.errors import counted, listed, percent
+from animtool.core.quantities import angle_text, plain
+from animtool.core.rates import rate_label
 
 if TYPE_CHECKING:
     from animtool.report.describe import TakeDescription

@@ -17,7 +17,7 @@ from animtool.cli.options import (
     count_or_auto,
     format_option,
 )
-from animtool.documents.names import is_named
+from animtool.core.names import is_named
 
 
 @click.command(

@@ -19,9 +19,9 @@ from animtool.cli.options import (
     strict_option,
 )
 from animtool.cli.outputs import all_named, skipped, writing_options
+from animtool.core.errors import percent
+from animtool.core.quantities import length_text, plain
 from animtool.edit.loop_options import LoopOptions
-from animtool.errors import percent
-from animtool.quantities import length_text, plain
 
 
 @click.command(

@@ -11,9 +11,8 @@ import click
 
 from animtool.cli.console import Console
 from animtool.cli.groups import LazyGroup
-from animtool.errors import AnimtoolError, ExitCode, FormatError, StrictError
-from animtool.quantities import escaped
-from animtool.signals import (
+from animtool.core.errors import AnimtoolError, ExitCode, FormatError, StrictError
+from animtool.core.process.signals import (
     TerminatedError,
     ending,
     interrupt,
@@ -22,13 +21,14 @@ from animtool.signals import (
     outlast_signals,
     receive_signals,
 )
-from animtool.supervisor import (
+from animtool.core.process.supervisor import (
     Crash,
     can_supervise,
     crash_fault,
     leave,
     supervise,
 )
+from animtool.core.quantities import escaped
 
 COMMANDS = {
     "bake": (
@@ -143,7 +143,7 @@ class _CrashError(Exception):
 def _remove_leftovers(folders: Sequence[str], process: int) -> None:
     from pathlib import Path
 
-    from animtool.leftovers import remove_leftovers
+    from animtool.core.files.leftovers import remove_leftovers
 
     remove_leftovers(map(Path, folders), process)
 

@@ -66,13 +66,13 @@ def run_on_markers(
     work: From the markers of the sources to markers and a report, which has notices.
     """
     from animtool.cli.outputs import skipped
-    from animtool.errors import refuse_warnings
+    from animtool.core.errors import refuse_warnings
+    from animtool.core.files.output import check_outputs
     from animtool.formats.marker_files import (
         check_marker_output,
         file_of,
         write_markers,
     )
-    from animtool.output import check_outputs
 
     if skipped(console, command, params, output, lambda: [output]):
         return

@@ -39,8 +39,8 @@ def migrate(console: Console, /, files: tuple[Path, ...], **params: Any) -> None
     not kept, and a warning says in which lines they were. All files are checked before
     the first is written.
     """
+    from animtool.core.errors import ExitCode
     from animtool.documents.migrate import migrate as run_migrate
-    from animtool.errors import ExitCode
 
     check = params["check"]
     plans = run_migrate(

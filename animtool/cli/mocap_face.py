@@ -19,9 +19,9 @@ from animtool.cli.options import (
     strict_option,
 )
 from animtool.cli.outputs import all_named, skipped, writing_options
-from animtool.errors import counted, listed
+from animtool.core.errors import counted, listed
+from animtool.core.quantities import length_text
 from animtool.mocap.options import FaceOptions
-from animtool.quantities import length_text
 
 if TYPE_CHECKING:
     from animtool.scene.face import FaceResult

@@ -92,7 +92,7 @@ def fill(
 
 def _said(report: Any) -> list[str]:
     """Return what was done, in words."""
-    from animtool.errors import counted
+    from animtool.core.errors import counted
 
     lines = []
     for swap in report.swaps:

@@ -25,9 +25,9 @@ from animtool.cli.outputs import (
     written_options,
     written_options_record,
 )
-from animtool.errors import counted, listed, percent
+from animtool.core.errors import counted, listed, percent
+from animtool.core.quantities import duration_text, length_text
 from animtool.mocap.options import SolveOptions
-from animtool.quantities import duration_text, length_text
 
 if TYPE_CHECKING:
     from animtool.mocap.solve.report import MarkerScore

@@ -17,8 +17,8 @@ from animtool.cli.options import (
     strict_option,
 )
 from animtool.cli.outputs import all_named, skipped, writing_options
+from animtool.core.units import LengthUnit, UpAxis
 from animtool.mocap.options import TriangulateOptions
-from animtool.units import LengthUnit, UpAxis
 
 if TYPE_CHECKING:
     from animtool.mocap.cameras.report import CameraReport, Triangulation
@@ -75,13 +75,13 @@ def triangulate(
     """
     if skipped(console, "mocap triangulate", params, output, lambda: [output]):
         return
-    from animtool.errors import refuse_warnings
+    from animtool.core.errors import refuse_warnings
+    from animtool.core.files.output import check_outputs
     from animtool.formats.marker_files import check_marker_output, write_markers
     from animtool.mocap.cameras.file import load_all_cameras
     from animtool.mocap.cameras.observations import read_observations
     from animtool.mocap.cameras.openpose import read_keypoints
     from animtool.mocap.cameras.triangulate import triangulate as solve
-    from animtool.output import check_outputs
 
     check_marker_output(output)
     inputs = [observations, *calibrations]
@@ -136,7 +136,7 @@ def triangulation_text(found: Triangulation, output: Path) -> list[str]:
 
 def _remarks(report: CameraReport) -> str:
     """Return where a camera moved, and where it does not agree with the others."""
-    from animtool.shot import frame_spans
+    from animtool.core.shot import frame_spans
 
     said = [f"{'off' if m.kept else 'out'} {m.first + 1}-{m.end}" for m in report.moved]
     if report.disagrees:

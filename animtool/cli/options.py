@@ -11,12 +11,12 @@ from typing import Any, TypeVar
 import click
 
 from animtool.cli.console import Console
-from animtool.errors import Severity
-from animtool.options import Option, options_of
+from animtool.core.errors import Severity
+from animtool.core.options import Option, options_of
+from animtool.core.process.supervisor import stdin_lines
+from animtool.core.units import LengthUnit, UpAxis, parse_length
 from animtool.scene.options import BakeOptions
 from animtool.scene.sources import SourceOptions
-from animtool.supervisor import stdin_lines
-from animtool.units import LengthUnit, UpAxis, parse_length
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -41,13 +41,13 @@ class Parsed(click.ParamType[Any]):
 
 
 def _rate(text: str) -> Any:
-    from animtool.rates import parse_rate
+    from animtool.core.rates import parse_rate
 
     return parse_rate(text)
 
 
 def _timecode(text: str) -> str:
-    from animtool.timecode import is_timecode
+    from animtool.core.timecode import is_timecode
 
     if not is_timecode(text):
         raise ValueError(f"{text!r} is no time code such as 01:00:00:00 or 01:00:00;02")
@@ -99,7 +99,7 @@ def _joint_length(text: str) -> tuple[str, float]:
 
 
 def _variable(text: str) -> tuple[str, str]:
-    from animtool.documents.names import is_variable_name
+    from animtool.core.names import is_variable_name
 
     name, equals, value = text.partition("=")
     if not equals or not is_variable_name(name):

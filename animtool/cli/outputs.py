@@ -19,9 +19,9 @@ from animtool.cli.options import (
     stacked,
     strict_option,
 )
-from animtool.output import once_named, together
+from animtool.core.files.output import once_named, together
+from animtool.core.process.signals import outlast_signals
 from animtool.scene.options import BakeOptions
-from animtool.signals import outlast_signals
 
 if TYPE_CHECKING:
     from animtool.preview.work_precision import Panel
@@ -135,7 +135,7 @@ def check_plot(plot: Path | None, inputs: Sequence[Path], *, overwrite: bool) ->
     """Raise where the picture that is asked for cannot be drawn."""
     if plot is None:
         return
-    from animtool.output import check_outputs
+    from animtool.core.files.output import check_outputs
     from animtool.preview.work_precision import check_drawable
 
     check_outputs([plot], list(inputs), overwrite=overwrite)

@@ -7,9 +7,9 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING
 
 from animtool.cli.console import columns
-from animtool.clock import frame_label
-from animtool.errors import counted, excerpt
-from animtool.quantities import duration_text, length_text, plain, size_text
+from animtool.core.clock import frame_label
+from animtool.core.errors import counted, excerpt
+from animtool.core.quantities import duration_text, length_text, plain, size_text
 
 if TYPE_CHECKING:
     from animtool.scene.convert import ConvertReport

@@ -27,8 +27,8 @@ from animtool.cli.outputs import (
     written_options_record,
 )
 from animtool.cli.retarget_summary import MAX_NAMED, retarget_json, retarget_text
+from animtool.core.options import options_of
 from animtool.mocap.options import RetargetOptions
-from animtool.options import options_of
 
 # Options of retargeting that those of writing do not have.
 OWN_OPTIONS = tuple(name for name in options_of(RetargetOptions) if name != "force_fit")

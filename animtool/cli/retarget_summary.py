@@ -6,8 +6,8 @@ import math
 from dataclasses import asdict
 from typing import TYPE_CHECKING
 
-from animtool.errors import counted, listed, percent
-from animtool.quantities import angle_text, duration_text, length_text
+from animtool.core.errors import counted, listed, percent
+from animtool.core.quantities import angle_text, duration_text, length_text
 
 if TYPE_CHECKING:
     from animtool.mocap.retarget.report import RetargetReport

@@ -10,7 +10,7 @@ from click.shell_completion import get_completion_class
 
 from animtool.cli.console import Console
 from animtool.cli.options import common_options
-from animtool.plugins import load_object
+from animtool.core.plugins import load_object
 
 if TYPE_CHECKING:
     from pydantic import BaseModel

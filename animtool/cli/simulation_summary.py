@@ -8,8 +8,8 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING
 
 from animtool.cli.console import columns, finite
-from animtool.errors import listed
-from animtool.quantities import plain
+from animtool.core.errors import listed
+from animtool.core.quantities import plain
 
 if TYPE_CHECKING:
     from animtool.scene.simulation_table import SimulationTable

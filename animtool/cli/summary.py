@@ -15,11 +15,11 @@ from animtool.cli.convert_summary import (
     shot_text,
 )
 from animtool.cli.plan_summary import mesh_json, mesh_text
-from animtool.clock import FrameSpan, frame_label
-from animtool.errors import counted, listed
-from animtool.quantities import duration_text, length_text, plain, size_text
-from animtool.rates import rate_label
-from animtool.units import unit_name
+from animtool.core.clock import FrameSpan, frame_label
+from animtool.core.errors import counted, listed
+from animtool.core.quantities import duration_text, length_text, plain, size_text
+from animtool.core.rates import rate_label
+from animtool.core.units import unit_name
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -16,11 +16,11 @@ from animtool.cli.options import (
     read_values,
     record_option,
 )
-from animtool.options import clashes
+from animtool.core.options import clashes
 from animtool.validation.options import ReportOptions, ValidateOptions
 
 if TYPE_CHECKING:
-    from animtool.errors import ExitCode, Fault
+    from animtool.core.errors import ExitCode, Fault
     from animtool.validation.run import Report
 
 
@@ -67,7 +67,7 @@ def validate(console: Console, /, paths: tuple[str, ...], **params: Any) -> None
         _show_difference(console, files, options, choices, missing)
         return
     if choices.output_file is not None:
-        from animtool.output import check_outputs
+        from animtool.core.files.output import check_outputs
 
         check_outputs([choices.output_file], files, overwrite=True)
     if choices.fix:
@@ -121,7 +121,7 @@ def _show_difference(
     missing: Sequence[Fault],
 ) -> None:
     """Print what `--fix` would change; ends with 1 where that is something."""
-    from animtool.errors import ExitCode
+    from animtool.core.errors import ExitCode
     from animtool.validation.fixes.run import plan_files
     from animtool.validation.formats.plain import summary
     from animtool.validation.run import validate_files
@@ -153,7 +153,7 @@ def _say(
     if choices.output_file is None:
         console.document(text)
     else:
-        from animtool.output import write_parts
+        from animtool.core.files.output import write_parts
 
         # Names of files may hold bytes that are no text.
         write_parts(choices.output_file, [text.encode("utf-8", "replace")])

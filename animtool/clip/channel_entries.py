@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from animtool._types import FloatArray
 from animtool.clip.channels import ClipChannel
 from animtool.clip.schema import CurveModel, KeyModel
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import counted
 from animtool.documents.document import Document, Location
 from animtool.documents.fields import MAX_FRAME
-from animtool.errors import counted
 from animtool.maths import so3
 from animtool.maths.curves import Extrapolation, Interp
 from animtool.maths.tangents import Parametrization, Tangent

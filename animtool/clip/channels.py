@@ -8,9 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from animtool._types import FloatArray, IntArray
-from animtool.documents.names import nearest
-from animtool.errors import Fault, OptionError, counted
+from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.errors import Fault, OptionError, counted
+from animtool.core.names import nearest
+from animtool.core.units import LengthUnit, unit_name
 from animtool.maths import euler
 from animtool.maths.curves import (
     Curves,
@@ -23,7 +24,6 @@ from animtool.maths.rotation_curves import RotationKind, evaluate_rotations
 from animtool.maths.tangents import KeySlopes, Parametrization, Tangent
 from animtool.rig.joints import KEYED_PARTS, nearest_part, split_part
 from animtool.rig.skeleton import Rig
-from animtool.units import LengthUnit, unit_name
 
 
 @dataclass(frozen=True, slots=True)

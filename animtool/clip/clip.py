@@ -11,19 +11,19 @@ from itertools import chain
 from pathlib import Path
 from typing import TypeVar, cast
 
-from animtool._types import FloatArray
 from animtool.clip.channels import ClipChannel, ClipUnits, check_targets
-from animtool.clock import MAX_FRAMES, Clock, time_codes
-from animtool.documents.names import flow, number, scaled, text
-from animtool.errors import Fault, FormatError, OptionError, counted
+from animtool.core.array_types import FloatArray
+from animtool.core.clock import MAX_FRAMES, Clock, time_codes
+from animtool.core.errors import Fault, FormatError, OptionError, counted
+from animtool.core.names import flow, number, scaled, text
+from animtool.core.plugins import load_object
+from animtool.core.rates import FractionLike, rate_label, rate_option
+from animtool.core.units import unit_name
 from animtool.maths.curves import Extrapolation, Interp
 from animtool.maths.tangents import Parametrization, Tangent
 from animtool.motion import Motion
-from animtool.plugins import load_object
-from animtool.rates import FractionLike, rate_label, rate_option
 from animtool.rig.skeleton import Rig
 from animtool.take import Take
-from animtool.units import unit_name
 
 # Of a channel that does not say.
 USUAL_TANGENT = Tangent.AUTO_CLAMPED

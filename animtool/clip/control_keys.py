@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from animtool._types import FloatArray, IntArray
 from animtool.clip.coordinates import JointMotion, Same, requested_of_joints
 from animtool.clip.reduction.keys import ChannelKind, ReducedChannel
 from animtool.clip.reduction.points import SHELL, attached_points, point_errors
 from animtool.clip.sample import sample_values
+from animtool.core.array_types import FloatArray, IntArray
 from animtool.maths.fit import FittedKeys, evaluate_keys, fit_keys
 from animtool.motion import Channel, Motion
 from animtool.rig.control_inverse import SolvedControls, keyed_values, solve_controls

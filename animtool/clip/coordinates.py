@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from animtool._types import BoolArray, FloatArray
 from animtool.clip.reduction.keys import ChannelKind
 from animtool.clip.reduction.tracks import Track, euler_order
+from animtool.core.array_types import BoolArray, FloatArray
 from animtool.maths import euler, so3
 from animtool.motion import Motion
 from animtool.rig.joints import DRIVEN_PARTS, split_part

@@ -12,17 +12,17 @@ from animtool.clip.channel_entries import ChannelReader
 from animtool.clip.channels import ClipChannel, ClipUnits, target_kind
 from animtool.clip.clip import Clip
 from animtool.clip.schema import ChannelModel, ClipModel
-from animtool.config import project_roots
+from animtool.core.config import project_roots
+from animtool.core.errors import Fault, FormatError, OptionError
+from animtool.core.files.reading import is_there
+from animtool.core.rates import RateError, parse_rate
+from animtool.core.units import LengthUnit
 from animtool.documents.check import check_version, validated
 from animtool.documents.document import Document, Location, read_document
 from animtool.documents.fields import MAX_FRAME
 from animtool.documents.references import missing_hint, referred
-from animtool.errors import Fault, FormatError, OptionError
-from animtool.files import is_there
-from animtool.rates import RateError, parse_rate
 from animtool.rig.joints import split_part
 from animtool.rig.skeleton import Rig
-from animtool.units import LengthUnit
 
 # Motion, and what takes its place: one of them may hold a joint.
 _REPLACED = {

@@ -7,20 +7,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from animtool._types import FloatArray, IntArray
 from animtool.clip.channels import ClipUnits
 from animtool.clip.clip import Clip
 from animtool.clip.coordinates import JointMotion
 from animtool.clip.reduction.tracks import Track
-from animtool.errors import Fault, Severity, listed
+from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.errors import Fault, Severity, listed
+from animtool.core.quantities import plain
+from animtool.core.units import unit_name
 from animtool.maths import so3
 from animtool.motion import Channel, Motion
-from animtool.quantities import plain
 from animtool.rig.control_inverse import SolvedControls, keyed_values
 from animtool.rig.joints import KEYED_PARTS, split_part
 from animtool.rig.skeleton import JointType, Rig
 from animtool.take import Take
-from animtool.units import unit_name
 
 MAX_NAMES = 6
 

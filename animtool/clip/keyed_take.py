@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from animtool._types import FloatArray
 from animtool.clip.clip import Clip
 from animtool.clip.control_keys import (
     FittedControls,
@@ -34,7 +33,8 @@ from animtool.clip.reduction.reduce import reduce_motion
 from animtool.clip.reduction.tolerance import WEIGHT_TOLERANCE
 from animtool.clip.reduction.tracks import Track, in_order, pose_of, tracks_of
 from animtool.clip.sample import sample_channels, sample_values
-from animtool.errors import Fault
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault
 from animtool.motion import Channel, Motion
 from animtool.rig.control_inverse import SolvedControls
 from animtool.rig.controls import evaluate_controls

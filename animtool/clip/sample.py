@@ -7,9 +7,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from animtool._types import FloatArray
 from animtool.clip.channels import ClipChannel, evaluate_channels
-from animtool.errors import Fault, FormatError, Severity, listed
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault, FormatError, Severity, listed
 from animtool.maths import so3
 from animtool.motion import Channel, Motion
 from animtool.rig.controls import DrivenValues, evaluate_controls

@@ -21,9 +21,9 @@ from typing import Any, Literal, Protocol, cast
 import numpy as np
 import numpy.typing as npt
 
-from animtool.config import find_config
-from animtool.errors import FormatError
-from animtool.files import InputFile, open_input
+from animtool.core.config import find_config
+from animtool.core.errors import FormatError
+from animtool.core.files.reading import InputFile, open_input
 
 MAGIC = b"\x93NUMPY"
 # What numpy.load itself takes.

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from animtool._types import FloatArray
+from animtool.core.array_types import FloatArray
 from animtool.documents.archive import Archive, reading
 
 # Files held open at once: systems allow a few hundred.

@@ -10,8 +10,10 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
+from animtool.core.errors import Fault, counted, excerpt
+from animtool.core.names import KINDS, nearest
+from animtool.core.similar import similar
 from animtool.documents.document import Document, Location
-from animtool.documents.names import KINDS, nearest
 from animtool.documents.placeholders import (
     annotation_at,
     fields_at,
@@ -21,8 +23,6 @@ from animtool.documents.placeholders import (
     stand_in,
 )
 from animtool.documents.versions import STEPS, new_key, newest, version_of
-from animtool.errors import Fault, counted, excerpt
-from animtool.similar import similar
 
 # Faulty values that something stands in for, before the rest is not looked at.
 MAX_MENDED = 200

@@ -8,11 +8,11 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from animtool.documents.names import KINDS
+from animtool.core.errors import Fault, FormatError, Severity
+from animtool.core.files.reading import MAX_TEXT_BYTES, open_input
+from animtool.core.names import KINDS
 from animtool.documents.yaml_values import MAX_FAULTS as MAX_COLLECTED
 from animtool.documents.yaml_values import read_values
-from animtool.errors import Fault, FormatError, Severity
-from animtool.files import MAX_TEXT_BYTES, open_input
 
 Location = tuple[str | int, ...]
 

@@ -16,11 +16,11 @@ from typing import Any, cast
 
 import yaml
 
+from animtool.core.errors import FormatError
+from animtool.core.names import flow, number
+from animtool.core.names import text as plain_text
 from animtool.documents.document import Location, document_of, spelled
-from animtool.documents.names import flow, number
-from animtool.documents.names import text as plain_text
 from animtool.documents.yaml_values import compose
-from animtool.errors import FormatError
 
 # Escapes and ends of lines that YAML takes for others than JSON does, all of a length.
 _JSON_ONLY = re.compile("\\\\u[dD][89a-fA-F][0-9a-fA-F]{2}|[\x85\u2028\u2029]")

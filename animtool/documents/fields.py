@@ -22,8 +22,8 @@ from annotated_types import Ge, Gt, Le, Len
 from pydantic import Field, create_model
 from pydantic_core import PydanticUndefined
 
+from animtool.core.options import Key, Range
 from animtool.documents.check import FileModel
-from animtool.options import Key, Range
 
 # The largest number in a file, in its own unit. The square of one is held by float32,
 # which USD has, in any unit; the product of sixteen by float64.

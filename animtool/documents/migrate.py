@@ -9,6 +9,16 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from animtool.core.errors import (
+    AnimtoolError,
+    Fault,
+    FormatError,
+    OptionError,
+    Severity,
+    listed,
+    refuse_warnings,
+)
+from animtool.core.files.output import check_outputs, together, write_parts
 from animtool.documents.document import (
     Document,
     document_of,
@@ -25,16 +35,6 @@ from animtool.documents.versions import (
     version_of,
 )
 from animtool.documents.yaml_text import comments_in, json_text, yaml_text
-from animtool.errors import (
-    AnimtoolError,
-    Fault,
-    FormatError,
-    OptionError,
-    Severity,
-    listed,
-    refuse_warnings,
-)
-from animtool.output import check_outputs, together, write_parts
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,8 +8,8 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
+from animtool.core.names import UNKNOWN
 from animtool.documents.document import Location
-from animtool.documents.names import UNKNOWN
 
 
 def annotation_of(field: FieldInfo) -> Any:

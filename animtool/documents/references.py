@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from animtool.config import find_config, project_around
+from animtool.core.config import find_config, project_around
+from animtool.core.files.reading import is_there, nearest_file, seen_from
 from animtool.documents.document import Document, Location
-from animtool.files import is_there, nearest_file, seen_from
 
 
 def split_reference(text: str, default: str) -> tuple[str, str]:

@@ -9,8 +9,10 @@ from typing import Any
 
 from pydantic import BaseModel
 
+from animtool.core.errors import excerpt
+from animtool.core.files.output import name_problem
+from animtool.core.names import VARIABLE_NAME, is_variable_name, nearest
 from animtool.documents.document import Document, Location
-from animtool.documents.names import VARIABLE_NAME, is_variable_name, nearest
 from animtool.documents.placeholders import (
     annotation_at,
     replaced,
@@ -18,8 +20,6 @@ from animtool.documents.placeholders import (
     takes_no_text,
 )
 from animtool.documents.yaml_values import plain_scalar
-from animtool.errors import excerpt
-from animtool.output import name_problem
 
 # Where a document gives variables their usual values.
 DEFAULTS = "variables"

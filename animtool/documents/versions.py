@@ -6,9 +6,9 @@ import re
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
+from animtool.core.errors import excerpt
+from animtool.core.names import KINDS
 from animtool.documents.document import Document, Location
-from animtool.documents.names import KINDS
-from animtool.errors import excerpt
 
 # A step takes the values of a whole file and returns those of the next version.
 Step = Callable[[dict[str, Any]], dict[str, Any]]

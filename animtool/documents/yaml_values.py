@@ -14,8 +14,8 @@ from typing import Any, NamedTuple, NoReturn, cast
 
 import yaml
 
-from animtool.documents.names import VARIABLE_NAME, unreadable
-from animtool.errors import Fault, FormatError, excerpt
+from animtool.core.errors import Fault, FormatError, excerpt
+from animtool.core.names import VARIABLE_NAME, unreadable
 
 # A person nests five or six.
 DEEPEST = 50

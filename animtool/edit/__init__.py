@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from animtool.plugins import lazy_names
+from animtool.core.plugins import lazy_names
 
 if TYPE_CHECKING:
     from animtool.edit.cycle import find_cycle as find_cycle

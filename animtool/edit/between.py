@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from animtool._types import BoolArray, FloatArray
+from animtool.core.array_types import BoolArray, FloatArray
 from animtool.edit.travel import Places, nearby_places
 from animtool.maths import so3
 from animtool.motion import Channel, Motion, MotionCurve

@@ -14,10 +14,10 @@ from typing import TypeAlias
 
 import numpy as np
 
-from animtool._types import FloatArray
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault, OptionError
 from animtool.edit.between import Between
 from animtool.edit.travel import even_places
-from animtool.errors import Fault, OptionError
 from animtool.maths import additive, so3
 from animtool.motion import Channel, Motion
 from animtool.rig.skeleton import Rig

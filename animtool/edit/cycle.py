@@ -14,12 +14,12 @@ from fractions import Fraction
 
 import numpy as np
 
-from animtool._types import FloatArray, IntArray
-from animtool.clock import Clock
+from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.clock import Clock
+from animtool.core.errors import Fault, OptionError
 from animtool.edit.frames import frame_index
 from animtool.edit.loop_options import LoopOptions
 from animtool.edit.travel import place_of, rest_rotation, traveller, twist
-from animtool.errors import Fault, OptionError
 from animtool.maths import so3
 from animtool.rig.kinematics import forward, rest_size
 from animtool.rig.skeleton import Rig

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from fractions import Fraction
 
-from animtool.clock import MAX_FRAMES, Clock
-from animtool.errors import Fault, OptionError
+from animtool.core.clock import MAX_FRAMES, Clock
+from animtool.core.errors import Fault, OptionError
 
 
 def exact(number: float, name: str) -> Fraction:

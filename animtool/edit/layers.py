@@ -11,8 +11,9 @@ from pathlib import Path
 
 import numpy as np
 
-from animtool._types import FloatArray
-from animtool.clock import Clock, time_codes
+from animtool.core.array_types import FloatArray
+from animtool.core.clock import Clock, time_codes
+from animtool.core.errors import Fault, OptionError
 from animtool.edit.between import Between
 from animtool.edit.combine import (
     Strength,
@@ -25,7 +26,6 @@ from animtool.edit.combine import (
 )
 from animtool.edit.frames import check_count, exact, frame_index
 from animtool.edit.tree import joints_matching
-from animtool.errors import Fault, OptionError
 from animtool.keyed import Interpolation, Weight, chosen, weights_at
 from animtool.motion import Channel, Motion
 from animtool.passes import (

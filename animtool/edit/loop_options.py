@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from animtool.options import option
+from animtool.core.options import option
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,13 +16,14 @@ from typing import TypeAlias, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from animtool._types import FloatArray
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault, OptionError, Severity
+from animtool.core.units import UpAxis
 from animtool.edit.combine import continuous
 from animtool.edit.cycle import Cycle, find_cycle, measure_cycle
 from animtool.edit.frames import check_count, check_range, frame_index
 from animtool.edit.loop_options import LoopOptions
 from animtool.edit.travel import Travel, nearby_places, travel_of
-from animtool.errors import Fault, OptionError, Severity
 from animtool.maths import so3
 from animtool.motion import Channel, Motion
 from animtool.passes import (
@@ -36,7 +37,6 @@ from animtool.passes import (
 from animtool.rig.skeleton import Joint, Rig
 from animtool.take import Take
 from animtool.transforms import Track, Transforms
-from animtool.units import UpAxis
 
 _Value = TypeVar("_Value", bound=np.generic)
 Onward: TypeAlias = Callable[[FloatArray], FloatArray]

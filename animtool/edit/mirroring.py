@@ -9,9 +9,9 @@ from typing import TypeAlias
 
 import numpy as np
 
-from animtool._types import BoolArray, FloatArray, IntArray
+from animtool.core.array_types import BoolArray, FloatArray, IntArray
+from animtool.core.errors import Fault, OptionError, Severity, listed, percent
 from animtool.edit.tree import joint_index
-from animtool.errors import Fault, OptionError, Severity, listed, percent
 from animtool.keyed import chosen
 from animtool.maths import so3
 from animtool.motion import Channel, Motion

@@ -9,13 +9,15 @@ from fractions import Fraction
 
 import numpy as np
 
-from animtool._types import FloatArray, IntArray
-from animtool.clock import MAX_FRAMES, Clock, frame_label, time_codes
+from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.clock import MAX_FRAMES, Clock, frame_label, time_codes
+from animtool.core.errors import Fault, OptionError, Severity
+from animtool.core.rates import FractionLike, rate_option
+from animtool.core.shot import FrameRange
 from animtool.edit.between import Between
 from animtool.edit.frames import check_count
 from animtool.edit.straight import straight_notices
 from animtool.edit.travel import Places, even_places
-from animtool.errors import Fault, OptionError, Severity
 from animtool.maths import filters, so3
 from animtool.motion import Channel, Motion
 from animtool.passes import (
@@ -26,8 +28,6 @@ from animtool.passes import (
     PassContext,
     Scope,
 )
-from animtool.rates import FractionLike, rate_option
-from animtool.shot import FrameRange
 from animtool.take import Take
 
 BLOCK_FRAMES = 512

@@ -9,14 +9,14 @@ from fractions import Fraction
 
 import numpy as np
 
-from animtool._types import FloatArray
-from animtool.clock import Clock
+from animtool.core.array_types import FloatArray
+from animtool.core.clock import Clock
+from animtool.core.errors import Fault, OptionError, Severity
 from animtool.edit.between import Between
 from animtool.edit.combine import continuous
 from animtool.edit.frames import check_count, check_range, exact, frame_refusal
 from animtool.edit.straight import straight_notices
 from animtool.edit.travel import Places, even_places, nearby_places
-from animtool.errors import Fault, OptionError, Severity
 from animtool.keyed import Interpolation, Keys, key_arrays, keyed
 from animtool.motion import Channel, Motion
 from animtool.passes import (

@@ -7,6 +7,7 @@ from enum import StrEnum
 
 import numpy as np
 
+from animtool.core.errors import Fault, OptionError
 from animtool.edit.combine import continuous
 from animtool.edit.travel import (
     above,
@@ -16,7 +17,6 @@ from animtool.edit.travel import (
     twist,
 )
 from animtool.edit.tree import Placing, inserted, joint_index, removed, set_joint
-from animtool.errors import Fault, OptionError
 from animtool.keyed import chosen
 from animtool.maths import so3
 from animtool.motion import Channel

@@ -7,14 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from animtool._types import FloatArray, IntArray
-from animtool.clock import frame_label
+from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.clock import frame_label
+from animtool.core.errors import Fault, Severity, listed
+from animtool.core.quantities import angle_text, length_text, plain
 from animtool.edit.between import Between
 from animtool.edit.travel import Places
-from animtool.errors import Fault, Severity, listed
 from animtool.maths import so3
 from animtool.motion import Channel
-from animtool.quantities import angle_text, length_text, plain
 from animtool.rig.kinematics import rest_size
 
 # What is off by less is not said: a tenth of a degree moves the end of a limb by less

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from animtool._types import FloatArray, IntArray
 from animtool.clip.reduction.points import (
     SHELL,
     attached_points,
@@ -15,6 +14,7 @@ from animtool.clip.reduction.points import (
     point_errors,
 )
 from animtool.clip.reduction.tolerance import WEIGHT_TOLERANCE
+from animtool.core.array_types import FloatArray, IntArray
 from animtool.edit.travel import places_between
 from animtool.motion import Motion
 from animtool.rig.kinematics import WorldTransforms, forward

@@ -7,7 +7,7 @@ from fractions import Fraction
 
 import numpy as np
 
-from animtool._types import ArrayLike, FloatArray, IntArray
+from animtool.core.array_types import ArrayLike, FloatArray, IntArray
 from animtool.maths import so3
 from animtool.motion import Channel, Motion
 from animtool.rig.kinematics import rest_size

@@ -9,18 +9,18 @@ from fnmatch import fnmatchcase
 
 import numpy as np
 
-from animtool._types import BoolArray, FloatArray
-from animtool.documents.names import nearest
-from animtool.errors import Fault, OptionError, excerpt, listed
+from animtool.core.array_types import BoolArray, FloatArray
+from animtool.core.errors import Fault, OptionError, excerpt, listed
+from animtool.core.names import nearest
+from animtool.core.similar import similar
+from animtool.core.units import UpAxis
 from animtool.maths import so3
 from animtool.motion import Channel
 from animtool.passes import OptionChecks, Pass, PassContext, Scope, TakePart
 from animtool.rig.drivers import split_coordinate
 from animtool.rig.kinematics import WorldTransforms, rest_world
 from animtool.rig.skeleton import Joint, JointType, Pose, Rig
-from animtool.similar import similar
 from animtool.take import Take
-from animtool.units import UpAxis
 
 
 def joint_index(rig: Rig, name: str, option: str) -> int:

@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from animtool import _kernels
-from animtool._types import FloatArray, IntArray
-from animtool.errors import AnimtoolError, excerpt
-from animtool.files import MAX_INPUT_BYTES, read_input
+from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.errors import AnimtoolError, excerpt
+from animtool.core.files.reading import MAX_INPUT_BYTES, read_input
 
 SEPARATORS = (b"\t", b";", b",")
 BLANK = b" \t,;"

@@ -10,15 +10,15 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from animtool.clock import Clock, time_fraction
+from animtool.core.clock import Clock, time_fraction
+from animtool.core.errors import Fault, listed
+from animtool.core.files.reading import open_input
+from animtool.core.rates import FractionLike
+from animtool.core.units import LengthUnit, UpAxis
 from animtool.documents.arrays import Archives
 from animtool.documents.references import split_reference
-from animtool.errors import Fault, listed
-from animtool.files import open_input
 from animtool.formats.trajectories import MAX_POSITIONS, MarkerFile
 from animtool.markers import Markers
-from animtool.rates import FractionLike
-from animtool.units import LengthUnit, UpAxis
 
 _UNIT = re.compile(r"_(mm|cm|m|in)")
 # What the array of positions is called that is read where none is named.
@@ -172,7 +172,7 @@ def write_marker_arrays(
         OptionError: The file exists (OUT001).
         OutputError: The file cannot be written (OUT002).
     """
-    from animtool.output import check_outputs, write_arrays
+    from animtool.core.files.output import check_outputs, write_arrays
 
     path = Path(path)
     check_outputs([path], [], overwrite=overwrite)

@@ -6,13 +6,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import cast
 
+from animtool.core.errors import Fault, OptionError
+from animtool.core.plugins import load_object
+from animtool.core.rates import FractionLike
+from animtool.core.readers import READERS, find_reader
+from animtool.core.units import LengthUnit, UpAxis
 from animtool.documents.references import split_reference
-from animtool.errors import Fault, OptionError
 from animtool.markers import Markers
-from animtool.plugins import load_object
-from animtool.rates import FractionLike
-from animtool.readers import READERS, find_reader
-from animtool.units import LengthUnit, UpAxis
 
 # What writes markers: ``module:object`` of a function from markers, a path and
 # ``overwrite`` to what the format cannot hold.

@@ -7,8 +7,12 @@ from fractions import Fraction
 
 import numpy as np
 
-from animtool._types import FloatArray, IntArray
-from animtool.rates import HIGHEST_WRITTEN_RATE, LOWEST_WRITTEN_RATE, rate_from_float
+from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.rates import (
+    HIGHEST_WRITTEN_RATE,
+    LOWEST_WRITTEN_RATE,
+    rate_from_float,
+)
 
 # How far times may be off even ones, beside the rounding of their last place, as a
 # share of the time between rows: what adding up a step in float64 or float32 gives.

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from animtool import _kernels
-from animtool._types import FloatArray
-from animtool.errors import Fault
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault
 from animtool.take import Take
 
 ROWS_AT_ONCE = 4096
@@ -53,7 +53,7 @@ def write_text(
     overwrite: bool,
 ) -> list[Fault]:
     """Write a take as a file of text; return what the format cannot hold."""
-    from animtool.output import check_outputs, write_parts
+    from animtool.core.files.output import check_outputs, write_parts
 
     path = Path(path)
     check_outputs([path], [], overwrite=overwrite)

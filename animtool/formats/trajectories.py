@@ -10,17 +10,17 @@ from fractions import Fraction
 
 import numpy as np
 
-from animtool._types import FloatArray
-from animtool.errors import Fault, FormatError, Severity, counted, excerpt, naming
-from animtool.rates import (
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault, FormatError, Severity, counted, excerpt, naming
+from animtool.core.rates import (
     HIGHEST_WRITTEN_RATE,
     LOWEST_WRITTEN_RATE,
     FractionLike,
     rate_from_float,
     rate_option,
 )
-from animtool.similar import distinct
-from animtool.units import LengthUnit, UpAxis
+from animtool.core.similar import distinct
+from animtool.core.units import LengthUnit, UpAxis
 
 # How systems call points without a label, beside an empty name.
 _UNLABELLED = re.compile(

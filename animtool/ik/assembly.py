@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from animtool._types import FloatArray
-from animtool.errors import Fault
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault
 from animtool.ik.chain import BALL, GAP, PIN, SLIDE, Chain
 from animtool.ik.driver_programs import FOLLOWS_PROGRAM, Programs, Source
 from animtool.ik.goals import Goal

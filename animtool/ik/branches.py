@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from animtool import _kernels
-from animtool._types import BoolArray, FloatArray, IntArray
+from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.ik.chain import BALL, Chain, difference, moved, unwound, with_periods
 from animtool.ik.goals import Targets, by_unit, rows_of
 from animtool.ik.problem import Problem

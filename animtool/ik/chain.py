@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from animtool._types import BoolArray, FloatArray, IntArray
+from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.maths import so3
 
 PIN, SLIDE, BALL = 0, 1, 2

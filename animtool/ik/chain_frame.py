@@ -14,8 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from animtool._types import BoolArray, FloatArray
-from animtool.errors import Fault, OptionError
+from animtool.core.array_types import BoolArray, FloatArray
+from animtool.core.errors import Fault, OptionError
 from animtool.ik.goals import KINDS, Goal, Targets, TargetValue, rows_of
 from animtool.ik.problem import build
 from animtool.maths import so3

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from animtool._types import ArrayLike, FloatArray, IntArray
+from animtool.core.array_types import ArrayLike, FloatArray, IntArray
 from animtool.ik.branches import (
     Interval,
     best_path,

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from animtool._types import ArrayLike, FloatArray
-from animtool.errors import Fault, OptionError
+from animtool.core.array_types import ArrayLike, FloatArray
+from animtool.core.errors import Fault, OptionError
 from animtool.ik.branches import (
     NO_WORSE,
     Interval,

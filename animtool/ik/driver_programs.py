@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from animtool._types import FloatArray
+from animtool.core.array_types import FloatArray
 from animtool.ik.goals import Goal
 from animtool.rig.controls import Control
 from animtool.rig.driver_plan import DriverPlan, plan_of

@@ -13,20 +13,20 @@ import numpy as np
 from animtool.clip.channels import ClipUnits
 from animtool.clip.file import checked_range
 from animtool.clip.schema import CurveModel
-from animtool.config import project_roots
+from animtool.core.config import project_roots
+from animtool.core.names import nearest
+from animtool.core.rates import RateError, parse_rate
+from animtool.core.units import LengthUnit
 from animtool.documents.arrays import Archives
 from animtool.documents.check import check_version, validated
 from animtool.documents.document import Document, Location, read_document
 from animtool.documents.fields import MAX_FRAME
-from animtool.documents.names import nearest
 from animtool.ik.goals import KINDS, PARTS, Goal, GoalKind
 from animtool.ik.schema import GoalModel, TargetsModel, WeightsModel
 from animtool.ik.tracks import GoalTrack, TargetTracks
 from animtool.ik.values import Still, Value, ValueReader
-from animtool.rates import RateError, parse_rate
 from animtool.rig.parts import IkChain, Vector
 from animtool.rig.skeleton import Rig
-from animtool.units import LengthUnit
 
 # Shorter, a direction is a slip.
 SHORTEST = 1e-9

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 from animtool import _kernels
-from animtool._types import BoolArray, FloatArray, IntArray
+from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.ik.chain import unwound
 from animtool.ik.goals import Targets
 from animtool.ik.problem import Problem

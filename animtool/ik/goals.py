@@ -8,11 +8,11 @@ from itertools import accumulate
 
 import numpy as np
 
-from animtool._types import ArrayLike, BoolArray, FloatArray, IntArray
-from animtool.errors import Fault, OptionError, counted, excerpt
+from animtool.core.array_types import ArrayLike, BoolArray, FloatArray, IntArray
+from animtool.core.errors import Fault, OptionError, counted, excerpt
+from animtool.core.similar import similar
 from animtool.rig.parts import Vector
 from animtool.rig.skeleton import Rig
-from animtool.similar import similar
 
 # Numbers beyond this have no square [m]; no character is so large.
 FARTHEST = 1e100

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from animtool._types import BoolArray, FloatArray, IntArray
+from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.maths import so3
 from animtool.maths.pops import shift_pops, turn_pops
 from animtool.rig.joints import LocalTransforms

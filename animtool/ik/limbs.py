@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from animtool._types import BoolArray, FloatArray, IntArray
-from animtool.errors import Fault
+from animtool.core.array_types import BoolArray, FloatArray, IntArray
+from animtool.core.errors import Fault
 from animtool.ik.chain import SLIDE, Chain
 from animtool.ik.goals import WEIGHT, Goal
 from animtool.rig.skeleton import Rig

@@ -12,14 +12,14 @@ from pathlib import Path
 
 import numpy as np
 
-from animtool._types import FloatArray
 from animtool.clip.channels import ClipChannel, ClipUnits
 from animtool.clip.reduction.keys import fitted_channel
 from animtool.clip.reduction.points import SHELL
 from animtool.clip.reduction.tracks import euler_order
-from animtool.clock import Clock
-from animtool.documents.names import nearest
-from animtool.errors import Fault, OptionError, Severity, listed
+from animtool.core.array_types import FloatArray
+from animtool.core.clock import Clock
+from animtool.core.errors import Fault, OptionError, Severity, listed
+from animtool.core.names import nearest
 from animtool.ik.chain_frame import refuse_scales
 from animtool.ik.goals import PARTS
 from animtool.ik.matching import Matched, match

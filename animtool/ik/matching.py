@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from animtool._types import BoolArray, FloatArray, IntArray
+from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.ik.goals import Goal, Targets
 from animtool.ik.limbs import limb_joints
 from animtool.ik.problem import moving_joints

@@ -8,7 +8,7 @@ from itertools import product
 
 import numpy as np
 
-from animtool._types import ArrayLike, FloatArray, IntArray
+from animtool.core.array_types import ArrayLike, FloatArray, IntArray
 from animtool.ik.branches import price, random_poses, weighed
 from animtool.ik.chain import BALL, Chain, with_periods
 from animtool.ik.goals import Targets, rows_of

@@ -10,10 +10,10 @@ from fnmatch import fnmatchcase
 
 import numpy as np
 
-from animtool._types import FloatArray, IntArray
-from animtool.documents.names import nearest
+from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.errors import Fault, OptionError
+from animtool.core.names import nearest
 from animtool.driving import driven_take
-from animtool.errors import Fault, OptionError
 from animtool.ik.chain_frame import parts_of, refuse_scales
 from animtool.ik.goals import Goal, Targets
 from animtool.ik.options import TakeOptions

@@ -6,8 +6,8 @@ import math
 from dataclasses import dataclass
 from enum import StrEnum
 
-from animtool.options import option
-from animtool.units import parse_length
+from animtool.core.options import option
+from animtool.core.units import parse_length
 
 # Takes are solved to within these; what is off by more is missed, where nothing else is
 # asked: what nobody sees is less. Angles in degrees.

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from animtool import _kernels
-from animtool._types import ArrayLike, FloatArray, IntArray
-from animtool.errors import Fault, OptionError
+from animtool.core.array_types import ArrayLike, FloatArray, IntArray
+from animtool.core.errors import Fault, OptionError
 from animtool.ik.chain import HAIR, difference, unwound
 from animtool.ik.goals import COLUMNS, KINDS, WEIGHTS, Targets, TargetValue, by_unit
 from animtool.ik.jumps import Jump, find_jumps

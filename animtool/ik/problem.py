@@ -8,8 +8,8 @@ from functools import cached_property
 
 import numpy as np
 
-from animtool._types import ArrayLike, FloatArray, as_floats
-from animtool.errors import Fault, OptionError, counted, listed
+from animtool.core.array_types import ArrayLike, FloatArray, as_floats
+from animtool.core.errors import Fault, OptionError, counted, listed
 from animtool.ik.assembly import assemble
 from animtool.ik.chain import Chain
 from animtool.ik.driver_programs import with_sources

@@ -10,9 +10,11 @@ from itertools import pairwise
 
 import numpy as np
 
-from animtool._types import BoolArray, FloatArray
-from animtool.clock import frame_label, span_label
-from animtool.errors import Fault, Severity, counted, listed
+from animtool.core.array_types import BoolArray, FloatArray
+from animtool.core.clock import frame_label, span_label
+from animtool.core.errors import Fault, Severity, counted, listed
+from animtool.core.quantities import angle_text, length_text
+from animtool.core.units import parse_length
 from animtool.ik.goals import METRIC, PARTS, by_unit
 from animtool.ik.jumps import Jump
 from animtool.ik.limbs import find_limbs
@@ -20,9 +22,7 @@ from animtool.ik.options import MISSED, MISSED_DEGREES
 from animtool.ik.result import IkStatus
 from animtool.ik.take_run import TakeIk
 from animtool.ik.tracks import GoalTrack
-from animtool.quantities import angle_text, length_text
 from animtool.rig.skeleton import JointType
-from animtool.units import parse_length
 
 # A goal that is off by more is missed, where nothing else is asked [m], [rad].
 MISSED_LENGTH, MISSED_ANGLE = parse_length(MISSED), math.radians(MISSED_DEGREES)

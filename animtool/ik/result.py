@@ -9,15 +9,15 @@ from fractions import Fraction
 
 import numpy as np
 
-from animtool._types import BoolArray, FloatArray, IntArray
-from animtool.clock import Clock
+from animtool.core.array_types import BoolArray, FloatArray, IntArray
+from animtool.core.clock import Clock
+from animtool.core.rates import FractionLike, rate_option
 from animtool.driving import driven_take
 from animtool.ik.goals import PARTS
 from animtool.ik.jumps import Jump
 from animtool.ik.problem import Problem
 from animtool.maths import so3
 from animtool.motion import Channel, Motion
-from animtool.rates import FractionLike, rate_option
 from animtool.rig.joints import coordinate_slices, local_from_coordinates
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.take import Take

@@ -7,8 +7,8 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from animtool import _kernels
-from animtool._types import ArrayLike, BoolArray, FloatArray, IntArray
-from animtool.errors import Fault, OptionError, listed
+from animtool.core.array_types import ArrayLike, BoolArray, FloatArray, IntArray
+from animtool.core.errors import Fault, OptionError, listed
 from animtool.ik.chain import difference
 from animtool.ik.goals import Targets, by_unit, pack
 from animtool.ik.limbs import Extension, extend

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from animtool._types import FloatArray, IntArray
+from animtool.core.array_types import FloatArray, IntArray
 from animtool.rig.controls import Control
 from animtool.rig.driver_plan import plan_of
 from animtool.rig.drivers import split_coordinate

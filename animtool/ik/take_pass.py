@@ -8,7 +8,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from animtool.errors import Fault, OptionError
+from animtool.core.errors import Fault, OptionError
+from animtool.core.options import options_of, with_written
+from animtool.core.units import parse_length
 from animtool.ik.file import load_targets
 from animtool.ik.on_take import solve_take
 from animtool.ik.options import TakeOptions
@@ -16,11 +18,9 @@ from animtool.ik.report import MISSED_ANGLE, MISSED_LENGTH, goal_reports, take_n
 from animtool.ik.sub_rig import dressed
 from animtool.ik.take_run import take_option_faults
 from animtool.ik.tracks import TargetTracks
-from animtool.options import options_of, with_written
 from animtool.passes import OptionChecks, Pass, PassContext, Scope, TakePart
 from animtool.rig.skeleton import Rig
 from animtool.take import Take
-from animtool.units import parse_length
 
 
 @with_written(TakeOptions, "joints")

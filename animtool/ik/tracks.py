@@ -9,9 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from animtool._types import BoolArray, FloatArray
-from animtool.clock import MAX_FRAMES, Clock
-from animtool.errors import Fault, OptionError, counted
+from animtool.core.array_types import BoolArray, FloatArray
+from animtool.core.clock import MAX_FRAMES, Clock
+from animtool.core.errors import Fault, OptionError, counted
+from animtool.core.rates import rate_label
 from animtool.ik.goals import KINDS, Goal, GoalKind, Targets, TargetValue
 from animtool.ik.limbs import limb_joints
 from animtool.ik.two_bone import bend
@@ -27,7 +28,6 @@ from animtool.ik.values import (
     smoothstep,
 )
 from animtool.maths import so3
-from animtool.rates import rate_label
 from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.parts import IkChain
 from animtool.rig.skeleton import JointType, Rig

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from animtool._types import BoolArray, FloatArray
+from animtool.core.array_types import BoolArray, FloatArray
 from animtool.ik.chain import BALL, PIN, Chain
 from animtool.ik.goals import COLUMNS, PARTS, WEIGHT
 from animtool.ik.problem import Problem

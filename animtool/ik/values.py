@@ -10,18 +10,18 @@ from typing import Protocol, TypeAlias, cast
 
 import numpy as np
 
-from animtool._types import FloatArray
 from animtool.clip.channel_entries import ChannelReader, file_quaternions
 from animtool.clip.channels import ClipChannel, ClipUnits, evaluate_channels
 from animtool.clip.schema import CurveModel
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import AnimtoolError, Fault, OptionError, counted
+from animtool.core.files.reading import why_no_file
+from animtool.core.readers import find_reader
 from animtool.documents.arrays import Archives
 from animtool.documents.document import Document, Location
 from animtool.documents.references import missing_hint, referred, split_reference
-from animtool.errors import AnimtoolError, Fault, OptionError, counted
-from animtool.files import why_no_file
 from animtool.ik.schema import ValueModel
 from animtool.maths import so3
-from animtool.readers import find_reader
 from animtool.rig.skeleton import Rig
 
 Span = tuple[float, float]

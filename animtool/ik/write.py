@@ -7,15 +7,15 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from animtool._types import FloatArray
 from animtool.clip.channels import ClipUnits
 from animtool.clip.clip import curve_lines
-from animtool.documents.names import flow, number, scaled, text
+from animtool.core.array_types import FloatArray
+from animtool.core.names import flow, number, scaled, text
+from animtool.core.units import unit_name
 from animtool.ik.goals import PARTS, Goal
 from animtool.ik.schema import GoalModel
 from animtool.ik.tracks import GoalTrack, TargetTracks
 from animtool.ik.values import Keyed, Rows, Still, Value
-from animtool.units import unit_name
 
 USUAL_EASE = float(GoalModel.model_fields["ease"].default)
 

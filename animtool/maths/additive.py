@@ -19,7 +19,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from animtool._types import FloatArray
+from animtool.core.array_types import FloatArray
 from animtool.maths import so3
 
 # From the values of a source and a base to the delta between them.

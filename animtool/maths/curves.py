@@ -9,7 +9,7 @@ from enum import IntEnum, StrEnum
 import numpy as np
 
 from animtool import _kernels
-from animtool._types import ArrayLike, FloatArray, IntArray, as_floats
+from animtool.core.array_types import ArrayLike, FloatArray, IntArray, as_floats
 from animtool.maths.tangents import KeySlopes, Tangent
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from animtool import _kernels
-from animtool._types import ArrayLike, FloatArray
+from animtool.core.array_types import ArrayLike, FloatArray
 from animtool.maths.so3 import IDENTITY
 
 ORDERS = ("XYZ", "XZY", "YXZ", "YZX", "ZXY", "ZYX")

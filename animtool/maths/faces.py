@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from animtool._types import ArrayLike, FloatArray, IntArray
+from animtool.core.array_types import ArrayLike, FloatArray, IntArray
 from animtool.maths import so3
 
 

@@ -13,7 +13,7 @@ import math
 
 import numpy as np
 
-from animtool._types import BoolArray, FloatArray, IntArray
+from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.maths import so3
 
 # Differences of this order hold next to nothing but noise: of what moves slower than a

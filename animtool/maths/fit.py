@@ -7,7 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from animtool import _kernels
-from animtool._types import ArrayLike, BoolArray, FloatArray, IntArray, as_floats
+from animtool.core.array_types import (
+    ArrayLike,
+    BoolArray,
+    FloatArray,
+    IntArray,
+    as_floats,
+)
 from animtool.maths.curves import cubic_curves, evaluate
 
 

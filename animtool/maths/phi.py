@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 
-from animtool._types import FloatArray
+from animtool.core.array_types import FloatArray
 
 # Matrices are halved until their norm is below this; then the series needs few terms.
 _NORM = 0.5

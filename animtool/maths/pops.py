@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from animtool._types import BoolArray, FloatArray
+from animtool.core.array_types import BoolArray, FloatArray
 
 # A smaller difference to the motion around is seen as a part of it [rad].
 MIN_TURN = math.radians(17.0)

@@ -14,7 +14,7 @@ from enum import IntEnum
 
 import numpy as np
 
-from animtool._types import ArrayLike, FloatArray, IntArray, as_floats
+from animtool.core.array_types import ArrayLike, FloatArray, IntArray, as_floats
 from animtool.maths import so3
 from animtool.maths.curves import Extrapolation, fold
 

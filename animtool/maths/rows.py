@@ -8,7 +8,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from animtool._types import BoolArray, IntArray
+from animtool.core.array_types import BoolArray, IntArray
 
 
 class Rows:

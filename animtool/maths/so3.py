@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from animtool._types import ArrayLike, FloatArray
+from animtool.core.array_types import ArrayLike, FloatArray
 
 IDENTITY: FloatArray = np.array([0.0, 0.0, 0.0, 1.0])
 IDENTITY.setflags(write=False)

@@ -13,7 +13,7 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
-from animtool._types import ArrayLike, FloatArray, as_floats
+from animtool.core.array_types import ArrayLike, FloatArray, as_floats
 
 
 class Tangent(StrEnum):

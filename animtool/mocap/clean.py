@@ -13,8 +13,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from animtool._types import BoolArray, FloatArray
-from animtool.errors import Fault, OptionError, Severity, counted, listed
+from animtool.core.array_types import BoolArray, FloatArray
+from animtool.core.errors import Fault, OptionError, Severity, counted, listed
+from animtool.core.quantities import angle_text, length_text
 from animtool.maths import so3
 from animtool.maths.filters import (
     NOISE_ORDER,
@@ -26,7 +27,6 @@ from animtool.maths.filters import (
 from animtool.mocap.options import CleanOptions
 from animtool.motion import Channel
 from animtool.passes import OptionChecks, Pass, PassContext, Scope, TakePart
-from animtool.quantities import angle_text, length_text
 from animtool.rig.kinematics import rest_size
 from animtool.scores import PassScores, Score, ScoreUnit
 from animtool.take import Take

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from animtool._types import BoolArray, FloatArray
+from animtool.core.array_types import BoolArray, FloatArray
 
 # Jitter is smoothed by a Gaussian of this width [s]: speeds of walking feet change over
 # ten times of it.

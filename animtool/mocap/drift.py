@@ -14,8 +14,10 @@ from typing import TypeAlias, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from animtool._types import FloatArray
-from animtool.errors import Fault, OptionError, Severity
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault, OptionError, Severity
+from animtool.core.quantities import angle_text, length_text
+from animtool.core.units import UpAxis
 from animtool.maths import so3
 from animtool.maths.filters import lowpass
 from animtool.mocap.contacts import find_contacts, intervals
@@ -23,9 +25,7 @@ from animtool.mocap.retarget.pairing import map_joints
 from animtool.mocap.retarget.person import Person
 from animtool.mocap.retarget.take_pass import nobody
 from animtool.passes import Pass, PassContext, Scope, TakePart
-from animtool.quantities import angle_text, length_text
 from animtool.take import Take
-from animtool.units import UpAxis
 
 ComplexArray: TypeAlias = npt.NDArray[np.complex128]
 Numbers = TypeVar("Numbers", FloatArray, ComplexArray)

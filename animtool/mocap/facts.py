@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from animtool._types import FloatArray
+from animtool.core.array_types import FloatArray
+from animtool.core.units import UpAxis
 from animtool.maths.filters import noise_level
 from animtool.mocap.contacts import find_contacts, intervals, smoothed
 from animtool.mocap.retarget.anatomy import anatomy
@@ -15,7 +16,6 @@ from animtool.mocap.retarget.person import Person
 from animtool.mocap.retarget.transfer import middle_of_hips
 from animtool.rig.kinematics import forward
 from animtool.take import Take
-from animtool.units import UpAxis
 
 # Speeds are those of the hips smoothed over this time [s]: a step sways them.
 SPEED_TIME = 0.25

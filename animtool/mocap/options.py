@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal, get_args
 
+from animtool.core.options import option, or_more
 from animtool.mocap.retarget.roles import MapMode
-from animtool.options import option, or_more
 
 
 @dataclass(frozen=True, slots=True)

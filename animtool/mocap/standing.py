@@ -12,13 +12,13 @@ from pathlib import Path
 
 import numpy as np
 
-from animtool._types import FloatArray
-from animtool.errors import Fault, Severity
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault, Severity
+from animtool.core.units import UpAxis
 from animtool.motion import Motion
 from animtool.rig.kinematics import forward, rest_world
 from animtool.rig.skeleton import Rig
 from animtool.take import TakeStream
-from animtool.units import UpAxis
 
 # Cosine of the angle to an axis up to which a person stands along it [1].
 STANDS = 0.8

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from animtool.errors import Fault, OptionError
-from animtool.output import replacing
-from animtool.placing import output_error
+from animtool.core.errors import Fault, OptionError
+from animtool.core.files.output import replacing
+from animtool.core.files.placing import output_error
 
 if TYPE_CHECKING:
     from animtool.scene.ik_table import IkTable, IkTableRow

@@ -10,9 +10,10 @@ from typing import TypeAlias
 
 import numpy as np
 
-from animtool._types import FloatArray
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault, counted, listed
+from animtool.core.units import unit_name
 from animtool.edit.resample import resampled
-from animtool.errors import Fault, counted, listed
 from animtool.maths import so3
 from animtool.reorient import reorient
 from animtool.rig.kinematics import forward
@@ -26,7 +27,6 @@ from animtool.scene.sources import (
     open_source,
 )
 from animtool.take import Take, TakeStream
-from animtool.units import unit_name
 
 
 @dataclass(frozen=True, slots=True)

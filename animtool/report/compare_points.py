@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from animtool._types import FloatArray, IntArray
-from animtool.errors import counted
+from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.errors import counted
+from animtool.core.units import unit_name, up_from_up
 from animtool.maths import so3
 from animtool.report.compare import SCALE_TOLERANCE, lost_text
-from animtool.units import unit_name, up_from_up
 
 if TYPE_CHECKING:
     from animtool.usd.point_reader import PointSample, PointSource

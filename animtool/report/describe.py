@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from animtool.errors import Fault, FormatError, OptionError
+from animtool.core.errors import Fault, FormatError, OptionError
+from animtool.core.quantities import Description
+from animtool.core.units import unit_name
 from animtool.mocap.facts import CaptureFacts, capture_facts
 from animtool.mocap.standing import lying_notice
-from animtool.quantities import Description
 from animtool.rig.kinematics import forward
 from animtool.scene.sources import SourceOptions, is_usd, open_source
 from animtool.take import Take, TakeStream
-from animtool.units import unit_name
 
 if TYPE_CHECKING:
     from animtool.edit.cycle import Cycle

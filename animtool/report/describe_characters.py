@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
-from animtool.errors import AnimtoolError
+from animtool.core.errors import AnimtoolError
+from animtool.core.units import UpAxis
 from animtool.mocap.facts import ground_speeds, hips_and_joints
 from animtool.mocap.retarget.anatomy import anatomy
 from animtool.mocap.retarget.person import Person
 from animtool.take import Take
-from animtool.units import UpAxis
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,16 +6,16 @@ from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 
-from animtool.errors import Fault
+from animtool.core.errors import Fault
+from animtool.core.quantities import Description
+from animtool.core.rates import rate_label
+from animtool.core.units import unit_name
 from animtool.ik.file import load_targets
-from animtool.quantities import Description
-from animtool.rates import rate_label
 from animtool.rig.drivers import Driver
 from animtool.rig.kinematics import rest_size
 from animtool.rig.shapes import arkit_name
 from animtool.rig.skeleton import Rig
 from animtool.rig.surfaces import surfaces_of
-from animtool.units import unit_name
 
 
 @dataclass(frozen=True, slots=True)

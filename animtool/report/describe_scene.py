@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from animtool.errors import Fault
-from animtool.quantities import Description
+from animtool.core.errors import Fault
+from animtool.core.quantities import Description
 from animtool.scene.convert import convert_outputs
 from animtool.scene.entries import OutputKind, SceneOutput, SceneSystem, kind_of
 from animtool.scene.reading import default_output, form_of, output_files

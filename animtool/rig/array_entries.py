@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from animtool.core.names import nearest
+from animtool.core.similar import similar
 from animtool.documents.arrays import Archives
 from animtool.documents.document import Document, Location
-from animtool.documents.names import nearest
 from animtool.documents.references import referred, split_reference
 from animtool.rig.parts import ArrayRef, ArraySource, AttachKind, Attachment, HeldArray
 from animtool.rig.schema import AttachModel
-from animtool.similar import similar
 
 Shape = tuple[int | None, ...]
 

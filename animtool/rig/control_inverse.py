@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from animtool._types import FloatArray, IntArray
+from animtool.core.array_types import FloatArray, IntArray
 from animtool.rig.controls import Control, evaluate_controls
 
 # Sweeps over the controls, each followed by Newton steps on all of them.

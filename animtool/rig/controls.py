@@ -8,8 +8,8 @@ from graphlib import CycleError, TopologicalSorter
 
 import numpy as np
 
-from animtool._types import FloatArray
-from animtool.errors import circle
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import circle
 from animtool.rig.drivers import SLIDE, Driver, curve_values
 from animtool.rig.expressions import Expression
 

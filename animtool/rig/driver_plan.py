@@ -13,7 +13,8 @@ from graphlib import CycleError, TopologicalSorter
 
 import numpy as np
 
-from animtool.errors import Fault, OptionError, circle
+from animtool.core.errors import Fault, OptionError, circle
+from animtool.core.similar import similar
 from animtool.rig.controls import Control, Drive
 from animtool.rig.drivers import (
     ANGLE,
@@ -27,7 +28,6 @@ from animtool.rig.drivers import (
 from animtool.rig.limits import BallLimit
 from animtool.rig.shapes import combination_order
 from animtool.rig.skeleton import Joint, JointType, Mimic, Rig
-from animtool.similar import similar
 
 # A twist axis this near to a main axis leaves the swing no part about it [1].
 ALONG = 1e-9

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from animtool._types import FloatArray
+from animtool.core.array_types import FloatArray
 from animtool.rig.expressions import Expression, parse_expression
 
 Points = tuple[tuple[float, float], ...]

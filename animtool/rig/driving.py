@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from animtool._types import FloatArray
+from animtool.core.array_types import FloatArray
 from animtool.maths import so3
 from animtool.rig.driver_plan import DriverPlan
 from animtool.rig.drivers import (

@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from animtool._types import FloatArray
+from animtool.core.array_types import FloatArray
 
 LONGEST = 1000
 DEEPEST = 60

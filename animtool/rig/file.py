@@ -8,14 +8,15 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from animtool.config import project_roots
+from animtool.core.config import project_roots
+from animtool.core.errors import AnimtoolError
+from animtool.core.names import nearest
+from animtool.core.readers import DOCUMENT, find_reader
+from animtool.core.units import LengthUnit, UpAxis
 from animtool.documents.arrays import Archives
 from animtool.documents.check import check_version, validated
 from animtool.documents.document import Document, read_document
-from animtool.documents.names import nearest
 from animtool.documents.references import referred
-from animtool.errors import AnimtoolError
-from animtool.readers import DOCUMENT, find_reader
 from animtool.rig.array_entries import ArrayReader
 from animtool.rig.driver_entries import DriverCheck
 from animtool.rig.joint_entries import FileJoints, FileUnits, joints_of, quaternion
@@ -25,7 +26,6 @@ from animtool.rig.parts import Shape
 from animtool.rig.schema import RigModel
 from animtool.rig.sides import ORIGIN, Transform, mirrored_pose, placed
 from animtool.rig.skeleton import Joint, Mimic, Pose, Rig
-from animtool.units import LengthUnit, UpAxis
 
 if TYPE_CHECKING:
     from animtool.rig.drivers import Driver

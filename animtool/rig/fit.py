@@ -8,8 +8,8 @@ from functools import cached_property
 
 import numpy as np
 
-from animtool._types import FloatArray, IntArray
-from animtool.errors import Fault, FormatError, Severity, naming
+from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.errors import Fault, FormatError, Severity, naming
 from animtool.maths import so3
 from animtool.maths.faces import rigid_motion
 from animtool.rig.kinematics import rest_world

@@ -6,11 +6,11 @@ import re
 
 import numpy as np
 
-from animtool._types import FloatArray
+from animtool.core.array_types import FloatArray
+from animtool.core.units import UpAxis
 from animtool.maths.so3 import conjugate, multiply
 from animtool.rig.kinematics import forward
 from animtool.rig.skeleton import Rig
-from animtool.units import UpAxis
 
 HEAD, LEFT_EYE, RIGHT_EYE = "head", "left eye", "right eye"
 _NAMES = {

@@ -6,11 +6,11 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
+from animtool.core.errors import circle
+from animtool.core.names import nearest
+from animtool.core.quantities import length_text
 from animtool.documents.document import Document, Location
-from animtool.documents.names import nearest
-from animtool.errors import circle
 from animtool.maths import so3
-from animtool.quantities import length_text
 from animtool.rig.driver_entries import read_driver
 from animtool.rig.joint_schema import (
     BallJointModel,

@@ -20,10 +20,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from animtool._types import ArrayLike, FloatArray, as_floats
+from animtool.core.array_types import ArrayLike, FloatArray, as_floats
+from animtool.core.similar import LONGEST, similar
 from animtool.maths import so3
 from animtool.rig.skeleton import JointType, Rig
-from animtool.similar import LONGEST, similar
 
 _WIDTH = {
     JointType.FREE: 7,

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from animtool import _kernels
-from animtool._types import ArrayLike, FloatArray, as_floats
+from animtool.core.array_types import ArrayLike, FloatArray, as_floats
 from animtool.maths import so3
 from animtool.rig.skeleton import Rig
 

@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 
-from animtool._types import ArrayLike, FloatArray
+from animtool.core.array_types import ArrayLike, FloatArray
 from animtool.maths import so3
 
 

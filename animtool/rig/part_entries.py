@@ -7,8 +7,8 @@ import re
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, field
 
+from animtool.core.names import nearest
 from animtool.documents.document import Document, Location
-from animtool.documents.names import nearest
 from animtool.rig.array_entries import ArrayReader, AttachmentReader
 from animtool.rig.controls import (
     Control,

@@ -7,7 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from animtool.errors import Fault, FormatError, Severity
+from animtool.core.errors import Fault, FormatError, Severity
+from animtool.core.units import UpAxis
 from animtool.maths import so3
 from animtool.rig.controls import Control
 from animtool.rig.drivers import Driver
@@ -15,7 +16,6 @@ from animtool.rig.limits import RangeLimit
 from animtool.rig.parts import Attachment, Collider, HeldArray, IkChain, Mesh
 from animtool.rig.placement import Placement, placement_matrix
 from animtool.rig.skeleton import Joint, JointType, Pose, Rig
-from animtool.units import UpAxis
 
 
 def placed_rig(rig: Rig, placement: Placement, up: UpAxis | None = None) -> Rig:

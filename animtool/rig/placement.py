@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from animtool._types import FloatArray
+from animtool.core.array_types import FloatArray
 from animtool.maths import so3
 
 if TYPE_CHECKING:
-    from animtool.units import UpAxis
+    from animtool.core.units import UpAxis
 
 # A part of a placement nearer to none than this is the rounding of files [m], [1].
 SAME = 1e-7

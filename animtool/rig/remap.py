@@ -10,11 +10,11 @@ from typing import Annotated, Literal
 import numpy as np
 from annotated_types import Len
 
-from animtool._types import FloatArray
+from animtool.core.array_types import FloatArray
+from animtool.core.names import nearest
 from animtool.documents.check import FileModel, check_version, validated
 from animtool.documents.document import Document, read_document
 from animtool.documents.fields import IgnoreModel, Name, Pair, Real, key
-from animtool.documents.names import nearest
 from animtool.rig.shapes import arkit_name
 
 

@@ -10,8 +10,8 @@ import re
 from collections.abc import Mapping, Sequence
 from graphlib import CycleError, TopologicalSorter
 
-from animtool._types import FloatArray
-from animtool.errors import circle
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import circle
 from animtool.rig.parts import Shape
 
 _SIDED = """

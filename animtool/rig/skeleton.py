@@ -12,9 +12,11 @@ from typing import TYPE_CHECKING, Literal, TypeAlias, cast, get_args
 
 import numpy as np
 
-from animtool._types import FloatArray, IntArray
-from animtool.errors import Fault, FormatError, OptionError, counted, excerpt
-from animtool.readers import find_reader
+from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.errors import Fault, FormatError, OptionError, counted, excerpt
+from animtool.core.readers import find_reader
+from animtool.core.similar import similar
+from animtool.core.units import UpAxis, unit_name
 from animtool.rig.controls import Control
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.parts import (
@@ -26,8 +28,6 @@ from animtool.rig.parts import (
     Vector,
 )
 from animtool.rig.placement import Placement
-from animtool.similar import similar
-from animtool.units import UpAxis, unit_name
 
 if TYPE_CHECKING:
     from animtool.rig.drivers import Driver

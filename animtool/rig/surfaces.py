@@ -10,9 +10,9 @@ from typing import overload
 import numpy as np
 import numpy.typing as npt
 
-from animtool._types import FloatArray, IntArray
+from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.errors import Fault, FormatError
 from animtool.documents.arrays import Archives
-from animtool.errors import Fault, FormatError
 from animtool.rig.parts import (
     ArrayRef,
     ArraySource,

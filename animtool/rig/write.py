@@ -6,7 +6,8 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
-from animtool.documents.names import flow, number, scaled, text
+from animtool.core.names import flow, number, scaled, text
+from animtool.core.units import unit_name
 from animtool.rig.controls import Control, Drive
 from animtool.rig.drivers import SLIDE, Driver, split_coordinate
 from animtool.rig.limits import BallLimit, RangeLimit
@@ -21,7 +22,6 @@ from animtool.rig.parts import (
     Shape,
 )
 from animtool.rig.skeleton import Joint, JointType, Pose, Rig
-from animtool.units import unit_name
 
 Pairs = Iterable[tuple[str, str | None]]
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from fractions import Fraction
 
-from animtool.errors import Fault, OptionError
-from animtool.shot import Shot
-from animtool.timecode import parse_timecode
+from animtool.core.errors import Fault, OptionError
+from animtool.core.shot import Shot
+from animtool.core.timecode import parse_timecode
 
 HOUR = 3600
 # A range this near to a whole number of hours from its take is said to be hours away.

@@ -10,10 +10,10 @@ from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
-from animtool.config import find_config
-from animtool.errors import Fault, OptionError, Severity, listed, refuse_warnings
-from animtool.output import check_outputs, sparing_inputs, together
-from animtool.rates import rate_label
+from animtool.core.config import find_config
+from animtool.core.errors import Fault, OptionError, Severity, listed, refuse_warnings
+from animtool.core.files.output import check_outputs, sparing_inputs, together
+from animtool.core.rates import rate_label
 from animtool.reorient import off_its_place, reorient
 from animtool.rig.placed import standing_notice
 from animtool.scene.first_frame import frame_start

@@ -10,18 +10,18 @@ from pathlib import Path
 
 import numpy as np
 
-from animtool._types import FloatArray
 from animtool.clip.channels import curves_of
 from animtool.clip.clip import Clip
 from animtool.clip.file import ClipFile, load_clip, load_rig_of, open_clip
 from animtool.clip.sample import ClipNotice, sample_channels
 from animtool.clip.schema import ChannelModel
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault, FormatError
+from animtool.core.units import unit_name
 from animtool.documents.document import Location, spelled
-from animtool.errors import Fault, FormatError
 from animtool.motion import Motion
 from animtool.rig.skeleton import Rig
 from animtool.take import TakeStream
-from animtool.units import unit_name
 
 
 def open_clip_source(

@@ -9,13 +9,20 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 from animtool.clip.reduction.tolerance import KEY_TOLERANCE
-from animtool.clock import Clock, FrameSpan
-from animtool.documents.names import KINDS
-from animtool.errors import Fault, OptionError, Severity, listed, refuse_warnings
-from animtool.files import seen_from
-from animtool.output import check_outputs, together, write_arrays, write_parts
+from animtool.core.clock import Clock, FrameSpan
+from animtool.core.errors import Fault, OptionError, Severity, listed, refuse_warnings
+from animtool.core.files.output import (
+    check_outputs,
+    together,
+    write_arrays,
+    write_parts,
+)
+from animtool.core.files.reading import seen_from
+from animtool.core.names import KINDS
+from animtool.core.plugins import load_object
+from animtool.core.shot import Shot
+from animtool.core.units import parse_length
 from animtool.passes import Pass, PassContext, apply_pass
-from animtool.plugins import load_object
 from animtool.rig.skeleton import JointType, Rig
 from animtool.scene.progress import Progress
 from animtool.scene.sources import (
@@ -25,9 +32,7 @@ from animtool.scene.sources import (
     open_source,
 )
 from animtool.scores import PassScores
-from animtool.shot import Shot
 from animtool.take import Take, TakeStream
-from animtool.units import parse_length
 
 if TYPE_CHECKING:
     from animtool.clip.keyed_take import KeyedTake

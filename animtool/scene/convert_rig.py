@@ -5,22 +5,22 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from animtool.documents.names import file_suffixes, is_named
-from animtool.errors import (
+from animtool.core.errors import (
     AnimtoolError,
     Fault,
     OptionError,
     Severity,
     refuse_warnings,
 )
-from animtool.files import recorded_inputs
-from animtool.output import (
+from animtool.core.files.output import (
     check_outputs,
     sparing_inputs,
     together,
     write_arrays,
     write_parts,
 )
+from animtool.core.files.reading import recorded_inputs
+from animtool.core.names import file_suffixes, is_named
 from animtool.rig.skeleton import Rig
 from animtool.rig.surfaces import StoredArrays, with_file
 from animtool.rig.write import rig_text

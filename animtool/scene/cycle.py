@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from animtool.core.errors import Fault, refuse_warnings
 from animtool.edit.cycle import Cycle, find_cycle, measure_cycle
 from animtool.edit.loop_options import LoopOptions
 from animtool.edit.looping import PASS, said_of
-from animtool.errors import Fault, refuse_warnings
 from animtool.scene.convert import ConvertReport, convert_with_passes
 from animtool.scene.ik import naming
 from animtool.scene.progress import Progress

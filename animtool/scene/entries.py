@@ -10,16 +10,22 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
+from animtool.core.errors import (
+    Fault,
+    FormatError,
+    OptionError,
+    Severity,
+    ToleranceError,
+)
+from animtool.core.units import LengthUnit
 from animtool.documents.check import FileModel
 from animtool.documents.document import Document, Location, location_of, spelled
-from animtool.errors import Fault, FormatError, OptionError, Severity, ToleranceError
 from animtool.passes import Pass
 from animtool.scene.options import BakeOptions
 from animtool.scene.sources import SourceOptions
 from animtool.scene.tracks import TrackNames
 from animtool.systems.fields import EntryRecord, SystemSpec
 from animtool.transforms import PropRequest
-from animtool.units import LengthUnit
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,10 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from animtool._types import FloatArray
-from animtool.documents.names import is_named
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault, OptionError, Severity
+from animtool.core.files.output import check_outputs
+from animtool.core.names import is_named
+from animtool.core.units import UpAxis, unit_name
 from animtool.driving import driven_take
-from animtool.errors import Fault, OptionError, Severity
 from animtool.maths.so3 import multiply, rotate
 from animtool.mocap.face.capture import FaceCapture, in_order, read_capture
 from animtool.mocap.face.file import face_model, load_landmarks
@@ -20,7 +22,6 @@ from animtool.mocap.face.model import FaceModel
 from animtool.mocap.face.solve import FaceFit, fit_face
 from animtool.mocap.options import FaceOptions
 from animtool.motion import Channel, Motion
-from animtool.output import check_outputs
 from animtool.rig.head import HEAD, head_joints, local_rotations
 from animtool.rig.kinematics import forward
 from animtool.rig.remap import ShapeLinks, link_shapes, load_remap
@@ -32,7 +33,6 @@ from animtool.scene.progress import Progress
 from animtool.scene.sources import SourceOptions
 from animtool.scene.written import take_outputs, write_take
 from animtool.take import Take, TakeStream
-from animtool.units import UpAxis, unit_name
 
 if TYPE_CHECKING:
     from animtool.mocap.cameras.camera import Camera
@@ -109,7 +109,7 @@ def run_face(job: FaceJob, *, progress: Progress = None) -> FaceResult:
         check_outputs(outputs, inputs, overwrite=job.bake.overwrite)
     result = solve_face(job, progress=progress)
     if job.output is None:
-        from animtool.errors import refuse_warnings
+        from animtool.core.errors import refuse_warnings
 
         refuse_warnings(result.notices, strict=job.bake.strict)
         return result

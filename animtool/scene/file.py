@@ -9,15 +9,15 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
-from animtool.config import project_roots
+from animtool.core.config import project_roots
+from animtool.core.errors import AnimtoolError, OptionError
+from animtool.core.plugins import load_object
+from animtool.core.rates import parse_rate
 from animtool.documents.check import check_version, record_of_options, validated
 from animtool.documents.document import Document, Location, read_document
 from animtool.documents.references import referred
 from animtool.documents.variables import resolve_variables
-from animtool.errors import AnimtoolError, OptionError
 from animtool.passes import Pass, find_pass
-from animtool.plugins import load_object
-from animtool.rates import parse_rate
 from animtool.scene.entries import (
     OutputKind,
     ScenePass,

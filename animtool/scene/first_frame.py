@@ -9,10 +9,10 @@ from __future__ import annotations
 import math
 from fractions import Fraction
 
-from animtool.clock import Clock, frame_label
-from animtool.errors import Fault, Severity
-from animtool.rates import rate_label
-from animtool.shot import FrameRange
+from animtool.core.clock import Clock, frame_label
+from animtool.core.errors import Fault, Severity
+from animtool.core.rates import rate_label
+from animtool.core.shot import FrameRange
 
 # So near to a frame a start is that frame: rates of metadata have few digits [frame].
 START_ROUNDING = Fraction(1, 100)

@@ -10,8 +10,10 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from animtool._types import BoolArray, FloatArray
-from animtool.clock import Clock, frame_label, time_codes
+from animtool.core.array_types import BoolArray, FloatArray
+from animtool.core.clock import Clock, frame_label, time_codes
+from animtool.core.errors import Fault, OptionError, Severity
+from animtool.core.shot import FrameRange, Shot, frame_spans
 from animtool.edit.between import Between
 from animtool.edit.resample import (
     SampleTimes,
@@ -21,13 +23,11 @@ from animtool.edit.resample import (
 )
 from animtool.edit.straight import straight_notices
 from animtool.edit.travel import Places
-from animtool.errors import Fault, OptionError, Severity
 from animtool.motion import Motion
 from animtool.rig.skeleton import Rig
 from animtool.scene.away import no_frames
 from animtool.scene.first_frame import start_notice, whole_frames
 from animtool.scene.options import BakeOptions
-from animtool.shot import FrameRange, Shot, frame_spans
 from animtool.take import TakeStream
 
 if TYPE_CHECKING:

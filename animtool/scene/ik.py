@@ -11,16 +11,18 @@ from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from animtool.clock import FrameSpan
-from animtool.config import project_roots
-from animtool.documents.names import is_named
-from animtool.errors import (
+from animtool.core.clock import FrameSpan
+from animtool.core.config import project_roots
+from animtool.core.errors import (
     Fault,
     FormatError,
     OptionError,
     ToleranceError,
     refuse_warnings,
 )
+from animtool.core.files.output import check_outputs, sparing_inputs
+from animtool.core.names import is_named
+from animtool.core.units import unit_name
 from animtool.ik.file import load_targets
 from animtool.ik.on_take import solve_take
 from animtool.ik.options import TakeOptions
@@ -37,7 +39,6 @@ from animtool.ik.report import (
 )
 from animtool.ik.take_run import TakeIk
 from animtool.ik.tracks import TargetTracks
-from animtool.output import check_outputs, sparing_inputs
 from animtool.scene.convert import ConvertReport
 from animtool.scene.onto_rig import open_rig
 from animtool.scene.options import BakeOptions
@@ -46,7 +47,6 @@ from animtool.scene.sources import SourceOptions
 from animtool.scene.start import open_start, rest_take
 from animtool.scene.written import take_outputs, write_take
 from animtool.take import Take, TakeStream
-from animtool.units import unit_name
 
 if TYPE_CHECKING:
     from animtool.scene.prims import BakeReport

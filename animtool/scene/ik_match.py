@@ -7,21 +7,21 @@ from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from pathlib import Path
 
-from animtool._types import FloatArray
 from animtool.clip.channels import ClipUnits
-from animtool.clock import Clock
-from animtool.documents.names import is_named
-from animtool.errors import Fault, OptionError, refuse_warnings
-from animtool.ik.match_take import arrays_of, chains_of, left_out, match_take
-from animtool.ik.tracks import TargetTracks
-from animtool.ik.write import targets_text
-from animtool.output import (
+from animtool.core.array_types import FloatArray
+from animtool.core.clock import Clock
+from animtool.core.errors import Fault, OptionError, refuse_warnings
+from animtool.core.files.output import (
     check_outputs,
     sparing_inputs,
     together,
     write_arrays,
     write_parts,
 )
+from animtool.core.names import is_named
+from animtool.ik.match_take import arrays_of, chains_of, left_out, match_take
+from animtool.ik.tracks import TargetTracks
+from animtool.ik.write import targets_text
 from animtool.rig.surfaces import StoredArrays
 from animtool.scene.ik import frame_index, naming
 from animtool.scene.onto_rig import open_rig

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from animtool.errors import OptionError
+from animtool.core.errors import OptionError
 from animtool.ik.on_take import solve_take
 from animtool.ik.options import IkMethod
 from animtool.ik.result import IkStatus

@@ -8,16 +8,17 @@ from fractions import Fraction
 
 import numpy as np
 
-from animtool._types import FloatArray
-from animtool.clock import time_codes
-from animtool.documents.names import nearest
+from animtool.core.array_types import FloatArray
+from animtool.core.clock import time_codes
+from animtool.core.errors import Fault, OptionError, Severity, excerpt, listed
+from animtool.core.names import nearest
+from animtool.core.quantities import plain
+from animtool.core.rates import rate_label
+from animtool.core.timecode import seconds_between
 from animtool.edit.combine import other_frames
 from animtool.edit.travel import nearby_places
-from animtool.errors import Fault, OptionError, Severity, excerpt, listed
 from animtool.maths.curves import Curves
 from animtool.motion import Channel, Motion
-from animtool.quantities import plain
-from animtool.rates import rate_label
 from animtool.reorient import reorient
 from animtool.scene.onto_rig import Noter, on_rig
 from animtool.scene.tracks import (
@@ -29,7 +30,6 @@ from animtool.scene.tracks import (
     with_tracks,
 )
 from animtool.take import Take, TakeStream
-from animtool.timecode import seconds_between
 
 MAX_NAMED = 6
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from animtool.errors import Fault, Severity
+from animtool.core.errors import Fault, Severity
 from animtool.maths.curves import Curves
 from animtool.motion import Motion
 from animtool.rig.kinematics import rest_size

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
-from animtool.errors import Fault, FormatError, Severity
+from animtool.core.errors import Fault, FormatError, Severity
+from animtool.core.quantities import length_text
+from animtool.core.rates import rate_label
 from animtool.maths import so3
 from animtool.motion import Motion
-from animtool.quantities import length_text
-from animtool.rates import rate_label
 from animtool.rig.skeleton import Rig
 from animtool.scene.options import BakeOptions
 from animtool.scene.sources import source_stem

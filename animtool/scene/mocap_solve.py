@@ -8,9 +8,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from animtool.documents.names import is_named
-from animtool.errors import Fault, OptionError, refuse_warnings
-from animtool.files import seen_from
+from animtool.core.errors import Fault, OptionError, refuse_warnings
+from animtool.core.files.output import (
+    check_outputs,
+    sparing_inputs,
+    together,
+    write_parts,
+)
+from animtool.core.files.reading import seen_from
+from animtool.core.names import is_named
 from animtool.formats.marker_files import file_of, open_markers
 from animtool.mocap.options import SolveOptions
 from animtool.mocap.solve.calibration import Calibration, calibrate
@@ -22,7 +28,6 @@ from animtool.mocap.solve.source import (
 )
 from animtool.mocap.template.file import load_template
 from animtool.mocap.template.template import template_text
-from animtool.output import check_outputs, sparing_inputs, together, write_parts
 from animtool.rig.placed import at_origin
 from animtool.scene.convert import ConvertReport
 from animtool.scene.convert_rig import RigFile, rig_file

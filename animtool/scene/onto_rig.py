@@ -8,10 +8,10 @@ from typing import Protocol
 
 import numpy as np
 
-from animtool._types import FloatArray, IntArray
-from animtool.errors import Fault, OptionError, Severity, listed, naming
+from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.errors import Fault, OptionError, Severity, listed, naming
+from animtool.core.readers import USD, find_reader
 from animtool.motion import Channel, Motion
-from animtool.readers import USD, find_reader
 from animtool.reorient import reorient
 from animtool.rig.fit import check_fit
 from animtool.rig.placed import at_origin

@@ -5,9 +5,9 @@ from __future__ import annotations
 import re
 from fractions import Fraction
 
-from animtool.errors import excerpt
-from animtool.rates import LARGEST_FRAME, FractionLike, exact_number
-from animtool.shot import FrameRange
+from animtool.core.errors import excerpt
+from animtool.core.rates import LARGEST_FRAME, FractionLike, exact_number
+from animtool.core.shot import FrameRange
 
 _RANGE = re.compile(r"(-?\d{1,9})(?:-(-?\d{1,9})(?:x(\d{1,9}))?)?")
 

@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import Any
 
 from animtool.clip.reduction.tolerance import KEY_TOLERANCE
-from animtool.errors import Fault, OptionError
-from animtool.options import Key, option
-from animtool.rates import FractionLike, OptionalFraction, rate_option
+from animtool.core.errors import Fault, OptionError
+from animtool.core.options import Key, option
+from animtool.core.rates import FractionLike, OptionalFraction, rate_option
+from animtool.core.shot import FrameRange, Shot
+from animtool.core.units import LengthUnit, UpAxis
 from animtool.scene.option_text import parse_frame
 from animtool.scene.sources import SourceOptions
-from animtool.shot import FrameRange, Shot
-from animtool.units import LengthUnit, UpAxis
 
 _ADOPTED = "a layer adopts its rig layer's units and up axis: no --to-units, --to-up"
 

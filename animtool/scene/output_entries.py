@@ -6,16 +6,16 @@ from collections.abc import Sequence
 from fractions import Fraction
 from pathlib import Path
 
+from animtool.core.rates import parse_rate
+from animtool.core.shot import FrameRange, Shot
 from animtool.documents.document import Document, Location
 from animtool.documents.references import referred
-from animtool.rates import parse_rate
 from animtool.scene.entries import OutputKind, SceneOutput, kind_of, place_of_entry
 from animtool.scene.options import BakeOptions
 from animtool.scene.output_fields import KeyReader, option_keys
 from animtool.scene.retime import Preroll
 from animtool.scene.schema import OutputModel, SceneModel
 from animtool.scene.systems.links import check_names
-from animtool.shot import FrameRange, Shot
 
 
 class OutputReader:

@@ -11,15 +11,15 @@ from typing import Annotated, Any, Literal, TypeVar
 from annotated_types import Ge, Len
 from pydantic import Field, create_model
 
+from animtool.core.options import Key, Kind, keys_of, options_of
+from animtool.core.rates import parse_rate
+from animtool.core.shot import FrameRange
+from animtool.core.units import LengthUnit, UpAxis, parse_length
 from animtool.documents.check import FileModel
 from animtool.documents.document import Document, Location
 from animtool.documents.fields import Frame, Name, Real, Whole, WholeFrame
 from animtool.documents.references import referred_input
-from animtool.options import Key, Kind, keys_of, options_of
-from animtool.rates import parse_rate
 from animtool.scene.option_text import parse_offsets
-from animtool.shot import FrameRange
-from animtool.units import LengthUnit, UpAxis, parse_length
 
 Model = TypeVar("Model", bound=FileModel)
 Value = TypeVar("Value")

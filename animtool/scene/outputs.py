@@ -8,12 +8,12 @@ from fractions import Fraction
 from pathlib import Path
 from typing import TypeAlias
 
-from animtool.clock import Clock
-from animtool.errors import AnimtoolError, Fault, OptionError, Severity, listed
+from animtool.core.clock import Clock
+from animtool.core.errors import AnimtoolError, Fault, OptionError, Severity, listed
+from animtool.core.files.output import check_outputs, name_key, sparing_inputs, together
+from animtool.core.files.placing import target
 from animtool.motion import Channel, Motion
-from animtool.output import check_outputs, name_key, sparing_inputs, together
 from animtool.passes import PassthroughTracks
-from animtool.placing import target
 from animtool.scene.bake import (
     check_output,
     plan_output,

@@ -9,11 +9,11 @@ from fractions import Fraction
 from pathlib import Path
 from typing import cast
 
-from animtool.clock import Clock
-from animtool.errors import counted, listed
+from animtool.core.clock import Clock
+from animtool.core.errors import counted, listed
+from animtool.core.rates import rate_label
 from animtool.motion import Motion
 from animtool.passes import TakePart, sees_tracks
-from animtool.rates import rate_label
 from animtool.rig.skeleton import Rig
 from animtool.scene.convert import convert_outputs
 from animtool.scene.entries import (

@@ -12,11 +12,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from animtool._types import FloatArray
-from animtool.errors import Fault, FormatError
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault, FormatError
+from animtool.core.files.output import size_of
+from animtool.core.units import UpAxis, up_from_up
 from animtool.maths import so3
 from animtool.motion import Channel, Motion
-from animtool.output import size_of
 from animtool.rig.kinematics import (
     WorldTransforms,
     bind_matrices,
@@ -41,7 +42,6 @@ from animtool.skin.deform import (
     deform_blocks,
     displaced_points,
 )
-from animtool.units import UpAxis, up_from_up
 from animtool.usd.jobs import Rounding, UsdResult, WrittenTake
 from animtool.usd.layers import layer_span
 from animtool.usd.point_cache import (

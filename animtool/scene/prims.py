@@ -8,15 +8,15 @@ from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 
-from animtool.clock import FrameSpan
-from animtool.errors import Fault, ToleranceError
+from animtool.core.clock import FrameSpan
+from animtool.core.errors import Fault, ToleranceError
+from animtool.core.shot import Shot
+from animtool.core.units import UpAxis
 from animtool.rig.skeleton import Rig
 from animtool.scene.options import BakeOptions
 from animtool.scene.progress import Progress
 from animtool.scene.sources import motion_bytes
 from animtool.scores import PassScores
-from animtool.shot import Shot
-from animtool.units import UpAxis
 from animtool.usd.jobs import Form, UsdResult, WrittenTake
 from animtool.usd.layers import save_layer
 from animtool.usd.names import RigPaths, legal_name

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, TypeAlias, TypeVar
 
 if TYPE_CHECKING:
-    from animtool._types import FloatArray
+    from animtool.core.array_types import FloatArray
     from animtool.motion import Motion
 
 Item = TypeVar("Item")

@@ -9,18 +9,18 @@ from pathlib import Path
 
 import numpy as np
 
-from animtool._types import FloatArray
-from animtool.clock import time_codes
-from animtool.errors import AnimtoolError, Fault, FormatError, Severity, listed
+from animtool.core.array_types import FloatArray
+from animtool.core.clock import time_codes
+from animtool.core.errors import AnimtoolError, Fault, FormatError, Severity, listed
+from animtool.core.files.output import same_file
+from animtool.core.rates import rate_label
+from animtool.core.units import UpAxis
 from animtool.motion import Channel, Motion
-from animtool.output import same_file
-from animtool.rates import rate_label
 from animtool.rig.placement import Placement
 from animtool.scene.entries import SceneProp
 from animtool.scene.progress import Meter, StageCost
 from animtool.take import TakeStream
 from animtool.transforms import Track, Transforms, placed_track
-from animtool.units import UpAxis
 from animtool.usd.transform_reader import PropSource, open_prop
 
 # Between keys a transform may shear by this share, which nobody sees, and not say so.

@@ -7,10 +7,16 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
-from animtool.documents.names import is_named
-from animtool.errors import AnimtoolError, Fault, FormatError, OptionError, Severity
-from animtool.options import clashes, given_options, refused_options
-from animtool.rates import rate_label
+from animtool.core.errors import (
+    AnimtoolError,
+    Fault,
+    FormatError,
+    OptionError,
+    Severity,
+)
+from animtool.core.names import is_named
+from animtool.core.options import clashes, given_options, refused_options
+from animtool.core.rates import rate_label
 from animtool.scene.options import BakeOptions, merged
 from animtool.scene.progress import Progress, share_of
 from animtool.scene.sources import (

@@ -9,16 +9,22 @@ from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from animtool.documents.names import is_named
+from animtool.core.errors import Fault, OptionError, refuse_warnings
+from animtool.core.files.output import (
+    check_outputs,
+    sparing_inputs,
+    together,
+    write_parts,
+)
+from animtool.core.names import is_named
+from animtool.core.units import unit_name
 from animtool.driving import driven_stream
-from animtool.errors import Fault, OptionError, refuse_warnings
 from animtool.mocap.options import RetargetOptions
 from animtool.mocap.retarget.map import JointMap, map_text
 from animtool.mocap.retarget.motion import Retargeting
 from animtool.mocap.retarget.report import RetargetReport
 from animtool.mocap.retarget.take_pass import checked_blocks, onto_rig
 from animtool.mocap.retarget.verdict import FrameNumbers, Verdict
-from animtool.output import check_outputs, sparing_inputs, together, write_parts
 from animtool.reorient import off_its_place
 from animtool.rig.placed import at_origin, standing_notice
 from animtool.rig.skeleton import Rig
@@ -31,7 +37,6 @@ from animtool.scene.progress import Progress, timed
 from animtool.scene.sources import SourceOptions, is_usd, open_source
 from animtool.scene.written import take_outputs, write_take
 from animtool.take import TakeStream
-from animtool.units import unit_name
 
 if TYPE_CHECKING:
     from animtool.scene.prims import BakeReport

@@ -9,12 +9,12 @@ from fractions import Fraction
 
 import numpy as np
 
-from animtool._types import FloatArray
+from animtool.core.array_types import FloatArray
+from animtool.core.shot import Shot
 from animtool.edit.between import Between
 from animtool.edit.travel import nearby_places
 from animtool.motion import Motion
 from animtool.scene.away import no_frames
-from animtool.shot import Shot
 from animtool.take import TakeStream
 
 

@@ -9,12 +9,13 @@ from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
-from animtool._types import FloatArray
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import AnimtoolError, Fault, FormatError, OptionError
+from animtool.core.plugins import load_object
+from animtool.core.shot import Shot
 from animtool.driving import driven_stream, unsaid
-from animtool.errors import AnimtoolError, Fault, FormatError, OptionError
 from animtool.motion import Motion
 from animtool.passes import PassContext, apply_pass
-from animtool.plugins import load_object
 from animtool.scene.entries import (
     Place,
     SceneOutput,
@@ -27,7 +28,6 @@ from animtool.scene.options import BakeOptions
 from animtool.scene.progress import BlockProgress, Meter, Progress, told
 from animtool.scene.retime import Preroll, begun_early, in_shot, without_first
 from animtool.scene.sources import SourceOptions, open_source
-from animtool.shot import Shot
 from animtool.take import Take, TakeStream
 
 if TYPE_CHECKING:

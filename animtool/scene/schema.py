@@ -19,6 +19,7 @@ from pydantic import (
     create_model,
 )
 
+from animtool.core.plugins import load_object
 from animtool.documents.check import FileModel
 from animtool.documents.fields import (
     Frame,
@@ -29,7 +30,6 @@ from animtool.documents.fields import (
     check_numbers,
     key,
 )
-from animtool.plugins import load_object
 from animtool.scene.options import BakeOptions
 from animtool.scene.output_fields import with_keys
 from animtool.scene.sources import SourceOptions

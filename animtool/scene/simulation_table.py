@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from animtool._types import FloatArray
 from animtool.clip.reduction.points import SHELL, attached_points
-from animtool.errors import Fault, OptionError
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault, OptionError
 from animtool.motion import Motion
 from animtool.rig.kinematics import forward
 from animtool.rig.skeleton import Rig

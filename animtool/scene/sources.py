@@ -7,15 +7,15 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias, cast
 
-from animtool.documents.names import is_named
-from animtool.errors import AnimtoolError, Fault, OptionError
-from animtool.files import FileState, note_input
-from animtool.options import Key, option, options_of
-from animtool.rates import OptionalFraction, rate_option
-from animtool.readers import DOCUMENT, READERS, TIMELINE_SUFFIXES, USD, find_reader
+from animtool.core.errors import AnimtoolError, Fault, OptionError
+from animtool.core.files.reading import FileState, note_input
+from animtool.core.names import is_named
+from animtool.core.options import Key, option, options_of
+from animtool.core.rates import OptionalFraction, rate_option
+from animtool.core.readers import DOCUMENT, READERS, TIMELINE_SUFFIXES, USD, find_reader
+from animtool.core.shot import Shot
+from animtool.core.units import LengthUnit, UpAxis
 from animtool.scene.progress import Progress
-from animtool.shot import Shot
-from animtool.units import LengthUnit, UpAxis
 
 if TYPE_CHECKING:
     from animtool.take import TakeStream

@@ -9,9 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from animtool.clip.clip import Clip
-from animtool.clock import Clock
+from animtool.core.clock import Clock
+from animtool.core.errors import Fault, OptionError, Severity, listed
+from animtool.core.shot import Shot
 from animtool.driving import driven_take
-from animtool.errors import Fault, OptionError, Severity, listed
 from animtool.motion import Channel, Motion
 from animtool.reorient import reorient
 from animtool.rig.skeleton import Rig
@@ -22,7 +23,6 @@ from animtool.scene.sources import (
     open_source,
     takes_option,
 )
-from animtool.shot import Shot
 from animtool.take import Take
 
 MAX_NAMED = 6

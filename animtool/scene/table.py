@@ -13,11 +13,11 @@ from pathlib import Path
 
 import numpy as np
 
-from animtool._types import FloatArray
 from animtool.clip.reduction.points import SHELL, attached_points, point_errors
 from animtool.clip.reduction.reduce import reduce_motion
-from animtool.errors import Fault, OptionError
-from animtool.rates import rate_label
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault, OptionError
+from animtool.core.rates import rate_label
 from animtool.rig.kinematics import WorldTransforms, forward, rest_size
 from animtool.rig.skeleton import Rig
 from animtool.scene.bake import plan_bake, run_bake

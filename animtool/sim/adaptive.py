@@ -11,8 +11,8 @@ import math
 
 import numpy as np
 
-from animtool._types import FloatArray
-from animtool.quantities import plain
+from animtool.core.array_types import FloatArray
+from animtool.core.quantities import plain
 from animtool.sim.integrators.integrator import Step
 from animtool.sim.options import IntegrateOptions
 from animtool.sim.run import Run

@@ -7,9 +7,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from animtool._types import ArrayLike, FloatArray
-from animtool.errors import Fault, OptionError, Severity
-from animtool.quantities import plain
+from animtool.core.array_types import ArrayLike, FloatArray
+from animtool.core.errors import Fault, OptionError, Severity
+from animtool.core.quantities import plain
 from animtool.sim.equations import Equations
 from animtool.sim.integrators.integrator import Control, Form, Integrator
 from animtool.sim.modes import allowed_step

@@ -6,7 +6,7 @@ from typing import cast
 
 import numpy as np
 
-from animtool._types import FloatArray
+from animtool.core.array_types import FloatArray
 from animtool.sim.system import FirstOrder, Matrix, SecondOrder
 
 

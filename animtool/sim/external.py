@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from animtool._types import FloatArray
-from animtool.plugins import load_object
-from animtool.quantities import plain
+from animtool.core.array_types import FloatArray
+from animtool.core.plugins import load_object
+from animtool.core.quantities import plain
 from animtool.sim.run import Run
 from animtool.sim.system import Matrix
 from animtool.sim.trajectory import Status

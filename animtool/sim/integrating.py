@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from animtool._types import ArrayLike, FloatArray
+from animtool.core.array_types import ArrayLike, FloatArray
 from animtool.sim import adaptive, external
 from animtool.sim.checks import (
     Watch,

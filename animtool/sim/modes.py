@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from animtool._types import FloatArray
+from animtool.core.array_types import FloatArray
 from animtool.sim.equations import Equations
 from animtool.sim.integrators.integrator import Integrator
 from animtool.sim.newton import differences

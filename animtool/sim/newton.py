@@ -7,7 +7,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from animtool._types import FloatArray
+from animtool.core.array_types import FloatArray
 from animtool.sim.equations import Equations
 from animtool.sim.system import Matrix
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Annotated
 
-from animtool.errors import Fault, OptionError
-from animtool.options import above, at_least, range_faults
+from animtool.core.errors import Fault, OptionError
+from animtool.core.options import above, at_least, range_faults
 from animtool.sim.integrators import find_integrator
 from animtool.sim.integrators.adaptive import doubled
 from animtool.sim.integrators.integrator import Control, Integrator

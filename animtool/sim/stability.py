@@ -14,7 +14,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.polynomial import polynomial as poly
 
-from animtool._types import FloatArray
+from animtool.core.array_types import FloatArray
 
 # From angular frequency [rad/s] and damping ratio [1] to a step [s].
 Limit: TypeAlias = Callable[[float, float], float]

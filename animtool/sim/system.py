@@ -13,8 +13,8 @@ from typing import Any, Protocol, TypeAlias
 
 import numpy as np
 
-from animtool._types import ArrayLike, BoolArray, FloatArray
-from animtool.errors import Fault
+from animtool.core.array_types import ArrayLike, BoolArray, FloatArray
+from animtool.core.errors import Fault
 
 # Of derivatives: a dense array, or one of scipy.sparse.
 Matrix: TypeAlias = Any

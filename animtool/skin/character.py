@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from animtool._types import FloatArray, IntArray
-from animtool.errors import Fault, FormatError
+from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.errors import Fault, FormatError
 from animtool.rig.surfaces import Strands, Surface, SurfaceShape
 from animtool.skin.deform import DeformedMesh
 from animtool.skin.shapes import InbetweenDeltas, ShapeDeltas, prepare_shapes

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from animtool import _kernels
-from animtool._types import ArrayLike, FloatArray, IntArray, as_floats
-from animtool.errors import Fault, FormatError, listed
+from animtool.core.array_types import ArrayLike, FloatArray, IntArray, as_floats
+from animtool.core.errors import Fault, FormatError, listed
 from animtool.maths.faces import triangulated
 from animtool.motion import Channel
 from animtool.rig.kinematics import WorldTransforms

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from animtool._types import ArrayLike, BoolArray, FloatArray, IntArray
-from animtool.errors import Fault, FormatError, listed
+from animtool.core.array_types import ArrayLike, BoolArray, FloatArray, IntArray
+from animtool.core.errors import Fault, FormatError, listed
 
 # Sums of float32 weights are off by as much without anybody having meant it.
 SUM_TOLERANCE = 1e-6

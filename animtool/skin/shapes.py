@@ -16,8 +16,14 @@ import numpy as np
 import numpy.typing as npt
 
 from animtool import _kernels
-from animtool._types import ArrayLike, BoolArray, FloatArray, IntArray, as_floats
-from animtool.errors import Fault, FormatError, listed
+from animtool.core.array_types import (
+    ArrayLike,
+    BoolArray,
+    FloatArray,
+    IntArray,
+    as_floats,
+)
+from animtool.core.errors import Fault, FormatError, listed
 from animtool.skin.skinning import result
 
 # Inbetweens nearer than this to weight 0, 1 or another are refused: UsdSkel skips them.

@@ -11,8 +11,8 @@ from enum import StrEnum
 import numpy as np
 
 from animtool import _kernels
-from animtool._types import ArrayLike, FloatArray, IntArray, as_floats
-from animtool.errors import Fault, FormatError, listed
+from animtool.core.array_types import ArrayLike, FloatArray, IntArray, as_floats
+from animtool.core.errors import Fault, FormatError, listed
 from animtool.rig.kinematics import WorldTransforms
 from animtool.skin.influences import InfluenceReport, Influences, read_influences
 

@@ -9,10 +9,10 @@ from typing import Annotated, TypeAlias
 import numpy as np
 from annotated_types import Ge, Le, Len
 
-from animtool._types import FloatArray, IntArray
+from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.errors import Fault, excerpt
 from animtool.documents.check import FileModel
 from animtool.documents.fields import Name, Pair, Real, key
-from animtool.errors import Fault, excerpt
 
 Colour = Annotated[list[Annotated[Real, Ge(0), Le(1)]], Len(3, 3)]
 # Makes the values of a quantity, if they are asked for ``(N,)``.

@@ -13,9 +13,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, TypeVar, get_args
 
+from animtool.core.units import LengthUnit
 from animtool.documents.check import FileModel
 from animtool.systems.fields import TimedVector
-from animtool.units import LengthUnit
 
 # Powers of the length in units with a name; of all others it is 0.
 _POWERS = {"m": 1, "N": 1, "J": 2, "V": 2, "Pa": -1}

@@ -10,8 +10,11 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Protocol, TypeAlias
 from annotated_types import Ge, Gt, Le, Len
 from pydantic import AfterValidator, Field
 
-from animtool._types import FloatArray
 from animtool.contacts import Contact, Material
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault, counted
+from animtool.core.options import Checked, above
+from animtool.core.plugins import load_object
 from animtool.documents.check import FileModel
 from animtool.documents.fields import (
     Frame,
@@ -25,9 +28,6 @@ from animtool.documents.fields import (
     record_of,
     with_fields,
 )
-from animtool.errors import Fault, counted
-from animtool.options import Checked, above
-from animtool.plugins import load_object
 
 # One name of a table, and its options.
 Named = Annotated[

@@ -12,8 +12,8 @@ from typing import Any, Generic, Protocol, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from animtool._types import FloatArray, IntArray
-from animtool.errors import Fault, Severity
+from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.errors import Fault, Severity
 from animtool.frames import PointsFrame
 from animtool.sim.checks import check_fit
 from animtool.sim.colliders import Poses

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from animtool._types import FloatArray
-from animtool.errors import refuse
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import refuse
 from animtool.maths import so3
 from animtool.maths.rows import Rows
 from animtool.systems.fields import PlacementModel

@@ -9,8 +9,8 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 
-from animtool._types import FloatArray
-from animtool.errors import Fault, OptionError, ToleranceError
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault, OptionError, ToleranceError
 from animtool.frames import Frame, TransformsFrame
 from animtool.sim.colliders import MovingBodies
 from animtool.sim.colliders.bodies import Pusher, Wrenches

@@ -12,10 +12,10 @@ from typing import Any, get_type_hints
 import numpy as np
 import numpy.typing as npt
 
+from animtool.core.errors import Fault, FormatError, OptionError, listed
+from animtool.core.files.output import replacing
+from animtool.core.files.placing import output_error
 from animtool.documents.arrays import Archives
-from animtool.errors import Fault, FormatError, OptionError, listed
-from animtool.output import replacing
-from animtool.placing import output_error
 from animtool.systems.run import Reached
 
 FORMAT = "animtool-system/1"

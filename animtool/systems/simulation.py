@@ -14,7 +14,7 @@ from typing import (
     runtime_checkable,
 )
 
-from animtool.errors import Fault, ToleranceError
+from animtool.core.errors import Fault, ToleranceError
 from animtool.frames import Frame
 from animtool.sim.colliders import Colliders, Poses
 from animtool.sim.colliders.bodies import Wrenches

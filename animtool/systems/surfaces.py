@@ -9,7 +9,7 @@ from typing import Any, Generic, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
-from animtool._types import FloatArray, IntArray
+from animtool.core.array_types import FloatArray, IntArray
 from animtool.frames import MeshFrame
 from animtool.maths.faces import triangulated
 from animtool.sim.colliders import Collider

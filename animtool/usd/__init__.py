@@ -8,8 +8,8 @@ from importlib.machinery import ModuleSpec, PathFinder
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
-from animtool.plugins import lazy_names
-from animtool.signals import deferred_signals
+from animtool.core.plugins import lazy_names
+from animtool.core.process.signals import deferred_signals
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

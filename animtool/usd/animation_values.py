@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 from pxr import Usd
 
-from animtool._types import FloatArray, IntArray
-from animtool.clock import frame_label, time_fraction
-from animtool.errors import Fault, Severity, counted, excerpt
+from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.clock import frame_label, time_fraction
+from animtool.core.errors import Fault, Severity, counted, excerpt
+from animtool.core.rates import rate_from_float
 from animtool.maths import so3
 from animtool.motion import Channel
-from animtool.rates import rate_from_float
 from animtool.usd.faults import UNIT_TOLERANCE, Spot
 from animtool.usd.library import take_range
 from animtool.usd.rig_prims import array_value, numbers

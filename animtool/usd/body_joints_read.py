@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from pxr import UsdPhysics
 
-from animtool._types import FloatArray
-from animtool.errors import excerpt
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import excerpt
 from animtool.maths import so3
 from animtool.physics import STILL, JointDrive, PhysicsJoint
 from animtool.usd.faults import Spot

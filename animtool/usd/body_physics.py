@@ -9,7 +9,8 @@ from typing import Any, TypeVar
 import numpy as np
 from pxr import Gf, Sdf
 
-from animtool._types import FloatArray
+from animtool.core.array_types import FloatArray
+from animtool.core.similar import distinct
 from animtool.maths import so3
 from animtool.physics import (
     JointDrive,
@@ -19,7 +20,6 @@ from animtool.physics import (
     PhysicsShape,
 )
 from animtool.rig.limits import BallLimit
-from animtool.similar import distinct
 from animtool.usd.layers import (
     apply_schemas,
     attribute,

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from pxr import UsdPhysics, UsdShade
 
-from animtool._types import FloatArray, IntArray
+from animtool.core.array_types import FloatArray, IntArray
 from animtool.maths import so3
 from animtool.maths.faces import triangulated
 from animtool.physics import PhysicsShape

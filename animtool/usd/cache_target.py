@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from pxr import Sdf, Usd, UsdGeom, UsdSkel
 
-from animtool._types import FloatArray
-from animtool.errors import Fault, FormatError, OutputError, Severity, listed
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault, FormatError, OutputError, Severity, listed
+from animtool.core.units import UpAxis
 from animtool.rig.parts import Attachment
-from animtool.units import UpAxis
 from animtool.usd.faults import Spot
 from animtool.usd.layers import attribute, author_order, prim
 from animtool.usd.mesh_read import bound_meshes, bound_strands

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from pxr import Gf, Sdf, Vt
 
-from animtool._types import BoolArray, Float32Array, FloatArray, IntArray
+from animtool.core.array_types import BoolArray, Float32Array, FloatArray, IntArray
 from animtool.frames import Cast, CharactersFrame
 from animtool.maths import so3
 from animtool.rig.kinematics import rest_world

@@ -17,9 +17,9 @@ from typing import TYPE_CHECKING, Any, Generic, Protocol, Self, TypeVar
 import numpy as np
 from pxr import Sdf, Tf, Vt
 
-from animtool._types import FloatArray
-from animtool.output import once_named, replacing
-from animtool.placing import output_error
+from animtool.core.array_types import FloatArray
+from animtool.core.files.output import once_named, replacing
+from animtool.core.files.placing import output_error
 from animtool.usd.layers import (
     StageMetadata,
     author_metadata,

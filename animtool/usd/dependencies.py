@@ -12,8 +12,8 @@ from typing import Any
 
 from pxr import Ar, Sdf, Tf, Usd, UsdUtils
 
-from animtool.errors import Fault, FormatError, excerpt
-from animtool.files import FileState, note_input
+from animtool.core.errors import Fault, FormatError, excerpt
+from animtool.core.files.reading import FileState, note_input
 from animtool.usd.layers import layer_state, usd_errors
 from animtool.usd.stderr import without_usd_warnings
 

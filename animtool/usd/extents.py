@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from pxr import Gf, Sdf
 
-from animtool._types import Float32Array, FloatArray
-from animtool.errors import Fault, OutputError
+from animtool.core.array_types import Float32Array, FloatArray
+from animtool.core.errors import Fault, OutputError
 from animtool.usd.jobs import UsdJob
 from animtool.usd.joint_writer import AnimationWriter
 from animtool.usd.layers import attribute, prim

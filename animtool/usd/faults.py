@@ -11,10 +11,10 @@ from typing import Any, NoReturn
 import numpy as np
 from pxr import UsdGeom
 
-from animtool._types import BoolArray, FloatArray, IntArray
-from animtool.errors import Fault, FormatError, Severity, counted, excerpt, listed
-from animtool.rules import finding
-from animtool.units import UpAxis
+from animtool.core.array_types import BoolArray, FloatArray, IntArray
+from animtool.core.errors import Fault, FormatError, Severity, counted, excerpt, listed
+from animtool.core.rules import finding
+from animtool.core.units import UpAxis
 
 # Transforms are float32 in most files that hold them.
 LARGEST = float(np.finfo(np.float32).max)

@@ -15,8 +15,8 @@ import numpy as np
 import numpy.typing as npt
 
 from animtool import _kernels
-from animtool._types import Float32Array, FloatArray
-from animtool.errors import Fault, OutputError
+from animtool.core.array_types import Float32Array, FloatArray
+from animtool.core.errors import Fault, OutputError
 
 # Largest finite number of each type, by the letter that ends names of USD's types.
 _LIMITS = {

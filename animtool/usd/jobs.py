@@ -9,20 +9,20 @@ from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from animtool.errors import Fault, OptionError
-from animtool.files import is_there
-from animtool.output import is_text
+from animtool.core.errors import Fault, OptionError
+from animtool.core.files.output import is_text
+from animtool.core.files.reading import is_there
 
 if TYPE_CHECKING:
     import numpy as np
     import numpy.typing as npt
 
-    from animtool._types import BoolArray, Float32Array, FloatArray
-    from animtool.clock import FrameSpan
+    from animtool.core.array_types import BoolArray, Float32Array, FloatArray
+    from animtool.core.clock import FrameSpan
+    from animtool.core.shot import Shot
     from animtool.maths.curves import Curves
     from animtool.rig.placement import Placement
     from animtool.rig.skeleton import Rig
-    from animtool.shot import Shot
     from animtool.usd.names import RigPaths, UsdNames
     from animtool.usd.splines import CurveReport
     from animtool.usd.target import RigTarget

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from pxr import Sdf, Vt
 
 from animtool import _kernels
-from animtool._types import BoolArray, Float32Array, FloatArray
+from animtool.core.array_types import BoolArray, Float32Array, FloatArray
 from animtool.maths import so3
 from animtool.motion import Motion
 from animtool.rig.skeleton import Rig

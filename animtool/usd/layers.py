@@ -16,10 +16,12 @@ import numpy as np
 import numpy.typing as npt
 from pxr import Gf, Sdf, Tf, Vt, Work
 
-from animtool._types import FloatArray, IntArray
-from animtool.clock import FrameSpan, time_fraction
-from animtool.errors import Fault, FormatError, OptionError, excerpt
-from animtool.files import (
+from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.clock import FrameSpan, time_fraction
+from animtool.core.errors import Fault, FormatError, OptionError, excerpt
+from animtool.core.files.output import replacing
+from animtool.core.files.placing import output_error
+from animtool.core.files.reading import (
     FileState,
     changed_error,
     open_input,
@@ -27,13 +29,11 @@ from animtool.files import (
     too_large,
     unreadable,
 )
+from animtool.core.process.supervisor import note_said, reading
+from animtool.core.rates import rate_from_float
+from animtool.core.shot import Shot
+from animtool.core.units import UpAxis
 from animtool.maths import so3
-from animtool.output import replacing
-from animtool.placing import output_error
-from animtool.rates import rate_from_float
-from animtool.shot import Shot
-from animtool.supervisor import note_said, reading
-from animtool.units import UpAxis
 from animtool.usd.finite import Labels, check_data, check_rows, check_value, largest
 
 # USD maps binary layers into memory, and reads those of text whole.

@@ -18,9 +18,9 @@ from typing import Any
 
 from pxr import Sdf, Usd
 
-from animtool.errors import Fault, OptionError, OutputError, excerpt, listed
-from animtool.rates import LARGEST_FRAME
-from animtool.similar import similar
+from animtool.core.errors import Fault, OptionError, OutputError, excerpt, listed
+from animtool.core.rates import LARGEST_FRAME
+from animtool.core.similar import similar
 from animtool.usd.layers import find_layer, new_layer, usd_errors
 from animtool.usd.names import TAKE_SET, RigPaths
 from animtool.usd.rig_prims import find_skeletons, open_stage, prim_below, upwards

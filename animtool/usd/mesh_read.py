@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 from pxr import Gf, Usd, UsdGeom, UsdSkel
 
-from animtool._types import FloatArray
-from animtool.errors import Fault, Severity, counted
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault, Severity, counted
+from animtool.core.units import UpAxis
 from animtool.rig.parts import (
     AttachKind,
     Attachment,
@@ -24,7 +25,6 @@ from animtool.rig.parts import (
 from animtool.rig.placed import placed_rig
 from animtool.rig.placement import Placement, placement_matrix
 from animtool.rig.surfaces import Strands, Surface, strands_of, surfaces_of
-from animtool.units import UpAxis
 from animtool.usd.faults import Spot, bind_transforms
 from animtool.usd.layers import usd_errors
 from animtool.usd.meshes import SUBDIVISION

@@ -12,8 +12,8 @@ import numpy as np
 import numpy.typing as npt
 from pxr import Gf, Sdf, Vt
 
-from animtool._types import Float32Array, FloatArray, IntArray
-from animtool.errors import Fault, Severity
+from animtool.core.array_types import Float32Array, FloatArray, IntArray
+from animtool.core.errors import Fault, Severity
 from animtool.frames import MeshFrame
 from animtool.maths.faces import closed, triangulated, vertex_normals
 from animtool.rig.kinematics import rest_world

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 from pxr import Sdf
 
-from animtool.errors import Fault, Severity, excerpt
+from animtool.core.errors import Fault, Severity, excerpt
+from animtool.core.similar import distinct
 from animtool.rig.skeleton import Joint
-from animtool.similar import distinct
 
 # The variant set of a library whose variants are its takes.
 TAKE_SET = "take"

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from animtool._types import FloatArray
-from animtool.errors import Fault
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault
 from animtool.reorient import off_its_place
 from animtool.rig.kinematics import rest_world
 from animtool.rig.placed import placed_rig, standing_notice

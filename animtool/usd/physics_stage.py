@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from pxr import Usd, UsdGeom, UsdPhysics
 
-from animtool._types import FloatArray
-from animtool.errors import Fault, Severity, counted, excerpt
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault, Severity, counted, excerpt
+from animtool.core.units import UpAxis, up_from_up
 from animtool.maths import so3
-from animtool.units import UpAxis, up_from_up
 from animtool.usd.faults import LARGEST_METADATA, SMALLEST_METADATA, Spot
 from animtool.usd.rig_prims import decompose, up_axis
 

@@ -15,13 +15,13 @@ from typing import Any
 import numpy as np
 from pxr import Gf, Usd, UsdGeom, UsdSkel
 
-from animtool._types import FloatArray
-from animtool.errors import Fault, FormatError, Severity
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault, FormatError, Severity
+from animtool.core.units import UpAxis, unit_name, up_from_up
 from animtool.maths import so3
 from animtool.rig.placed import placed_rig
 from animtool.rig.placement import Placement
 from animtool.rig.skeleton import Rig
-from animtool.units import UpAxis, unit_name, up_from_up
 from animtool.usd.faults import Spot
 from animtool.usd.prim_transforms import world_matrices
 from animtool.usd.rig_prims import decompose, up_axis, upwards

@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from pxr import Sdf
 
-from animtool._types import Float32Array, FloatArray
-from animtool.output import replacing
+from animtool.core.array_types import Float32Array, FloatArray
+from animtool.core.files.output import replacing
+from animtool.core.shot import Shot
+from animtool.core.units import UpAxis
 from animtool.rig.surfaces import Strands, Surface
-from animtool.shot import Shot
 from animtool.skin.deform import Deformed
-from animtool.units import UpAxis
 from animtool.usd.chunks import Chunks, Whole, author_span, point_files, write_frames
 from animtool.usd.finite import Labels, rounded
 from animtool.usd.layers import (

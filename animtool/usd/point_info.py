@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 from pxr import Sdf, Usd, UsdGeom
 
-from animtool.clock import time_fraction
-from animtool.errors import Fault, Severity, listed
-from animtool.files import note_input
-from animtool.quantities import Description
-from animtool.rates import rate_from_float
-from animtool.units import unit_name
+from animtool.core.clock import time_fraction
+from animtool.core.errors import Fault, Severity, listed
+from animtool.core.files.reading import note_input
+from animtool.core.quantities import Description
+from animtool.core.rates import rate_from_float
+from animtool.core.units import unit_name
 from animtool.usd.layers import usd_errors
 from animtool.usd.point_reader import (
     PointReader,

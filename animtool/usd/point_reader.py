@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 from pxr import Sdf, Usd, UsdGeom, UsdSkel
 
-from animtool._types import FloatArray, IntArray
-from animtool.errors import Fault, OptionError, excerpt
+from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.errors import Fault, OptionError, excerpt
+from animtool.core.rates import rate_from_float
+from animtool.core.units import UpAxis, up_from_up
 from animtool.maths import so3
-from animtool.rates import rate_from_float
-from animtool.units import UpAxis, up_from_up
 from animtool.usd.faults import Spot
 from animtool.usd.layers import usd_errors
 from animtool.usd.rig_prims import (

@@ -14,8 +14,8 @@ import numpy as np
 import numpy.typing as npt
 from pxr import Sdf, Vt
 
-from animtool._types import Float32Array, FloatArray, IntArray
-from animtool.errors import Fault
+from animtool.core.array_types import Float32Array, FloatArray, IntArray
+from animtool.core.errors import Fault
 from animtool.usd.finite import Labels
 from animtool.usd.layers import Samples, attribute, quaternion, vector
 

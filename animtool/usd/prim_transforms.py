@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from pxr import Usd, UsdGeom
 
-from animtool._types import FloatArray
-from animtool.errors import Fault, FormatError, excerpt
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault, FormatError, excerpt
+from animtool.core.units import up_from_up
 from animtool.maths import so3
 from animtool.rig.skeleton import Rig
-from animtool.units import up_from_up
 from animtool.usd.faults import Spot
 from animtool.usd.layers import usd_errors
 from animtool.usd.rig_prims import (

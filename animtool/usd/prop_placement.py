@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from pxr import Sdf
 
-from animtool._types import FloatArray
+from animtool.core.array_types import FloatArray
+from animtool.core.units import UpAxis, up_from_up
 from animtool.maths import so3
 from animtool.rig.placement import SAME, Placement
 from animtool.transforms import Track, Transforms, below_matrices, placed
-from animtool.units import UpAxis, up_from_up
 from animtool.usd.names import TAKE_SET, RigPaths
 
 if TYPE_CHECKING:

@@ -11,19 +11,19 @@ from typing import Any
 import numpy as np
 from pxr import Usd, UsdGeom, UsdSkel
 
-from animtool._types import FloatArray, IntArray
-from animtool.clock import Clock, time_fraction
-from animtool.errors import Fault, FormatError, Severity, counted, listed
+from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.clock import Clock, time_fraction
+from animtool.core.errors import Fault, FormatError, Severity, counted, listed
+from animtool.core.rates import rate_from_float
+from animtool.core.units import unit_name
 from animtool.maths import so3
 from animtool.motion import Channel, Motion
-from animtool.rates import rate_from_float
 from animtool.reorient import off_its_place, placed_motion
 from animtool.rig.parts import AttachKind, Shape
 from animtool.rig.placed import standing_notice
 from animtool.rig.placement import Placement
 from animtool.rig.skeleton import Rig
 from animtool.take import Take, TakeStream
-from animtool.units import unit_name
 from animtool.usd.animation_values import (
     SampleGrid,
     among_rest,

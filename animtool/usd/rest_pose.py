@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 from pxr import Usd, UsdSkel
 
-from animtool._types import FloatArray
-from animtool.errors import Fault, Severity, counted, listed
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault, Severity, counted, listed
+from animtool.core.rules import finding
 from animtool.maths import so3
-from animtool.rules import finding
 from animtool.usd.faults import (
     Spot,
     finite_transforms,

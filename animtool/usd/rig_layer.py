@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdPhysics, Vt
 
-from animtool._types import FloatArray
-from animtool.errors import Fault
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault
 from animtool.maths import so3
 from animtool.rig.kinematics import rest_world
 from animtool.rig.limits import BallLimit, RangeLimit

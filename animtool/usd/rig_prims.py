@@ -14,13 +14,13 @@ from typing import Any
 import numpy as np
 from pxr import Sdf, Usd, UsdGeom, UsdSkel
 
-from animtool._types import FloatArray, IntArray
-from animtool.errors import Fault, Severity, excerpt, listed
+from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.errors import Fault, Severity, excerpt, listed
+from animtool.core.quantities import CONTROL
+from animtool.core.similar import distinct, similar
+from animtool.core.units import UpAxis
 from animtool.maths import so3
-from animtool.quantities import CONTROL
 from animtool.rig.skeleton import CHANNEL_NAMES, Joint, Rig
-from animtool.similar import distinct, similar
-from animtool.units import UpAxis
 from animtool.usd.dependencies import open_composed
 from animtool.usd.faults import (
     LARGEST_METADATA,

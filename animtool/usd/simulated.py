@@ -16,8 +16,9 @@ import numpy as np
 import numpy.typing as npt
 from pxr import Gf, Sdf
 
-from animtool._types import Float32Array, FloatArray, IntArray
-from animtool.errors import Fault, OptionError
+from animtool.core.array_types import Float32Array, FloatArray, IntArray
+from animtool.core.errors import Fault, OptionError
+from animtool.core.files.output import replacing
 from animtool.frames import (
     CharactersFrame,
     CurvesFrame,
@@ -28,7 +29,6 @@ from animtool.frames import (
 )
 from animtool.maths import so3
 from animtool.maths.faces import triangulated
-from animtool.output import replacing
 from animtool.usd.chunks import (
     Chunks,
     ClipFiles,

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from pxr import Sdf, Vt
 
-from animtool._types import FloatArray
-from animtool.errors import Fault, FormatError
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault, FormatError
 from animtool.maths import so3
 from animtool.rig.kinematics import bind_world
 from animtool.rig.parts import ArraySource, Shape

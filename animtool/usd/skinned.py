@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from pxr import Kind, Sdf, Usd, UsdGeom, UsdSkel
 
-from animtool._types import FloatArray
-from animtool.errors import Fault, OptionError, Severity, listed
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault, OptionError, Severity, listed
 from animtool.rig.kinematics import WorldTransforms
 from animtool.usd.faults import Spot
 from animtool.usd.rig_prims import (

@@ -40,7 +40,7 @@ from typing import Any
 import numpy as np
 from pxr import Sdf, Ts
 
-from animtool._types import FloatArray
+from animtool.core.array_types import FloatArray
 from animtool.maths.curves import Curves, Extrapolation, SegmentKind, evaluate
 from animtool.usd.finite import Labels, check_value
 from animtool.usd.layers import attribute

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from typing import IO
 
-from animtool.quantities import escaped_lines
+from animtool.core.quantities import escaped_lines
 
 # Of its own writers, about every file with a spline or with time codes in metadata:
 # nothing that a user could change.

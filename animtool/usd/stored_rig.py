@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from animtool._types import FloatArray
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault, FormatError, Severity, listed
 from animtool.documents.document import document_of
-from animtool.errors import Fault, FormatError, Severity, listed
 from animtool.maths import so3
 from animtool.rig.controls import Control
 from animtool.rig.drivers import Driver, split_coordinate

@@ -12,17 +12,17 @@ from typing import Any
 import numpy as np
 from pxr import Sdf, Usd, UsdGeom, UsdSkel
 
-from animtool._types import FloatArray, IntArray
-from animtool.errors import Fault, FormatError, Severity, excerpt, naming
+from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.errors import Fault, FormatError, Severity, excerpt, naming
+from animtool.core.rates import rate_from_float
+from animtool.core.units import UpAxis, unit_name
 from animtool.motion import Channel, Motion
-from animtool.rates import rate_from_float
 from animtool.reorient import placed_motion
 from animtool.rig.fit import Fit, check_fit
 from animtool.rig.placed import at_origin, placed_rig
 from animtool.rig.placement import Placement
 from animtool.rig.shapes import arkit_name
 from animtool.rig.skeleton import Rig
-from animtool.units import UpAxis, unit_name
 from animtool.usd.layers import check_prim_path, usd_errors
 from animtool.usd.names import RigPaths, UsdNames, joint_names, legal_name
 from animtool.usd.over_rig import OverRig

@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 from pxr import Usd, UsdGeom
 
-from animtool._types import BoolArray, FloatArray
-from animtool.clock import time_fraction
-from animtool.errors import Fault, OptionError, excerpt
+from animtool.core.array_types import BoolArray, FloatArray
+from animtool.core.clock import time_fraction
+from animtool.core.errors import Fault, OptionError, excerpt
+from animtool.core.rates import rate_from_float
+from animtool.core.similar import similar
+from animtool.core.units import UpAxis, up_from_up
 from animtool.maths import so3
-from animtool.rates import rate_from_float
-from animtool.similar import similar
 from animtool.transforms import Attribute, PropRequest, Reference, Track, Transforms
-from animtool.units import UpAxis, up_from_up
 from animtool.usd.faults import Spot
 from animtool.usd.layers import usd_errors
 from animtool.usd.prim_transforms import world_matrices

@@ -14,8 +14,8 @@ import numpy as np
 import numpy.typing as npt
 from pxr import Gf, Sdf
 
-from animtool._types import BoolArray, Float32Array, FloatArray
-from animtool.errors import Fault, OptionError, Severity
+from animtool.core.array_types import BoolArray, Float32Array, FloatArray
+from animtool.core.errors import Fault, OptionError, Severity
 from animtool.frames import MeshFrame, TransformsFrame
 from animtool.maths import so3
 from animtool.motion import Motion

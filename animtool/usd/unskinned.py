@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from pxr import Usd, UsdGeom, UsdSkel
 
-from animtool._types import FloatArray
-from animtool.errors import Fault, Severity, counted, listed
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault, Severity, counted, listed
 from animtool.usd.placement import DROP, fixed_matrices, movers
 from animtool.usd.point_reader import PointReader
 from animtool.usd.prim_transforms import world_matrices

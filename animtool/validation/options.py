@@ -7,11 +7,11 @@ from dataclasses import MISSING, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from animtool.config import find_config
-from animtool.documents.names import nearest
-from animtool.errors import Fault, OptionError, Severity
-from animtool.options import option, options_of
-from animtool.rules import all_rules, current_codes, own_rules
+from animtool.core.config import find_config
+from animtool.core.errors import Fault, OptionError, Severity
+from animtool.core.names import nearest
+from animtool.core.options import option, options_of
+from animtool.core.rules import all_rules, current_codes, own_rules
 from animtool.validation.profiles import PROFILES, load_profile
 
 

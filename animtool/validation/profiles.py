@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from animtool.core.errors import Fault, FormatError, OptionError, Severity
+from animtool.core.files.reading import MAX_TEXT_BYTES, read_input
+from animtool.core.names import nearest
+from animtool.core.rules import all_rules, current_codes
+from animtool.core.toml_text import parse_toml
 from animtool.documents.document import read_document
-from animtool.documents.names import nearest
-from animtool.errors import Fault, FormatError, OptionError, Severity
-from animtool.files import MAX_TEXT_BYTES, read_input
-from animtool.rules import all_rules, current_codes
-from animtool.toml_text import parse_toml
 
 # By code or its beginning; None leaves a code out.
 Levels = Mapping[str, Severity | None]

@@ -9,9 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from animtool.documents.document import Document
-from animtool.documents.names import nearest
-from animtool.errors import (
+from animtool.core.errors import (
     AnimtoolError,
     ExitCode,
     Fault,
@@ -20,10 +18,12 @@ from animtool.errors import (
     Severity,
     excerpt,
 )
-from animtool.files import files_meant, nearest_file, unreadable
-from animtool.rules import Rule, all_rules, current_codes
-from animtool.signals import without_interrupts
-from animtool.supervisor import follow_parent, has_crashed, without_main
+from animtool.core.files.reading import files_meant, nearest_file, unreadable
+from animtool.core.names import nearest
+from animtool.core.process.signals import without_interrupts
+from animtool.core.process.supervisor import follow_parent, has_crashed, without_main
+from animtool.core.rules import Rule, all_rules, current_codes
+from animtool.documents.document import Document
 from animtool.validation.options import ValidateOptions, check_codes, settings_of
 from animtool.validation.subjects.open import SUFFIXES, open_file
 from animtool.validation.subjects.subject import CheckedFile
@@ -32,7 +32,7 @@ from animtool.validation.subjects.subject import CheckedFile
 def find_files(paths: Iterable[Path | str]) -> list[Path]:
     """Return the files that paths mean, each once, in the order of the paths.
 
-    See `animtool.files.files_meant`; folders are searched for all files that animtool
+    See `animtool.core.files.reading.files_meant`; folders are searched for all files that animtool
     knows by name.
     """
     return match_files(paths)[0]

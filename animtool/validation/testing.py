@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from animtool.rules import Rule
+from animtool.core.rules import Rule
 from animtool.validation.run import Finding, findings_of_rule
 
 

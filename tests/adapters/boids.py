@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from animtool._types import FloatArray
+from animtool.core.array_types import FloatArray
 from animtool.sim.colliders import Colliders, Poses
 from animtool.systems.flocks.flock import Flock
 from animtool.systems.flocks.spec import FlocksModel

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from animtool._types import FloatArray
+from animtool.core.array_types import FloatArray
 from animtool.sim.colliders import Box, Collider, Colliders, Poses
 from animtool.systems.fluid.fluid import Fluid
 from animtool.systems.fluid.spec import FluidModel

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from adapters.boids import splitmix
 
-from animtool._types import FloatArray
+from animtool.core.array_types import FloatArray
 from animtool.sim.colliders import Colliders
 from animtool.systems.nbody.nbody import Nbody
 from animtool.systems.nbody.spec import NbodyModel

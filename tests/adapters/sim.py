@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from animtool._types import FloatArray
+from animtool.core.array_types import FloatArray
 from animtool.sim import Energy, FirstOrder, ForceSystem, RateSystem, SecondOrder
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from animtool._types import FloatArray
+from animtool.core.array_types import FloatArray
 from animtool.systems.springs import Body, Family, Pins, SpringSystem, rope, sheet
 
 __all__ = ["Case", "read_springs"]

@@ -16,7 +16,7 @@ from support.cli import animtool
 
 from animtool.batch import bundle
 from animtool.batch.bundle import chunk_size, mean_seconds
-from animtool.errors import FormatError
+from animtool.core.errors import FormatError
 
 JOB = "batch: animtool/1\ninputs: [takes]\noutput: out/{stem}.usdc\n"
 

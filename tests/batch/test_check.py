@@ -10,7 +10,7 @@ from support.batch import take_files
 from animtool.batch.discover import Batch, find_batch
 from animtool.batch.plan import check_overwrites, check_places
 from animtool.batch.spec import BatchSpec
-from animtool.errors import AnimtoolError, OptionError, OutputError
+from animtool.core.errors import AnimtoolError, OptionError, OutputError
 from animtool.scene.options import BakeOptions
 
 

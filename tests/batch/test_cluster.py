@@ -18,7 +18,7 @@ from animtool.batch.executors import Work, _address, _sent, dask
 from animtool.batch.spec import BatchSpec, Limits
 from animtool.batch.work import ItemBuilder, Status
 from animtool.batch.worker_process import WorkerProcess, WorkerTask
-from animtool.errors import OptionError, OutputError
+from animtool.core.errors import OptionError, OutputError
 
 
 def work(folder: Path, argument: str, limits: Limits | None = None) -> Work:

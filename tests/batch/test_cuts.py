@@ -17,10 +17,10 @@ from support.cli import animtool
 from animtool import open_source
 from animtool.batch.cut_frames import SHOT_NAMES, CutOptions
 from animtool.batch.cuts import read_cuts
-from animtool.errors import FormatError, OptionError
-from animtool.files import MatchedFile
-from animtool.rates import rate_from_float
-from animtool.shot import Shot
+from animtool.core.errors import FormatError, OptionError
+from animtool.core.files.reading import MatchedFile
+from animtool.core.rates import rate_from_float
+from animtool.core.shot import Shot
 
 otio = pytest.importorskip("opentimelineio", reason="no OpenTimelineIO (extra: otio)")
 

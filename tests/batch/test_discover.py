@@ -11,7 +11,7 @@ from support.batch import take_files
 from animtool.batch.discover import find_batch
 from animtool.batch.plan import check_places
 from animtool.batch.spec import BatchSpec
-from animtool.errors import (
+from animtool.core.errors import (
     FormatError,
     NothingFoundError,
     OptionError,

@@ -13,9 +13,9 @@ from support.timelines import span
 
 from animtool.batch.cut_frames import CutOptions
 from animtool.batch.cuts import CutList, read_cuts
-from animtool.errors import AnimtoolError
-from animtool.files import MatchedFile
-from animtool.timecode import timecode_label
+from animtool.core.errors import AnimtoolError
+from animtool.core.files.reading import MatchedFile
+from animtool.core.timecode import timecode_label
 
 pytest.importorskip("opentimelineio", reason="no OpenTimelineIO (extra: otio)")
 

@@ -24,7 +24,7 @@ from animtool.batch.executors import (
 from animtool.batch.item import Item
 from animtool.batch.spec import BatchSpec, Limits
 from animtool.batch.work import ItemBuilder, Status
-from animtool.errors import OptionError, OutputError
+from animtool.core.errors import OptionError, OutputError
 
 OTHER = Executor("another", "animtool.batch.executors:serial")
 NUMBER = 1

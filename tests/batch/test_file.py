@@ -9,8 +9,8 @@ import pytest
 
 from animtool.batch.file import load_batch
 from animtool.batch.spec import Limits, parse_bytes, parse_seconds
-from animtool.errors import FormatError
-from animtool.units import LengthUnit, UpAxis
+from animtool.core.errors import FormatError
+from animtool.core.units import LengthUnit, UpAxis
 
 HEAD = "batch: animtool/1\ninputs: [takes]\n"
 

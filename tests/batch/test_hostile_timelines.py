@@ -14,8 +14,8 @@ from support.batch import take_files
 from animtool.batch import timeline as texts
 from animtool.batch.cut_frames import CutOptions
 from animtool.batch.cuts import CutList, read_cut, read_cuts
-from animtool.errors import AnimtoolError
-from animtool.files import MatchedFile
+from animtool.core.errors import AnimtoolError
+from animtool.core.files.reading import MatchedFile
 
 otio = pytest.importorskip("opentimelineio", reason="no OpenTimelineIO (extra: otio)")
 

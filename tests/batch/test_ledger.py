@@ -13,7 +13,7 @@ import pytest
 
 from animtool.batch import ledger
 from animtool.batch.ledger import held_ledger, read_history
-from animtool.errors import LockedError, OutputError
+from animtool.core.errors import LockedError, OutputError
 from batch.test_manifest import item
 
 

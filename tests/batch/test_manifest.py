@@ -18,7 +18,7 @@ from animtool.batch.manifest import (
     rewrite_manifest,
 )
 from animtool.batch.spec import named_from, place_of
-from animtool.files import FileState
+from animtool.core.files.reading import FileState
 
 SHARED = FileRecord("../rig.yaml", FileState(3, 4, 5), "ab")
 ABSENT = FileRecord("../animtool.toml", None)

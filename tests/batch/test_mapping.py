@@ -10,7 +10,7 @@ import pytest
 
 from animtool.batch.item import PathRule, mapped_path, mapped_spec, read_rules
 from animtool.batch.spec import BatchSpec
-from animtool.errors import FormatError
+from animtool.core.errors import FormatError
 
 RULE = (
     '{"path_mapping_rules": [{"source_path_format": "POSIX", '

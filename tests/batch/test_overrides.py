@@ -11,7 +11,7 @@ from support.cli import animtool
 
 from animtool.batch.discover import find_batch
 from animtool.batch.file import load_batch
-from animtool.errors import FormatError, OptionError
+from animtool.core.errors import FormatError, OptionError
 
 SCENE = (
     "scene: animtool/1\nsource: {file: ${input}}\n"

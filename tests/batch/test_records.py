@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from animtool.batch import records
 from animtool.batch.records import LineReader, LineWriter
-from animtool.errors import FormatError, OutputError
+from animtool.core.errors import FormatError, OutputError
 
 HEAD = {"test": "animtool/1"}
 LINES = [{"n": i, "text": "ä\ud800\n" * i} for i in range(5)]

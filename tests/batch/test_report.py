@@ -13,7 +13,7 @@ from support.batch import take_files
 from animtool.batch.report import BatchReport, junit_report
 from animtool.batch.run import RunOptions, run_batch
 from animtool.batch.spec import BatchSpec
-from animtool.errors import Fault, Severity
+from animtool.core.errors import Fault, Severity
 
 
 @pytest.fixture

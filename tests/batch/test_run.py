@@ -17,9 +17,9 @@ from animtool.batch.report import BatchReport, ItemReport
 from animtool.batch.run import Listener, RunOptions, run_batch
 from animtool.batch.spec import BatchSpec
 from animtool.batch.work import Outcome, Status
-from animtool.errors import ExitCode, OptionError
+from animtool.core.errors import ExitCode, OptionError
+from animtool.core.units import UpAxis
 from animtool.scene.options import BakeOptions
-from animtool.units import UpAxis
 
 SERIAL = RunOptions(executor="serial")
 

@@ -12,7 +12,7 @@ import pytest
 
 from animtool.batch.cut_frames import CutOptions
 from animtool.batch.cuts import CutList, read_cuts
-from animtool.shot import Shot
+from animtool.core.shot import Shot
 
 otio = pytest.importorskip("opentimelineio", reason="no OpenTimelineIO (extra: otio)")
 

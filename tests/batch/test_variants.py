@@ -20,7 +20,7 @@ from animtool.batch.variants import (
     read_variants,
     variants_of_texts,
 )
-from animtool.errors import AnimtoolError, FormatError, OptionError
+from animtool.core.errors import AnimtoolError, FormatError, OptionError
 
 SWING = (
     "scene: animtool/1\nfps: 24\nrange: [1, 2]\nvariables: {k: 50}\nsystems:\n"

@@ -26,7 +26,7 @@ from animtool.batch.ledger import held_ledger
 from animtool.batch.manifest import ItemRecord, record_of
 from animtool.batch.plan import Planner
 from animtool.batch.spec import BatchSpec, named_from
-from animtool.files import FileState
+from animtool.core.files.reading import FileState
 
 SMALL = ROOT / "samples/batch/takes/left/wave1.bvh"
 POOL = HERE / "peers/batch_pool.py"
@@ -177,7 +177,7 @@ def starts(folder: Path, count: int, runs: int) -> list[Row]:
 READER = """
 import os, signal, threading
 from pathlib import Path
-from animtool.readers import Reader
+from animtool.core.readers import Reader
 READER = Reader("takes in trouble", source="trouble_reader:open_trouble")
 def open_trouble(path):
     word = Path(path).stem

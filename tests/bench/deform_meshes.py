@@ -12,8 +12,8 @@ import numpy as np
 import numpy.typing as npt
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel, Vt
 
+from animtool.core.files.output import replacing
 from animtool.maths import so3
-from animtool.output import replacing
 from animtool.rig.kinematics import WorldTransforms
 from animtool.skin.shapes import ShapeDeltas
 from animtool.skin.skinning import Binding, SkinMethod

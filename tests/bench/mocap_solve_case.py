@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from animtool.clock import Clock
+from animtool.core.clock import Clock
 from animtool.markers import Markers
 from animtool.mocap.template import MarkerTemplate, TemplateMarker
 from animtool.rig.limits import RangeLimit

@@ -17,9 +17,9 @@ from clock import Taken, now, since
 from figures import Accuracy, Bound, Clock, Row, ratio_rows, time_rows
 from measuring import begin, parser, run_peer, taken_of
 
-from animtool._types import FloatArray
 from animtool.clip.reduction.reduce import reduce_motion
 from animtool.clip.reduction.tracks import euler_order
+from animtool.core.array_types import FloatArray
 from animtool.formats.bvh import read_bvh
 from animtool.maths import euler
 from animtool.maths.fit import evaluate_keys, fit_keys

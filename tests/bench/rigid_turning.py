@@ -17,7 +17,7 @@ from figures import Bound, Clock, Row
 from measuring import begin, in_process, in_turn, on_one_thread, parser
 
 from animtool import _kernels
-from animtool._types import FloatArray
+from animtool.core.array_types import FloatArray
 from animtool.maths import so3
 from animtool.preview.work_precision import Curve, Panel, Point, draw_panels
 from animtool.sim.colliders import Colliders

@@ -20,10 +20,10 @@ from support.usd import joint_positions, open_stage, validation_errors
 from animtool import Rig, open_source
 from animtool.cli.ik import ik
 from animtool.cli.options import read_values
+from animtool.core.units import LengthUnit
 from animtool.ik.options import IkMethod, TakeOptions
 from animtool.ik.report import MISSED_ANGLE, MISSED_LENGTH
 from animtool.scene.sources import SourceOptions
-from animtool.units import LengthUnit
 
 REACH = """targets: animtool/1
 units: {length: cm}

@@ -11,8 +11,8 @@ from support.cli import animtool, animtool_process
 
 from animtool.cli.console import Console
 from animtool.cli.main import COMMANDS
-from animtool.errors import ExitCode, Fault, Severity
-from animtool.signals import TerminatedError
+from animtool.core.errors import ExitCode, Fault, Severity
+from animtool.core.process.signals import TerminatedError
 
 
 def test_version_names_what_matters() -> None:

@@ -12,7 +12,7 @@ from support.cli import animtool
 from support.marked import FIGURE, TEMPLATE, captured, column, moving
 
 from animtool import open_source
-from animtool.clock import Clock
+from animtool.core.clock import Clock
 from animtool.formats.marker_arrays import write_marker_arrays
 from animtool.formats.marker_files import open_markers, write_markers
 from animtool.markers import Markers

@@ -16,7 +16,7 @@ from support.full_rigs import FULL_RIGS, full_rig
 from support.usd import joint_positions, open_stage
 
 from animtool import open_source
-from animtool.clock import Clock
+from animtool.core.clock import Clock
 from animtool.formats.bvh.write import write_bvh
 from animtool.motion import Channel, Motion
 from animtool.take import Take

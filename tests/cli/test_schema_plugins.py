@@ -10,8 +10,8 @@ from support.cli import animtool
 
 from animtool.batch.executors import EXECUTORS
 from animtool.cli.schema import MODELS
+from animtool.core.readers import READERS
 from animtool.passes import PASSES
-from animtool.readers import READERS
 
 
 @pytest.mark.parametrize("kind", sorted(MODELS))

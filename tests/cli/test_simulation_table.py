@@ -10,7 +10,7 @@ import pytest
 from support.beasts import write_beast
 from support.cli import animtool
 
-from animtool.errors import OptionError
+from animtool.core.errors import OptionError
 from animtool.scene.file import load_scene
 from animtool.scene.simulation_table import simulates, simulation_table
 from animtool.sim.integrators import INTEGRATORS

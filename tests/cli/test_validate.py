@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 from support.cli import animtool, animtool_process
 
-from animtool.errors import Severity
-from animtool.rules import Kind, Rule, own_rules
+from animtool.core.errors import Severity
+from animtool.core.rules import Kind, Rule, own_rules
 from animtool.validation.formats import FORMATS as WRITERS
 from animtool.validation.options import FORMATS
 
@@ -150,7 +150,7 @@ def test_explain() -> None:
 def test_explain_a_code_without_a_page(
     rule: Rule, said: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("animtool.rules.find_rule", lambda _: rule)
+    monkeypatch.setattr("animtool.core.rules.find_rule", lambda _: rule)
     done = animtool("explain", "STU001")
     assert done.stdout == f"# STU001: a title\n\n## What\n\n{said}\n"
 

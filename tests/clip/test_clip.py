@@ -13,7 +13,7 @@ from numpy.testing import assert_array_equal
 from support.clips import channel_of, hero, loaded, write_clip
 
 from animtool.clip.clip import Clip
-from animtool.errors import AnimtoolError
+from animtool.core.errors import AnimtoolError
 from animtool.rig.skeleton import Joint, Rig
 from animtool.scene.sources import open_source
 

@@ -10,7 +10,7 @@ from support.clips import RIG, hero, loaded, write_clip, write_rig
 
 from animtool.clip.clip import Clip
 from animtool.clip.file import check_clip, load_clip, open_clip
-from animtool.errors import FormatError
+from animtool.core.errors import FormatError
 from animtool.maths.curves import Extrapolation, Interp
 from animtool.maths.tangents import Parametrization, Tangent
 from animtool.rig.file import load_rig

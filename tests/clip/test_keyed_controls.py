@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from animtool._types import FloatArray
 from animtool.clip.clip import Clip, clip_text
 from animtool.clip.keyed_take import KeyedTake, keyed_take
 from animtool.clip.sample import sample_values
-from animtool.clock import Clock
+from animtool.core.array_types import FloatArray
+from animtool.core.clock import Clock
 from animtool.maths import so3
 from animtool.rig.skeleton import Rig
 from animtool.take import Take

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from conftest import data_folder
 
-from animtool._types import FloatArray
 from animtool.clip.coordinates import Same, joint_motions, joint_tracks
 from animtool.clip.reduction.keys import (
     ChannelKind,
@@ -19,8 +18,9 @@ from animtool.clip.reduction.keys import (
 from animtool.clip.reduction.points import attached_points, point_errors
 from animtool.clip.reduction.reduce import LIMIT_SLACK, reduce_motion
 from animtool.clip.reduction.tracks import euler_order, pose_of
-from animtool.clock import Clock
-from animtool.errors import OptionError
+from animtool.core.array_types import FloatArray
+from animtool.core.clock import Clock
+from animtool.core.errors import OptionError
 from animtool.formats.bvh.read import read_bvh
 from animtool.maths import euler, so3
 from animtool.motion import Channel, Motion

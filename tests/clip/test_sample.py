@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from support.clips import RIG, hero, loaded, write_clip, write_rig
 
-from animtool._types import FloatArray
 from animtool.clip.file import load_clip, open_clip
 from animtool.clip.sample import Sampled, sample_channels
-from animtool.errors import FormatError, Severity
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import FormatError, Severity
 from animtool.maths import so3
 from animtool.rig.file import load_rig
 from animtool.rig.parts import Shape

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from support.clips import channel_of
 
-from animtool._types import ArrayLike, FloatArray
 from animtool.clip.channels import ClipChannel, curves_of
+from animtool.core.array_types import ArrayLike, FloatArray
 from animtool.maths import tangents
 from animtool.maths.curves import Interp, SegmentKind, evaluate
 from animtool.maths.tangents import Parametrization, Tangent

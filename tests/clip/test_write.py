@@ -22,13 +22,13 @@ from animtool import compare
 from animtool.clip.channels import ClipChannel
 from animtool.clip.clip import Clip, clip_text
 from animtool.clip.file import load_clip, open_clip
+from animtool.core.units import unit_name
 from animtool.maths import so3
 from animtool.maths.curves import Extrapolation, Interp
 from animtool.maths.euler import ORDERS
 from animtool.maths.tangents import Parametrization, Tangent
 from animtool.rig.file import load_rig
 from animtool.rig.skeleton import Rig
-from animtool.units import unit_name
 
 SAMPLES = sorted((Path(__file__).parents[2] / "samples").glob("*/*.clip.yaml"))
 UNITS = list(itertools.product(("m", "cm", "in"), ("deg", "rad")))

@@ -13,7 +13,7 @@ from support.data import data_files
 from support.suite import at_night
 from support.usd import joint_positions, open_stage, skeleton_query, validation_errors
 
-from animtool.rates import rate_from_frame_time
+from animtool.core.rates import rate_from_frame_time
 from animtool.report.compare import compare_takes
 from animtool.rig.skeleton import CHANNEL_NAMES
 from animtool.scene.bake import bake

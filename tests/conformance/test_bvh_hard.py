@@ -11,7 +11,7 @@ from pxr import Usd, UsdSkel
 from support.cli import animtool
 from support.data import data_files
 
-from animtool.rates import parse_rate
+from animtool.core.rates import parse_rate
 
 FILES = data_files("bvh_hard", "*.bvh")
 

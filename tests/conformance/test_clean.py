@@ -9,7 +9,7 @@ import pytest
 from support.data import data_files
 
 from animtool import open_source
-from animtool._types import FloatArray
+from animtool.core.array_types import FloatArray
 from animtool.edit import find_cycle
 from animtool.maths import so3
 from animtool.mocap.clean import CleanOptions, cleaned_take

@@ -12,7 +12,7 @@ import pytest
 from support.curves import hermite_curve, one_curve
 from support.data import data_files
 
-from animtool._types import FloatArray
+from animtool.core.array_types import FloatArray
 from animtool.maths import tangents
 from animtool.maths.curves import SegmentKind, evaluate
 

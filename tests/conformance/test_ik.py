@@ -15,7 +15,7 @@ from adapters.ik import Clip, Group, from_file, read_clip, read_groups, to_file
 from support.data import data_files
 from support.suite import is_full
 
-from animtool._types import BoolArray, FloatArray
+from animtool.core.array_types import BoolArray, FloatArray
 from animtool.ik import (
     FollowOptions,
     IkMethod,

@@ -13,7 +13,7 @@ import yaml
 from conftest import ROOT, data_folder
 
 from animtool import open_source
-from animtool._types import FloatArray
+from animtool.core.array_types import FloatArray
 from animtool.mocap.retarget import map_joints
 from animtool.mocap.retarget.anatomy import anatomy
 from animtool.mocap.retarget.roles import ROLES

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from support.data import data_files
 
-from animtool._types import BoolArray, FloatArray
+from animtool.core.array_types import BoolArray, FloatArray
 from animtool.maths import so3
 from animtool.mocap.cameras import (
     Observations,

@@ -13,8 +13,8 @@ from support.data import data_files
 from support.mocap_skeleton import rig_of, template_of
 from support.suite import one_of
 
-from animtool._types import FloatArray
-from animtool.clock import Clock
+from animtool.core.array_types import FloatArray
+from animtool.core.clock import Clock
 from animtool.markers import Markers
 from animtool.mocap.solve import calibrate, solve_markers
 from animtool.mocap.template import MarkerTemplate

@@ -23,7 +23,7 @@ from support.planted_takes import (
     without,
 )
 
-from animtool.errors import AnimtoolError, Fault
+from animtool.core.errors import AnimtoolError, Fault
 from animtool.scene.sources import open_source
 from animtool.take import Take
 from animtool.validation.motion.body import feet_of

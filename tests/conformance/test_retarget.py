@@ -15,7 +15,7 @@ from support.data import data_files
 from support.suite import at_night
 
 from animtool import Rig, open_source
-from animtool._types import BoolArray, FloatArray
+from animtool.core.array_types import BoolArray, FloatArray
 from animtool.mocap.contacts import intervals
 from animtool.mocap.retarget import map_joints
 from animtool.mocap.retarget.anatomy import anatomy

@@ -15,7 +15,7 @@ from numpy.testing import assert_allclose
 from support.data import data_files
 
 from animtool import _kernels
-from animtool._types import FloatArray
+from animtool.core.array_types import FloatArray
 from animtool.maths import so3
 from animtool.sim.colliders import Colliders
 from animtool.systems.rigid.spec import RigidModel

@@ -11,7 +11,7 @@ from adapters.springs import Case, read_springs
 from support.data import data_files
 from support.suite import nightly
 
-from animtool._types import FloatArray
+from animtool.core.array_types import FloatArray
 from animtool.sim import IntegrateOptions, Status, integrate
 from animtool.systems.springs import (
     Solver,

@@ -11,7 +11,7 @@ import pytest
 from support.curves import one_curve
 from support.data import data_files
 
-from animtool._types import BoolArray, FloatArray
+from animtool.core.array_types import BoolArray, FloatArray
 from animtool.maths.curves import Curves, Extrapolation, SegmentKind, evaluate
 
 # Of the largest value: Ts evaluates in float64 too, in another way.

@@ -10,7 +10,7 @@ import pytest
 import yaml
 from support.data import data_files
 
-from animtool.errors import Fault, Severity
+from animtool.core.errors import Fault, Severity
 from animtool.usd.checks import check_layer
 
 LIST = Path(__file__).with_name("usd_findings.yaml")

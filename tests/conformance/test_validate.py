@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from support.data import data_files
 
-from animtool.errors import Severity
+from animtool.core.errors import Severity
 from animtool.validation.run import validate
 
 NOTE = Severity.NOTE

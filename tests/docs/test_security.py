@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from animtool.clock import MAX_FRAMES
+from animtool.core.clock import MAX_FRAMES
+from animtool.core.files.reading import MAX_INPUT_BYTES, MAX_TEXT_BYTES
+from animtool.core.rules import own_rules
 from animtool.documents import archive, fields, variables, yaml_values
 from animtool.documents.document import MAX_FAULTS
-from animtool.files import MAX_INPUT_BYTES, MAX_TEXT_BYTES
 from animtool.formats.bvh.lines import MAX_LINES
-from animtool.rules import own_rules
 from animtool.scene.systems.run import MAX_STEPS
 from animtool.usd.layers import MAX_LAYER_BYTES, MAX_TEXT_LAYER_BYTES
 

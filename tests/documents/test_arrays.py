@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
+from animtool.core.errors import FormatError
 from animtool.documents import archive as archives_module
 from animtool.documents.arrays import (
     MAX_OPEN,
@@ -17,7 +18,6 @@ from animtool.documents.arrays import (
     load_array,
 )
 from animtool.documents.references import reference
-from animtool.errors import FormatError
 
 
 def saved(folder: Path) -> Path:

@@ -7,9 +7,9 @@ import pytest
 from annotated_types import Len
 from pydantic import Field
 
+from animtool.core.errors import Fault, FormatError
 from animtool.documents.check import MAX_MENDED, FileModel, check_version, validated
 from animtool.documents.document import Document, read_document
-from animtool.errors import Fault, FormatError
 
 
 class Round(FileModel):

@@ -13,8 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support.values import VALUES
 
+from animtool.core.errors import FormatError, Severity
 from animtool.documents.document import MAX_FAULTS, Document, read_document
-from animtool.errors import FormatError, Severity
 
 
 def written(folder: Path, content: str | bytes, name: str = "a.yaml") -> Path:

@@ -12,6 +12,7 @@ from support.cli import animtool
 from animtool.batch.file import load_batch
 from animtool.batch.spec import Limits
 from animtool.clip.file import load_clip, open_clip
+from animtool.core.shot import FrameRange, Shot
 from animtool.documents.migrate import plan_migration
 from animtool.documents.versions import STEPS, newest
 from animtool.ik.file import load_targets
@@ -26,7 +27,6 @@ from animtool.rig.skeleton import Joint, Rig
 from animtool.scene.file import load_scene
 from animtool.scene.start import rest_take
 from animtool.scene.tracks import TrackNames
-from animtool.shot import FrameRange, Shot
 
 FROZEN = Path(__file__).parent / "frozen"
 

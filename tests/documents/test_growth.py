@@ -8,14 +8,14 @@ from pathlib import Path
 
 import pytest
 
+from animtool.core.errors import AnimtoolError
+from animtool.core.similar import distinct, similar
 from animtool.documents.document import read_document
 from animtool.documents.yaml_values import MAX_MARKS
-from animtool.errors import AnimtoolError
 from animtool.formats.bvh.read import read_bvh
 from animtool.ik.file import load_targets
 from animtool.rig.file import load_rig
 from animtool.scene.file import load_scene
-from animtool.similar import distinct, similar
 from animtool.validation.formats.plain import cut
 
 RIG = "rig: animtool/1\nname: a\njoints:\n"

@@ -8,13 +8,13 @@ from typing import Any
 
 import pytest
 
+from animtool.core.errors import AnimtoolError, FormatError, OptionError, StrictError
 from animtool.documents.check import check_version
 from animtool.documents.document import read_document
 from animtool.documents.edit import EditError
 from animtool.documents.migrate import migrate, plan_migration
 from animtool.documents.versions import STEPS as TABLES
 from animtool.documents.versions import Steps, newest, version_of
-from animtool.errors import AnimtoolError, FormatError, OptionError, StrictError
 from animtool.scene.file import load_scene
 
 

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from animtool.core.errors import FormatError
+from animtool.core.names import number, scaled, text, unreadable
 from animtool.documents.document import document_of
-from animtool.documents.names import number, scaled, text, unreadable
-from animtool.errors import FormatError
 
 FLOATS = st.floats(-1e9, 1e9, allow_nan=False)
 

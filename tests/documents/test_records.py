@@ -10,9 +10,9 @@ from typing import Annotated
 import pytest
 from pydantic import Field, ValidationError
 
+from animtool.core.options import Key, above, or_more, range_faults
 from animtool.documents.check import FileModel
 from animtool.documents.fields import record_of, with_fields
-from animtool.options import Key, above, or_more, range_faults
 
 
 @dataclass(frozen=True)

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from animtool.cli.main import run
-from animtool.config import project_roots
+from animtool.core.config import project_roots
+from animtool.core.files.reading import recorded_inputs
 from animtool.documents.document import document_of
 from animtool.documents.references import reference, referred, referred_input
-from animtool.files import recorded_inputs
 
 
 def test_references_stay_in_the_roots(tmp_path: Path) -> None:

@@ -11,13 +11,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import Field
 
+from animtool.core.errors import FormatError
 from animtool.documents.check import FileModel, validated
 from animtool.documents.document import Document, document_of
 from animtool.documents.variables import (
     resolve_variables,
     with_variables,
 )
-from animtool.errors import FormatError
 
 HEAD = "scene: animtool/1\n"
 

@@ -13,9 +13,9 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from support.clips import hero, write_clip
 
-from animtool._types import FloatArray
 from animtool.clip.clip import Clip
 from animtool.clip.sample import sample_channels
+from animtool.core.array_types import FloatArray
 from animtool.edit.between import Between
 from animtool.edit.layers import blend, layer
 from animtool.edit.looping import loop

@@ -12,15 +12,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support.gaits import gait, swinging
 
-from animtool.clock import Clock
+from animtool.core.clock import Clock
+from animtool.core.errors import OptionError
+from animtool.core.units import UpAxis
 from animtool.edit.cycle import find_cycle, measure_cycle
-from animtool.errors import OptionError
 from animtool.formats.bvh import read_bvh
 from animtool.maths import so3
 from animtool.motion import Channel, Motion
 from animtool.rig.skeleton import Joint, Rig
 from animtool.take import Take
-from animtool.units import UpAxis
 
 
 @given(st.integers(12, 40), st.floats(0, 6), st.floats(-2, 2), st.sampled_from(UpAxis))

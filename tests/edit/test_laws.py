@@ -221,7 +221,7 @@ def test_the_same_rate(take: Take) -> None:
 
 @given(rigs(), st.integers(0, 2**31), st.sampled_from([2, 3, 5]))
 def test_a_finer_rate_and_back(rig: Rig, seed: int, finer: int) -> None:
-    from animtool.clock import Clock
+    from animtool.core.clock import Clock
 
     rng = np.random.default_rng(seed)
     motion = motion_of(rig, 7, rng, scaled=True, uniform=False)

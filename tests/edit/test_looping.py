@@ -15,12 +15,12 @@ from support.gaits import gait, swinging
 from support.nasty import nasty_take, nasty_track, with_track
 from support.takes import assert_same_motion, rigs
 
-from animtool._types import FloatArray
-from animtool.clock import Clock
+from animtool.core.array_types import FloatArray
+from animtool.core.clock import Clock
+from animtool.core.errors import OptionError
 from animtool.edit.looping import PASS, LoopOptions, loop
 from animtool.edit.travel import twist
 from animtool.edit.tree import inserted
-from animtool.errors import OptionError
 from animtool.formats.bvh import read_bvh
 from animtool.maths import so3
 from animtool.motion import Channel, Motion

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from animtool.clock import Clock
+from animtool.core.clock import Clock
+from animtool.core.errors import Fault, OptionError
 from animtool.edit.mirroring import PASS, MirrorOptions, mirror
-from animtool.errors import Fault, OptionError
 from animtool.formats.bvh import read_bvh
 from animtool.motion import Channel, Motion
 from animtool.passes import PassContext, apply_pass

@@ -12,8 +12,8 @@ import pytest
 from numpy.testing import assert_array_equal
 from support.small_takes import content, small, with_tracks
 
+from animtool.core.errors import OptionError
 from animtool.edit.retiming import trim
-from animtool.errors import OptionError
 from animtool.formats.bvh import read_bvh
 from animtool.maths import so3
 from animtool.motion import Channel, Motion

@@ -10,7 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
-from animtool.clock import Clock
+from animtool.core.clock import Clock
+from animtool.core.errors import OptionError
+from animtool.core.shot import FrameRange
 from animtool.edit.resample import (
     BLOCK_FRAMES,
     SampleTimes,
@@ -18,11 +20,9 @@ from animtool.edit.resample import (
     resampled,
     sample,
 )
-from animtool.errors import OptionError
 from animtool.maths import so3
 from animtool.motion import Channel, Motion
 from animtool.rig.skeleton import Joint, Rig
-from animtool.shot import FrameRange
 from animtool.take import Take
 
 NTSC = Fraction(24000, 1001)

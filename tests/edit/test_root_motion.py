@@ -12,16 +12,16 @@ from hypothesis import strategies as st
 from support.nasty import nasty_rig, nasty_take
 from support.takes import assert_same_motion, assert_same_world, takes
 
+from animtool.core.errors import OptionError
+from animtool.core.units import UpAxis
 from animtool.edit.root_motion import extract_root, recompose_root
 from animtool.edit.tree import inserted
-from animtool.errors import OptionError
 from animtool.formats.bvh import read_bvh
 from animtool.maths import so3
 from animtool.motion import Channel
 from animtool.rig.parts import IkChain
 from animtool.rig.skeleton import Joint, Pose, Rig
 from animtool.take import Take
-from animtool.units import UpAxis
 
 AXES = st.sampled_from(["", "x", "xz", "xyz", "zy"])
 WITHIN = 1e-9  # [m], a thousandth of what is promised
@@ -116,7 +116,7 @@ def upright(up: UpAxis, frames: int = 9) -> Take:
     """Return hips that turn about the up axis while they lean."""
     from fractions import Fraction
 
-    from animtool.clock import Clock
+    from animtool.core.clock import Clock
     from animtool.motion import Motion
 
     rig = Rig("one", (Joint("hips", -1), Joint("chest", 0)), up=up)

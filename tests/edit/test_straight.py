@@ -8,7 +8,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from animtool.clock import Clock
+from animtool.core.clock import Clock
 from animtool.edit.between import Between
 from animtool.edit.resample import resampled
 from animtool.edit.retiming import time_scale, time_warp

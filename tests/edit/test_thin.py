@@ -13,8 +13,8 @@ from numpy.testing import assert_array_equal
 from support.suite import examples
 
 from animtool.clip.reduction.points import SHELL, attached_points
+from animtool.core.errors import OptionError
 from animtool.edit.thin import Thinned, thin_samples
-from animtool.errors import OptionError
 from animtool.maths import so3
 from animtool.motion import Channel, Motion
 from animtool.rig.kinematics import forward

@@ -11,17 +11,17 @@ from numpy.testing import assert_allclose
 from pxr import Usd, UsdGeom, UsdSkel
 
 from animtool import bake
-from animtool.clock import Clock
+from animtool.core.clock import Clock
+from animtool.core.errors import FormatError, OptionError
+from animtool.core.shot import Shot
+from animtool.core.units import UpAxis
 from animtool.edit.tree import hang
-from animtool.errors import FormatError, OptionError
 from animtool.maths import so3
 from animtool.motion import Channel, Motion
 from animtool.rig.skeleton import Joint, JointType, Rig
 from animtool.scene.file import load_scene
 from animtool.scene.scene import Scene
-from animtool.shot import Shot
 from animtool.take import Take
-from animtool.units import UpAxis
 
 FRAMES = 5
 RIG = Rig(

@@ -14,7 +14,7 @@ from support.bvh import random_rows, small_bvh
 from support.cli import animtool
 
 from animtool import BakeOptions, bake, convert, open_source
-from animtool.errors import FormatError
+from animtool.core.errors import FormatError
 from faults.calls import in_child
 
 FAULTS = "fault | what happened | what was lost"

@@ -15,8 +15,8 @@ from support.bvh import random_rows, small_bvh
 from support.cli import Done, animtool
 
 from animtool import bake
-from animtool.errors import OutputError
-from animtool.output import check_outputs, replacing, together
+from animtool.core.errors import OutputError
+from animtool.core.files.output import check_outputs, replacing, together
 from faults.calls import in_child
 
 FAULTS = "fault | what happened | what was lost"

@@ -17,10 +17,10 @@ import pytest
 from support.small_takes import small
 
 from animtool.batch.bundle import Bundle, write_bundle
-from animtool.errors import AnimtoolError, OptionError, OutputError
-from animtool.leftovers import remove_leftovers, take_back, temporary_prefix
-from animtool.output import ahead, check_outputs, replacing, together
-from animtool.placing import output_error
+from animtool.core.errors import AnimtoolError, OptionError, OutputError
+from animtool.core.files.leftovers import remove_leftovers, take_back, temporary_prefix
+from animtool.core.files.output import ahead, check_outputs, replacing, together
+from animtool.core.files.placing import output_error
 from faults.calls import (
     Calls,
     Children,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from animtool.errors import Fault, FormatError
+from animtool.core.errors import Fault, FormatError
 from animtool.formats.delimited import gather_rows
 
 

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from animtool.clock import Clock
-from animtool.errors import FormatError
+from animtool.core.clock import Clock
+from animtool.core.errors import FormatError
+from animtool.core.units import UpAxis
 from animtool.formats.marker_arrays import read_markers, write_marker_arrays
 from animtool.markers import Markers
-from animtool.units import UpAxis
 
 
 def test_there_and_back(tmp_path: Path) -> None:

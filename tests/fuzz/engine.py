@@ -25,7 +25,7 @@ from types import ModuleType
 import numpy as np
 from support.sanitized import SANITIZED
 
-from animtool.supervisor import CRASHES, report_reading
+from animtool.core.process.supervisor import CRASHES, report_reading
 
 Case = Callable[[np.random.Generator], str]
 

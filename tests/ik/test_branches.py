@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from support.ik import arm, random_pose, reached_by
 
-from animtool._types import FloatArray
+from animtool.core.array_types import FloatArray
 from animtool.ik import Goal, IkOptions, Targets, build
 from animtool.ik.branches import Interval, best_path, branches, price, search_branches
 from animtool.ik.chain import difference

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from support.ik import arm
 
-from animtool._types import FloatArray
+from animtool.core.array_types import FloatArray
 from animtool.ik import Goal, Problem, Targets, build, follow
 from animtool.ik.problem import rest_pose
 from animtool.ik.result import IkStatus

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from support.ik import every_goal, mixed_rig, random_pose, reached_by
 
 from animtool import _kernels
-from animtool._types import FloatArray
+from animtool.core.array_types import FloatArray
 from animtool.ik import Goal, Problem, Targets, build
 from animtool.ik.chain import difference, moved, unwound, with_periods
 from animtool.ik.goals import KINDS, PARTS, GoalKind, pack

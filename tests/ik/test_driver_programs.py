@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from animtool import _kernels
-from animtool._types import FloatArray
-from animtool.errors import OptionError
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import OptionError
 from animtool.ik import FollowOptions, Goal, IkOptions, Problem, Targets, build, solve
 from animtool.ik.clip_solver import follow
 from animtool.ik.driver_programs import FOLLOWS_PROGRAM

@@ -11,8 +11,8 @@ from numpy.testing import assert_allclose
 from support.faults import refused
 from support.targets import HEAD, legs, tracks_of, write_targets
 
-from animtool.clock import Clock
-from animtool.errors import FormatError, OptionError
+from animtool.core.clock import Clock
+from animtool.core.errors import FormatError, OptionError
 from animtool.ik.file import load_targets
 from animtool.ik.values import Frames
 

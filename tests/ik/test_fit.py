@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from support.marked import FIGURE, TEMPLATE, captured, joint_errors, moving
 
-from animtool._types import FloatArray
+from animtool.core.array_types import FloatArray
 from animtool.ik.fit import ANCHOR, FitOptions, fit
 from animtool.ik.goals import KINDS, Goal, Targets
 from animtool.ik.problem import Problem, build

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from support.ik import arm, limb, random_pose, reached_by
 
-from animtool._types import FloatArray
-from animtool.errors import OptionError
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import OptionError
 from animtool.ik import (
     FollowOptions,
     Goal,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from animtool.errors import OptionError
+from animtool.core.errors import OptionError
 from animtool.ik import Goal, Targets
 from animtool.ik.goals import KINDS, WEIGHTS, pack
 

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
-from animtool._types import FloatArray
+from animtool.core.array_types import FloatArray
 from animtool.ik.values import Span, held, hold_shares, smoothstep
 from animtool.maths import so3
 

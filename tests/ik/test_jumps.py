@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from support.ik import arm, every_goal, mixed_rig, random_pose, reached_by
 
-from animtool._types import FloatArray
+from animtool.core.array_types import FloatArray
 from animtool.ik import Goal, IkOptions, build, follow
 from animtool.ik.goals import COLUMNS
 from animtool.ik.jumps import Jump, find_jumps, largest_step

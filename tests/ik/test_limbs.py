@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from support.ik import arm, limb, mixed_rig
 
-from animtool._types import FloatArray
-from animtool.errors import OptionError
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import OptionError
 from animtool.ik import (
     Goal,
     IkMethod,

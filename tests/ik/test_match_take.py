@@ -16,7 +16,7 @@ from support.targets import legs, walk_of
 
 from animtool.clip.channels import ClipUnits
 from animtool.clip.reduction.points import SHELL
-from animtool.errors import OptionError, Severity
+from animtool.core.errors import OptionError, Severity
 from animtool.ik import TakeOptions, Targets, TargetTracks, load_targets, solve_take
 from animtool.ik.match_take import chains_of, left_out, match_take
 from animtool.ik.values import Keyed, Rows, Still

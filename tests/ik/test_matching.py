@@ -16,7 +16,7 @@ from support.ik import random_pose
 from support.suite import examples
 
 from animtool import Rig
-from animtool._types import FloatArray
+from animtool.core.array_types import FloatArray
 from animtool.ik import Goal, IkOptions, IkStatus, Targets, build, solve
 from animtool.ik.matching import Matched, match
 from animtool.ik.problem import rest_pose

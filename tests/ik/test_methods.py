@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from support.ik import arm, beyond_limits, limb, mixed_rig, random_pose, reached_by
 from support.suite import examples
 
-from animtool.errors import OptionError
+from animtool.core.errors import OptionError
 from animtool.ik import (
     Goal,
     IkMethod,

@@ -11,8 +11,8 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from support.targets import HEAD, legs, point_of, tracks_of, walk_of
 
-from animtool.clock import Clock
-from animtool.errors import FormatError, OptionError, Severity
+from animtool.core.clock import Clock
+from animtool.core.errors import FormatError, OptionError, Severity
 from animtool.ik.on_take import solve_take
 from animtool.ik.options import TakeOptions
 from animtool.ik.report import apart_notices, goal_reports

@@ -18,8 +18,8 @@ from support.ik import (
 )
 from support.suite import examples
 
-from animtool._types import FloatArray
-from animtool.errors import OptionError
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import OptionError
 from animtool.ik import (
     Goal,
     IkOptions,

@@ -10,8 +10,8 @@ import pytest
 from scipy.optimize import minimize
 from support.ik import arm, mixed_rig, random_pose, reached_by
 
-from animtool._types import FloatArray
-from animtool.errors import OptionError
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import OptionError
 from animtool.ik import Goal, IkOptions, IkStatus, Problem, Targets, build, solve
 from animtool.maths import so3
 from animtool.rig.joints import local_from_coordinates

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from support.ik import arm, every_goal, limb, mixed_rig
 
-from animtool.errors import OptionError
+from animtool.core.errors import OptionError
 from animtool.ik import Goal, build
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.skeleton import Joint, JointType, Rig

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from support.targets import HEAD, legs, tracks_of, walk_of
 
-from animtool.errors import Severity
+from animtool.core.errors import Severity
 from animtool.ik.jumps import Jump
 from animtool.ik.on_take import solve_take
 from animtool.ik.report import (

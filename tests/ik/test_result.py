@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from animtool.errors import OptionError
+from animtool.core.errors import OptionError
 from animtool.ik import Goal, Targets, build, solve
 from animtool.maths import so3
 from animtool.rig.limits import BallLimit

@@ -19,7 +19,7 @@ from support.ik import (
 )
 from support.suite import examples
 
-from animtool.errors import OptionError
+from animtool.core.errors import OptionError
 from animtool.ik import Goal, IkOptions, IkStatus, Targets, build, solve
 from animtool.ik.goals import KINDS
 from animtool.ik.solving import COUNTS

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from numpy.testing import assert_allclose
 
-from animtool._types import FloatArray
+from animtool.core.array_types import FloatArray
 from animtool.maths import euler, so3
 
 angles = hnp.arrays(np.float64, (6, 3), elements=st.floats(-720, 720))

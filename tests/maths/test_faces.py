@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.suite import examples
 
-from animtool._types import IntArray
+from animtool.core.array_types import IntArray
 from animtool.maths.faces import (
     closed,
     distinct_pairs,

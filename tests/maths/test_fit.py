@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from animtool._types import FloatArray
+from animtool.core.array_types import FloatArray
 from animtool.maths.fit import FittedKeys, evaluate_keys, fit_keys
 
 # A rounding of the values beside the tolerance.

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from support.curves import hermite_curve
 
-from animtool._types import FloatArray
+from animtool.core.array_types import FloatArray
 from animtool.maths import tangents
 from animtool.maths.curves import evaluate
 

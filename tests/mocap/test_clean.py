@@ -10,7 +10,7 @@ import pytest
 from numpy.testing import assert_array_equal
 from support.small_takes import content, small
 
-from animtool.errors import OptionError
+from animtool.core.errors import OptionError
 from animtool.formats.bvh import read_bvh
 from animtool.maths import so3
 from animtool.mocap.clean import CleanOptions, clean, cleaned_take

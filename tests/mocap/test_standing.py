@@ -8,14 +8,14 @@ import pytest
 from support.cli import animtool
 
 from animtool import Rig, Take
-from animtool._types import FloatArray
+from animtool.core.array_types import FloatArray
+from animtool.core.units import UpAxis, up_from_up
 from animtool.formats.bvh.write import write_bvh
 from animtool.maths import so3
 from animtool.mocap.retarget.anatomy import anatomy
 from animtool.mocap.standing import stands_along
 from animtool.motion import Channel, Motion
 from animtool.scene.sources import open_source
-from animtool.units import UpAxis, up_from_up
 
 TURN = np.array(up_from_up(UpAxis.Z, UpAxis.Y))
 

@@ -16,8 +16,8 @@ from pxr import Sdf
 from support.bvh import random_rows, small_bvh
 from support.cli import TIMEOUT, animtool, killable
 
-from animtool.leftovers import take_back
-from animtool.placing import Whole
+from animtool.core.files.leftovers import take_back
+from animtool.core.files.placing import Whole
 
 TRIES = 10
 

@@ -15,7 +15,7 @@ import pytest
 from support.batch import take_files, trouble_files, trouble_plug_in, whole_outputs
 from support.cli import TIMEOUT, Done, animtool, animtool_process, killable
 
-from animtool.leftovers import temporary_prefix
+from animtool.core.files.leftovers import temporary_prefix
 
 GOOD = 8
 KILLS = 3

@@ -10,8 +10,8 @@ import pytest
 from support.cli import animtool
 
 from animtool import BakeOptions, SourceOptions, bake, open_source
-from animtool.rates import rate_from_float
-from animtool.shot import Shot
+from animtool.core.rates import rate_from_float
+from animtool.core.shot import Shot
 from animtool.usd.layers import find_layer
 
 otio = pytest.importorskip("opentimelineio", reason="no OpenTimelineIO (extra: otio)")

@@ -15,7 +15,7 @@ from support.skinned_rig import STRANDS, VERTICES, write_pair
 from support.usd import validation_errors
 
 from animtool import BakeOptions, bake
-from animtool.errors import OptionError
+from animtool.core.errors import OptionError
 
 # What float32 joints, weights and points leave, as a share of the size.
 TOLERANCE = 2e-6

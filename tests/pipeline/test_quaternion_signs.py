@@ -12,11 +12,11 @@ import pytest
 from pxr import Sdf, Vt
 from support.small_takes import small
 
+from animtool.core.shot import FrameRange
 from animtool.maths import so3
 from animtool.motion import Channel
 from animtool.scene.bake import bake
 from animtool.scene.options import BakeOptions
-from animtool.shot import FrameRange
 from animtool.take import Take, TakeStream
 
 BLOCK = 3

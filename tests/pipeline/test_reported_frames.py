@@ -20,12 +20,12 @@ from support.small_takes import small
 from support.suite import examples
 
 from animtool.cli.summary import bake_json, bake_text
-from animtool.clock import Clock
-from animtool.errors import OptionError
+from animtool.core.clock import Clock
+from animtool.core.errors import OptionError
+from animtool.core.shot import FrameRange
 from animtool.scene.bake import bake
 from animtool.scene.options import BakeOptions
 from animtool.scene.prims import BakeReport
-from animtool.shot import FrameRange
 from animtool.take import TakeStream
 from animtool.usd.read import read_usd
 

@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 
 import animtool
-from animtool.clock import Clock
+from animtool.core.clock import Clock
+from animtool.core.errors import AnimtoolError, OptionError
 from animtool.edit.root_motion import RootMode
-from animtool.errors import AnimtoolError, OptionError
 from animtool.maths import so3
 from animtool.motion import Channel, Motion
 from animtool.passes import PassContext, apply_pass, find_pass

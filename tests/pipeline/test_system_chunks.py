@@ -169,7 +169,7 @@ MEASURED = """\
 import json, os, sys
 from pathlib import Path
 from animtool import BakeOptions, bake
-from animtool.shot import FrameRange
+from animtool.core.shot import FrameRange
 from animtool.scene.progress import PeakMemory
 from animtool.usd import chunks
 

@@ -10,9 +10,9 @@ from support.cli import animtool
 from support.clips import write_rig
 from support.faults import document_faults
 
+from animtool.core.files.reading import MAX_TEXT_BYTES
+from animtool.core.rules import own_rules
 from animtool.documents.document import MAX_FAULTS
-from animtool.files import MAX_TEXT_BYTES
-from animtool.rules import own_rules
 
 CLIP = """\
 clip: animtool/1

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from animtool.errors import OptionError, OutputError
+from animtool.core.errors import OptionError, OutputError
 from animtool.ik.options import IkMethod
 from animtool.preview.work_precision import (
     MARKERS,

@@ -11,7 +11,8 @@ from pxr import Sdf, Vt
 from support.bvh import SPINE, random_rows, small_bvh
 from support.drifting import author_samples
 
-from animtool.errors import OptionError
+from animtool.core.errors import OptionError
+from animtool.core.units import LengthUnit, UpAxis
 from animtool.formats.bvh import read_bvh
 from animtool.maths import so3
 from animtool.motion import Channel
@@ -25,7 +26,6 @@ from animtool.scene.bake import bake
 from animtool.scene.options import BakeOptions
 from animtool.scene.sources import SourceOptions
 from animtool.take import Take
-from animtool.units import LengthUnit, UpAxis
 
 
 @pytest.fixture

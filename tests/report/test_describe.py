@@ -13,7 +13,7 @@ from support.cli import animtool
 from support.drifting import author_samples
 
 from animtool.cli.info_summary import points_text
-from animtool.files import recorded_inputs
+from animtool.core.files.reading import recorded_inputs
 from animtool.report import describe as module
 from animtool.report.describe import describe
 from animtool.usd.point_info import describe_points

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from animtool.clock import Clock
+from animtool.core.clock import Clock
 from animtool.motion import Channel, Motion
 from animtool.report.compare import compare_takes
 from animtool.rig.parts import Shape

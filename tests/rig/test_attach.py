@@ -14,8 +14,8 @@ from numpy.testing import assert_array_equal
 from support.suite import examples
 from support.surfaces import held, shaped_rig
 
+from animtool.core.errors import Fault, FormatError
 from animtool.documents.document import document_of
-from animtool.errors import Fault, FormatError
 from animtool.rig.file import load_rig, rig_of_document
 from animtool.rig.parts import Attachment, HeldArray
 from animtool.rig.skeleton import Rig

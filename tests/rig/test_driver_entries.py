@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from animtool import Rig
-from animtool.errors import FormatError
+from animtool.core.errors import FormatError
 from animtool.rig.driver_plan import plan_of
 from animtool.rig.write import rig_text
 

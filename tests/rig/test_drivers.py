@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from animtool.errors import OptionError
+from animtool.core.errors import OptionError
 from animtool.maths import so3
 from animtool.rig.controls import Control, Drive
 from animtool.rig.driver_plan import (

@@ -17,8 +17,8 @@ from support.cli import animtool
 from support.faults import document_faults, refused
 from support.suite import examples
 
+from animtool.core.errors import Fault, FormatError
 from animtool.documents.document import Document, read_document
-from animtool.errors import Fault, FormatError
 from animtool.maths import so3
 from animtool.rig.file import load_rig, rig_of_document
 from animtool.rig.joints import coordinate_slices, local_from_coordinates

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from support.fit import along_x, bent, with_rest
 
+from animtool.core.units import UpAxis
 from animtool.maths import so3
 from animtool.rig.fit import FITS, NOTICEABLE, Fit, measure_fit
 from animtool.rig.skeleton import Joint, Rig
-from animtool.units import UpAxis
 
 QUARTER = (0.0, 0.0, 0.5**0.5, 0.5**0.5)
 BODY = Rig(

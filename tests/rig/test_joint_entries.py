@@ -8,7 +8,7 @@ import pytest
 from support.cli import animtool
 
 from animtool import Rig
-from animtool.errors import Severity
+from animtool.core.errors import Severity
 from animtool.rig.file import load_rig
 
 RACK = """\

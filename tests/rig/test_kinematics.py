@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from animtool._types import FloatArray
+from animtool.core.array_types import FloatArray
 from animtool.maths import so3
 from animtool.rig.kinematics import WorldTransforms, forward, rest_world
 from animtool.rig.skeleton import Joint, Rig

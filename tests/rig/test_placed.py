@@ -10,7 +10,7 @@ import pytest
 from support.clips import RIG, write_clip
 
 from animtool import Clip
-from animtool._types import FloatArray
+from animtool.core.array_types import FloatArray
 from animtool.maths import so3
 from animtool.rig.file import load_rig
 from animtool.rig.placed import placed_rig

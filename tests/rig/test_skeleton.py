@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from animtool.errors import FormatError, OptionError
+from animtool.core.errors import FormatError, OptionError
 from animtool.rig import skeleton
 from animtool.rig.controls import Control
 from animtool.rig.skeleton import Joint, Rig

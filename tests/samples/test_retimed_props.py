@@ -14,7 +14,7 @@ from support.printed import make_project, run_printed
 from support.usd import joint_transforms, open_stage, skeleton_query, validation_errors
 
 from animtool import open_source
-from animtool._types import FloatArray
+from animtool.core.array_types import FloatArray
 from animtool.maths import so3
 from animtool.rig.joints import (
     LocalTransforms,

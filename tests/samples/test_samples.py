@@ -14,7 +14,7 @@ from support.suite import at_night
 from animtool.clip.clip import Clip
 from animtool.clip.file import load_clip, open_clip
 from animtool.clip.sample import sample_channels
-from animtool.files import files_meant
+from animtool.core.files.reading import files_meant
 from animtool.motion import Channel
 from animtool.rig.file import load_rig
 from animtool.rig.kinematics import WorldTransforms, forward

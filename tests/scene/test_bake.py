@@ -8,12 +8,12 @@ from typing import Any
 import pytest
 from support.bvh import random_rows, small_bvh
 
-from animtool.errors import AnimtoolError, OptionError
+from animtool.core.errors import AnimtoolError, OptionError
+from animtool.core.shot import Shot
 from animtool.scene.bake import plan_bake, run_bake, start_of
 from animtool.scene.options import BakeOptions
 from animtool.scene.reading import check_options
 from animtool.scene.sources import SourceOptions, open_source
-from animtool.shot import Shot
 
 
 @pytest.fixture

@@ -8,7 +8,7 @@ from support.clips import hero, write_clip
 
 from animtool.clip.file import load_clip, open_clip
 from animtool.clip.sample import sample_channels
-from animtool.errors import AnimtoolError
+from animtool.core.errors import AnimtoolError
 from animtool.rig.skeleton import Rig
 from animtool.scene.clips import open_clip_source
 from animtool.scene.sources import open_source

@@ -10,7 +10,7 @@ import pytest
 from support.cli import animtool
 
 from animtool.clip.reduction.points import SHELL, attached_points, point_errors
-from animtool.errors import OptionError
+from animtool.core.errors import OptionError
 from animtool.rig.file import load_rig
 from animtool.scene.bake import bake
 from animtool.scene.convert import convert

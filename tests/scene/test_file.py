@@ -13,9 +13,9 @@ from support.cli import animtool
 from support.faults import refused
 
 from animtool import bake, open_source
+from animtool.core.errors import FormatError
 from animtool.edit.mirroring import mirror
 from animtool.edit.retiming import trim
-from animtool.errors import FormatError
 from animtool.scene.file import load_scene
 from animtool.scene.scene import Scene
 

@@ -12,8 +12,8 @@ from pxr import Sdf, Usd
 from support.cli import animtool
 from support.drifting import author_samples
 
-from animtool.clock import Clock
-from animtool.rates import parse_rate
+from animtool.core.clock import Clock
+from animtool.core.rates import parse_rate
 from animtool.scene.first_frame import frame_start, whole_frames
 from animtool.usd.read import read_usd
 

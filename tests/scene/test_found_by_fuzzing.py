@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from animtool.errors import FormatError
+from animtool.core.errors import FormatError
 from animtool.ik.file import load_targets
 from animtool.rig.file import load_rig
 from animtool.scene.file import load_scene

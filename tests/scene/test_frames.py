@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from support.small_takes import small
 
-from animtool.clock import Clock
+from animtool.core.clock import Clock
+from animtool.core.shot import Shot
 from animtool.rig.skeleton import Joint
 from animtool.scene.frames import TakePlan, moving_joints, timed_blocks
 from animtool.scene.options import BakeOptions
-from animtool.shot import Shot
 from animtool.take import Take, TakeStream
 
 

@@ -9,7 +9,7 @@ import pytest
 from support.cli import animtool
 
 from animtool import open_source
-from animtool.errors import FormatError
+from animtool.core.errors import FormatError
 from animtool.scene.file import load_scene
 
 SCENE = """scene: animtool/1

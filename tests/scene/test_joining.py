@@ -15,8 +15,8 @@ from support.cli import animtool
 from support.takes import takes
 
 from animtool import open_source
-from animtool.clock import Clock
-from animtool.errors import Fault, FormatError, OptionError, Severity
+from animtool.core.clock import Clock
+from animtool.core.errors import Fault, FormatError, OptionError, Severity
 from animtool.maths import so3
 from animtool.maths.curves import cubic_curves
 from animtool.motion import Channel, Motion

@@ -6,13 +6,13 @@ from fractions import Fraction
 
 import pytest
 
+from animtool.core.shot import FrameRange
 from animtool.scene.option_text import (
     parse_frame,
     parse_frame_range,
     parse_offsets,
     parse_rest,
 )
-from animtool.shot import FrameRange
 
 
 @pytest.mark.parametrize(

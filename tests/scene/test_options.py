@@ -8,12 +8,12 @@ from typing import Any
 
 import pytest
 
-from animtool.errors import OptionError
-from animtool.rates import FractionLike
+from animtool.core.errors import OptionError
+from animtool.core.rates import FractionLike
+from animtool.core.shot import FrameRange, Shot
+from animtool.core.units import LengthUnit, UpAxis
 from animtool.scene.options import BakeOptions, merged
 from animtool.scene.reading import check_options
-from animtool.shot import FrameRange, Shot
-from animtool.units import LengthUnit, UpAxis
 
 RIG = Path("rig.usda")
 

@@ -11,7 +11,7 @@ import pytest
 from support.cli import animtool
 
 from animtool import open_source
-from animtool.errors import FormatError, OptionError, StrictError
+from animtool.core.errors import FormatError, OptionError, StrictError
 from animtool.passes import PASSES, Pass, PassContext, Scope
 from animtool.scene.file import load_scene
 from animtool.scene.options import BakeOptions

@@ -11,7 +11,7 @@ import pytest
 from support.cli import animtool
 
 from animtool import open_source
-from animtool.errors import OptionError
+from animtool.core.errors import OptionError
 from animtool.scene.file import load_scene
 from animtool.scene.plan_steps import StepKind, bake_steps
 

@@ -16,7 +16,7 @@ from support.props import prop_matrices, write_props
 from support.skinned_rig import write_pair
 from support.usd import validation_errors
 
-from animtool.errors import FormatError
+from animtool.core.errors import FormatError
 from animtool.scene.file import load_scene
 
 HEAD = "scene: animtool/1\nsource: {file: walk.bvh, units: cm}\n"

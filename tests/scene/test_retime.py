@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from animtool._types import FloatArray
+from animtool.core.array_types import FloatArray
 from animtool.formats.bvh import read_bvh
 from animtool.motion import Motion
 from animtool.scene.retime import begun_early

@@ -7,9 +7,9 @@ from typing import Any
 
 import pytest
 
+from animtool.core.errors import FormatError
 from animtool.documents.check import validated
 from animtool.documents.document import document_of
-from animtool.errors import FormatError
 from animtool.scene.schema import SystemModel, model_for, whole_model
 from animtool.systems.kinds import SYSTEM_KINDS
 

@@ -10,7 +10,7 @@ import pytest
 from pxr import Sdf
 from support.cli import animtool
 
-from animtool.errors import AnimtoolError, FormatError
+from animtool.core.errors import AnimtoolError, FormatError
 from animtool.scene.file import load_scene
 from animtool.scene.sources import SourceOptions, open_source
 from animtool.take import Take

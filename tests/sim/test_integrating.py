@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from support.motions import logistic, oscillator, pendulum
 from support.suite import examples
 
-from animtool._types import FloatArray
-from animtool.errors import OptionError, Severity
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import OptionError, Severity
 from animtool.sim import (
     INTEGRATORS,
     Energy,

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from animtool.errors import FormatError
+from animtool.core.errors import FormatError
 from animtool.rig.parts import Subdivision
 from animtool.rig.surfaces import Surface, SurfaceShape, SurfaceSkin
 from animtool.skin.character import character_meshes

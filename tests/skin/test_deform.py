@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from support.skins import Array, random_case
 
-from animtool.errors import FormatError
+from animtool.core.errors import FormatError
 from animtool.motion import Channel
 from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.parts import Subdivision

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
-from animtool.errors import FormatError
+from animtool.core.errors import FormatError
 from animtool.skin.influences import read_influences
 
 

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from support.skins import Array
 
-from animtool.errors import FormatError
+from animtool.core.errors import FormatError
 from animtool.skin.shapes import (
     InbetweenDeltas,
     PreparedShapes,

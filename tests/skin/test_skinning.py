@@ -22,7 +22,7 @@ from support.skins import (
 )
 
 from animtool import _kernels
-from animtool.errors import FormatError
+from animtool.core.errors import FormatError
 from animtool.maths import so3
 from animtool.rig.kinematics import WorldTransforms
 from animtool.skin.skinning import (

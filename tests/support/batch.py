@@ -12,7 +12,7 @@ READER = """
 import os, signal, threading
 from pathlib import Path
 from animtool.formats.bvh.read import read_bvh
-from animtool.readers import Reader
+from animtool.core.readers import Reader
 
 READER = Reader("takes in trouble", source="trouble_reader:open_trouble")
 

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from animtool._types import ArrayLike
 from animtool.clip.channels import ClipChannel
 from animtool.clip.clip import Clip
 from animtool.clip.file import load_clip, open_clip
+from animtool.core.array_types import ArrayLike
 from animtool.maths.curves import Interp
 from animtool.maths.tangents import Tangent
 from animtool.rig.file import load_rig

@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from animtool._types import BoolArray, FloatArray, IntArray
-from animtool.clock import Clock
+from animtool.core.array_types import BoolArray, FloatArray, IntArray
+from animtool.core.clock import Clock
 from animtool.markers import Markers
 from animtool.maths import so3
 

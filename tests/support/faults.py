@@ -7,7 +7,7 @@ from contextlib import contextmanager
 
 import pytest
 
-from animtool.errors import FormatError
+from animtool.core.errors import FormatError
 
 # Text to find, text to put there, code, line.
 Planted = tuple[str, str, str, int]

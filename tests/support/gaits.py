@@ -6,13 +6,13 @@ from fractions import Fraction
 
 import numpy as np
 
-from animtool._types import FloatArray
-from animtool.clock import Clock
+from animtool.core.array_types import FloatArray
+from animtool.core.clock import Clock
+from animtool.core.units import UpAxis
 from animtool.maths import so3
 from animtool.motion import Channel, Motion
 from animtool.rig.skeleton import Joint, Rig
 from animtool.take import Take
-from animtool.units import UpAxis
 
 LEG = (
     Joint("hips", -1, translation=(0, 1, 0)),

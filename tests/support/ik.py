@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from animtool._types import FloatArray
+from animtool.core.array_types import FloatArray
 from animtool.ik import Goal, Problem, Targets
 from animtool.maths import so3
 from animtool.rig.joints import coordinate_slices, local_from_coordinates

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from animtool._types import IntArray
+from animtool.core.array_types import IntArray
 
 
 def directed_edges(faces: IntArray) -> IntArray:

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from animtool._types import FloatArray
-from animtool.clock import Clock
+from animtool.core.array_types import FloatArray
+from animtool.core.clock import Clock
 from animtool.markers import Markers
 from animtool.maths import so3
 from animtool.mocap.template import MarkerTemplate, TemplateMarker

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from animtool._types import FloatArray
+from animtool.core.array_types import FloatArray
 from animtool.sim import Energy, ForceSystem, RateSystem
 from animtool.sim.equations import Equations
 from animtool.sim.integrators.integrator import Form, Integrator

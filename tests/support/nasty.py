@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from animtool.clock import Clock
+from animtool.core.clock import Clock
 from animtool.maths import so3
 from animtool.motion import Channel, Motion
 from animtool.rig.file import load_rig

@@ -8,7 +8,7 @@ from fractions import Fraction
 
 import numpy as np
 
-from animtool.clock import Clock
+from animtool.core.clock import Clock
 from animtool.markers import Markers
 
 FRAMES, COUNT = 150, 6

@@ -7,15 +7,15 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from animtool._types import FloatArray
-from animtool.errors import Fault
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault
+from animtool.core.rules import own_rules
+from animtool.core.units import UpAxis
 from animtool.maths import so3
 from animtool.motion import Channel
 from animtool.rig.kinematics import rest_size
 from animtool.rig.sides import pair_sides
-from animtool.rules import own_rules
 from animtool.take import Take
-from animtool.units import UpAxis
 from animtool.validation.motion.subject import MotionSubject
 
 Edit = Callable[[Take], Take]

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from animtool._types import FloatArray
+from animtool.core.array_types import FloatArray
 from animtool.scene.systems.simulation import open_systems
 from animtool.systems.rigid.simulation import RigidSimulation, RigidState
 from animtool.systems.run import SimulationRun

@@ -13,12 +13,12 @@ import numpy as np
 from pxr import Usd
 
 from animtool import BakeOptions, bake
+from animtool.core.shot import FrameRange
 from animtool.maths import so3
 from animtool.scene.file import load_scene
 from animtool.scene.scene import Scene
 from animtool.scene.systems.run import SystemRun
 from animtool.scene.systems.trial import system_trials
-from animtool.shot import FrameRange
 from animtool.sim.trials.trial import Trial
 
 

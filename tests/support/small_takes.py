@@ -7,7 +7,7 @@ from fractions import Fraction
 
 import numpy as np
 
-from animtool.clock import Clock
+from animtool.core.clock import Clock
 from animtool.maths import so3
 from animtool.motion import Channel, Motion
 from animtool.rig.skeleton import Joint, Rig

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from animtool._types import FloatArray
-from animtool.clock import Clock
+from animtool.core.array_types import FloatArray
+from animtool.core.clock import Clock
 from animtool.mocap.cameras.camera import Camera, Cameras, project
 from animtool.mocap.cameras.observations import Observations
 

@@ -7,15 +7,15 @@ from fractions import Fraction
 import numpy as np
 from hypothesis import strategies as st
 
-from animtool._types import FloatArray
-from animtool.clock import Clock
+from animtool.core.array_types import FloatArray
+from animtool.core.clock import Clock
+from animtool.core.units import UpAxis
 from animtool.maths import so3
 from animtool.motion import Channel, Motion
 from animtool.rig.controls import Control
 from animtool.rig.parts import Shape
 from animtool.rig.skeleton import Joint, Pose, Rig
 from animtool.take import Take
-from animtool.units import UpAxis
 
 STARTS = [Fraction(0), Fraction(3, 7)]
 STEPS = [Fraction(1), Fraction(1, 2), Fraction(3, 7)]

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from animtool._types import FloatArray
-from animtool.clock import Clock
+from animtool.core.array_types import FloatArray
+from animtool.core.clock import Clock
 from animtool.ik.file import load_targets
 from animtool.ik.tracks import TargetTracks
 from animtool.maths import so3

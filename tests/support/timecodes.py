@@ -1,10 +1,10 @@
-"""Labels of frames, which `animtool.timecode` reads."""
+"""Labels of frames, which `animtool.core.timecode` reads."""
 
 from __future__ import annotations
 
 from fractions import Fraction
 
-from animtool.timecode import count_rate, day_frames
+from animtool.core.timecode import count_rate, day_frames
 
 __all__ = ["timecode_label"]
 

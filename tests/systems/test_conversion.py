@@ -14,8 +14,8 @@ from pydantic import BaseModel
 from support.simulated import Simulator, View
 from support.system_examples import EXAMPLES
 
+from animtool.core.plugins import load_object
 from animtool.passes import find_pass
-from animtool.plugins import load_object
 from animtool.scene.file import load_scene
 from animtool.sim.colliders import SHAPES
 from animtool.systems.conversion import (

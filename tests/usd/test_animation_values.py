@@ -13,8 +13,8 @@ from pxr import Sdf, Vt
 from support.drifting import author_samples
 from support.suite import examples
 
-from animtool.clock import time_codes
-from animtool.rates import rate_from_float
+from animtool.core.clock import time_codes
+from animtool.core.rates import rate_from_float
 from animtool.usd.animation_values import SampleGrid, _grid, _Span
 from animtool.usd.read import read_usd
 

@@ -14,12 +14,12 @@ from pxr import Sdf, Usd, UsdGeom, UsdSkel
 from support.bvh import HEADER, SPINE, random_rows, small_bvh
 from support.usd import joint_positions, open_stage, skeleton_query, validation_errors
 
-from animtool.errors import AnimtoolError
+from animtool.core.errors import AnimtoolError
+from animtool.core.shot import FrameRange
+from animtool.core.units import LengthUnit, UpAxis
 from animtool.scene.bake import bake
 from animtool.scene.options import BakeOptions
 from animtool.scene.sources import SourceOptions
-from animtool.shot import FrameRange
-from animtool.units import LengthUnit, UpAxis
 
 
 @pytest.fixture

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from animtool.errors import FormatError
+from animtool.core.errors import FormatError
 from animtool.physics import Physics
 from animtool.usd.body_physics_read import read_bodies
 

@@ -13,13 +13,13 @@ from pxr import Sdf, Usd, UsdGeom, UsdSkel, UsdValidation
 from support.cli import animtool
 
 from animtool import BakeOptions, bake
-from animtool.errors import OptionError
+from animtool.core.errors import OptionError
+from animtool.core.units import LengthUnit, UpAxis
 from animtool.frames import CharactersFrame
 from animtool.maths import so3
 from animtool.rig.kinematics import forward
 from animtool.scene.file import load_scene
 from animtool.scene.systems.simulation import open_systems
-from animtool.units import LengthUnit, UpAxis
 
 ROOT = Path(__file__).parents[2]
 CLIPS = ("retarget/takes/walk", "crowd/clips/stand")

@@ -9,8 +9,8 @@ import pytest
 from pxr import Sdf, Usd
 
 from animtool.cli.main import run
-from animtool.errors import FormatError
-from animtool.files import FileState, recorded_inputs
+from animtool.core.errors import FormatError
+from animtool.core.files.reading import FileState, recorded_inputs
 from animtool.usd import layers
 from animtool.usd.checks import check_layer
 from animtool.usd.dependencies import open_composed

@@ -10,8 +10,8 @@ import pytest
 from pxr import Gf, Sdf, Vt
 from support.cli import animtool
 
-from animtool._types import FloatArray
-from animtool.errors import OutputError
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import OutputError
 from animtool.maths.curves import cubic_curves, evaluate
 from animtool.motion import Channel, Motion
 from animtool.rig.skeleton import Joint, Rig

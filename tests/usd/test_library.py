@@ -19,11 +19,11 @@ from support.suite import examples
 from support.takes import assert_same_motion, motion_of, takes
 from support.usd import joint_positions, open_stage, skeleton_query, validation_errors
 
-from animtool.errors import AnimtoolError
+from animtool.core.errors import AnimtoolError
+from animtool.core.shot import FrameRange
 from animtool.scene.bake import bake
 from animtool.scene.options import BakeOptions
 from animtool.scene.prims import BakeReport
-from animtool.shot import FrameRange
 from animtool.take import Take
 from animtool.usd.author import author, write_usd
 from animtool.usd.jobs import Form, UsdJob, UsdTake

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 from support.cli import animtool
 
-from animtool.rules import own_rules, page_text
+from animtool.core.rules import own_rules, page_text
 
 LAYER = Path(__file__).with_name("pages.usda").read_text("utf-8")
 SHOT = """\

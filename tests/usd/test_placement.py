@@ -24,7 +24,8 @@ from support.placed import (
 )
 
 from animtool import open_source
-from animtool.errors import FormatError
+from animtool.core.errors import FormatError
+from animtool.core.units import LengthUnit, UpAxis
 from animtool.maths import so3
 from animtool.report.describe import describe
 from animtool.rig.placement import Placement
@@ -34,7 +35,6 @@ from animtool.scene.convert import convert
 from animtool.scene.options import BakeOptions
 from animtool.scene.retarget import RetargetJob, run_retarget
 from animtool.scene.sources import SourceOptions
-from animtool.units import LengthUnit, UpAxis
 
 KINDS = ("translate", "rotate", "scale", "all")
 SETTINGS = list(itertools.product("YZ", (1.0, 0.01), (24, 25, 30)))

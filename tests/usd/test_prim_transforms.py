@@ -10,10 +10,10 @@ import pytest
 from numpy.testing import assert_allclose
 from pxr import Gf, Usd, UsdGeom
 
-from animtool.errors import FormatError
+from animtool.core.errors import FormatError
+from animtool.core.units import UpAxis
 from animtool.maths import so3
 from animtool.rig.skeleton import Joint, Rig
-from animtool.units import UpAxis
 from animtool.usd.prim_transforms import open_prim
 
 RIG = Rig("hero", (Joint("hips", -1),))

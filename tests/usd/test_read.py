@@ -13,13 +13,13 @@ from support.drifting import author_samples
 from support.skinned_rig import write_pair
 from support.usd import joint_positions
 
-from animtool.errors import FormatError
+from animtool.core.errors import FormatError
+from animtool.core.shot import FrameRange
 from animtool.formats.bvh import read_bvh
 from animtool.report.compare import compare_takes
 from animtool.scene.bake import bake
 from animtool.scene.convert import convert
 from animtool.scene.options import BakeOptions
-from animtool.shot import FrameRange
 from animtool.usd.read import read_usd
 
 

@@ -15,7 +15,7 @@ from support.placed import (
 )
 
 from animtool import open_source
-from animtool.errors import FormatError
+from animtool.core.errors import FormatError
 from animtool.scene.bake import bake
 from animtool.scene.convert import convert
 from animtool.scene.options import BakeOptions

@@ -13,7 +13,7 @@ from pxr import Sdf, Usd
 from support.cli import animtool
 from support.drifting import author_samples
 
-from animtool.errors import FormatError, Severity
+from animtool.core.errors import FormatError, Severity
 from animtool.rig.skeleton import Rig
 from animtool.usd.checks import check_layer
 from animtool.usd.read import read_usd

@@ -11,7 +11,7 @@ from support.cli import animtool
 from support.shapes_alone import NORMALS_ONLY, write_face, write_still
 
 from animtool import describe, open_source
-from animtool.errors import FormatError, OptionError
+from animtool.core.errors import FormatError, OptionError
 from animtool.rig.skeleton import Rig
 from animtool.scene.convert import convert
 from animtool.validation.run import validate

@@ -11,7 +11,7 @@ import pytest
 from pxr import Usd, UsdSkel
 from support.bvh import random_rows, read_reference, small_bvh
 
-from animtool.errors import AnimtoolError, OptionError
+from animtool.core.errors import AnimtoolError, OptionError
 from animtool.scene.bake import bake
 from animtool.scene.options import BakeOptions
 from animtool.scene.prims import BakeReport

@@ -9,7 +9,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from pxr import Sdf, Usd, UsdGeom
 
-from animtool.errors import OutputError
+from animtool.core.errors import OutputError
 from animtool.frames import (
     CurvesFrame,
     Frame,

@@ -15,7 +15,8 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel, Vt
 from support.surfaces import held, shaped_rig
 from support.usd import open_stage, validation_errors
 
-from animtool.errors import FormatError
+from animtool.core.errors import FormatError
+from animtool.core.units import UpAxis
 from animtool.maths import so3
 from animtool.reorient import reorient
 from animtool.rig.file import load_rig
@@ -23,7 +24,6 @@ from animtool.rig.kinematics import bind_world, forward
 from animtool.rig.parts import ArraySource, Attachment, HeldArray
 from animtool.rig.skeleton import Rig
 from animtool.take import TakeStream
-from animtool.units import UpAxis
 from animtool.usd.rig_layer import write_rig_layer
 from animtool.usd.stored_rig import read_whole_rig
 

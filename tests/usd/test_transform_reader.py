@@ -10,10 +10,10 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from support.props import FRAMES, prop_matrices, write_props
 
-from animtool.errors import FormatError, OptionError
+from animtool.core.errors import FormatError, OptionError
+from animtool.core.units import UpAxis, up_from_up
 from animtool.maths import so3
 from animtool.transforms import PropRequest
-from animtool.units import UpAxis, up_from_up
 from animtool.usd.transform_reader import PropSource, open_prop
 
 CODES = np.array(FRAMES, np.float64)

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from pxr import Usd, UsdGeom
 
-from animtool.errors import Fault
+from animtool.core.errors import Fault
 from animtool.scene.bake import bake
 from animtool.scene.options import BakeOptions
 

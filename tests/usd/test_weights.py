@@ -15,7 +15,7 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel, Vt
 from support.surfaces import shaped_rig
 from support.usd import open_stage, skeleton_query, validation_errors
 
-from animtool.errors import FormatError, OutputError
+from animtool.core.errors import FormatError, OutputError
 from animtool.motion import Channel, Motion
 from animtool.rig.skeleton import Joint, Rig
 from animtool.usd.author import author, write_usd

@@ -12,14 +12,14 @@ from support.bvh import random_rows, small_bvh
 from support.usd import joint_positions, open_stage, validation_errors
 
 import animtool
+from animtool.core.errors import AnimtoolError
+from animtool.core.units import UpAxis
 from animtool.edit.resample import resampled
-from animtool.errors import AnimtoolError
 from animtool.formats.bvh import read_bvh
 from animtool.reorient import reorient
 from animtool.report.compare import compare_takes
 from animtool.scene.bake import bake
 from animtool.take import Take, TakeStream
-from animtool.units import UpAxis
 from animtool.usd.read import read_usd
 
 

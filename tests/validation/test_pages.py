@@ -14,8 +14,8 @@ from support.cli import animtool
 from support.page_stage import CAPTURE, HOPS, make_stage
 
 import animtool as animtool_package
-from animtool.errors import AnimtoolError
-from animtool.rules import own_rules, page_text
+from animtool.core.errors import AnimtoolError
+from animtool.core.rules import own_rules, page_text
 from animtool.validation.run import validate
 
 HEADINGS = ["What", "Why", "How to mend"]

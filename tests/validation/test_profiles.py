@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 from support.cli import animtool
 
-from animtool.errors import OptionError, Severity
-from animtool.rules import own_rules
+from animtool.core.errors import OptionError, Severity
+from animtool.core.rules import own_rules
 from animtool.validation.fixes.run import fix_copy
 from animtool.validation.options import ValidateOptions
 from animtool.validation.profiles import PROFILES, load_profile

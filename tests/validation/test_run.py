@@ -7,8 +7,7 @@ from pathlib import Path
 import pytest
 
 import animtool
-from animtool.documents.document import read_document
-from animtool.errors import (
+from animtool.core.errors import (
     ExitCode,
     Fault,
     FormatError,
@@ -16,7 +15,8 @@ from animtool.errors import (
     OptionError,
     Severity,
 )
-from animtool.rules import Rule, own_rules
+from animtool.core.rules import Rule, own_rules
+from animtool.documents.document import read_document
 from animtool.validation.options import ValidateOptions
 from animtool.validation.run import Ignores, find_files, validate, validate_files
 from animtool.validation.testing import check_rule

@@ -52,7 +52,7 @@ def file_report(covered: int, statements: int) -> dict[str, object]:
 def test_coverage_counts_by_package() -> None:
     report = {
         "files": {
-            "animtool/files.py": file_report(1, 2),
+            "animtool/core/files/reading.py": file_report(1, 2),
             "/env/lib/python3.11/site-packages/animtool/usd/a.py": file_report(9, 10),
             "D:\\animtool\\lib\\animtool\\usd\\checks\\b.py": file_report(0, 10),
             "animtool/edit/__init__.py": file_report(0, 0),

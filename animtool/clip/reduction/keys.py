@@ -9,10 +9,10 @@ from fractions import Fraction
 
 import numpy as np
 
-from animtool._types import ArrayLike, FloatArray
 from animtool.clip.channels import ClipChannel, ClipUnits
 from animtool.clip.clip import Clip
-from animtool.clock import Clock
+from animtool.core.array_types import ArrayLike, FloatArray
+from animtool.core.clock import Clock
 from animtool.maths import euler
 from animtool.maths.curves import Interp
 from animtool.maths.fit import FittedKeys, evaluate_keys

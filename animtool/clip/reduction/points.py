@@ -10,14 +10,14 @@ from fnmatch import fnmatchcase
 import numpy as np
 
 from animtool import _kernels
-from animtool._types import ArrayLike, FloatArray, IntArray
 from animtool.clip.reduction.keys import ChannelKind
 from animtool.clip.reduction.tracks import Track
-from animtool.errors import Fault, OptionError, excerpt
+from animtool.core.array_types import ArrayLike, FloatArray, IntArray
+from animtool.core.errors import Fault, OptionError, excerpt
+from animtool.core.similar import similar
 from animtool.maths.fit import FittedKeys, evaluate_keys, fit_keys
 from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.skeleton import Rig
-from animtool.similar import similar
 
 # How far off a joint skin and props are that turn with it, as ACL assumes [m].
 SHELL = 0.03

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from animtool._types import BoolArray, FloatArray, IntArray
 from animtool.clip.reduction.keys import ChannelKind, ReducedChannel, Reduction
 from animtool.clip.reduction.points import (
     SHELL,
@@ -20,6 +19,7 @@ from animtool.clip.reduction.points import (
 )
 from animtool.clip.reduction.tolerance import WEIGHT_TOLERANCE
 from animtool.clip.reduction.tracks import Pose, Track, pose_of, tracks_of
+from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.maths.fit import FittedKeys, evaluate_keys, fit_keys
 from animtool.maths.so3 import IDENTITY
 from animtool.motion import Channel, Motion

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from animtool._types import FloatArray
 from animtool.clip.reduction.keys import ChannelKind
+from animtool.core.array_types import FloatArray
 from animtool.maths import euler, so3
 from animtool.maths.additive import scaled, shifted, turned
 from animtool.motion import Channel, Motion

@@ -5,10 +5,10 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass, field
 
-from animtool.errors import Fault, Severity, counted, excerpt, listed
+from animtool.core.errors import Fault, Severity, counted, excerpt, listed
+from animtool.core.quantities import CONTROL
+from animtool.core.rates import RateChoice, RateKind, rate_from_frame_time, rate_label
 from animtool.formats.bvh.lines import FLOAT32_MAX, HeaderLines
-from animtool.quantities import CONTROL
-from animtool.rates import RateChoice, RateKind, rate_from_frame_time, rate_label
 from animtool.rig.skeleton import CHANNEL_NAMES
 
 _CHANNELS = {name.lower(): name for name in CHANNEL_NAMES}

@@ -14,9 +14,15 @@ from typing import BinaryIO, NoReturn
 import numpy as np
 
 from animtool import _kernels
-from animtool._types import BoolArray, FloatArray, IntArray
-from animtool.errors import Fault, FormatError, Severity, counted, excerpt, listed
-from animtool.files import FileState, InputFile, changed_error, open_input, unreadable
+from animtool.core.array_types import BoolArray, FloatArray, IntArray
+from animtool.core.errors import Fault, FormatError, Severity, counted, excerpt, listed
+from animtool.core.files.reading import (
+    FileState,
+    InputFile,
+    changed_error,
+    open_input,
+    unreadable,
+)
 
 CHUNK_BYTES = 1 << 19
 # A header line names one joint or its channels; a longer one is not a BVH's.

@@ -10,19 +10,19 @@ from pathlib import Path
 import numpy as np
 
 from animtool import _kernels
-from animtool._types import BoolArray, FloatArray, IntArray
-from animtool.errors import Fault, Severity, counted, listed
-from animtool.files import open_input, unreadable
+from animtool.core.array_types import BoolArray, FloatArray, IntArray
+from animtool.core.errors import Fault, Severity, counted, listed
+from animtool.core.files.reading import open_input, unreadable
+from animtool.core.rates import FractionLike, rate_option
+from animtool.core.similar import distinct
+from animtool.core.units import LengthUnit, UpAxis
 from animtool.formats.bvh.hierarchy import BvhHeader, BvhJoint, read_header
 from animtool.formats.bvh.lines import HeaderLines, RowReader, RowSource
 from animtool.maths.so3 import IDENTITY
 from animtool.motion import Channel, Motion
-from animtool.rates import FractionLike, rate_option
 from animtool.rig.kinematics import rest_size
 from animtool.rig.skeleton import Joint, JointType, Rig
-from animtool.similar import distinct
 from animtool.take import TakeStream
-from animtool.units import LengthUnit, UpAxis
 
 # A character spans between these at rest; the skeleton of a person between those.
 LIKELY_METERS = (0.3, 6.0)

@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 
 from animtool import _kernels
-from animtool._types import FloatArray
-from animtool.errors import Fault, OptionError, Severity, listed
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault, OptionError, Severity, listed
+from animtool.core.rates import rate_from_frame_time
+from animtool.core.units import LengthUnit, UpAxis, unit_name
 from animtool.formats.take_text import TakeText, number_rows, write_text
 from animtool.maths.euler import axes_of
-from animtool.rates import rate_from_frame_time
 from animtool.rig.skeleton import Joint, Rig
 from animtool.take import Take
-from animtool.units import LengthUnit, UpAxis, unit_name
 
 # Degrees to 7 places are 1e-9 rad, lengths to 9 places 1e-9 of a unit: both far
 # below what float32 holds.

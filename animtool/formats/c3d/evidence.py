@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from animtool._types import FloatArray
+from animtool.core.array_types import FloatArray
 from animtool.formats.c3d.layout import Evidence, Layout
 from animtool.formats.c3d.sections import Processor
 

@@ -8,10 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
-from animtool._types import BoolArray, FloatArray, IntArray
-from animtool.clock import Clock
-from animtool.errors import FormatError, counted, listed
-from animtool.files import MAX_INPUT_BYTES, open_input
+from animtool.core.array_types import BoolArray, FloatArray, IntArray
+from animtool.core.clock import Clock
+from animtool.core.errors import FormatError, counted, listed
+from animtool.core.files.reading import MAX_INPUT_BYTES, open_input
+from animtool.core.rates import FractionLike
+from animtool.core.units import LengthUnit, UpAxis
 from animtool.formats.c3d.claims import WORD, Claim, claims_of, trial_fields, word_of
 from animtool.formats.c3d.evidence import judge
 from animtool.formats.c3d.layout import Layout, Outcome, choose_layout, contradicted
@@ -24,8 +26,6 @@ from animtool.formats.c3d.sections import (
 )
 from animtool.formats.trajectories import MAX_POSITIONS, MarkerFile
 from animtool.markers import Markers
-from animtool.rates import FractionLike
-from animtool.units import LengthUnit, UpAxis
 
 # Groups of labels under which models write angles and forces as if they were points.
 MODELLED = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS", "REACTIONS")

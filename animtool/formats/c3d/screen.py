@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from animtool._types import FloatArray, IntArray
-from animtool.errors import excerpt
+from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.errors import excerpt
+from animtool.core.units import UpAxis
 from animtool.formats.c3d.sections import Sections
 from animtool.formats.trajectories import MarkerFile
-from animtool.units import UpAxis
 
 _AXIS = re.compile(r"([+-]?)([XYZ])")
 # For other up axes than +Y and +Z: the axis that is up once the positions are turned,

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from animtool._types import FloatArray
+from animtool.core.array_types import FloatArray
 
 BLOCK = 512
 MAGIC = 80

@@ -8,14 +8,14 @@ from pathlib import Path
 
 import numpy as np
 
-from animtool._types import FloatArray
-from animtool.clock import Clock
-from animtool.errors import Fault, OptionError, Severity, counted
+from animtool.core.array_types import FloatArray
+from animtool.core.clock import Clock
+from animtool.core.errors import Fault, OptionError, Severity, counted
+from animtool.core.units import LengthUnit
 from animtool.formats.c3d.read import OWN_GROUP
 from animtool.formats.c3d.sections import BLOCK, MAGIC, Processor
 from animtool.formats.trajectories import FLOAT32_MAX
 from animtool.markers import Markers
-from animtool.units import LengthUnit
 
 # Entries of a parameter: its dimensions are single bytes.
 MAX_ENTRIES = 255
@@ -61,7 +61,7 @@ def write_c3d(
             markers or such names (C3D010).
         OutputError: The file cannot be written (OUT002).
     """
-    from animtool.output import check_outputs, write_parts
+    from animtool.core.files.output import check_outputs, write_parts
 
     path = Path(path)
     check_outputs([path], [], overwrite=overwrite)

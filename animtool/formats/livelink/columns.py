@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from animtool._types import BoolArray, FloatArray, IntArray
-from animtool.errors import Fault, FormatError, Severity, counted, excerpt, listed
-from animtool.files import read_input
+from animtool.core.array_types import BoolArray, FloatArray, IntArray
+from animtool.core.errors import Fault, FormatError, Severity, counted, excerpt, listed
+from animtool.core.files.reading import read_input
 from animtool.rig.shapes import ARKIT_SHAPES, arkit_name
 
 # As the app writes them; readers take any case.

@@ -9,21 +9,21 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
-from animtool._types import BoolArray, FloatArray, IntArray
-from animtool.errors import Fault, OptionError, Severity, counted, listed, naming
+from animtool.core.array_types import BoolArray, FloatArray, IntArray
+from animtool.core.errors import Fault, OptionError, Severity, counted, listed, naming
+from animtool.core.rates import FractionLike, rate_option
+from animtool.core.units import unit_name
 from animtool.formats.livelink.columns import AXES, PARTS, Recording, read_recording
 from animtool.formats.livelink.timecodes import RowFrames, row_frames
 from animtool.maths.euler import to_quaternion
 from animtool.maths.filters import put_between
 from animtool.maths.so3 import align_signs, slerp
 from animtool.motion import Channel, Motion
-from animtool.rates import FractionLike, rate_option
 from animtool.rig.head import HEAD, LEFT_EYE, RIGHT_EYE, head_joints, local_rotations
 from animtool.rig.parts import Shape
 from animtool.rig.remap import ShapeLinks, link_shapes, load_remap
 from animtool.rig.skeleton import Joint, JointType, Rig
 from animtool.take import TakeStream
-from animtool.units import unit_name
 
 Dropped: TypeAlias = Literal["interpolate", "hold", "close"]
 DROPPED: tuple[Dropped, ...] = ("interpolate", "hold", "close")

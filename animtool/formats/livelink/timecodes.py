@@ -9,10 +9,10 @@ from fractions import Fraction
 
 import numpy as np
 
-from animtool._types import BoolArray, FloatArray, IntArray
-from animtool.errors import Fault, FormatError, Severity, counted, excerpt, listed
-from animtool.rates import rate_label
-from animtool.timecode import day_frames, parse_timecode
+from animtool.core.array_types import BoolArray, FloatArray, IntArray
+from animtool.core.errors import Fault, FormatError, Severity, counted, excerpt, listed
+from animtool.core.rates import rate_label
+from animtool.core.timecode import day_frames, parse_timecode
 
 # What clocks of recorders count, and the one that the app starts with.
 CLOCKS = (24, 25, 30, 48, 50, 60, 90, 100, 120, 240)

@@ -8,8 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from animtool._types import FloatArray
-from animtool.errors import Fault, OptionError, Severity, naming
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault, OptionError, Severity, naming
+from animtool.core.timecode import count_rate, timecode_label
 from animtool.formats.livelink.columns import ANGLES, APP_SHAPES, COUNT, PARTS, TIMECODE
 from animtool.formats.take_text import TakeText, write_text
 from animtool.maths.euler import from_quaternion
@@ -17,7 +18,6 @@ from animtool.maths.so3 import align_signs
 from animtool.rig.head import HEAD, LEFT_EYE, RIGHT_EYE, face_rotations, head_joints
 from animtool.rig.shapes import arkit_name
 from animtool.take import Take
-from animtool.timecode import count_rate, timecode_label
 
 # As the app prints them.
 PLACES = 10

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from animtool._types import FloatArray
+from animtool.core.array_types import FloatArray
 from animtool.maths import euler
 from animtool.rig.joints import coordinate_slices
 from animtool.rig.skeleton import Joint, JointType, Rig

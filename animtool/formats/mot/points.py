@@ -7,9 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
-from animtool._types import FloatArray
-from animtool.clock import Clock
-from animtool.errors import AnimtoolError, Fault, FormatError, counted, listed
+from animtool.core.array_types import FloatArray
+from animtool.core.clock import Clock
+from animtool.core.errors import AnimtoolError, Fault, FormatError, counted, listed
+from animtool.core.rates import FractionLike
+from animtool.core.units import LengthUnit, UpAxis
 from animtool.formats.delimited import read_lines
 from animtool.formats.mot.table import (
     MotHeader,
@@ -29,8 +31,6 @@ from animtool.formats.row_times import (
 )
 from animtool.formats.trajectories import MarkerFile
 from animtool.markers import Markers
-from animtool.rates import FractionLike
-from animtool.units import LengthUnit, UpAxis
 
 
 def holds_points(path: Path) -> bool:

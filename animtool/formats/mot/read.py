@@ -7,8 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
-from animtool._types import FloatArray
-from animtool.errors import Fault, FormatError, OptionError, Severity, naming
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault, FormatError, OptionError, Severity, naming
+from animtool.core.rates import FractionLike, rate_option
+from animtool.core.similar import similar
+from animtool.core.units import unit_name
 from animtool.formats.mot.coordinates import (
     Coordinate,
     own_rig,
@@ -28,13 +31,10 @@ from animtool.formats.row_times import (
 from animtool.ik.sub_rig import following
 from animtool.maths.filters import put_between
 from animtool.motion import Channel, Motion
-from animtool.rates import FractionLike, rate_option
 from animtool.rig.joints import local_from_coordinates
 from animtool.rig.placed import at_origin
 from animtool.rig.skeleton import Rig
-from animtool.similar import similar
 from animtool.take import TakeStream
-from animtool.units import unit_name
 
 # Frames that rows at uneven times may become, for each of them. More are gaps, and
 # filling these would be inventing motion.

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from animtool._types import BoolArray, FloatArray, IntArray
-from animtool.errors import Fault, FormatError, Severity, counted, excerpt, listed
+from animtool.core.array_types import BoolArray, FloatArray, IntArray
+from animtool.core.errors import Fault, FormatError, Severity, counted, excerpt, listed
 from animtool.formats.delimited import (
     BLANK,
     Rows,

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from animtool._types import FloatArray
-from animtool.errors import Fault, OptionError, Severity, listed, naming
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault, OptionError, Severity, listed, naming
 from animtool.formats.mot.coordinates import (
     Coordinate,
     column_names,

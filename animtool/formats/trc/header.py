@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
-from animtool.errors import Fault, FormatError, excerpt
+from animtool.core.errors import Fault, FormatError, excerpt
 from animtool.formats.delimited import (
     BLANK,
     decoded,

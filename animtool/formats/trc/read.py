@@ -7,8 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from animtool.clock import Clock
-from animtool.errors import Fault, FormatError, counted
+from animtool.core.clock import Clock
+from animtool.core.errors import Fault, FormatError, counted
+from animtool.core.rates import FractionLike
+from animtool.core.units import LengthUnit, UpAxis
 from animtool.formats.delimited import Rows, gather_rows, read_lines
 from animtool.formats.trajectories import MAX_POSITIONS, MarkerFile
 from animtool.formats.trc.header import (
@@ -19,8 +21,6 @@ from animtool.formats.trc.header import (
 )
 from animtool.formats.trc.timing import frames_of_rows
 from animtool.markers import Markers
-from animtool.rates import FractionLike
-from animtool.units import LengthUnit, UpAxis
 
 
 def read_trc(

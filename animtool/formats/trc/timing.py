@@ -6,8 +6,9 @@ from fractions import Fraction
 
 import numpy as np
 
-from animtool._types import FloatArray, IntArray
-from animtool.errors import Fault, FormatError, counted
+from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.errors import Fault, FormatError, counted
+from animtool.core.rates import FractionLike, rate_from_float
 from animtool.formats.row_times import (
     EVEN,
     LAST_START,
@@ -20,7 +21,6 @@ from animtool.formats.row_times import (
     rounding_of,
 )
 from animtool.formats.trajectories import MarkerFile
-from animtool.rates import FractionLike, rate_from_float
 
 
 def frames_of_rows(

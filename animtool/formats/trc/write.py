@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from animtool import _kernels
-from animtool._types import BoolArray
-from animtool.errors import Fault, OptionError, Severity
+from animtool.core.array_types import BoolArray
+from animtool.core.errors import Fault, OptionError, Severity
+from animtool.core.units import UpAxis
 from animtool.markers import Markers
-from animtool.units import UpAxis
 
 # A micrometre in a thousand: below what any camera sees.
 DECIMALS = 6
@@ -36,7 +36,7 @@ def write_trc(
             (TRC010).
         OutputError: The file cannot be written (OUT002).
     """
-    from animtool.output import check_outputs, write_parts
+    from animtool.core.files.output import check_outputs, write_parts
 
     path = Path(path)
     check_outputs([path], [], overwrite=overwrite)

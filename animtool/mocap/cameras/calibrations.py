@@ -16,10 +16,12 @@ from typing import Any
 
 import numpy as np
 
-from animtool._types import FloatArray
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault, FormatError, excerpt, listed
+from animtool.core.toml_text import parse_toml
+from animtool.core.units import LengthUnit, UpAxis
 from animtool.documents.document import Document, Location, document_of, read_text
 from animtool.documents.fields import MAX_NUMBER
-from animtool.errors import Fault, FormatError, excerpt, listed
 from animtool.maths.so3 import exp, to_matrix
 from animtool.mocap.cameras.camera import (
     UNNAMED,
@@ -27,8 +29,6 @@ from animtool.mocap.cameras.camera import (
     Cameras,
     nearest_rotation,
 )
-from animtool.toml_text import parse_toml
-from animtool.units import LengthUnit, UpAxis
 
 # What programs call a value, the first that a camera has.
 _KEYS = {

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from animtool._types import FloatArray
-from animtool.errors import Fault
-from animtool.units import UpAxis
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault
+from animtool.core.units import UpAxis
 
 # What a camera is called whose file has it alone and without a name.
 UNNAMED = "cam00"

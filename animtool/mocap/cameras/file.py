@@ -11,7 +11,9 @@ import numpy as np
 from annotated_types import Len
 from pydantic import Field
 
-from animtool._types import FloatArray
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault, FormatError
+from animtool.core.units import LengthUnit, UpAxis
 from animtool.documents.check import FileModel, check_version, validated
 from animtool.documents.document import Document
 from animtool.documents.fields import (
@@ -22,7 +24,6 @@ from animtool.documents.fields import (
     Vector,
     key,
 )
-from animtool.errors import Fault, FormatError
 from animtool.maths.so3 import to_matrix
 from animtool.mocap.cameras.camera import (
     UNNAMED,
@@ -30,7 +31,6 @@ from animtool.mocap.cameras.camera import (
     Cameras,
     nearest_rotation,
 )
-from animtool.units import LengthUnit, UpAxis
 
 # What the side of an image may be [px].
 MAX_SIDE = 100_000

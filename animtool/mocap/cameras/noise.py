@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from animtool import _kernels
-from animtool._types import BoolArray, FloatArray
+from animtool.core.array_types import BoolArray, FloatArray
 from animtool.mocap.cameras.camera import Camera, camera_numbers
 from animtool.mocap.cameras.observations import Observations
 from animtool.mocap.cameras.stale import PoseChange, pose_change

@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from animtool._types import FloatArray
-from animtool.clock import Clock
+from animtool.core.array_types import FloatArray
+from animtool.core.clock import Clock
+from animtool.core.errors import Fault, FormatError, OptionError, counted, listed
+from animtool.core.files.reading import open_input
+from animtool.core.rates import FractionLike, rate_from_float, rate_option
+from animtool.core.similar import similar
 from animtool.documents.arrays import Archives
-from animtool.errors import Fault, FormatError, OptionError, counted, listed
-from animtool.files import open_input
 from animtool.mocap.cameras.camera import Cameras
-from animtool.rates import FractionLike, rate_from_float, rate_option
-from animtool.similar import similar
 
 # Arrays of pixels by name: what a number is [px], and the number of what is not seen.
 _ARRAYS = {"uv8": (0.125, 65535), "uv": (1.0, None)}

@@ -17,15 +17,15 @@ from typing import Any
 
 import numpy as np
 
-from animtool._types import FloatArray
-from animtool.clock import Clock
-from animtool.errors import Fault, FormatError, OptionError, listed
-from animtool.files import MAX_TEXT_BYTES, read_input
+from animtool.core.array_types import FloatArray
+from animtool.core.clock import Clock
+from animtool.core.errors import Fault, FormatError, OptionError, listed
+from animtool.core.files.reading import MAX_TEXT_BYTES, read_input
+from animtool.core.rates import FractionLike, rate_option
+from animtool.core.similar import similar
 from animtool.mocap.cameras.camera import Cameras
 from animtool.mocap.cameras.observations import Observations, matched
 from animtool.mocap.cameras.people import MAX_PEOPLE, follow_people
-from animtool.rates import FractionLike, rate_option
-from animtool.similar import similar
 
 BODY_25 = (
     "Nose", "Neck", "RShoulder", "RElbow", "RWrist", "LShoulder", "LElbow", "LWrist",

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from animtool import _kernels
-from animtool._types import FloatArray
+from animtool.core.array_types import FloatArray
 from animtool.mocap.cameras.camera import Camera, camera_numbers, project, rays
 
 MAX_PEOPLE = 100

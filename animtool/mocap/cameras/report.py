@@ -7,13 +7,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from animtool._types import BoolArray, FloatArray
-from animtool.clock import Clock
-from animtool.errors import Fault, Severity, counted, listed, percent
+from animtool.core.array_types import BoolArray, FloatArray
+from animtool.core.clock import Clock
+from animtool.core.errors import Fault, Severity, counted, listed, percent
+from animtool.core.shot import frame_spans
 from animtool.markers import Markers
 from animtool.mocap.cameras.camera import Camera
 from animtool.mocap.cameras.stale import MIN_VIEW, Disagreement, Moved
-from animtool.shot import frame_spans
 
 # Share of a camera's observations that are outliers, above which it is named [1].
 MANY_OUTLIERS = 0.1

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from animtool._types import BoolArray, FloatArray
+from animtool.core.array_types import BoolArray, FloatArray
 from animtool.maths.so3 import exp, from_matrix, log, to_matrix
 from animtool.mocap.cameras.camera import Camera, project
 

@@ -13,8 +13,8 @@ from dataclasses import replace
 import numpy as np
 
 from animtool import _kernels
-from animtool._types import BoolArray
-from animtool.errors import Fault, OptionError, Severity, counted
+from animtool.core.array_types import BoolArray
+from animtool.core.errors import Fault, OptionError, Severity, counted
 from animtool.markers import Markers
 from animtool.mocap.cameras.camera import Cameras, camera_numbers
 from animtool.mocap.cameras.noise import USED, measured_noise

@@ -11,12 +11,9 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from animtool._types import FloatArray
-from animtool.clock import Clock, time_fraction
-from animtool.documents.arrays import Archives
-from animtool.documents.names import nearest
-from animtool.documents.references import split_reference
-from animtool.errors import (
+from animtool.core.array_types import FloatArray
+from animtool.core.clock import Clock, time_fraction
+from animtool.core.errors import (
     Fault,
     FormatError,
     OptionError,
@@ -25,11 +22,14 @@ from animtool.errors import (
     listed,
     naming,
 )
-from animtool.files import open_input
+from animtool.core.files.reading import open_input
+from animtool.core.names import nearest
+from animtool.core.rates import FractionLike, RateError, parse_rate, rate_option
+from animtool.core.readers import find_reader
+from animtool.core.units import LengthUnit, UpAxis
+from animtool.documents.arrays import Archives
+from animtool.documents.references import split_reference
 from animtool.mocap.face.model import FaceModel, landmark_names
-from animtool.rates import FractionLike, RateError, parse_rate, rate_option
-from animtool.readers import find_reader
-from animtool.units import LengthUnit, UpAxis
 
 _UNITS = {f"_{unit}": unit.meters for unit in LengthUnit}
 _POINTS = re.compile(r"landmarks(_mm|_cm|_m|_in|_px)?")

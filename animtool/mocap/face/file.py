@@ -9,12 +9,12 @@ from typing import Annotated, Literal
 import numpy as np
 from annotated_types import Ge, Len
 
-from animtool._types import FloatArray, IntArray
-from animtool.config import project_roots
+from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.config import project_roots
+from animtool.core.names import nearest
 from animtool.documents.check import FileModel, check_version, validated
 from animtool.documents.document import Document, Location, read_document
 from animtool.documents.fields import IgnoreModel, Name, Real, key
-from animtool.documents.names import nearest
 from animtool.documents.references import referred_input
 from animtool.mocap.face.model import BentShapes, FaceModel
 from animtool.rig.parts import Shape

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from animtool._types import BoolArray, FloatArray
-from animtool.errors import Fault, OptionError, Severity, naming
+from animtool.core.array_types import BoolArray, FloatArray
+from animtool.core.errors import Fault, OptionError, Severity, naming
 from animtool.maths.faces import rigid_motion
 from animtool.maths.so3 import conjugate, rotate
 from animtool.rig.parts import Shape

@@ -19,8 +19,8 @@ from enum import StrEnum
 import numpy as np
 
 from animtool import _kernels
-from animtool._types import BoolArray, FloatArray, IntArray
-from animtool.errors import Fault, OptionError, Severity, counted, listed, naming
+from animtool.core.array_types import BoolArray, FloatArray, IntArray
+from animtool.core.errors import Fault, OptionError, Severity, counted, listed, naming
 from animtool.maths.so3 import align_signs, slerp
 from animtool.mocap.face.model import MIN_MOTION, FaceModel, spread
 from animtool.mocap.face.poses import camera_pose, head_poses

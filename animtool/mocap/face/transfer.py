@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from animtool._types import FloatArray
-from animtool.errors import Fault, OptionError, Severity, naming
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault, OptionError, Severity, naming
 from animtool.mocap.face.model import FaceModel
 from animtool.mocap.face.solve import FaceFit, fit_face
 from animtool.rig.remap import RemapFile, ShapeLinks, link_shapes

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from animtool._types import FloatArray
+from animtool.core.array_types import FloatArray
 
 # Of a pair on one segment, distances are as at rest but for noise and skin [m], and
 # more where they vary; and how likely a pair is on one that varies by so much [m].

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from animtool._types import BoolArray, FloatArray
-from animtool.blas import one_thread
-from animtool.errors import Fault, Severity, counted
+from animtool.core.array_types import BoolArray, FloatArray
+from animtool.core.errors import Fault, Severity, counted
+from animtool.core.process.blas import one_thread
 from animtool.markers import Markers
 from animtool.mocap.markers.geometry import distances
 from animtool.mocap.markers.predict import Prediction, follow, predict, turned
@@ -113,7 +113,7 @@ def fill(
         OptionError: The markers do not fit the subject, as of
             `animtool.mocap.solve.calibrate`.
 
-    >>> from animtool.clock import Clock
+    >>> from animtool.core.clock import Clock
     >>> path = np.zeros((9, 1, 3)) + np.arange(9.0)[:, None, None]
     >>> path[4] = np.nan
     >>> whole, report = fill(Markers(("LFHD",), Clock(120, 1, 1, 9), path))

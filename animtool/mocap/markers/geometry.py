@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from animtool._types import FloatArray
+from animtool.core.array_types import FloatArray
 
 # Frames looked at of a long take: distances do not need all of them.
 MAX_FRAMES = 1500

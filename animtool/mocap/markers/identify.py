@@ -6,7 +6,7 @@ from itertools import combinations
 
 import numpy as np
 
-from animtool._types import BoolArray, FloatArray, IntArray
+from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.mocap.markers.chains import chained, merged
 from animtool.mocap.markers.geometry import Distances, distances, fitted
 from animtool.mocap.markers.naming import Naming, searched

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from animtool._types import FloatArray, IntArray
-from animtool.clock import span_label
-from animtool.errors import Fault, OptionError, Severity
+from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.clock import span_label
+from animtool.core.errors import Fault, OptionError, Severity
 from animtool.markers import Markers
 from animtool.mocap.markers.identify import identify
 from animtool.mocap.markers.runs import RunLabels

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from animtool._types import FloatArray, IntArray
+from animtool.core.array_types import FloatArray, IntArray
 from animtool.mocap.markers.geometry import Distances, distances
 from animtool.mocap.markers.tracklets import Tracklets
 

@@ -6,14 +6,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from animtool._types import BoolArray, FloatArray, IntArray
-from animtool.errors import Fault
+from animtool.core.array_types import BoolArray, FloatArray, IntArray
+from animtool.core.errors import Fault
+from animtool.core.units import up_from_up
 from animtool.markers import Markers
 from animtool.maths import so3
 from animtool.mocap.solve import SolveOptions, calibrate, solve_markers
 from animtool.mocap.template.template import MarkerTemplate
 from animtool.rig.skeleton import JointType, Rig
-from animtool.units import up_from_up
 
 # How far a marker strays in a second whose joint is held by two others, one on it and
 # one below, by fewer, and by none [m].

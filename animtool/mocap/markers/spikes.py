@@ -13,7 +13,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from animtool._types import BoolArray, FloatArray, IntArray
+from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.markers import Markers
 
 # Longer ones are motion [frame].

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from animtool._types import BoolArray, FloatArray, IntArray
+from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.markers import Markers
 from animtool.mocap.markers.geometry import Distances, distances
 

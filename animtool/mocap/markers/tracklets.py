@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from animtool._types import FloatArray, IntArray
+from animtool.core.array_types import FloatArray, IntArray
 
 # A marker on a hand that is thrown changes its speed by about 100 g [m/s^2].
 MAX_ACCELERATION = 1000.0

@@ -7,7 +7,7 @@ from itertools import combinations
 
 import numpy as np
 
-from animtool._types import FloatArray, IntArray
+from animtool.core.array_types import FloatArray, IntArray
 from animtool.mocap.markers.geometry import distances, fitted
 from animtool.mocap.markers.naming import exchanges, gain_of, said_of
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from animtool._types import FloatArray
-from animtool.errors import Fault, Severity, listed
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault, Severity, listed
 from animtool.mocap.retarget.fingers import finger_roles
 from animtool.mocap.retarget.names import (
     Preset,

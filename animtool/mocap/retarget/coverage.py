@@ -6,8 +6,9 @@ from collections.abc import Collection
 
 import numpy as np
 
-from animtool._types import FloatArray, IntArray
-from animtool.errors import Fault, counted, listed
+from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.errors import Fault, counted, listed
+from animtool.core.quantities import length_text
 from animtool.mocap.retarget.map import JointMap
 from animtool.mocap.retarget.roles import (
     CONTROL,
@@ -17,7 +18,6 @@ from animtool.mocap.retarget.roles import (
     TWIST,
     base_role,
 )
-from animtool.quantities import length_text
 from animtool.rig.skeleton import Rig
 
 # Bones that a whole limb has.

@@ -10,10 +10,10 @@ from typing import Annotated, Literal, NamedTuple
 from annotated_types import Len
 from pydantic import Field
 
+from animtool.core.names import nearest
 from animtool.documents.check import FileModel, check_version, validated
 from animtool.documents.document import Document, read_document
 from animtool.documents.fields import IgnoreModel, Name, Real, key
-from animtool.documents.names import nearest
 from animtool.mocap.retarget.map import TwistShare
 from animtool.mocap.retarget.names import bare_names
 from animtool.mocap.retarget.roles import ROLES

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from animtool._types import FloatArray
+from animtool.core.array_types import FloatArray
+from animtool.core.units import UpAxis
 from animtool.maths import so3
 from animtool.mocap.contacts import find_contacts
 from animtool.mocap.retarget.balls import ball_places
@@ -17,7 +18,6 @@ from animtool.mocap.retarget.transfer import Transfer
 from animtool.mocap.standing import STANDS
 from animtool.rig.limits import RangeLimit, swing_twist
 from animtool.rig.skeleton import JointType, Rig
-from animtool.units import UpAxis
 
 
 @dataclass(frozen=True, slots=True)

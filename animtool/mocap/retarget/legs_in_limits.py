@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from animtool._types import BoolArray, FloatArray, IntArray
+from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.maths import so3
 from animtool.mocap.contacts import smoothed
 from animtool.mocap.retarget.feet import Placed, upper

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from animtool.documents.names import number, text
-from animtool.errors import Fault
+from animtool.core.errors import Fault
+from animtool.core.names import number, text
 from animtool.mocap.retarget.roles import Anatomy, RoleSource
 from animtool.rig.skeleton import Rig
 

@@ -12,9 +12,10 @@ from typing import TypeVar
 
 import numpy as np
 
-from animtool._types import BoolArray, FloatArray, IntArray
+from animtool.core.array_types import BoolArray, FloatArray, IntArray
+from animtool.core.errors import Fault
+from animtool.core.files.spool import Spool
 from animtool.driving import driven_take
-from animtool.errors import Fault
 from animtool.maths import so3
 from animtool.mocap.retarget.feet import Foot, Placed, place_feet
 from animtool.mocap.retarget.hands import ArmTracks, Floor, arm_of, place_hands
@@ -44,7 +45,6 @@ from animtool.mocap.retarget.verdict import Verdict
 from animtool.motion import Channel, Motion
 from animtool.rig.kinematics import WorldTransforms, forward
 from animtool.rig.skeleton import Rig
-from animtool.spool import Spool
 from animtool.take import Take
 
 # Frames of a block: its arrays stay in the processor's cache. Blocks begin at the first

@@ -13,9 +13,9 @@ from typing import Any
 
 import yaml
 
-from animtool._types import IntArray
-from animtool.documents.names import nearest
-from animtool.errors import Fault, OptionError, excerpt
+from animtool.core.array_types import IntArray
+from animtool.core.errors import Fault, OptionError, excerpt
+from animtool.core.names import nearest
 from animtool.mocap.retarget.roles import (
     ARM,
     CONTROL,

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from animtool._types import FloatArray
-from animtool.errors import Fault, OptionError
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault, OptionError
 from animtool.mocap.retarget.anatomy import anatomy
 from animtool.mocap.retarget.file import FileMap, MapFile, load_map, resolved_map
 from animtool.mocap.retarget.map import JointChain, JointMap, JointPair, TwistShare

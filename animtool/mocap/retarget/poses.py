@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from animtool._types import BoolArray, FloatArray, IntArray
+from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.maths import so3
 from animtool.mocap.retarget.person import Person
 from animtool.mocap.retarget.transfer import Transfer, middle_of_hips

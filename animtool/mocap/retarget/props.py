@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from animtool._types import BoolArray, FloatArray
+from animtool.core.array_types import BoolArray, FloatArray
 from animtool.maths import so3
 from animtool.mocap.contacts import intervals, smoothed, without_short
 from animtool.mocap.retarget.transfer import Transfer

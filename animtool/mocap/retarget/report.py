@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from animtool._types import BoolArray, FloatArray
-from animtool.errors import Fault
+from animtool.core.array_types import BoolArray, FloatArray
+from animtool.core.errors import Fault
 from animtool.mocap.contacts import FootContacts, intervals
 from animtool.mocap.retarget.feet import Placed
 from animtool.mocap.retarget.hands import HeldHand

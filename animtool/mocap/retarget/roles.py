@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Literal, TypeAlias
 
-from animtool.errors import Fault
+from animtool.core.errors import Fault
 
 CENTER = ("root", "hips", "pelvis", "spine", "neck", "head", "jaw")
 ARM = ("clavicle", "upper_arm", "forearm", "hand")

@@ -18,11 +18,11 @@ from itertools import (
 
 import numpy as np
 
-from animtool._types import FloatArray
+from animtool.core.array_types import FloatArray
+from animtool.core.units import UpAxis
 from animtool.mocap.retarget.roles import CONTROL, END, SIDES, TWIST
 from animtool.rig.kinematics import forward
 from animtool.rig.skeleton import Rig
-from animtool.units import UpAxis
 
 # Shorter than this share of the skeleton, a bone has no length.
 _ZERO = 1e-4

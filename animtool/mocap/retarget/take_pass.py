@@ -10,8 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from animtool._types import FloatArray
-from animtool.errors import Fault, FormatError, OptionError, Severity
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault, FormatError, OptionError, Severity
+from animtool.core.options import with_written
 from animtool.mocap.options import RetargetOptions
 from animtool.mocap.retarget.anatomy import anatomy
 from animtool.mocap.retarget.coverage import collapsed, lacking_pairs, nothing_paired
@@ -23,7 +24,6 @@ from animtool.mocap.retarget.props import Props
 from animtool.mocap.retarget.report import scores_of
 from animtool.mocap.standing import stands_along
 from animtool.motion import Motion
-from animtool.options import with_written
 from animtool.passes import (
     MOTION_PARTS,
     OptionChecks,

@@ -7,7 +7,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from animtool._types import FloatArray, IntArray
+from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.units import UpAxis, up_from_up
 from animtool.maths import so3
 from animtool.mocap.retarget.balls import balls_of
 from animtool.mocap.retarget.map import JointMap
@@ -15,7 +16,6 @@ from animtool.mocap.retarget.person import NO_BONE, Person
 from animtool.mocap.retarget.roles import base_role
 from animtool.mocap.standing import STANDS
 from animtool.rig.skeleton import Rig
-from animtool.units import UpAxis, up_from_up
 
 # Roles whose bones point the way that those of the source do, however they rest.
 _POINTING = {"upper_arm", "forearm", "hand", "thigh", "shin"}

@@ -10,8 +10,8 @@ from fractions import Fraction
 
 import numpy as np
 
-from animtool._types import BoolArray, FloatArray
-from animtool.errors import Fault
+from animtool.core.array_types import BoolArray, FloatArray
+from animtool.core.errors import Fault
 from animtool.mocap.contacts import intervals
 from animtool.scores import PassScores, Score
 

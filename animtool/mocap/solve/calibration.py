@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from animtool import _kernels
-from animtool._types import FloatArray
-from animtool.errors import Fault, OptionError, Severity, listed
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault, OptionError, Severity, listed
 from animtool.ik.chain import difference
 from animtool.ik.fit import FitOptions, fit
 from animtool.ik.solving import chain_targets

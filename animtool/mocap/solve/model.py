@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from animtool._types import BoolArray, FloatArray, IntArray
-from animtool.errors import Fault, OptionError
+from animtool.core.array_types import BoolArray, FloatArray, IntArray
+from animtool.core.errors import Fault, OptionError
 from animtool.ik.goals import KINDS, Goal, Targets
 from animtool.ik.problem import Problem, build
 from animtool.ik.sub_rig import with_types

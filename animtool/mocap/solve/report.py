@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from animtool._types import BoolArray, FloatArray, IntArray
+from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.mocap.contacts import intervals
 from animtool.mocap.solve.model import MIN_MARKERS
 from animtool.mocap.solve.sampling import ROBUST

@@ -8,9 +8,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from animtool._types import FloatArray
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault, OptionError, Severity, counted, listed
+from animtool.core.quantities import length_text
+from animtool.core.shot import frame_spans
+from animtool.core.units import up_from_up
 from animtool.driving import driven_take
-from animtool.errors import Fault, OptionError, Severity, counted, listed
 from animtool.ik.fit import FitOptions, fit
 from animtool.markers import Markers
 from animtool.maths import so3
@@ -32,11 +35,8 @@ from animtool.mocap.solve.sampling import (
 from animtool.mocap.template.match import MarkerMatch, match_markers
 from animtool.mocap.template.template import MarkerTemplate
 from animtool.motion import Channel, Motion
-from animtool.quantities import length_text
 from animtool.rig.skeleton import Rig
-from animtool.shot import frame_spans
 from animtool.take import Take
-from animtool.units import up_from_up
 
 Progress = Callable[[float], None] | None
 # Frames that are solved at once, and how far the solve looks ahead of them: beyond

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from animtool._types import FloatArray, IntArray
+from animtool.core.array_types import FloatArray, IntArray
 from animtool.ik.fit import FitOptions, fit
 from animtool.mocap.solve.model import MIN_MARKERS, MarkerProblem, seen_markers
 

@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from animtool.core.errors import Fault, FormatError, OptionError, Severity, counted
+from animtool.core.units import LengthUnit, UpAxis, unit_name
 from animtool.driving import driven_stream
-from animtool.errors import Fault, FormatError, OptionError, Severity, counted
 from animtool.formats.marker_files import open_markers
 from animtool.markers import Markers
 from animtool.mocap.options import SolveOptions
@@ -22,7 +23,6 @@ from animtool.rig.placed import at_origin
 from animtool.rig.skeleton import Rig
 from animtool.scores import PassScores, Score, ScoreUnit
 from animtool.take import TakeStream
-from animtool.units import LengthUnit, UpAxis, unit_name
 
 # What a good solve leaves of a marker, skin moving [m], and of wrong labels [1].
 USUAL_MISS, USUAL_OUTLIERS = 0.005, 0.01

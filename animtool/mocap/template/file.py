@@ -8,14 +8,14 @@ from typing import Annotated, Literal
 from annotated_types import Len
 from pydantic import Field
 
-from animtool.config import project_roots
+from animtool.core.config import project_roots
+from animtool.core.files.reading import is_there
+from animtool.core.units import LengthUnit
 from animtool.documents.check import FileModel, check_version, validated
 from animtool.documents.document import Document, read_document
 from animtool.documents.fields import IgnoreModel, Name, Real, Vector, key
 from animtool.documents.references import missing_hint, referred
-from animtool.files import is_there
 from animtool.mocap.template.template import MarkerTemplate, TemplateMarker
-from animtool.units import LengthUnit
 
 # Farther from its joint no marker of a body is; a larger number is in another unit [m].
 MAX_OFFSET = 10.0

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from animtool._types import IntArray
-from animtool.documents.names import nearest
-from animtool.errors import Fault, OptionError, counted, listed
+from animtool.core.array_types import IntArray
+from animtool.core.errors import Fault, OptionError, counted, listed
+from animtool.core.names import nearest
+from animtool.core.similar import similar
 from animtool.mocap.template.template import MarkerTemplate
-from animtool.similar import similar
 
 # Names in a message.
 SHOWN = 6

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from animtool._types import FloatArray, IntArray
+from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.errors import Fault, FormatError, OptionError
+from animtool.core.names import flow, nearest, number, text
 from animtool.documents.document import Document, spelled
-from animtool.documents.names import flow, nearest, number, text
-from animtool.errors import Fault, FormatError, OptionError
 from animtool.rig.parts import Vector
 from animtool.rig.skeleton import Rig
 

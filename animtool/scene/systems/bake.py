@@ -10,19 +10,19 @@ from math import ceil
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-from animtool._types import FloatArray
-from animtool.clock import MAX_FRAMES
-from animtool.errors import Fault, FormatError, OptionError, refuse_warnings
-from animtool.options import refused_options
-from animtool.output import size_of
+from animtool.core.array_types import FloatArray
+from animtool.core.clock import MAX_FRAMES
+from animtool.core.errors import Fault, FormatError, OptionError, refuse_warnings
+from animtool.core.files.output import size_of
+from animtool.core.options import refused_options
+from animtool.core.shot import FrameRange
+from animtool.core.units import UpAxis
 from animtool.scene.options import BakeOptions
 from animtool.scene.prims import BakePlan, Draft, TakeReport
 from animtool.scene.scene import Scene
 from animtool.scene.sources import source_stem
 from animtool.scene.systems.character_motion import CharacterWatch
 from animtool.scene.systems.run import SystemRun, system_job
-from animtool.shot import FrameRange
-from animtool.units import UpAxis
 from animtool.usd.chunks import growing_layer, system_files
 from animtool.usd.jobs import Form, Rounding, UsdResult, WrittenTake
 from animtool.usd.layers import (

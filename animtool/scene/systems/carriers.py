@@ -7,8 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from animtool.documents.names import nearest
-from animtool.errors import Fault, OptionError
+from animtool.core.errors import Fault, OptionError
+from animtool.core.names import nearest
+from animtool.core.units import UpAxis
 from animtool.maths import so3
 from animtool.rig.skeleton import Rig
 from animtool.rig.surfaces import surfaces_of
@@ -20,7 +21,6 @@ from animtool.scene.systems.character_motion import (
 )
 from animtool.sim.colliders import Poses, joint_poses
 from animtool.transforms import PropRequest
-from animtool.units import UpAxis
 
 # Between two of these a prim goes straight, whatever turns it [1/s].
 PRIM_RATE = 120

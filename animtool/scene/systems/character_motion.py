@@ -10,11 +10,12 @@ from pathlib import Path
 
 import numpy as np
 
-from animtool._types import FloatArray, IntArray
-from animtool.clock import Clock, time_codes
+from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.clock import Clock, time_codes
+from animtool.core.errors import Fault, OptionError
+from animtool.core.names import is_named, nearest
+from animtool.core.units import UpAxis
 from animtool.documents.fields import record_of
-from animtool.documents.names import is_named, nearest
-from animtool.errors import Fault, OptionError
 from animtool.maths.faces import triangulated
 from animtool.motion import Motion
 from animtool.reorient import reorient
@@ -27,7 +28,6 @@ from animtool.skin.character import character_meshes
 from animtool.skin.deform import Deformed, DeformedMesh, deform_blocks
 from animtool.systems.fields import CharacterModel
 from animtool.take import Take, TakeStream
-from animtool.units import UpAxis
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,10 +17,11 @@ from typing import (
 
 import numpy as np
 
-from animtool._types import FloatArray, IntArray
+from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.errors import AnimtoolError, Fault, OptionError
+from animtool.core.units import UpAxis
 from animtool.documents.check import FileModel
 from animtool.documents.document import Document, Location, location_of
-from animtool.errors import AnimtoolError, Fault, OptionError
 from animtool.frames import MeshFrame
 from animtool.physics import Physics
 from animtool.scene.entries import SystemSetup
@@ -47,7 +48,6 @@ from animtool.systems.fields import (
     SystemSurfaceModel,
 )
 from animtool.transforms import PropRequest
-from animtool.units import UpAxis
 
 if TYPE_CHECKING:
     from animtool.scene.systems.gaits import GaitsSource

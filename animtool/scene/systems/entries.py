@@ -10,6 +10,9 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from animtool.core.errors import AnimtoolError, Fault, excerpt
+from animtool.core.names import nearest
+from animtool.core.options import OF_ENTRY, Checked, range_faults
 from animtool.documents.arrays import load_array
 from animtool.documents.check import (
     FileModel,
@@ -19,15 +22,12 @@ from animtool.documents.check import (
 )
 from animtool.documents.document import Document, Location
 from animtool.documents.fields import MAX_NUMBER, record_of
-from animtool.documents.names import nearest
 from animtool.documents.references import (
     referred,
     referred_input,
     split_reference,
 )
-from animtool.errors import AnimtoolError, Fault, excerpt
 from animtool.maths import so3
-from animtool.options import OF_ENTRY, Checked, range_faults
 from animtool.scene.entries import Place, place_of_entry
 from animtool.scene.systems.surroundings import moving_sheet
 from animtool.sim.colliders import SHAPES, Collider, HeightField, Mesh, Poses

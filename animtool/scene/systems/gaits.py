@@ -8,7 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from animtool.errors import OptionError
+from animtool.core.errors import OptionError
+from animtool.core.units import UpAxis, up_from_up
 from animtool.mocap.retarget.motion import retarget_take
 from animtool.mocap.retarget.pairing import map_joints
 from animtool.reorient import reorient, turned_rig
@@ -19,7 +20,6 @@ from animtool.scene.systems.character_motion import open_take
 from animtool.systems.crowds.cycles import gaits_of
 from animtool.systems.crowds.gaits import Gaits
 from animtool.take import Take
-from animtool.units import UpAxis, up_from_up
 
 
 @dataclass(frozen=True)

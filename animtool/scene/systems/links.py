@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from graphlib import CycleError, TopologicalSorter
 from typing import Any
 
+from animtool.core.errors import listed
+from animtool.core.names import nearest
 from animtool.documents.document import Document, Location, location_of
-from animtool.documents.names import nearest
-from animtool.errors import listed
 from animtool.scene.entries import SceneSystem
 from animtool.systems.fields import Member
 from animtool.systems.kinds import SYSTEM_KINDS

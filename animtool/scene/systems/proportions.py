@@ -8,10 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from animtool._types import FloatArray
-from animtool.errors import Fault, Severity
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault, Severity
+from animtool.core.quantities import plain
+from animtool.core.units import LengthUnit, UpAxis, unit_name, up_from_up
 from animtool.maths import so3
-from animtool.quantities import plain
 from animtool.rig.kinematics import WorldTransforms, rest_world
 from animtool.rig.skeleton import Rig
 from animtool.rig.surfaces import surfaces_of
@@ -20,7 +21,6 @@ from animtool.scene.systems.carriers import OnJoint, OnVertex
 from animtool.scene.systems.character_motion import CharacterMotion, CharacterMotions
 from animtool.scene.systems.surroundings import AROUND
 from animtool.systems.fields import PinnedPoints, PlacedModel
-from animtool.units import LengthUnit, UpAxis, unit_name, up_from_up
 
 # A system this many times as far from a character as that is large, or this many times
 # as large, is hardly meant, where it would be near and no larger than this many times

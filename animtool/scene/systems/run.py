@@ -12,8 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from animtool.errors import Fault, FormatError, Severity, ToleranceError, excerpt
-from animtool.quantities import plain
+from animtool.core.errors import Fault, FormatError, Severity, ToleranceError, excerpt
+from animtool.core.quantities import plain
+from animtool.core.units import UpAxis, up_from_up
 from animtool.rig.skeleton import Rig
 from animtool.scene.entries import SceneSystem
 from animtool.scene.prims import MeshReport
@@ -28,7 +29,6 @@ from animtool.scene.systems.simulation import (
 from animtool.systems.run import ON_STEP, EntryRun, Reached
 from animtool.systems.saved import Clocked, write_states
 from animtool.systems.simulation import NeedsFinalState
-from animtool.units import UpAxis, up_from_up
 from animtool.usd.layers import StageMetadata
 from animtool.usd.names import distinct_names, legal_name
 from animtool.usd.point_writer import CachedMesh

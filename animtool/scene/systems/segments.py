@@ -9,9 +9,10 @@ from typing import cast
 
 import numpy as np
 
-from animtool._types import FloatArray, IntArray
-from animtool.documents.names import nearest
-from animtool.errors import Fault, OptionError, listed
+from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.errors import Fault, OptionError, listed
+from animtool.core.names import nearest
+from animtool.core.units import UpAxis, up_from_up
 from animtool.maths import so3
 from animtool.scene.entries import SceneSystem
 from animtool.scene.progress import Progress
@@ -23,7 +24,6 @@ from animtool.systems.springs.drawing import Curves
 from animtool.systems.springs.pins import numbered
 from animtool.systems.springs.simulation import SpringView
 from animtool.take import Take
-from animtool.units import UpAxis, up_from_up
 
 
 def segments_of(

@@ -7,8 +7,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any, cast
 
-from animtool.errors import Fault, FormatError, OptionError, ToleranceError
-from animtool.plugins import load_object
+from animtool.core.errors import Fault, FormatError, OptionError, ToleranceError
+from animtool.core.plugins import load_object
 from animtool.rig.skeleton import Rig
 from animtool.scene.entries import SceneSystem
 from animtool.scene.progress import Phases, Progress, TimeProgress

@@ -8,11 +8,12 @@ from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from animtool._types import FloatArray, IntArray
 from animtool.contacts import Material
+from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.errors import counted, refuse
+from animtool.core.units import UpAxis
 from animtool.documents.document import Location
 from animtool.documents.fields import record_of
-from animtool.errors import counted, refuse
 from animtool.maths.faces import triangulated
 from animtool.scene.systems.character_motion import (
     CharacterMotions,
@@ -22,7 +23,6 @@ from animtool.sim.colliders import Collider, Colliders, Sheet
 from animtool.systems.fields import CharacterModel, MovingMeshModel, SystemSurfaceModel
 from animtool.systems.run import EntryRun
 from animtool.systems.surfaces import Bodies
-from animtool.units import UpAxis
 
 if TYPE_CHECKING:
     from animtool.usd.point_reader import MeshSource

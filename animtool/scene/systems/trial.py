@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from animtool._types import FloatArray
-from animtool.errors import Fault, OptionError, ToleranceError
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault, OptionError, ToleranceError
+from animtool.core.plugins import load_object
 from animtool.frames import Frame, PointsFrame, TransformsFrame
-from animtool.plugins import load_object
 from animtool.scene.entries import SceneSystem
 from animtool.scene.systems.character_motion import CharacterMotion
 from animtool.scene.systems.links import in_order, needed

@@ -8,10 +8,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from animtool._types import ArrayLike, BoolArray, FloatArray
 from animtool.contacts import Contact
+from animtool.core.array_types import ArrayLike, BoolArray, FloatArray
+from animtool.core.options import Checked, described
 from animtool.maths import so3
-from animtool.options import Checked, described
 from animtool.sim.colliders.shapes import Mesh, Shape
 
 

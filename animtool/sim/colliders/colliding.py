@@ -11,8 +11,14 @@ from typing import Any
 import numpy as np
 
 from animtool import _kernels
-from animtool._types import ArrayLike, BoolArray, FloatArray, IntArray, as_floats
-from animtool.errors import Fault, OptionError, Severity
+from animtool.core.array_types import (
+    ArrayLike,
+    BoolArray,
+    FloatArray,
+    IntArray,
+    as_floats,
+)
+from animtool.core.errors import Fault, OptionError, Severity
 from animtool.sim.colliders.bodies import MovingBodies
 from animtool.sim.colliders.collider import Collider
 from animtool.sim.colliders.shapes import Box, Capsule, Mesh, Plane, Sphere

@@ -10,8 +10,8 @@ from typing import Annotated, Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from animtool._types import ArrayLike, FloatArray
-from animtool.options import OF_ENTRY, Range, range_faults
+from animtool.core.array_types import ArrayLike, FloatArray
+from animtool.core.options import OF_ENTRY, Range, range_faults
 
 Vector: TypeAlias = Sequence[float]
 Radius = Annotated[float, Range("above 0", "SIM020", 0.0, reached=False, finite=True)]

@@ -8,9 +8,9 @@ from typing import Annotated, Any, ClassVar, Protocol, TypeAlias
 
 import numpy as np
 
-from animtool._types import BoolArray, FloatArray, IntArray
 from animtool.contacts import Material
-from animtool.options import Checked, Range, above, described
+from animtool.core.array_types import BoolArray, FloatArray, IntArray
+from animtool.core.options import Checked, Range, above, described
 from animtool.sim.colliders.collider import Collider
 from animtool.sim.colliders.shapes import Mesh
 

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from animtool import _kernels
-from animtool._types import FloatArray, IntArray
 from animtool.contacts import SPEED_LIMIT
-from animtool.errors import Fault, Severity
+from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.errors import Fault, Severity
 from animtool.sim.colliders.sheets import Sheet, hull_faces, hull_points
 
 # Where points are is asked for no more often than this [s]: between, they go straight.

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import cast
 
-from animtool.errors import Fault, OptionError, excerpt
-from animtool.plugins import load_object
+from animtool.core.errors import Fault, OptionError, excerpt
+from animtool.core.plugins import load_object
 from animtool.sim.integrators.integrator import Integrator
 
 __all__ = ["INTEGRATORS", "find_integrator"]
@@ -45,7 +45,7 @@ def find_integrator(name: str) -> Integrator:
     4
     """
     if name not in INTEGRATORS:
-        from animtool.documents.names import nearest
+        from animtool.core.names import nearest
 
         message = f"no integrator is named {excerpt(name)}"
         raise OptionError(

@@ -11,8 +11,8 @@ from dataclasses import replace
 
 from numpy.polynomial import polynomial as poly
 
-from animtool._types import FloatArray
-from animtool.errors import Fault, OptionError
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault, OptionError
 from animtool.sim.equations import Equations
 from animtool.sim.integrators.explicit import RK4, Tableau
 from animtool.sim.integrators.integrator import Control, Integrator, Step

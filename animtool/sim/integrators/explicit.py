@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from animtool._types import FloatArray
+from animtool.core.array_types import FloatArray
 from animtool.sim.equations import Equations
 from animtool.sim.integrators.integrator import Control, Form, Integrator, Step
 from animtool.sim.stability import jury_limit, rate_limit

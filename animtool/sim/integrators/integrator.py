@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import TypeAlias
 
-from animtool._types import FloatArray
+from animtool.core.array_types import FloatArray
 from animtool.sim.equations import Equations
 from animtool.sim.stability import Limit
 

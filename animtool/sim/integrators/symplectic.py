@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from animtool._types import FloatArray
+from animtool.core.array_types import FloatArray
 from animtool.sim.equations import Equations
 from animtool.sim.integrators.integrator import Form, Integrator, Step
 from animtool.sim.stability import jury_limit

@@ -8,8 +8,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from animtool.errors import Fault, OptionError, Severity
-from animtool.quantities import length_text
+from animtool.core.errors import Fault, OptionError, Severity
+from animtool.core.quantities import length_text
 from animtool.sim.system import Energy
 from animtool.sim.trajectory import Status
 from animtool.sim.trials.trial import (

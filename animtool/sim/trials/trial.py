@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from animtool._types import FloatArray, IntArray
+from animtool.core.array_types import FloatArray, IntArray
 from animtool.maths import so3
 from animtool.sim.system import Energy
 from animtool.sim.trajectory import Status

@@ -8,7 +8,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from animtool._types import FloatArray
+from animtool.core.array_types import FloatArray
+from animtool.core.units import UpAxis
 from animtool.maths import so3
 from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.skeleton import Rig
@@ -32,7 +33,6 @@ from animtool.systems.attach.strands import (
     depth_at_bind,
 )
 from animtool.systems.springs.checks import tangle_notices
-from animtool.units import UpAxis
 
 
 def upwards(rig: Rig) -> FloatArray:

@@ -8,8 +8,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from animtool._types import FloatArray, IntArray
-from animtool.errors import Fault, OptionError, listed
+from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.errors import Fault, OptionError, listed
 from animtool.maths.faces import edges, triangulated
 from animtool.rig.kinematics import bind_matrices, bind_world
 from animtool.rig.parts import AttachKind, Attachment

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from animtool._types import FloatArray, IntArray
-from animtool.errors import counted
+from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.errors import counted
 from animtool.maths.faces import distinct_pairs, edge_counts, of_one_edge, sides
 
 NO_PAIRS: IntArray = np.zeros((0, 2), np.int64)

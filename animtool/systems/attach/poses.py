@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from animtool._types import FloatArray
+from animtool.core.array_types import FloatArray
 from animtool.maths import so3
 from animtool.motion import Channel, Motion
 from animtool.rig.kinematics import WorldTransforms, forward

@@ -12,12 +12,12 @@ from typing import Annotated
 
 import numpy as np
 
-from animtool.errors import Fault, OptionError
+from animtool.core.errors import Fault, OptionError
+from animtool.core.options import LARGEST, range_faults, ranges_of, within
+from animtool.core.units import parse_length
 from animtool.keyed import Interpolation, Weight, chosen, weights_at
-from animtool.options import LARGEST, range_faults, ranges_of, within
 from animtool.passes import OptionChecks
 from animtool.rig.parts import AttachKind
-from animtool.units import parse_length
 
 # How fast each kind swings back to its animated pose, unless the scene says it [Hz].
 _FREQUENCIES = {AttachKind.SPRING_CHAIN: 2.0, AttachKind.STRANDS: 2.0}

@@ -10,8 +10,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from animtool._types import FloatArray
-from animtool.clock import time_codes
+from animtool.core.array_types import FloatArray
+from animtool.core.clock import time_codes
+from animtool.core.units import parse_length
 from animtool.keyed import weights_at
 from animtool.maths import so3
 from animtool.motion import Channel, Motion
@@ -32,7 +33,6 @@ from animtool.systems.attach.stepping import State
 from animtool.systems.attach.strands import chain_rotations
 from animtool.systems.run import Reached
 from animtool.systems.saved import Clocked
-from animtool.units import parse_length
 
 
 @dataclass(frozen=True, slots=True, eq=False)

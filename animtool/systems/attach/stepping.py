@@ -9,8 +9,8 @@ from typing import Any, Protocol
 import numpy as np
 
 from animtool import _kernels
-from animtool._types import FloatArray, IntArray
-from animtool.errors import Fault, ToleranceError
+from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.errors import Fault, ToleranceError
 from animtool.systems.attach.network import Network, reach
 from animtool.systems.attach.settings import Settings
 from animtool.systems.simulation import growing

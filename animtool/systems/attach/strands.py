@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from animtool import _kernels
-from animtool._types import FloatArray, IntArray
+from animtool.core.array_types import FloatArray, IntArray
 from animtool.maths import so3
 from animtool.rig.kinematics import WorldTransforms, bind_world
 from animtool.rig.limits import BallLimit, RangeLimit

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from animtool.errors import Fault, OptionError, Severity, counted, listed, percent
+from animtool.core.errors import Fault, OptionError, Severity, counted, listed, percent
 from animtool.motion import Motion
 from animtool.passes import Pass, PassContext, Scope, TakePart
 from animtool.systems.attach.actor import Actor

@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from animtool import _kernels
-from animtool._types import FloatArray, IntArray
-from animtool.errors import Fault, Severity, counted, excerpt, refuse
+from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.errors import Fault, Severity, counted, excerpt, refuse
 from animtool.systems.crowds.ground import Frame
 from animtool.systems.crowds.spec import CrowdsModel, PopulationModel
 from animtool.systems.particles.emitter import Emitter, uniforms

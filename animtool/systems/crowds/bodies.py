@@ -11,7 +11,7 @@ from typing import Protocol
 
 import numpy as np
 
-from animtool._types import BoolArray, FloatArray, IntArray
+from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.systems.crowds.agents import Going
 from animtool.systems.crowds.gaits import (
     PHASES,

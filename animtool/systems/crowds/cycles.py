@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from animtool._types import BoolArray, FloatArray
+from animtool.core.array_types import BoolArray, FloatArray
+from animtool.core.errors import Fault, OptionError
 from animtool.edit.cycle import find_cycle
 from animtool.edit.looping import loop
-from animtool.errors import Fault, OptionError
 from animtool.maths import so3
 from animtool.mocap.contacts import FootContacts, find_contacts, intervals
 from animtool.mocap.retarget.transfer import middle_of_hips

@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from animtool._types import FloatArray
-from animtool.errors import Fault, OptionError
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault, OptionError
 from animtool.maths import so3
 from animtool.mocap.retarget.anatomy import anatomy
 from animtool.mocap.retarget.person import Person

@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from animtool._types import BoolArray, FloatArray, IntArray
+from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.maths import so3
 
 # Cells of the grid of triangles are so many at most along an axis.

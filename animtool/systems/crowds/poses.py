@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from animtool._types import BoolArray, FloatArray
+from animtool.core.array_types import BoolArray, FloatArray
 from animtool.maths import so3
 from animtool.mocap.retarget.legs import put_ankle
 from animtool.rig.kinematics import forward

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from animtool import _kernels
-from animtool._types import BoolArray, FloatArray, IntArray
+from animtool.core.array_types import BoolArray, FloatArray, IntArray
 
 # Nodes of a grid at most: what is larger gets wider cells.
 MAX_NODES = 4_000_000

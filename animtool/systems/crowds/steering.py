@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from animtool._types import BoolArray, FloatArray, IntArray
+from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.systems.crowds.agents import Agents
 from animtool.systems.crowds.routes import Grid, Route, routes_to
 from animtool.systems.crowds.spec import CrowdGoalModel

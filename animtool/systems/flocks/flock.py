@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from animtool._types import FloatArray, IntArray
+from animtool.core.array_types import FloatArray, IntArray
 from animtool.frames import MeshFrame, PointsFrame, TransformsFrame
 from animtool.maths import so3
 from animtool.sim.checks import check_fit

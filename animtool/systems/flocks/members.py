@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from animtool._types import FloatArray, IntArray
-from animtool.errors import Fault, Severity, counted, excerpt, refuse
+from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.errors import Fault, Severity, counted, excerpt, refuse
 from animtool.sim.colliders import Colliders
 from animtool.systems.flocks.spec import DomainModel, FlocksModel, SpeciesModel
 from animtool.systems.matter import check_apart

@@ -10,8 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from animtool import _kernels
-from animtool._types import FloatArray
-from animtool.errors import Fault, ToleranceError
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault, ToleranceError
 from animtool.systems.flocks.members import Members
 from animtool.systems.flocks.spec import DomainModel, SpeciesModel
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from animtool import _kernels
-from animtool._types import FloatArray
-from animtool.errors import Fault, ToleranceError
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault, ToleranceError
 from animtool.systems.flocks.members import Members
 from animtool.systems.flocks.rules import Indices
 from animtool.systems.flocks.spec import DomainModel, SpeciesModel

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from animtool._types import FloatArray
+from animtool.core.array_types import FloatArray
 from animtool.sim.colliders import Colliders
 from animtool.systems.flocks.members import Members, max_speed
 from animtool.systems.flocks.spec import PathModel

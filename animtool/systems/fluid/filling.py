@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from animtool._types import FloatArray, IntArray
-from animtool.errors import counted, refuse
+from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.errors import counted, refuse
 from animtool.maths import so3
 from animtool.sim.colliders import Collider, Colliders, Poses
 from animtool.sim.colliders.shapes import bounds

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from animtool import _kernels
-from animtool._types import BoolArray, FloatArray, IntArray
-from animtool.errors import Fault, Severity, counted
+from animtool.core.array_types import BoolArray, FloatArray, IntArray
+from animtool.core.errors import Fault, Severity, counted
+from animtool.core.quantities import floored, plain
 from animtool.frames import MeshFrame, PointsFrame
-from animtool.quantities import floored, plain
 from animtool.sim.colliders import Colliders, collide
 from animtool.sim.colliders.bodies import (
     Wrenches,

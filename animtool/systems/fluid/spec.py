@@ -7,6 +7,7 @@ from typing import Annotated, Any, ClassVar, Literal, get_args
 
 from annotated_types import Gt, Le, Len
 
+from animtool.core.errors import Fault, counted
 from animtool.documents.check import FileModel
 from animtool.documents.fields import (
     NotNegative,
@@ -17,7 +18,6 @@ from animtool.documents.fields import (
     Whole,
     key,
 )
-from animtool.errors import Fault, counted
 from animtool.systems.colours import ColourModel
 from animtool.systems.fields import (
     ArrayEntry,

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from animtool._types import FloatArray
+from animtool.core.array_types import FloatArray
 from animtool.sim.colliders import Colliders
 from animtool.systems.fluid.spec import FluidModel
 

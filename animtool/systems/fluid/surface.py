@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from animtool._types import FloatArray
-from animtool.errors import Fault, OptionError
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault, OptionError
 from animtool.frames import MeshFrame
 from animtool.systems.fluid.spec import FluidModel
 

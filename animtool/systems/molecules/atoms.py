@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from animtool._types import FloatArray
-from animtool.errors import refuse
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import refuse
 from animtool.systems.matter import Bodies, Placement, normals
 from animtool.systems.molecules.spec import MoleculesModel
 from animtool.systems.particles.emitter import uniforms

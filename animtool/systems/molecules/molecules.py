@@ -10,8 +10,8 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from animtool import _kernels
-from animtool._types import FloatArray
-from animtool.errors import Fault, ToleranceError, refuse
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault, ToleranceError, refuse
 from animtool.systems.colours import Quantities
 from animtool.systems.interacting import Interacting
 from animtool.systems.matter import normals

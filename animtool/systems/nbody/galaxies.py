@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from animtool._types import FloatArray
+from animtool.core.array_types import FloatArray
 from animtool.maths import so3
 from animtool.systems import matter
 from animtool.systems.matter import Bodies, unit_quaternion

@@ -10,8 +10,8 @@ from functools import partial
 import numpy as np
 
 from animtool import _kernels
-from animtool._types import FloatArray
-from animtool.errors import Fault, refuse
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault, refuse
 from animtool.sim.integrators.integrator import Control
 from animtool.sim.system import Energy
 from animtool.systems.colours import Quantities

@@ -8,9 +8,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from animtool._types import FloatArray, IntArray
+from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.options import Checked, described
 from animtool.maths import so3
-from animtool.options import Checked, described
 from animtool.sim.colliders.collider import Poses
 from animtool.systems.particles.places import Place, Point
 from animtool.systems.particles.records import Emission

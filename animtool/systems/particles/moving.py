@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from animtool._types import BoolArray, FloatArray, IntArray
-from animtool.errors import Fault, Severity
+from animtool.core.array_types import BoolArray, FloatArray, IntArray
+from animtool.core.errors import Fault, Severity
 from animtool.sim.checks import check_fit, check_start, ending, step_notices
 from animtool.sim.colliders.bodies import Wrenches, share_impulses
 from animtool.sim.colliders.colliding import (

@@ -8,8 +8,8 @@ from typing import Annotated, Any, TypeAlias
 
 import numpy as np
 
-from animtool._types import FloatArray
-from animtool.options import OF_ENTRY, Range, range_faults
+from animtool.core.array_types import FloatArray
+from animtool.core.options import OF_ENTRY, Range, range_faults
 from animtool.sim.colliders.shapes import Mesh
 
 # Of a place: points ``(N, 3)``, and the way out there or None where there is none.

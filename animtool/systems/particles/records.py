@@ -9,7 +9,7 @@ from typing import Annotated
 
 from annotated_types import Le
 
-from animtool.options import Key, Range, above
+from animtool.core.options import Key, Range, above
 
 _AMOUNT = Range("above 0", "SIM021", 0.0, reached=False, finite=True)
 # As light as particles of springs may be: less divides forces into infinity.

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from animtool._types import BoolArray, FloatArray
-from animtool.errors import Fault, Severity
+from animtool.core.array_types import BoolArray, FloatArray
+from animtool.core.errors import Fault, Severity
 from animtool.frames import PointsFrame
 from animtool.sim.checks import check_start
 from animtool.sim.colliders.bodies import Wrenches

@@ -8,9 +8,9 @@ from typing import Annotated
 
 import numpy as np
 
-from animtool._types import BoolArray, FloatArray
-from animtool.errors import AnimtoolError, Fault, OptionError
-from animtool.options import Range, range_faults
+from animtool.core.array_types import BoolArray, FloatArray
+from animtool.core.errors import AnimtoolError, Fault, OptionError
+from animtool.core.options import Range, range_faults
 from animtool.sim.colliders.bodies import MovingBodies
 from animtool.sim.colliders.collider import Collider
 from animtool.sim.colliders.colliding import Colliders

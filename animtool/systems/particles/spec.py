@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 from annotated_types import Gt, Le, Len
 from pydantic import Field
 
+from animtool.core.errors import Fault, OptionError, counted
 from animtool.documents.fields import Real, Whole, key, with_fields
-from animtool.errors import Fault, OptionError, counted
 from animtool.systems.fields import (
     CharacterModel,
     ForceEntry,

@@ -8,8 +8,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from animtool._types import FloatArray
-from animtool.options import Checked, described
+from animtool.core.array_types import FloatArray
+from animtool.core.options import Checked, described
 from animtool.rig.expressions import Expression, parse_expression
 from animtool.systems.particles.records import Velocity
 from animtool.systems.particles.state import ParticleState
@@ -75,7 +75,7 @@ def evaluated(
 
 def expression_faults(given: object, names: tuple[str, ...]) -> list[tuple[str, str]]:
     """Return which of the expressions x, y and z makes no sense, and why."""
-    from animtool.documents.names import nearest
+    from animtool.core.names import nearest
 
     found = []
     for axis in "xyz":

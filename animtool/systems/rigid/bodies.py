@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from animtool import _kernels
-from animtool._types import BoolArray, FloatArray, IntArray
-from animtool.errors import Fault, OptionError, refuse
+from animtool.core.array_types import BoolArray, FloatArray, IntArray
+from animtool.core.errors import Fault, OptionError, refuse
 from animtool.maths import so3
 from animtool.maths.faces import triangulated
 from animtool.sim.colliders import Collider, Mesh, Poses, Shape
@@ -284,7 +284,7 @@ class Bodies:
     def find(self, name: str, key: str) -> int:
         """Return the number of a body of a name (SIM061)."""
         if name not in self._numbers:
-            from animtool.documents.names import nearest
+            from animtool.core.names import nearest
 
             hint = nearest(name, list(self.names)) or ""
             refuse("SIM061", f"no body is named {name!r}", key, hint)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from animtool._types import FloatArray, IntArray
+from animtool.core.array_types import FloatArray, IntArray
 from animtool.maths import so3
 from animtool.sim.colliders import Box, Capsule, Mesh, Shape, Sphere
 

@@ -19,7 +19,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from animtool._types import BoolArray, FloatArray
+from animtool.core.array_types import BoolArray, FloatArray
 from animtool.maths.phi import phi_functions
 
 # What a force that is not linear may be off by in a part, of the motion in it.

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from animtool._types import FloatArray, IntArray
-from animtool.errors import Fault, Severity, listed, refuse
+from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.errors import Fault, Severity, listed, refuse
 from animtool.maths import so3
 from animtool.sim.colliders import Poses
 from animtool.systems.rigid.bodies import NO_PAIRS, Bodies

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from animtool._types import FloatArray
-from animtool.errors import Fault, Severity, counted, refuse
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault, Severity, counted, refuse
 from animtool.frames import MeshFrame
 from animtool.maths import so3
 from animtool.sim.colliders import Mesh, Shape

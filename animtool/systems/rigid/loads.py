@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from animtool._types import BoolArray, FloatArray
-from animtool.errors import Fault, ToleranceError, excerpt
-from animtool.quantities import floored, plain
+from animtool.core.array_types import BoolArray, FloatArray
+from animtool.core.errors import Fault, ToleranceError, excerpt
+from animtool.core.quantities import floored, plain
 from animtool.systems.rigid.bodies import Bodies
 from animtool.systems.rigid.flight import Flight, fly
 from animtool.systems.rigid.surroundings import BodyForces

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from animtool._types import BoolArray, FloatArray, IntArray
+from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.sim.colliders import Collider, Colliders
 from animtool.systems.rigid.bodies import Bodies
 from animtool.systems.rigid.joints import Joints

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
-from animtool._types import FloatArray
-from animtool.errors import excerpt, refuse
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import excerpt, refuse
 from animtool.maths import so3
 from animtool.physics import (
     JointDrive,

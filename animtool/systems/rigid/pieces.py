@@ -8,7 +8,7 @@ from importlib.util import find_spec
 
 import numpy as np
 
-from animtool._types import FloatArray
+from animtool.core.array_types import FloatArray
 from animtool.sim.colliders import Mesh
 from animtool.systems.rigid.cores import Core, Solid, core_of, filled
 

@@ -14,10 +14,10 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from animtool._types import FloatArray, IntArray
-from animtool.errors import Fault, OptionError
+from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.errors import Fault, OptionError
+from animtool.core.options import LARGEST, within
 from animtool.maths import so3
-from animtool.options import LARGEST, within
 from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.skeleton import Joint, JointType, Rig

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from animtool import _kernels
-from animtool._types import BoolArray, FloatArray, IntArray
-from animtool.errors import Fault, Severity, ToleranceError, excerpt
+from animtool.core.array_types import BoolArray, FloatArray, IntArray
+from animtool.core.errors import Fault, Severity, ToleranceError, excerpt
 from animtool.frames import TransformsFrame
 from animtool.maths import so3
 from animtool.physics import Physics

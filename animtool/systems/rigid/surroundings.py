@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from animtool._types import BoolArray, FloatArray
+from animtool.core.array_types import BoolArray, FloatArray
 from animtool.maths import so3
 from animtool.sim.colliders import Collider, Colliders, Poses, Sheet
 from animtool.systems.particles.forces.base import Force

@@ -9,12 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from animtool._types import FloatArray
-from animtool.errors import Fault, OptionError, Severity, counted
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault, OptionError, Severity, counted
+from animtool.core.options import range_faults, ranges_of
+from animtool.core.units import UpAxis
 from animtool.frames import TransformsFrame
 from animtool.maths import so3
 from animtool.motion import Channel
-from animtool.options import range_faults, ranges_of
 from animtool.passes import OptionChecks, Pass, PassContext, Scope, TakePart
 from animtool.rig.joints import (
     LocalTransforms,
@@ -39,7 +40,6 @@ from animtool.systems.rigid.simulation import RigidSimulation, RigidState
 from animtool.systems.rigid.spec import RigidModel
 from animtool.systems.run import Reached, SimulationRun
 from animtool.take import Take
-from animtool.units import UpAxis
 
 # A limit that a joint is beyond by less is kept [rad].
 KEPT = math.radians(1.0)

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from animtool._types import FloatArray, IntArray
+from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.errors import Fault, counted, listed
 from animtool.documents.check import FileModel
 from animtool.documents.document import spelled
-from animtool.errors import Fault, counted, listed
 from animtool.maths.faces import edge_counts, sides
 from animtool.systems.springs import (
     Body,

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from animtool import _kernels
-from animtool._types import ArrayLike, FloatArray, IntArray, as_floats
+from animtool.core.array_types import ArrayLike, FloatArray, IntArray, as_floats
 from animtool.maths.rows import Rows
 from animtool.systems.springs.records import Family, SelfContact
 

@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from animtool._types import IntArray
-from animtool.errors import Fault
-from animtool.quantities import length_text
+from animtool.core.array_types import IntArray
+from animtool.core.errors import Fault
+from animtool.core.quantities import length_text
 from animtool.systems.simulation import SimContext
 from animtool.systems.springs import (
     Body,

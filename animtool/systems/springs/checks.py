@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from animtool import _kernels
-from animtool._types import ArrayLike, BoolArray, FloatArray, IntArray
-from animtool.errors import Fault, OptionError, counted
-from animtool.options import range_faults
+from animtool.core.array_types import ArrayLike, BoolArray, FloatArray, IntArray
+from animtool.core.errors import Fault, OptionError, counted
+from animtool.core.options import range_faults
 from animtool.systems.springs.body import Body, Springs
 from animtool.systems.springs.motion import warning
 from animtool.systems.springs.records import SelfContact, Solver, SpringOptions

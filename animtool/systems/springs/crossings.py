@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from animtool import _kernels
-from animtool._types import FloatArray, IntArray
-from animtool.errors import Fault, Severity, counted
+from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.errors import Fault, Severity, counted
+from animtool.core.quantities import length_text, plain
 from animtool.maths.faces import sides
-from animtool.quantities import length_text, plain
 from animtool.sim.colliders import Collider
 from animtool.sim.colliders.shapes import Box, Capsule, Sphere
 from animtool.systems.springs.drawing import Curves, Faces, Shape

@@ -10,7 +10,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from animtool._types import BoolArray, FloatArray, IntArray
+from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.frames import CurvesFrame, MeshFrame
 from animtool.maths.faces import sides
 from animtool.systems.springs.body import Springs

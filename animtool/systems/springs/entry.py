@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from animtool._types import FloatArray, IntArray
+from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.errors import Fault, OptionError, counted
+from animtool.core.options import OF_ENTRY, range_faults
 from animtool.documents.fields import record_of
-from animtool.errors import Fault, OptionError, counted
-from animtool.options import OF_ENTRY, range_faults
 from animtool.systems.fields import Member, PinnedPoints
 from animtool.systems.springs import Family, Solver
 from animtool.systems.springs.bodies import BODIES, BodyEntry, SpringBody

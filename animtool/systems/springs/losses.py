@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from animtool.errors import Fault, percent
-from animtool.quantities import plain
+from animtool.core.errors import Fault, percent
+from animtool.core.quantities import plain
 from animtool.sim.system import Energy
 from animtool.systems.springs.motion import warning
 from animtool.systems.springs.records import Solver

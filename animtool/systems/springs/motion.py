@@ -7,8 +7,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from animtool._types import BoolArray, FloatArray, IntArray
-from animtool.errors import Fault, Severity, counted
+from animtool.core.array_types import BoolArray, FloatArray, IntArray
+from animtool.core.errors import Fault, Severity, counted
 from animtool.sim.trajectory import Trajectory
 from animtool.systems.simulation import growing, later
 from animtool.systems.springs.body import Flags

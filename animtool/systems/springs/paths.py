@@ -9,8 +9,8 @@ from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 
-from animtool._types import ArrayLike, BoolArray, FloatArray, IntArray
-from animtool.errors import Fault
+from animtool.core.array_types import ArrayLike, BoolArray, FloatArray, IntArray
+from animtool.core.errors import Fault
 from animtool.maths import so3
 from animtool.maths.faces import rigid_motion
 from animtool.systems.springs.body import Body

@@ -8,11 +8,11 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from animtool._types import FloatArray, IntArray
+from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.errors import Fault, listed
+from animtool.core.names import nearest
 from animtool.documents.document import Location
 from animtool.documents.fields import record_of
-from animtool.documents.names import nearest
-from animtool.errors import Fault, listed
 from animtool.maths import so3
 from animtool.sim.colliders import Poses
 from animtool.systems.springs import Air, Pins, Targets

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Annotated
 
-from animtool._types import ArrayLike
-from animtool.options import Key, above, described, or_more
+from animtool.core.array_types import ArrayLike
+from animtool.core.options import Key, above, described, or_more
 
 # Of springs, and of the air.
 _OfSpring = Annotated[float, or_more(0, "SIM042")]

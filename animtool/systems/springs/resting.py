@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from animtool._types import FloatArray
+from animtool.core.array_types import FloatArray
 from animtool.systems.springs.body import Body
 from animtool.systems.springs.solvers import SAFE, explicit_limit
 from animtool.systems.springs.system import SpringSystem

@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from animtool._types import FloatArray
-from animtool.errors import Fault
-from animtool.quantities import length_text
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault
+from animtool.core.quantities import length_text
 from animtool.systems.springs.motion import Grid, SpringState, warning
 from animtool.systems.springs.records import SpringOptions
 from animtool.systems.springs.solvers import Choice, advance

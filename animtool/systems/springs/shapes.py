@@ -6,7 +6,7 @@ from itertools import combinations, product
 
 import numpy as np
 
-from animtool._types import ArrayLike, BoolArray, IntArray, as_floats
+from animtool.core.array_types import ArrayLike, BoolArray, IntArray, as_floats
 from animtool.maths.faces import distinct_pairs, edges, of_one_edge, triangulated
 from animtool.systems.springs.body import Body, built
 from animtool.systems.springs.records import Family

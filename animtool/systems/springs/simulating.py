@@ -8,9 +8,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from animtool._types import ArrayLike, FloatArray
-from animtool.errors import Fault, OptionError, Severity, counted
-from animtool.quantities import length_text, plain
+from animtool.core.array_types import ArrayLike, FloatArray
+from animtool.core.errors import Fault, OptionError, Severity, counted
+from animtool.core.quantities import length_text, plain
 from animtool.sim.checks import Watch, check_times
 from animtool.sim.colliders.bodies import Wrenches
 from animtool.sim.options import IntegrateOptions

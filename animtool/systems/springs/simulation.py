@@ -10,10 +10,10 @@ from typing import Any, cast
 
 import numpy as np
 
-from animtool._types import BoolArray, FloatArray, IntArray
-from animtool.errors import Fault, Severity, counted, percent
+from animtool.core.array_types import BoolArray, FloatArray, IntArray
+from animtool.core.errors import Fault, Severity, counted, percent
+from animtool.core.quantities import length_text, plain
 from animtool.frames import Frame, MeshFrame, PointsFrame
-from animtool.quantities import length_text, plain
 from animtool.sim.system import Energy
 from animtool.sim.trajectory import Status
 from animtool.systems.fields import Member

@@ -8,7 +8,7 @@ from typing import TypeAlias
 import numpy as np
 
 from animtool import _kernels
-from animtool._types import FloatArray, IntArray
+from animtool.core.array_types import FloatArray, IntArray
 from animtool.sim.system import Matrix
 from animtool.systems.springs.body import Loads, Paths, Springs
 

@@ -10,8 +10,8 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from animtool import _kernels
-from animtool._types import FloatArray
-from animtool.errors import Fault, OptionError
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault, OptionError
 from animtool.maths import so3
 from animtool.sim.colliders import Collider, Colliders
 from animtool.sim.integrators import find_integrator

@@ -8,6 +8,9 @@ from typing import Annotated, Any, ClassVar, Literal
 from annotated_types import Len
 from pydantic import Field
 
+from animtool.core.errors import Fault
+from animtool.core.options import above, or_more
+from animtool.core.plugins import load_object
 from animtool.documents.check import FileModel
 from animtool.documents.fields import (
     Name,
@@ -18,9 +21,6 @@ from animtool.documents.fields import (
     record_of,
     with_fields,
 )
-from animtool.errors import Fault
-from animtool.options import above, or_more
-from animtool.plugins import load_object
 from animtool.systems.fields import (
     ArrayEntry,
     CarryingJointModel,

@@ -11,9 +11,15 @@ from typing import NamedTuple
 import numpy as np
 
 from animtool import _kernels
-from animtool._types import ArrayLike, BoolArray, FloatArray, IntArray, as_floats
 from animtool.contacts import SPEED_LIMIT
-from animtool.errors import Fault, OptionError
+from animtool.core.array_types import (
+    ArrayLike,
+    BoolArray,
+    FloatArray,
+    IntArray,
+    as_floats,
+)
+from animtool.core.errors import Fault, OptionError
 from animtool.sim.colliders import Collider, Colliders, Contacts, collide
 from animtool.sim.system import Energy, Matrix, Native, SecondOrder
 from animtool.systems.springs.body import (

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from pxr import UsdSkel
 
-from animtool._types import BoolArray
-from animtool.errors import Fault, counted, excerpt, listed
-from animtool.rules import finding
+from animtool.core.array_types import BoolArray
+from animtool.core.errors import Fault, counted, excerpt, listed
+from animtool.core.rules import finding
 from animtool.usd.checks.subject import AnyArray, Sampled, Subject, at_samples
 from animtool.usd.faults import (
     UNIT_TOLERANCE,

@@ -15,10 +15,10 @@ import numpy as np
 from pxr import Tf, Usd, UsdGeom, UsdSkel
 
 from animtool import _kernels
-from animtool._types import FloatArray, IntArray
-from animtool.clock import frame_label
-from animtool.errors import Fault
-from animtool.rules import finding
+from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.clock import frame_label
+from animtool.core.errors import Fault
+from animtool.core.rules import finding
 from animtool.usd.checks.skinned_bounds import SkinnedBounds, overhang
 from animtool.usd.checks.subject import AnyArray, Sampled, Subject, at_samples
 from animtool.usd.faults import (

@@ -17,8 +17,8 @@ import numpy as np
 import numpy.typing as npt
 from pxr import Sdf, Tf, Usd
 
-from animtool.errors import Fault, counted
-from animtool.rules import finding
+from animtool.core.errors import Fault, counted
+from animtool.core.rules import finding
 from animtool.usd.checks.subject import Subject
 from animtool.usd.finite import floats_of, largest
 

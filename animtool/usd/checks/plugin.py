@@ -11,7 +11,7 @@ from typing import Any
 
 from pxr import Sdf, UsdValidation
 
-from animtool.errors import Fault, Severity
+from animtool.core.errors import Fault, Severity
 from animtool.usd.checks.run import OWN_KEYWORD, check_stage
 
 # What plugInfo.json says, and what `register` does without it.

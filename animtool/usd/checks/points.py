@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 from pxr import Usd, UsdGeom
 
-from animtool._types import FloatArray
-from animtool.clock import frame_label
-from animtool.errors import Fault
-from animtool.rules import finding
+from animtool.core.array_types import FloatArray
+from animtool.core.clock import frame_label
+from animtool.core.errors import Fault
+from animtool.core.rules import finding
 from animtool.usd.checks.extents import bounds_apart
 from animtool.usd.checks.subject import Sampled, Subject, at_samples
 from animtool.usd.point_reader import UNIT_TOLERANCE, PointReader, codes_of

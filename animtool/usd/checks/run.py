@@ -9,8 +9,8 @@ from typing import Any, TypeAlias
 
 from pxr import UsdValidation
 
-from animtool.errors import Fault, FormatError, Severity
-from animtool.rules import finding
+from animtool.core.errors import Fault, FormatError, Severity
+from animtool.core.rules import finding
 from animtool.usd.checks.animation import (
     check_animations,
     check_bindings,

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from pxr import Usd, UsdGeom, UsdSkel
 
-from animtool._types import FloatArray, IntArray
-from animtool.errors import Fault, excerpt, listed
-from animtool.rules import finding
+from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.errors import Fault, excerpt, listed
+from animtool.core.rules import finding
 from animtool.usd.checks.subject import Subject
 from animtool.usd.faults import duplicates, singular, tokens
 from animtool.usd.point_reader import PointReader

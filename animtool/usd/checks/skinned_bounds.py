@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from pxr import Tf, Usd, UsdGeom, UsdSkel
 
-from animtool._types import FloatArray
+from animtool.core.array_types import FloatArray
 from animtool.usd.point_reader import PointReader, transformed
 
 # Points posed where the largest of many samples is looked for.

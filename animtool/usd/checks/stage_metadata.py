@@ -10,9 +10,9 @@ from typing import Any
 
 from pxr import Pcp, Sdf, UsdGeom
 
-from animtool.clock import frame_label, span_label
-from animtool.errors import Fault, excerpt
-from animtool.rules import finding
+from animtool.core.clock import frame_label, span_label
+from animtool.core.errors import Fault, excerpt
+from animtool.core.rules import finding
 from animtool.usd.checks.subject import Subject
 from animtool.usd.faults import units_and_axis
 from animtool.usd.rig_prims import stored_data

@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 from pxr import Usd
 
-from animtool._types import BoolArray, FloatArray, IntArray
-from animtool.errors import counted
+from animtool.core.array_types import BoolArray, FloatArray, IntArray
+from animtool.core.errors import counted
 
 AnyArray = npt.NDArray[Any]
 

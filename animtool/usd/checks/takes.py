@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 from pxr import UsdGeom, UsdSkel
 
-from animtool._types import FloatArray
-from animtool.clock import Clock, time_fraction
-from animtool.errors import AnimtoolError
+from animtool.core.array_types import FloatArray
+from animtool.core.clock import Clock, time_fraction
+from animtool.core.errors import AnimtoolError
+from animtool.core.rates import rate_from_float
 from animtool.maths import so3
 from animtool.motion import Channel, Motion
-from animtool.rates import rate_from_float
 from animtool.reorient import placed_motion
 from animtool.rig.parts import Shape
 from animtool.rig.skeleton import Joint, Rig

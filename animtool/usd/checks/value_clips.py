@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from pxr import Sdf, Usd
 
-from animtool._types import FloatArray
-from animtool.errors import Fault, counted, excerpt, listed
-from animtool.rules import finding
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault, counted, excerpt, listed
+from animtool.core.rules import finding
 from animtool.usd.checks.subject import Subject
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from pxr import Sdf, Tf, Usd, UsdGeom, UsdSkel, Vt
 
-from animtool.errors import Fault, counted
+from animtool.core.errors import Fault, counted
 from animtool.usd.checks.extents import extent_sources, joined_bounds
 from animtool.usd.checks.skinned_bounds import SkinnedBounds
 from animtool.usd.checks.subject import Subject

@@ -17,11 +17,11 @@ import numpy as np
 import numpy.typing as npt
 from pxr import Sdf, Usd, UsdUtils
 
-from animtool.errors import Fault, OptionError, counted
-from animtool.files import open_input
-from animtool.output import once_named, replacing
-from animtool.placing import output_error
-from animtool.plugins import load_object
+from animtool.core.errors import Fault, OptionError, counted
+from animtool.core.files.output import once_named, replacing
+from animtool.core.files.placing import output_error
+from animtool.core.files.reading import open_input
+from animtool.core.plugins import load_object
 from animtool.usd.dependencies import open_composed
 from animtool.usd.fixes.table import EDITS
 from animtool.usd.layers import asset_path, export_layer, find_layer, usd_errors

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from pxr import Sdf, Usd
 
-from animtool.clock import frame_label, span_label
-from animtool.errors import Fault, counted
+from animtool.core.clock import frame_label, span_label
+from animtool.core.errors import Fault, counted
 from animtool.maths import so3
 from animtool.usd.animation_values import OFF_FRAME
 from animtool.usd.checks.subject import Subject

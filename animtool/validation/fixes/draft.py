@@ -9,9 +9,9 @@ from typing import Any, Protocol, cast
 
 import numpy.typing as npt
 
+from animtool.core.errors import Fault
+from animtool.core.plugins import load_object
 from animtool.documents.edit import Edit
-from animtool.errors import Fault
-from animtool.plugins import load_object
 from animtool.usd.fixes.table import EDITS
 from animtool.validation.subjects.subject import CheckedFile
 

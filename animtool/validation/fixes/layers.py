@@ -8,7 +8,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from animtool.errors import Fault
+from animtool.core.errors import Fault
 from animtool.usd.fixes.table import EDITS
 from animtool.validation.fixes.draft import Step
 from animtool.validation.run import findings_in

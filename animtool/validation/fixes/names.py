@@ -7,12 +7,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from animtool.config import project_roots
+from animtool.core.config import project_roots
+from animtool.core.errors import AnimtoolError, Fault, FormatError, counted, listed
+from animtool.core.files.reading import files_meant
+from animtool.core.readers import DOCUMENT, READERS
 from animtool.documents.document import Location, document_of, read_document, read_text
 from animtool.documents.edit import Edit, Rename, Replace
-from animtool.errors import AnimtoolError, Fault, FormatError, counted, listed
-from animtool.files import files_meant
-from animtool.readers import DOCUMENT, READERS
 from animtool.rig.drivers import renamed_coordinates, split_coordinate
 from animtool.rig.expressions import parse_expression
 from animtool.rig.joints import DRIVEN_PARTS, split_part

@@ -7,8 +7,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from animtool.errors import Fault
-from animtool.readers import READERS, USD
+from animtool.core.errors import Fault
+from animtool.core.readers import READERS, USD
 from animtool.validation.fixes.draft import Draft, Step, has_fix
 from animtool.validation.options import ValidateOptions
 from animtool.validation.run import Report

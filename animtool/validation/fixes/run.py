@@ -6,8 +6,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from animtool.errors import Fault, counted
-from animtool.output import check_outputs, together
+from animtool.core.errors import Fault, counted
+from animtool.core.files.output import check_outputs, together
 from animtool.validation.fixes.draft import has_fix
 from animtool.validation.fixes.plan import (
     FileMend,

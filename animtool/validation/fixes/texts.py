@@ -14,13 +14,19 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from animtool.core.errors import AnimtoolError, Fault, excerpt
+from animtool.core.files.output import (
+    ahead,
+    name_problem,
+    together,
+    write_arrays,
+    write_parts,
+)
+from animtool.core.files.placing import output_error
+from animtool.core.files.reading import read_input
 from animtool.documents.document import document_of, read_text
 from animtool.documents.edit import Add, EditError, Remove, Replace, edited
 from animtool.documents.references import split_reference
-from animtool.errors import AnimtoolError, Fault, excerpt
-from animtool.files import read_input
-from animtool.output import ahead, name_problem, together, write_arrays, write_parts
-from animtool.placing import output_error
 from animtool.rig.parts import ArrayRef
 from animtool.validation.fixes.draft import Mend, NotMendedError, Step, fix_of
 from animtool.validation.run import findings_in

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import cast
 
-from animtool.plugins import load_object
+from animtool.core.plugins import load_object
 from animtool.validation.formats.plain import text_report
 from animtool.validation.run import Report
 

@@ -16,10 +16,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TypeAlias
 
-from animtool.errors import Fault, FormatError, Severity, counted
-from animtool.files import read_input
-from animtool.junit import JunitCase, junit_xml
-from animtool.quantities import escaped, json_printed
+from animtool.core.errors import Fault, FormatError, Severity, counted
+from animtool.core.files.reading import read_input
+from animtool.core.junit import JunitCase, junit_xml
+from animtool.core.quantities import escaped, json_printed
 from animtool.validation.run import Report
 
 # What YAML takes for the end of a line.

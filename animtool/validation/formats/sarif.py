@@ -15,9 +15,9 @@ from pathlib import PurePath
 from typing import Any
 from urllib.parse import quote
 
-from animtool.errors import Fault, Severity
-from animtool.quantities import json_printed
-from animtool.rules import Rule, all_rules, page_text
+from animtool.core.errors import Fault, Severity
+from animtool.core.quantities import json_printed
+from animtool.core.rules import Rule, all_rules, page_text
 from animtool.validation.formats.plain import Sources
 from animtool.validation.run import Report
 

@@ -6,7 +6,7 @@ import re
 
 import numpy as np
 
-from animtool._types import BoolArray, IntArray
+from animtool.core.array_types import BoolArray, IntArray
 from animtool.validation.motion.subject import MotionSubject
 
 # Words for feet, whole or as part of a name put together: not flyWHEEL.

@@ -6,8 +6,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from animtool._types import FloatArray, IntArray
-from animtool.errors import Fault
+from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.errors import Fault
 from animtool.maths import so3
 from animtool.validation.motion.body import hips_of
 from animtool.validation.motion.contacts import (

@@ -6,8 +6,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from animtool._types import BoolArray, FloatArray, IntArray
-from animtool.errors import Fault
+from animtool.core.array_types import BoolArray, FloatArray, IntArray
+from animtool.core.errors import Fault
 from animtool.validation.motion.body import body, feet_of, hips_of
 from animtool.validation.motion.contacts import (
     MIN_CONTACTS,

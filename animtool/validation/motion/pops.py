@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from animtool._types import BoolArray, FloatArray, IntArray
-from animtool.errors import Fault, listed
+from animtool.core.array_types import BoolArray, FloatArray, IntArray
+from animtool.core.errors import Fault, listed
 from animtool.maths.pops import shift_pops, turn_pops
 from animtool.validation.motion.body import carriers
 from animtool.validation.motion.subject import MotionSubject

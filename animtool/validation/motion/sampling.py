@@ -8,9 +8,9 @@ from itertools import pairwise
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from animtool._types import BoolArray, FloatArray, IntArray
-from animtool.clock import span_label
-from animtool.errors import Fault, counted
+from animtool.core.array_types import BoolArray, FloatArray, IntArray
+from animtool.core.clock import span_label
+from animtool.core.errors import Fault, counted
 from animtool.validation.motion.body import limbs_of
 from animtool.validation.motion.pops import runs
 from animtool.validation.motion.subject import MotionSubject

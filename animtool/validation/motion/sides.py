@@ -7,8 +7,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from animtool._types import BoolArray, FloatArray
-from animtool.errors import Fault, counted, listed
+from animtool.core.array_types import BoolArray, FloatArray
+from animtool.core.errors import Fault, counted, listed
 from animtool.maths import so3
 from animtool.validation.motion.body import carriers, feet_of
 from animtool.validation.motion.subject import MotionSubject

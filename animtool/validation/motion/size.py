@@ -8,8 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from animtool._types import FloatArray
-from animtool.errors import Fault, Severity
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault, Severity
 from animtool.mocap.retarget.anatomy import anatomy
 from animtool.mocap.standing import Stance, stance
 from animtool.rig.kinematics import rest_world

@@ -10,8 +10,8 @@ from typing import TypeAlias
 
 import numpy as np
 
-from animtool._types import BoolArray, FloatArray, IntArray
-from animtool.errors import Fault
+from animtool.core.array_types import BoolArray, FloatArray, IntArray
+from animtool.core.errors import Fault
 from animtool.maths import so3
 from animtool.rig.kinematics import WorldTransforms, rest_world
 from animtool.rig.sides import SidePairs, pair_sides

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from animtool._types import FloatArray
+from animtool.core.array_types import FloatArray
 from animtool.validation.motion.body import hips_of
 from animtool.validation.motion.contacts import Contacts, moves_over
 from animtool.validation.motion.subject import MotionSubject

@@ -7,9 +7,9 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from animtool._types import BoolArray, FloatArray, IntArray
 from animtool.clip.channels import ClipChannel, evaluate_channels
-from animtool.errors import Fault, counted, listed
+from animtool.core.array_types import BoolArray, FloatArray, IntArray
+from animtool.core.errors import Fault, counted, listed
 from animtool.maths import so3
 from animtool.maths.curves import Extrapolation, Interp
 from animtool.rig.limits import BallLimit, RangeLimit

@@ -6,8 +6,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from animtool._types import FloatArray
-from animtool.errors import Fault
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault
 from animtool.rig.drivers import SLIDE, SWING, TWIST, Driver, split_coordinate
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.skeleton import Rig

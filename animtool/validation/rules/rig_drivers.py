@@ -8,9 +8,9 @@ from functools import lru_cache
 
 import numpy as np
 
-from animtool._types import FloatArray
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault
 from animtool.documents.document import Location
-from animtool.errors import Fault
 from animtool.maths import so3
 from animtool.rig.controls import Control, DrivenValues, evaluate_controls
 from animtool.rig.driver_plan import plan_of

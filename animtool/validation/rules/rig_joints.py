@@ -8,14 +8,14 @@ from functools import lru_cache
 
 import numpy as np
 
-from animtool._types import BoolArray, FloatArray
-from animtool.errors import Fault
+from animtool.core.array_types import BoolArray, FloatArray
+from animtool.core.errors import Fault
+from animtool.core.quantities import length_text
+from animtool.core.units import LengthUnit, unit_name
 from animtool.maths import so3
-from animtool.quantities import length_text
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.sides import pair_sides
 from animtool.rig.skeleton import Joint, JointType
-from animtool.units import LengthUnit, unit_name
 from animtool.validation.subjects.rig import RigSubject
 
 # Beyond rounding of degrees in a file [rad], [m].

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from animtool._types import FloatArray
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault, counted
 from animtool.documents.arrays import Archives
 from animtool.documents.document import Location
-from animtool.errors import Fault, counted
 from animtool.maths import so3
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.parts import IkChain, Mesh, Shape

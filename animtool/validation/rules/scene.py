@@ -10,13 +10,13 @@ from pathlib import Path
 from typing import Any
 
 from animtool.clip.reduction.points import joint_bounds
-from animtool.config import find_config
+from animtool.core.config import find_config
+from animtool.core.errors import AnimtoolError, Fault, OptionError
+from animtool.core.names import is_named
+from animtool.core.rates import rate_label
 from animtool.documents.document import Location, read_document
-from animtool.documents.names import is_named
 from animtool.documents.variables import resolve_variables
-from animtool.errors import AnimtoolError, Fault, OptionError
 from animtool.passes import Pass, TakePart
-from animtool.rates import rate_label
 from animtool.scene.bake import take_name
 from animtool.scene.options import BakeOptions
 from animtool.scene.outputs import scene_files

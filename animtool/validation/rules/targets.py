@@ -12,9 +12,11 @@ from itertools import combinations
 
 import numpy as np
 
-from animtool._types import BoolArray, FloatArray
+from animtool.core.array_types import BoolArray, FloatArray
+from animtool.core.errors import Fault, listed
+from animtool.core.rules import Kind
+from animtool.core.units import LengthUnit, unit_name
 from animtool.documents.document import Document, Location, read_document
-from animtool.errors import Fault, listed
 from animtool.ik.file import targets_of_document
 from animtool.ik.goals import Goal, Targets
 from animtool.ik.tracks import GoalTrack, TargetTracks
@@ -22,9 +24,7 @@ from animtool.ik.values import Keyed, Rows, Span, Still, Value
 from animtool.rig.kinematics import WorldTransforms, rest_size
 from animtool.rig.limits import RangeLimit
 from animtool.rig.skeleton import Joint, JointType, Rig
-from animtool.rules import Kind
 from animtool.take import Take
-from animtool.units import LengthUnit, unit_name
 from animtool.validation.rules.clip import beyond
 from animtool.validation.subjects.scene import SceneSubject
 from animtool.validation.subjects.subject import CheckedFile, DocumentSubject

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from animtool._types import BoolArray, FloatArray
-from animtool.errors import Fault, counted, listed, percent
+from animtool.core.array_types import BoolArray, FloatArray
+from animtool.core.errors import Fault, counted, listed, percent
 from animtool.mocap.markers.spikes import find_spikes
 from animtool.validation.subjects.trajectories import MarkersSubject
 

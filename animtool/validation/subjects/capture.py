@@ -8,9 +8,9 @@ from io import BufferedReader, TextIOWrapper
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from animtool.errors import Fault
-from animtool.files import open_input
-from animtool.rules import Kind
+from animtool.core.errors import Fault
+from animtool.core.files.reading import open_input
+from animtool.core.rules import Kind
 from animtool.scene.sources import open_source
 from animtool.take import Take
 from animtool.validation.motion.subject import MotionSubject

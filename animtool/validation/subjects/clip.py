@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 
-from animtool._types import BoolArray
 from animtool.clip.channels import ClipUnits
 from animtool.clip.clip import Clip
 from animtool.clip.file import (
@@ -19,11 +18,12 @@ from animtool.clip.file import (
     load_clip,
     load_rig_of,
 )
+from animtool.core.array_types import BoolArray
+from animtool.core.errors import AnimtoolError, Fault, Severity
+from animtool.core.rules import Kind
 from animtool.documents.document import Document, Location
-from animtool.errors import AnimtoolError, Fault, Severity
 from animtool.maths.curves import Interp
 from animtool.rig.skeleton import Rig
-from animtool.rules import Kind
 from animtool.scene.clips import clip_stream
 from animtool.take import Take
 from animtool.validation.motion.subject import MotionSubject

@@ -6,12 +6,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import cast
 
-from animtool.documents.document import Document, read_document
-from animtool.documents.versions import STEPS, version_of
-from animtool.errors import AnimtoolError, Fault, OptionError
-from animtool.files import unreadable
-from animtool.plugins import load_object
-from animtool.readers import (
+from animtool.core.errors import AnimtoolError, Fault, OptionError
+from animtool.core.files.reading import unreadable
+from animtool.core.plugins import load_object
+from animtool.core.readers import (
     ARRAYS,
     BVH,
     C3D,
@@ -23,8 +21,10 @@ from animtool.readers import (
     TRC,
     USD,
 )
+from animtool.core.rules import Kind
+from animtool.documents.document import Document, read_document
+from animtool.documents.versions import STEPS, version_of
 from animtool.rig.skeleton import Rig
-from animtool.rules import Kind
 from animtool.validation.subjects.subject import CheckedFile
 
 

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from animtool._types import FloatArray
+from animtool.core.array_types import FloatArray
+from animtool.core.rules import Kind
 from animtool.documents.document import Document, Location
 from animtool.maths import so3
 from animtool.rig.skeleton import Rig
-from animtool.rules import Kind
 from animtool.validation.subjects.subject import CheckedFile, DocumentSubject
 
 

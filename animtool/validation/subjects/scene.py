@@ -9,13 +9,13 @@ from pathlib import Path
 
 import numpy as np
 
+from animtool.core.errors import AnimtoolError, Fault
+from animtool.core.files.reading import recorded_inputs
+from animtool.core.rules import Kind
 from animtool.documents.document import Document, Location
-from animtool.errors import AnimtoolError, Fault
-from animtool.files import recorded_inputs
 from animtool.ik.take_pass import IkPassOptions, asked_of
 from animtool.ik.tracks import TargetTracks
 from animtool.motion import Channel, Motion
-from animtool.rules import Kind
 from animtool.scene.entries import SceneOutput
 from animtool.scene.file import scene_of_document
 from animtool.scene.scene import Scene

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
+from animtool.core.errors import Fault
+from animtool.core.rules import Kind
 from animtool.documents.document import Document, Location
-from animtool.errors import Fault
-from animtool.rules import Kind
 
 if TYPE_CHECKING:
     from animtool.validation.motion.subject import MotionSubject

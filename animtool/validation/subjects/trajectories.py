@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from animtool.errors import Fault
+from animtool.core.errors import Fault
+from animtool.core.rules import Kind
 from animtool.markers import Markers
-from animtool.rules import Kind
 from animtool.validation.subjects.subject import CheckedFile
 
 

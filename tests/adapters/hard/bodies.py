@@ -7,8 +7,8 @@ import pytest
 from adapters.hard.subsystem import Subsystem
 from adapters.nbody import nbody
 
-from animtool._types import FloatArray
-from animtool.errors import OptionError, ToleranceError
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import OptionError, ToleranceError
 from animtool.systems.nbody.nbody import Nbody
 from animtool.systems.run import SimulationRun
 

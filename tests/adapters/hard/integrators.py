@@ -7,8 +7,8 @@ import pytest
 from adapters.hard.subsystem import Subsystem
 from adapters.sim import kepler_system
 
-from animtool._types import FloatArray
-from animtool.errors import OptionError
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import OptionError
 from animtool.sim import (
     INTEGRATORS,
     ForceSystem,

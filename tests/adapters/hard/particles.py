@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from adapters.hard.subsystem import Subsystem, resting_seconds
 
-from animtool.errors import OptionError
+from animtool.core.errors import OptionError
 from animtool.sim import IntegrateOptions
 from animtool.sim.colliders import Capsule, Collider, Plane, Poses, Sphere, Touch
 from animtool.systems.particles import Emitter, ParticleRun, Particles, find_force

@@ -12,7 +12,7 @@ from adapters.hard.subsystem import Subsystem, resting_seconds
 from numpy.testing import assert_array_equal
 from support.rigid import FLOOR, Rigid, ball, box
 
-from animtool.errors import AnimtoolError, FormatError, OptionError
+from animtool.core.errors import AnimtoolError, FormatError, OptionError
 from animtool.systems.rigid.spec import RigidModel
 
 __all__ = ["RIGID"]

@@ -11,7 +11,7 @@ from adapters.hard.subsystem import Subsystem
 from pxr import Usd, UsdGeom
 from support.cli import Done, animtool
 
-from animtool._types import FloatArray
+from animtool.core.array_types import FloatArray
 
 __all__ = [
     "CLOTH",

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from adapters.hard.subsystem import Subsystem, resting_seconds
 
-from animtool.errors import OptionError
+from animtool.core.errors import OptionError
 from animtool.sim import (
     INTEGRATORS,
     Checkpoint,

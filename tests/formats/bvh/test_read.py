@@ -18,14 +18,14 @@ from support.bvh import (
     small_bvh,
 )
 
-from animtool.errors import FormatError, Severity
+from animtool.core.errors import FormatError, Severity
+from animtool.core.units import LengthUnit
 from animtool.formats.bvh import lines as lines_module
 from animtool.formats.bvh import read_bvh
 from animtool.formats.bvh.write import bvh_text
 from animtool.rig.kinematics import forward
 from animtool.rig.skeleton import JointType
 from animtool.take import Take, TakeStream
-from animtool.units import LengthUnit
 from animtool.validation.run import validate
 
 

@@ -9,13 +9,13 @@ import pytest
 from numpy.testing import assert_allclose
 from support.bvh import HEADER, random_rows, small_bvh
 
-from animtool.clock import Clock
-from animtool.errors import AnimtoolError
+from animtool.core.clock import Clock
+from animtool.core.errors import AnimtoolError
+from animtool.core.rates import rate_from_frame_time
 from animtool.formats.bvh import read_bvh, write_bvh
 from animtool.formats.bvh.write import bvh_text, frame_time
 from animtool.maths import so3
 from animtool.motion import Channel, Motion
-from animtool.rates import rate_from_frame_time
 from animtool.report.compare import compare_takes
 from animtool.rig.skeleton import Joint, Rig
 from animtool.take import Take

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from support.c3d_bytes import DEC, INTEL, SGI, C3dFile
 
-from animtool.errors import FormatError
+from animtool.core.errors import FormatError
 from animtool.formats.c3d import read_c3d
 from animtool.markers import Markers
 

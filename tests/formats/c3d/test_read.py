@@ -10,9 +10,9 @@ import pytest
 from support.c3d_bytes import DEC, INTEL, SGI, C3dFile, read_points
 from support.data import data_files
 
-from animtool.errors import AnimtoolError, FormatError
+from animtool.core.errors import AnimtoolError, FormatError
+from animtool.core.units import UpAxis
 from animtool.formats.c3d import read_c3d
-from animtool.units import UpAxis
 
 FRAMES_TOO = {"groups": {"POINT": {"FRAMES": np.array([60_000])}}}
 

@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from animtool.clock import Clock
-from animtool.errors import OptionError
+from animtool.core.clock import Clock
+from animtool.core.errors import OptionError
+from animtool.core.units import UpAxis
 from animtool.formats.c3d import read_c3d, write_c3d
 from animtool.markers import Markers
-from animtool.units import UpAxis
 
 
 def made(frames: int = 20, count: int = 3) -> Markers:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from animtool.errors import FormatError, OptionError
+from animtool.core.errors import FormatError, OptionError
 from animtool.formats.livelink import read_livelink, write_livelink
 from animtool.formats.livelink.columns import ANGLES, APP_SHAPES
 from animtool.formats.livelink.timecodes import row_frames

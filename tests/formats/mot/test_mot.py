@@ -13,8 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.cli import animtool
 
-from animtool.clock import Clock
-from animtool.errors import AnimtoolError
+from animtool.core.clock import Clock
+from animtool.core.errors import AnimtoolError
 from animtool.formats.mot import read_mot, read_mot_rig, write_mot
 from animtool.formats.mot.coordinates import column_names, coordinates_of, spellings
 from animtool.maths import so3

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from support.cli import animtool
 
-from animtool.errors import FormatError
+from animtool.core.errors import FormatError
 from animtool.formats.marker_files import is_marker_file, open_markers
 from animtool.markers import Markers
 

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from animtool.clock import Clock
-from animtool.errors import FormatError
+from animtool.core.clock import Clock
+from animtool.core.errors import FormatError
 from animtool.formats.trc import read_trc, write_trc
 from animtool.markers import Markers
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from animtool.errors import FormatError
+from animtool.core.errors import FormatError
 from animtool.formats.trc import read_trc, write_trc
 from animtool.markers import Markers
 

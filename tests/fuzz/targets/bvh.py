@@ -10,7 +10,7 @@ import numpy as np
 from support.bvh import random_rows, small_bvh
 
 from animtool.cli.main import run as animtool
-from animtool.errors import AnimtoolError
+from animtool.core.errors import AnimtoolError
 from animtool.formats.bvh.read import read_bvh
 from fuzz.mutations import pick, spoil
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from support.c3d_bytes import DEC, INTEL, SGI, C3dFile
 
-from animtool.errors import AnimtoolError
+from animtool.core.errors import AnimtoolError
 from animtool.formats.c3d import read_c3d
 from fuzz.mutations import spoil
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from support.stage import ring
 
-from animtool.errors import AnimtoolError
+from animtool.core.errors import AnimtoolError
 from animtool.maths.so3 import from_matrix, log
 from animtool.mocap.cameras import Camera, load_cameras, project, read_keypoints
 from fuzz.mutations import pick, spoil

@@ -14,8 +14,8 @@ from support.timelines import clip, span, timeline
 
 from animtool.batch.cut_frames import CutOptions
 from animtool.batch.cuts import read_cut, read_cuts
-from animtool.errors import AnimtoolError
-from animtool.files import MatchedFile
+from animtool.core.errors import AnimtoolError
+from animtool.core.files.reading import MatchedFile
 from fuzz.mutations import spoil, spoil_values
 
 ABOUT = "timelines of OpenTimelineIO and cut lists (EDL), read to shots"

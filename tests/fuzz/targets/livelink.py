@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from animtool.errors import AnimtoolError
+from animtool.core.errors import AnimtoolError
 from animtool.formats.livelink import read_livelink
 from fuzz.mutations import pick, spoil
 

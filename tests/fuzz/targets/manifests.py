@@ -24,8 +24,8 @@ from animtool.batch.spec import BatchSpec, named_from
 from animtool.batch.variants import read_variants
 from animtool.batch.work import Status
 from animtool.cli.batch_progress import scores_table
-from animtool.errors import AnimtoolError
-from animtool.files import FileState
+from animtool.core.errors import AnimtoolError
+from animtool.core.files.reading import FileState
 from animtool.scores import PassScores, Score, ScoreUnit
 from fuzz.mutations import spoil, spoil_values
 

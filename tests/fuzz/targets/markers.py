@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 from support.c3d_bytes import DEC, INTEL, SGI, C3dFile
 
-from animtool.clock import Clock
-from animtool.errors import AnimtoolError
+from animtool.core.clock import Clock
+from animtool.core.errors import AnimtoolError
 from animtool.formats.marker_files import open_markers, write_markers
 from animtool.markers import Markers
 from fuzz.mutations import pick, spoil

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from animtool.clock import Clock
-from animtool.errors import AnimtoolError
+from animtool.core.clock import Clock
+from animtool.core.errors import AnimtoolError
 from animtool.formats.mot import read_mot, write_mot
 from animtool.motion import Channel, Motion
 from animtool.rig.skeleton import Joint, JointType, Rig

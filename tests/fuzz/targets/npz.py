@@ -10,8 +10,8 @@ from zipfile import ZipFile
 
 import numpy as np
 
+from animtool.core.errors import AnimtoolError
 from animtool.documents.arrays import Archives
-from animtool.errors import AnimtoolError
 from fuzz.mutations import pick, spoil
 
 ABOUT = "archives of arrays, spoiled as bytes, as zip directories and as npy heads"

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from animtool import BakeOptions, bake
-from animtool.errors import AnimtoolError, Fault
+from animtool.core.errors import AnimtoolError, Fault
 from animtool.scene.file import load_scene
 from animtool.scene.systems.simulation import open_systems
 from animtool.usd.layers import compute_alone, forget_layers

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from animtool.errors import AnimtoolError
+from animtool.core.errors import AnimtoolError
 from animtool.formats.trc import read_trc, write_trc
 from fuzz.mutations import pick, spoil
 

@@ -14,7 +14,7 @@ from pxr import Sdf, Tf
 from support.broken_usd import write_good
 from support.clean_layer import make_layer
 
-from animtool.errors import AnimtoolError
+from animtool.core.errors import AnimtoolError
 from animtool.report.describe import describe
 from animtool.scene.sources import SourceOptions
 from animtool.take import TakeStream

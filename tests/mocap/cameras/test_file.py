@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from support.stage import cameras_text, ring
 
-from animtool.errors import FormatError
+from animtool.core.errors import FormatError
+from animtool.core.units import LengthUnit, UpAxis
 from animtool.maths.so3 import from_matrix, log
 from animtool.mocap.cameras import Camera, Cameras, load_cameras
 from animtool.mocap.cameras.file import load_all_cameras
-from animtool.units import LengthUnit, UpAxis
 
 STAGE = ring(3)
 

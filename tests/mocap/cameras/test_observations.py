@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from support.stage import observed, ring, walkers, write_observations
 
-from animtool._types import FloatArray
-from animtool.errors import AnimtoolError, FormatError
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import AnimtoolError, FormatError
 from animtool.mocap.cameras import (
     project,
     read_keypoints,

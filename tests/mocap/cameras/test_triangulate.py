@@ -10,8 +10,8 @@ import pytest
 from support.stage import changed, observed, ring, walkers
 
 from animtool import _kernels
-from animtool._types import FloatArray
-from animtool.errors import AnimtoolError
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import AnimtoolError
 from animtool.maths.so3 import exp, to_matrix
 from animtool.mocap.cameras import (
     TriangulateOptions,

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from animtool._types import FloatArray
-from animtool.errors import FormatError, OptionError
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import FormatError, OptionError
 from animtool.maths.so3 import from_axis_angle, rotate
 from animtool.mocap.face import FaceModel, fit_face, transfer_weights
 from animtool.mocap.face import solve as solving
@@ -223,7 +223,7 @@ def test_landmarks_are_found_by_name() -> None:
 def read_clock():  # type: ignore[no-untyped-def]
     from fractions import Fraction
 
-    from animtool.clock import Clock
+    from animtool.core.clock import Clock
 
     return Clock(Fraction(60), Fraction(1), Fraction(1), 1)
 

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from animtool._types import FloatArray
-from animtool.clock import Clock
-from animtool.errors import OptionError
+from animtool.core.array_types import FloatArray
+from animtool.core.clock import Clock
+from animtool.core.errors import OptionError
 from animtool.markers import Markers
 from animtool.maths import so3
 from animtool.mocap.markers.fill import fill

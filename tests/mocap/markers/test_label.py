@@ -10,7 +10,7 @@ from support.clouds import MARKER_SETS, cloud
 from support.named import scores_of
 from support.suite import is_full
 
-from animtool.errors import OptionError
+from animtool.core.errors import OptionError
 from animtool.mocap.markers.label import label
 from animtool.mocap.markers.twins import told_apart
 

@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 from support.full_rigs import FULL_RIGS, full_rig
 from support.people import named, person
 
-from animtool.errors import OptionError
+from animtool.core.errors import OptionError
+from animtool.core.units import UpAxis
 from animtool.mocap.retarget import map_joints
 from animtool.mocap.retarget.anatomy import anatomy
 from animtool.mocap.retarget.roles import (
@@ -26,7 +27,6 @@ from animtool.mocap.retarget.roles import (
 )
 from animtool.rig.kinematics import forward
 from animtool.rig.skeleton import Joint, Rig
-from animtool.units import UpAxis
 
 
 def nameless(rig: Rig, seed: int = 3) -> Rig:

@@ -10,7 +10,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from animtool import Channel, Rig, Take, open_source
-from animtool._types import FloatArray
+from animtool.core.array_types import FloatArray
 from animtool.mocap.retarget import map_joints
 from animtool.mocap.retarget.motion import Retargeted, retarget_take
 from animtool.mocap.retarget.transfer import middle_of_hips

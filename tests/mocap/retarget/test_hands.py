@@ -10,7 +10,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from animtool import Channel, Motion, Rig, Take, open_source
-from animtool._types import FloatArray
+from animtool.core.array_types import FloatArray
 from animtool.maths import so3
 from animtool.mocap.retarget import Retargeted, map_joints, retarget_take
 from animtool.passes import PassContext, apply_pass, find_pass

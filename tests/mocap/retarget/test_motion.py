@@ -11,14 +11,14 @@ import pytest
 from numpy.testing import assert_allclose
 
 from animtool import Channel, Rig, Take, open_source
+from animtool.core.files.spool import Spool
+from animtool.core.units import UpAxis, up_from_up
 from animtool.edit import mirror
 from animtool.maths import so3
 from animtool.mocap.retarget import map_joints, motion
 from animtool.mocap.retarget.motion import Retargeted, retarget_take
 from animtool.rig.limits import BallLimit, RangeLimit, swing_twist
 from animtool.rig.skeleton import JointType
-from animtool.spool import Spool
-from animtool.units import UpAxis, up_from_up
 
 
 @pytest.fixture(scope="module")

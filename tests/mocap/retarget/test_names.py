@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support.people import named, person
 
-from animtool.errors import OptionError
+from animtool.core.errors import OptionError
 from animtool.mocap.retarget.anatomy import anatomy
 from animtool.mocap.retarget.names import find_preset, presets, read_names
 from animtool.mocap.retarget.roles import ROLES, base_role

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from support.people import named, person
 
-from animtool.errors import FormatError, OptionError
+from animtool.core.errors import FormatError, OptionError
 from animtool.mocap.retarget import JointMap, map_joints, map_text
 from animtool.mocap.retarget.roles import RoleSource
 from animtool.rig.skeleton import Joint, Rig

@@ -10,13 +10,13 @@ import pytest
 from numpy.testing import assert_allclose
 
 from animtool import Channel, Motion, Rig, Take, open_source
-from animtool.errors import OptionError
+from animtool.core.errors import OptionError
+from animtool.core.units import UpAxis, up_from_up
 from animtool.maths import so3
 from animtool.mocap.options import RetargetOptions
 from animtool.mocap.retarget.take_pass import onto_rig
 from animtool.rig.kinematics import forward
 from animtool.take import TakeStream
-from animtool.units import UpAxis, up_from_up
 
 
 def turned(take: Take, turn: np.ndarray) -> Take:

@@ -8,7 +8,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from animtool.errors import Fault
+from animtool.core.errors import Fault
 from animtool.mocap.retarget.verdict import FrameNumbers, Status, verdict_of
 from animtool.scores import PassScores, Score, ScoreUnit
 

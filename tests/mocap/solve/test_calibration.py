@@ -10,7 +10,7 @@ from support.clouds import cloud, template
 from support.marked import FIGURE, TEMPLATE, Captured, captured, moving
 from support.mocap_skeleton import rig_of, template_of
 
-from animtool.errors import OptionError
+from animtool.core.errors import OptionError
 from animtool.mocap.solve import calibrate, solve_markers
 from animtool.mocap.solve.calibration import with_bones, without_limits
 from animtool.mocap.solve.model import marker_model

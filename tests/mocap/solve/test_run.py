@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from support.marked import FIGURE, TEMPLATE, Captured, captured, column, moving
 
-from animtool.errors import OptionError
+from animtool.core.errors import OptionError
+from animtool.core.units import UpAxis
 from animtool.markers import Markers
 from animtool.mocap.solve import SolveOptions, solve_markers
 from animtool.mocap.solve import run as run_module
 from animtool.take import Take
-from animtool.units import UpAxis
 
 FPS = 100.0
 

@@ -8,7 +8,7 @@ import pytest
 from support.cli import animtool
 from support.marked import FIGURE, TEMPLATE
 
-from animtool.errors import FormatError, OptionError
+from animtool.core.errors import FormatError, OptionError
 from animtool.mocap.template import MarkerTemplate, TemplateMarker, load_template
 from animtool.mocap.template.template import template_text
 from animtool.rig.write import rig_text

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from animtool.errors import OptionError
+from animtool.core.errors import OptionError
 from animtool.mocap.template import MarkerTemplate, TemplateMarker, match_markers
 
 TEMPLATE = MarkerTemplate(

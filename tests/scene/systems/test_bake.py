@@ -11,7 +11,7 @@ from pxr import Sdf, Usd, UsdGeom
 
 from animtool import BakeOptions, bake
 from animtool.cli.summary import bake_json, bake_text
-from animtool.errors import AnimtoolError, FormatError, OptionError, ToleranceError
+from animtool.core.errors import AnimtoolError, FormatError, OptionError, ToleranceError
 from animtool.scene.file import load_scene
 from animtool.scene.plan_steps import StepKind, bake_steps
 from animtool.scene.systems.simulation import open_systems
@@ -108,7 +108,7 @@ def test_a_start_says_when_the_simulation_begins(tmp_path: Path) -> None:
 
 
 def test_units_and_names_of_the_output(tmp_path: Path) -> None:
-    from animtool.units import LengthUnit
+    from animtool.core.units import LengthUnit
 
     scene = written(tmp_path, SCENE.replace("name: embers", "name: my embers!"))
     bake(scene, tmp_path / "m.usda", BakeOptions(prim_path="/World/fx"))

@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from pxr import Usd, UsdGeom
 
 from animtool import bake
-from animtool.errors import FormatError
+from animtool.core.errors import FormatError
 from animtool.scene.file import load_scene
 from animtool.scene.systems.character_motion import (
     CharacterMotion,

@@ -11,7 +11,7 @@ from pxr import Usd
 from support.bvh import random_rows, small_bvh
 from support.cli import animtool
 
-from animtool.errors import FormatError
+from animtool.core.errors import FormatError
 from animtool.report.describe_scene import describe_scene
 from animtool.scene import outputs as scene_outputs
 from animtool.scene.file import load_scene

@@ -12,8 +12,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 from support.swing import Spec
 
 from animtool.cli.simulation_summary import simulation_table_text
+from animtool.core.errors import FormatError, OptionError, ToleranceError
 from animtool.documents.document import Document, read_document
-from animtool.errors import FormatError, OptionError, ToleranceError
 from animtool.frames import TransformsFrame
 from animtool.scene.entries import Place, SceneSystem
 from animtool.scene.simulation_table import SimulationTable

@@ -17,12 +17,12 @@ from support.suite import every_other
 from support.system_examples import EXAMPLES
 
 from animtool import BakeOptions
-from animtool.errors import OptionError, ToleranceError
+from animtool.core.errors import OptionError, ToleranceError
+from animtool.core.plugins import load_object
+from animtool.core.units import LengthUnit
 from animtool.maths import so3
-from animtool.plugins import load_object
 from animtool.sim.trajectory import Status
 from animtool.systems.kinds import SYSTEM_KINDS
-from animtool.units import LengthUnit
 
 # Times of frames that are multiples of every step [s].
 FRAMES = [k / 16 for k in range(7)]

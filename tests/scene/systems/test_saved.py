@@ -12,7 +12,7 @@ from pxr import Usd, UsdGeom
 from support.cli import animtool
 from support.simulated import Simulator
 
-from animtool.errors import FormatError
+from animtool.core.errors import FormatError
 from animtool.scene.systems.simulation import clocked, open_systems
 from animtool.systems.run import SimulationRun
 from animtool.systems.saved import write_states

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from support.simulated import Simulator
 
-from animtool.errors import OptionError
+from animtool.core.errors import OptionError
 from animtool.sim.trajectory import Status
 from animtool.sim.trials.measuring import TrialRow, measure
 from animtool.sim.trials.trial import Setting, Trial

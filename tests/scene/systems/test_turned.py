@@ -9,7 +9,7 @@ import pytest
 from pxr import Gf, Usd, UsdGeom, Vt
 
 from animtool import bake
-from animtool.errors import AnimtoolError, FormatError
+from animtool.core.errors import AnimtoolError, FormatError
 from animtool.maths import so3
 from animtool.scene.file import load_scene
 from animtool.scene.systems.surroundings import moving_sheet

@@ -17,14 +17,14 @@ from support.usd import validation_errors
 
 from animtool import BakeOptions, bake
 from animtool.cli.summary import bake_json, bake_text
-from animtool.errors import AnimtoolError, FormatError, OptionError
+from animtool.core.errors import AnimtoolError, FormatError, OptionError
+from animtool.core.shot import FrameRange
+from animtool.core.units import LengthUnit, UpAxis
 from animtool.rig.file import load_rig
 from animtool.scene.file import load_scene
 from animtool.scene.outputs import bake_scene
 from animtool.scene.plan_steps import StepKind, bake_steps
 from animtool.scene.sources import open_source
-from animtool.shot import FrameRange
-from animtool.units import LengthUnit, UpAxis
 
 CODES = [float(code) for code in range(1, 10)]
 Array = npt.NDArray[np.float64]

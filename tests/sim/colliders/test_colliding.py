@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from support.suite import examples
 
-from animtool._types import ArrayLike, FloatArray
-from animtool.errors import OptionError
+from animtool.core.array_types import ArrayLike, FloatArray
+from animtool.core.errors import OptionError
 from animtool.maths import so3
 from animtool.sim.colliders import (
     Box,

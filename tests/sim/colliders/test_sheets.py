@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from support.suite import examples
 
-from animtool._types import FloatArray, IntArray
-from animtool.errors import OptionError
+from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.errors import OptionError
 from animtool.sim.colliders import Collider, Colliders, Plane, Sheet, collide
 from animtool.sim.colliders.sheets import hull
 from animtool.systems.springs import Family, sheet

@@ -24,7 +24,7 @@ from support.motions import (
 )
 from support.suite import at_night, examples
 
-from animtool.errors import OptionError
+from animtool.core.errors import OptionError
 from animtool.sim import (
     INTEGRATORS,
     ForceSystem,

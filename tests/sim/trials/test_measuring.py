@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from animtool.errors import Fault, OptionError
+from animtool.core.errors import Fault, OptionError
 from animtool.sim.system import Energy
 from animtool.sim.trajectory import Status
 from animtool.sim.trials.measuring import measure

@@ -20,7 +20,7 @@ from support.attached import (
     take_of,
 )
 
-from animtool.errors import OptionError
+from animtool.core.errors import OptionError
 from animtool.maths import so3
 from animtool.motion import Motion
 from animtool.passes import PassContext, apply_pass, find_pass

@@ -9,7 +9,7 @@ import pytest
 from support.attached import moved, sheet_rig, simulated, strands_rig, take_of
 from support.piercing import distances, pierced
 
-from animtool.errors import OptionError
+from animtool.core.errors import OptionError
 from animtool.maths.faces import triangulated
 from animtool.rig.skeleton import Rig
 from animtool.systems.attach.settings import SimulateOptions, settings_for

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from animtool.errors import OptionError
+from animtool.core.errors import OptionError
 from animtool.maths import so3
 from animtool.rig.kinematics import forward
 from animtool.rig.skeleton import Joint, Rig

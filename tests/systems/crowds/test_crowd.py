@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial import cKDTree
 from support.simulated import Simulator
 
-from animtool.errors import AnimtoolError
+from animtool.core.errors import AnimtoolError
 from animtool.scene.systems.run import SystemRun
 from animtool.scene.systems.simulation import open_systems
 from animtool.systems.run import SimulationRun

@@ -13,7 +13,7 @@ from support.nasty import write_nasty_clip
 from support.simulated import Simulator
 
 from animtool import Rig
-from animtool.errors import AnimtoolError
+from animtool.core.errors import AnimtoolError
 from animtool.frames import TransformsFrame
 from animtool.maths import so3
 from animtool.scene.systems.run import SystemRun

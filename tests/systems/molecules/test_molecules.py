@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from support.simulated import Simulator
 from support.suite import nightly
 
-from animtool.errors import AnimtoolError, ToleranceError
+from animtool.core.errors import AnimtoolError, ToleranceError
 from animtool.scene.systems.simulation import open_systems
 from animtool.sim.colliders import Poses
 from animtool.systems.molecules.atoms import BOLTZMANN, COULOMB

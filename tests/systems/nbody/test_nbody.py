@@ -10,7 +10,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from support.simulated import Simulator
 
-from animtool.errors import AnimtoolError, ToleranceError
+from animtool.core.errors import AnimtoolError, ToleranceError
 from animtool.scene.systems.simulation import open_systems
 from animtool.systems.nbody.galaxies import Profile, build_galaxy
 from animtool.systems.nbody.spec import GalaxyModel

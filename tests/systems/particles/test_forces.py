@@ -7,8 +7,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 from animtool import _kernels
-from animtool._types import ArrayLike, FloatArray
-from animtool.errors import OptionError
+from animtool.core.array_types import ArrayLike, FloatArray
+from animtool.core.errors import OptionError
 from animtool.sim import IntegrateOptions
 from animtool.systems.particles import (
     FORCES,

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from support.suite import examples
 
-from animtool.errors import OptionError, ToleranceError
+from animtool.core.errors import OptionError, ToleranceError
 from animtool.sim import INTEGRATORS, IntegrateOptions, find_integrator
 from animtool.sim.colliders import Box, Collider, Mesh, Plane, Poses, Sphere
 from animtool.sim.integrators.integrator import Control, Form

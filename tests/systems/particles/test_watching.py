@@ -7,7 +7,7 @@ import pickle
 import numpy as np
 import pytest
 
-from animtool.errors import OptionError, ToleranceError
+from animtool.core.errors import OptionError, ToleranceError
 from animtool.sim import IntegrateOptions
 from animtool.sim.colliders import Box, Collider, Plane, Poses, Sphere
 from animtool.systems.particles import (

@@ -12,7 +12,7 @@ from support.rigid import FLOOR, ball, box
 from support.simulated import Simulator
 
 from animtool import BakeOptions
-from animtool.errors import FormatError
+from animtool.core.errors import FormatError
 from animtool.scene.systems.simulation import open_systems
 
 FRAMES = (np.arange(25) / 24).tolist()

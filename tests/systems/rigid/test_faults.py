@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from support.rigid import FLOOR, Rigid, ball, box
 
-from animtool.errors import AnimtoolError, FormatError, Severity
+from animtool.core.errors import AnimtoolError, FormatError, Severity
 from animtool.scene.file import load_scene
 from animtool.scene.systems.simulation import open_systems
 from animtool.systems.rigid import kind

@@ -14,7 +14,7 @@ from scipy.spatial import ConvexHull
 from support.rigid import GRAVITY, Rigid, ball, box
 from support.simulated import Simulator
 
-from animtool.errors import FormatError
+from animtool.core.errors import FormatError
 from animtool.sim.colliders import Collider, Colliders, HeightField
 
 # Of 8 m by 4 m, a height falls by a third of the way along x.

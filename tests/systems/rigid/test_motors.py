@@ -11,7 +11,7 @@ import pytest
 from numpy.testing import assert_allclose
 from support.rigid import GRAVITY, Rigid, box
 
-from animtool.errors import AnimtoolError
+from animtool.core.errors import AnimtoolError
 
 
 def pin(**drive: Any) -> dict[str, Any]:

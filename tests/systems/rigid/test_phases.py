@@ -11,7 +11,7 @@ import pytest
 from numpy.testing import assert_allclose
 from support.rigid import FLOOR, GRAVITY, Rigid, ball, box
 
-from animtool.errors import AnimtoolError
+from animtool.core.errors import AnimtoolError
 
 AWAKE = {"sleep": {"speed": 0}}
 HELD = {"kinematic": True, "release": 1.0}

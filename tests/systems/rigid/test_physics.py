@@ -15,9 +15,9 @@ from support.rigid import FLOOR, Rigid, ball, box
 from support.simulated import Simulator
 
 from animtool import BakeOptions, validate
-from animtool.errors import FormatError, ToleranceError
+from animtool.core.errors import FormatError, ToleranceError
+from animtool.core.units import LengthUnit, UpAxis
 from animtool.maths import so3
-from animtool.units import LengthUnit, UpAxis
 
 FORMS: list[tuple[dict[str, Any], float]] = [
     ({}, 1.0),

@@ -14,10 +14,10 @@ from support.simulated import Simulator
 
 from animtool import BakeOptions, bake
 from animtool.cli.plan_summary import mesh_text
-from animtool.errors import AnimtoolError
+from animtool.core.errors import AnimtoolError
+from animtool.core.units import LengthUnit, UpAxis
 from animtool.report.compare_points import compare_points
 from animtool.scene.prims import BakeReport
-from animtool.units import LengthUnit, UpAxis
 from animtool.usd.point_info import describe_points
 
 BODIES = [

@@ -14,8 +14,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.integrate import solve_ivp
 from support.rigid import GRAVITY
 
-from animtool.clock import Clock
-from animtool.errors import FormatError, OptionError
+from animtool.core.clock import Clock
+from animtool.core.errors import FormatError, OptionError
 from animtool.maths import so3
 from animtool.motion import Channel, Motion
 from animtool.passes import PassContext

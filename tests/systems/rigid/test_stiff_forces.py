@@ -12,7 +12,7 @@ import pytest
 from numpy.testing import assert_allclose
 from support.rigid import FLOOR, GRAVITY, Rigid, ball, box
 
-from animtool.errors import ToleranceError
+from animtool.core.errors import ToleranceError
 
 STEP, MASS, UNTIL = 0.01, 0.01, 0.5
 FALL: dict[str, Any] = {"gravity": None}

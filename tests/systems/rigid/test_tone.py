@@ -10,7 +10,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.optimize import brentq
 
-from animtool.clock import Clock
+from animtool.core.clock import Clock
 from animtool.maths import so3
 from animtool.motion import Channel, Motion
 from animtool.passes import PassContext

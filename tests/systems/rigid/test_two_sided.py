@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from support.rigid import Rigid, ball, box, capsule
 
-from animtool.errors import AnimtoolError
+from animtool.core.errors import AnimtoolError
 from animtool.maths import so3
 from animtool.sim.colliders import Collider, Mesh, Poses, collide
 from animtool.systems.particles.setup import KillRegion

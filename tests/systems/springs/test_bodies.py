@@ -10,8 +10,8 @@ from numpy.testing import assert_allclose
 from pxr import Usd, UsdGeom, Vt
 
 from animtool import bake
-from animtool._types import FloatArray
-from animtool.errors import FormatError
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import FormatError
 from animtool.scene.file import load_scene
 from tests.support.balls import box_mesh
 

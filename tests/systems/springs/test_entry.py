@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from pxr import Usd, UsdGeom
 
-from animtool.errors import Fault, FormatError
+from animtool.core.errors import Fault, FormatError
 from animtool.scene.file import load_scene
 
 SCENE = """\

@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.suite import examples
 
-from animtool._types import FloatArray
-from animtool.errors import OptionError
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import OptionError
 from animtool.maths import so3
 from animtool.sim import IntegrateOptions, Status, Trajectory, integrate
 from animtool.systems.springs import (

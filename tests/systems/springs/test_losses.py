@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from animtool import BakeOptions, bake
+from animtool.core.shot import FrameRange
 from animtool.scene.file import load_scene
-from animtool.shot import FrameRange
 from animtool.sim.system import Energy
 from animtool.systems.springs.losses import REPORTED, RESTING, Losses
 from animtool.systems.springs.records import Solver

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from support.suite import examples
 
-from animtool._types import FloatArray, IntArray
+from animtool.core.array_types import FloatArray, IntArray
 from animtool.sim import Status
 from animtool.sim.colliders import Box, Collider, Colliders, Mesh, Poses, Sheet, Sphere
 from animtool.systems.springs import (

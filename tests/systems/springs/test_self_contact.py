@@ -12,8 +12,8 @@ from support.piercing import distances, pierced
 from support.suite import examples
 
 from animtool import _kernels
-from animtool._types import FloatArray, IntArray
-from animtool.errors import OptionError
+from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.errors import OptionError
 from animtool.sim import IntegrateOptions, Status, integrate
 from animtool.sim.colliders import Collider, Plane
 from animtool.systems.springs import (

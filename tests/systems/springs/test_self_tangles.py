@@ -13,7 +13,7 @@ from support.suite import examples
 from support.tangles import STEP, TANGLES
 
 from animtool import _kernels
-from animtool._types import FloatArray
+from animtool.core.array_types import FloatArray
 from animtool.systems.springs import (
     Body,
     Pins,

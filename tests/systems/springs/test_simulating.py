@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from support.suite import examples
 
-from animtool._types import FloatArray
-from animtool.errors import OptionError, Severity
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import OptionError, Severity
 from animtool.sim import Checkpoint, IntegrateOptions, Status, integrate
 from animtool.systems.springs import (
     Air,

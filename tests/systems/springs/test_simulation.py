@@ -15,12 +15,12 @@ from pxr import Sdf, Usd, UsdGeom
 import animtool
 from animtool import BakeOptions, bake
 from animtool.cli.summary import bake_json, bake_text
-from animtool.errors import FormatError, Severity, ToleranceError
+from animtool.core.errors import FormatError, Severity, ToleranceError
+from animtool.core.shot import FrameRange
 from animtool.rig.kinematics import forward
 from animtool.scene.file import load_scene
 from animtool.scene.systems.run import SystemRun
 from animtool.scene.systems.simulation import open_systems
-from animtool.shot import FrameRange
 from animtool.systems.kinds import SYSTEM_KINDS
 from animtool.systems.springs import Family, Pins, SpringSystem, rope, simulate_springs
 

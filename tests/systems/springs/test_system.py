@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from support.suite import examples
 
-from animtool._types import FloatArray
-from animtool.errors import OptionError
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import OptionError
 from animtool.sim import IntegrateOptions, find_integrator, integrate
 from animtool.systems.springs import (
     Air,

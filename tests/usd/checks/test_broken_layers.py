@@ -12,8 +12,8 @@ from support.broken_usd import BROKEN, NEAR, Case, write_good
 from support.suite import is_full
 from support.usd import open_stage, validation_errors
 
-from animtool.errors import Severity
-from animtool.rules import own_rules
+from animtool.core.errors import Severity
+from animtool.core.rules import own_rules
 from animtool.usd.checks import check_layer
 from animtool.usd.stderr import without_usd_warnings
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from animtool.rules import own_rules
+from animtool.core.rules import own_rules
 from animtool.usd.checks import check_layer
 
 LAYER = Path(__file__).with_name("pages.usda")

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from pxr import Sdf, UsdValidation
 
-from animtool.errors import Fault
+from animtool.core.errors import Fault
 from animtool.usd.checks import check_layer
 
 HEAD = """\

@@ -23,7 +23,7 @@ from support.clean_layer import (
 )
 from support.cli import animtool
 
-from animtool.errors import FormatError, OptionError
+from animtool.core.errors import FormatError, OptionError
 from animtool.report.compare import compare
 from animtool.usd.fixes.table import EDITS
 from animtool.validation.fixes.plan import with_fixable

@@ -10,9 +10,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from support.suite import examples
 
+from animtool.core.errors import Fault
+from animtool.core.rules import own_rules
 from animtool.documents.document import document_of
-from animtool.errors import Fault
-from animtool.rules import own_rules
 from animtool.validation.fixes.draft import FIXES, fix_of
 from animtool.validation.fixes.plan import plan_file, with_fixable
 from animtool.validation.fixes.run import fix_files

@@ -16,9 +16,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
-from animtool.errors import Fault, Severity
-from animtool.quantities import escaped
-from animtool.rules import own_rules
+from animtool.core.errors import Fault, Severity
+from animtool.core.quantities import escaped
+from animtool.core.rules import own_rules
 from animtool.validation.formats import FORMATS, written
 from animtool.validation.formats.plain import cut
 from animtool.validation.run import Report

@@ -12,15 +12,15 @@ from pxr import Gf, Sdf
 from support.cli import animtool
 from support.planted_takes import at_frames, eased, edited, held, scaled, step, turned
 
-from animtool._types import FloatArray
-from animtool.clock import Clock
+from animtool.core.array_types import FloatArray
+from animtool.core.clock import Clock
+from animtool.core.errors import Fault, Severity
+from animtool.core.rules import find_rule, own_rules, replaced_codes
 from animtool.edit.resample import resampled
-from animtool.errors import Fault, Severity
 from animtool.maths import so3
 from animtool.motion import Channel, Motion
 from animtool.rig.parts import Shape
 from animtool.rig.skeleton import JointType, Rig
-from animtool.rules import find_rule, own_rules, replaced_codes
 from animtool.scene.sources import open_source
 from animtool.take import Take
 from animtool.validation.motion.sampling import frozen_frames, repeated_frames

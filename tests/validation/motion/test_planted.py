@@ -10,8 +10,8 @@ import pytest
 from support.planted_layers import LAYERS, PlantedLayer, planted
 from support.planted_takes import TAKES, Planted
 
-from animtool.errors import Fault, Severity
-from animtool.rules import own_rules
+from animtool.core.errors import Fault, Severity
+from animtool.core.rules import own_rules
 from animtool.scene.bake import bake
 from animtool.scene.sources import open_source
 from animtool.take import Take

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from support.planted_takes import drift, travel
 
-from animtool.errors import Fault
+from animtool.core.errors import Fault
 from animtool.scene.sources import open_source
 from animtool.take import Take
 from animtool.validation.motion.contacts import contacts_of

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from animtool.core.errors import Severity
 from animtool.documents.document import read_document
-from animtool.errors import Severity
 from animtool.validation.run import validate
 from animtool.validation.subjects.clip import open_clip_document
 

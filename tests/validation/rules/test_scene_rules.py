@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from support.props import write_props
 
-from animtool.errors import Severity
+from animtool.core.errors import Severity
 from animtool.scene.file import load_scene
 from animtool.validation.run import validate
 

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from support.planted_markers import MARKERS, NEAR, sound
 
-from animtool.errors import Severity
+from animtool.core.errors import Severity
+from animtool.core.rules import Kind
 from animtool.formats.marker_files import write_markers
 from animtool.markers import Markers
-from animtool.rules import Kind
 from animtool.validation.run import find_files, validate
 from animtool.validation.subjects.open import open_file
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import cast
 
-from animtool.errors import Fault, OptionError, excerpt
-from animtool.plugins import load_object
+from animtool.core.errors import Fault, OptionError, excerpt
+from animtool.core.plugins import load_object
 from animtool.systems.particles.forces.base import Force
 
 __all__ = ["FORCES", "find_force"]
@@ -38,7 +38,7 @@ def find_force(name: str) -> type[Force]:
     (0.0, -9.81, 0.0)
     """
     if name not in FORCES:
-        from animtool.documents.names import nearest
+        from animtool.core.names import nearest
 
         message = f"no force is named {excerpt(name)}"
         raise OptionError(Fault("SIM023", message, hint=nearest(name, list(FORCES))))

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from animtool._types import FloatArray
+from animtool.core.array_types import FloatArray
 from animtool.systems.particles.forces.base import (
     Force,
     NotNegative,

@@ -8,8 +8,8 @@ from typing import Annotated, TypeAlias
 
 import numpy as np
 
-from animtool._types import FloatArray
-from animtool.options import Range, at_least, range_faults
+from animtool.core.array_types import FloatArray
+from animtool.core.options import Range, at_least, range_faults
 from animtool.systems.particles.state import ParticleState
 
 # What options may be.

@@ -14,8 +14,8 @@ from typing import Annotated
 import numpy as np
 
 from animtool import _kernels
-from animtool._types import FloatArray
-from animtool.options import at_least
+from animtool.core.array_types import FloatArray
+from animtool.core.options import at_least
 from animtool.systems.particles.forces.base import (
     Force,
     NotNegative,

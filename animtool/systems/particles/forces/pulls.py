@@ -8,8 +8,8 @@ from typing import Annotated
 
 import numpy as np
 
-from animtool._types import FloatArray
-from animtool.options import Range
+from animtool.core.array_types import FloatArray
+from animtool.core.options import Range
 from animtool.systems.particles.forces.base import (
     AnyVector,
     Finite,

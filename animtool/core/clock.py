@@ -1,0 +1,146 @@
+"""When the frames of a take are, exactly."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from fractions import Fraction
+from numbers import Rational
+
+import numpy as np
+
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault, OptionError
+from animtool.core.rates import rate_label
+
+# Days of animation: rather a number that is mistyped.
+MAX_FRAMES = 10_000_000
+# Time codes are doubles of fractions such as 1001 + 1/5: this finds them again.
+LARGEST_STEP_DENOMINATOR = 10_000
+
+
+def time_codes(start: Fraction, step: Fraction, count: int) -> FloatArray:
+    """Return start + i·step for i < count ``(count,)``, each rounded once.
+
+    >>> time_codes(Fraction(1001), Fraction(1, 5), 3).tolist()
+    [1001.0, 1001.2, 1001.4]
+    """
+    common = start.denominator * step.denominator
+    first = start.numerator * step.denominator
+    each = step.numerator * start.denominator
+    # Integers this size are exact in float64, so one division rounds correctly.
+    if max(abs(first), abs(first + each * count), common) < 2**53:
+        return (first + each * np.arange(count, dtype=np.int64)) / float(common)
+    return np.array([float(start + i * step) for i in range(count)])
+
+
+def time_fraction(time: float) -> Fraction:
+    """Return the fraction that a time code of a file stands for.
+
+    >>> time_fraction(1001.2)
+    Fraction(5006, 5)
+    """
+    return Fraction(time).limit_denominator(LARGEST_STEP_DENOMINATOR)
+
+
+@dataclass(frozen=True, slots=True)
+class Clock:
+    """When the frames of a take are.
+
+    Attributes:
+        fps: Time codes a second.
+        start: Time code of the first frame.
+        step: Time codes from one frame to the next.
+        count: Number of frames.
+
+    Raises:
+        OptionError: One is a float, or fps or step are not positive (TAKE003).
+
+    >>> Clock(Fraction(30000, 1001), Fraction(1), Fraction(1), 5).rate
+    Fraction(30000, 1001)
+    """
+
+    fps: Fraction
+    start: Fraction
+    step: Fraction
+    count: int
+
+    def __post_init__(self) -> None:
+        """Check that times are exact; whole numbers become fractions."""
+        faults = []
+        for name in ("fps", "start", "step"):
+            value = getattr(self, name)
+            if not isinstance(value, Rational):
+                message = f"{name} is {value!r}, which is not exact"
+                faults.append(Fault("TAKE003", message, hint="write a Fraction"))
+                continue
+            object.__setattr__(self, name, Fraction(value))
+            if value <= 0 and name != "start":
+                message = f"{name} is {value}; it must be positive"
+                faults.append(Fault("TAKE003", message))
+        if faults:
+            raise OptionError(faults)
+
+    @property
+    def times(self) -> FloatArray:
+        """Time code of every frame ``(F,)``."""
+        return time_codes(self.start, self.step, self.count)
+
+    @property
+    def rate(self) -> Fraction:
+        """Frames a second."""
+        return self.fps / self.step
+
+    @property
+    def duration(self) -> Fraction:
+        """From the first frame to the last [s]."""
+        return self.step * max(0, self.count - 1) / self.fps
+
+    @property
+    def span(self) -> FrameSpan:
+        """First frame, last frame and rate."""
+        last = self.start + self.step * max(0, self.count - 1)
+        return FrameSpan(self.start, last, self.fps)
+
+
+@dataclass(frozen=True, slots=True)
+class FrameSpan:
+    """First and last frame, as reports print them."""
+
+    first: Fraction  # time code of the first frame
+    last: Fraction  # time code of the last frame
+    fps: Fraction  # time codes a second
+
+    def __str__(self) -> str:
+        """Return the span as people read it.
+
+        >>> str(FrameSpan(Fraction(1001), Fraction(2017, 2), Fraction(24)))
+        'frames 1001 to 1008.5 at 24 fps'
+        """
+        ends = dict.fromkeys(map(frame_label, (self.first, self.last)))
+        word = "frames" if len(ends) > 1 else "frame"
+        return f"{word} {' to '.join(ends)} at {rate_label(self.fps)}"
+
+
+def span_label(first: Fraction | float, last: Fraction | float) -> str:
+    """Return the first and the last of a range of time codes.
+
+    >>> span_label(1001.0, 1024.0)
+    '1001 to 1024'
+    """
+    return f"{frame_label(first)} to {frame_label(last)}"
+
+
+def frame_label(frame: Fraction | float) -> str:
+    """Return a time code as people read it: all digits of the frame, no exponent.
+
+    >>> frame_label(Fraction(1001)), frame_label(Fraction(5, 3)), frame_label(2073600.5)
+    ('1001', '1.66667', '2073600.5')
+    """
+    if not math.isfinite(frame):
+        return f"{frame:g}"
+    frame = Fraction(frame)
+    if frame.denominator == 1:
+        return str(frame)
+    digits = 5 + len(str(int(abs(frame))))
+    return f"{float(frame):.{digits}g}"

@@ -1,0 +1,193 @@
+"""Project settings: the nearest ``animtool.toml`` or ``[tool.animtool]``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
+from fractions import Fraction
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from animtool.core.errors import Fault, FormatError, OptionError, excerpt
+from animtool.core.files.reading import MAX_TEXT_BYTES, note_input, read_input
+from animtool.core.rates import LARGEST_FRAME, parse_rate
+from animtool.core.timecode import is_timecode
+from animtool.core.toml_text import parse_toml
+
+# What tools of version control keep at the top of a checkout.
+VERSION_CONTROL = (".git", ".hg", ".svn", ".jj")
+
+
+# A petabyte.
+MAX_ARRAY_MB = 1_000_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class TimelineConfig:
+    """What a project sets for timelines that do not state it."""
+
+    fps: Fraction | None = None  # rate of the shots, and of an EDL's time codes
+    cut_start: int | None = None  # first frame of each cut; None begins shots at start
+    first_timecode: str | None = None  # of each take, such as 01:00:00:00
+
+
+@dataclass(frozen=True, slots=True)
+class Config:
+    """What a project sets for every command."""
+
+    # Time code of the first frame, often 1001; None leaves it at 1.
+    start: Fraction | None = None
+    # Folders that files of the project may refer into: the one that the settings are
+    # in, and those they name.
+    roots: tuple[Path, ...] = ()
+    # What `animtool validate` makes of it, as written.
+    validate: Mapping[str, Any] = field(default_factory=dict)
+    # The most that is read of one archive of arrays [MB]; None is 1000.
+    max_array_mb: int | None = None
+    path: Path | None = None  # the file that says so; None where there is none
+    timeline: TimelineConfig = TimelineConfig()
+
+
+def find_config(path: Path) -> Config:
+    """Return the settings of the nearest folder above a file that has some.
+
+    ``animtool.toml`` is read whole, ``pyproject.toml`` at ``[tool.animtool]``.
+    """
+    for folder in path.resolve().parents:
+        own, project = folder / "animtool.toml", folder / "pyproject.toml"
+        note_input(own)
+        if own.is_file():
+            return _config(own, _table(own))
+        note_input(project)
+        if project.is_file():
+            tools = _table(project).get("tool", {})
+            table = tools.get("animtool") if isinstance(tools, dict) else None
+            if table is not None:
+                return _config(project, table)
+    return Config()
+
+
+def _table(path: Path) -> dict[str, Any]:
+    try:
+        return _parsed(read_input(path, MAX_TEXT_BYTES).decode("utf-8"))
+    except FormatError as error:
+        fault = replace(error.faults[0], code="CFG001")
+        raise OptionError(fault) from error
+    except ValueError as error:
+        raise OptionError(
+            Fault("CFG001", f"cannot be read: {error}", str(path))
+        ) from error
+
+
+@lru_cache(maxsize=8)
+def _parsed(text: str) -> dict[str, Any]:
+    """Return what a text of TOML says; files of a project share their settings."""
+    return parse_toml(text)
+
+
+def _config(path: Path, table: Any) -> Config:
+    if not isinstance(table, dict):
+        message = f"animtool is {table!r}, not a table of settings"
+        raise OptionError(Fault("CFG001", message, str(path)))
+    names = [entry.name for entry in fields(Config) if entry.name != "path"]
+    for name in table:
+        if name not in names:
+            allowed = f"allowed: {', '.join(names)}"
+            raise OptionError(
+                Fault("CFG002", f"unknown setting {name!r}", str(path), (), allowed)
+            )
+    start = table.get("start")
+    frame = isinstance(start, int) and not isinstance(start, bool)
+    if start is not None and not (frame and abs(start) <= LARGEST_FRAME):
+        message = f"start is {excerpt(str(start))}, not a whole number from "
+        message += f"{-LARGEST_FRAME} to {LARGEST_FRAME}"
+        raise OptionError(Fault("CFG003", message, str(path)))
+    roots = table.get("roots", [])
+    if not isinstance(roots, list) or not all(isinstance(r, str) for r in roots):
+        message = f"roots is {roots!r}, not a list of folders"
+        raise OptionError(Fault("CFG003", message, str(path)))
+    folders = (path.parent, *(path.parent / root for root in roots))
+    validate = table.get("validate", {})
+    if not isinstance(validate, dict):
+        message = f"validate is {validate!r}, not a table of settings"
+        raise OptionError(Fault("CFG003", message, str(path)))
+    most = table.get("max_array_mb")
+    whole = isinstance(most, int) and not isinstance(most, bool)
+    if most is not None and not (whole and 0 < most <= MAX_ARRAY_MB):
+        message = f"max_array_mb is {most!r}, not a whole number from 1 to "
+        raise OptionError(Fault("CFG003", f"{message}{MAX_ARRAY_MB}", str(path)))
+    begin = None if start is None else Fraction(start)
+    timeline = _timeline(path, table.get("timeline", {}))
+    return Config(begin, folders, validate, most, path, timeline)
+
+
+def _timeline(path: Path, table: Any) -> TimelineConfig:
+    """Return the settings of timelines."""
+    if not isinstance(table, dict):
+        message = f"timeline is {excerpt(str(table))}, not a table of settings"
+        raise OptionError(Fault("CFG003", message, str(path)))
+    names = [entry.name for entry in fields(TimelineConfig)]
+    values: dict[str, Any] = {}
+    for name, value in table.items():
+        if name not in names:
+            message, hint = f"unknown setting timeline.{name}", f"allowed: {names}"
+            raise OptionError(Fault("CFG002", message, str(path), (), hint))
+        shown = f"timeline.{name} is {excerpt(str(value))}, not "
+        whole = isinstance(value, int) and not isinstance(value, bool)
+        if name == "fps":
+            try:
+                values[name] = parse_rate(value)
+            except ValueError as error:
+                message = f"timeline.fps: {error}"
+                raise OptionError(Fault("CFG003", message, str(path))) from error
+        elif name == "cut_start" and not (whole and abs(value) <= LARGEST_FRAME):
+            message = f"{shown}a whole number from {-LARGEST_FRAME} to {LARGEST_FRAME}"
+            raise OptionError(Fault("CFG003", message, str(path)))
+        elif name == "first_timecode" and not is_timecode(value):
+            message = f"{shown}a time code such as '01:00:00:00'"
+            raise OptionError(Fault("CFG003", message, str(path)))
+        values.setdefault(name, value)
+    return TimelineConfig(**values)
+
+
+def project_roots(path: Path) -> tuple[Path, ...]:
+    """Return the folders that a file may refer into.
+
+    They are those of its project's settings; without settings, the nearest folder above
+    it that is under version control; else its own folder.
+    """
+    folder = path.resolve().parent
+    return find_config(path).roots or (_checkout(folder) or folder,)
+
+
+def _checkout(folder: Path) -> Path | None:
+    """Return the nearest folder under version control; None where there is none.
+
+    A home or the top of a disk under version control is no project: files below it
+    come from anywhere.
+    """
+    for above in (folder, *folder.parents):
+        if not _may_be_project(above):
+            return None
+        if any((above / name).exists() for name in VERSION_CONTROL):
+            return above
+    return None
+
+
+def project_around(folder: Path, target: Path) -> Path | None:
+    """Return the innermost folder with two paths in it; None where it is no project."""
+    above = (up for up in (folder, *folder.parents) if target.is_relative_to(up))
+    project = next(above, None)
+    return project if project is not None and _may_be_project(project) else None
+
+
+def _may_be_project(folder: Path) -> bool:
+    return folder not in {Path(folder.anchor), _home()}
+
+
+def _home() -> Path | None:
+    try:
+        return Path.home().resolve()
+    except (OSError, RuntimeError):
+        return None

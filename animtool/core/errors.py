@@ -1,0 +1,258 @@
+"""Faults, errors and exit codes, shared by every part of animtool."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from enum import IntEnum, StrEnum
+from typing import ClassVar, NoReturn
+
+from animtool.core.quantities import escaped
+
+# Names in a message in brief.
+MAX_NAMED = 12
+
+
+class ExitCode(IntEnum):
+    """What the process returns, the same for every command."""
+
+    OK = 0
+    FINDINGS = 1
+    USAGE = 2
+    MALFORMED = 3
+    TOLERANCE = 4
+    NOTHING_MATCHED = 5
+    INTERNAL = 70
+    INTERRUPTED = 130
+    TERMINATED = 143
+
+
+class Severity(StrEnum):
+    """How bad a fault is: an error stops the work, a warning only under strict."""
+
+    ERROR = "error"
+    WARNING = "warning"
+    NOTE = "note"
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """One thing that is wrong, and where.
+
+    Attributes:
+        code: Stable identifier, such as ``BVH010``.
+        message: What is wrong, with the name, the value and what is allowed.
+        path: File at fault, as the user named it.
+        lines: 1-based lines at fault, the chief one first.
+        hint: What to do about it.
+        severity: Error, warning or note.
+        column: 1-based column of the chief line.
+        where: Place inside a structured file, such as ``joints[3].axis``.
+        brief: Shorter message for a terminal without ``-v``; empty is the message.
+    """
+
+    code: str
+    message: str
+    path: str | None = None
+    lines: tuple[int, ...] = ()
+    hint: str | None = None
+    severity: Severity = Severity.ERROR
+    column: int | None = None
+    where: str | None = None
+    brief: str = field(default="", repr=False, compare=False)
+
+    def __str__(self) -> str:
+        """Return ``file:line:column: CODE where: message, hint``, as far as known.
+
+        What is no error is said by its name, before the code. It is one line, with
+        escapes as `escaped` writes them.
+        """
+        place = ""
+        if self.path is not None:
+            spots = [*self.lines[:1], *([] if self.column is None else [self.column])]
+            place = ":".join(map(str, [self.path, *spots])) + ": "
+        where = f"{self.where}: " if self.where else ""
+        hint = f", {self.hint}" if self.hint else ""
+        kind = "" if self.severity is Severity.ERROR else f"{self.severity}: "
+        return escaped(f"{place}{kind}{self.code} {where}{self.message}{hint}")
+
+    def as_dict(self) -> dict[str, object]:
+        """Return the fault as plain values for a JSON report."""
+        return {
+            "code": self.code,
+            "severity": str(self.severity),
+            "message": self.message,
+            "path": self.path,
+            "lines": list(self.lines),
+            "column": self.column,
+            "where": self.where,
+            "hint": self.hint,
+        }
+
+
+@dataclass(slots=True)
+class Naming:
+    """What the text of an error in Python calls the flags that faults name."""
+
+    arguments: Callable[[str], str] = str  # set by `animtool`, whose records have them
+
+
+NAMING = Naming()
+
+
+class AnimtoolError(Exception):
+    """Base of every error that animtool raises on purpose.
+
+    Attributes:
+        faults: What is wrong, at least one, in the order found.
+        exit_code: What the command line returns for it.
+    """
+
+    exit_code: ClassVar[ExitCode] = ExitCode.INTERNAL
+
+    def __init__(self, faults: Fault | Sequence[Fault]) -> None:
+        self.faults: tuple[Fault, ...] = (
+            (faults,) if isinstance(faults, Fault) else tuple(faults)
+        )
+        super().__init__("\n".join(map(str, self.faults)))
+
+    def __str__(self) -> str:
+        """Return the faults, a line each; options are called as in Python."""
+        return NAMING.arguments("\n".join(map(str, self.faults)))
+
+    def __reduce__(self) -> tuple[type[AnimtoolError], tuple[tuple[Fault, ...]]]:
+        """Let an error come back from another process with its faults."""
+        return type(self), (self.faults,)
+
+    @property
+    def code(self) -> str:
+        """Code of the first fault."""
+        return self.faults[0].code
+
+
+class FormatError(AnimtoolError):
+    """An input is malformed or cannot be read."""
+
+    exit_code = ExitCode.MALFORMED
+
+
+class OutputError(AnimtoolError):
+    """An output cannot be written."""
+
+    exit_code = ExitCode.MALFORMED
+
+
+class LockedError(OutputError):
+    """Another run holds the lock of what this one would write."""
+
+    exit_code = ExitCode.MALFORMED
+
+
+class OptionError(AnimtoolError):
+    """An option, or a combination of options, makes no sense."""
+
+    exit_code = ExitCode.USAGE
+
+
+def refuse(
+    code: str, message: str, where: str | None = None, hint: str | None = None
+) -> NoReturn:
+    """Raise what of an option makes no sense, with the parts of its `Fault`."""
+    raise OptionError(Fault(code, message, where=where, hint=hint))
+
+
+class NothingFoundError(AnimtoolError):
+    """What was named means no file."""
+
+    exit_code = ExitCode.NOTHING_MATCHED
+
+
+class StrictError(AnimtoolError):
+    """There were warnings and the caller asked for none."""
+
+    exit_code = ExitCode.FINDINGS
+
+
+class ToleranceError(AnimtoolError):
+    """A solve missed its tolerance and the caller asked for none that does."""
+
+    exit_code = ExitCode.TOLERANCE
+
+
+def listed(items: Sequence[object], most: int = 5) -> str:
+    """Return the first items, separated by commas, with a sign that there are more.
+
+    >>> listed(["a", "b"]), listed(range(9), most=2)
+    ('a, b', '0, 1 …')
+    """
+    return ", ".join(map(str, items[:most])) + (" …" if len(items) > most else "")
+
+
+def naming(
+    code: str,
+    message: str,
+    names: Sequence[str],
+    path: str | None = None,
+    hint: str | None = None,
+    severity: Severity = Severity.ERROR,
+) -> Fault:
+    """Return a fault whose message ends with names: all, or in brief the first.
+
+    >>> naming("USD102", "missing: ", list("abcdefghijklmn")).brief
+    'missing: a, b, c, d, e, f, g, h, i, j, k, l …'
+    """
+    whole, brief = (message + listed(names, n) for n in (len(names), MAX_NAMED))
+    return Fault(code, whole, path, (), hint, severity, brief=brief)
+
+
+def counted(count: int, noun: str, plural: str = "") -> str:
+    """Return a number of things; the plural of most has an s.
+
+    >>> counted(1, "joint"), counted(3, "joint"), counted(2, "mesh", "meshes")
+    ('1 joint', '3 joints', '2 meshes')
+    """
+    return f"{count} {noun}" if count == 1 else f"{count} {plural or noun + 's'}"
+
+
+def circle(names: Sequence[str]) -> str:
+    """Return names that lead back to the first one, which is the last too.
+
+    >>> circle(["a", "b", "a"])
+    'a → b → a'
+    """
+    shown = list(names)
+    if len(shown) > MAX_NAMED:
+        shown = [
+            *shown[: MAX_NAMED - 2],
+            f"… {len(names) - MAX_NAMED} more",
+            *shown[-1:],
+        ]
+    return " → ".join(shown)
+
+
+def percent(share: float) -> str:
+    """Return a share in per cent, to two digits that count.
+
+    >>> percent(0.0123), percent(5.4973), percent(2e-12)
+    ('1.2%', '550%', '0%')
+    """
+    value = float(f"{100 * share:.2g}")
+    return f"{value:.12g}%" if value >= 1e-4 else "0%"
+
+
+def refuse_warnings(notices: Sequence[Fault], *, strict: bool) -> None:
+    """Raise `StrictError` where there are warnings and none are wanted."""
+    warnings = [n for n in notices if n.severity is Severity.WARNING]
+    if strict and warnings:
+        raise StrictError(warnings)
+
+
+def excerpt(text: str, limit: int = 40) -> str:
+    """Return text quoted for a message, cut to a length that a line can hold.
+
+    >>> excerpt("12x")
+    "'12x'"
+    >>> excerpt("a" * 100, limit=4)
+    "'aaaa…'"
+    """
+    return repr(text if len(text) <= limit else text[:limit] + "…")

@@ -1,0 +1,289 @@
+"""What killed processes leave where outputs go: found, taken back, removed.
+
+A file that is written has a temporary name in its folder, which says whose it is. A set
+of files also has a journal in each of its folders while they get their names. What a
+kill leaves of it is taken back by the next process that writes there: files that were
+replaced are as they were, and new ones are gone.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import re
+import stat
+import sys
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import Any
+from uuid import uuid4
+
+from animtool.core.errors import FormatError
+from animtool.core.files.reading import open_input, read_input
+
+_OWNER = re.compile(r"\.animtool-(?P<host>[0-9a-f]{8})-(?P<process>[0-9]+)-")
+# A name that `new_temporary` gives.
+TEMPORARY = re.compile(rf"{_OWNER.pattern}[0-9a-f]{{12}}(\.\w+)?")
+_JOURNAL = ".set"
+# A longer suffix is no file type, and would make the temporary name too long.
+_LONGEST_SUFFIX = 16
+# A journal is a few hundred bytes for each file.
+_MAX_BYTES = 100_000_000
+
+
+def temporary_prefix(process: int | None = None) -> str:
+    """Return how names of a process's temporary files begin; None is this one."""
+    return f".animtool-{_host()}-{process or os.getpid()}-"
+
+
+def new_temporary(final: Path) -> Path:
+    """Return an unused name next to a file, for what will replace it."""
+    suffix = final.suffix if len(os.fsencode(final.suffix)) <= _LONGEST_SUFFIX else ""
+    # Unique over threads, processes and hosts that share a folder.
+    return final.with_name(f"{temporary_prefix()}{uuid4().hex[:12]}{suffix}")
+
+
+@dataclass(frozen=True, slots=True)
+class PlacedFile:
+    """A file of a set, while the set gets its names."""
+
+    final: Path  # its name
+    temporary: Path  # the name that it was written under
+    # Inode, size [byte] and time of change [ns] of what was written.
+    state: tuple[int, int, int]
+    old: Path  # where the replaced file is kept; unused where there is none
+
+    def take_back(self) -> None:
+        """Undo: the replaced file has its name again, and a new one is gone.
+
+        Nothing happens where another process has replaced the file since. It may be
+        called again.
+        """
+        current = _found(self.final)
+        kept = _found(self.old)
+        if kept is not None and (current is None or self._is_own(current)):
+            self.old.replace(self.final)
+        elif kept is not None:
+            # The final name still has the old file, or a later one.
+            self.old.unlink()
+        elif current is not None and self._is_own(current):
+            self.final.unlink()
+        self.temporary.unlink(missing_ok=True)
+
+    def _is_own(self, status: os.stat_result) -> bool:
+        return (status.st_ino, status.st_size, status.st_mtime_ns) == self.state
+
+
+@dataclass(frozen=True, slots=True)
+class Journal:
+    """The record of a set that is getting its names: a file in each of its folders.
+
+    The set is complete as soon as one of them is gone. Each names files of its own
+    folder only, so that one that came with other people's files reaches no others.
+    """
+
+    name: str  # of the file in each folder
+    folders: tuple[Path, ...]  # of the set
+    _handles: list[int] = field(default_factory=list, compare=False, repr=False)
+
+    @classmethod
+    def begin(cls, files: Sequence[PlacedFile]) -> Journal:
+        """Write the journal of a set, before any of its files has its name."""
+        folders = tuple(dict.fromkeys(file.final.parent for file in files))
+        journal = cls(f"{temporary_prefix()}{uuid4().hex[:12]}{_JOURNAL}", folders)
+        try:
+            for folder in folders:
+                own = [_plain(file) for file in files if file.final.parent == folder]
+                record = {"folders": [os.fspath(f) for f in folders], "files": own}
+                journal._write(folder, json.dumps(record).encode())
+        except BaseException:
+            journal.end()
+            raise
+        return journal
+
+    def _write(self, folder: Path, content: bytes) -> None:
+        flags = os.O_CREAT | os.O_EXCL | os.O_RDWR
+        handle = os.open(folder / self.name, flags, 0o666)
+        # Its lock says that the process lives, to other containers too.
+        self._handles.append(handle)
+        _locked(handle)
+        with os.fdopen(os.dup(handle), "wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(handle)
+
+    def end(self) -> None:
+        """Remove it: the set is complete, or nothing is left to undo."""
+        while self._handles:
+            with contextlib.suppress(OSError):
+                os.close(self._handles.pop())
+        for folder in self.folders:
+            with contextlib.suppress(OSError):
+                (folder / self.name).unlink()
+
+    def take_back(self) -> None:
+        """Undo a set whose process died before it was complete."""
+        if all((folder / self.name).is_file() for folder in self.folders):
+            for folder in dict.fromkeys(self.folders):
+                for file in reversed(self._files(folder)):
+                    file.take_back()
+        self.end()
+
+    def _files(self, folder: Path) -> list[PlacedFile]:
+        content = read_input(folder / self.name, _MAX_BYTES, recorded=False)
+        try:
+            entries = json.loads(content)["files"]
+            return [_placed(folder, entry) for entry in entries]
+        except (ValueError, KeyError, TypeError, OverflowError, RecursionError):
+            # It was not complete, so that no file had its name.
+            return []
+
+
+def _placed(folder: Path, entry: Mapping[str, Any]) -> PlacedFile:
+    names = [entry[key] for key in ("final", "temporary", "old")]
+    # What a journal names must not lead out of its folder.
+    final, temporary, old = (folder / Path(name).name for name in names)
+    if not (_OWNER.match(temporary.name) and _OWNER.match(old.name)):
+        raise ValueError(f"{temporary.name!r} is not a temporary name")
+    inode, size, changed = map(int, entry["state"])
+    return PlacedFile(final, temporary, (inode, size, changed), old)
+
+
+def _plain(file: PlacedFile) -> Mapping[str, Any]:
+    return {
+        "final": file.final.name,
+        "temporary": file.temporary.name,
+        "state": list(file.state),
+        "old": file.old.name,
+    }
+
+
+def _found(path: Path) -> os.stat_result | None:
+    """Return what is there, a link as itself."""
+    try:
+        return path.lstat()
+    except FileNotFoundError:
+        return None
+
+
+def take_back(folder: Path) -> None:
+    """Undo sets in a folder whose processes died; once for a folder and a process."""
+    _taken_back(os.fspath(folder), os.getpid())
+
+
+@cache
+def _taken_back(folder: str, process: int) -> None:
+    del process
+    for path in _temporary(Path(folder)):
+        if path.name.endswith(_JOURNAL) and _owner_of(path, None):
+            _undo(path)
+
+
+def _undo(path: Path) -> bool:
+    """Undo the set of a journal; return whether nothing is left to undo."""
+    try:
+        if not stat.S_ISREG(path.lstat().st_mode):
+            return True
+        with open_input(path, _MAX_BYTES, recorded=False) as file:
+            if not _locked(file.fileno()):
+                return False
+            # Complete now: whoever wrote it is dead.
+            content = read_input(path, _MAX_BYTES, recorded=False)
+            folders = _folders(content)
+            Journal(path.name, (*folders, path.parent)).take_back()
+    except (OSError, FormatError):
+        return not path.exists()
+    except ValueError:
+        # A name with a NUL: no process of animtool wrote it.
+        return True
+    return True
+
+
+def _folders(content: bytes) -> list[Path]:
+    try:
+        return [Path(name) for name in json.loads(content)["folders"]]
+    except (ValueError, KeyError, TypeError, RecursionError):
+        return []
+
+
+def _locked(handle: int) -> bool:
+    """Lock a journal, lest two processes undo one set."""
+    if sys.platform == "win32":
+        return False
+    import fcntl
+
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        return False
+    return True
+
+
+def remove_leftovers(folders: Iterable[Path], process: int | None = None) -> list[Path]:
+    """Remove what killed processes of this host began to write; return what that was.
+
+    Sets that were not complete are undone first. Folders that are not there are passed
+    over; ``process`` is one that is dead, None all that are.
+    """
+    removed = []
+    for folder in dict.fromkeys(folders):
+        dead = [path for path in _temporary(folder) if _owner_of(path, process)]
+        sets = [path for path in dead if path.name.endswith(_JOURNAL)]
+        # What cannot be undone now can be later, if its files are kept.
+        if not all([_undo(path) for path in sets]):
+            continue
+        for path in dead:
+            with contextlib.suppress(OSError):
+                path.unlink()
+                removed.append(path)
+    return removed
+
+
+def _owner_of(path: Path, process: int | None) -> bool:
+    """Return whether a file is of a process of this host that is dead."""
+    match = _OWNER.match(path.name)
+    if match is None or match["host"] != _host():
+        return False
+    number = int(match["process"])
+    return number == process or (process is None and not is_running(number))
+
+
+def _temporary(folder: Path) -> list[Path]:
+    with contextlib.suppress(OSError), os.scandir(folder) as entries:
+        return [Path(e.path) for e in entries if e.name.startswith(".animtool-")]
+    return []
+
+
+def is_running(process: int) -> bool:
+    """Return whether a process of this host runs; where nothing says it, it does."""
+    if os.name == "nt":
+        # There, a signal of 0 would end the process.
+        return True
+    try:
+        os.kill(process, 0)
+    except (ProcessLookupError, OverflowError):
+        return False
+    except OSError:
+        return True
+    # One that ended stays in the table until its parent asks; some containers never do.
+    return _state(process) != "Z"
+
+
+def _state(process: int) -> str:
+    """Return the state of a process as Linux names it; empty where nothing says it."""
+    try:
+        status = Path(f"/proc/{process}/stat").read_text("utf-8", "replace")
+    except OSError:
+        return ""
+    return status.rpartition(")")[2].split()[0]
+
+
+@cache
+def _host() -> str:
+    import platform
+    from hashlib import sha256
+
+    return sha256(platform.node().encode()).hexdigest()[:8]

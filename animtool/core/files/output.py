@@ -1,0 +1,367 @@
+"""Output files: safe names, checked before the work, whole or absent after it."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+import unicodedata
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextvars import ContextVar
+from dataclasses import dataclass, field
+from pathlib import Path, PurePath
+from typing import TYPE_CHECKING, Any
+
+from animtool.core.errors import Fault, OptionError, OutputError, counted
+from animtool.core.files.leftovers import new_temporary, take_back
+from animtool.core.files.placing import Target, Whole, output_error, place_files, target
+from animtool.core.files.reading import check_inputs, recorded_inputs
+from animtool.core.process.signals import deferred_signals, ending, interrupt
+from animtool.core.process.supervisor import note_folder, note_said
+
+if TYPE_CHECKING:
+    import numpy.typing as npt
+
+# Of a name in a folder, on nearly every disk [byte].
+LONGEST_NAME = 255
+# Windows gives these to devices, whatever the suffix.
+_DEVICES = frozenset(
+    {"con", "prn", "aux", "nul", "conin$", "conout$"}
+    | {f"{port}{number}" for port in ("com", "lpt") for number in "0123456789¹²³"}
+)
+# How names begin of records and of files that are being written.
+_OWN = ".animtool"
+
+
+def name_problem(name: str) -> str | None:
+    r"""Return what is wrong with a name of a file or a folder; None where nothing is.
+
+    What is allowed is a name on every system, so that outputs can be moved.
+
+    >>> name_problem("sh010"), name_problem(".."), name_problem("a/b")
+    (None, 'means a folder', 'has the separator /')
+    >>> name_problem("aux.usdc"), name_problem("walk.")
+    ('is the name of a device on Windows', 'ends with a dot or a space')
+    """
+    return next((text for wrong, text in _problems(name) if wrong), None)
+
+
+def _problems(name: str) -> Iterator[tuple[bool, str]]:
+    separators = sorted(set("/\\").intersection(name))
+    controls = [letter for letter in name if unicodedata.category(letter) == "Cc"]
+    size = len(name.encode("utf-8", "surrogatepass"))
+    yield not name, "is empty"
+    yield name in {".", ".."}, "means a folder"
+    yield bool(separators), f"has the separator {' and '.join(separators)}"
+    yield bool(controls), f"has the control character {''.join(controls[:1])!r}"
+    yield name[-1:] in {".", " "}, "ends with a dot or a space"
+    yield size > LONGEST_NAME, f"has more than {LONGEST_NAME} bytes"
+    yield not is_text(name), "has bytes that are no UTF-8"
+    device = name.partition(".")[0].rstrip().casefold() in _DEVICES
+    yield device, "is the name of a device on Windows"
+    yield name.casefold().startswith(_OWN), f"begins with {_OWN!r}, as records do"
+
+
+def is_text(name: str) -> bool:
+    r"""Return whether a name is text in UTF-8: names of files may be other bytes.
+
+    >>> is_text("walk"), is_text("walk\udcff")
+    (True, False)
+    """
+    return re.search("[\ud800-\udfff]", name) is None
+
+
+def name_key(path: PurePath | str) -> str:
+    """Return what two paths share that may be one file on some disks.
+
+    Some disks take names for one that differ in capitals, or in how accents are
+    encoded.
+
+    >>> name_key("Ä.usda") == name_key("a\N{COMBINING DIAERESIS}.USDA")
+    True
+    """
+    text = os.fspath(path)
+    if text.isascii():
+        return text.lower()
+    folded = unicodedata.normalize("NFD", text).casefold()
+    return unicodedata.normalize("NFC", folded)
+
+
+def inside(path: Path, folder: Path) -> bool:
+    """Return whether a path stays in a folder, links followed.
+
+    Raises:
+        OSError: A link cannot be followed.
+    """
+    try:
+        return path.resolve().is_relative_to(folder.resolve())
+    except RuntimeError as error:
+        raise OSError(f"{path} is a link that leads to itself") from error
+
+
+# Final paths that were free when they were checked, and may not be replaced: who else
+# writes one meanwhile wins.
+_free: ContextVar[frozenset[Path]] = ContextVar("_free", default=frozenset())
+
+
+# Of more outputs that exist, the first is named, with the number of the others.
+MAX_NAMED = 3
+
+
+def check_outputs(
+    outputs: Sequence[Path], inputs: Sequence[Path], *, overwrite: bool
+) -> None:
+    """Refuse outputs that cannot or must not be written.
+
+    One exists and overwrite is off (OUT001), or is also an input (OUT003), or two are
+    one file (OUT007); its folder does not exist or may not be written to (OUT002), or
+    it leads to something else than a file (OUT005). All of a kind are faults of one
+    error.
+    """
+    targets: list[Target] = []
+    for path in outputs:
+        _check_folder(path.parent, path)
+        targets.append(target(path))
+    _refuse_inputs(targets, inputs)
+    _refuse_twice(targets)
+    there: list[Path] = []
+    for place in targets:
+        take_back(place.final.parent)
+        if place.path.exists():
+            if not overwrite:
+                there.append(place.path)
+            elif not os.access(place.path, os.W_OK):
+                message = "cannot be written: it is read-only"
+                raise OutputError(Fault("OUT002", message, str(place.path)))
+    if there:
+        hint = "--overwrite replaces it"
+        if len(there) == len(outputs):
+            hint += ", --skip-existing leaves it"
+        message, named = "already exists", there
+        if len(there) > MAX_NAMED:
+            others = counted(len(there) - 1, "other output")
+            message, named = f"already exists, and so do {others}", there[:1]
+            hint = hint.replace("s it", "s them")
+        raise OptionError([Fault("OUT001", message, str(p), (), hint) for p in named])
+    finals = {place.final for place in targets}
+    _free.set(_free.get() - finals if overwrite else _free.get() | finals)
+
+
+def _check_folder(folder: Path, path: Path) -> None:
+    """Refuse an output in a folder that does not exist or may not be written to."""
+    try:
+        missing = "" if folder.is_dir() else "does not exist"
+        if missing and folder.exists():
+            missing = "is no folder"
+    except OSError as error:
+        raise output_error(path, error) from error
+    if missing:
+        message = f"cannot be written: {str(folder)!r} {missing}"
+        hint = "make the folder first"
+        raise OutputError(Fault("OUT002", message, str(path), (), hint))
+    if not os.access(folder, os.W_OK | os.X_OK):
+        message = f"cannot be written: no permission in {str(folder)!r}"
+        raise OutputError(Fault("OUT002", message, str(path)))
+
+
+@contextlib.contextmanager
+def sparing_inputs(outputs: Sequence[Path]) -> Iterator[None]:
+    """Refuse outputs that the block read, whatever file named them (OUT003).
+
+    A layer that a USD file brings in may be an output: a shot is read to bake one of
+    its layers anew.
+    """
+    with recorded_inputs() as inputs:
+        yield
+    _refuse_inputs([target(path) for path in outputs], inputs.opened)
+
+
+def _refuse_inputs(targets: Iterable[Target], inputs: Iterable[Path]) -> None:
+    taken: dict[str, Path] = {}
+    for path in inputs:
+        # What leads nowhere is said when it is read.
+        with contextlib.suppress(OSError, RuntimeError, ValueError):
+            taken[name_key(path.resolve())] = path
+    for place in targets:
+        other = taken.get(name_key(place.final))
+        if other is not None and same_file(place.final, other):
+            message = "is an input of this very command"
+            hint = "name another -o"
+            raise OptionError(Fault("OUT003", message, str(place.path), (), hint))
+
+
+def _refuse_twice(targets: Iterable[Target | Whole]) -> None:
+    """Refuse two outputs that are one file, on this disk or on others."""
+    names: dict[str, Path] = {}
+    for place in targets:
+        first = names.setdefault(name_key(place.final), place.path)
+        if first is not place.path:
+            message = f"and {str(first)!r} would be one file"
+            fault = Fault("OUT007", message, str(place.path), (), "rename one")
+            raise OptionError(fault)
+
+
+def same_file(path: Path, other: Path) -> bool:
+    """Return whether two paths that may be one file are one."""
+    try:
+        return path == other.resolve() or path.samefile(other)
+    except OSError:
+        return False
+
+
+@dataclass(frozen=True, slots=True)
+class _Block:
+    """Files that get their names together."""
+
+    # Those that are whole, and wait for their names.
+    files: list[Whole] = field(default_factory=list)
+    # What is to be done when they have them.
+    after: list[Callable[[], object]] = field(default_factory=list)
+    # New files that have theirs already.
+    ahead: list[Path] = field(default_factory=list)
+
+
+_waiting: ContextVar[_Block | None] = ContextVar("_waiting", default=None)
+
+
+def write_parts(output: Path, parts: Iterable[bytes]) -> None:
+    """Write a file whole, from bytes that are made as they are taken (else OUT002)."""
+    with replacing(output) as temporary:
+        try:
+            with temporary.open("wb") as file:
+                for part in parts:
+                    file.write(part)
+        except OSError as error:
+            raise output_error(output, error) from error
+
+
+def write_arrays(output: Path, arrays: Mapping[str, npt.NDArray[Any]]) -> None:
+    """Write arrays by name to an npz file, whole or not at all (else OUT002)."""
+    import numpy as np
+
+    with replacing(output) as temporary:
+        try:
+            with temporary.open("wb") as file:
+                np.savez_compressed(file, allow_pickle=False, **arrays)
+        except OSError as error:
+            raise output_error(output, error) from error
+
+
+@contextlib.contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """Give a temporary path in the same folder that becomes ``path`` at the end.
+
+    The file is flushed to the disk and renamed when the block ends well, and removed
+    when it does not, so that ``path`` is at all times absent, as it was, or whole.
+    Inside of `together` it is renamed at the end of that. Of recorded inputs none may
+    have changed since it was read (IO004).
+    """
+    # A link stays one: what it leads to is replaced.
+    final = target(path).final
+    whole, waiting = Whole(path, final, new_temporary(final)), _waiting.get()
+    note_folder(final.parent)
+    done, cleaning = False, ending()
+    try:
+        yield whole.temporary
+        if ending() and not cleaning:
+            # A library swallowed what the signal raised.
+            interrupt()
+        check_inputs()
+        whole.seal()
+        if waiting is None:
+            _place([whole])
+        else:
+            waiting.files.append(whole)
+        done = True
+    finally:
+        if waiting is None or not done:
+            whole.remove()
+
+
+def _place(files: Sequence[Whole]) -> None:
+    finals = {file.final for file in files}
+    _refuse_twice(files)
+    note_said()
+    try:
+        place_files(files, _free.get() & finals)
+    finally:
+        _free.set(_free.get() - finals)
+
+
+def size_of(path: Path) -> int:
+    """Return the size of a file that was written, if renamed yet or not [byte]."""
+    waiting = _waiting.get()
+    for whole in [] if waiting is None else reversed(waiting.files):
+        if whole.path == path:
+            return whole.temporary.stat().st_size
+    return path.stat().st_size
+
+
+@contextlib.contextmanager
+def together() -> Iterator[None]:
+    """Let the files that `replacing` makes in a block get their names at its end.
+
+    They get them in the order made, or none does where the block does not end well. A
+    block within another leaves them to that. What the block reads must not change in it
+    (IO004), nor may another process write one meanwhile (OUT001), nor two be one file
+    (OUT007).
+    """
+    if _waiting.get() is not None:
+        yield
+        return
+    waiting = _Block()
+    token = _waiting.set(waiting)
+    try:
+        with recorded_inputs():
+            yield
+            check_inputs()
+        # A signal between the names would leave some without the others.
+        with deferred_signals():
+            _place(waiting.files)
+            for action in waiting.after:
+                action()
+    except BaseException:
+        _remove(waiting.ahead)
+        raise
+    finally:
+        _waiting.reset(token)
+        for whole in waiting.files:
+            whole.remove()
+
+
+@contextlib.contextmanager
+def ahead(paths: Sequence[Path]) -> Iterator[None]:
+    """Let new files that a block makes get their names in it, ahead of others.
+
+    That is for files that are read again before those that name them are written. They
+    are removed where the block does not end well, or `together` around it.
+    """
+    waiting = _waiting.get()
+    token = _waiting.set(None)
+    try:
+        yield
+    except BaseException:
+        _remove(paths)
+        raise
+    finally:
+        _waiting.reset(token)
+    if waiting is not None:
+        waiting.ahead.extend(paths)
+
+
+def _remove(paths: Iterable[Path]) -> None:
+    for path in paths:
+        with contextlib.suppress(OSError):
+            path.unlink(missing_ok=True)
+
+
+def once_named(action: Callable[[], object]) -> None:
+    """Do something when the files that are made have their names.
+
+    That is now, or inside of `together` at the end of that, if it ends well.
+    """
+    waiting = _waiting.get()
+    if waiting is None:
+        action()
+    else:
+        waiting.after.append(action)

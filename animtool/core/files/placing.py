@@ -1,0 +1,255 @@
+"""Written files get their names: a file at once, a set complete or not at all."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import stat
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from animtool.core.errors import Fault, OptionError, OutputError
+from animtool.core.files.leftovers import TEMPORARY, Journal, PlacedFile, new_temporary
+
+# What systems say of a disk without hard links.
+_NO_LINKS = frozenset(
+    {errno.EPERM, errno.EOPNOTSUPP, errno.ENOTSUP, errno.ENOSYS, errno.EINVAL}
+    | {errno.EMLINK}
+)
+
+
+def output_error(path: Path, error: BaseException | str) -> OutputError:
+    """Return the error of an output that could not be written."""
+    reason = error if isinstance(error, str) else str(error)
+    if isinstance(error, OSError):
+        reason = error.strerror or str(error)
+    reason = TEMPORARY.sub(lambda _: path.name, reason)
+    hint = "free some space" if getattr(error, "errno", 0) == errno.ENOSPC else None
+    return OutputError(
+        Fault("OUT002", f"cannot be written: {reason}", str(path), (), hint)
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """Where an output leads."""
+
+    path: Path  # what the user calls it
+    final: Path  # the file, links followed
+
+
+def target(path: Path) -> Target:
+    """Return where an output leads, links followed.
+
+    Raises:
+        OutputError: To something else than a file (OUT005), or it cannot be looked at
+            (OUT002).
+    """
+    try:
+        status = path.stat()
+    except (FileNotFoundError, NotADirectoryError):
+        if path.is_symlink():
+            message = "is a link to a file that does not exist"
+            hint = "remove the link, or name the file itself"
+            raise OutputError(Fault("OUT005", message, str(path), (), hint)) from None
+        return Target(path, path.resolve())
+    except OSError as error:
+        if error.errno == errno.ELOOP:
+            message, hint = "is a link that leads to itself", "remove the link"
+            fault = Fault("OUT005", message, str(path), (), hint)
+            raise OutputError(fault) from error
+        raise output_error(path, error) from error
+    except ValueError as error:
+        raise output_error(path, "its name has a NUL byte") from error
+    _check_kind(path, status)
+    return Target(path, path.resolve())
+
+
+_KINDS = {
+    stat.S_IFIFO: "a pipe",
+    stat.S_IFSOCK: "a socket",
+    stat.S_IFCHR: "a device",
+    stat.S_IFBLK: "a device",
+    stat.S_IFLNK: "a link",
+}
+
+
+def _check_kind(path: Path, status: os.stat_result) -> None:
+    """Refuse to replace what is not a file."""
+    if stat.S_ISDIR(status.st_mode):
+        raise OutputError(Fault("OUT002", "is a folder", str(path), (), "name a file"))
+    if not stat.S_ISREG(status.st_mode):
+        kind = _KINDS.get(stat.S_IFMT(status.st_mode), "something else")
+        message = f"is {kind}, not a file"
+        raise OutputError(Fault("OUT005", message, str(path), (), "name a file"))
+
+
+@dataclass(slots=True)
+class Whole:
+    """A file that is written."""
+
+    path: Path  # what the user calls it
+    final: Path  # where it belongs
+    temporary: Path  # where it is
+    # Inode, size [byte] and time of change [ns], once it is sealed.
+    state: tuple[int, int, int] = (0, 0, 0)
+
+    def seal(self) -> None:
+        """Flush it to the disk, with the mode and the owner of what it replaces."""
+        status = None
+        with contextlib.suppress(FileNotFoundError):
+            status = self.final.lstat()
+            _check_kind(self.path, status)
+        try:
+            handle = os.open(self.temporary, os.O_RDWR)
+            try:
+                if status is not None and os.name != "nt":
+                    _inherit(handle, status)
+                os.fsync(handle)
+                own = os.fstat(handle)
+            finally:
+                os.close(handle)
+        except OSError as error:
+            raise output_error(self.path, error) from error
+        self.state = (own.st_ino, own.st_size, own.st_mtime_ns)
+
+    def place(self, *, new: bool) -> None:
+        """Give it its name.
+
+        Args:
+            new: Nothing may have that name.
+
+        Raises:
+            OptionError: Something has (OUT001).
+            OutputError: It cannot be renamed.
+        """
+        try:
+            if new:
+                _rename_new(self.temporary, self.final)
+            else:
+                self.temporary.replace(self.final)
+        except FileExistsError as error:
+            message = "already exists: another process wrote it meanwhile"
+            hint = "--overwrite replaces it"
+            fault = Fault("OUT001", message, str(self.path), (), hint)
+            raise OptionError(fault) from error
+        except OSError as error:
+            raise output_error(self.path, error) from error
+
+    def remove(self) -> None:
+        """Remove it, if it has not got its name."""
+        with contextlib.suppress(OSError):
+            self.temporary.unlink(missing_ok=True)
+
+
+def _inherit(handle: int, status: os.stat_result) -> None:
+    """Give an open file the mode of another, and its owner as far as permitted."""
+    own = os.fstat(handle)
+    if (own.st_uid, own.st_gid) != (status.st_uid, status.st_gid):
+        with contextlib.suppress(OSError):
+            os.fchown(handle, status.st_uid, status.st_gid)
+    # Whoever runs a file with a setuid bit runs what its owner wrote: never this.
+    mode = stat.S_IMODE(status.st_mode) & 0o777
+    if stat.S_IMODE(own.st_mode) != mode:
+        os.fchmod(handle, mode)
+
+
+def _rename_new(temporary: Path, final: Path) -> None:
+    """Rename a file to a name that nothing has; of several processes one succeeds."""
+    if os.name == "nt":
+        temporary.rename(final)
+        return
+    try:
+        os.link(temporary, final)
+    except OSError as error:
+        if isinstance(error, FileExistsError) or error.errno not in _NO_LINKS:
+            raise
+        # Without hard links the name is taken first. A kill right now leaves it empty.
+        handle = os.open(final, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666)
+        try:
+            os.close(handle)
+            temporary.replace(final)
+        except BaseException:
+            final.unlink()
+            raise
+    else:
+        with contextlib.suppress(OSError):
+            temporary.unlink()
+
+
+def place_files(files: Sequence[Whole], new: frozenset[Path]) -> None:
+    """Give sealed files, in any folders, their names, in order: all of them or none.
+
+    Where one of ``new`` names has something (OUT001), or one cannot be renamed, what
+    was there before is there again.
+    """
+    if len(files) > 1:
+        _place_set(files, new)
+    else:
+        for file in files:
+            file.place(new=file.final in new)
+            _flush(file.final.parent)
+
+
+def _place_set(files: Sequence[Whole], new: frozenset[Path]) -> None:
+    parts = [
+        PlacedFile(file.final, file.temporary, file.state, new_temporary(file.final))
+        for file in files
+    ]
+    try:
+        journal = Journal.begin(parts)
+    except OSError as error:
+        raise output_error(files[0].path, error) from error
+    try:
+        for file, part in zip(files, parts, strict=True):
+            if file.final not in new:
+                _keep(file, part)
+            file.place(new=file.final in new)
+    except BaseException:
+        if all([_taken_back(part) for part in reversed(parts)]):
+            journal.end()
+        raise
+    for folder in journal.folders:
+        _flush(folder)
+    journal.end()
+    for part in parts:
+        with contextlib.suppress(OSError):
+            part.old.unlink(missing_ok=True)
+
+
+def _taken_back(part: PlacedFile) -> bool:
+    try:
+        part.take_back()
+    except OSError:
+        # The journal stays, so that a later process can undo it.
+        return False
+    return True
+
+
+def _keep(file: Whole, part: PlacedFile) -> None:
+    """Keep what a file replaces under another name."""
+    try:
+        os.link(part.final, part.old)
+    except FileNotFoundError:
+        return
+    except OSError as error:
+        if error.errno not in _NO_LINKS:
+            raise output_error(file.path, error) from error
+        try:
+            part.final.replace(part.old)
+        except OSError as failed:
+            raise output_error(file.path, failed) from failed
+
+
+def _flush(folder: Path) -> None:
+    """Bring the names in a folder to the disk, where that can be done."""
+    if os.name == "nt":
+        return  # Windows has no handle on a folder to flush.
+    with contextlib.suppress(OSError):
+        handle = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)

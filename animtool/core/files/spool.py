@@ -1,0 +1,65 @@
+"""Arrays that are kept until they are needed again: long takes are more than memory."""
+
+from __future__ import annotations
+
+import tempfile
+from collections import deque
+from collections.abc import Iterator, Sequence
+from typing import IO
+
+import numpy as np
+
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault, OutputError
+
+# What is kept in memory; what is more goes to a temporary file [bytes].
+KEPT = 1 << 28
+
+
+class Spool:
+    """Lists of arrays, in the order that they come in.
+
+    Args:
+        kept: What is kept in memory [bytes].
+    """
+
+    def __init__(self, kept: int = KEPT) -> None:
+        self._room = kept
+        self._held: deque[Sequence[FloatArray]] = deque()
+        self._lengths: deque[int] = deque()  # of the lists in the file
+        self._file: IO[bytes] | None = None
+
+    def append(self, arrays: Sequence[FloatArray]) -> None:
+        """Keep a list of arrays.
+
+        Raises:
+            OutputError: There is no room for the temporary file (OUT002).
+        """
+        size = sum(array.nbytes for array in arrays)
+        if self._file is None and size <= self._room:
+            self._room -= size
+            self._held.append(arrays)
+            return
+        try:
+            if self._file is None:
+                self._file = tempfile.TemporaryFile()  # noqa: SIM115
+            for array in arrays:
+                np.save(self._file, array, allow_pickle=False)
+            self._file.flush()
+        except OSError as error:
+            folder, reason = tempfile.gettempdir(), error.strerror or str(error)
+            message = f"what a long take needs does not fit there: {reason}"
+            hint = "make room, or name another folder in TMPDIR"
+            raise OutputError(Fault("OUT002", message, folder, (), hint)) from error
+        self._lengths.append(len(arrays))
+
+    def drain(self) -> Iterator[list[FloatArray]]:
+        """Yield the lists, and let go of each; to be called once."""
+        while self._held:
+            yield list(self._held.popleft())
+        if self._file is None:
+            return
+        with self._file as file:
+            file.seek(0)
+            for length in self._lengths:
+                yield [np.load(file, allow_pickle=False) for _ in range(length)]

@@ -1,0 +1,64 @@
+"""Reports as JUnit XML, as Jenkins's ``junit-10.xsd`` has it, which others read."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import PurePath
+from typing import Literal
+from xml.etree import ElementTree
+
+from animtool.core.quantities import escaped, escaped_lines
+
+
+@dataclass(frozen=True, slots=True)
+class JunitCase:
+    """One test case: a file."""
+
+    name: str  # the file
+    # What became of it.
+    outcome: Literal["passed", "failure", "error", "skipped"] = "passed"
+    code: str = ""  # of what is wrong
+    message: str = ""  # what is wrong, in a line
+    text: str = ""  # all of it
+    output: str = ""  # what there is to say beside that
+    seconds: float | None = None  # how long it took; None says nothing of it
+
+
+def junit_xml(name: str, cases: Iterable[JunitCase]) -> str:
+    """Return one suite of cases; the classname of each is the folder of its file."""
+    suite = ElementTree.Element("testsuite", name=name)
+    for case in cases:
+        _add(suite, case)
+    find_all = suite.findall
+    suite.attrib |= {
+        "tests": str(len(suite)),
+        "failures": str(len(find_all("testcase/failure"))),
+        "errors": str(len(find_all("testcase/error"))),
+        "skipped": str(len(find_all("testcase/skipped"))),
+    }
+    root = ElementTree.Element("testsuites", name=name)
+    root.append(suite)
+    ElementTree.indent(root)
+    text = ElementTree.tostring(root, encoding="unicode")
+    return f'<?xml version="1.0" encoding="UTF-8"?>\n{text}\n'
+
+
+def _add(suite: ElementTree.Element, case: JunitCase) -> None:
+    path = PurePath(case.name)
+    folder = path.parent.as_posix()
+    element = ElementTree.SubElement(
+        suite, "testcase", classname=escaped(folder), name=escaped(path.name)
+    )
+    if case.seconds is not None:
+        element.set("time", f"{case.seconds:.3f}")
+    if case.outcome != "passed":
+        entry = ElementTree.SubElement(element, case.outcome)
+        if case.code:
+            entry.set("type", case.code)
+        if case.message:
+            entry.set("message", escaped(case.message))
+        if case.text:
+            entry.text = escaped_lines(case.text)
+    if case.output:
+        ElementTree.SubElement(element, "system-out").text = escaped_lines(case.output)

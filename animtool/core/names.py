@@ -1,0 +1,173 @@
+"""Names, numbers and texts that people write and read."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable
+from itertools import islice
+from pathlib import Path
+
+from animtool.core.errors import Fault, FormatError, OptionError, excerpt
+from animtool.core.quantities import CONTROL
+from animtool.core.similar import similar
+
+# What stands in for a name that is missing, and is none.
+UNKNOWN = "?"
+# Valid names that a hint is looked for among.
+MAX_NAMES = 2000
+# Of variables: a regular expression.
+VARIABLE_NAME = r"[A-Za-z_][A-Za-z0-9_]*"
+# What the first line of a file may name, its name too: a batch names a scene, others
+# their rig, which is therefore the last.
+KINDS = (
+    "batch",
+    "cameras",
+    "clip",
+    "landmarks",
+    "map",
+    "markers",
+    "remap",
+    "scene",
+    "targets",
+    "rig",
+)
+
+
+def file_suffixes(kind: str) -> tuple[str, ...]:
+    """Return what the name of a file of a kind ends in, in lower case."""
+    return tuple(f".{kind}.{text}" for text in ("yaml", "yml", "json"))
+
+
+def is_named(path: Path, kind: str) -> bool:
+    """Return whether a path has the name of a rig, scene, batch or targets file.
+
+    >>> is_named(Path("Hero.rig.yaml"), "rig"), is_named(Path("walk.bvh"), "scene")
+    (True, False)
+    """
+    return path.name.lower().endswith(file_suffixes(kind))
+
+
+def is_variable_name(text: str) -> bool:
+    """Return whether a variable may have a name.
+
+    >>> is_variable_name("shot_2"), is_variable_name("2nd shot")
+    (True, False)
+    """
+    return re.fullmatch(VARIABLE_NAME, text) is not None
+
+
+def nearest(name: str, names: Iterable[str]) -> str:
+    """Return a hint that names the nearest valid name, or the valid ones.
+
+    >>> nearest("ebow", ["elbow", "hand"])
+    "did you mean 'elbow'?"
+    """
+    known = list(dict.fromkeys(islice(names, MAX_NAMES)))
+    known = [one for one in known if one != UNKNOWN]
+    near = similar(name, known)
+    if near:
+        return f"did you mean {near!r}?"
+    if not known:
+        return "there is none"
+    return f"allowed: {', '.join(known[:12])}" + (" …" if len(known) > 12 else "")
+
+
+def check_given(stated: Iterable[str], used: Iterable[str]) -> None:
+    """Refuse variables that are given and that nothing uses.
+
+    Raises:
+        OptionError: With a fault for each (SCN031).
+
+    >>> check_given(["shot"], ["shot", "rate"])
+    """
+    names = sorted(used)
+    faults = [
+        Fault("SCN031", f"no scene uses a variable {name!r}", hint=nearest(name, names))
+        for name in stated
+        if name not in names
+    ]
+    if faults:
+        raise OptionError(faults)
+
+
+# Digits that a float64 needs at most, and those that most need.
+MAX_DIGITS, USUAL_DIGITS = 17, 15
+# What a text may hold of controls: ends of lines, and tabs.
+_UNREADABLE = re.compile(f"(?![\n\t])[{CONTROL}]")
+
+
+def number(value: float) -> str:
+    """Return the shortest decimal that reads back as a float; zero has no sign.
+
+    >>> number(0.1), number(2.0), number(1e-20), number(-0.0)
+    ('0.1', '2', '1e-20', '0')
+    """
+    value += 0.0
+    return f"{value:.0f}" if value == int(value) and abs(value) < 1e15 else repr(value)
+
+
+def scaled(value: float, unit: float) -> str:
+    """Return the shortest decimal that, times a unit, is a float again.
+
+    Where none is, as a product skips some floats, the nearest is taken.
+
+    >>> scaled(0.0254, 0.0254), scaled(math.radians(35), math.radians(1))
+    ('1', '35')
+    """
+    if unit == 1.0:
+        return number(value)
+    quotient = value / unit
+    for digits in range(USUAL_DIGITS, MAX_DIGITS + 1):
+        near = float(f"{quotient:.{digits}g}")
+        for candidate in (
+            near,
+            math.nextafter(near, math.inf),
+            math.nextafter(near, 0),
+        ):
+            if candidate * unit == value:
+                return number(candidate)
+    return number(quotient)
+
+
+def text(value: str) -> str:
+    """Return text as YAML reads it back as text.
+
+    Raises:
+        FormatError: It holds a control character, with which no file is read (DOC023).
+
+    >>> text("hips"), text("no: 1"), text("12")
+    ('hips', '"no: 1"', '"12"')
+    """
+    plain = value
+    for mark in "_.-/":
+        plain = plain.replace(mark, "")
+    named = {"null", "true", "false", "nan", "inf"}
+    safe = plain.isascii() and plain.isalnum() and value[0].isalpha()
+    if safe and value.lower() not in named:
+        return value
+    if problem := unreadable(value):
+        message = f"the name {excerpt(value)} holds {problem!r}, which no file may"
+        raise FormatError(Fault("DOC023", message, hint="rename it"))
+    escaped = value.replace("\\", "\\\\").replace('"', '\\"')
+    escaped = "".join(c if c.isprintable() else f"\\U{ord(c):08x}" for c in escaped)
+    return f'"{escaped}"'
+
+
+def unreadable(value: str) -> str:
+    r"""Return the first control character that no text of a file may hold; else none.
+
+    >>> unreadable("a\x1bb"), unreadable("a\n")
+    ('\x1b', '')
+    """
+    match = _UNREADABLE.search(value)
+    return match[0] if match else ""
+
+
+def flow(items: list[str]) -> str:
+    """Return a list on one line.
+
+    >>> flow(["1", "2"])
+    '[1, 2]'
+    """
+    return f"[{', '.join(items)}]"

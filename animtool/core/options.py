@@ -1,0 +1,395 @@
+"""Options of a record, each declared once: on its field, with the range of its numbers.
+
+A record says once what its numbers may be, and `range_faults` checks all of them::
+
+    step: Annotated[float | None, above(0, "SIM004", finite=True)] = None
+
+Records are dataclasses, or the models of files; pydantic does not look at a `Range`.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import MISSING, dataclass, field, fields, make_dataclass
+from functools import cache
+from types import MappingProxyType
+from typing import Any, ClassVar, Literal, TypeAlias, TypeVar, cast, get_type_hints
+
+from animtool.core.errors import Fault
+
+# What a value is, and so how files and the command line write it.
+Kind: TypeAlias = Literal[
+    "switch", "answer", "text", "file", "output", "choice", "unit", "axis", "rate",
+    "range", "frame", "rest", "source_rest", "offsets", "length", "lengths", "count",
+    "name", "names", "angle", "amount", "seed", "codes", "severities", "processes",
+]  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Key:
+    """How a kind of file documents an option that it has a key for."""
+
+    description: str
+    example: Any
+    choices: tuple[str, ...] = ()  # of a choice
+    alias: str | None = None  # the key, where it is not the name of the field
+    read: Callable[[Any], Any] | None = None  # makes the field's value of the key's
+
+
+class _Described:
+    """A docstring with the keyed fields, put together when it is asked for."""
+
+    def __init__(self, own: str) -> None:
+        self.own = own
+
+    def __get__(self, instance: object, owner: type[Any]) -> str:
+        head, _, _ = self.own.partition("    Attributes:\n")
+        told = {
+            name: text
+            for base in reversed(owner.__mro__)
+            for text, name in re.findall(_ATTRIBUTE, _own_text(base), re.M)
+        }
+        for name, hint in get_type_hints(owner, include_extras=True).items():
+            for note in getattr(hint, "__metadata__", ()):
+                if isinstance(note, Key):
+                    told.setdefault(name, f"        {name}: {note.description}\n")
+        if not told:
+            return self.own
+        names = [each.name for each in fields(owner)]
+        texts = [told[name] for name in names if name in told]
+        return f"{head.rstrip()}\n\n    Attributes:\n{''.join(texts)}    "
+
+
+# One of a docstring, with the lines that it goes on in.
+_ATTRIBUTE = r"^( {8}(\w+): .*\n(?: {12}.*\n)*)"
+
+
+def _own_text(owner: type[Any]) -> str:
+    text = vars(owner).get("__doc__") or ""
+    return text.own if isinstance(text, _Described) else text
+
+
+Described = TypeVar("Described")
+
+
+def described(record: type[Described]) -> type[Described]:
+    """Return a dataclass whose docstring tells of what has a `Key`, or is inherited."""
+    record.__doc__ = cast(str, _Described(record.__doc__ or ""))
+    return record
+
+
+@dataclass(frozen=True, slots=True)
+class Option:
+    """What an option is, and where it applies."""
+
+    kind: Kind
+    flag: str  # as refusals name it on the command line
+    label: str  # as refusals name it in a scene
+    not_for: frozenset[str]  # uses that refuse it
+    over_layer: str  # why an animation layer refuses it; empty where it does not
+    # Other options that it excludes, and how a refusal says so, if not the usual way.
+    excludes: Mapping[str, str]
+    goes_with: str  # another option that it wants, or none
+    lacking: str  # how a refusal says that it lacks that, if not the usual way
+    scene: Key | None
+    batch: Key | None
+    help: str  # of the command line; empty where commands have another such option
+    metavar: str | None  # what help calls the value; None is the usual word of the kind
+    choices: tuple[str, ...]  # on the command line; of a switch, off and on
+    least: int  # of a count
+    reason: str  # why a source may not take it
+    written: str | float | None  # the default, where the command line has another unit
+    short: str  # the flag of one letter
+
+
+NOTHING: Mapping[str, str] = MappingProxyType({})
+
+
+def option(
+    default: Any,
+    kind: Kind,
+    flag: str,
+    *,
+    default_factory: Any = MISSING,
+    label: str = "",
+    not_for: tuple[str, ...] = (),
+    over_layer: str = "",
+    excludes: Mapping[str, str] = NOTHING,
+    goes_with: str = "",
+    lacking: str = "",
+    scene: Key | None = None,
+    batch: Key | None = None,
+    both: Key | None = None,
+    help: str = "",
+    metavar: str | None = None,
+    choices: tuple[str, ...] = (),
+    least: int = 0,
+    reason: str = "",
+    written: str | float | None = None,
+    short: str = "",
+) -> Any:
+    """Return the field of an option; ``both`` is the key of scenes and batches.
+
+    default, default_factory: As `dataclasses.field` takes them; one is ``MISSING``.
+    """
+    described = Option(
+        kind,
+        flag,
+        label,
+        frozenset(not_for),
+        over_layer,
+        excludes,
+        goes_with,
+        lacking,
+        scene or both,
+        batch or both,
+        help,
+        metavar,
+        choices,
+        least,
+        reason,
+        written,
+        short,
+    )
+    return field(
+        default=default,
+        default_factory=default_factory,
+        metadata={"option": described},
+    )
+
+
+def options_of(record: Any) -> dict[str, Option]:
+    """Return the options of a record or its class by name, in its order."""
+    return {
+        entry.name: entry.metadata["option"]
+        for entry in fields(record)
+        if "option" in entry.metadata
+    }
+
+
+def keys_of(record: Any, place: Literal["scene", "batch"]) -> dict[str, Key]:
+    """Return the keys that a kind of file has for a record, by name of the option."""
+    keys = {name: getattr(o, place) for name, o in options_of(record).items()}
+    return {name: key for name, key in keys.items() if key is not None}
+
+
+Record = TypeVar("Record")
+# What files write for a value of some kinds: a length as text, an angle in degrees.
+_WRITTEN: dict[Kind, type] = {"length": str, "angle": float}
+
+
+def with_written(
+    record: type[Any], *first: str
+) -> Callable[[type[Record]], type[Record]]:
+    """Give a frozen dataclass the options of a record, as files write them.
+
+    first: Names of options that come before the others.
+    """
+
+    def add(own: type[Record]) -> type[Record]:
+        hints, options = get_type_hints(record), options_of(record)
+        more = []
+        for name in dict.fromkeys((*first, *options)):
+            written = _WRITTEN.get(options[name].kind)
+            usual = record.__dataclass_fields__[name].default
+            default = usual if written is None else options[name].written
+            more.append((name, written or hints[name], default))
+        described = {"__module__": own.__module__, "__doc__": own.__doc__}
+        written_record: type[Record] = make_dataclass(
+            own.__name__, more, bases=(own,), namespace=described, frozen=True
+        )
+        return written_record
+
+    return add
+
+
+def as_arguments(text: str, *records: Any) -> str:
+    """Return a text in which flags are called as the arguments of records are.
+
+    The first record that has a flag names it; what none has stays.
+    """
+    names, flags = _arguments(records)
+    return flags.sub(lambda flag: names[flag[0]], text)
+
+
+@cache
+def _arguments(records: tuple[Any, ...]) -> tuple[dict[str, str], re.Pattern[str]]:
+    """Return what flags are in Python, and a pattern that finds them."""
+    names: dict[str, str] = {}
+    for record in records:
+        for name, described in options_of(record).items():
+            flag, _, word = described.flag.partition(" ")
+            value = {"switch": "=True", "answer": "=False"}.get(described.kind, "")
+            names.setdefault(flag, f"{name}{value}")
+            if described.kind == "choice":
+                files = described.scene.choices if described.scene else ()
+                for choice in (*described.choices, *files):
+                    for spelling in (f"{flag} {choice}", f"--{choice}"):
+                        names.setdefault(spelling, f'{name}="{choice}"')
+            if word and not word.startswith("("):
+                names.setdefault(described.flag, f"{name}{value}")
+    flags = "|".join(map(re.escape, sorted(names, key=len, reverse=True)))
+    return names, re.compile(rf"(?<![\w-])(?:{flags})(?![\w-])")
+
+
+def given_options(record: Any) -> dict[str, Option]:
+    """Return the options that are not the defaults; of an answer, one that is no."""
+    defaults = {entry.name: entry.default for entry in fields(record)}
+    return {
+        name: described
+        for name, described in options_of(record).items()
+        if (value := getattr(record, name)) != defaults[name]
+        and not (described.kind == "answer" and value)
+    }
+
+
+def refused_options(record: Any, use: str) -> list[Option]:
+    """Return the options that are not for a use, of those that are given."""
+    return [given for given in given_options(record).values() if use in given.not_for]
+
+
+def clashes(record: Any) -> list[str]:
+    """Return how options that are given exclude each other, or want another one."""
+    options, given = options_of(record), given_options(record)
+    messages = []
+    for one in given.values():
+        for other, message in one.excludes.items():
+            if other in given:
+                usual = f"{one.flag} and {given[other].flag} exclude each other"
+                messages.append(message or usual)
+        if one.goes_with and one.goes_with not in given:
+            usual = f"{one.flag} goes with {options[one.goes_with].flag}"
+            messages.append(one.lacking or usual)
+    return messages
+
+
+# What a message says of a number of an entry in a file.
+OF_ENTRY = "its {name} must be {bound}, not {value:g}"
+# What options may be at most, where nothing else limits them.
+LARGEST = 1e9
+# What a message says of an argument.
+OF_ARGUMENT = "{name} must be {bound}, not {value:g}"
+
+
+@dataclass(frozen=True, slots=True)
+class Range:
+    """What a number, or each of a vector, may be. None is in range; NaN never is."""
+
+    bound: str  # in words, as in "must be above 0"
+    code: str
+    least: float
+    most: float = math.inf
+    reached: bool = True  # whether the least is in range itself
+    finite: bool = False  # whether infinity is out of range
+    count: int = 0  # numbers of a vector; 0 is a number
+
+    def holds(self, value: Any) -> bool:
+        """Return whether a number, or a vector, is in range."""
+        if value is None:
+            return True
+        values = value if self.count else (value,)
+        return len(values) == (self.count or 1) and all(map(self._holds, values))
+
+    def _holds(self, value: float) -> bool:
+        inside = self.least <= value <= self.most
+        if self.finite and not math.isfinite(value):
+            return False
+        return inside and (self.reached or value > self.least)
+
+
+def above(least: float, code: str, *, finite: bool = False) -> Range:
+    """Return a range that does not hold its least number.
+
+    >>> above(0, "SIM004", finite=True).bound
+    'finite and above 0'
+    """
+    bound = _bound(f"above {least:g}", finite=finite)
+    return Range(bound, code, least, reached=False, finite=finite)
+
+
+def or_more(least: float, code: str, *, finite: bool = False) -> Range:
+    """Return a range from a number on, as in "0 or more"."""
+    return Range(
+        _bound(f"{least:g} or more", finite=finite), code, least, finite=finite
+    )
+
+
+def at_least(least: float, code: str, *, finite: bool = False) -> Range:
+    """Return a range from a number on, as in "at least 1e-06"."""
+    bound = _bound(f"at least {least:g}", finite=finite)
+    return Range(bound, code, least, finite=finite)
+
+
+def within(
+    least: float, code: str, most: float = LARGEST, *, reached: bool = True
+) -> Range:
+    """Return a range between two finite numbers.
+
+    >>> within(0, "SIM062", 1.0, reached=False).bound
+    'more than 0 and at most 1'
+    """
+    bound = f"{least:g} or more" if reached else f"more than {least:g}"
+    bound += f" and at most {most:g}"
+    return Range(bound, code, least, most, reached, finite=True)
+
+
+def _bound(text: str, *, finite: bool) -> str:
+    return f"finite and {text}" if finite else text
+
+
+@cache
+def ranges_of(record: type[Any]) -> Mapping[str, Range]:
+    """Return the ranges that a record declares, by the name of the field.
+
+    >>> from animtool.systems.springs import SpringOptions
+    >>> ranges_of(SpringOptions)["longest"].bound
+    'above 1'
+    """
+    if hasattr(record, "model_fields"):
+        declared = {name: each.metadata for name, each in record.model_fields.items()}
+    else:
+        hints = get_type_hints(record, include_extras=True)
+        declared = {name: getattr(hints[name], "__metadata__", ()) for name in hints}
+    return {
+        name: each
+        for name, metadata in declared.items()
+        for each in metadata
+        if isinstance(each, Range)
+    }
+
+
+def range_faults(record: Any, message: str = OF_ARGUMENT) -> list[Fault]:
+    """Return a fault of each number of a record that is out of its range.
+
+    >>> from animtool.systems.springs import SpringOptions
+    >>> [str(fault) for fault in range_faults(SpringOptions(step=0.0, longest=1.0))]
+    ['SIM004 step: step must be finite and above 0, not 0', 'SIM004 longest: longest \
+must be above 1, not 1']
+    """
+    kind: Any = type(record)
+    faults = []
+    for name, allowed in ranges_of(kind).items():
+        value = getattr(record, name)
+        if not allowed.holds(value):
+            words = message.partition(", not ")[0] if allowed.count else message
+            text = words.format(name=name, bound=allowed.bound, value=value)
+            faults.append(Fault(allowed.code, text, where=name))
+    return faults
+
+
+class Checked:
+    """A record of an entry that says what of it makes no sense."""
+
+    __slots__ = ()
+    code: ClassVar[str]
+
+    def problems(self) -> list[tuple[str, str]]:
+        """Return what of it makes no sense: an option, and why."""
+        faults = range_faults(self, OF_ENTRY)
+        return [(str(fault.where), fault.message) for fault in faults]
+
+    def faults(self, where: str) -> list[Fault]:
+        """Return what of it makes no sense, as faults of one code."""
+        return [Fault(self.code, why, where=where) for _, why in self.problems()]

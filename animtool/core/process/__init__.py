@@ -1,0 +1,1 @@
+"""Processes: signals, supervised workers, threads of linear algebra."""

@@ -1,0 +1,405 @@
+"""A process that outlives crashes of the one that works, and knows what that one read.
+
+USD reads files in C++, which a hostile file can crash. The command line forks before it
+imports anything heavy: the child works, the parent waits, and after a crash begins
+anew with the file that was read refused. A fork of a small process takes 1 to 2 ms and
+sees crashes of every kind and thread; a signal handler would run inside of the broken
+process, and a probe would parse each file twice. Windows has no fork: a crash ends the
+command there.
+"""
+
+from __future__ import annotations
+
+import json
+import mmap
+import os
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from types import ModuleType
+from typing import TYPE_CHECKING
+
+from animtool.core.errors import ExitCode, Fault, FormatError
+from animtool.core.process.signals import ENDING, obey_signals
+
+if TYPE_CHECKING:
+    from pathlib import Path
+    from typing import NoReturn
+
+# What a child may note, and what it may read of stdin [bytes]. Pages that are not
+# written to take no memory.
+MAX_NOTES = 1 << 20
+MAX_STDIN = 1 << 26
+# The longest name of a file that systems take, folders included.
+MAX_NAME = 1 << 15
+# How long a child has to end after a signal, before it is killed [s].
+GRACE = 10.0
+_CRASHES = ("SIGSEGV", "SIGABRT", "SIGBUS", "SIGFPE", "SIGILL", "SIGTRAP", "SIGKILL")
+CRASHES = {getattr(signal, name) for name in _CRASHES if hasattr(signal, name)}
+
+
+@dataclass(frozen=True, slots=True)
+class Crash:
+    """How a child ended that did not end by itself."""
+
+    number: int  # the signal that ended it
+    path: str = ""  # the file that it read, as the user named it; empty is none
+
+    @property
+    def name(self) -> str:
+        """Name of the signal."""
+        try:
+            return signal.Signals(self.number).name
+        except ValueError:
+            return f"signal {self.number}"
+
+
+def crash_fault(path: str, number: int) -> Fault:
+    """Return the fault of a file that ended what read it by a signal."""
+    name = signal.Signals(number).name
+    message = f"USD crashes while it reads this file or one that it refers to ({name})"
+    hint = "export it again; do not open it in other programs"
+    if name == "SIGKILL":
+        message = "the process was killed (SIGKILL) while it read this file"
+        hint = "the system may have no memory left"
+    return Fault("USD160", message, path, (), hint)
+
+
+@dataclass(slots=True)
+class _Notes:
+    """What a child notes in memory that it shares with its parent."""
+
+    shared: mmap.mmap  # its length, then JSON
+    # Its length, then what was read of stdin; length 0 is nothing yet.
+    listed: mmap.mmap
+    path: str = ""  # the file that is being read; empty is none
+    folders: list[str] = field(default_factory=list)  # where outputs go
+    # Whether a result was printed or a file was named, which a second run would repeat.
+    reported: bool = False
+
+    def write(self) -> None:
+        text = json.dumps([self.path, self.reported, self.folders]).encode()
+        if len(text) < MAX_NOTES - _LENGTH:
+            _put(self.shared, text)
+
+    def write_path(self, path: str) -> None:
+        self.path = path
+        self.write()
+
+    def read(self) -> None:
+        """Take over what a child noted."""
+        self.path, self.reported, self.folders = "", False, []
+        text = _got(self.shared)
+        if text is not None:
+            self.path, self.reported, self.folders = json.loads(text)
+        self.shared[:_LENGTH] = bytes(_LENGTH)
+
+
+# A length is one more than that of what follows: 0 is nothing.
+_LENGTH = 8
+
+
+def _put(memory: mmap.mmap, data: bytes) -> None:
+    memory[_LENGTH : _LENGTH + len(data)] = data
+    memory[:_LENGTH] = (len(data) + 1).to_bytes(_LENGTH, "little")
+
+
+def _got(memory: mmap.mmap) -> bytes | None:
+    length = int.from_bytes(memory[:_LENGTH], "little")
+    return memory[_LENGTH : _LENGTH + length - 1] if length else None
+
+
+@dataclass(slots=True)
+class _State:
+    """What this process knows of supervision."""
+
+    notes: _Notes | None = None  # where it notes; None is nowhere: nobody supervises it
+    # Files that crashed a child, and the signals that ended it.
+    crashed: dict[str, int] = field(default_factory=dict)
+    # Files that are being read, the latest last.
+    read: list[str] = field(default_factory=list)
+    # Told of the file that is being read; None: nobody wants to know.
+    listener: Callable[[str], object] | None = None
+    starting: int = 0  # how many threads start processes `without_main`
+    main: ModuleType | None = None  # the script's module meanwhile
+
+
+_state = _State()
+_lock = threading.Lock()
+
+
+@contextmanager
+def reading(path: Path) -> Iterator[None]:
+    """Note that USD reads a file in the block, if it crashed no run (USD160)."""
+    listener = _state.listener
+    if listener is None:
+        yield
+        return
+    named = str(path)
+    number = _state.crashed.get(str(path.absolute()))
+    if number is not None:
+        raise FormatError(crash_fault(named, number))
+    with _lock:
+        _state.read.append(named)
+        listener(named)
+    try:
+        yield
+    finally:
+        with _lock:
+            _state.read.remove(named)
+            listener(_state.read[-1] if _state.read else "")
+
+
+def report_reading(listener: Callable[[str], object]) -> None:
+    """Call a function with the name of the file that is read; empty when it was."""
+    _state.listener = listener
+
+
+def has_crashed() -> bool:
+    """Return whether an earlier run of this command crashed over a file."""
+    return bool(_state.crashed)
+
+
+def note_said() -> None:
+    """Note that a result was printed or a file was named: a second run repeats it."""
+    notes = _state.notes
+    if notes is not None:
+        # What stays in a buffer is lost in a crash.
+        sys.stdout.flush()
+        if not notes.reported:
+            with _lock:
+                notes.reported = True
+                notes.write()
+
+
+def note_folder(folder: Path) -> None:
+    """Note a folder that this process writes temporary files to."""
+    notes = _state.notes
+    if notes is not None and str(folder) not in notes.folders:
+        with _lock:
+            notes.folders.append(str(folder))
+            notes.write()
+
+
+def stdin_lines() -> list[str]:
+    """Return the lines on stdin, which a second run after a crash gets too."""
+    notes = _state.notes
+    noted = None if notes is None else _got(notes.listed)
+    if noted is None:
+        text = sys.stdin.read()
+        noted = text.encode("utf-8", "surrogateescape")
+        if notes is not None and len(noted) < MAX_STDIN - _LENGTH:
+            _put(notes.listed, noted)
+        else:
+            note_said()
+    text = noted.decode("utf-8", "surrogateescape")
+    lines = [line.rstrip("\r") for line in text.split("\n")]
+    for number, line in enumerate(lines, 1):
+        if len(line) > MAX_NAME:
+            from pathlib import Path
+
+            from animtool.core.files.reading import unreadable
+
+            reason = f"line {number} has {len(line)} letters, and no name of a file has"
+            raise unreadable(Path("-"), reason)
+    return lines
+
+
+def follow_parent() -> None:
+    """Let this process, which another one of ours started, end with that.
+
+    What an interrupt from the keyboard means, the other one says.
+    """
+    from multiprocessing import parent_process
+    from multiprocessing.connection import wait
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    parent = parent_process()
+
+    def end() -> None:
+        if parent is not None:
+            wait([parent.sentinel])
+            os._exit(1)
+
+    threading.Thread(target=end, daemon=True).start()
+
+
+@contextmanager
+def without_main() -> Iterator[None]:
+    """Let processes that are started now not run this one's script again.
+
+    What they do is in modules, and a script may start them without a guard. Its own
+    module gives place to one with the same names, which threads may look up, but
+    without a file. Threads may be in the block at the same time.
+    """
+    with _lock:
+        if not _state.starting:
+            _state.main = main = sys.modules["__main__"]
+            unnamed = ModuleType("__main__")
+            own = {"__spec__", "__file__", "__loader__"}
+            unnamed.__dict__.update(
+                (name, value) for name, value in vars(main).items() if name not in own
+            )
+            sys.modules["__main__"] = unnamed
+        _state.starting += 1
+    try:
+        yield
+    finally:
+        with _lock:
+            _state.starting -= 1
+            if not _state.starting and _state.main is not None:
+                sys.modules["__main__"], _state.main = _state.main, None
+
+
+def can_supervise() -> bool:
+    """Return whether this system can fork, and wait for signals."""
+    return hasattr(os, "fork") and hasattr(signal, "sigwait")
+
+
+def supervise(
+    work: Callable[[], int],
+    refuse: Callable[[Crash], int],
+    clean: Callable[[list[str], int], object],
+) -> int:
+    """Run work in a child, anew without the file that crashed it; return its exit code.
+
+    Signals that ask this process to end, or to stop for a while, go on to the child. A
+    crash that a second run does not mend is given to ``refuse``, which returns the exit
+    code; ``clean`` removes from folders what a dead child began to write there.
+    """
+    notes = _Notes(mmap.mmap(-1, MAX_NOTES), mmap.mmap(-1, MAX_STDIN))
+    waited = _waited()
+    signal.pthread_sigmask(signal.SIG_BLOCK, waited)
+    while True:
+        child, alive = _fork(work, notes, waited)
+        code, asked = _wait(child, waited)
+        os.close(alive)
+        if code >= 0:
+            return code
+        notes.read()
+        clean(notes.folders, child)
+        if asked:
+            return int(
+                ExitCode.INTERRUPTED if asked == signal.SIGINT else ExitCode.TERMINATED
+            )
+        if -code not in CRASHES:
+            return 128 - code
+        crash = Crash(-code, notes.path)
+        if not crash.path or notes.reported or crash.name == "SIGKILL":
+            return refuse(crash)
+        from pathlib import Path  # every command imports this module
+
+        _state.crashed[str(Path(crash.path).absolute())] = crash.number
+
+
+def _waited() -> set[int]:
+    """Return the signals to wait for; those that are ignored stay so."""
+    # Where it is ignored by default, some systems do not let it be waited for.
+    signal.signal(signal.SIGCHLD, lambda *_: None)
+    return {
+        signal.SIGCHLD,
+        signal.SIGALRM,
+        *(
+            number
+            for number in (*ENDING, signal.SIGTSTP)
+            if signal.getsignal(number) is not signal.SIG_IGN
+        ),
+    }
+
+
+def _fork(work: Callable[[], int], notes: _Notes, waited: set[int]) -> tuple[int, int]:
+    """Return the child, and what it sees closed when this process ends."""
+    sys.stdout.flush()
+    sys.stderr.flush()
+    here, there = os.pipe()
+    child = os.fork()
+    if not child:
+        os.close(there)
+        _state.notes, _state.listener = notes, notes.write_path
+        _be_child(work, here, waited - {*ENDING})
+    os.close(here)
+    return child, there
+
+
+def _be_child(work: Callable[[], int], alive: int, held: set[int]) -> NoReturn:
+    """Do the work in the child, and end.
+
+    ``alive`` is closed when the parent ends; ``held`` are the other signals that it
+    waits for.
+    """
+    import resource
+
+    # A crash that is expected leaves no core behind.
+    with suppress(OSError, ValueError):
+        limit = resource.getrlimit(resource.RLIMIT_CORE)[1]
+        resource.setrlimit(resource.RLIMIT_CORE, (0, limit))
+    threading.Thread(target=_end_with_parent, args=(alive,), daemon=True).start()
+    signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, held)
+    obey_signals()
+    code = 1
+    try:
+        code = work()
+    except BaseException:
+        sys.excepthook(*sys.exc_info())
+    leave(code)
+
+
+def leave(code: int) -> NoReturn:
+    """End this process at once, its output written, whatever signals come.
+
+    Without looking once more at all that it holds, and without the destructors of
+    libraries.
+    """
+    import atexit
+
+    with suppress(Exception):
+        atexit._run_exitfuncs()
+    for stream in (sys.stdout, sys.stderr):
+        with suppress(Exception):
+            stream.flush()
+    os._exit(code)
+
+
+def _end_with_parent(alive: int) -> None:
+    """End this process when its parent is gone: cleaned up, if it can."""
+    os.read(alive, 1)
+    os.kill(os.getpid(), signal.SIGTERM)
+    threading.Event().wait(GRACE)
+    os._exit(128 + signal.SIGTERM)
+
+
+def _wait(child: int, waited: set[int]) -> tuple[int, int]:
+    """Return how a child ended, and the first signal that asked for it.
+
+    One that does not obey in time is killed: it may be deep inside of a library.
+    """
+    asked = 0
+    while True:
+        ended, status = os.waitpid(child, os.WNOHANG)
+        if ended:
+            signal.setitimer(signal.ITIMER_REAL, 0)
+            return os.waitstatus_to_exitcode(status), asked
+        number = signal.sigwait(waited)
+        if number == signal.SIGTSTP:
+            _stop(child)
+        elif number == signal.SIGALRM:
+            os.kill(child, signal.SIGKILL)
+        elif number != signal.SIGCHLD:
+            if not asked:
+                asked = number
+                signal.setitimer(signal.ITIMER_REAL, GRACE)
+            os.kill(child, number)
+
+
+def _stop(child: int) -> None:
+    """Stop the child and this process, until somebody lets it go on."""
+    os.kill(child, signal.SIGSTOP)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGTSTP})
+    os.kill(os.getpid(), signal.SIGTSTP)
+    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTSTP})
+    os.kill(child, signal.SIGCONT)

@@ -1,0 +1,239 @@
+"""What opens a file, by its suffix: as a rig, and as a source of motion.
+
+The table holds the readers; what they open a file with is imported when used.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, cast
+
+from animtool.core.errors import Fault, OptionError
+from animtool.core.files.reading import unreadable, why_no_file
+from animtool.core.plugins import load_object, load_plugin, plugin_points
+
+PLUGIN_GROUP = "animtool.readers"
+
+
+@dataclass(frozen=True, slots=True)
+class Reader:
+    """One entry of the table of readers.
+
+    Attributes:
+        about: What such files are, one line.
+        rig: ``module:object`` of a function from a path to a rig; empty where such
+            files hold none.
+        source: ``module:object`` of a function from a path, and options by keyword,
+            to a stream of motion; empty where they hold none.
+        options: Names of the source options that it takes; ``progress`` where it
+            reports the share read.
+        prim: ``module:object`` of a function from a path, the name of an object in
+            it, a rig, and the name of an object in whose frame that stands or None,
+            to the object's transforms over time; empty where they hold none.
+        markers: ``module:object`` of a function from a path, and options by keyword,
+            to `animtool.markers.Markers`; empty where such files hold none.
+        has_markers: ``module:object`` of a function from a path to whether a file
+            holds markers; empty where its suffix says it.
+    """
+
+    about: str
+    rig: str = ""
+    source: str = ""
+    options: tuple[str, ...] = ()
+    prim: str = ""
+    markers: str = ""
+    has_markers: str = ""
+
+    def rig_opener(self, path: Path) -> Callable[[Path], Any]:
+        """Return what opens a file as a rig; see `source_opener`."""
+        return _opener(self.rig, "rig", path)
+
+    def source_opener(self, path: Path) -> Callable[..., Any]:
+        """Return what opens a file as a source (none: IO002; broken: IO003)."""
+        return _opener(self.source, "motion", path)
+
+    def prim_opener(self, path: Path) -> Callable[..., Any]:
+        """Return what opens an object of a file; see `source_opener`."""
+        return _opener(self.prim, "prim", path)
+
+    def markers_opener(self, path: Path) -> Callable[..., Any]:
+        """Return what opens a file as marker trajectories; see `source_opener`."""
+        return _opener(self.markers, "markers", path)
+
+
+BVH = Reader(
+    "Biovision Hierarchy",
+    "animtool.formats.bvh.read:read_bvh_rig",
+    "animtool.formats.bvh.read:read_bvh",
+    ("unit", "up", "fps", "positions", "progress"),
+)
+USD = Reader(
+    "USD",
+    "animtool.usd.stored_rig:read_rig",
+    "animtool.usd.read:read_usd",
+    ("prim_path", "take", "placement"),
+    "animtool.usd.prim_transforms:open_prim",
+)
+DOCUMENT = Reader(
+    "rig and clip files",
+    "animtool.rig.file:load_rig",
+    "animtool.scene.clips:open_clip_source",
+    ("rig", "clamp"),
+)
+
+LIVELINK = Reader(
+    "Live Link Face recordings",
+    "animtool.formats.livelink.read:read_livelink_rig",
+    "animtool.formats.livelink.read:read_livelink",
+    ("rig", "fps", "remap", "dropped"),
+)
+
+MOT = Reader(
+    "OpenSim motion",
+    "animtool.formats.mot.read:read_mot_rig",
+    "animtool.formats.mot.read:read_mot",
+    ("rig", "fps"),
+)
+
+STO = Reader(
+    "OpenSim storage",
+    "animtool.formats.mot.read:read_mot_rig",
+    "animtool.formats.mot.read:read_mot",
+    ("rig", "fps"),
+    markers="animtool.formats.mot.points:read_points",
+    has_markers="animtool.formats.mot.points:holds_points",
+)
+
+_OF_MARKERS = ("unit", "up", "fps", "rig", "template", "progress")
+_SOLVE = "animtool.mocap.solve.source:open_markers_source"
+C3D = Reader(
+    "C3D markers",
+    source=_SOLVE,
+    options=_OF_MARKERS,
+    markers="animtool.formats.c3d.read:read_c3d",
+)
+TRC = Reader(
+    "TRC markers",
+    source=_SOLVE,
+    options=_OF_MARKERS,
+    markers="animtool.formats.trc.read:read_trc",
+)
+ARRAYS = Reader(
+    "arrays of markers",
+    source=_SOLVE,
+    options=(*_OF_MARKERS, "cameras"),
+    markers="animtool.formats.marker_arrays:read_markers",
+)
+
+READERS: dict[str, Reader] = {
+    ".bvh": BVH,
+    ".usd": USD,
+    ".usda": USD,
+    ".usdc": USD,
+    ".usdz": USD,
+    ".yaml": DOCUMENT,
+    ".yml": DOCUMENT,
+    ".json": DOCUMENT,
+    ".csv": LIVELINK,
+    ".c3d": C3D,
+    ".trc": TRC,
+    ".npz": ARRAYS,
+    ".mot": MOT,
+    ".sto": STO,
+}
+
+# What OpenTimelineIO and its adapters read.
+TIMELINE_SUFFIXES = (
+    ".otio",
+    ".otioz",
+    ".otiod",
+    ".edl",
+    ".fcpxml",
+    ".xml",
+    ".aaf",
+    ".xges",
+)
+
+
+def find_reader(path: Path) -> Reader:
+    """Return the reader of a file by its suffix, those of plug-ins included.
+
+    Raises:
+        FormatError: None has its suffix, and there is no such file (IO001).
+        OptionError: None has its suffix (IO002), or the plug-in that has it cannot
+            be loaded (IO003).
+
+    >>> find_reader(Path("walk.BVH")).about
+    'Biovision Hierarchy'
+    """
+    suffix = path.suffix.lower()
+    if suffix in READERS:
+        return READERS[suffix]
+    points = plugin_points(PLUGIN_GROUP)
+    point = points.get(suffix.removeprefix("."))
+    if point is not None:
+        return load_plugin(point, Reader)
+    reason = why_no_file(path)
+    if reason is not None:
+        raise unreadable(path, reason)
+    kind = f"suffix {path.suffix!r}" if suffix else "a name without suffix"
+    message = f"{kind} is no format that animtool reads"
+    allowed = ", ".join([*READERS, *(f".{name}" for name in sorted(points))])
+    hint = f"allowed: {allowed}"
+    if suffix in TIMELINE_SUFFIXES:
+        message = "is a timeline, and no take is read from it"
+        hint = "animtool bake --shot NAME bakes one of its shots, animtool batch all"
+    raise OptionError(Fault("IO002", message, str(path), (), hint))
+
+
+def _opener(place: str, what: str, path: Path) -> Callable[..., Any]:
+    if not place:
+        message = f"no {what} is read from {path.suffix} files"
+        raise OptionError(Fault("IO002", message, str(path)))
+    try:
+        return cast(Callable[..., Any], load_object(place))
+    except (ImportError, AttributeError) as error:
+        message = f"the reader {place} cannot be loaded: {error}"
+        hint = "mend or remove the plug-in"
+        raise OptionError(Fault("IO003", message, str(path), (), hint)) from error
+
+
+@dataclass(frozen=True, slots=True)
+class ListedReader:
+    """A reader as `animtool plugins` lists it."""
+
+    suffix: str  # of the files
+    source: str  # ``animtool``, or the object that an entry point names
+    # What such files are opened as; empty where it cannot be loaded.
+    opens: tuple[str, ...]
+    about: str  # what they are, or why it cannot be loaded
+
+
+def listed_readers() -> list[ListedReader]:
+    """Return every reader, animtool's own first, those of plug-ins loaded.
+
+    >>> listed_readers()[0].suffix
+    '.bvh'
+    """
+    readers = [
+        ListedReader(suffix, "animtool", _opens(reader), reader.about)
+        for suffix, reader in READERS.items()
+    ]
+    for name, point in sorted(plugin_points(PLUGIN_GROUP).items()):
+        if f".{name}" in READERS:
+            continue
+        opens: tuple[str, ...] = ()
+        try:
+            reader = load_plugin(point, Reader)
+            opens, about = _opens(reader), reader.about
+        except OptionError as error:
+            about = error.faults[0].message
+        readers.append(ListedReader(f".{name}", point.value, opens, about))
+    return readers
+
+
+def _opens(reader: Reader) -> tuple[str, ...]:
+    named = {"rig": reader.rig, "source": reader.source, "markers": reader.markers}
+    return tuple(name for name, place in named.items() if place)

@@ -1,0 +1,247 @@
+"""A shot: which frames it has, at which rate, and the time of the media it shows.
+
+A shot counts **shot frames**: whole numbers at the shot's rate. Every command, file and
+report that names a frame of a shot means this number.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from typing import Any
+
+from animtool.core.rates import NO_FRACTION, OptionalFraction, rate_label, rate_option
+from animtool.core.timecode import timecode_label
+
+# The number of a shot's first frame where nothing states another.
+SHOT_START = 1001
+# Timelines store times as floats: this near to a frame, the frame is meant [frame].
+ON_FRAME = Fraction(1, 10_000)
+
+
+@dataclass(frozen=True, slots=True)
+class MediaTimecode:
+    """How a timeline counts time codes of a shot's media.
+
+    Attributes:
+        rate: Labels count frames at this rate.
+        first: Time of the media's first frame [s].
+        drop: Whether labels are drop-frame.
+    """
+
+    rate: Fraction
+    first: Fraction = Fraction(0)
+    drop: bool = False
+
+    def label(self, seconds: Fraction) -> str:
+        """Return the time code of a time of the media [s]; without labels the seconds.
+
+        >>> MediaTimecode(Fraction(25), Fraction(3600)).label(Fraction(1, 2))
+        '01:00:00:12'
+        """
+        time = self.first + seconds
+        try:
+            frame = math.floor(time * self.rate + ON_FRAME)
+            return timecode_label(frame, self.rate, drop=self.drop)
+        except ValueError:
+            return f"{float(time):.7g} s"
+
+
+@dataclass(frozen=True, slots=True)
+class Shot:
+    """The frames of a shot, all in shot frames; first and last are included.
+
+    Attributes:
+        cut_in: First frame of the cut.
+        cut_out: Last frame of the cut.
+        head: How many frames the handle before the cut has.
+        tail: How many frames the handle after the cut has.
+        name: Of the shot; empty where it has none.
+        fps: Shot frames a second; a number or text becomes a fraction. None is the
+            rate of the output.
+        media_in: Time of the media that ``cut_in`` shows, 0 at its first frame [s];
+            None where the shot does not place its media.
+        speed: How many times as fast as its media the shot plays; below 0 it plays
+            backwards, and 0 holds the pose at ``media_in``.
+        timecode: How its timeline counts time codes of the media; None is unknown.
+
+    Raises:
+        OptionError: fps is no rate (SCN022).
+
+    >>> shot = Shot(1009, 1056, 8, 8, fps=24, media_in=Fraction(2))
+    >>> shot.start, shot.end, float(shot.seconds_at(1033))
+    (1001, 1064, 3.0)
+    """
+
+    cut_in: int
+    cut_out: int
+    head: int = 0
+    tail: int = 0
+    name: str = ""
+    fps: OptionalFraction = NO_FRACTION
+    media_in: Fraction | None = None
+    speed: Fraction = Fraction(1)
+    timecode: MediaTimecode | None = None
+
+    def __post_init__(self) -> None:
+        """Take the rate as it is written; timelines may have any fraction."""
+        fps: Any = self.fps
+        if not isinstance(fps, Fraction | None):
+            object.__setattr__(self, "fps", rate_option(fps))
+
+    @property
+    def start(self) -> int:
+        """The first frame, that of the head handle."""
+        return self.cut_in - self.head
+
+    @property
+    def end(self) -> int:
+        """The last frame, that of the tail handle."""
+        return self.cut_out + self.tail
+
+    @property
+    def places_media(self) -> bool:
+        """Whether the shot says which time of its media each frame shows."""
+        return self.media_in is not None
+
+    def seconds_at(self, frame: Fraction | int) -> Fraction:
+        """Return the time of the media that a frame shows [s]."""
+        fps, media_in = self._timing()
+        return media_in + (frame - self.cut_in) * self.speed / fps
+
+    def frame_at(self, seconds: Fraction | int) -> Fraction:
+        """Return the frame, or part of one, that shows a time of the media [s].
+
+        A shot that holds a pose has no such frame.
+
+        >>> shot = Shot(1001, 1024, fps=Fraction(24), media_in=Fraction(2))
+        >>> shot.frame_at(Fraction(5, 2))
+        Fraction(1013, 1)
+        """
+        fps, media_in = self._timing()
+        return self.cut_in + (seconds - media_in) * fps / self.speed
+
+    def _timing(self) -> tuple[Fraction, Fraction]:
+        if self.fps is None or self.media_in is None:
+            raise ValueError("the shot does not place its media")
+        return self.fps, self.media_in
+
+    def recut(self, cut_in: int, cut_out: int, head: int, tail: int) -> Shot:
+        """Return the shot with another cut; its frames show the same media.
+
+        Args:
+            cut_in: First frame of the cut.
+            cut_out: Last frame of the cut.
+            head: Frames before the cut.
+            tail: Frames after it.
+
+        >>> shot = Shot(1001, 1024, fps=Fraction(24), media_in=Fraction(2))
+        >>> shot.recut(1013, 1020, 4, 4).media_in
+        Fraction(5, 2)
+        """
+        media_in = self.seconds_at(cut_in) if self.places_media else None
+        return replace(
+            self,
+            cut_in=cut_in,
+            cut_out=cut_out,
+            head=head,
+            tail=tail,
+            media_in=media_in,
+        )
+
+    @property
+    def label(self) -> str:
+        """The shot in a line of a report.
+
+        >>> Shot(1009, 1056, 8, 4, "sh010", Fraction(24)).label
+        'shot sh010: cut 1009 to 1056, handles 8 and 4, 24 fps'
+        """
+        text = f"shot {self.name}" if self.name else "shot"
+        text += f": cut {self.cut_in} to {self.cut_out}"
+        text += f", handles {self.head} and {self.tail}"
+        if self.fps is not None:
+            text += f", {rate_label(self.fps)}"
+        if self.places_media:
+            first, last = self.seconds_at(self.cut_in), self.seconds_at(self.cut_out)
+            text += f", {float(first):.6g} s to {float(last):.6g} s of its media"
+        return text
+
+    def as_dict(self) -> dict[str, object]:
+        """Return the shot as plain values for a JSON report."""
+        values: dict[str, object] = {
+            "name": self.name,
+            "start": self.start,
+            "end": self.end,
+            "cut_in": self.cut_in,
+            "cut_out": self.cut_out,
+            "head": self.head,
+            "tail": self.tail,
+        }
+        if self.fps is not None:
+            values |= {"fps": float(self.fps), "rate": str(self.fps)}
+        if self.places_media:
+            first, last = self.seconds_at(self.cut_in), self.seconds_at(self.cut_out)
+            values |= {"media_in": float(first), "media_out": float(last)}
+            values["speed"] = float(self.speed)
+        return values
+
+    def names(self) -> dict[str, str]:
+        """Return the shot's frames and times by the names that scenes use.
+
+        >>> names = Shot(1009, 1056, 8, 8, fps=Fraction(24)).names()
+        >>> names["begin"], names["first"], names["last"], names["end"]
+        ('1001', '1009', '1056', '1064')
+        """
+        values = {
+            "first": str(self.cut_in),
+            "last": str(self.cut_out),
+            "begin": str(self.start),
+            "end": str(self.end),
+            "head": str(self.head),
+            "tail": str(self.tail),
+            "handles": str(max(self.head, self.tail)),
+            "fps": "" if self.fps is None else str(self.fps),
+            "speed": f"{float(self.speed):.12g}",
+        }
+        if self.places_media:
+            first, last = self.seconds_at(self.cut_in), self.seconds_at(self.cut_out)
+            values["media_in"] = f"{float(first):.12g}"
+            values["media_out"] = f"{float(last):.12g}"
+        return values
+
+
+def frames_within(seconds: Fraction, fps: Fraction) -> int:
+    """Return how many frames begin within a time, at least one.
+
+    >>> fps = Fraction(24)
+    >>> frames_within(Fraction(3), fps), frames_within(Fraction(0), fps)
+    (72, 1)
+    """
+    return max(1, math.ceil(seconds * fps - ON_FRAME))
+
+
+def frame_spans(frames: Iterable[int], step: int = 1) -> str:
+    """Return frames as people write them, those that follow each other as a span.
+
+    >>> frame_spans([1, 2, 3, 9, 11, 12])
+    '1 to 3, 9, 11 to 12'
+    """
+    spans: list[list[int]] = []
+    for frame in frames:
+        if spans and frame == spans[-1][-1] + step:
+            spans[-1].append(frame)
+        else:
+            spans.append([frame])
+    ends = [dict.fromkeys((span[0], span[-1])) for span in spans]
+    return ", ".join(" to ".join(map(str, one)) for one in ends)
+
+
+@dataclass(frozen=True, slots=True)
+class FrameRange:
+    """Frames ``first`` to ``last``, both included, every ``step``-th [time codes]."""
+
+    first: int
+    last: int
+    step: int = 1

@@ -1,0 +1,21 @@
+"""Names that people write."""
+
+from __future__ import annotations
+
+import pytest
+
+from animtool.core.errors import OptionError
+from animtool.core.names import check_given, nearest
+
+
+def test_nearest() -> None:
+    assert nearest("x", []) == "there is none"
+    assert nearest("zzz", [f"n{i}" for i in range(20)]).endswith("n11 …")
+
+
+def test_what_is_given_must_be_used() -> None:
+    check_given([], [])
+    with pytest.raises(OptionError) as caught:
+        check_given(["shto", "shot", "x"], {"shot"})
+    assert [f.code for f in caught.value.faults] == ["SCN031", "SCN031"]
+    assert "'shot'" in (caught.value.faults[0].hint or "")

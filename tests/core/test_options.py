@@ -1,0 +1,219 @@
+"""Options that are declared on the fields of a record."""
+
+from __future__ import annotations
+
+import inspect
+import pickle
+import re
+from dataclasses import dataclass, fields
+from importlib import import_module
+from pathlib import Path
+from typing import get_type_hints
+
+import click
+import pytest
+from click.testing import CliRunner
+
+import animtool
+from animtool.cli.bake import bake
+from animtool.cli.options import declared, read_values, record_option
+from animtool.core.errors import OptionError, Severity
+from animtool.core.options import (
+    Key,
+    as_arguments,
+    clashes,
+    keys_of,
+    option,
+    options_of,
+    refused_options,
+    with_written,
+)
+from animtool.ik.options import TakeOptions
+from animtool.scene.options import BakeOptions
+from animtool.scene.sources import SourceOptions
+from animtool.systems.particles import Emitter
+from animtool.validation.options import ValidateOptions
+
+
+@dataclass(frozen=True)
+class Cut:
+    """Cut."""
+
+    sharp: bool = option(False, "switch", "--sharp", not_for=("soup",), both=Key("", 1))
+    width: float | None = option(None, "length", "--width", not_for=("soup", "bread"))
+    plain: int = 0
+
+
+@with_written(TakeOptions, "joints")
+@dataclass(frozen=True)
+class Reach:
+    """Reach."""
+
+    far: bool = False
+
+
+@pytest.mark.parametrize(
+    ("given", "use", "flags"),
+    [
+        (Cut(), "soup", []),
+        (Cut(sharp=True, width=1.0), "soup", ["--sharp", "--width"]),
+        (Cut(sharp=True, width=0.0), "bread", ["--width"]),
+        (Cut(sharp=True), "cheese", []),
+    ],
+)
+def test_a_use_refuses_what_is_not_the_default(
+    given: Cut, use: str, flags: list[str]
+) -> None:
+    assert [refused.flag for refused in refused_options(given, use)] == flags
+
+
+@dataclass(frozen=True)
+class Bread:
+    """Bread."""
+
+    whole: bool = option(False, "switch", "--whole", excludes={"width": ""})
+    width: float | None = option(None, "length", "--width", goes_with="sliced")
+    sliced: bool = option(
+        False, "switch", "--sliced", excludes={"whole": "--sliced: no --whole"}
+    )
+    crust: bool | None = option(None, "answer", "--no-crust", goes_with="sliced")
+
+
+@pytest.mark.parametrize(
+    ("bread", "messages"),
+    [
+        (Bread(), []),
+        (Bread(width=1.0, sliced=True, crust=False), []),
+        (Bread(crust=True), []),
+        (Bread(crust=False), ["--no-crust goes with --sliced"]),
+        (Bread(whole=True, sliced=True), ["--sliced: no --whole"]),
+        (
+            Bread(whole=True, width=1.0),
+            ["--whole and --width exclude each other", "--width goes with --sliced"],
+        ),
+    ],
+)
+def test_what_options_exclude_and_want(bread: Bread, messages: list[str]) -> None:
+    assert clashes(bread) == messages
+
+
+def test_what_options_exclude_and_want_is_an_option() -> None:
+    for described in options_of(BakeOptions).values():
+        assert {*described.excludes, described.goes_with or "fps"} <= {
+            *options_of(BakeOptions)
+        }
+
+
+def test_a_text_calls_options_as_arguments() -> None:
+    text = "--sharp, --width 2 or --sharpen, --no-width"
+    assert as_arguments(text, Cut) == "sharp=True, width 2 or --sharpen, --no-width"
+
+
+def test_errors_in_python_name_arguments(walk: Path, tmp_path: Path) -> None:
+    output = tmp_path / "walk.usda"
+    output.touch()
+    with pytest.raises(OptionError, match="overwrite=True replaces it") as caught:
+        animtool.bake(walk, output)
+    assert "--overwrite" in str(caught.value.faults[0])
+    fps = SourceOptions(fps=24)
+    with pytest.raises(OptionError, match="to_units, to_up and fps convert"):
+        animtool.open_source(output, fps)
+
+
+def test_files_have_the_keys_that_options_declare() -> None:
+    assert [*options_of(Cut)] == ["sharp", "width"]
+    assert [*keys_of(Cut, "scene")] == [*keys_of(Cut, "batch")] == ["sharp"]
+
+
+def test_every_option_of_a_bake_is_documented() -> None:
+    documented = re.findall(r"^        (\w+): ", BakeOptions.__doc__ or "", re.M)
+    assert [*options_of(BakeOptions)] == [
+        name for name in documented if name not in {"source", "shot", "OptionError"}
+    ]
+
+
+def test_what_a_use_refuses_has_a_name_there() -> None:
+    for name, described in options_of(BakeOptions).items():
+        assert described.flag.startswith("--"), name
+        assert bool(described.label) == ("systems" in described.not_for), name
+
+
+def test_the_command_has_every_option_that_is_declared() -> None:
+    parameters = {parameter.name: parameter for parameter in bake.params}
+    for name, described in options_of(BakeOptions).items():
+        # Of a take that is written, scenes alone say the name.
+        if name != "take":
+            flag = described.flag.split()[0]
+            found = parameters[name]
+            assert flag in {*found.opts, *found.secondary_opts}, name
+            assert described.help or name in {"strict", "overwrite"}, name
+
+
+def test_an_option_is_added_to_a_command_by_its_declaration() -> None:
+    cuts = options_of(Cut)
+    command = click.command()(lambda **given: click.echo(sorted(given.items())))
+    for name in ("sharp", "width"):
+        command = declared(cuts[name], name)(command)
+    done = CliRunner().invoke(command, ["--sharp", "--width", "2mm"])
+    assert done.output == "[('sharp', True), ('width', 0.002)]\n"
+
+
+@pytest.mark.parametrize(
+    ("words", "options"),
+    [
+        ([], ValidateOptions(jobs=None)),
+        (
+            ["--select", "rig2,USD", "--select", "CLIP2", "-j", "2"],
+            ValidateOptions(select=("RIG2", "USD", "CLIP2"), jobs=2),
+        ),
+        (
+            ["--severity", "RIG2=note", "--profile", "shot", "--jobs", "1"],
+            ValidateOptions(severity={"RIG2": Severity.NOTE}, profile="shot"),
+        ),
+    ],
+)
+def test_codes_and_severities_of_a_command_are_those_of_its_record(
+    words: list[str], options: ValidateOptions
+) -> None:
+    taken: list[ValidateOptions] = []
+
+    @record_option(ValidateOptions)
+    def run(**given: object) -> None:
+        taken.append(ValidateOptions(**read_values(ValidateOptions, given)))
+
+    done = CliRunner().invoke(click.command()(run), words)
+    assert (done.output, taken) == ("", [options])
+
+
+def test_a_record_has_the_options_of_another_as_files_write_them() -> None:
+    defaults = {entry.name: entry.default for entry in fields(Reach)}
+    others = [name for name in options_of(TakeOptions) if name != "joints"]
+    assert [*defaults] == ["far", "joints", *others]
+    assert (defaults["tolerance"], defaults["angle_tolerance"]) == ("0.001mm", 1e-4)
+    assert defaults["restarts"] == TakeOptions().restarts
+    assert get_type_hints(Reach)["tolerance"] is str
+    assert pickle.loads(pickle.dumps(Reach(far=True))) == Reach(far=True)
+
+
+RECORDS = ["sim.colliders.Collider", "sim.colliders.Sheet"]
+RECORDS += [f"systems.particles.{name}" for name in ("Emitter", "VelocityField")]
+RECORDS += [
+    f"systems.springs.{name}"
+    for name in ("Air", "Family", "SelfContact", "SpringOptions")
+]
+
+
+@pytest.mark.parametrize("place", RECORDS)
+def test_docstrings_tell_of_every_field_once(place: str) -> None:
+    """Those with a key in files have their text there, and inherited ones theirs."""
+    package, _, name = place.rpartition(".")
+    record = getattr(import_module(f"animtool.{package}"), name)
+    told = re.findall(r"^ {4}(\w+): \S", inspect.getdoc(record), re.M)
+    assert sorted(told) == sorted(field.name for field in fields(record))
+
+
+def test_a_docstring_has_units_of_python_where_a_file_has_others() -> None:
+    told = inspect.getdoc(Emitter)
+    assert told is not None
+    assert "spread: Half the angle of the cone, here in radians" in told
+    assert "[deg]" not in told

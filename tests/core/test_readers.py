@@ -1,0 +1,144 @@
+"""Every reader in the table keeps what the table promises; so must a plug-in's."""
+
+from __future__ import annotations
+
+import inspect
+import os
+from dataclasses import fields
+from importlib.metadata import EntryPoint, EntryPoints
+from pathlib import Path
+
+import pytest
+
+from animtool.core.errors import AnimtoolError, FormatError
+from animtool.core.plugins import load_object
+from animtool.core.readers import READERS, Reader, find_reader, listed_readers
+from animtool.rig.skeleton import Rig
+from animtool.scene.sources import SourceOptions, open_source
+
+DISTINCT = sorted(set(READERS.values()), key=lambda reader: reader.about)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="the system has no named pipes")
+def test_what_is_no_file_is_called_what_it_is(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    for name, kind in (
+        ("pipe", "is a pipe, not a file"),
+        (os.devnull, "is a device, not a file"),
+        (".", "is a folder"),
+        ("none", "does not exist"),
+    ):
+        with pytest.raises(FormatError, match=kind) as caught:
+            find_reader(tmp_path / name)
+        assert caught.value.code == "IO001"
+
+
+@pytest.mark.parametrize("reader", DISTINCT, ids=lambda reader: reader.about)
+def test_a_reader_keeps_its_promises(reader: Reader) -> None:
+    places = (reader.rig, reader.source, reader.markers)
+    assert any(places)
+    for place in filter(None, places):
+        assert callable(load_object(place))
+    takes = inspect.signature(load_object(reader.source or reader.markers)).parameters
+    known = {field.name for field in fields(SourceOptions)} | {"progress"}
+    assert set(reader.options) <= set(takes) & known
+
+
+@pytest.mark.parametrize("suffix", READERS)
+@pytest.mark.parametrize("text", [None, "", "nothing of the kind"])
+def test_what_is_not_of_the_kind(tmp_path: Path, suffix: str, text: str | None) -> None:
+    path = tmp_path / f"file{suffix}"
+    if text is not None:
+        path.write_text(text)
+    reader = READERS[suffix]
+    openings = {
+        reader.rig: Rig.load,
+        reader.source: open_source,
+        reader.markers: reader.markers and reader.markers_opener(path),
+    }
+    for opening in (found for place, found in openings.items() if place):
+        with pytest.raises(FormatError) as caught:
+            opening(path)
+        assert caught.value.faults[0].path == str(path)
+
+
+@pytest.mark.parametrize(
+    ("suffix", "given"),
+    [
+        (".bvh", {"clamp": True}),
+        (".bvh", {"prim_path": "/hero"}),
+        (".usda", {"clamp": True}),
+        (".usda", {"fps": 24}),
+        (".yaml", {"up": "Z"}),
+    ],
+)
+def test_an_option_that_a_file_does_not_take(
+    tmp_path: Path, suffix: str, given: dict[str, object]
+) -> None:
+    options = SourceOptions(**given)  # type: ignore[arg-type]
+    with pytest.raises(AnimtoolError) as caught:
+        open_source(tmp_path / f"file{suffix}", options)
+    assert caught.value.code == "CLI004"
+
+
+def install(monkeypatch: pytest.MonkeyPatch, **places: str) -> None:
+    points = [EntryPoint(n, place, "animtool.readers") for n, place in places.items()]
+    monkeypatch.setattr(
+        "importlib.metadata.entry_points",
+        lambda group: EntryPoints(points if group == "animtool.readers" else []),
+    )
+
+
+def test_a_reader_of_a_plugin(
+    tmp_path: Path, walk: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "marks_reader.py").write_text(
+        "from animtool.core.readers import Reader\n"
+        "from animtool.formats.bvh import read_bvh\n"
+        "READER = Reader('marks', source='marks_reader:open_marks', options=('fps',))\n"
+        "def open_marks(path, fps=None):\n"
+        "    return read_bvh(path.read_text(), fps=fps)\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    install(monkeypatch, marks="marks_reader:READER")
+    path = tmp_path / "walk.marks"
+    path.write_text(str(walk))
+    assert open_source(path, SourceOptions(fps=24)).fps == 24
+    row = listed_readers()[-1]
+    assert (row.suffix, row.opens, row.about) == (".marks", ("source",), "marks")
+    with pytest.raises(AnimtoolError, match="no rig") as caught:
+        Rig.load(path)
+    assert caught.value.code == "IO002"
+
+
+@pytest.mark.parametrize(
+    ("place", "why"),
+    [("no_such_module:READER", "no_such_module"), ("fractions:Fraction", "no Reader")],
+)
+def test_a_broken_reader_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, place: str, why: str
+) -> None:
+    install(monkeypatch, marks=place)
+    with pytest.raises(AnimtoolError, match=why) as caught:
+        find_reader(tmp_path / "walk.marks")
+    assert caught.value.code == "IO003"
+    row = listed_readers()[-1]
+    assert not row.opens
+    assert why in row.about
+
+
+def test_a_reader_whose_function_is_missing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(READERS, ".marks", Reader("marks", "no_such_module:open_rig"))
+    with pytest.raises(AnimtoolError, match="no_such_module") as caught:
+        Rig.load(tmp_path / "walk.marks")
+    assert caught.value.code == "IO003"
+
+
+def test_a_plugin_does_not_replace_what_animtool_reads(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    install(monkeypatch, bvh="no_such_module:READER")
+    assert find_reader(Path("walk.bvh")) is READERS[".bvh"]
+    assert len(listed_readers()) == len(READERS)
