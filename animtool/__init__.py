@@ -24,8 +24,10 @@ if TYPE_CHECKING:
     from animtool.core.shot import Shot as Shot
     from animtool.formats.bvh import read_bvh as read_bvh
     from animtool.formats.bvh import write_bvh as write_bvh
-    from animtool.motion import Channel as Channel
-    from animtool.motion import Motion as Motion
+    from animtool.motion.motion import Channel as Channel
+    from animtool.motion.motion import Motion as Motion
+    from animtool.motion.take import Take as Take
+    from animtool.motion.take import TakeStream as TakeStream
     from animtool.report.compare import compare as compare
     from animtool.report.describe import describe as describe
     from animtool.rig.skeleton import Joint as Joint
@@ -36,8 +38,6 @@ if TYPE_CHECKING:
     from animtool.scene.options import BakeOptions as BakeOptions
     from animtool.scene.sources import SourceOptions as SourceOptions
     from animtool.scene.sources import open_source as open_source
-    from animtool.take import Take as Take
-    from animtool.take import TakeStream as TakeStream
     from animtool.validation.options import ValidateOptions as ValidateOptions
     from animtool.validation.run import Finding as Finding
     from animtool.validation.run import validate as validate
@@ -46,19 +46,19 @@ _PUBLIC = {
     "AnimtoolError": "animtool.core.errors",
     "BakeOptions": "animtool.scene.options",
     "BatchSpec": "animtool.batch.spec",
-    "Channel": "animtool.motion",
+    "Channel": "animtool.motion.motion",
     "Clip": "animtool.clip.clip",
     "Clock": "animtool.core.clock",
     "Fault": "animtool.core.errors",
     "Finding": "animtool.validation.run",
     "Joint": "animtool.rig.skeleton",
-    "Motion": "animtool.motion",
+    "Motion": "animtool.motion.motion",
     "Rig": "animtool.rig.skeleton",
     "RunOptions": "animtool.batch.run",
     "Shot": "animtool.core.shot",
     "SourceOptions": "animtool.scene.sources",
-    "Take": "animtool.take",
-    "TakeStream": "animtool.take",
+    "Take": "animtool.motion.take",
+    "TakeStream": "animtool.motion.take",
     "ValidateOptions": "animtool.validation.options",
     "bake": "animtool.scene.bake",
     "compare": "animtool.report.compare",

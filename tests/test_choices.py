@@ -14,9 +14,9 @@ from animtool.edit.layers import LayerMode, blend, layer
 from animtool.edit.mirroring import Axis, mirror
 from animtool.edit.retiming import time_warp
 from animtool.edit.root_motion import RootMotionOptions
-from animtool.keyed import Interpolation
-from animtool.passes import PassContext, apply_pass, find_pass
-from animtool.take import Take, TakeStream
+from animtool.motion.keyed import Interpolation
+from animtool.motion.passes import PassContext, apply_pass, find_pass
+from animtool.motion.take import Take, TakeStream
 
 PAIRS = ((1, 0), (5, 1), (9, 0.25))
 CURVE = ((1, 1), (5, 9), (12, 12))

@@ -30,7 +30,7 @@ from animtool.batch.records import (
 from animtool.core.errors import Fault
 from animtool.core.files.output import replacing
 from animtool.core.files.reading import FileState, open_input
-from animtool.scores import PassScores, Score, ScoreUnit
+from animtool.motion.scores import PassScores, Score, ScoreUnit
 
 # What names, digests and clocks can be.
 MAX_DIGEST = 200

@@ -17,7 +17,7 @@ from animtool.batch.spec import made_by, named_from, place_of
 from animtool.core.errors import Fault, FormatError, OptionError, OutputError
 from animtool.core.files.output import name_key
 from animtool.core.files.reading import FileState, Places
-from animtool.scores import PassScores
+from animtool.motion.scores import PassScores
 
 
 class Reason(StrEnum):

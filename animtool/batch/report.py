@@ -12,7 +12,7 @@ from animtool.batch.plan import Reason
 from animtool.batch.work import Measured, Outcome, Status
 from animtool.core.errors import ExitCode, Fault, Severity
 from animtool.core.junit import JunitCase, junit_xml
-from animtool.scores import PassScores, badness
+from animtool.motion.scores import PassScores, badness
 
 # How many of the slowest items, and of the worst errors, a summary names.
 NAMED = 3

@@ -23,7 +23,7 @@ from animtool.core.files.reading import FileState, Inputs, note_input, recorded_
 from animtool.core.names import is_named
 from animtool.core.process.supervisor import follow_parent, report_reading
 from animtool.core.readers import BVH, DOCUMENT, READERS, USD
-from animtool.scores import PassScores
+from animtool.motion.scores import PassScores
 
 if TYPE_CHECKING:
     from animtool.scene.outputs import OutputReport

@@ -32,7 +32,7 @@ def plugins(console: Console, /, report_format: str) -> None:
     from animtool.batch.executors import listed_executors
     from animtool.core.readers import listed_readers
     from animtool.core.rules import listed_rules
-    from animtool.passes import listed_passes
+    from animtool.motion.passes import listed_passes
 
     # Of each list the key of names in JSON, and what a line calls what it has.
     listed: dict[str, tuple[str, Any, Callable[[Any], str | None]]] = {

@@ -21,9 +21,9 @@ from animtool.core.rates import FractionLike, rate_label, rate_option
 from animtool.core.units import unit_name
 from animtool.maths.curves import Extrapolation, Interp
 from animtool.maths.tangents import Parametrization, Tangent
-from animtool.motion import Motion
+from animtool.motion.motion import Motion
+from animtool.motion.take import Take
 from animtool.rig.skeleton import Rig
-from animtool.take import Take
 
 # Of a channel that does not say.
 USUAL_TANGENT = Tangent.AUTO_CLAMPED

@@ -13,14 +13,14 @@ from animtool.clip.reduction.points import SHELL, attached_points, point_errors
 from animtool.clip.sample import sample_values
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.maths.fit import FittedKeys, evaluate_keys, fit_keys
-from animtool.motion import Channel, Motion
+from animtool.motion.motion import Channel, Motion
+from animtool.motion.take import Take
 from animtool.rig.control_inverse import SolvedControls, keyed_values, solve_controls
 from animtool.rig.controls import Control, evaluate_controls
 from animtool.rig.driver_plan import plan_of
 from animtool.rig.kinematics import forward
 from animtool.rig.shapes import own_weights
 from animtool.rig.skeleton import Rig
-from animtool.take import Take
 
 # Of the tolerance of the whole, what the keys of controls may use up [1].
 SHARE = 0.5

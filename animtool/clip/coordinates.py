@@ -11,7 +11,7 @@ from animtool.clip.reduction.keys import ChannelKind
 from animtool.clip.reduction.tracks import Track, euler_order
 from animtool.core.array_types import BoolArray, FloatArray
 from animtool.maths import euler, so3
-from animtool.motion import Motion
+from animtool.motion.motion import Motion
 from animtool.rig.joints import DRIVEN_PARTS, split_part
 from animtool.rig.limits import RangeLimit
 from animtool.rig.skeleton import Joint, JointType, Rig

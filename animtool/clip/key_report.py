@@ -16,11 +16,11 @@ from animtool.core.errors import Fault, Severity, listed
 from animtool.core.quantities import plain
 from animtool.core.units import unit_name
 from animtool.maths import so3
-from animtool.motion import Channel, Motion
+from animtool.motion.motion import Channel, Motion
+from animtool.motion.take import Take
 from animtool.rig.control_inverse import SolvedControls, keyed_values
 from animtool.rig.joints import KEYED_PARTS, split_part
 from animtool.rig.skeleton import JointType, Rig
-from animtool.take import Take
 
 MAX_NAMES = 6
 

@@ -35,14 +35,14 @@ from animtool.clip.reduction.tracks import Track, in_order, pose_of, tracks_of
 from animtool.clip.sample import sample_channels, sample_values
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault
-from animtool.motion import Channel, Motion
+from animtool.motion.motion import Channel, Motion
+from animtool.motion.take import Take
 from animtool.rig.control_inverse import SolvedControls
 from animtool.rig.controls import evaluate_controls
 from animtool.rig.driver_plan import plan_of
 from animtool.rig.kinematics import rest_size
 from animtool.rig.shapes import combination_order
 from animtool.rig.skeleton import JointType, Rig
-from animtool.take import Take
 
 # What samples in float32 leave between joints and what drives them [rad], [m], [1].
 SAME_ANGLE, SAME_LENGTH, SAME_WEIGHT = 2e-6, 1e-6, 1e-6

@@ -11,7 +11,7 @@ from animtool.clip.channels import ClipChannel, evaluate_channels
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, FormatError, Severity, listed
 from animtool.maths import so3
-from animtool.motion import Channel, Motion
+from animtool.motion.motion import Channel, Motion
 from animtool.rig.controls import DrivenValues, evaluate_controls
 from animtool.rig.joints import DRIVEN_PARTS, KEYED_PARTS, split_part
 from animtool.rig.limits import BallLimit, RangeLimit
@@ -157,7 +157,7 @@ def sample_values(
         moving_controls,
     )
     if rig.is_driven:
-        from animtool.driver_run import DriverRun
+        from animtool.motion.driver_run import DriverRun
 
         run = DriverRun(rig, replaced=True)
         motion = run.drive(motion, times, coordinates)

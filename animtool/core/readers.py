@@ -33,7 +33,7 @@ class Reader:
             it, a rig, and the name of an object in whose frame that stands or None,
             to the object's transforms over time; empty where they hold none.
         markers: ``module:object`` of a function from a path, and options by keyword,
-            to `animtool.markers.Markers`; empty where such files hold none.
+            to `animtool.motion.markers.Markers`; empty where such files hold none.
         has_markers: ``module:object`` of a function from a path to whether a file
             holds markers; empty where its suffix says it.
     """

@@ -10,8 +10,8 @@ import numpy as np
 from animtool.core.array_types import BoolArray, FloatArray
 from animtool.edit.travel import Places, nearby_places
 from animtool.maths import so3
-from animtool.motion import Channel, Motion, MotionCurve
-from animtool.take import Take
+from animtool.motion.motion import Channel, Motion, MotionCurve
+from animtool.motion.take import Take
 
 # A sample this near to its curve, next to the larger of 1 and its own size, is the
 # curve's: what rounding leaves of times in the millions is less, and it is a tenth of

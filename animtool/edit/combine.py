@@ -19,9 +19,9 @@ from animtool.core.errors import Fault, OptionError
 from animtool.edit.between import Between
 from animtool.edit.travel import even_places
 from animtool.maths import additive, so3
-from animtool.motion import Channel, Motion
+from animtool.motion.motion import Channel, Motion
+from animtool.motion.take import Take
 from animtool.rig.skeleton import Rig
-from animtool.take import Take
 
 
 def continuous(motion: Motion, previous: FloatArray | None = None) -> Motion:
@@ -159,7 +159,7 @@ def add(base: Motion, delta: Motion, strength: Strength) -> Motion:
 
     A weight may be beyond 1 or negative. Signs of rotations may jump.
 
-    >>> from animtool.take import Channel
+    >>> from animtool.motion.take import Channel
     >>> one = Channel.from_dense(np.ones((1, 1, 3)))
     >>> turn = Channel.from_dense(np.array([[[0.6, 0, 0, 0.8]]]))
     >>> found = add(Motion(one, turn), Motion(one, turn), Strength(np.ones(1)))
@@ -174,7 +174,7 @@ def subtract(source: Motion, base: Motion) -> Motion:
 
     Scales of the base must not be 0. Signs of rotations may jump.
 
-    >>> from animtool.take import Channel
+    >>> from animtool.motion.take import Channel
     >>> one = Channel.from_dense(np.ones((1, 1, 3)))
     >>> turn = Channel.from_dense(np.array([[[0.6, 0, 0, 0.8]]]))
     >>> subtract(Motion(one, turn), Motion(one, turn)).rotations.rest.tolist()
@@ -206,7 +206,7 @@ def mix(base: Motion, other: Motion, strength: Strength) -> Motion:
     weight 0 and 1 the values are exactly those of one motion. Signs of rotations
     may jump.
 
-    >>> from animtool.take import Channel
+    >>> from animtool.motion.take import Channel
     >>> zero, one = (Channel.from_dense(np.full((1, 1, 3), x)) for x in (0.0, 1.0))
     >>> turn = Channel.from_dense(np.array([[[0.0, 0, 0, 1]]]))
     >>> half = mix(Motion(zero, turn), Motion(one, turn), Strength(np.array([0.5])))

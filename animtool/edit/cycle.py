@@ -21,9 +21,9 @@ from animtool.edit.frames import frame_index
 from animtool.edit.loop_options import LoopOptions
 from animtool.edit.travel import place_of, rest_rotation, traveller, twist
 from animtool.maths import so3
+from animtool.motion.take import Take
 from animtool.rig.kinematics import forward, rest_size
 from animtool.rig.skeleton import Rig
-from animtool.take import Take
 
 # What a difference of speed leads to in this time [s] counts as one of place.
 SPEED_TIME = 0.1

@@ -26,9 +26,9 @@ from animtool.edit.combine import (
 )
 from animtool.edit.frames import check_count, exact, frame_index
 from animtool.edit.tree import joints_matching
-from animtool.keyed import Interpolation, Weight, chosen, weights_at
-from animtool.motion import Channel, Motion
-from animtool.passes import (
+from animtool.motion.keyed import Interpolation, Weight, chosen, weights_at
+from animtool.motion.motion import Channel, Motion
+from animtool.motion.passes import (
     MOTION_PARTS,
     OptionChecks,
     Pass,
@@ -36,8 +36,8 @@ from animtool.passes import (
     Scope,
     named_take,
 )
+from animtool.motion.take import Take, TakeStream
 from animtool.rig.skeleton import Rig
-from animtool.take import Take, TakeStream
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,8 +25,8 @@ from animtool.edit.frames import check_count, check_range, frame_index
 from animtool.edit.loop_options import LoopOptions
 from animtool.edit.travel import Travel, nearby_places, travel_of
 from animtool.maths import so3
-from animtool.motion import Channel, Motion
-from animtool.passes import (
+from animtool.motion.motion import Channel, Motion
+from animtool.motion.passes import (
     RETIMED_PARTS,
     OptionChecks,
     Pass,
@@ -34,9 +34,9 @@ from animtool.passes import (
     Scope,
     TakePart,
 )
+from animtool.motion.take import Take
+from animtool.motion.transforms import Track, Transforms
 from animtool.rig.skeleton import Joint, Rig
-from animtool.take import Take
-from animtool.transforms import Track, Transforms
 
 _Value = TypeVar("_Value", bound=np.generic)
 Onward: TypeAlias = Callable[[FloatArray], FloatArray]

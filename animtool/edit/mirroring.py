@@ -12,16 +12,23 @@ import numpy as np
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.errors import Fault, OptionError, Severity, listed, percent
 from animtool.edit.tree import joint_index
-from animtool.keyed import chosen
 from animtool.maths import so3
-from animtool.motion import Channel, Motion
-from animtool.passes import EVERY_PART, MOTION_PARTS, Pass, PassContext, Scope, TakePart
+from animtool.motion.keyed import chosen
+from animtool.motion.motion import Channel, Motion
+from animtool.motion.passes import (
+    EVERY_PART,
+    MOTION_PARTS,
+    Pass,
+    PassContext,
+    Scope,
+    TakePart,
+)
+from animtool.motion.take import Take, TakeStream
 from animtool.rig.controls import Control, evaluate_controls
 from animtool.rig.joints import DRIVEN_PARTS, split_part
 from animtool.rig.kinematics import rest_size, rest_world
 from animtool.rig.sides import SidePairs, pair_sides, stray_sides
 from animtool.rig.skeleton import Rig
-from animtool.take import Take, TakeStream
 
 # How far a control is moved to see what it does, as a share of its range [1].
 NUDGE = 0.1

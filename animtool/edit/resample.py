@@ -19,8 +19,8 @@ from animtool.edit.frames import check_count
 from animtool.edit.straight import straight_notices
 from animtool.edit.travel import Places, even_places
 from animtool.maths import filters, so3
-from animtool.motion import Channel, Motion
-from animtool.passes import (
+from animtool.motion.motion import Channel, Motion
+from animtool.motion.passes import (
     RETIMED_PARTS,
     EvenTime,
     OptionChecks,
@@ -28,7 +28,7 @@ from animtool.passes import (
     PassContext,
     Scope,
 )
-from animtool.take import Take
+from animtool.motion.take import Take
 
 BLOCK_FRAMES = 512
 

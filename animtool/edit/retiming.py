@@ -17,9 +17,9 @@ from animtool.edit.combine import continuous
 from animtool.edit.frames import check_count, check_range, exact, frame_refusal
 from animtool.edit.straight import straight_notices
 from animtool.edit.travel import Places, even_places, nearby_places
-from animtool.keyed import Interpolation, Keys, key_arrays, keyed
-from animtool.motion import Channel, Motion
-from animtool.passes import (
+from animtool.motion.keyed import Interpolation, Keys, key_arrays, keyed
+from animtool.motion.motion import Channel, Motion
+from animtool.motion.passes import (
     RETIMED_PARTS,
     EvenTime,
     OptionChecks,
@@ -28,7 +28,7 @@ from animtool.passes import (
     Scope,
     TakePart,
 )
-from animtool.take import Take, TakeStream
+from animtool.motion.take import Take, TakeStream
 
 # Time codes are written to a few digits; a frame this near [frame] is meant.
 ON_FRAME = Fraction(1, 1_000_000)

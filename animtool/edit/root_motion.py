@@ -17,11 +17,11 @@ from animtool.edit.travel import (
     twist,
 )
 from animtool.edit.tree import Placing, inserted, joint_index, removed, set_joint
-from animtool.keyed import chosen
 from animtool.maths import so3
-from animtool.motion import Channel
-from animtool.passes import OptionChecks, Pass, PassContext, Scope, TakePart
-from animtool.take import Take
+from animtool.motion.keyed import chosen
+from animtool.motion.motion import Channel
+from animtool.motion.passes import OptionChecks, Pass, PassContext, Scope, TakePart
+from animtool.motion.take import Take
 
 
 class RootMode(StrEnum):

@@ -14,7 +14,7 @@ from animtool.core.quantities import angle_text, length_text, plain
 from animtool.edit.between import Between
 from animtool.edit.travel import Places
 from animtool.maths import so3
-from animtool.motion import Channel
+from animtool.motion.motion import Channel
 from animtool.rig.kinematics import rest_size
 
 # What is off by less is not said: a tenth of a degree moves the end of a limb by less

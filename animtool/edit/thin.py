@@ -16,7 +16,7 @@ from animtool.clip.reduction.points import (
 from animtool.clip.reduction.tolerance import WEIGHT_TOLERANCE
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.edit.travel import places_between
-from animtool.motion import Motion
+from animtool.motion.motion import Motion
 from animtool.rig.kinematics import WorldTransforms, forward
 from animtool.rig.skeleton import Rig
 

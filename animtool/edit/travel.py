@@ -9,7 +9,7 @@ import numpy as np
 
 from animtool.core.array_types import ArrayLike, FloatArray, IntArray
 from animtool.maths import so3
-from animtool.motion import Channel, Motion
+from animtool.motion.motion import Channel, Motion
 from animtool.rig.kinematics import rest_size
 from animtool.rig.skeleton import JointType, Rig
 

@@ -15,12 +15,12 @@ from animtool.core.names import nearest
 from animtool.core.similar import similar
 from animtool.core.units import UpAxis
 from animtool.maths import so3
-from animtool.motion import Channel
-from animtool.passes import OptionChecks, Pass, PassContext, Scope, TakePart
+from animtool.motion.motion import Channel
+from animtool.motion.passes import OptionChecks, Pass, PassContext, Scope, TakePart
+from animtool.motion.take import Take
 from animtool.rig.drivers import split_coordinate
 from animtool.rig.kinematics import WorldTransforms, rest_world
 from animtool.rig.skeleton import Joint, JointType, Pose, Rig
-from animtool.take import Take
 
 
 def joint_index(rig: Rig, name: str, option: str) -> int:

@@ -18,7 +18,7 @@ from animtool.core.units import LengthUnit, UpAxis
 from animtool.documents.arrays import Archives
 from animtool.documents.references import split_reference
 from animtool.formats.trajectories import MAX_POSITIONS, MarkerFile
-from animtool.markers import Markers
+from animtool.motion.markers import Markers
 
 _UNIT = re.compile(r"_(mm|cm|m|in)")
 # What the array of positions is called that is read where none is named.

@@ -12,7 +12,7 @@ from animtool.core.rates import FractionLike
 from animtool.core.readers import READERS, find_reader
 from animtool.core.units import LengthUnit, UpAxis
 from animtool.documents.references import split_reference
-from animtool.markers import Markers
+from animtool.motion.markers import Markers
 
 # What writes markers: ``module:object`` of a function from markers, a path and
 # ``overwrite`` to what the format cannot hold.

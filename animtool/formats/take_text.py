@@ -11,7 +11,7 @@ import numpy as np
 from animtool import _kernels
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault
-from animtool.take import Take
+from animtool.motion.take import Take
 
 ROWS_AT_ONCE = 4096
 

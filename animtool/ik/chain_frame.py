@@ -19,6 +19,7 @@ from animtool.core.errors import Fault, OptionError
 from animtool.ik.goals import KINDS, Goal, Targets, TargetValue, rows_of
 from animtool.ik.problem import build
 from animtool.maths import so3
+from animtool.motion.take import Take
 from animtool.rig.driver_plan import plan_of
 from animtool.rig.joints import (
     LocalTransforms,
@@ -27,7 +28,6 @@ from animtool.rig.joints import (
 )
 from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.skeleton import Rig
-from animtool.take import Take
 
 # Transforms that differ by less are the same but for rounding [m], [rad].
 SAME = 1e-9

@@ -31,11 +31,11 @@ from animtool.maths import euler, so3
 from animtool.maths.curves import Interp
 from animtool.maths.fit import fit_keys
 from animtool.maths.tangents import Tangent
-from animtool.motion import Channel
+from animtool.motion.motion import Channel
+from animtool.motion.take import Take
 from animtool.rig.kinematics import forward
 from animtool.rig.parts import IkChain
 from animtool.rig.skeleton import Joint, Rig
-from animtool.take import Take
 
 # Most frames whose values are written as keys, one each, where none are reduced.
 FEW = 12

@@ -13,7 +13,6 @@ import numpy as np
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, OptionError
 from animtool.core.names import nearest
-from animtool.driving import driven_take
 from animtool.ik.chain_frame import parts_of, refuse_scales
 from animtool.ik.goals import Goal, Targets
 from animtool.ik.options import TakeOptions
@@ -26,11 +25,12 @@ from animtool.ik.take_run import (
     gathered_take,
 )
 from animtool.ik.tracks import FreeEffector, GoalTrack, TargetTracks
+from animtool.motion.driving import driven_take
+from animtool.motion.take import Take
 from animtool.rig.driver_plan import plan_of
 from animtool.rig.joints import LocalTransforms
 from animtool.rig.kinematics import WorldTransforms, forward
 from animtool.rig.skeleton import Rig
-from animtool.take import Take
 
 # From tracks, and the take without each of them, to the take at its targets.
 Bring = Callable[[TargetTracks, tuple[Take, ...]], Take]

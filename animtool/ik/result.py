@@ -12,15 +12,15 @@ import numpy as np
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.clock import Clock
 from animtool.core.rates import FractionLike, rate_option
-from animtool.driving import driven_take
 from animtool.ik.goals import PARTS
 from animtool.ik.jumps import Jump
 from animtool.ik.problem import Problem
 from animtool.maths import so3
-from animtool.motion import Channel, Motion
+from animtool.motion.driving import driven_take
+from animtool.motion.motion import Channel, Motion
+from animtool.motion.take import Take
 from animtool.rig.joints import coordinate_slices, local_from_coordinates
 from animtool.rig.limits import BallLimit, RangeLimit
-from animtool.take import Take
 
 # A coordinate this near to its limit is on it [rad] or [m]: farther than what counts as
 # inside a narrower one.

@@ -18,9 +18,9 @@ from animtool.ik.report import MISSED_ANGLE, MISSED_LENGTH, goal_reports, take_n
 from animtool.ik.sub_rig import dressed
 from animtool.ik.take_run import take_option_faults
 from animtool.ik.tracks import TargetTracks
-from animtool.passes import OptionChecks, Pass, PassContext, Scope, TakePart
+from animtool.motion.passes import OptionChecks, Pass, PassContext, Scope, TakePart
+from animtool.motion.take import Take
 from animtool.rig.skeleton import Rig
-from animtool.take import Take
 
 
 @with_written(TakeOptions, "joints")

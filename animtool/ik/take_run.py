@@ -22,6 +22,7 @@ from animtool.ik.solving import IkOptions, chain_targets, option_faults, serving
 from animtool.ik.sub_rig import mimics
 from animtool.ik.tracks import GoalTrack, TargetTracks
 from animtool.maths import so3
+from animtool.motion.take import Take
 from animtool.rig.joints import (
     LocalTransforms,
     coordinate_slices,
@@ -29,7 +30,6 @@ from animtool.rig.joints import (
 )
 from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.skeleton import Rig
-from animtool.take import Take
 
 # Coordinates that a solve changes by less, it leaves as they were.
 UNCHANGED = 1e-12

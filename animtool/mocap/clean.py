@@ -25,11 +25,11 @@ from animtool.maths.filters import (
     noise_level,
 )
 from animtool.mocap.options import CleanOptions
-from animtool.motion import Channel
-from animtool.passes import OptionChecks, Pass, PassContext, Scope, TakePart
+from animtool.motion.motion import Channel
+from animtool.motion.passes import OptionChecks, Pass, PassContext, Scope, TakePart
+from animtool.motion.scores import PassScores, Score, ScoreUnit
+from animtool.motion.take import Take
 from animtool.rig.kinematics import rest_size
-from animtool.scores import PassScores, Score, ScoreUnit
-from animtool.take import Take
 
 # A spike is this many times what the frames around it change their speed by.
 SPIKE_FACTOR = 5.0

@@ -20,12 +20,12 @@ from animtool.core.quantities import angle_text, length_text
 from animtool.core.units import UpAxis
 from animtool.maths import so3
 from animtool.maths.filters import lowpass
-from animtool.mocap.contacts import find_contacts, intervals
 from animtool.mocap.retarget.pairing import map_joints
 from animtool.mocap.retarget.person import Person
 from animtool.mocap.retarget.take_pass import nobody
-from animtool.passes import Pass, PassContext, Scope, TakePart
-from animtool.take import Take
+from animtool.motion.contacts import find_contacts, intervals
+from animtool.motion.passes import Pass, PassContext, Scope, TakePart
+from animtool.motion.take import Take
 
 ComplexArray: TypeAlias = npt.NDArray[np.complex128]
 Numbers = TypeVar("Numbers", FloatArray, ComplexArray)

@@ -10,12 +10,12 @@ import numpy as np
 from animtool.core.array_types import FloatArray
 from animtool.core.units import UpAxis
 from animtool.maths.filters import noise_level
-from animtool.mocap.contacts import find_contacts, intervals, smoothed
 from animtool.mocap.retarget.anatomy import anatomy
 from animtool.mocap.retarget.person import Person
 from animtool.mocap.retarget.transfer import middle_of_hips
+from animtool.motion.contacts import find_contacts, intervals, smoothed
+from animtool.motion.take import Take
 from animtool.rig.kinematics import forward
-from animtool.take import Take
 
 # Speeds are those of the hips smoothed over this time [s]: a step sways them.
 SPEED_TIME = 0.25

@@ -15,10 +15,10 @@ import numpy as np
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, Severity
 from animtool.core.units import UpAxis
-from animtool.motion import Motion
+from animtool.motion.motion import Motion
+from animtool.motion.take import TakeStream
 from animtool.rig.kinematics import forward, rest_world
 from animtool.rig.skeleton import Rig
-from animtool.take import TakeStream
 
 # Cosine of the angle to an axis up to which a person stands along it [1].
 STANDS = 0.8

@@ -15,7 +15,8 @@ from animtool.core.errors import Fault, counted, listed
 from animtool.core.units import unit_name
 from animtool.edit.resample import resampled
 from animtool.maths import so3
-from animtool.reorient import reorient
+from animtool.motion.reorient import reorient
+from animtool.motion.take import Take, TakeStream
 from animtool.rig.kinematics import forward
 from animtool.rig.shapes import arkit_name
 from animtool.rig.skeleton import Rig
@@ -26,7 +27,6 @@ from animtool.scene.sources import (
     open_characters,
     open_source,
 )
-from animtool.take import Take, TakeStream
 
 
 @dataclass(frozen=True, slots=True)

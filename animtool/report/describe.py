@@ -14,9 +14,9 @@ from animtool.core.quantities import Description
 from animtool.core.units import unit_name
 from animtool.mocap.facts import CaptureFacts, capture_facts
 from animtool.mocap.standing import lying_notice
+from animtool.motion.take import Take, TakeStream
 from animtool.rig.kinematics import forward
 from animtool.scene.sources import SourceOptions, is_usd, open_source
-from animtool.take import Take, TakeStream
 
 if TYPE_CHECKING:
     from animtool.edit.cycle import Cycle

@@ -12,7 +12,7 @@ from animtool.core.units import UpAxis
 from animtool.mocap.facts import ground_speeds, hips_and_joints
 from animtool.mocap.retarget.anatomy import anatomy
 from animtool.mocap.retarget.person import Person
-from animtool.take import Take
+from animtool.motion.take import Take
 
 
 @dataclass(frozen=True, slots=True)

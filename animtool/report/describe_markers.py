@@ -12,8 +12,8 @@ from animtool.core.errors import Fault
 from animtool.core.quantities import Description
 from animtool.core.readers import find_reader
 from animtool.formats.marker_files import file_of
-from animtool.markers import Markers
 from animtool.mocap.markers.spikes import find_spikes
+from animtool.motion.markers import Markers
 
 
 @dataclass(frozen=True, slots=True)

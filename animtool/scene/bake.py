@@ -14,7 +14,8 @@ from animtool.core.config import find_config
 from animtool.core.errors import Fault, OptionError, Severity, listed, refuse_warnings
 from animtool.core.files.output import check_outputs, sparing_inputs, together
 from animtool.core.rates import rate_label
-from animtool.reorient import off_its_place, reorient
+from animtool.motion.reorient import off_its_place, reorient
+from animtool.motion.take import TakeStream
 from animtool.rig.placed import standing_notice
 from animtool.scene.first_frame import frame_start
 from animtool.scene.frames import TakePlan, TakeRun
@@ -34,7 +35,6 @@ from animtool.scene.reading import (
     output_files,
 )
 from animtool.scene.sources import Opener, open_source, source_stem
-from animtool.take import TakeStream
 from animtool.usd.jobs import Form, check_suffix
 from animtool.usd.layers import check_prim_path
 from animtool.usd.names import legal_name

@@ -19,9 +19,9 @@ from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, FormatError
 from animtool.core.units import unit_name
 from animtool.documents.document import Location, spelled
-from animtool.motion import Motion
+from animtool.motion.motion import Motion
+from animtool.motion.take import TakeStream
 from animtool.rig.skeleton import Rig
-from animtool.take import TakeStream
 
 
 def open_clip_source(

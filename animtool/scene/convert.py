@@ -22,7 +22,9 @@ from animtool.core.names import KINDS
 from animtool.core.plugins import load_object
 from animtool.core.shot import Shot
 from animtool.core.units import parse_length
-from animtool.passes import Pass, PassContext, apply_pass
+from animtool.motion.passes import Pass, PassContext, apply_pass
+from animtool.motion.scores import PassScores
+from animtool.motion.take import Take, TakeStream
 from animtool.rig.skeleton import JointType, Rig
 from animtool.scene.progress import Progress
 from animtool.scene.sources import (
@@ -31,8 +33,6 @@ from animtool.scene.sources import (
     is_usd,
     open_source,
 )
-from animtool.scores import PassScores
-from animtool.take import Take, TakeStream
 
 if TYPE_CHECKING:
     from animtool.clip.keyed_take import KeyedTake

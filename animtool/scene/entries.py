@@ -20,12 +20,12 @@ from animtool.core.errors import (
 from animtool.core.units import LengthUnit
 from animtool.documents.check import FileModel
 from animtool.documents.document import Document, Location, location_of, spelled
-from animtool.passes import Pass
+from animtool.motion.passes import Pass
+from animtool.motion.transforms import PropRequest
 from animtool.scene.options import BakeOptions
 from animtool.scene.sources import SourceOptions
 from animtool.scene.tracks import TrackNames
 from animtool.systems.fields import EntryRecord, SystemSpec
-from animtool.transforms import PropRequest
 
 
 @dataclass(frozen=True, slots=True)

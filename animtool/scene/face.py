@@ -14,14 +14,15 @@ from animtool.core.errors import Fault, OptionError, Severity
 from animtool.core.files.output import check_outputs
 from animtool.core.names import is_named
 from animtool.core.units import UpAxis, unit_name
-from animtool.driving import driven_take
 from animtool.maths.so3 import multiply, rotate
 from animtool.mocap.face.capture import FaceCapture, in_order, read_capture
 from animtool.mocap.face.file import face_model, load_landmarks
 from animtool.mocap.face.model import FaceModel
 from animtool.mocap.face.solve import FaceFit, fit_face
 from animtool.mocap.options import FaceOptions
-from animtool.motion import Channel, Motion
+from animtool.motion.driving import driven_take
+from animtool.motion.motion import Channel, Motion
+from animtool.motion.take import Take, TakeStream
 from animtool.rig.head import HEAD, head_joints, local_rotations
 from animtool.rig.kinematics import forward
 from animtool.rig.remap import ShapeLinks, link_shapes, load_remap
@@ -32,7 +33,6 @@ from animtool.scene.options import BakeOptions
 from animtool.scene.progress import Progress
 from animtool.scene.sources import SourceOptions
 from animtool.scene.written import take_outputs, write_take
-from animtool.take import Take, TakeStream
 
 if TYPE_CHECKING:
     from animtool.mocap.cameras.camera import Camera

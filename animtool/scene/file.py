@@ -17,7 +17,7 @@ from animtool.documents.check import check_version, record_of_options, validated
 from animtool.documents.document import Document, Location, read_document
 from animtool.documents.references import referred
 from animtool.documents.variables import resolve_variables
-from animtool.passes import Pass, find_pass
+from animtool.motion.passes import Pass, find_pass
 from animtool.scene.entries import (
     OutputKind,
     ScenePass,

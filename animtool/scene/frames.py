@@ -23,12 +23,12 @@ from animtool.edit.resample import (
 )
 from animtool.edit.straight import straight_notices
 from animtool.edit.travel import Places
-from animtool.motion import Motion
+from animtool.motion.motion import Motion
+from animtool.motion.take import TakeStream
 from animtool.rig.skeleton import Rig
 from animtool.scene.away import no_frames
 from animtool.scene.first_frame import start_notice, whole_frames
 from animtool.scene.options import BakeOptions
-from animtool.take import TakeStream
 
 if TYPE_CHECKING:
     from animtool.scene.systems.character_motion import CharacterWatch

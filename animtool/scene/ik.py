@@ -39,6 +39,7 @@ from animtool.ik.report import (
 )
 from animtool.ik.take_run import TakeIk
 from animtool.ik.tracks import TargetTracks
+from animtool.motion.take import Take, TakeStream
 from animtool.scene.convert import ConvertReport
 from animtool.scene.onto_rig import open_rig
 from animtool.scene.options import BakeOptions
@@ -46,7 +47,6 @@ from animtool.scene.progress import Progress
 from animtool.scene.sources import SourceOptions
 from animtool.scene.start import open_start, rest_take
 from animtool.scene.written import take_outputs, write_take
-from animtool.take import Take, TakeStream
 
 if TYPE_CHECKING:
     from animtool.scene.prims import BakeReport

@@ -22,13 +22,13 @@ from animtool.core.names import is_named
 from animtool.ik.match_take import arrays_of, chains_of, left_out, match_take
 from animtool.ik.tracks import TargetTracks
 from animtool.ik.write import targets_text
+from animtool.motion.take import Take
 from animtool.rig.surfaces import StoredArrays
 from animtool.scene.ik import frame_index, naming
 from animtool.scene.onto_rig import open_rig
 from animtool.scene.progress import Progress
 from animtool.scene.sources import SourceOptions
 from animtool.scene.start import open_start
-from animtool.take import Take
 
 
 @dataclass(frozen=True, slots=True)

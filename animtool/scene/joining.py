@@ -18,8 +18,9 @@ from animtool.core.timecode import seconds_between
 from animtool.edit.combine import other_frames
 from animtool.edit.travel import nearby_places
 from animtool.maths.curves import Curves
-from animtool.motion import Channel, Motion
-from animtool.reorient import reorient
+from animtool.motion.motion import Channel, Motion
+from animtool.motion.reorient import reorient
+from animtool.motion.take import Take, TakeStream
 from animtool.scene.onto_rig import Noter, on_rig
 from animtool.scene.tracks import (
     TrackNames,
@@ -29,7 +30,6 @@ from animtool.scene.tracks import (
     still_motion,
     with_tracks,
 )
-from animtool.take import Take, TakeStream
 
 MAX_NAMED = 6
 

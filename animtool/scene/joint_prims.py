@@ -12,7 +12,7 @@ import numpy as np
 
 from animtool.core.errors import Fault, Severity
 from animtool.maths.curves import Curves
-from animtool.motion import Motion
+from animtool.motion.motion import Motion
 from animtool.rig.kinematics import rest_size
 from animtool.rig.skeleton import Rig
 from animtool.scene.frames import TakePlan, TakeRun, TimedBlocks, moving_joints

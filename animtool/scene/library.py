@@ -13,11 +13,11 @@ from animtool.core.errors import Fault, FormatError, Severity
 from animtool.core.quantities import length_text
 from animtool.core.rates import rate_label
 from animtool.maths import so3
-from animtool.motion import Motion
+from animtool.motion.motion import Motion
+from animtool.motion.take import TakeStream
 from animtool.rig.skeleton import Rig
 from animtool.scene.options import BakeOptions
 from animtool.scene.sources import source_stem
-from animtool.take import TakeStream
 from animtool.usd.names import distinct_names, joint_names, legal_name
 
 # Of the rest pose: apart by less is the same, written with other digits.

@@ -28,6 +28,7 @@ from animtool.mocap.solve.source import (
 )
 from animtool.mocap.template.file import load_template
 from animtool.mocap.template.template import template_text
+from animtool.motion.take import TakeStream
 from animtool.rig.placed import at_origin
 from animtool.scene.convert import ConvertReport
 from animtool.scene.convert_rig import RigFile, rig_file
@@ -36,7 +37,6 @@ from animtool.scene.options import BakeOptions
 from animtool.scene.progress import Progress, timed
 from animtool.scene.sources import SourceOptions
 from animtool.scene.written import take_outputs, write_take
-from animtool.take import TakeStream
 
 if TYPE_CHECKING:
     from animtool.scene.prims import BakeReport

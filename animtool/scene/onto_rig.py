@@ -11,12 +11,12 @@ import numpy as np
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, OptionError, Severity, listed, naming
 from animtool.core.readers import USD, find_reader
-from animtool.motion import Channel, Motion
-from animtool.reorient import reorient
+from animtool.motion.motion import Channel, Motion
+from animtool.motion.reorient import reorient
+from animtool.motion.take import TakeStream
 from animtool.rig.fit import check_fit
 from animtool.rig.placed import at_origin
 from animtool.rig.skeleton import Rig
-from animtool.take import TakeStream
 
 
 def open_rig(path: Path, prim_path: str | None = None) -> tuple[Rig, list[Fault]]:

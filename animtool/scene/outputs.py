@@ -12,8 +12,9 @@ from animtool.core.clock import Clock
 from animtool.core.errors import AnimtoolError, Fault, OptionError, Severity, listed
 from animtool.core.files.output import check_outputs, name_key, sparing_inputs, together
 from animtool.core.files.placing import target
-from animtool.motion import Channel, Motion
-from animtool.passes import PassthroughTracks
+from animtool.motion.motion import Channel, Motion
+from animtool.motion.passes import PassthroughTracks
+from animtool.motion.take import Take, TakeStream
 from animtool.scene.bake import (
     check_output,
     plan_output,
@@ -30,7 +31,6 @@ from animtool.scene.prims import BakePlan, BakeReport
 from animtool.scene.progress import Progress, share_of
 from animtool.scene.reading import output_files
 from animtool.scene.scene import Scene
-from animtool.take import Take, TakeStream
 
 MAX_NAMED = 6
 

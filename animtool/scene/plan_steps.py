@@ -12,8 +12,10 @@ from typing import cast
 from animtool.core.clock import Clock
 from animtool.core.errors import counted, listed
 from animtool.core.rates import rate_label
-from animtool.motion import Motion
-from animtool.passes import TakePart, sees_tracks
+from animtool.motion.motion import Motion
+from animtool.motion.passes import TakePart, sees_tracks
+from animtool.motion.take import TakeStream
+from animtool.motion.transforms import Track
 from animtool.rig.skeleton import Rig
 from animtool.scene.convert import convert_outputs
 from animtool.scene.entries import (
@@ -27,8 +29,6 @@ from animtool.scene.options import BakeOptions, merged
 from animtool.scene.reading import Source, form_of, found_sources, output_files
 from animtool.scene.scene import Scene
 from animtool.scene.sources import fitting_options, open_source
-from animtool.take import TakeStream
-from animtool.transforms import Track
 from animtool.usd.jobs import Form
 
 

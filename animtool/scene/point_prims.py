@@ -17,7 +17,7 @@ from animtool.core.errors import Fault, FormatError
 from animtool.core.files.output import size_of
 from animtool.core.units import UpAxis, up_from_up
 from animtool.maths import so3
-from animtool.motion import Channel, Motion
+from animtool.motion.motion import Channel, Motion
 from animtool.rig.kinematics import (
     WorldTransforms,
     bind_matrices,

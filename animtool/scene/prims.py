@@ -12,11 +12,11 @@ from animtool.core.clock import FrameSpan
 from animtool.core.errors import Fault, ToleranceError
 from animtool.core.shot import Shot
 from animtool.core.units import UpAxis
+from animtool.motion.scores import PassScores
 from animtool.rig.skeleton import Rig
 from animtool.scene.options import BakeOptions
 from animtool.scene.progress import Progress
 from animtool.scene.sources import motion_bytes
-from animtool.scores import PassScores
 from animtool.usd.jobs import Form, UsdResult, WrittenTake
 from animtool.usd.layers import save_layer
 from animtool.usd.names import RigPaths, legal_name

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, TypeAlias, TypeVar
 
 if TYPE_CHECKING:
     from animtool.core.array_types import FloatArray
-    from animtool.motion import Motion
+    from animtool.motion.motion import Motion
 
 Item = TypeVar("Item")
 

@@ -15,12 +15,12 @@ from animtool.core.errors import AnimtoolError, Fault, FormatError, Severity, li
 from animtool.core.files.output import same_file
 from animtool.core.rates import rate_label
 from animtool.core.units import UpAxis
-from animtool.motion import Channel, Motion
+from animtool.motion.motion import Channel, Motion
+from animtool.motion.take import TakeStream
+from animtool.motion.transforms import Track, Transforms, placed_track
 from animtool.rig.placement import Placement
 from animtool.scene.entries import SceneProp
 from animtool.scene.progress import Meter, StageCost
-from animtool.take import TakeStream
-from animtool.transforms import Track, Transforms, placed_track
 from animtool.usd.transform_reader import PropSource, open_prop
 
 # Between keys a transform may shear by this share, which nobody sees, and not say so.

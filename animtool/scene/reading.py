@@ -28,8 +28,8 @@ from animtool.scene.sources import (
 from animtool.usd.jobs import Form, output_paths
 
 if TYPE_CHECKING:
+    from animtool.motion.take import TakeStream
     from animtool.scene.scene import Scene
-    from animtool.take import TakeStream
 
 Source: TypeAlias = "Path | str | Scene"
 

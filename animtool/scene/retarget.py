@@ -18,14 +18,15 @@ from animtool.core.files.output import (
 )
 from animtool.core.names import is_named
 from animtool.core.units import unit_name
-from animtool.driving import driven_stream
 from animtool.mocap.options import RetargetOptions
 from animtool.mocap.retarget.map import JointMap, map_text
 from animtool.mocap.retarget.motion import Retargeting
 from animtool.mocap.retarget.report import RetargetReport
 from animtool.mocap.retarget.take_pass import checked_blocks, onto_rig
 from animtool.mocap.retarget.verdict import FrameNumbers, Verdict
-from animtool.reorient import off_its_place
+from animtool.motion.driving import driven_stream
+from animtool.motion.reorient import off_its_place
+from animtool.motion.take import TakeStream
 from animtool.rig.placed import at_origin, standing_notice
 from animtool.rig.skeleton import Rig
 from animtool.scene.convert import ConvertReport
@@ -36,7 +37,6 @@ from animtool.scene.options import BakeOptions
 from animtool.scene.progress import Progress, timed
 from animtool.scene.sources import SourceOptions, is_usd, open_source
 from animtool.scene.written import take_outputs, write_take
-from animtool.take import TakeStream
 
 if TYPE_CHECKING:
     from animtool.scene.prims import BakeReport

@@ -13,9 +13,9 @@ from animtool.core.array_types import FloatArray
 from animtool.core.shot import Shot
 from animtool.edit.between import Between
 from animtool.edit.travel import nearby_places
-from animtool.motion import Motion
+from animtool.motion.motion import Motion
+from animtool.motion.take import TakeStream
 from animtool.scene.away import no_frames
-from animtool.take import TakeStream
 
 
 @dataclass(frozen=True, slots=True)

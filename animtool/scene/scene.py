@@ -13,9 +13,10 @@ from animtool.core.array_types import FloatArray
 from animtool.core.errors import AnimtoolError, Fault, FormatError, OptionError
 from animtool.core.plugins import load_object
 from animtool.core.shot import Shot
-from animtool.driving import driven_stream, unsaid
-from animtool.motion import Motion
-from animtool.passes import PassContext, apply_pass
+from animtool.motion.driving import driven_stream, unsaid
+from animtool.motion.motion import Motion
+from animtool.motion.passes import PassContext, apply_pass
+from animtool.motion.take import Take, TakeStream
 from animtool.scene.entries import (
     Place,
     SceneOutput,
@@ -28,7 +29,6 @@ from animtool.scene.options import BakeOptions
 from animtool.scene.progress import BlockProgress, Meter, Progress, told
 from animtool.scene.retime import Preroll, begun_early, in_shot, without_first
 from animtool.scene.sources import SourceOptions, open_source
-from animtool.take import Take, TakeStream
 
 if TYPE_CHECKING:
     from animtool.rig.placement import Placement

@@ -14,7 +14,8 @@ import numpy as np
 from animtool.clip.reduction.points import SHELL, attached_points
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, OptionError
-from animtool.motion import Motion
+from animtool.motion.motion import Motion
+from animtool.motion.take import Take, TakeStream
 from animtool.rig.kinematics import forward
 from animtool.rig.skeleton import Rig
 from animtool.scene.bake import plan_bake
@@ -32,7 +33,6 @@ from animtool.sim.trials.trial import COARSER, FINER, Outcome, Setting, Shot, Tr
 from animtool.systems.attach.bodies import Body, ChainBody, SurfaceBody, bodies_of
 from animtool.systems.attach.settings import SimulateOptions
 from animtool.systems.attach.take_pass import moves
-from animtool.take import Take, TakeStream
 
 METHOD = "xpbd"
 # Steps over those of the chosen setting: they are mostly more than need be.

@@ -18,7 +18,7 @@ from animtool.core.units import LengthUnit, UpAxis
 from animtool.scene.progress import Progress
 
 if TYPE_CHECKING:
-    from animtool.take import TakeStream
+    from animtool.motion.take import TakeStream
 
 # From a file, what it is, and by keyword whom to tell of the progress, to its motion.
 Opener: TypeAlias = Callable[..., "TakeStream"]
@@ -380,7 +380,7 @@ def _driven(stream: TakeStream) -> TakeStream:
     """Return a source with what its rig drives in place of what it says of that."""
     if not stream.rig.is_driven:
         return stream
-    from animtool.driving import driven_stream
+    from animtool.motion.driving import driven_stream
 
     return driven_stream(stream, replaced=True)
 

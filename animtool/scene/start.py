@@ -12,9 +12,10 @@ from animtool.clip.clip import Clip
 from animtool.core.clock import Clock
 from animtool.core.errors import Fault, OptionError, Severity, listed
 from animtool.core.shot import Shot
-from animtool.driving import driven_take
-from animtool.motion import Channel, Motion
-from animtool.reorient import reorient
+from animtool.motion.driving import driven_take
+from animtool.motion.motion import Channel, Motion
+from animtool.motion.reorient import reorient
+from animtool.motion.take import Take
 from animtool.rig.skeleton import Rig
 from animtool.scene.onto_rig import map_names
 from animtool.scene.progress import Progress
@@ -23,7 +24,6 @@ from animtool.scene.sources import (
     open_source,
     takes_option,
 )
-from animtool.take import Take
 
 MAX_NAMED = 6
 

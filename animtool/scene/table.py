@@ -18,12 +18,12 @@ from animtool.clip.reduction.reduce import reduce_motion
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, OptionError
 from animtool.core.rates import rate_label
+from animtool.motion.take import Take
 from animtool.rig.kinematics import WorldTransforms, forward, rest_size
 from animtool.rig.skeleton import Rig
 from animtool.scene.bake import plan_bake, run_bake
 from animtool.scene.options import BakeOptions
 from animtool.scene.reading import Source, source_file
-from animtool.take import Take
 from animtool.usd.skinned import played_world
 
 # Sample rates over the source's own. A source of samples is exact at its own.

@@ -8,7 +8,7 @@ from fnmatch import fnmatchcase
 import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
-from animtool.motion import Channel, Motion
+from animtool.motion.motion import Channel, Motion
 from animtool.rig.joints import DRIVEN_PARTS, split_part
 from animtool.rig.skeleton import Rig
 from animtool.scene.onto_rig import NameMap

@@ -6,11 +6,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from animtool.motion.take import TakeStream
 from animtool.scene.convert import ConvertReport, convert, convert_outputs
 from animtool.scene.options import BakeOptions
 from animtool.scene.progress import Progress
 from animtool.scene.sources import is_usd
-from animtool.take import TakeStream
 
 if TYPE_CHECKING:
     from animtool.scene.prims import BakeReport

@@ -11,7 +11,7 @@ from animtool import _kernels
 from animtool.core.array_types import ArrayLike, FloatArray, IntArray, as_floats
 from animtool.core.errors import Fault, FormatError, listed
 from animtool.maths.faces import triangulated
-from animtool.motion import Channel
+from animtool.motion.motion import Channel
 from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.surfaces import Surface
 from animtool.skin.shapes import PreparedShapes, blend_normals, blend_points

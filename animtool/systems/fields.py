@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Protocol, TypeAlias
 from annotated_types import Ge, Gt, Le, Len
 from pydantic import AfterValidator, Field
 
-from animtool.contacts import Contact, Material
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, counted
 from animtool.core.options import Checked, above
@@ -28,6 +27,7 @@ from animtool.documents.fields import (
     record_of,
     with_fields,
 )
+from animtool.sim.contact import Contact, Material
 
 # One name of a table, and its options.
 Named = Annotated[
@@ -241,7 +241,7 @@ class PrototypeModel(FileModel):
     """A mesh that copies are made of; its cycle, where it moves.
 
     A part is a function without arguments to its meshes, one for each phase of the
-    cycle: `animtool.frames.MeshFrame`, about the origin of its file, y up [m].
+    cycle: `animtool.motion.frames.MeshFrame`, about the origin of its file, y up [m].
     """
 
     file: Name = key(

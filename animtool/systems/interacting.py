@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, Severity
-from animtool.frames import PointsFrame
+from animtool.motion.frames import PointsFrame
 from animtool.sim.checks import check_fit
 from animtool.sim.colliders import Poses
 from animtool.sim.equations import Equations

@@ -11,7 +11,7 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, OptionError, ToleranceError
-from animtool.frames import Frame, TransformsFrame
+from animtool.motion.frames import Frame, TransformsFrame
 from animtool.sim.colliders import MovingBodies
 from animtool.sim.colliders.bodies import Pusher, Wrenches
 from animtool.systems.simulation import (

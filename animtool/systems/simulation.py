@@ -15,7 +15,7 @@ from typing import (
 )
 
 from animtool.core.errors import Fault, ToleranceError
-from animtool.frames import Frame
+from animtool.motion.frames import Frame
 from animtool.sim.colliders import Colliders, Poses
 from animtool.sim.colliders.bodies import Wrenches
 from animtool.sim.system import Energy

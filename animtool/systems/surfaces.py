@@ -10,8 +10,8 @@ from typing import Any, Generic, Protocol, TypeVar, runtime_checkable
 import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
-from animtool.frames import MeshFrame
 from animtool.maths.faces import triangulated
+from animtool.motion.frames import MeshFrame
 from animtool.sim.colliders import Collider
 from animtool.sim.colliders.bodies import Pusher, Wrenches
 

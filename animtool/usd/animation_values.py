@@ -17,7 +17,7 @@ from animtool.core.clock import frame_label, time_fraction
 from animtool.core.errors import Fault, Severity, counted, excerpt
 from animtool.core.rates import rate_from_float
 from animtool.maths import so3
-from animtool.motion import Channel
+from animtool.motion.motion import Channel
 from animtool.usd.faults import UNIT_TOLERANCE, Spot
 from animtool.usd.library import take_range
 from animtool.usd.rig_prims import array_value, numbers

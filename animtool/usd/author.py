@@ -15,10 +15,10 @@ from animtool.core.errors import Fault, OptionError
 from animtool.core.files.output import check_outputs, together
 from animtool.core.units import LengthUnit
 from animtool.maths.curves import Curves
-from animtool.motion import Motion
-from animtool.reorient import reorient
+from animtool.motion.motion import Motion
+from animtool.motion.reorient import reorient
+from animtool.motion.take import Take, TakeStream
 from animtool.rig.surfaces import surfaces_of
-from animtool.take import Take, TakeStream
 from animtool.usd.chunks import Whole, write_frames
 from animtool.usd.extents import author_extents
 from animtool.usd.jobs import (

@@ -13,7 +13,7 @@ from pxr import UsdPhysics
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import excerpt
 from animtool.maths import so3
-from animtool.physics import STILL, JointDrive, PhysicsJoint
+from animtool.motion.physics import STILL, JointDrive, PhysicsJoint
 from animtool.usd.faults import Spot
 from animtool.usd.physics_stage import (
     AXES,

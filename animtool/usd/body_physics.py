@@ -12,7 +12,7 @@ from pxr import Gf, Sdf
 from animtool.core.array_types import FloatArray
 from animtool.core.similar import distinct
 from animtool.maths import so3
-from animtool.physics import (
+from animtool.motion.physics import (
     JointDrive,
     Physics,
     PhysicsBody,

@@ -13,7 +13,7 @@ from animtool.core.array_types import FloatArray
 from animtool.core.errors import counted, excerpt
 from animtool.core.similar import distinct
 from animtool.maths import so3
-from animtool.physics import Physics, PhysicsBody
+from animtool.motion.physics import Physics, PhysicsBody
 from animtool.usd.body_joints_read import read_joint
 from animtool.usd.body_shapes_read import read_shapes
 from animtool.usd.faults import Spot

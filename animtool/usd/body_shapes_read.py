@@ -11,7 +11,7 @@ from pxr import UsdPhysics, UsdShade
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.maths import so3
 from animtool.maths.faces import triangulated
-from animtool.physics import PhysicsShape
+from animtool.motion.physics import PhysicsShape
 from animtool.usd.faults import Spot
 from animtool.usd.physics_stage import AXES, LARGEST, PhysicsStage, within
 from animtool.usd.point_reader import PointReader, mesh_fault

@@ -16,8 +16,8 @@ import numpy.typing as npt
 from pxr import Gf, Sdf, Vt
 
 from animtool.core.array_types import BoolArray, Float32Array, FloatArray, IntArray
-from animtool.frames import Cast, CharactersFrame
 from animtool.maths import so3
+from animtool.motion.frames import Cast, CharactersFrame
 from animtool.rig.kinematics import rest_world
 from animtool.rig.surfaces import surfaces_of
 from animtool.usd.layers import (

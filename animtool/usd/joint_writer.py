@@ -13,7 +13,7 @@ from pxr import Sdf, Vt
 from animtool import _kernels
 from animtool.core.array_types import BoolArray, Float32Array, FloatArray
 from animtool.maths import so3
-from animtool.motion import Motion
+from animtool.motion.motion import Motion
 from animtool.rig.skeleton import Rig
 from animtool.usd.finite import Labels, narrowed
 from animtool.usd.jobs import RootPath, Rounding, WrittenBlock

@@ -14,8 +14,8 @@ from pxr import Gf, Sdf, Vt
 
 from animtool.core.array_types import Float32Array, FloatArray, IntArray
 from animtool.core.errors import Fault, Severity
-from animtool.frames import MeshFrame
 from animtool.maths.faces import closed, triangulated, vertex_normals
+from animtool.motion.frames import MeshFrame
 from animtool.rig.kinematics import rest_world
 from animtool.rig.parts import Subdivision
 from animtool.rig.skeleton import Rig

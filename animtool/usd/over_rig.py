@@ -9,12 +9,12 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault
-from animtool.reorient import off_its_place
+from animtool.motion.reorient import off_its_place
+from animtool.motion.take import TakeStream
 from animtool.rig.kinematics import rest_world
 from animtool.rig.placed import placed_rig, standing_notice
 from animtool.rig.placement import Placement
 from animtool.rig.skeleton import Rig
-from animtool.take import TakeStream
 from animtool.usd.faults import Spot
 from animtool.usd.placement import (
     DROP,

@@ -20,7 +20,7 @@ from animtool.usd.finite import Labels
 from animtool.usd.layers import Samples, attribute, quaternion, vector
 
 if TYPE_CHECKING:
-    from animtool.frames import (
+    from animtool.motion.frames import (
         CurvesFrame,
         Frame,
         MeshFrame,

@@ -12,8 +12,8 @@ from pxr import Sdf
 from animtool.core.array_types import FloatArray
 from animtool.core.units import UpAxis, up_from_up
 from animtool.maths import so3
+from animtool.motion.transforms import Track, Transforms, below_matrices, placed
 from animtool.rig.placement import SAME, Placement
-from animtool.transforms import Track, Transforms, below_matrices, placed
 from animtool.usd.names import TAKE_SET, RigPaths
 
 if TYPE_CHECKING:

@@ -17,13 +17,13 @@ from animtool.core.errors import Fault, FormatError, Severity, counted, listed
 from animtool.core.rates import rate_from_float
 from animtool.core.units import unit_name
 from animtool.maths import so3
-from animtool.motion import Channel, Motion
-from animtool.reorient import off_its_place, placed_motion
+from animtool.motion.motion import Channel, Motion
+from animtool.motion.reorient import off_its_place, placed_motion
+from animtool.motion.take import Take, TakeStream
 from animtool.rig.parts import AttachKind, Shape
 from animtool.rig.placed import standing_notice
 from animtool.rig.placement import Placement
 from animtool.rig.skeleton import Rig
-from animtool.take import Take, TakeStream
 from animtool.usd.animation_values import (
     SampleGrid,
     among_rest,

@@ -19,7 +19,9 @@ from pxr import Gf, Sdf
 from animtool.core.array_types import Float32Array, FloatArray, IntArray
 from animtool.core.errors import Fault, OptionError
 from animtool.core.files.output import replacing
-from animtool.frames import (
+from animtool.maths import so3
+from animtool.maths.faces import triangulated
+from animtool.motion.frames import (
     CharactersFrame,
     CurvesFrame,
     Frame,
@@ -27,8 +29,6 @@ from animtool.frames import (
     PointsFrame,
     TransformsFrame,
 )
-from animtool.maths import so3
-from animtool.maths.faces import triangulated
 from animtool.usd.chunks import (
     Chunks,
     ClipFiles,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from animtool.take import TakeStream
+from animtool.motion.take import TakeStream
 from animtool.usd.layers import usd_errors
 from animtool.usd.read import read_character
 from animtool.usd.rig_prims import find_skeletons, open_stage

@@ -16,8 +16,8 @@ from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, FormatError, Severity, excerpt, naming
 from animtool.core.rates import rate_from_float
 from animtool.core.units import UpAxis, unit_name
-from animtool.motion import Channel, Motion
-from animtool.reorient import placed_motion
+from animtool.motion.motion import Channel, Motion
+from animtool.motion.reorient import placed_motion
 from animtool.rig.fit import Fit, check_fit
 from animtool.rig.placed import at_origin, placed_rig
 from animtool.rig.placement import Placement

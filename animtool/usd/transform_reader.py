@@ -18,7 +18,13 @@ from animtool.core.rates import rate_from_float
 from animtool.core.similar import similar
 from animtool.core.units import UpAxis, up_from_up
 from animtool.maths import so3
-from animtool.transforms import Attribute, PropRequest, Reference, Track, Transforms
+from animtool.motion.transforms import (
+    Attribute,
+    PropRequest,
+    Reference,
+    Track,
+    Transforms,
+)
 from animtool.usd.faults import Spot
 from animtool.usd.layers import usd_errors
 from animtool.usd.prim_transforms import world_matrices

@@ -16,10 +16,10 @@ from pxr import Gf, Sdf
 
 from animtool.core.array_types import BoolArray, Float32Array, FloatArray
 from animtool.core.errors import Fault, OptionError, Severity
-from animtool.frames import MeshFrame, TransformsFrame
 from animtool.maths import so3
-from animtool.motion import Motion
-from animtool.transforms import Reference, Track, Transforms
+from animtool.motion.frames import MeshFrame, TransformsFrame
+from animtool.motion.motion import Motion
+from animtool.motion.transforms import Reference, Track, Transforms
 from animtool.usd.layers import (
     Samples,
     asset_path,

@@ -19,7 +19,7 @@ from solved import arm_surfaces, checkpoint, welding
 from animtool.clip.file import load_clip, open_clip
 from animtool.clip.sample import sample_channels
 from animtool.documents.arrays import load_array
-from animtool.motion import Motion
+from animtool.motion.motion import Motion
 from animtool.scene.file import load_scene
 
 ROOT = Path(__file__).parents[2]

@@ -17,7 +17,7 @@ from animtool.clip.sample import sample_channels
 from animtool.maths import so3
 from animtool.maths.curves import Interp
 from animtool.maths.tangents import Tangent
-from animtool.motion import Motion
+from animtool.motion.motion import Motion
 from animtool.rig.file import load_rig
 from animtool.rig.kinematics import bind_world, forward, rest_world
 from animtool.rig.parts import Attachment, Mesh

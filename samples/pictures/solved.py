@@ -12,9 +12,9 @@ from props import rod
 from animtool.clip.clip import Clip
 from animtool.clip.file import load_clip, open_clip
 from animtool.ik import load_targets, solve_take
+from animtool.motion.take import Take
 from animtool.rig.file import load_rig
 from animtool.rig.skeleton import Rig
-from animtool.take import Take
 
 Array = NDArray[np.float64]
 

@@ -20,10 +20,10 @@ from labelled import save
 from animtool import open_source
 from animtool.mocap.retarget import map_joints
 from animtool.mocap.retarget.motion import retarget_take
+from animtool.motion.take import Take
 from animtool.rig.file import load_rig
 from animtool.rig.kinematics import forward
 from animtool.rig.skeleton import Rig
-from animtool.take import Take
 
 Array = NDArray[np.float64]
 HERE = Path(__file__).parent

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from animtool.core.clock import Clock
-from animtool.markers import Markers
 from animtool.mocap.template import MarkerTemplate, TemplateMarker
+from animtool.motion.markers import Markers
 from animtool.rig.limits import RangeLimit
 from animtool.rig.skeleton import Joint, JointType, Rig
 

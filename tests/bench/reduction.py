@@ -23,7 +23,7 @@ from animtool.core.array_types import FloatArray
 from animtool.formats.bvh import read_bvh
 from animtool.maths import euler
 from animtool.maths.fit import evaluate_keys, fit_keys
-from animtool.take import Take
+from animtool.motion.take import Take
 
 KEYS = "keys"
 SAMPLES_PER_KEY = "samples a key [1]"

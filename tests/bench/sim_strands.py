@@ -18,13 +18,13 @@ from measuring import ROOT, begin, parser
 
 import animtool
 from animtool import _kernels
+from animtool.motion.take import Take, TakeStream
 from animtool.rig.file import load_rig
 from animtool.rig.parts import HeldArray
 from animtool.rig.skeleton import Rig
 from animtool.systems.attach.settings import SimulateOptions
 from animtool.systems.attach.stepping import cells_of
 from animtool.systems.attach.take_pass import simulate
-from animtool.take import Take, TakeStream
 
 STRANDS, POINTS = 1000, 32
 SECTION = f"{STRANDS} strands of {POINTS} points, {{}} capsules"

@@ -14,7 +14,7 @@ from support.usd import joint_positions, open_stage, skeleton_query, validation_
 from animtool import compare
 from animtool.clip.file import load_clip, open_clip
 from animtool.clip.sample import sample_channels
-from animtool.motion import Motion
+from animtool.motion.motion import Motion
 from animtool.rig.kinematics import forward, rest_size
 from animtool.rig.skeleton import Rig
 

@@ -15,11 +15,11 @@ from animtool import open_source
 from animtool.core.clock import Clock
 from animtool.formats.marker_arrays import write_marker_arrays
 from animtool.formats.marker_files import open_markers, write_markers
-from animtool.markers import Markers
 from animtool.maths import so3
 from animtool.mocap.options import CleanOptions
 from animtool.mocap.template.template import template_text
-from animtool.passes import find_pass
+from animtool.motion.markers import Markers
+from animtool.motion.passes import find_pass
 from animtool.rig.write import rig_text
 from animtool.scene.convert import convert_with_passes
 

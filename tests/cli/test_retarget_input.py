@@ -18,8 +18,8 @@ from support.usd import joint_positions, open_stage
 from animtool import open_source
 from animtool.core.clock import Clock
 from animtool.formats.bvh.write import write_bvh
-from animtool.motion import Channel, Motion
-from animtool.take import Take
+from animtool.motion.motion import Channel, Motion
+from animtool.motion.take import Take
 
 SAMPLE = Path(__file__).parents[2] / "samples/retarget"
 WALK = (SAMPLE / "takes/walk.bvh").read_text("utf-8")

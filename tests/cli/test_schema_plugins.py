@@ -11,7 +11,7 @@ from support.cli import animtool
 from animtool.batch.executors import EXECUTORS
 from animtool.cli.schema import MODELS
 from animtool.core.readers import READERS
-from animtool.passes import PASSES
+from animtool.motion.passes import PASSES
 
 
 @pytest.mark.parametrize("kind", sorted(MODELS))

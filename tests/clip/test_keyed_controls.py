@@ -17,8 +17,8 @@ from animtool.clip.sample import sample_values
 from animtool.core.array_types import FloatArray
 from animtool.core.clock import Clock
 from animtool.maths import so3
+from animtool.motion.take import Take
 from animtool.rig.skeleton import Rig
-from animtool.take import Take
 
 RIGS = ("arm", "biped", "head", "machine", "quadruped")
 FRAMES = 9

@@ -11,11 +11,11 @@ import pytest
 from animtool.clip.file import load_clip_of
 from animtool.clip.reduction.points import SHELL, attached_points, point_errors
 from animtool.clip.sample import sample_channels
+from animtool.motion.take import Take
 from animtool.rig.file import load_rig
 from animtool.scene.bake import bake
 from animtool.scene.convert import convert
 from animtool.scene.sources import open_source
-from animtool.take import Take
 
 TOLERANCE = 5e-4
 CHANNEL = (

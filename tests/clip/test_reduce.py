@@ -23,11 +23,11 @@ from animtool.core.clock import Clock
 from animtool.core.errors import OptionError
 from animtool.formats.bvh.read import read_bvh
 from animtool.maths import euler, so3
-from animtool.motion import Channel, Motion
+from animtool.motion.motion import Channel, Motion
+from animtool.motion.take import Take
 from animtool.rig.limits import BallLimit
 from animtool.rig.parts import Shape
 from animtool.rig.skeleton import Joint, JointType, Rig
-from animtool.take import Take
 
 ROOM = 1 + 1e-9
 

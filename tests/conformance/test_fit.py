@@ -15,11 +15,11 @@ from support.fit import along_x, below, with_rest
 
 from animtool import open_source
 from animtool.maths import so3
+from animtool.motion.take import Take
 from animtool.rig.fit import FITS, Fit, measure_fit
 from animtool.rig.kinematics import forward, rest_size
 from animtool.rig.skeleton import Rig
 from animtool.scene.onto_rig import map_names
-from animtool.take import Take
 
 # Skeletons of fewer joints have no limb to bend.
 FEWEST = 10

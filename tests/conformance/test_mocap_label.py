@@ -16,10 +16,10 @@ from support.named import scores_of
 from support.suite import is_full
 
 from animtool.formats.marker_files import open_markers
-from animtool.markers import Markers
 from animtool.mocap.markers.fill import FillReport, fill
 from animtool.mocap.markers.label import label
 from animtool.mocap.markers.skeleton import Subject
+from animtool.motion.markers import Markers
 
 # Recall and precision of names; of spikes, and of frames with swapped names.
 NAMED, FOUND = 0.995, 0.95

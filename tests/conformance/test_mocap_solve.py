@@ -15,9 +15,9 @@ from support.suite import one_of
 
 from animtool.core.array_types import FloatArray
 from animtool.core.clock import Clock
-from animtool.markers import Markers
 from animtool.mocap.solve import calibrate, solve_markers
 from animtool.mocap.template import MarkerTemplate
+from animtool.motion.markers import Markers
 from animtool.rig.skeleton import Rig
 
 HEADER = (

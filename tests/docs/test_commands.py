@@ -20,7 +20,7 @@ from support.printed import (
     run_printed,
 )
 
-from animtool.passes import PASSES, find_pass
+from animtool.motion.passes import PASSES, find_pass
 
 
 def sections_of(text: str) -> dict[str, list[str]]:

@@ -22,10 +22,10 @@ from animtool.edit.looping import loop
 from animtool.edit.resample import resampled
 from animtool.edit.retiming import time_scale, time_warp, trim
 from animtool.maths import so3
-from animtool.motion import Channel, Motion
-from animtool.passes import PassContext, apply_pass, find_pass
+from animtool.motion.motion import Channel, Motion
+from animtool.motion.passes import PassContext, apply_pass, find_pass
+from animtool.motion.take import Take
 from animtool.scene.clips import open_clip_source
-from animtool.take import Take
 
 # As close as curves are promised to be; they come closer.
 EXACT = 1e-9

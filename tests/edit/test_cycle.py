@@ -18,9 +18,9 @@ from animtool.core.units import UpAxis
 from animtool.edit.cycle import find_cycle, measure_cycle
 from animtool.formats.bvh import read_bvh
 from animtool.maths import so3
-from animtool.motion import Channel, Motion
+from animtool.motion.motion import Channel, Motion
+from animtool.motion.take import Take
 from animtool.rig.skeleton import Joint, Rig
-from animtool.take import Take
 
 
 @given(st.integers(12, 40), st.floats(0, 6), st.floats(-2, 2), st.sampled_from(UpAxis))

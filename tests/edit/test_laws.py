@@ -17,11 +17,11 @@ from animtool.edit.mirroring import Axis, mirror
 from animtool.edit.resample import resampled
 from animtool.edit.retiming import time_scale, time_warp, trim
 from animtool.formats.bvh import read_bvh
-from animtool.keyed import Interpolation
 from animtool.maths import so3
-from animtool.motion import Channel
+from animtool.motion.keyed import Interpolation
+from animtool.motion.motion import Channel
+from animtool.motion.take import Take
 from animtool.rig.skeleton import Joint, Rig
-from animtool.take import Take
 
 WITHIN = 1e-12  # [m], [rad], [1], a few roundings
 

@@ -23,11 +23,11 @@ from animtool.edit.travel import twist
 from animtool.edit.tree import inserted
 from animtool.formats.bvh import read_bvh
 from animtool.maths import so3
-from animtool.motion import Channel, Motion
-from animtool.passes import PassContext
+from animtool.motion.motion import Channel, Motion
+from animtool.motion.passes import PassContext
+from animtool.motion.take import Take
 from animtool.rig.parts import Shape
 from animtool.rig.skeleton import Joint, JointType, Rig
-from animtool.take import Take
 
 
 def test_the_seam_is_no_step(walk: Path) -> None:

@@ -10,9 +10,9 @@ from support.nasty import nasty_take
 
 from animtool import Clip, Rig
 from animtool.edit.mirroring import ControlMirror, mirror
+from animtool.motion.take import Take
 from animtool.rig.kinematics import rest_world
 from animtool.rig.sides import pair_sides
-from animtool.take import Take
 
 RIG = """\
 rig: animtool/1

@@ -11,13 +11,13 @@ from animtool.core.clock import Clock
 from animtool.core.errors import Fault, OptionError
 from animtool.edit.mirroring import PASS, MirrorOptions, mirror
 from animtool.formats.bvh import read_bvh
-from animtool.motion import Channel, Motion
-from animtool.passes import PassContext, apply_pass
+from animtool.motion.motion import Channel, Motion
+from animtool.motion.passes import PassContext, apply_pass
+from animtool.motion.take import Take, TakeStream
 from animtool.rig.kinematics import forward
 from animtool.rig.parts import Shape
 from animtool.rig.sides import pair_sides
 from animtool.rig.skeleton import Joint, Rig
-from animtool.take import Take, TakeStream
 
 
 def positions(take: Take) -> np.ndarray:

@@ -16,8 +16,8 @@ from animtool.core.errors import OptionError
 from animtool.edit.retiming import trim
 from animtool.formats.bvh import read_bvh
 from animtool.maths import so3
-from animtool.motion import Channel, Motion
-from animtool.passes import (
+from animtool.motion.motion import Channel, Motion
+from animtool.motion.passes import (
     PASSES,
     PassContext,
     TakePart,
@@ -25,11 +25,11 @@ from animtool.passes import (
     find_pass,
     listed_passes,
 )
+from animtool.motion.take import Take, TakeStream
 from animtool.rig.controls import Control
 from animtool.rig.parts import Capsule, Collider, Shape
 from animtool.rig.skeleton import JointType, Rig
 from animtool.rig.write import rig_text
-from animtool.take import Take, TakeStream
 
 # Those of packages that are installed here are tested too, with their usual options.
 NAMES = [entry.name for entry in listed_passes() if entry.scope is not None]

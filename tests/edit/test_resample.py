@@ -21,9 +21,9 @@ from animtool.edit.resample import (
     sample,
 )
 from animtool.maths import so3
-from animtool.motion import Channel, Motion
+from animtool.motion.motion import Channel, Motion
+from animtool.motion.take import Take
 from animtool.rig.skeleton import Joint, Rig
-from animtool.take import Take
 
 NTSC = Fraction(24000, 1001)
 

@@ -18,10 +18,10 @@ from animtool.edit.root_motion import extract_root, recompose_root
 from animtool.edit.tree import inserted
 from animtool.formats.bvh import read_bvh
 from animtool.maths import so3
-from animtool.motion import Channel
+from animtool.motion.motion import Channel
+from animtool.motion.take import Take
 from animtool.rig.parts import IkChain
 from animtool.rig.skeleton import Joint, Pose, Rig
-from animtool.take import Take
 
 AXES = st.sampled_from(["", "x", "xz", "xyz", "zy"])
 WITHIN = 1e-9  # [m], a thousandth of what is promised
@@ -117,7 +117,7 @@ def upright(up: UpAxis, frames: int = 9) -> Take:
     from fractions import Fraction
 
     from animtool.core.clock import Clock
-    from animtool.motion import Motion
+    from animtool.motion.motion import Motion
 
     rig = Rig("one", (Joint("hips", -1), Joint("chest", 0)), up=up)
     yaw = np.linspace(0, 1, frames)[:, None, None] * np.array(up.vector)

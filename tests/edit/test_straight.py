@@ -15,9 +15,9 @@ from animtool.edit.retiming import time_scale, time_warp
 from animtool.edit.straight import straight_errors
 from animtool.edit.travel import even_places
 from animtool.maths import so3
-from animtool.motion import Channel, Motion
+from animtool.motion.motion import Channel, Motion
+from animtool.motion.take import Take
 from animtool.rig.skeleton import Joint, Rig
-from animtool.take import Take
 
 RIG = Rig("two", (Joint("hips", -1), Joint("arm", 0, translation=(0.0, 1.0, 0.0))))
 

@@ -16,7 +16,7 @@ from animtool.clip.reduction.points import SHELL, attached_points
 from animtool.core.errors import OptionError
 from animtool.edit.thin import Thinned, thin_samples
 from animtool.maths import so3
-from animtool.motion import Channel, Motion
+from animtool.motion.motion import Channel, Motion
 from animtool.rig.kinematics import forward
 from animtool.rig.skeleton import Joint, Rig
 

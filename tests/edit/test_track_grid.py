@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from animtool.edit.looping import gridded
 from animtool.maths import so3
-from animtool.transforms import Attribute, Track, Transforms
+from animtool.motion.transforms import Attribute, Track, Transforms
 
 
 def known(count: int, seed: int) -> Transforms:

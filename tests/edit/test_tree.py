@@ -17,11 +17,11 @@ from animtool.core.shot import Shot
 from animtool.core.units import UpAxis
 from animtool.edit.tree import hang
 from animtool.maths import so3
-from animtool.motion import Channel, Motion
+from animtool.motion.motion import Channel, Motion
+from animtool.motion.take import Take
 from animtool.rig.skeleton import Joint, JointType, Rig
 from animtool.scene.file import load_scene
 from animtool.scene.scene import Scene
-from animtool.take import Take
 
 FRAMES = 5
 RIG = Rig(

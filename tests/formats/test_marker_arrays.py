@@ -13,7 +13,7 @@ from animtool.core.clock import Clock
 from animtool.core.errors import FormatError
 from animtool.core.units import UpAxis
 from animtool.formats.marker_arrays import read_markers, write_marker_arrays
-from animtool.markers import Markers
+from animtool.motion.markers import Markers
 
 
 def test_there_and_back(tmp_path: Path) -> None:

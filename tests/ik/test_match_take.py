@@ -22,8 +22,8 @@ from animtool.ik.match_take import chains_of, left_out, match_take
 from animtool.ik.values import Keyed, Rows, Still
 from animtool.ik.write import targets_text
 from animtool.maths import so3
-from animtool.motion import Channel
-from animtool.take import Take
+from animtool.motion.motion import Channel
+from animtool.motion.take import Take
 
 OUT = Path("walk.targets.yaml")
 

@@ -20,10 +20,10 @@ from animtool.ik.result import IkStatus
 from animtool.ik.sub_rig import dressed
 from animtool.ik.take_run import TakeIk
 from animtool.maths import so3
-from animtool.motion import Channel, Motion
+from animtool.motion.motion import Channel, Motion
+from animtool.motion.take import Take
 from animtool.rig.limits import RangeLimit
 from animtool.rig.skeleton import Joint, JointType, Mimic, Rig
-from animtool.take import Take
 
 FEET = "- {effector: leg_l, hold: [[8, 20]]}\n- {effector: leg_r, hold: [[24, 36]]}\n"
 NO_FRACTION = "targets: animtool/1\nunits: {length: m}\n"

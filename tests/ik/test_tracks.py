@@ -20,10 +20,10 @@ from animtool.ik.on_take import solve_take
 from animtool.ik.result import IkStatus
 from animtool.ik.tracks import FreeEffector, swung
 from animtool.maths import so3
-from animtool.motion import Channel, Motion
+from animtool.motion.motion import Channel, Motion
+from animtool.motion.take import Take
 from animtool.rig.skeleton import Joint, JointType, Rig
 from animtool.scene.start import rest_take
-from animtool.take import Take
 
 POSITION, _, _, POLE, *_ = KINDS
 FIRST, LAST, EASE = 14, 26, 6

@@ -10,7 +10,7 @@ from support.targets import legs, tracks_of, walk_of
 
 from animtool.ik.on_take import rounds, takes_released
 from animtool.ik.tracks import TargetTracks
-from animtool.take import Take
+from animtool.motion.take import Take
 
 LEFT = "- {effector: leg_l, position: [0.1, 0.3, 0], during: [[4, 9]]}\n"
 RIGHT = "- {effector: leg_r, position: [0.1, 0.3, 0], during: [[4, 9]]}\n"

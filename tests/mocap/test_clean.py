@@ -14,8 +14,8 @@ from animtool.core.errors import OptionError
 from animtool.formats.bvh import read_bvh
 from animtool.maths import so3
 from animtool.mocap.clean import CleanOptions, clean, cleaned_take
-from animtool.motion import Channel
-from animtool.take import Take
+from animtool.motion.motion import Channel
+from animtool.motion.take import Take
 
 
 def spiked(take: Take, seed: int) -> tuple[Take, set[tuple[int, int]]]:

@@ -12,8 +12,8 @@ from support.small_takes import content, small
 from animtool import Channel, Motion, Take, open_source
 from animtool.maths import so3
 from animtool.mocap.drift import DriftOptions, without_drift
-from animtool.passes import PassContext, apply_pass, find_pass
-from animtool.take import TakeStream
+from animtool.motion.passes import PassContext, apply_pass, find_pass
+from animtool.motion.take import TakeStream
 
 UP = np.array([0.0, 1.0, 0.0])
 

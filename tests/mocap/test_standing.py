@@ -14,7 +14,7 @@ from animtool.formats.bvh.write import write_bvh
 from animtool.maths import so3
 from animtool.mocap.retarget.anatomy import anatomy
 from animtool.mocap.standing import stands_along
-from animtool.motion import Channel, Motion
+from animtool.motion.motion import Channel, Motion
 from animtool.scene.sources import open_source
 
 TURN = np.array(up_from_up(UpAxis.Z, UpAxis.Y))

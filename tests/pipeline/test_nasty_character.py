@@ -23,11 +23,11 @@ from support.nasty import (
 )
 from support.usd import joint_transforms, open_stage, skeleton_query, validation_errors
 
-from animtool.motion import Channel
+from animtool.motion.motion import Channel
+from animtool.motion.take import Take, TakeStream
 from animtool.rig.skeleton import Rig
 from animtool.scene.bake import bake
 from animtool.scene.options import BakeOptions
-from animtool.take import Take, TakeStream
 from animtool.usd.read import read_usd
 
 

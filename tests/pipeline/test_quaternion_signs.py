@@ -14,10 +14,10 @@ from support.small_takes import small
 
 from animtool.core.shot import FrameRange
 from animtool.maths import so3
-from animtool.motion import Channel
+from animtool.motion.motion import Channel
+from animtool.motion.take import Take, TakeStream
 from animtool.scene.bake import bake
 from animtool.scene.options import BakeOptions
-from animtool.take import Take, TakeStream
 
 BLOCK = 3
 WAYS = {

@@ -23,10 +23,10 @@ from animtool.cli.summary import bake_json, bake_text
 from animtool.core.clock import Clock
 from animtool.core.errors import OptionError
 from animtool.core.shot import FrameRange
+from animtool.motion.take import TakeStream
 from animtool.scene.bake import bake
 from animtool.scene.options import BakeOptions
 from animtool.scene.prims import BakeReport
-from animtool.take import TakeStream
 from animtool.usd.read import read_usd
 
 RATES = [Fraction(24), Fraction(30), Fraction(120), Fraction(24000, 1001)]

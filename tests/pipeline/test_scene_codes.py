@@ -18,12 +18,12 @@ from animtool.core.clock import Clock
 from animtool.core.errors import AnimtoolError, OptionError
 from animtool.edit.root_motion import RootMode
 from animtool.maths import so3
-from animtool.motion import Channel, Motion
-from animtool.passes import PassContext, apply_pass, find_pass
+from animtool.motion.motion import Channel, Motion
+from animtool.motion.passes import PassContext, apply_pass, find_pass
+from animtool.motion.take import Take, TakeStream
 from animtool.rig.parts import Shape
 from animtool.rig.skeleton import Joint, Rig
 from animtool.scene.file import load_scene
-from animtool.take import Take, TakeStream
 
 PACKAGE = Path(animtool.__file__).parent
 NAN = float("nan")

@@ -15,7 +15,8 @@ from animtool.core.errors import OptionError
 from animtool.core.units import LengthUnit, UpAxis
 from animtool.formats.bvh import read_bvh
 from animtool.maths import so3
-from animtool.motion import Channel
+from animtool.motion.motion import Channel
+from animtool.motion.take import Take
 from animtool.report.compare import (
     SCALE_TOLERANCE,
     TakeDifference,
@@ -25,7 +26,6 @@ from animtool.report.compare import (
 from animtool.scene.bake import bake
 from animtool.scene.options import BakeOptions
 from animtool.scene.sources import SourceOptions
-from animtool.take import Take
 
 
 @pytest.fixture

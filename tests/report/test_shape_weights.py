@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from animtool.core.clock import Clock
-from animtool.motion import Channel, Motion
+from animtool.motion.motion import Channel, Motion
+from animtool.motion.take import Take
 from animtool.report.compare import compare_takes
 from animtool.rig.parts import Shape
 from animtool.rig.skeleton import Joint, Rig
-from animtool.take import Take
 
 FRAMES = 5
 NAMES = ("blink", "jawOpen", "smile")

@@ -13,8 +13,8 @@ from support.cli import animtool
 from support.usd import joint_transforms, open_stage, skeleton_query, validation_errors
 
 from animtool import open_source
+from animtool.motion.take import Take
 from animtool.rig.kinematics import forward, rest_size
-from animtool.take import Take
 
 ROOT = Path(__file__).parents[2]
 SAMPLES = sorted(

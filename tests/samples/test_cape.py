@@ -11,10 +11,10 @@ from support.bodies import out_of_capsules, out_of_skin, skin_of
 from support.cli import animtool
 from support.printed import Printed
 
+from animtool.motion.take import Take
 from animtool.rig.file import load_rig
 from animtool.rig.surfaces import surfaces_of
 from animtool.scene.file import load_scene
-from animtool.take import Take
 
 ROOT = Path(__file__).parents[2]
 SCENE = ROOT / "samples/cape/cape.scene.yaml"

@@ -11,8 +11,8 @@ from support.cli import animtool
 from animtool import Rig, open_source
 from animtool.ik.file import load_targets
 from animtool.maths import so3
+from animtool.motion.take import Take
 from animtool.rig.limits import swing_twist
-from animtool.take import Take
 
 SAMPLE = Path(__file__).parents[2] / "samples/correctives"
 TWIST = (1.0, 0.0, 0.0)

@@ -15,7 +15,7 @@ from animtool.clip.clip import Clip
 from animtool.clip.file import load_clip, open_clip
 from animtool.clip.sample import sample_channels
 from animtool.core.files.reading import files_meant
-from animtool.motion import Channel
+from animtool.motion.motion import Channel
 from animtool.rig.file import load_rig
 from animtool.rig.kinematics import WorldTransforms, forward
 from animtool.rig.skeleton import Rig

@@ -11,8 +11,8 @@ from support.cli import animtool
 from support.props import prop_matrices
 
 from animtool import open_source
+from animtool.motion.take import Take
 from animtool.scene.file import load_scene
-from animtool.take import Take
 
 NAME = "samples/shot/shot.scene.yaml"
 

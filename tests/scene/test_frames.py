@@ -12,10 +12,10 @@ from support.small_takes import small
 
 from animtool.core.clock import Clock
 from animtool.core.shot import Shot
+from animtool.motion.take import Take, TakeStream
 from animtool.rig.skeleton import Joint
 from animtool.scene.frames import TakePlan, moving_joints, timed_blocks
 from animtool.scene.options import BakeOptions
-from animtool.take import Take, TakeStream
 
 
 def planned(take: Take, options: BakeOptions) -> TakePlan:

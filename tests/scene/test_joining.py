@@ -19,7 +19,8 @@ from animtool.core.clock import Clock
 from animtool.core.errors import Fault, FormatError, OptionError, Severity
 from animtool.maths import so3
 from animtool.maths.curves import cubic_curves
-from animtool.motion import Channel, Motion
+from animtool.motion.motion import Channel, Motion
+from animtool.motion.take import Take, TakeStream
 from animtool.rig.controls import Control, Drive
 from animtool.rig.parts import Shape
 from animtool.rig.skeleton import Joint, Rig
@@ -27,7 +28,6 @@ from animtool.scene.file import load_scene
 from animtool.scene.joining import Part, joined
 from animtool.scene.onto_rig import on_rig
 from animtool.scene.tracks import TrackNames
-from animtool.take import Take, TakeStream
 
 GRIN = Control("grin", drives=(Drive("shape/smile"), Drive("joint/jaw.rotation.x")))
 HERO = Rig(

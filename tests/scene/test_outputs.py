@@ -12,11 +12,11 @@ from support.cli import animtool
 
 from animtool import open_source
 from animtool.core.errors import FormatError, OptionError, StrictError
-from animtool.passes import PASSES, Pass, PassContext, Scope
+from animtool.motion.passes import PASSES, Pass, PassContext, Scope
+from animtool.motion.take import Take
 from animtool.scene.file import load_scene
 from animtool.scene.options import BakeOptions
 from animtool.scene.outputs import bake_scene, scene_files
-from animtool.take import Take
 
 SCENE = """scene: animtool/1
 fps: 24

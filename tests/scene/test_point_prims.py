@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 
-from animtool.motion import Channel, Motion
+from animtool.motion.motion import Channel, Motion
 from animtool.scene import point_prims
 from animtool.scene.point_prims import pieces
 

@@ -10,9 +10,9 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray
 from animtool.formats.bvh import read_bvh
-from animtool.motion import Motion
+from animtool.motion.motion import Motion
+from animtool.motion.take import TakeStream
 from animtool.scene.retime import begun_early
-from animtool.take import TakeStream
 
 
 def test_the_first_frame_is_held_by_the_frames_and_by_the_curve(walk: Path) -> None:

@@ -15,11 +15,11 @@ from support.cli import animtool
 from support.faults import refused
 
 from animtool import open_source
-from animtool.motion import Motion
-from animtool.passes import PASSES, Pass, PassContext, Scope
+from animtool.motion.motion import Motion
+from animtool.motion.passes import PASSES, Pass, PassContext, Scope
+from animtool.motion.take import Take, TakeStream
 from animtool.scene.file import load_scene
 from animtool.scene.retime import Preroll, begun_early, without_first
-from animtool.take import Take, TakeStream
 from animtool.usd.layers import find_layer
 
 SCENE = """scene: animtool/1

@@ -11,9 +11,9 @@ from pxr import Sdf
 from support.cli import animtool
 
 from animtool.core.errors import AnimtoolError, FormatError
+from animtool.motion.take import Take
 from animtool.scene.file import load_scene
 from animtool.scene.sources import SourceOptions, open_source
-from animtool.take import Take
 
 RIG = """rig: animtool/1
 name: cat

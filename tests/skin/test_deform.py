@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from support.skins import Array, random_case
 
 from animtool.core.errors import FormatError
-from animtool.motion import Channel
+from animtool.motion.motion import Channel
 from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.parts import Subdivision
 from animtool.rig.surfaces import Surface

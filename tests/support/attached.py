@@ -9,12 +9,12 @@ import numpy as np
 
 from animtool.core.clock import Clock
 from animtool.maths import so3
-from animtool.motion import Channel, Motion
+from animtool.motion.motion import Channel, Motion
+from animtool.motion.take import Take, TakeStream
 from animtool.rig.parts import Attachment, Collider, HeldArray, Mesh, Skin
 from animtool.rig.skeleton import Joint, JointType, Rig
 from animtool.systems.attach.settings import SimulateOptions
 from animtool.systems.attach.take_pass import simulate
-from animtool.take import Take, TakeStream
 
 __all__ = [
     "GRAVITY",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from animtool.motion import Motion
+from animtool.motion.motion import Motion
 from animtool.rig.kinematics import bind_world, forward
 from animtool.rig.skeleton import Rig
 from animtool.rig.surfaces import surfaces_of

@@ -18,8 +18,8 @@ import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.clock import Clock
-from animtool.markers import Markers
 from animtool.maths import so3
+from animtool.motion.markers import Markers
 
 FS = 120
 # Name, parent, offset [m], limits [deg] of a ball, or axis and range [deg] of a pin.

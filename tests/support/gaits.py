@@ -10,9 +10,9 @@ from animtool.core.array_types import FloatArray
 from animtool.core.clock import Clock
 from animtool.core.units import UpAxis
 from animtool.maths import so3
-from animtool.motion import Channel, Motion
+from animtool.motion.motion import Channel, Motion
+from animtool.motion.take import Take
 from animtool.rig.skeleton import Joint, Rig
-from animtool.take import Take
 
 LEG = (
     Joint("hips", -1, translation=(0, 1, 0)),

@@ -8,9 +8,9 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray
 from animtool.core.clock import Clock
-from animtool.markers import Markers
 from animtool.maths import so3
 from animtool.mocap.template import MarkerTemplate, TemplateMarker
+from animtool.motion.markers import Markers
 from animtool.rig.joints import coordinate_slices, local_from_coordinates
 from animtool.rig.kinematics import forward
 from animtool.rig.limits import BallLimit, RangeLimit

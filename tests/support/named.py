@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from animtool.markers import Markers
+from animtool.motion.markers import Markers
 
 
 def scores_of(named: Markers, cloud: Markers, perm: Any) -> tuple[float, float]:

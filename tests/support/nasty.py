@@ -18,11 +18,11 @@ import numpy as np
 
 from animtool.core.clock import Clock
 from animtool.maths import so3
-from animtool.motion import Channel, Motion
+from animtool.motion.motion import Channel, Motion
+from animtool.motion.take import Take
+from animtool.motion.transforms import Attribute, Track, Transforms
 from animtool.rig.file import load_rig
 from animtool.rig.skeleton import Rig
-from animtool.take import Take
-from animtool.transforms import Attribute, Track, Transforms
 
 __all__ = [
     "RATE",

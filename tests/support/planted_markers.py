@@ -9,7 +9,7 @@ from fractions import Fraction
 import numpy as np
 
 from animtool.core.clock import Clock
-from animtool.markers import Markers
+from animtool.motion.markers import Markers
 
 FRAMES, COUNT = 150, 6
 

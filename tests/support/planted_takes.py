@@ -12,10 +12,10 @@ from animtool.core.errors import Fault
 from animtool.core.rules import own_rules
 from animtool.core.units import UpAxis
 from animtool.maths import so3
-from animtool.motion import Channel
+from animtool.motion.motion import Channel
+from animtool.motion.take import Take
 from animtool.rig.kinematics import rest_size
 from animtool.rig.sides import pair_sides
-from animtool.take import Take
 from animtool.validation.motion.subject import MotionSubject
 
 Edit = Callable[[Take], Take]

@@ -9,10 +9,10 @@ import numpy as np
 
 from animtool.core.clock import Clock
 from animtool.maths import so3
-from animtool.motion import Channel, Motion
+from animtool.motion.motion import Channel, Motion
+from animtool.motion.take import Take
+from animtool.motion.transforms import Track, Transforms
 from animtool.rig.skeleton import Joint, Rig
-from animtool.take import Take
-from animtool.transforms import Track, Transforms
 
 __all__ = ["content", "small", "with_tracks"]
 

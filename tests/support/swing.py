@@ -11,8 +11,8 @@ from pydantic import Field
 
 from animtool.documents.check import FileModel
 from animtool.documents.fields import Real
-from animtool.frames import MeshFrame, PointsFrame, TransformsFrame
 from animtool.maths import so3
+from animtool.motion.frames import MeshFrame, PointsFrame, TransformsFrame
 from animtool.sim.system import Energy
 from animtool.systems.fields import (
     ArrayEntry,

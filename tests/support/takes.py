@@ -11,11 +11,11 @@ from animtool.core.array_types import FloatArray
 from animtool.core.clock import Clock
 from animtool.core.units import UpAxis
 from animtool.maths import so3
-from animtool.motion import Channel, Motion
+from animtool.motion.motion import Channel, Motion
+from animtool.motion.take import Take
 from animtool.rig.controls import Control
 from animtool.rig.parts import Shape
 from animtool.rig.skeleton import Joint, Pose, Rig
-from animtool.take import Take
 
 STARTS = [Fraction(0), Fraction(3, 7)]
 STEPS = [Fraction(1), Fraction(1, 2), Fraction(3, 7)]

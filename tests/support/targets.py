@@ -12,11 +12,11 @@ from animtool.core.clock import Clock
 from animtool.ik.file import load_targets
 from animtool.ik.tracks import TargetTracks
 from animtool.maths import so3
-from animtool.motion import Channel, Motion
+from animtool.motion.motion import Channel, Motion
+from animtool.motion.take import Take
 from animtool.rig.limits import RangeLimit
 from animtool.rig.parts import IkChain
 from animtool.rig.skeleton import Joint, JointType, Rig
-from animtool.take import Take
 
 HEAD = "targets: animtool/1\nunits: {length: m, angle: deg}\nfps: 24\n"
 

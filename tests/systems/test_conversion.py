@@ -15,7 +15,7 @@ from support.simulated import Simulator, View
 from support.system_examples import EXAMPLES
 
 from animtool.core.plugins import load_object
-from animtool.passes import find_pass
+from animtool.motion.passes import find_pass
 from animtool.scene.file import load_scene
 from animtool.sim.colliders import SHAPES
 from animtool.systems.conversion import (

@@ -10,7 +10,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from animtool.core.errors import FormatError
-from animtool.physics import Physics
+from animtool.motion.physics import Physics
 from animtool.usd.body_physics_read import read_bodies
 
 YARD = """

@@ -15,8 +15,8 @@ from support.cli import animtool
 from animtool import BakeOptions, bake
 from animtool.core.errors import OptionError
 from animtool.core.units import LengthUnit, UpAxis
-from animtool.frames import CharactersFrame
 from animtool.maths import so3
+from animtool.motion.frames import CharactersFrame
 from animtool.rig.kinematics import forward
 from animtool.scene.file import load_scene
 from animtool.scene.systems.simulation import open_systems

@@ -13,7 +13,7 @@ from support.cli import animtool
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import OutputError
 from animtool.maths.curves import cubic_curves, evaluate
-from animtool.motion import Channel, Motion
+from animtool.motion.motion import Channel, Motion
 from animtool.rig.skeleton import Joint, Rig
 from animtool.usd.finite import Labels, narrowed, rounded
 from animtool.usd.joint_writer import round_blocks

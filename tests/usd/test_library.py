@@ -21,10 +21,10 @@ from support.usd import joint_positions, open_stage, skeleton_query, validation_
 
 from animtool.core.errors import AnimtoolError
 from animtool.core.shot import FrameRange
+from animtool.motion.take import Take
 from animtool.scene.bake import bake
 from animtool.scene.options import BakeOptions
 from animtool.scene.prims import BakeReport
-from animtool.take import Take
 from animtool.usd.author import author, write_usd
 from animtool.usd.jobs import Form, UsdJob, UsdTake
 from animtool.usd.joint_writer import round_blocks

@@ -10,14 +10,14 @@ from numpy.testing import assert_allclose, assert_array_equal
 from pxr import Sdf, Usd, UsdGeom
 
 from animtool.core.errors import OutputError
-from animtool.frames import (
+from animtool.maths import so3
+from animtool.motion.frames import (
     CurvesFrame,
     Frame,
     MeshFrame,
     PointsFrame,
     TransformsFrame,
 )
-from animtool.maths import so3
 from animtool.usd.point_writer import PointWriter
 from animtool.usd.simulated import SimulatedPrim
 

@@ -18,12 +18,12 @@ from support.usd import open_stage, validation_errors
 from animtool.core.errors import FormatError
 from animtool.core.units import UpAxis
 from animtool.maths import so3
-from animtool.reorient import reorient
+from animtool.motion.reorient import reorient
+from animtool.motion.take import TakeStream
 from animtool.rig.file import load_rig
 from animtool.rig.kinematics import bind_world, forward
 from animtool.rig.parts import ArraySource, Attachment, HeldArray
 from animtool.rig.skeleton import Rig
-from animtool.take import TakeStream
 from animtool.usd.rig_layer import write_rig_layer
 from animtool.usd.stored_rig import read_whole_rig
 

@@ -13,7 +13,7 @@ from support.props import FRAMES, prop_matrices, write_props
 from animtool.core.errors import FormatError, OptionError
 from animtool.core.units import UpAxis, up_from_up
 from animtool.maths import so3
-from animtool.transforms import PropRequest
+from animtool.motion.transforms import PropRequest
 from animtool.usd.transform_reader import PropSource, open_prop
 
 CODES = np.array(FRAMES, np.float64)

@@ -16,7 +16,7 @@ from support.surfaces import shaped_rig
 from support.usd import open_stage, skeleton_query, validation_errors
 
 from animtool.core.errors import FormatError, OutputError
-from animtool.motion import Channel, Motion
+from animtool.motion.motion import Channel, Motion
 from animtool.rig.skeleton import Joint, Rig
 from animtool.usd.author import author, write_usd
 from animtool.usd.jobs import Form, UsdJob, UsdResult, UsdTake

@@ -16,10 +16,10 @@ from animtool.core.errors import AnimtoolError
 from animtool.core.units import UpAxis
 from animtool.edit.resample import resampled
 from animtool.formats.bvh import read_bvh
-from animtool.reorient import reorient
+from animtool.motion.reorient import reorient
+from animtool.motion.take import Take, TakeStream
 from animtool.report.compare import compare_takes
 from animtool.scene.bake import bake
-from animtool.take import Take, TakeStream
 from animtool.usd.read import read_usd
 
 

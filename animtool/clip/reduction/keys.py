@@ -17,7 +17,7 @@ from animtool.maths import euler
 from animtool.maths.curves import Interp
 from animtool.maths.fit import FittedKeys, evaluate_keys
 from animtool.maths.tangents import Tangent
-from animtool.motion import Channel, Motion
+from animtool.motion.motion import Channel, Motion
 from animtool.rig.skeleton import Rig
 
 

@@ -22,11 +22,11 @@ from animtool.clip.reduction.tracks import Pose, Track, pose_of, tracks_of
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.maths.fit import FittedKeys, evaluate_keys, fit_keys
 from animtool.maths.so3 import IDENTITY
-from animtool.motion import Channel, Motion
+from animtool.motion.motion import Channel, Motion
+from animtool.motion.take import Take
 from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.limits import BallLimit
 from animtool.rig.skeleton import Rig
-from animtool.take import Take
 
 # Levers are only a first guess: the first rounds scale each channel's tolerance by
 # what came of it in the world, the others tighten where that was too much.

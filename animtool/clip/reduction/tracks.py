@@ -11,7 +11,7 @@ from animtool.clip.reduction.keys import ChannelKind
 from animtool.core.array_types import FloatArray
 from animtool.maths import euler, so3
 from animtool.maths.additive import scaled, shifted, turned
-from animtool.motion import Channel, Motion
+from animtool.motion.motion import Channel, Motion
 from animtool.rig.kinematics import WorldTransforms, forward
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.skeleton import Joint, Rig

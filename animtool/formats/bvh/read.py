@@ -19,10 +19,10 @@ from animtool.core.units import LengthUnit, UpAxis
 from animtool.formats.bvh.hierarchy import BvhHeader, BvhJoint, read_header
 from animtool.formats.bvh.lines import HeaderLines, RowReader, RowSource
 from animtool.maths.so3 import IDENTITY
-from animtool.motion import Channel, Motion
+from animtool.motion.motion import Channel, Motion
+from animtool.motion.take import TakeStream
 from animtool.rig.kinematics import rest_size
 from animtool.rig.skeleton import Joint, JointType, Rig
-from animtool.take import TakeStream
 
 # A character spans between these at rest; the skeleton of a person between those.
 LIKELY_METERS = (0.3, 6.0)

@@ -15,8 +15,8 @@ from animtool.core.rates import rate_from_frame_time
 from animtool.core.units import LengthUnit, UpAxis, unit_name
 from animtool.formats.take_text import TakeText, number_rows, write_text
 from animtool.maths.euler import axes_of
+from animtool.motion.take import Take
 from animtool.rig.skeleton import Joint, Rig
-from animtool.take import Take
 
 # Degrees to 7 places are 1e-9 rad, lengths to 9 places 1e-9 of a unit: both far
 # below what float32 holds.

@@ -25,7 +25,7 @@ from animtool.formats.c3d.sections import (
     read_sections,
 )
 from animtool.formats.trajectories import MAX_POSITIONS, MarkerFile
-from animtool.markers import Markers
+from animtool.motion.markers import Markers
 
 # Groups of labels under which models write angles and forces as if they were points.
 MODELLED = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS", "REACTIONS")

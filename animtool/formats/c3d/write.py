@@ -15,7 +15,7 @@ from animtool.core.units import LengthUnit
 from animtool.formats.c3d.read import OWN_GROUP
 from animtool.formats.c3d.sections import BLOCK, MAGIC, Processor
 from animtool.formats.trajectories import FLOAT32_MAX
-from animtool.markers import Markers
+from animtool.motion.markers import Markers
 
 # Entries of a parameter: its dimensions are single bytes.
 MAX_ENTRIES = 255

@@ -18,12 +18,12 @@ from animtool.formats.livelink.timecodes import RowFrames, row_frames
 from animtool.maths.euler import to_quaternion
 from animtool.maths.filters import put_between
 from animtool.maths.so3 import align_signs, slerp
-from animtool.motion import Channel, Motion
+from animtool.motion.motion import Channel, Motion
+from animtool.motion.take import TakeStream
 from animtool.rig.head import HEAD, LEFT_EYE, RIGHT_EYE, head_joints, local_rotations
 from animtool.rig.parts import Shape
 from animtool.rig.remap import ShapeLinks, link_shapes, load_remap
 from animtool.rig.skeleton import Joint, JointType, Rig
-from animtool.take import TakeStream
 
 Dropped: TypeAlias = Literal["interpolate", "hold", "close"]
 DROPPED: tuple[Dropped, ...] = ("interpolate", "hold", "close")

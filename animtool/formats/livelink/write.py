@@ -15,9 +15,9 @@ from animtool.formats.livelink.columns import ANGLES, APP_SHAPES, COUNT, PARTS, 
 from animtool.formats.take_text import TakeText, write_text
 from animtool.maths.euler import from_quaternion
 from animtool.maths.so3 import align_signs
+from animtool.motion.take import Take
 from animtool.rig.head import HEAD, LEFT_EYE, RIGHT_EYE, face_rotations, head_joints
 from animtool.rig.shapes import arkit_name
-from animtool.take import Take
 
 # As the app prints them.
 PLACES = 10

@@ -30,7 +30,7 @@ from animtool.formats.row_times import (
     rounding_of,
 )
 from animtool.formats.trajectories import MarkerFile
-from animtool.markers import Markers
+from animtool.motion.markers import Markers
 
 
 def holds_points(path: Path) -> bool:

@@ -30,11 +30,11 @@ from animtool.formats.row_times import (
 )
 from animtool.ik.sub_rig import following
 from animtool.maths.filters import put_between
-from animtool.motion import Channel, Motion
+from animtool.motion.motion import Channel, Motion
+from animtool.motion.take import TakeStream
 from animtool.rig.joints import local_from_coordinates
 from animtool.rig.placed import at_origin
 from animtool.rig.skeleton import Rig
-from animtool.take import TakeStream
 
 # Frames that rows at uneven times may become, for each of them. More are gaps, and
 # filling these would be inventing motion.

@@ -17,13 +17,13 @@ from animtool.formats.mot.coordinates import (
 )
 from animtool.formats.take_text import TakeText, number_rows, write_text
 from animtool.maths import so3
+from animtool.motion.take import Take
 from animtool.rig.joints import (
     LocalTransforms,
     coordinates_from_local,
     local_from_coordinates,
 )
 from animtool.rig.skeleton import Rig
-from animtool.take import Take
 
 # A nanometre, and 2e-11 radians.
 DECIMALS = 9

@@ -20,7 +20,7 @@ from animtool.formats.trc.header import (
     read_header,
 )
 from animtool.formats.trc.timing import frames_of_rows
-from animtool.markers import Markers
+from animtool.motion.markers import Markers
 
 
 def read_trc(

@@ -11,7 +11,7 @@ from animtool import _kernels
 from animtool.core.array_types import BoolArray
 from animtool.core.errors import Fault, OptionError, Severity
 from animtool.core.units import UpAxis
-from animtool.markers import Markers
+from animtool.motion.markers import Markers
 
 # A micrometre in a thousand: below what any camera sees.
 DECIMALS = 6

@@ -11,9 +11,9 @@ from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.clock import Clock
 from animtool.core.errors import Fault, Severity, counted, listed, percent
 from animtool.core.shot import frame_spans
-from animtool.markers import Markers
 from animtool.mocap.cameras.camera import Camera
 from animtool.mocap.cameras.stale import MIN_VIEW, Disagreement, Moved
+from animtool.motion.markers import Markers
 
 # Share of a camera's observations that are outliers, above which it is named [1].
 MANY_OUTLIERS = 0.1

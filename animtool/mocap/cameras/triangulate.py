@@ -15,7 +15,6 @@ import numpy as np
 from animtool import _kernels
 from animtool.core.array_types import BoolArray
 from animtool.core.errors import Fault, OptionError, Severity, counted
-from animtool.markers import Markers
 from animtool.mocap.cameras.camera import Cameras, camera_numbers
 from animtool.mocap.cameras.noise import USED, measured_noise
 from animtool.mocap.cameras.observations import Observations, matched
@@ -37,6 +36,7 @@ from animtool.mocap.cameras.stale import (
     truncated_error,
 )
 from animtool.mocap.options import TriangulateOptions
+from animtool.motion.markers import Markers
 
 # Observations that are worked on at once: what they take stays below 50 MB.
 BLOCK = 500_000

@@ -10,12 +10,12 @@ import numpy as np
 from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.errors import Fault, Severity, counted
 from animtool.core.process.blas import one_thread
-from animtool.markers import Markers
 from animtool.mocap.markers.geometry import distances
 from animtool.mocap.markers.predict import Prediction, follow, predict, turned
 from animtool.mocap.markers.spikes import Spike, find_spikes, without_spikes
 from animtool.mocap.markers.swaps import Swap, unswapped
 from animtool.mocap.options import FillOptions
+from animtool.motion.markers import Markers
 
 if TYPE_CHECKING:
     from animtool.mocap.markers.skeleton import SkeletonMarkers, Subject

@@ -10,11 +10,11 @@ import numpy as np
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.clock import span_label
 from animtool.core.errors import Fault, OptionError, Severity
-from animtool.markers import Markers
 from animtool.mocap.markers.identify import identify
 from animtool.mocap.markers.runs import RunLabels
 from animtool.mocap.markers.tracklets import Tracklets, follow
 from animtool.mocap.markers.twins import Exchange, exchanged_in, told_apart
+from animtool.motion.markers import Markers
 
 # Runs that are named first are as long [frame], in a part of a take as long [s].
 MIN_RUN = 30

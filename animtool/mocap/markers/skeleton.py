@@ -9,10 +9,10 @@ import numpy as np
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.errors import Fault
 from animtool.core.units import up_from_up
-from animtool.markers import Markers
 from animtool.maths import so3
 from animtool.mocap.solve import SolveOptions, calibrate, solve_markers
 from animtool.mocap.template.template import MarkerTemplate
+from animtool.motion.markers import Markers
 from animtool.rig.skeleton import JointType, Rig
 
 # How far a marker strays in a second whose joint is held by two others, one on it and

@@ -14,7 +14,7 @@ from functools import lru_cache
 import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
-from animtool.markers import Markers
+from animtool.motion.markers import Markers
 
 # Longer ones are motion [frame].
 MAX_LENGTH = 4

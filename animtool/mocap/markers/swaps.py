@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
-from animtool.markers import Markers
 from animtool.mocap.markers.geometry import Distances, distances
+from animtool.motion.markers import Markers
 
 # Frames that name a run; a change of fewer is a spike.
 MIN_SWAP = 4

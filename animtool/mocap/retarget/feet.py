@@ -9,7 +9,7 @@ import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray
 from animtool.maths import so3
-from animtool.mocap.contacts import (
+from animtool.motion.contacts import (
     RAISED,
     FootContacts,
     intervals,

@@ -9,12 +9,12 @@ import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray
 from animtool.maths import so3
-from animtool.mocap.contacts import find_contacts, intervals, smoothed, without_short
 from animtool.mocap.retarget.feet import between
 from animtool.mocap.retarget.legs import put_end, up_index
 from animtool.mocap.retarget.person import Person
 from animtool.mocap.retarget.props import PropMotion
 from animtool.mocap.retarget.transfer import Transfer
+from animtool.motion.contacts import find_contacts, intervals, smoothed, without_short
 
 # Hands hold each other that are nearer than this share of an arm, from wrist to wrist.
 NEAR = 0.4

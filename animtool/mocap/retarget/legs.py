@@ -10,12 +10,12 @@ import numpy as np
 from animtool.core.array_types import FloatArray
 from animtool.core.units import UpAxis
 from animtool.maths import so3
-from animtool.mocap.contacts import find_contacts
 from animtool.mocap.retarget.balls import ball_places
 from animtool.mocap.retarget.feet import Foot, bend_at_pin, bend_limb
 from animtool.mocap.retarget.person import Person
 from animtool.mocap.retarget.transfer import Transfer
 from animtool.mocap.standing import STANDS
+from animtool.motion.contacts import find_contacts
 from animtool.rig.limits import RangeLimit, swing_twist
 from animtool.rig.skeleton import JointType, Rig
 

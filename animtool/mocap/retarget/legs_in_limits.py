@@ -12,7 +12,6 @@ import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.maths import so3
-from animtool.mocap.contacts import smoothed
 from animtool.mocap.retarget.feet import Placed, upper
 from animtool.mocap.retarget.legs import (
     LegTracks,
@@ -22,6 +21,7 @@ from animtool.mocap.retarget.legs import (
     up_index,
 )
 from animtool.mocap.retarget.person import Person
+from animtool.motion.contacts import smoothed
 from animtool.rig.limits import BallLimit
 
 # How far knees may go round: what is tried, and then about the best of it [rad].

@@ -15,7 +15,6 @@ import numpy as np
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.errors import Fault
 from animtool.core.files.spool import Spool
-from animtool.driving import driven_take
 from animtool.maths import so3
 from animtool.mocap.retarget.feet import Foot, Placed, place_feet
 from animtool.mocap.retarget.hands import ArmTracks, Floor, arm_of, place_hands
@@ -42,10 +41,11 @@ from animtool.mocap.retarget.props import Props
 from animtool.mocap.retarget.report import FitMeter, RetargetReport, Standing
 from animtool.mocap.retarget.transfer import Transfer
 from animtool.mocap.retarget.verdict import Verdict
-from animtool.motion import Channel, Motion
+from animtool.motion.driving import driven_take
+from animtool.motion.motion import Channel, Motion
+from animtool.motion.take import Take
 from animtool.rig.kinematics import WorldTransforms, forward
 from animtool.rig.skeleton import Rig
-from animtool.take import Take
 
 # Frames of a block: its arrays stay in the processor's cache. Blocks begin at the first
 # frame of a take, however it arrives.

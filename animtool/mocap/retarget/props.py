@@ -9,10 +9,10 @@ import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray
 from animtool.maths import so3
-from animtool.mocap.contacts import intervals, smoothed, without_short
 from animtool.mocap.retarget.transfer import Transfer
-from animtool.motion import Channel, Motion
-from animtool.transforms import Track, Transforms, turned_track
+from animtool.motion.contacts import intervals, smoothed, without_short
+from animtool.motion.motion import Channel, Motion
+from animtool.motion.transforms import Track, Transforms, turned_track
 
 # A hand holds what goes with it: its place changes less than this share of an arm a
 # second, seen from the prop.

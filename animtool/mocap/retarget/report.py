@@ -10,7 +10,6 @@ import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.errors import Fault
-from animtool.mocap.contacts import FootContacts, intervals
 from animtool.mocap.retarget.feet import Placed
 from animtool.mocap.retarget.hands import HeldHand
 from animtool.mocap.retarget.legs import ball_of_foot, leg_of, up_index
@@ -19,8 +18,9 @@ from animtool.mocap.retarget.person import Person
 from animtool.mocap.retarget.roles import FINGERS, MITTEN, base_role
 from animtool.mocap.retarget.transfer import Transfer
 from animtool.mocap.retarget.verdict import Verdict, verdict_of
+from animtool.motion.contacts import FootContacts, intervals
+from animtool.motion.scores import PassScores, Score, ScoreUnit
 from animtool.rig.kinematics import WorldTransforms
-from animtool.scores import PassScores, Score, ScoreUnit
 
 # Roles whose bones are compared, with the role that each ends at.
 BONES = {

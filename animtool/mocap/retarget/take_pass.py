@@ -23,8 +23,8 @@ from animtool.mocap.retarget.pairing import map_joints
 from animtool.mocap.retarget.props import Props
 from animtool.mocap.retarget.report import scores_of
 from animtool.mocap.standing import stands_along
-from animtool.motion import Motion
-from animtool.passes import (
+from animtool.motion.motion import Motion
+from animtool.motion.passes import (
     MOTION_PARTS,
     OptionChecks,
     Pass,
@@ -33,10 +33,10 @@ from animtool.passes import (
     Scope,
     TakePart,
 )
+from animtool.motion.take import Take, TakeStream
 from animtool.rig.kinematics import forward
 from animtool.rig.placed import at_origin
 from animtool.rig.skeleton import Rig
-from animtool.take import Take, TakeStream
 
 
 @with_written(RetargetOptions)

@@ -12,8 +12,8 @@ import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.errors import Fault
-from animtool.mocap.contacts import intervals
-from animtool.scores import PassScores, Score
+from animtool.motion.contacts import intervals
+from animtool.motion.scores import PassScores, Score
 
 # Scores of more than so many times what a good take has are looked at [1].
 LOOK = 3.0

@@ -19,7 +19,6 @@ from animtool.core.errors import Fault, OptionError, Severity, listed
 from animtool.ik.chain import difference
 from animtool.ik.fit import FitOptions, fit
 from animtool.ik.solving import chain_targets
-from animtool.markers import Markers
 from animtool.mocap.options import SolveOptions
 from animtool.mocap.solve.model import (
     MIN_MARKERS,
@@ -37,6 +36,7 @@ from animtool.mocap.solve.sampling import (
 )
 from animtool.mocap.template.match import match_markers
 from animtool.mocap.template.template import MarkerTemplate
+from animtool.motion.markers import Markers
 from animtool.rig.kinematics import forward
 from animtool.rig.sides import pair_sides
 from animtool.rig.skeleton import JointType, Pose, Rig

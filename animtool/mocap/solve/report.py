@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
-from animtool.mocap.contacts import intervals
 from animtool.mocap.solve.model import MIN_MARKERS
 from animtool.mocap.solve.sampling import ROBUST
+from animtool.motion.contacts import intervals
 
 # Share of a frame's markers that must fit for it not to be poor.
 MIN_FITTED_SHARE = 0.5

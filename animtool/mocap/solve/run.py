@@ -13,9 +13,7 @@ from animtool.core.errors import Fault, OptionError, Severity, counted, listed
 from animtool.core.quantities import length_text
 from animtool.core.shot import frame_spans
 from animtool.core.units import up_from_up
-from animtool.driving import driven_take
 from animtool.ik.fit import FitOptions, fit
-from animtool.markers import Markers
 from animtool.maths import so3
 from animtool.mocap.options import SolveOptions
 from animtool.mocap.solve.model import (
@@ -34,9 +32,11 @@ from animtool.mocap.solve.sampling import (
 )
 from animtool.mocap.template.match import MarkerMatch, match_markers
 from animtool.mocap.template.template import MarkerTemplate
-from animtool.motion import Channel, Motion
+from animtool.motion.driving import driven_take
+from animtool.motion.markers import Markers
+from animtool.motion.motion import Channel, Motion
+from animtool.motion.take import Take
 from animtool.rig.skeleton import Rig
-from animtool.take import Take
 
 Progress = Callable[[float], None] | None
 # Frames that are solved at once, and how far the solve looks ahead of them: beyond

@@ -11,18 +11,18 @@ import numpy as np
 
 from animtool.core.errors import Fault, FormatError, OptionError, Severity, counted
 from animtool.core.units import LengthUnit, UpAxis, unit_name
-from animtool.driving import driven_stream
 from animtool.formats.marker_files import open_markers
-from animtool.markers import Markers
 from animtool.mocap.options import SolveOptions
 from animtool.mocap.solve.run import MarkerSolve, solve_markers
 from animtool.mocap.template.file import load_template
 from animtool.mocap.template.template import MarkerTemplate
-from animtool.motion import Motion
+from animtool.motion.driving import driven_stream
+from animtool.motion.markers import Markers
+from animtool.motion.motion import Motion
+from animtool.motion.scores import PassScores, Score, ScoreUnit
+from animtool.motion.take import TakeStream
 from animtool.rig.placed import at_origin
 from animtool.rig.skeleton import Rig
-from animtool.scores import PassScores, Score, ScoreUnit
-from animtool.take import TakeStream
 
 # What a good solve leaves of a marker, skin moving [m], and of wrong labels [1].
 USUAL_MISS, USUAL_OUTLIERS = 0.005, 0.01

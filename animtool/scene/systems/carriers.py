@@ -11,6 +11,7 @@ from animtool.core.errors import Fault, OptionError
 from animtool.core.names import nearest
 from animtool.core.units import UpAxis
 from animtool.maths import so3
+from animtool.motion.transforms import PropRequest
 from animtool.rig.skeleton import Rig
 from animtool.rig.surfaces import surfaces_of
 from animtool.scene.entries import Place
@@ -20,7 +21,6 @@ from animtool.scene.systems.character_motion import (
     no_mesh,
 )
 from animtool.sim.colliders import Poses, joint_poses
-from animtool.transforms import PropRequest
 
 # Between two of these a prim goes straight, whatever turns it [1/s].
 PRIM_RATE = 120

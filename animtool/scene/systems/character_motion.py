@@ -17,8 +17,9 @@ from animtool.core.names import is_named, nearest
 from animtool.core.units import UpAxis
 from animtool.documents.fields import record_of
 from animtool.maths.faces import triangulated
-from animtool.motion import Motion
-from animtool.reorient import reorient
+from animtool.motion.motion import Motion
+from animtool.motion.reorient import reorient
+from animtool.motion.take import Take, TakeStream
 from animtool.rig.kinematics import WorldTransforms, bind_matrices, forward
 from animtool.rig.skeleton import Rig
 from animtool.rig.surfaces import surfaces_of
@@ -27,7 +28,6 @@ from animtool.sim.colliders import Collider, Sheet, Sphere, rig_colliders
 from animtool.skin.character import character_meshes
 from animtool.skin.deform import Deformed, DeformedMesh, deform_blocks
 from animtool.systems.fields import CharacterModel
-from animtool.take import Take, TakeStream
 
 
 @dataclass(frozen=True, slots=True)

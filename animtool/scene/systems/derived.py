@@ -22,8 +22,9 @@ from animtool.core.errors import AnimtoolError, Fault, OptionError
 from animtool.core.units import UpAxis
 from animtool.documents.check import FileModel
 from animtool.documents.document import Document, Location, location_of
-from animtool.frames import MeshFrame
-from animtool.physics import Physics
+from animtool.motion.frames import MeshFrame
+from animtool.motion.physics import Physics
+from animtool.motion.transforms import PropRequest
 from animtool.scene.entries import SystemSetup
 from animtool.scene.systems.carriers import OnJoint, OnPrim, OnVertex
 from animtool.scene.systems.character_motion import open_take
@@ -47,7 +48,6 @@ from animtool.systems.fields import (
     SystemSpec,
     SystemSurfaceModel,
 )
-from animtool.transforms import PropRequest
 
 if TYPE_CHECKING:
     from animtool.scene.systems.gaits import GaitsSource

@@ -12,14 +12,14 @@ from animtool.core.errors import OptionError
 from animtool.core.units import UpAxis, up_from_up
 from animtool.mocap.retarget.motion import retarget_take
 from animtool.mocap.retarget.pairing import map_joints
-from animtool.reorient import reorient, turned_rig
+from animtool.motion.reorient import reorient, turned_rig
+from animtool.motion.take import Take
 from animtool.rig.placed import at_origin
 from animtool.rig.skeleton import Rig
 from animtool.scene.onto_rig import NameMap, map_names, open_rig
 from animtool.scene.systems.character_motion import open_take
 from animtool.systems.crowds.cycles import gaits_of
 from animtool.systems.crowds.gaits import Gaits
-from animtool.take import Take
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from animtool.core.errors import Fault, OptionError, listed
 from animtool.core.names import nearest
 from animtool.core.units import UpAxis, up_from_up
 from animtool.maths import so3
+from animtool.motion.take import Take
 from animtool.scene.entries import SceneSystem
 from animtool.scene.progress import Progress
 from animtool.scene.systems.character_motion import motion_of
@@ -23,7 +24,6 @@ from animtool.systems.run import EntryRun
 from animtool.systems.springs.drawing import Curves
 from animtool.systems.springs.pins import numbered
 from animtool.systems.springs.simulation import SpringView
-from animtool.take import Take
 
 
 def segments_of(

@@ -8,7 +8,6 @@ from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from animtool.contacts import Material
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import counted, refuse
 from animtool.core.units import UpAxis
@@ -20,6 +19,7 @@ from animtool.scene.systems.character_motion import (
     character_colliders,
 )
 from animtool.sim.colliders import Collider, Colliders, Sheet
+from animtool.sim.contact import Material
 from animtool.systems.fields import CharacterModel, MovingMeshModel, SystemSurfaceModel
 from animtool.systems.run import EntryRun
 from animtool.systems.surfaces import Bodies

@@ -11,7 +11,7 @@ import numpy as np
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, OptionError, ToleranceError
 from animtool.core.plugins import load_object
-from animtool.frames import Frame, PointsFrame, TransformsFrame
+from animtool.motion.frames import Frame, PointsFrame, TransformsFrame
 from animtool.scene.entries import SceneSystem
 from animtool.scene.systems.character_motion import CharacterMotion
 from animtool.scene.systems.links import in_order, needed

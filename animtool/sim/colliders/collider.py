@@ -8,11 +8,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from animtool.contacts import Contact
 from animtool.core.array_types import ArrayLike, BoolArray, FloatArray
 from animtool.core.options import Checked, described
 from animtool.maths import so3
 from animtool.sim.colliders.shapes import Mesh, Shape
+from animtool.sim.contact import Contact
 
 
 @dataclass(frozen=True)

@@ -8,11 +8,11 @@ from typing import Annotated, Any, ClassVar, Protocol, TypeAlias
 
 import numpy as np
 
-from animtool.contacts import Material
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.options import Checked, Range, above, described
 from animtool.sim.colliders.collider import Collider
 from animtool.sim.colliders.shapes import Mesh
+from animtool.sim.contact import Material
 
 
 class SheetMotion(Protocol):

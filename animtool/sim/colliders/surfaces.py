@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from animtool import _kernels
-from animtool.contacts import SPEED_LIMIT
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, Severity
 from animtool.sim.colliders.sheets import Sheet, hull_faces, hull_points
+from animtool.sim.contact import SPEED_LIMIT
 
 # Where points are is asked for no more often than this [s]: between, they go straight.
 KNOT = 1 / 240

@@ -8,7 +8,7 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray
 from animtool.maths import so3
-from animtool.motion import Channel, Motion
+from animtool.motion.motion import Channel, Motion
 from animtool.rig.kinematics import WorldTransforms, forward
 from animtool.rig.skeleton import Rig
 

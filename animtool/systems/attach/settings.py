@@ -15,8 +15,8 @@ import numpy as np
 from animtool.core.errors import Fault, OptionError
 from animtool.core.options import LARGEST, range_faults, ranges_of, within
 from animtool.core.units import parse_length
-from animtool.keyed import Interpolation, Weight, chosen, weights_at
-from animtool.passes import OptionChecks
+from animtool.motion.keyed import Interpolation, Weight, chosen, weights_at
+from animtool.motion.passes import OptionChecks
 from animtool.rig.parts import AttachKind
 
 # How fast each kind swings back to its animated pose, unless the scene says it [Hz].

@@ -13,9 +13,9 @@ import numpy as np
 from animtool.core.array_types import FloatArray
 from animtool.core.clock import time_codes
 from animtool.core.units import parse_length
-from animtool.keyed import weights_at
 from animtool.maths import so3
-from animtool.motion import Channel, Motion
+from animtool.motion.keyed import weights_at
+from animtool.motion.motion import Channel, Motion
 from animtool.rig.skeleton import Rig
 from animtool.systems.attach.actor import Actor, PosePaths, rigidly_moved, upwards
 from animtool.systems.attach.bodies import Body, ChainBody, SurfaceBody

@@ -11,8 +11,9 @@ from pathlib import Path
 import numpy as np
 
 from animtool.core.errors import Fault, OptionError, Severity, counted, listed, percent
-from animtool.motion import Motion
-from animtool.passes import Pass, PassContext, Scope, TakePart
+from animtool.motion.motion import Motion
+from animtool.motion.passes import Pass, PassContext, Scope, TakePart
+from animtool.motion.take import TakeStream
 from animtool.systems.attach.actor import Actor
 from animtool.systems.attach.bodies import Body, ChainBody, SurfaceBody, bodies_of
 from animtool.systems.attach.network import surface_problems
@@ -27,7 +28,6 @@ from animtool.systems.attach.stepping import State
 from animtool.systems.run import Reached
 from animtool.systems.saved import open_states, write_states
 from animtool.systems.springs.motion import through_notices
-from animtool.take import TakeStream
 
 # Springs may be this much longer than aimed at before it is worth a warning [1].
 PARDON = 1.5

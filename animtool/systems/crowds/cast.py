@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
-from animtool.frames import Cast, CharactersFrame
 from animtool.maths import so3
+from animtool.motion.frames import Cast, CharactersFrame
 from animtool.rig.kinematics import WorldTransforms, forward
 from animtool.rig.skeleton import Rig
 from animtool.sim.colliders.on_joints import Capsules

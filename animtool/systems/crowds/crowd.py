@@ -11,9 +11,14 @@ import numpy as np
 from animtool import _kernels
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, ToleranceError, counted, refuse
-from animtool.frames import CharactersFrame, MeshFrame, PointsFrame, TransformsFrame
 from animtool.maths import so3
 from animtool.maths.faces import triangulated
+from animtool.motion.frames import (
+    CharactersFrame,
+    MeshFrame,
+    PointsFrame,
+    TransformsFrame,
+)
 from animtool.sim.colliders import Collider, Colliders, Mesh
 from animtool.systems.crowds.agents import (
     ENOUGH,

@@ -12,8 +12,9 @@ from animtool.core.errors import Fault, OptionError
 from animtool.edit.cycle import find_cycle
 from animtool.edit.looping import loop
 from animtool.maths import so3
-from animtool.mocap.contacts import FootContacts, find_contacts, intervals
 from animtool.mocap.retarget.transfer import middle_of_hips
+from animtool.motion.contacts import FootContacts, find_contacts, intervals
+from animtool.motion.take import Take
 from animtool.rig.kinematics import WorldTransforms, forward
 from animtool.rig.skeleton import Rig
 from animtool.systems.crowds.agents import warning
@@ -28,7 +29,6 @@ from animtool.systems.crowds.gaits import (
     standing_ankle,
 )
 from animtool.systems.crowds.ground import about_up, turned, wrapped
-from animtool.take import Take
 
 # A clip whose hips go slower stands, over the length of a leg [1/s].
 STANDS = 0.2

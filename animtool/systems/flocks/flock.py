@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
-from animtool.frames import MeshFrame, PointsFrame, TransformsFrame
 from animtool.maths import so3
+from animtool.motion.frames import MeshFrame, PointsFrame, TransformsFrame
 from animtool.sim.checks import check_fit
 from animtool.sim.colliders import Box, Collider, Colliders, Poses
 from animtool.sim.colliders.colliding import collide

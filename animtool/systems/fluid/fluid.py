@@ -12,7 +12,7 @@ from animtool import _kernels
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.errors import Fault, Severity, counted
 from animtool.core.quantities import floored, plain
-from animtool.frames import MeshFrame, PointsFrame
+from animtool.motion.frames import MeshFrame, PointsFrame
 from animtool.sim.colliders import Colliders, collide
 from animtool.sim.colliders.bodies import (
     Wrenches,

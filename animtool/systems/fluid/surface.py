@@ -11,7 +11,7 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, OptionError
-from animtool.frames import MeshFrame
+from animtool.motion.frames import MeshFrame
 from animtool.systems.fluid.spec import FluidModel
 
 # Of the field within: a particle alone still has a surface.

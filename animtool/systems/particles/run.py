@@ -9,7 +9,7 @@ import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.errors import Fault, Severity
-from animtool.frames import PointsFrame
+from animtool.motion.frames import PointsFrame
 from animtool.sim.checks import check_start
 from animtool.sim.colliders.bodies import Wrenches
 from animtool.sim.colliders.colliding import Colliders, Contacts, Touch

@@ -11,8 +11,8 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, Severity, counted, refuse
-from animtool.frames import MeshFrame
 from animtool.maths import so3
+from animtool.motion.frames import MeshFrame
 from animtool.sim.colliders import Mesh, Shape
 from animtool.systems.rigid.cores import (
     Core,

@@ -11,7 +11,7 @@ from pydantic import ValidationError
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import excerpt, refuse
 from animtool.maths import so3
-from animtool.physics import (
+from animtool.motion.physics import (
     JointDrive,
     Physics,
     PhysicsBody,

@@ -12,9 +12,9 @@ import numpy as np
 from animtool import _kernels
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.errors import Fault, Severity, ToleranceError, excerpt
-from animtool.frames import TransformsFrame
 from animtool.maths import so3
-from animtool.physics import Physics
+from animtool.motion.frames import TransformsFrame
+from animtool.motion.physics import Physics
 from animtool.sim.colliders import Collider, Colliders
 from animtool.sim.colliders.bodies import Wrenches
 from animtool.sim.system import Energy

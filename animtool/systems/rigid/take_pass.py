@@ -13,10 +13,11 @@ from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, OptionError, Severity, counted
 from animtool.core.options import range_faults, ranges_of
 from animtool.core.units import UpAxis
-from animtool.frames import TransformsFrame
 from animtool.maths import so3
-from animtool.motion import Channel
-from animtool.passes import OptionChecks, Pass, PassContext, Scope, TakePart
+from animtool.motion.frames import TransformsFrame
+from animtool.motion.motion import Channel
+from animtool.motion.passes import OptionChecks, Pass, PassContext, Scope, TakePart
+from animtool.motion.take import Take
 from animtool.rig.joints import (
     LocalTransforms,
     coordinate_slices,
@@ -39,7 +40,6 @@ from animtool.systems.rigid.ragdoll import (
 from animtool.systems.rigid.simulation import RigidSimulation, RigidState
 from animtool.systems.rigid.spec import RigidModel
 from animtool.systems.run import Reached, SimulationRun
-from animtool.take import Take
 
 # A limit that a joint is beyond by less is kept [rad].
 KEPT = math.radians(1.0)

@@ -11,8 +11,8 @@ from typing import TypeAlias
 import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
-from animtool.frames import CurvesFrame, MeshFrame
 from animtool.maths.faces import sides
+from animtool.motion.frames import CurvesFrame, MeshFrame
 from animtool.systems.springs.body import Springs
 
 # What keeps a turn as small as it may be where neighbours leave it open.

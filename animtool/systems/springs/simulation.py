@@ -13,7 +13,7 @@ import numpy as np
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.errors import Fault, Severity, counted, percent
 from animtool.core.quantities import length_text, plain
-from animtool.frames import Frame, MeshFrame, PointsFrame
+from animtool.motion.frames import Frame, MeshFrame, PointsFrame
 from animtool.sim.system import Energy
 from animtool.sim.trajectory import Status
 from animtool.systems.fields import Member

@@ -11,7 +11,6 @@ from typing import NamedTuple
 import numpy as np
 
 from animtool import _kernels
-from animtool.contacts import SPEED_LIMIT
 from animtool.core.array_types import (
     ArrayLike,
     BoolArray,
@@ -21,6 +20,7 @@ from animtool.core.array_types import (
 )
 from animtool.core.errors import Fault, OptionError
 from animtool.sim.colliders import Collider, Colliders, Contacts, collide
+from animtool.sim.contact import SPEED_LIMIT
 from animtool.sim.system import Energy, Matrix, Native, SecondOrder
 from animtool.systems.springs.body import (
     Body,

@@ -16,11 +16,11 @@ from animtool.core.clock import Clock, time_fraction
 from animtool.core.errors import AnimtoolError
 from animtool.core.rates import rate_from_float
 from animtool.maths import so3
-from animtool.motion import Channel, Motion
-from animtool.reorient import placed_motion
+from animtool.motion.motion import Channel, Motion
+from animtool.motion.reorient import placed_motion
+from animtool.motion.take import Take
 from animtool.rig.parts import Shape
 from animtool.rig.skeleton import Joint, Rig
-from animtool.take import Take
 from animtool.usd.animation_values import (
     among_rest,
     scale_channel,

@@ -13,9 +13,9 @@ import numpy as np
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.errors import Fault
 from animtool.maths import so3
+from animtool.motion.take import Take
 from animtool.rig.kinematics import WorldTransforms, rest_world
 from animtool.rig.sides import SidePairs, pair_sides
-from animtool.take import Take
 
 # Code, joint (empty: the whole take), frame (None: all of them), message, hint.
 FaultAt: TypeAlias = Callable[[str, str, float | None, str, str], Fault]

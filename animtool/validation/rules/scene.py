@@ -16,7 +16,7 @@ from animtool.core.names import is_named
 from animtool.core.rates import rate_label
 from animtool.documents.document import Location, read_document
 from animtool.documents.variables import resolve_variables
-from animtool.passes import Pass, TakePart
+from animtool.motion.passes import Pass, TakePart
 from animtool.scene.bake import take_name
 from animtool.scene.options import BakeOptions
 from animtool.scene.outputs import scene_files

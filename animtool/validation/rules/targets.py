@@ -21,10 +21,10 @@ from animtool.ik.file import targets_of_document
 from animtool.ik.goals import Goal, Targets
 from animtool.ik.tracks import GoalTrack, TargetTracks
 from animtool.ik.values import Keyed, Rows, Span, Still, Value
+from animtool.motion.take import Take
 from animtool.rig.kinematics import WorldTransforms, rest_size
 from animtool.rig.limits import RangeLimit
 from animtool.rig.skeleton import Joint, JointType, Rig
-from animtool.take import Take
 from animtool.validation.rules.clip import beyond
 from animtool.validation.subjects.scene import SceneSubject
 from animtool.validation.subjects.subject import CheckedFile, DocumentSubject

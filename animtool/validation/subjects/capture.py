@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 from animtool.core.errors import Fault
 from animtool.core.files.reading import open_input
 from animtool.core.rules import Kind
+from animtool.motion.take import Take
 from animtool.scene.sources import open_source
-from animtool.take import Take
 from animtool.validation.motion.subject import MotionSubject
 from animtool.validation.subjects.subject import CheckedFile
 

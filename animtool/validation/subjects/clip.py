@@ -23,9 +23,9 @@ from animtool.core.errors import AnimtoolError, Fault, Severity
 from animtool.core.rules import Kind
 from animtool.documents.document import Document, Location
 from animtool.maths.curves import Interp
+from animtool.motion.take import Take
 from animtool.rig.skeleton import Rig
 from animtool.scene.clips import clip_stream
-from animtool.take import Take
 from animtool.validation.motion.subject import MotionSubject
 from animtool.validation.subjects.subject import CheckedFile, DocumentSubject
 

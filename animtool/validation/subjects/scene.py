@@ -15,14 +15,14 @@ from animtool.core.rules import Kind
 from animtool.documents.document import Document, Location
 from animtool.ik.take_pass import IkPassOptions, asked_of
 from animtool.ik.tracks import TargetTracks
-from animtool.motion import Channel, Motion
+from animtool.motion.motion import Channel, Motion
+from animtool.motion.take import Take
 from animtool.scene.entries import SceneOutput
 from animtool.scene.file import scene_of_document
 from animtool.scene.scene import Scene
 from animtool.scene.systems.character_motion import motion_of
 from animtool.scene.systems.proportions import misplaced
 from animtool.scene.systems.simulation import characters_with
-from animtool.take import Take
 from animtool.validation.subjects.subject import CheckedFile, DocumentSubject
 
 # Values that differ by less are the same [m], [1].

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from animtool.core.errors import Fault
 from animtool.core.rules import Kind
-from animtool.markers import Markers
+from animtool.motion.markers import Markers
 from animtool.validation.subjects.subject import CheckedFile
 
 

@@ -18,11 +18,11 @@ from support.attached import (
     take_of,
 )
 
-from animtool.motion import Channel
+from animtool.motion.motion import Channel
+from animtool.motion.take import Take
 from animtool.rig.parts import Capsule, Collider, HeldArray, Shape
 from animtool.rig.skeleton import Joint, Pose, Rig
 from animtool.systems.attach.strands import DEPENETRATION
-from animtool.take import Take
 
 __all__ = ["ATTACHED"]
 

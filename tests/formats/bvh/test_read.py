@@ -23,9 +23,9 @@ from animtool.core.units import LengthUnit
 from animtool.formats.bvh import lines as lines_module
 from animtool.formats.bvh import read_bvh
 from animtool.formats.bvh.write import bvh_text
+from animtool.motion.take import Take, TakeStream
 from animtool.rig.kinematics import forward
 from animtool.rig.skeleton import JointType
-from animtool.take import Take, TakeStream
 from animtool.validation.run import validate
 
 

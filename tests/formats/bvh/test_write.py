@@ -15,10 +15,10 @@ from animtool.core.rates import rate_from_frame_time
 from animtool.formats.bvh import read_bvh, write_bvh
 from animtool.formats.bvh.write import bvh_text, frame_time
 from animtool.maths import so3
-from animtool.motion import Channel, Motion
+from animtool.motion.motion import Channel, Motion
+from animtool.motion.take import Take
 from animtool.report.compare import compare_takes
 from animtool.rig.skeleton import Joint, Rig
-from animtool.take import Take
 
 
 def written(take: Take, path: Path) -> Take:

@@ -13,7 +13,7 @@ from animtool.core.clock import Clock
 from animtool.core.errors import OptionError
 from animtool.core.units import UpAxis
 from animtool.formats.c3d import read_c3d, write_c3d
-from animtool.markers import Markers
+from animtool.motion.markers import Markers
 
 
 def made(frames: int = 20, count: int = 3) -> Markers:

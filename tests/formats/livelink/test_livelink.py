@@ -15,10 +15,10 @@ from animtool.formats.livelink import read_livelink, write_livelink
 from animtool.formats.livelink.columns import ANGLES, APP_SHAPES
 from animtool.formats.livelink.timecodes import row_frames
 from animtool.formats.livelink.write import timecode
+from animtool.motion.take import Take
 from animtool.rig.parts import Shape
 from animtool.rig.skeleton import Joint, JointType, Rig
 from animtool.rig.write import rig_text
-from animtool.take import Take
 
 HEADER = "Timecode,BlendShapeCount,EyeBlinkLeft,JawOpen,HeadYaw,HeadPitch,HeadRoll"
 ROW = "12:00:00:{:02d}.000,5,{:g},0.5,0.1,0,0"

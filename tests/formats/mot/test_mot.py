@@ -18,11 +18,11 @@ from animtool.core.errors import AnimtoolError
 from animtool.formats.mot import read_mot, read_mot_rig, write_mot
 from animtool.formats.mot.coordinates import column_names, coordinates_of, spellings
 from animtool.maths import so3
-from animtool.motion import Channel, Motion
+from animtool.motion.motion import Channel, Motion
+from animtool.motion.take import Take
 from animtool.rig.joints import coordinates_from_local, local_from_coordinates
 from animtool.rig.skeleton import Joint, JointType, Mimic, Rig
 from animtool.rig.write import rig_text
-from animtool.take import Take
 
 HEAD = "Coordinates\nversion=1\nnRows=3\nnColumns=3\ninDegrees=yes\nendheader\n"
 ROWS = "time\tknee\tlift\n0\t10\t.1\n0.01\t20\t.2\n0.02\t30\t.3\n"

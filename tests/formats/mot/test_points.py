@@ -10,7 +10,7 @@ from support.cli import animtool
 
 from animtool.core.errors import FormatError
 from animtool.formats.marker_files import is_marker_file, open_markers
-from animtool.markers import Markers
+from animtool.motion.markers import Markers
 
 HEAD = "DataRate=100\nDataType=Vec3\nUnits=mm\nendheader\ntime\ta\tb\n"
 

@@ -11,7 +11,7 @@ import pytest
 from animtool.core.clock import Clock
 from animtool.core.errors import FormatError
 from animtool.formats.trc import read_trc, write_trc
-from animtool.markers import Markers
+from animtool.motion.markers import Markers
 
 HEAD = (
     "PathFileType\t4\t(X/Y/Z)\ta.trc\n"

@@ -11,7 +11,7 @@ import pytest
 
 from animtool.core.errors import FormatError
 from animtool.formats.trc import read_trc, write_trc
-from animtool.markers import Markers
+from animtool.motion.markers import Markers
 
 NTSC = [f"{i * 1001 / 60000:.5f}" for i in range(400)]
 

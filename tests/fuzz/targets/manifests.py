@@ -26,7 +26,7 @@ from animtool.batch.work import Status
 from animtool.cli.batch_progress import scores_table
 from animtool.core.errors import AnimtoolError
 from animtool.core.files.reading import FileState
-from animtool.scores import PassScores, Score, ScoreUnit
+from animtool.motion.scores import PassScores, Score, ScoreUnit
 from fuzz.mutations import spoil, spoil_values
 
 ABOUT = "records of batches, owners, path rules, reports, addresses, tables of variants"

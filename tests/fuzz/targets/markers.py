@@ -11,7 +11,7 @@ from support.c3d_bytes import DEC, INTEL, SGI, C3dFile
 from animtool.core.clock import Clock
 from animtool.core.errors import AnimtoolError
 from animtool.formats.marker_files import open_markers, write_markers
-from animtool.markers import Markers
+from animtool.motion.markers import Markers
 from fuzz.mutations import pick, spoil
 
 ABOUT = "C3D, TRC and npz files of markers, read"

@@ -10,10 +10,10 @@ import numpy as np
 from animtool.core.clock import Clock
 from animtool.core.errors import AnimtoolError
 from animtool.formats.mot import read_mot, write_mot
-from animtool.motion import Channel, Motion
+from animtool.motion.motion import Channel, Motion
+from animtool.motion.take import Take
 from animtool.rig.skeleton import Joint, JointType, Rig
 from animtool.rig.write import rig_text
-from animtool.take import Take
 from fuzz.mutations import pick, spoil
 
 ABOUT = "OpenSim motion files (MOT), read with and without a rig"

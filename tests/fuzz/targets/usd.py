@@ -15,9 +15,9 @@ from support.broken_usd import write_good
 from support.clean_layer import make_layer
 
 from animtool.core.errors import AnimtoolError
+from animtool.motion.take import TakeStream
 from animtool.report.describe import describe
 from animtool.scene.sources import SourceOptions
-from animtool.take import TakeStream
 from animtool.usd.checks.run import inspect_layer
 from animtool.usd.layers import compute_alone, forget_layers
 from animtool.usd.mesh_read import source_meshes

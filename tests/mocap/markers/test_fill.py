@@ -10,11 +10,11 @@ import pytest
 from animtool.core.array_types import FloatArray
 from animtool.core.clock import Clock
 from animtool.core.errors import OptionError
-from animtool.markers import Markers
 from animtool.maths import so3
 from animtool.mocap.markers.fill import fill
 from animtool.mocap.markers.label import label
 from animtool.mocap.options import FillOptions
+from animtool.motion.markers import Markers
 
 FRAMES, RATE = 300, 120
 # Two rigid bodies of five markers, the second on a hinge of the first [m].

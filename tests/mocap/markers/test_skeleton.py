@@ -11,11 +11,11 @@ from support.marked import FIGURE, TEMPLATE, captured, column, moving
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import OptionError
 from animtool.core.units import UpAxis
-from animtool.markers import Markers
 from animtool.mocap.markers.fill import fill
 from animtool.mocap.markers.skeleton import Subject
 from animtool.mocap.options import FillOptions
 from animtool.mocap.template import MarkerTemplate
+from animtool.motion.markers import Markers
 
 FPS, FRAMES = 100.0, 160
 GONE = slice(60, 90)

@@ -14,7 +14,7 @@ from animtool.core.array_types import FloatArray
 from animtool.mocap.retarget import map_joints
 from animtool.mocap.retarget.motion import Retargeted, retarget_take
 from animtool.mocap.retarget.transfer import middle_of_hips
-from animtool.motion import Motion
+from animtool.motion.motion import Motion
 from animtool.rig.skeleton import Joint
 
 TOES = {"LeftToe", "RightToe"}

@@ -13,10 +13,10 @@ from animtool import Channel, Motion, Rig, Take, open_source
 from animtool.core.array_types import FloatArray
 from animtool.maths import so3
 from animtool.mocap.retarget import Retargeted, map_joints, retarget_take
-from animtool.passes import PassContext, apply_pass, find_pass
+from animtool.motion.passes import PassContext, apply_pass, find_pass
+from animtool.motion.take import TakeStream
+from animtool.motion.transforms import Track, Transforms
 from animtool.rig.write import rig_text
-from animtool.take import TakeStream
-from animtool.transforms import Track, Transforms
 
 FRAMES = 90
 

@@ -15,8 +15,8 @@ from animtool.core.units import UpAxis, up_from_up
 from animtool.maths import so3
 from animtool.mocap.options import RetargetOptions
 from animtool.mocap.retarget.take_pass import onto_rig
+from animtool.motion.take import TakeStream
 from animtool.rig.kinematics import forward
-from animtool.take import TakeStream
 
 
 def turned(take: Take, turn: np.ndarray) -> Take:

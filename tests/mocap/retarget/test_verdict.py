@@ -10,7 +10,7 @@ import pytest
 
 from animtool.core.errors import Fault
 from animtool.mocap.retarget.verdict import FrameNumbers, Status, verdict_of
-from animtool.scores import PassScores, Score, ScoreUnit
+from animtool.motion.scores import PassScores, Score, ScoreUnit
 
 
 def scores(drift: float = 0.0, limbs: float = 0.0) -> PassScores:

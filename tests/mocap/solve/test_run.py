@@ -10,10 +10,10 @@ from support.marked import FIGURE, TEMPLATE, Captured, captured, column, moving
 
 from animtool.core.errors import OptionError
 from animtool.core.units import UpAxis
-from animtool.markers import Markers
 from animtool.mocap.solve import SolveOptions, solve_markers
 from animtool.mocap.solve import run as run_module
-from animtool.take import Take
+from animtool.motion.markers import Markers
+from animtool.motion.take import Take
 
 FPS = 100.0
 

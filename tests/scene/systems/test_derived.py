@@ -14,7 +14,7 @@ from support.swing import Spec
 from animtool.cli.simulation_summary import simulation_table_text
 from animtool.core.errors import FormatError, OptionError, ToleranceError
 from animtool.documents.document import Document, read_document
-from animtool.frames import TransformsFrame
+from animtool.motion.frames import TransformsFrame
 from animtool.scene.entries import Place, SceneSystem
 from animtool.scene.simulation_table import SimulationTable
 from animtool.scene.systems.derived import SystemSetup, read_spec

@@ -16,7 +16,7 @@ from support.attached import (
 )
 
 from animtool.maths import so3
-from animtool.motion import Channel, Motion
+from animtool.motion.motion import Channel, Motion
 from animtool.rig.parts import Attachment, HeldArray
 from animtool.rig.skeleton import JointType
 

@@ -22,13 +22,13 @@ from support.attached import (
 
 from animtool.core.errors import OptionError
 from animtool.maths import so3
-from animtool.motion import Motion
-from animtool.passes import PassContext, apply_pass, find_pass
+from animtool.motion.motion import Motion
+from animtool.motion.passes import PassContext, apply_pass, find_pass
+from animtool.motion.take import Take, TakeStream
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.skeleton import JointType
 from animtool.systems.attach.settings import SimulateOptions
 from animtool.systems.attach.take_pass import simulate
-from animtool.take import Take, TakeStream
 
 RIGS = {"chain": tail_rig(3, 0.2), "strands": strands_rig(), "cloth": sheet_rig()}
 # Hangs still where it is put, without anything but gravity.

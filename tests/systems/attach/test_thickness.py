@@ -11,9 +11,9 @@ from support.piercing import distances, pierced
 
 from animtool.core.errors import OptionError
 from animtool.maths.faces import triangulated
+from animtool.motion.take import Take
 from animtool.rig.skeleton import Rig
 from animtool.systems.attach.settings import SimulateOptions, settings_for
-from animtool.take import Take
 
 SIZE = 8
 EDGE = 0.3 / (SIZE - 1)

@@ -14,8 +14,8 @@ from support.simulated import Simulator
 
 from animtool import Rig
 from animtool.core.errors import AnimtoolError
-from animtool.frames import TransformsFrame
 from animtool.maths import so3
+from animtool.motion.frames import TransformsFrame
 from animtool.scene.systems.run import SystemRun
 from animtool.scene.systems.simulation import open_systems
 from animtool.systems.run import Reached, SimulationRun

@@ -14,7 +14,7 @@ from support.simulated import Point, Simulator
 
 from animtool import BakeOptions, _kernels
 from animtool.core.errors import AnimtoolError, ToleranceError
-from animtool.frames import MeshFrame
+from animtool.motion.frames import MeshFrame
 from animtool.sim.colliders import Box, Collider, Colliders, Plane, Poses, Sphere
 from animtool.sim.colliders.shapes import bounds
 

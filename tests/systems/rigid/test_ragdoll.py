@@ -17,8 +17,9 @@ from support.rigid import GRAVITY
 from animtool.core.clock import Clock
 from animtool.core.errors import FormatError, OptionError
 from animtool.maths import so3
-from animtool.motion import Channel, Motion
-from animtool.passes import PassContext
+from animtool.motion.motion import Channel, Motion
+from animtool.motion.passes import PassContext
+from animtool.motion.take import Take
 from animtool.rig.joints import LocalTransforms, coordinates_from_local
 from animtool.rig.kinematics import forward
 from animtool.rig.limits import RangeLimit
@@ -32,7 +33,6 @@ from animtool.systems.rigid.cores import core_of, solid_of
 from animtool.systems.rigid.ragdoll import RagdollOptions
 from animtool.systems.rigid.simulation import RigidSimulation, RigidState
 from animtool.systems.rigid.take_pass import ragdoll
-from animtool.take import Take
 
 LENGTH = 0.5
 SIDES = {"left": -0.2, "right": 0.2}

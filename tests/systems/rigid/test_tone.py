@@ -12,8 +12,9 @@ from scipy.optimize import brentq
 
 from animtool.core.clock import Clock
 from animtool.maths import so3
-from animtool.motion import Channel, Motion
-from animtool.passes import PassContext
+from animtool.motion.motion import Channel, Motion
+from animtool.motion.passes import PassContext
+from animtool.motion.take import Take
 from animtool.rig.kinematics import WorldTransforms, forward
 from animtool.rig.parts import Capsule, Collider
 from animtool.rig.skeleton import Joint, JointType, Rig
@@ -23,7 +24,6 @@ from animtool.sim.colliders.on_joints import Capsules
 from animtool.systems.rigid.ragdoll import RagdollOptions
 from animtool.systems.rigid.take_pass import ragdoll
 from animtool.systems.rigid.tone import GRAVITY, SHARE, passive, with_digits
-from animtool.take import Take
 
 BONE = 0.04
 

@@ -18,11 +18,11 @@ from animtool.core.errors import Fault, Severity
 from animtool.core.rules import find_rule, own_rules, replaced_codes
 from animtool.edit.resample import resampled
 from animtool.maths import so3
-from animtool.motion import Channel, Motion
+from animtool.motion.motion import Channel, Motion
+from animtool.motion.take import Take
 from animtool.rig.parts import Shape
 from animtool.rig.skeleton import JointType, Rig
 from animtool.scene.sources import open_source
-from animtool.take import Take
 from animtool.validation.motion.sampling import frozen_frames, repeated_frames
 from animtool.validation.motion.subject import MotionSubject
 from animtool.validation.options import ValidateOptions

@@ -8,8 +8,8 @@ import pytest
 from support.planted_takes import drift, travel
 
 from animtool.core.errors import Fault
+from animtool.motion.take import Take
 from animtool.scene.sources import open_source
-from animtool.take import Take
 from animtool.validation.motion.contacts import contacts_of
 from animtool.validation.motion.feet import foot_slide
 from animtool.validation.motion.subject import MotionSubject

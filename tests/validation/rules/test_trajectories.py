@@ -11,7 +11,7 @@ from support.planted_markers import MARKERS, NEAR, sound
 from animtool.core.errors import Severity
 from animtool.core.rules import Kind
 from animtool.formats.marker_files import write_markers
-from animtool.markers import Markers
+from animtool.motion.markers import Markers
 from animtool.validation.run import find_files, validate
 from animtool.validation.subjects.open import open_file
 

@@ -18,12 +18,12 @@ from animtool.core.clock import Clock
 from animtool.core.errors import Fault, OptionError, counted
 from animtool.core.rates import rate_label
 from animtool.maths.curves import Curves
-from animtool.motion import Channel, Motion, MotionCurve
+from animtool.motion.motion import Channel, Motion, MotionCurve
+from animtool.motion.scores import PassScores
+from animtool.motion.transforms import Track
 from animtool.rig.kinematics import WorldTransforms, forward
 from animtool.rig.placement import Placement
 from animtool.rig.skeleton import Rig
-from animtool.scores import PassScores
-from animtool.transforms import Track
 
 # Half precision, the coarsest that USD keeps rotations in, is off by 5e-4.
 UNIT_TOLERANCE = 1e-3

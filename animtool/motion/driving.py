@@ -14,9 +14,9 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault
-from animtool.motion import Motion
+from animtool.motion.motion import Motion
+from animtool.motion.take import Take, TakeStream
 from animtool.rig.skeleton import Rig
-from animtool.take import Take, TakeStream
 
 # What drivers report of the same joint after every pass.
 REPEATED = frozenset({"RIG103", "RIG105"})
@@ -32,7 +32,7 @@ def driven_take(take: Take) -> Take:
     """
     if not take.rig.is_driven:
         return take
-    from animtool.driver_run import DriverRun
+    from animtool.motion.driver_run import DriverRun
 
     run = DriverRun(take.rig)
     motion = run.drive(take.motion, np.asarray(take.clock.times, np.float64))
@@ -51,7 +51,7 @@ def driven_stream(stream: TakeStream, *, replaced: bool = False) -> TakeStream:
     """
     if not stream.rig.is_driven:
         return stream
-    from animtool.driver_run import DriverRun
+    from animtool.motion.driver_run import DriverRun
 
     run = DriverRun(stream.rig, replaced)
     start = float(stream.start or 1)
@@ -75,7 +75,7 @@ def driven_stream(stream: TakeStream, *, replaced: bool = False) -> TakeStream:
 def _driven_curve(
     rig: Rig, curve: Callable[[FloatArray], Motion]
 ) -> Callable[[FloatArray], Motion]:
-    from animtool.driver_run import DriverRun
+    from animtool.motion.driver_run import DriverRun
 
     return lambda times: DriverRun(rig).drive(curve(times), times)
 

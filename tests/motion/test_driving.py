@@ -16,17 +16,17 @@ from animtool.clip.sample import sample_values
 from animtool.core.array_types import FloatArray
 from animtool.core.clock import Clock
 from animtool.core.errors import FormatError
-from animtool.driver_run import DriverRun
-from animtool.driving import driven_stream, driven_take
 from animtool.maths import so3
-from animtool.motion import Channel, Motion
-from animtool.passes import PassContext, apply_pass, find_pass
+from animtool.motion.driver_run import DriverRun
+from animtool.motion.driving import driven_stream, driven_take
+from animtool.motion.motion import Channel, Motion
+from animtool.motion.passes import PassContext, apply_pass, find_pass
+from animtool.motion.take import Take, TakeStream
 from animtool.rig.drivers import Driver
 from animtool.rig.expressions import parse_expression
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.parts import Shape
 from animtool.rig.skeleton import Joint, JointType
-from animtool.take import Take, TakeStream
 
 X, Z = (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)
 PIN, BALL = JointType.PIN, JointType.BALL

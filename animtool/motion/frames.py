@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, TypeAlias
 
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
-from animtool.physics import Physics
+from animtool.motion.physics import Physics
 
 if TYPE_CHECKING:
     from animtool.rig.skeleton import Rig

@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from animtool.core.errors import AnimtoolError
-from animtool.motion import Channel
+from animtool.motion.motion import Channel
 
 
 def test_compact_keeps_the_values() -> None:

@@ -10,12 +10,12 @@ import numpy as np
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.units import UpAxis, up_from_up
 from animtool.maths import so3
-from animtool.motion import Channel, Motion
+from animtool.motion.motion import Channel, Motion
+from animtool.motion.take import TakeStream
+from animtool.motion.transforms import placed_track, turned_track
 from animtool.rig.placed import at_origin, placed_rig
 from animtool.rig.placement import Placement
 from animtool.rig.skeleton import Rig
-from animtool.take import TakeStream
-from animtool.transforms import placed_track, turned_track
 
 
 def reorient(stream: TakeStream, up: UpAxis) -> TakeStream:

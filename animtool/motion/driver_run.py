@@ -11,7 +11,7 @@ from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, FormatError, Severity, listed
 from animtool.core.quantities import length_text
 from animtool.maths import so3
-from animtool.motion import Channel, Motion
+from animtool.motion.motion import Channel, Motion
 from animtool.rig.driver_plan import DriverPlan, plan_of
 from animtool.rig.drivers import TWIST, split_coordinate
 from animtool.rig.driving import (

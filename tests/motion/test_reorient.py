@@ -10,11 +10,11 @@ from support.bvh import random_rows, small_bvh
 
 from animtool.core.units import UpAxis
 from animtool.formats.bvh import read_bvh
-from animtool.reorient import reorient
+from animtool.motion.reorient import reorient
+from animtool.motion.take import Take, TakeStream
 from animtool.rig.kinematics import forward, rest_world
 from animtool.rig.parts import Capsule, Collider, IkChain
 from animtool.rig.skeleton import Joint, Rig
-from animtool.take import Take, TakeStream
 
 
 def positions(take: Take) -> np.ndarray:

@@ -19,13 +19,13 @@ from animtool.core.clock import Clock
 from animtool.core.errors import Fault, OptionError, excerpt, listed
 from animtool.core.plugins import load_object, load_plugin, plugin_points
 from animtool.core.similar import similar
-from animtool.driving import driven_stream, driven_take
 from animtool.maths.curves import Curves
-from animtool.motion import Channel, Motion
+from animtool.motion.driving import driven_stream, driven_take
+from animtool.motion.motion import Channel, Motion
+from animtool.motion.scores import PassScores
+from animtool.motion.take import Take, TakeStream
+from animtool.motion.transforms import Track
 from animtool.rig.skeleton import Rig
-from animtool.scores import PassScores
-from animtool.take import Take, TakeStream
-from animtool.transforms import Track
 
 MAX_NAMED = 6
 

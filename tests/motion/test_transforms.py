@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 from animtool.maths import so3
-from animtool.transforms import Track, Transforms, turned_track
+from animtool.motion.transforms import Track, Transforms, turned_track
 
 
 def spinning(times: np.ndarray) -> Transforms:

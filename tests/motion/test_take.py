@@ -16,10 +16,10 @@ from animtool.core.clock import Clock
 from animtool.core.errors import AnimtoolError, Fault, OptionError
 from animtool.formats.bvh import read_bvh
 from animtool.maths import so3
-from animtool.motion import Channel, Motion
+from animtool.motion.motion import Channel, Motion
+from animtool.motion.take import Take, TakeStream
 from animtool.rig.kinematics import forward
 from animtool.rig.skeleton import Joint, Rig
-from animtool.take import Take, TakeStream
 
 ARM = Rig("arm", (Joint("a", -1), Joint("b", 0, translation=(0.0, 2.0, 0.0))))
 

@@ -13,9 +13,9 @@ from numpy.testing import assert_array_equal
 from support.small_takes import small, with_tracks
 
 from animtool.core.errors import OptionError
-from animtool.motion import Motion
-from animtool.passes import Pass, PassContext, Scope, TakePart, apply_pass
-from animtool.take import Take, TakeStream
+from animtool.motion.motion import Motion
+from animtool.motion.passes import Pass, PassContext, Scope, TakePart, apply_pass
+from animtool.motion.take import Take, TakeStream
 
 CONTEXT = PassContext(lambda _: small(), None)  # type: ignore[arg-type]
 

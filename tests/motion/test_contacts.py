@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from animtool.core.array_types import BoolArray, FloatArray
-from animtool.mocap.contacts import find_contacts, intervals, jitter, smoothed
+from animtool.motion.contacts import find_contacts, intervals, jitter, smoothed
 
 LEG, STRIDE, PERIOD, STANCE = 0.85, 1.3, 1.1, 0.62
 

@@ -1,0 +1,1 @@
+"""Motion of a rig over frames, and the passes that change it."""
