@@ -195,7 +195,7 @@ OPENED = {
     "animtool.usd.skinned": "a file that was just written",
     "animtool.usd.rig_layer": "a layer in memory",
     "animtool.usd.point_info": "layers that dependencies has looked at",
-    "animtool.mocap.retarget.names": "a table that is part of animtool",
+    "animtool.retarget.names": "a table that is part of animtool",
     "animtool.core.files.spool": "what it has written itself",
     "animtool.rules": "pages that are part of animtool",
 }

@@ -10,8 +10,8 @@ from animtool.core.errors import counted, listed, percent
 from animtool.core.quantities import angle_text, duration_text, length_text
 
 if TYPE_CHECKING:
-    from animtool.mocap.retarget.report import RetargetReport
-    from animtool.mocap.retarget.verdict import Verdict
+    from animtool.retarget.report import RetargetReport
+    from animtool.retarget.verdict import Verdict
     from animtool.scene.retarget import RetargetResult
 
 MAX_NAMED = 8

@@ -39,7 +39,7 @@ MODELS = {
     "cameras": "animtool.mocap.cameras.file:CamerasModel",
     "clip": "animtool.clip.schema:ClipModel",
     "landmarks": "animtool.mocap.face.file:LandmarksModel",
-    "map": "animtool.mocap.retarget.file:MapModel",
+    "map": "animtool.retarget.file:MapModel",
     "markers": "animtool.mocap.template.file:MarkersModel",
     "remap": "animtool.rig.remap:RemapModel",
     "rig": "animtool.rig.schema:RigModel",

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Annotated, Literal, get_args
 
 from animtool.core.options import option, or_more
-from animtool.mocap.retarget.roles import MapMode
+from animtool.retarget.roles import MapMode
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,9 +12,9 @@ import numpy as np
 from animtool.core.errors import Fault, FormatError, OptionError
 from animtool.core.quantities import Description
 from animtool.core.units import unit_name
-from animtool.mocap.facts import CaptureFacts, capture_facts
-from animtool.mocap.standing import lying_notice
 from animtool.motion.take import Take, TakeStream
+from animtool.retarget.facts import CaptureFacts, capture_facts
+from animtool.retarget.standing import lying_notice
 from animtool.rig.kinematics import forward
 from animtool.scene.sources import SourceOptions, is_usd, open_source
 

@@ -9,10 +9,10 @@ import numpy as np
 
 from animtool.core.errors import AnimtoolError
 from animtool.core.units import UpAxis
-from animtool.mocap.facts import ground_speeds, hips_and_joints
-from animtool.mocap.retarget.anatomy import anatomy
-from animtool.mocap.retarget.person import Person
 from animtool.motion.take import Take
+from animtool.retarget.anatomy import anatomy
+from animtool.retarget.facts import ground_speeds, hips_and_joints
+from animtool.retarget.person import Person
 
 
 @dataclass(frozen=True, slots=True)

@@ -121,7 +121,7 @@ class Reading:
         )
         stream = opener(path, own, progress=shown)
         if stream.details.get("format") == "BVH" and own.up is None:
-            from animtool.mocap.standing import with_lying_notice
+            from animtool.retarget.standing import with_lying_notice
 
             stream = with_lying_notice(path, stream)
         return stream

@@ -19,14 +19,14 @@ from animtool.core.files.output import (
 from animtool.core.names import is_named
 from animtool.core.units import unit_name
 from animtool.mocap.options import RetargetOptions
-from animtool.mocap.retarget.map import JointMap, map_text
-from animtool.mocap.retarget.motion import Retargeting
-from animtool.mocap.retarget.report import RetargetReport
-from animtool.mocap.retarget.take_pass import checked_blocks, onto_rig
-from animtool.mocap.retarget.verdict import FrameNumbers, Verdict
 from animtool.motion.driving import driven_stream
 from animtool.motion.reorient import off_its_place
 from animtool.motion.take import TakeStream
+from animtool.retarget.map import JointMap, map_text
+from animtool.retarget.motion import Retargeting
+from animtool.retarget.report import RetargetReport
+from animtool.retarget.take_pass import checked_blocks, onto_rig
+from animtool.retarget.verdict import FrameNumbers, Verdict
 from animtool.rig.placed import at_origin, standing_notice
 from animtool.rig.skeleton import Rig
 from animtool.scene.convert import ConvertReport

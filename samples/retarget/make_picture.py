@@ -18,9 +18,9 @@ sys.path.append(str(Path(__file__).parents[1] / "pictures"))
 from labelled import save
 
 from animtool import open_source
-from animtool.mocap.retarget import map_joints
-from animtool.mocap.retarget.motion import retarget_take
 from animtool.motion.take import Take
+from animtool.retarget import map_joints
+from animtool.retarget.motion import retarget_take
 from animtool.rig.file import load_rig
 from animtool.rig.kinematics import forward
 from animtool.rig.skeleton import Rig

@@ -15,7 +15,7 @@ import numpy as np
 
 from animtool import open_source
 from animtool.maths import so3
-from animtool.mocap.retarget import JointPair, map_joints
+from animtool.retarget import JointPair, map_joints
 from animtool.rig.file import load_rig
 from animtool.rig.kinematics import WorldTransforms, forward, rest_world
 from animtool.rig.limits import RangeLimit

@@ -14,9 +14,9 @@ from conftest import ROOT, data_folder
 
 from animtool import open_source
 from animtool.core.array_types import FloatArray
-from animtool.mocap.retarget import map_joints
-from animtool.mocap.retarget.anatomy import anatomy
-from animtool.mocap.retarget.roles import ROLES
+from animtool.retarget import map_joints
+from animtool.retarget.anatomy import anatomy
+from animtool.retarget.roles import ROLES
 from animtool.rig.kinematics import forward
 from animtool.rig.skeleton import Rig
 

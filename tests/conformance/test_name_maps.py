@@ -10,7 +10,7 @@ import yaml
 from conftest import data_folder
 from support.people import CENTER, DIGIT_JOINTS, LIMBS, build
 
-from animtool.mocap.retarget.anatomy import anatomy
+from animtool.retarget.anatomy import anatomy
 
 FOLDER = data_folder("retarget")
 # Points without hips are no tree of joints.

@@ -16,13 +16,13 @@ from support.suite import at_night
 
 from animtool import Rig, open_source
 from animtool.core.array_types import BoolArray, FloatArray
-from animtool.mocap.retarget import map_joints
-from animtool.mocap.retarget.anatomy import anatomy
-from animtool.mocap.retarget.motion import Retargeted, retarget_take
-from animtool.mocap.retarget.person import Person
-from animtool.mocap.retarget.take_pass import FeetOptions, held_feet
 from animtool.motion.contacts import intervals
 from animtool.motion.passes import PassContext
+from animtool.retarget import map_joints
+from animtool.retarget.anatomy import anatomy
+from animtool.retarget.motion import Retargeted, retarget_take
+from animtool.retarget.person import Person
+from animtool.retarget.take_pass import FeetOptions, held_feet
 
 # Frames of captures in the default profile.
 LONG = 300

@@ -23,9 +23,9 @@ from animtool.batch.item import INPUT_NAMES
 from animtool.cli.schema import MODELS
 from animtool.ik.file import load_targets
 from animtool.ik.on_take import solve_take
-from animtool.mocap.retarget import map_joints
-from animtool.mocap.retarget.roles import DIGITS, ROLES, base_role
 from animtool.mocap.template import load_template
+from animtool.retarget import map_joints
+from animtool.retarget.roles import DIGITS, ROLES, base_role
 from animtool.rig.expressions import FUNCTIONS
 from animtool.rig.joints import DRIVEN_PARTS, KEYED_PARTS
 from animtool.rig.parts import AttachKind

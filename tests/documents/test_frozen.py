@@ -18,9 +18,9 @@ from animtool.documents.versions import STEPS, newest
 from animtool.ik.file import load_targets
 from animtool.mocap.cameras.file import load_cameras
 from animtool.mocap.face.file import face_model, load_landmarks
-from animtool.mocap.retarget import TwistShare
-from animtool.mocap.retarget.file import load_map, resolved_map
 from animtool.mocap.template import TemplateMarker, load_template
+from animtool.retarget import TwistShare
+from animtool.retarget.file import load_map, resolved_map
 from animtool.rig.file import load_rig
 from animtool.rig.remap import ShapeLink, link_shapes, load_remap
 from animtool.rig.skeleton import Joint, Rig

@@ -13,8 +13,8 @@ from support.cli import animtool
 from support.printed import Printed
 
 from animtool import open_source
-from animtool.mocap.retarget import map_joints
-from animtool.mocap.retarget.motion import retarget_take
+from animtool.retarget import map_joints
+from animtool.retarget.motion import retarget_take
 from animtool.rig.file import load_rig
 from animtool.rig.kinematics import forward, rest_world
 

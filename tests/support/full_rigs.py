@@ -12,7 +12,7 @@ from functools import cache
 
 import numpy as np
 
-from animtool.mocap.retarget.roles import CONTROL, END, TWIST, base_role
+from animtool.retarget.roles import CONTROL, END, TWIST, base_role
 from animtool.rig.skeleton import Joint, Rig
 
 # Where joints of a role begin, of the left side [m], and which role they lead to.

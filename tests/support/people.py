@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
-from animtool.mocap.retarget.names import presets
-from animtool.mocap.retarget.roles import DIGITS
+from animtool.retarget.names import presets
+from animtool.retarget.roles import DIGITS
 from animtool.rig.skeleton import Joint, Rig
 
 Vector = tuple[float, float, float]

@@ -10,10 +10,10 @@ import numpy as np
 
 from animtool.core.errors import OptionError
 from animtool.core.units import UpAxis, up_from_up
-from animtool.mocap.retarget.motion import retarget_take
-from animtool.mocap.retarget.pairing import map_joints
 from animtool.motion.reorient import reorient, turned_rig
 from animtool.motion.take import Take
+from animtool.retarget.motion import retarget_take
+from animtool.retarget.pairing import map_joints
 from animtool.rig.placed import at_origin
 from animtool.rig.skeleton import Rig
 from animtool.scene.onto_rig import NameMap, map_names, open_rig

@@ -12,9 +12,9 @@ from animtool.core.errors import Fault, OptionError
 from animtool.edit.cycle import find_cycle
 from animtool.edit.looping import loop
 from animtool.maths import so3
-from animtool.mocap.retarget.transfer import middle_of_hips
 from animtool.motion.contacts import FootContacts, find_contacts, intervals
 from animtool.motion.take import Take
+from animtool.retarget.transfer import middle_of_hips
 from animtool.rig.kinematics import WorldTransforms, forward
 from animtool.rig.skeleton import Rig
 from animtool.systems.crowds.agents import warning

@@ -9,8 +9,8 @@ import numpy as np
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, OptionError
 from animtool.maths import so3
-from animtool.mocap.retarget.anatomy import anatomy
-from animtool.mocap.retarget.person import Person
+from animtool.retarget.anatomy import anatomy
+from animtool.retarget.person import Person
 from animtool.rig.skeleton import Rig
 from animtool.systems.crowds.ground import about_up
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray
 from animtool.maths import so3
-from animtool.mocap.retarget.legs import put_ankle
+from animtool.retarget.legs import put_ankle
 from animtool.rig.kinematics import forward
 from animtool.systems.crowds.agents import Going
 from animtool.systems.crowds.bodies import Blend, Bodies, BodyState

@@ -10,8 +10,8 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, Severity
-from animtool.mocap.retarget.anatomy import anatomy
-from animtool.mocap.standing import Stance, stance
+from animtool.retarget.anatomy import anatomy
+from animtool.retarget.standing import Stance, stance
 from animtool.rig.kinematics import rest_world
 from animtool.rig.skeleton import JointType
 from animtool.validation.motion.body import body, feet_of, hips_of, placed

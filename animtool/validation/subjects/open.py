@@ -39,7 +39,7 @@ def open_batch(document: Document) -> CheckedFile:
 
 def open_map(document: Document) -> CheckedFile:
     """Return a map file; which skeletons it is for, it does not say."""
-    from animtool.mocap.retarget.file import map_of_document  # loads the kernels
+    from animtool.retarget.file import map_of_document  # loads the kernels
 
     return CheckedFile(Kind.MAP, [], map_of_document(document))
 

@@ -7,8 +7,8 @@ from pathlib import Path
 from clock import timed
 
 from animtool import open_source
-from animtool.mocap.retarget import map_joints
-from animtool.mocap.retarget.motion import retarget_take
+from animtool.retarget import map_joints
+from animtool.retarget.motion import retarget_take
 from animtool.rig.file import load_rig
 from animtool.rig.kinematics import forward
 

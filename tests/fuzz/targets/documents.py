@@ -21,8 +21,8 @@ from animtool.core.quantities import json_printed
 from animtool.ik.file import load_targets
 from animtool.mocap.cameras.file import load_cameras
 from animtool.mocap.face.file import face_model, load_landmarks
-from animtool.mocap.retarget.file import load_map
 from animtool.mocap.template import load_template
+from animtool.retarget.file import load_map
 from animtool.rig.file import load_rig
 from animtool.rig.remap import link_shapes, load_remap
 from animtool.rig.skeleton import Rig

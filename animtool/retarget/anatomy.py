@@ -1,0 +1,435 @@
+"""The anatomy of a skeleton: the role of every joint, by its name and its place."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault, Severity, listed
+from animtool.retarget.fingers import finger_roles
+from animtool.retarget.names import (
+    Preset,
+    best_preset,
+    find_preset,
+    read_names,
+    role_votes,
+)
+from animtool.retarget.roles import (
+    ARM,
+    CONTROL,
+    END,
+    LEG,
+    SIDES,
+    TWIST,
+    Anatomy,
+    RoleSource,
+    base_role,
+)
+from animtool.retarget.structure import (
+    Body,
+    Limb,
+    left_of,
+    limb_pairs,
+    split_limb,
+    upright,
+)
+from animtool.rig.skeleton import Rig
+
+_LIMBS = {"arm": ARM, "leg": LEG}
+_SHAPES = {
+    f"{name}_{side}": Limb(
+        (*(f"{role}_{side}" for role in roles), *[""] * (5 - len(roles))),
+        *lengths,
+    )
+    for side in SIDES
+    for name, roles, lengths in (
+        ("arm", ARM, (1.1, 0.5, 0.5, True)),
+        ("leg", LEG, (1.02, 0.25, 0.45, False)),
+    )
+}
+# Confidence in a role by how it was found.
+_SURE = {
+    RoleSource.PRESET: 1.0,
+    RoleSource.NAME: 0.9,
+    RoleSource.STRUCTURE: 0.7,
+    RoleSource.FILE: 1.0,
+    RoleSource.NONE: 0.0,
+}
+MAX_NAMED = 4
+# What reaches less far ahead, over the longest toe, is a heel and no toe.
+_TOE = 0.4
+# Joints of a skeleton that is one more person, at least.
+_PERSON = 8
+
+
+@dataclass(slots=True)
+class _Search:
+    """What is known of a skeleton's joints while it is searched."""
+
+    body: Body
+    roles: list[str]
+    tips: dict[str, int] = field(default_factory=dict)  # lowest known joint, by limb
+    unsided: list[str] = field(default_factory=list)  # kinds of limbs without a name
+    guessed: bool = False  # whether the sides are those of the file's order
+
+    def put(self, joint: int, role: str) -> None:
+        """Give a joint a role, where it has none yet."""
+        if joint >= 0 and not self.roles[joint]:
+            self.roles[joint] = role
+
+
+def anatomy(
+    rig: Rig,
+    *,
+    preset: str | None = None,
+    positions: FloatArray | None = None,
+    by_names: bool = True,
+) -> Anatomy:
+    """Return the role of each joint of a skeleton.
+
+    Args:
+        rig: J joints.
+        preset: The convention of its names; None finds it.
+        positions: Of the joints in a pose of a person who stands ``(J, 3)`` [m], world;
+            None is the rest pose. Only sides and fingers depend on it, and only where
+            names do not say them.
+        by_names: Whether names count.
+
+    Raises:
+        OptionError: There is no preset of that name (MAP003).
+    """
+    names = [joint.source_name or joint.name for joint in rig.joints]
+    read = read_names(names, rig.parents)
+    chosen: Preset | None = None
+    if preset is not None:
+        chosen = find_preset(preset)
+    elif by_names:
+        chosen = best_preset(names, read)
+    votes = role_votes(read, chosen) if by_names else [{} for _ in names]
+    kinds = [name.kind if by_names else "" for name in read]
+    body = Body.of(rig, votes, kinds)
+    search = _Search(body, [""] * len(names))
+    notices = _one_person(search)
+    _find_limbs(search)
+    up = upright(body, search.tips)
+    if up is None and positions is not None:
+        search.body = replace(body, positions=positions)
+        up = upright(search.body, search.tips)
+    at_rest = search.body is body
+    _sides_by_place(search, left_of(search.body, search.tips, up, at_rest=at_rest))
+    _trunk(search)
+    for limb in search.tips:
+        _limb(search, limb)
+    _rest(search)
+    notices += _doubts(search)
+    found = [_how(role, votes[j]) for j, role in enumerate(search.roles)]
+    sure = tuple(_SURE[how] for how in found)
+    name = chosen.name if chosen else ""
+    return Anatomy(tuple(search.roles), tuple(found), sure, name, tuple(notices))
+
+
+def _how(role: str, votes: Mapping[str, float]) -> RoleSource:
+    if not role or role in {TWIST, END, CONTROL}:
+        return RoleSource.NONE
+    weight = votes.get(role, 0.0)
+    if weight == 0.0:
+        return RoleSource.STRUCTURE
+    return RoleSource.PRESET if weight == 1.0 else RoleSource.NAME
+
+
+def _one_person(search: _Search) -> list[Fault]:
+    """Leave out all trees but the largest; warn where others are persons too."""
+    body = search.body
+    tops = body.rig.roots
+    if len(tops) == 1:
+        # Persons below one root: their hips are not below each other.
+        hips = [j for j, votes in enumerate(body.votes) if "hips" in votes]
+        nested = [set(body.rig.upwards(j)[1:]) & set(hips) for j in hips]
+        tops = [j for j, above in zip(hips, nested, strict=True) if not above]
+        tops = [j for j in tops if body.counts[j] >= _PERSON]
+    if len(tops) < 2:
+        return []
+    main = max(tops, key=lambda j: body.counts[j])
+    others = [j for j in tops if j != main and body.counts[j] >= _PERSON]
+    for j in range(len(search.roles)):
+        above = body.rig.upwards(j)
+        if main not in above and not set(above).isdisjoint(tops):
+            search.roles[j] = CONTROL
+    if not others:
+        return []
+    names = body.rig.names
+    message = (
+        f"{len(others) + 1} skeletons in one file: that of {names[main]!r} is mapped, "
+        f"{listed([repr(names[r]) for r in others], MAX_NAMED)} left out"
+    )
+    hint = "write the others to files of their own"
+    return [Fault("MAP103", message, hint=hint, severity=Severity.WARNING)]
+
+
+def _find_limbs(search: _Search) -> None:
+    """Find the lowest joint of each limb and of the head, by names or by the tree."""
+    body = search.body
+    for limb, roles in _LIMBS.items():
+        for side in SIDES:
+            tip = _named_tip(search, {f"{role}_{side}" for role in roles})
+            if tip >= 0:
+                search.tips[f"{limb}_{side}"] = tip
+    for limb, pair in zip(("leg", "arm"), limb_pairs(body), strict=True):
+        known = {j for tip in search.tips.values() for j in body.rig.upwards(tip)}
+        known |= {j for j, role in enumerate(search.roles) if role}
+        named = any(f"{limb}_{side}" in search.tips for side in SIDES)
+        if pair and not named and known.isdisjoint(pair):
+            search.unsided.append(limb)
+            for side, top in zip(SIDES, pair, strict=True):
+                search.tips[f"{limb}_{side}"] = body.heaviest(top)[-1]
+
+
+def _named_tip(search: _Search, roles: set[str]) -> int:
+    """Return the joint with most names of a limb above it; -1 where none has one."""
+    body = search.body
+    best, most = -1, 0.0
+    for j, votes in enumerate(body.votes):
+        if search.roles[j] or roles.isdisjoint(votes):
+            continue
+        above = [roles & body.votes[k].keys() for k in body.rig.upwards(j)]
+        score = len(set().union(*above)) + 0.01 * sum(map(bool, above))
+        if score > most:
+            best, most = j, score
+    return best
+
+
+def _sides_by_place(search: _Search, across: FloatArray) -> None:
+    """Tell left from right by where limbs are; by the order of the file where same."""
+    body, tips = search.body, search.tips
+    for limb in search.unsided:
+        pair = [f"{limb}_{side}" for side in SIDES]
+        top = body.common([tips[name] for name in pair])
+        ways = [body.way(top, tips[name])[1:] for name in pair]
+        # Hands and feet may cross, where limbs begin they do not.
+        for upper in (2, None):
+            left, right = (body.positions[way[:upper]].mean(axis=0) for way in ways)
+            gap = float((left - right) @ across)
+            if abs(gap) > 0.01 * body.size:
+                break
+        if abs(gap) <= 1e-3 * max(body.size, 1e-30):
+            search.guessed = True
+        elif gap < 0:
+            tips[pair[0]], tips[pair[1]] = tips[pair[1]], tips[pair[0]]
+
+
+def _trunk(search: _Search) -> None:
+    """Give hips, spine, neck, head and what is above the hips their roles."""
+    body, tips = search.body, search.tips
+    legs = [tips[f"leg_{s}"] for s in SIDES if f"leg_{s}" in tips]
+    arms = [tips[f"arm_{s}"] for s in SIDES if f"arm_{s}" in tips]
+    head = _best_named(search, "head")
+    chest = body.common(arms) if len(arms) == 2 else -1
+    if head < 0 and chest >= 0:
+        head = _head_below(search, chest)
+    upper = [j for j in (chest, head) if j >= 0]
+    fork = body.common([*legs, *upper]) if legs and upper else -1
+    seat = body.common(legs) if len(legs) == 2 else fork
+    hips = _hips(search, fork, seat)
+    search.put(hips, "hips")
+    start = max(fork, hips) if fork < 0 else fork
+    if start < 0 and upper:
+        start = body.rig.upwards(upper[-1])[-1]
+    for j in body.rig.upwards(hips)[1:] if hips >= 0 else ():
+        if fork <= j < hips or j < start:
+            search.put(j, "root")
+    for j in body.way(start, seat) if seat > start else ():
+        search.put(j, "pelvis")
+    if upper:
+        start = start if start in body.rig.upwards(upper[-1]) else max(hips, 0)
+        _spine(search, start, chest, head)
+
+
+def _spine(search: _Search, start: int, chest: int, head: int) -> None:
+    """Give the joints from the fork at the hips to chest and head their roles."""
+    body = search.body
+    if chest not in body.rig.upwards(head):
+        for j in body.way(start, chest):
+            search.put(j, "spine")
+    search.put(head, "head")
+    top = head if head >= 0 else chest
+    way = body.way(start, top)
+    named = [i for i, j in enumerate(way) if "neck" in body.votes[j]]
+    after = way.index(chest) + 1 if chest in way else len(way)
+    after = named[0] if named else after
+    for i, j in enumerate(way):
+        search.put(j, "spine" if i < after else "neck")
+
+
+def _best_named(search: _Search, role: str) -> int:
+    """Return the joint whose name says a role most surely, the highest; or -1."""
+    weights = [
+        0.0 if search.roles[j] else votes.get(role, 0.0)
+        for j, votes in enumerate(search.body.votes)
+    ]
+    best = int(np.argmax(weights)) if weights else -1
+    return best if best >= 0 and weights[best] > 0 else -1
+
+
+def _hips(search: _Search, fork: int, seat: int) -> int:
+    """Return the hips: as named if near the fork of legs and trunk, else the fork."""
+    body = search.body
+    named = _best_named(search, "hips")
+    if fork < 0:
+        return named if named >= 0 else seat
+    near = set(body.rig.upwards(fork)) | set(body.way(fork, max(seat, fork)))
+    candidates = [j for j in near if "hips" in body.votes[j]]
+    weight = max((body.votes[j]["hips"] for j in candidates), default=0.0)
+    sure = [j for j in candidates if body.votes[j]["hips"] == weight]
+    return max(sure, key=lambda j: (j == fork, j), default=fork)
+
+
+def _head_below(search: _Search, chest: int) -> int:
+    """Return the head by structure: the first fork or the end of the way above."""
+    body = search.body
+    arms = {j for s in SIDES for j in body.rig.upwards(search.tips[f"arm_{s}"])}
+    others = [j for j in body.limb_children(chest) if j not in arms]
+    if not others:
+        return -1
+    size = [body.lengths[j] + body.reach[j] + 1e-3 * body.counts[j] for j in others]
+    way = body.heaviest(others[int(np.argmax(size))])
+    forks = [j for j in way if len(body.limb_children(j)) > 1]
+    return forks[0] if forks else way[-1]
+
+
+def _limb(search: _Search, limb: str) -> None:
+    """Give the joints of an arm or a leg, and its fingers, their roles."""
+    body, kind, side = search.body, *limb.split("_")
+    tip = search.tips[limb]
+    others = {
+        j
+        for name, other in search.tips.items()
+        if name != limb
+        for j in body.rig.upwards(other)
+    }
+    way = [j for j in body.rig.upwards(tip) if j not in others and not search.roles[j]]
+    way = [*way[::-1], *body.heaviest(tip)[1:]]
+    if not way:
+        return
+    way, branch = (
+        _to_hand(search, way, side) if kind == "arm" else (_to_toe(search, way), -1)
+    )
+    labels = split_limb(body, way, _SHAPES[limb], branch)
+    for j, label in zip(way, labels, strict=True):
+        search.put(j, "" if body.kinds[j] == CONTROL else label)
+    hands = [j for j, label in zip(way, labels, strict=True) if label == f"hand_{side}"]
+    if kind == "arm" and hands:
+        for j, role in finger_roles(body, hands, side).items():
+            search.put(j, "" if body.kinds[j] == CONTROL else role)
+    if kind == "leg":
+        _toes(search, side)
+
+
+def _to_hand(search: _Search, way: list[int], side: str) -> tuple[list[int], int]:
+    """Return an arm's way without its fingers, and the joint they branch off."""
+    votes = search.body.votes
+    hands = [i for i, j in enumerate(way) if f"hand_{side}" in votes[j]]
+    if hands:
+        return way[: hands[-1] + 1], way[hands[-1]]
+    branch, count = search.body.branches(way)
+    if count < 2:
+        return way, -1
+    return way[: way.index(branch) + 1], branch
+
+
+def _to_toe(search: _Search, way: list[int]) -> list[int]:
+    """Return a leg's way, without the toes of a foot that has several."""
+    body = search.body
+    tops = [max(body.votes[j], key=body.votes[j].__getitem__, default="") for j in way]
+    named = [i for i, role in enumerate(tops) if base_role(role) == "toe"]
+    last = max((i for i, j in enumerate(way) if body.votes[j]), default=2)
+    forks = [i for i, j in enumerate(way) if len(body.limb_children(j)) > 1]
+    ends = [*named, *(i for i in forks if i >= max(last, 2))]
+    return way[: ends[0] + 1] if ends else way
+
+
+def _toes(search: _Search, side: str) -> None:
+    """Give all toes of a foot that has several their role, to their last joints."""
+    body, role = search.body, f"toe_{side}"
+    feet = [j for j, own in enumerate(search.roles) if own == f"foot_{side}"]
+    if not feet:
+        return
+    begins = [
+        j
+        for j in body.limb_children(feet[-1])
+        if search.roles[j] in {"", role} and not body.kinds[j]
+    ]
+    ways = np.array([_ahead(body, j) - body.positions[feet[-1]] for j in begins])
+    if len(begins) < 2:
+        return
+    sizes = np.linalg.norm(ways, axis=1)
+    along = ways @ ways[int(np.argmax(sizes))] / max(float(sizes.max()), 1e-30)
+    toes = [j for j, far in zip(begins, along, strict=True) if far > _TOE * along.max()]
+    for top in toes if len(toes) > 1 else ():
+        for j in range(top, len(search.roles)):
+            if top in body.rig.upwards(j) and not body.kinds[j] and not body.is_tip(j):
+                search.put(j, role)
+
+
+def _ahead(body: Body, joint: int) -> FloatArray:
+    """Return where a chain that begins at a joint ends ``(3,)`` [m]."""
+    last = body.heaviest(joint)[-1]
+    return np.asarray(body.positions[last] + body.last_bones[last])
+
+
+def _rest(search: _Search) -> None:
+    """Give the face its roles, and say of other joints why they have none."""
+    body = search.body
+    for j, votes in enumerate(body.votes):
+        for role in votes:
+            if base_role(role) in {"jaw", "eye"} and role not in search.roles:
+                search.put(j, role)
+    for j, kind in enumerate(body.kinds):
+        leaf = not body.children[j]
+        if not search.roles[j] and (kind or (leaf and body.is_tip(j))):
+            search.roles[j] = kind or END
+
+
+ONE_LEG = ("whole left leg", "whole right leg")
+
+
+def _missing_legs(roles: Sequence[str]) -> str:
+    """Return what a skeleton lacks of its legs; empty where both are whole."""
+    whole = [
+        {f"{role}_{side}" for role in ("thigh", "shin", "foot")} <= {*roles}
+        for side in "lr"
+    ]
+    if any(whole):
+        return "" if all(whole) else ONE_LEG[whole[0]]
+    return "whole legs" if {"thigh_l", "thigh_r"} & {*roles} else "legs"
+
+
+def _doubts(search: _Search) -> list[Fault]:
+    """Return what is odd about a skeleton, and what is done instead."""
+    body, rig, roles = search.body, search.body.rig, search.roles
+    hands = [j for j, role in enumerate(roles) if base_role(role) == "hand"]
+    blunt = [repr(rig.names[j]) for j in hands if body.size > 0 and body.reach[j] <= 0]
+    texts = []
+    missing = _missing_legs(roles)
+    if missing:
+        hint = "root motion is scaled as the rest of the body, and no feet are held"
+        if missing in ONE_LEG:
+            hint = "the foot of the other one alone is held"
+        texts.append(("MAP101", f"{rig.name!r} has no {missing}", hint))
+    if len(rig.joints) > 1 and body.size <= 0:
+        message = f"all offsets of {rig.name!r} are zero: it has no rest pose"
+        texts.append(("MAP102", message, "joints are mapped by their names alone"))
+    if blunt:
+        names = listed(blunt, MAX_NAMED)
+        message = f"nothing of {rig.name!r} shows where {names} end"
+        texts.append(("MAP104", message, "the hand goes on as the forearm does"))
+    if search.guessed:
+        message = f"nothing tells left from right in {rig.name!r}"
+        hint = "the first limb of the file is taken for the left one; check the map"
+        texts.append(("MAP105", message, hint))
+    return [
+        Fault(code, message, hint=hint, severity=Severity.WARNING)
+        for code, message, hint in texts
+    ]

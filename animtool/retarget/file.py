@@ -1,0 +1,207 @@
+"""Map files, ``*.map.yaml``: which joints of a target follow which of a source."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal, NamedTuple
+
+from annotated_types import Len
+from pydantic import Field
+
+from animtool.core.names import nearest
+from animtool.documents.check import FileModel, check_version, validated
+from animtool.documents.document import Document, read_document
+from animtool.documents.fields import IgnoreModel, Name, Real, key
+from animtool.retarget.map import TwistShare
+from animtool.retarget.names import bare_names
+from animtool.retarget.roles import ROLES
+from animtool.rig.skeleton import Rig
+
+Share = Annotated[Real, Field(ge=0, le=1)]
+Joints = Name | Annotated[list[Name], Len(1)]
+
+
+class MapEntryModel(FileModel):
+    """Joints of the target that follow joints of the source."""
+
+    source: Joints = key(
+        "A joint of the take's skeleton, or several of a chain, from its root on.",
+        "mixamorig:Spine",
+    )
+    target: Joints = key(
+        "The joint of the rig that follows it, or several. Chains of unequal length "
+        "share by their normalised lengths.",
+        ["spine_01", "spine_02"],
+    )
+    role: Name | None = key(
+        "What it is of a body. Not given: as names and structure say.",
+        "spine",
+        default=None,
+    )
+
+
+class MapTwistModel(FileModel):
+    """A joint of the target that takes a share of a bone's twist."""
+
+    joint: Name = key("The joint that twists.", "upperarm_twist_01_l")
+    bone: Name = key("The joint whose bone is twisted.", "upperarm_l")
+    share: Share = key("0 is none of the twist, 1 all of it.", 0.5)
+
+
+class MapIgnoredModel(FileModel):
+    """Joints that are left as they are."""
+
+    source: list[Name] = key(
+        "Of the source: they move nothing.", ["HeadTop_End"], default=[]
+    )
+    target: list[Name] = key("Of the target.", ["ik_foot_l"], default=[])
+
+
+class MapModel(FileModel):
+    """A map file."""
+
+    map: Literal["animtool/1"] = key("File type and format version.", "animtool/1")
+    joints: Annotated[list[MapEntryModel], Len(1)] = key(
+        "Which joints follow which.", [{"source": "Hips", "target": "pelvis"}]
+    )
+    others: Literal["none", "auto"] = key(
+        "Joints that the file does not name: `none` leaves them as they are, `auto` "
+        "maps them as without a file.",
+        "auto",
+        default="none",
+    )
+    twists: list[MapTwistModel] | None = key(
+        "Joints that share a bone's twist. Not given: those that names show.",
+        [{"joint": "upperarm_twist_01_l", "bone": "upperarm_l", "share": 0.5}],
+        default=None,
+    )
+    ignored: MapIgnoredModel = key(
+        "Joints that are left as they are, whatever `others` says.",
+        {"target": ["ik_foot_l"]},
+        default=MapIgnoredModel(),
+    )
+    ignore: list[IgnoreModel] = key(
+        "Findings of `animtool validate` that are known and stay.",
+        [{"code": "MAP002", "why": "it is meant"}],
+        default=[],
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class MapFile:
+    """A map file that was read."""
+
+    document: Document
+    model: MapModel
+
+
+class FileEntry(NamedTuple):
+    """Joints of both sides that an entry of a map file names, by index."""
+
+    source: tuple[int, ...]
+    target: tuple[int, ...]
+    role: str  # empty where the file says none
+
+
+@dataclass(frozen=True, slots=True)
+class FileMap:
+    """A map file for two skeletons."""
+
+    entries: tuple[FileEntry, ...]
+    twists: tuple[TwistShare, ...] | None
+    ignored: tuple[frozenset[int], frozenset[int]]  # of the source, of the target
+    only: bool  # whether joints that it does not name stay as they are
+
+
+def load_map(path: Path | str) -> MapFile:
+    """Return a map file; names of joints are checked by `resolved_map`.
+
+    Raises:
+        FormatError: It cannot be read or is malformed, with every fault.
+    """
+    return map_of_document(read_document(Path(path)))
+
+
+def map_of_document(document: Document) -> MapFile:
+    """Return a document as a map file."""
+    check_version(document, "map")
+    model = validated(document, MapModel)
+    taken: dict[str, int] = {}
+    for i, entry in enumerate(model.joints):
+        for name in _names(entry.target):
+            if name in taken:
+                message = f"{name!r} follows the joints of two entries"
+                hint = f"leave it out here, or of joints[{taken[name]}]"
+                document.add("MAP002", ("joints", i, "target"), message, hint)
+            taken.setdefault(name, i)
+        if entry.role is not None and entry.role not in ROLES:
+            message = f"unknown role {entry.role!r}"
+            hint = nearest(entry.role, ROLES)
+            document.add("MAP005", ("joints", i, "role"), message, hint)
+    document.check()
+    return MapFile(document, model)
+
+
+def resolved_map(file: MapFile, source: Rig, target: Rig) -> FileMap:
+    """Return a map file's joints as indices of two skeletons.
+
+    A joint is found by its name, by that of its file, and by either without namespace
+    and prefix.
+
+    Raises:
+        FormatError: Neither skeleton has a joint that is named (MAP001).
+    """
+    document, model = file.document, file.model
+    rigs = {"source": source, "target": target}
+    indices = {side: _index(rig) for side, rig in rigs.items()}
+
+    def found(side: str, names: Sequence[str], *where: str | int) -> tuple[int, ...]:
+        for i, name in enumerate(names):
+            if name not in indices[side]:
+                message = f"the {side} {rigs[side].name!r} has no joint {name!r}"
+                hint = nearest(name, indices[side])
+                document.add("MAP001", (*where, i), message, hint)
+        return tuple(indices[side][name] for name in names if name in indices[side])
+
+    entries = [
+        FileEntry(
+            found("source", _names(entry.source), "joints", i, "source"),
+            found("target", _names(entry.target), "joints", i, "target"),
+            entry.role or "",
+        )
+        for i, entry in enumerate(model.joints)
+    ]
+    stated = list(enumerate(model.twists or ()))
+    joints = [found("target", [t.joint], "twists", i, "joint") for i, t in stated]
+    bones = [found("target", [t.bone], "twists", i, "bone") for i, t in stated]
+    ignored = [
+        frozenset(found(side, getattr(model.ignored, side), "ignored", side))
+        for side in rigs
+    ]
+    document.check()
+    twists = [
+        TwistShare(joint, bone, twist.share)
+        for (joint,), (bone,), (_, twist) in zip(joints, bones, stated, strict=True)
+    ]
+    return FileMap(
+        tuple(entries),
+        None if model.twists is None else tuple(twists),
+        (ignored[0], ignored[1]),
+        model.others == "none",
+    )
+
+
+def _names(value: str | list[str]) -> list[str]:
+    return [value] if isinstance(value, str) else value
+
+
+def _index(rig: Rig) -> Mapping[str, int]:
+    """Return the joints by every name that finds them."""
+    index: dict[str, int] = {}
+    written = [joint.source_name or joint.name for joint in rig.joints]
+    for names in (rig.names, written, bare_names(written)):
+        for j, name in enumerate(names):
+            index.setdefault(name, j)
+    return index

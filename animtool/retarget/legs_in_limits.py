@@ -1,0 +1,154 @@
+"""Legs that limits stop: knees go round, and hips rise, so that feet stand even so.
+
+Where that is not enough, feet are where limits let them be.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from animtool.core.array_types import BoolArray, FloatArray, IntArray
+from animtool.maths import so3
+from animtool.motion.contacts import smoothed
+from animtool.retarget.feet import Placed, upper
+from animtool.retarget.legs import (
+    LegTracks,
+    leg_of,
+    put_ankle,
+    swivelled,
+    up_index,
+)
+from animtool.retarget.person import Person
+from animtool.rig.limits import BallLimit
+
+# How far knees may go round: what is tried, and then about the best of it [rad].
+SWIVELS = np.radians(np.arange(-60.0, 60.1, 15.0))
+NEARBY = np.radians([-10.0, -5.0, 0.0, 5.0, 10.0])
+# What going round costs, over what limits take from a joint.
+SWIVEL_COST = 0.05
+# Knees go round, and hips rise, within about these times [s].
+SWIVEL_TIME, RISE_TIME = 0.1, 0.2
+# How often hips rise at most, and how deep feet may stay, over the skeleton's size.
+RISES, SUNK = 3, 5e-4
+
+
+@dataclass(frozen=True, slots=True)
+class _Leg:
+    """A leg whose foot is placed, at all frames."""
+
+    target: Person
+    side: str
+    tracks: LegTracks
+    goal: FloatArray  # of the ankle (F, 3) [m]
+    foot: FloatArray  # turns of the foot in the world (F, 4)
+    stands: BoolArray  # (F,)
+
+    def turns(self, hips: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return turns of thigh and shin that bring the ankle to its goal."""
+        tracks = self.tracks
+        about = np.stack([tracks.hip, tracks.knee, tracks.ankle], axis=1)
+        both = tracks.turns[:, 1], tracks.turns[:, 2]
+        return put_ankle(self.target, self.side, hips[:, None] + about, self.goal, both)
+
+    def swivel(self, hips: FloatArray, fps: float) -> FloatArray:
+        """Return how far the knee goes round for the limits of its leg ``(F,)`` [rad].
+
+        The least that does, or the best where none is enough.
+        """
+        found = np.zeros(len(hips))
+        turns, way = self.turns(hips), self.goal - hips - self.tracks.hip
+        every = np.arange(len(hips))
+        off = np.flatnonzero(self._excess(turns, way, every, found) > 0)
+        if not len(off):
+            return found
+        best = np.zeros(len(off))
+        for steps in (SWIVELS, NEARBY):
+            tried = best + steps[:, None]
+            costs = [
+                self._excess(turns, way, off, angles) + (SWIVEL_COST * angles) ** 2
+                for angles in tried
+            ]
+            best = tried[np.argmin(costs, axis=0), np.arange(len(off))]
+        found[off] = best
+        return smoothed(found, SWIVEL_TIME * fps)
+
+    def _excess(
+        self,
+        turns: tuple[FloatArray, FloatArray],
+        way: FloatArray,
+        frames: IntArray,
+        angles: FloatArray,
+    ) -> FloatArray:
+        """Return the squares of what limits take from hip and ankle [rad²]."""
+        rig, (thigh, _, foot, _) = self.target.rig, leg_of(self.target, self.side)
+        both = turns[0][frames], turns[1][frames]
+        first, second = swivelled(both, way[frames], angles)
+        above = so3.conjugate(self.tracks.turns[frames, 0])
+        total = np.zeros(len(frames))
+        for joint, local in (
+            (thigh, so3.multiply(above, first)),
+            (foot, so3.multiply(so3.conjugate(second), self.foot[frames])),
+        ):
+            limit = rig.joints[joint].limits
+            if isinstance(limit, BallLimit):
+                back = so3.conjugate(rig.rest_rotations[joint])
+                total += limit.excess(so3.multiply(back, local)) ** 2
+        return total
+
+    def sunk(self, hips: FloatArray, swivel: FloatArray) -> FloatArray:
+        """Return how far below its goal the ankle is for the hip's limits ``(F,)`` [m].
+
+        Where the foot stands, and 0 elsewhere.
+        """
+        rig, (thigh, shin, foot, _) = self.target.rig, leg_of(self.target, self.side)
+        limit = rig.joints[thigh].limits
+        if not isinstance(limit, BallLimit):
+            return np.zeros(len(hips))
+        start = hips + self.tracks.hip
+        first, second = swivelled(self.turns(hips), self.goal - start, swivel)
+        above, rest = self.tracks.turns[:, 0], rig.rest_rotations[thigh]
+        own = so3.multiply(so3.conjugate(so3.multiply(above, rest)), first)
+        held = so3.multiply(above, so3.multiply(rest, limit.clamped(own)))
+        # The knee is as bent as it was.
+        second = so3.multiply(held, so3.multiply(so3.conjugate(first), second))
+        bones = rig.rest_translations
+        knee = start + so3.rotate(held, bones[shin])
+        ankle = knee + so3.rotate(second, bones[foot])
+        up = up_index(rig)
+        low = np.maximum(self.goal[:, up] - ankle[:, up], 0.0)
+        return np.where(self.stands, low, 0.0)
+
+
+def within_limits(
+    target: Person, sides: str, tracks: Sequence[LegTracks], placed: Placed, fps: float
+) -> tuple[FloatArray, list[FloatArray]]:
+    """Return where hips are ``(F, 3)`` [m], and how far knees go round [rad].
+
+    Args:
+        target: Whose legs they are.
+        sides: Of the legs.
+        tracks: Of each leg.
+        placed: Where hips and feet are to be.
+        fps: Frames a second.
+    """
+    legs = [
+        _Leg(target, *parts)
+        for parts in zip(
+            sides, tracks, placed.ankles, placed.turns, placed.locked, strict=True
+        )
+    ]
+    hips = placed.hips.copy()
+    angles = [leg.swivel(hips, fps) for leg in legs]
+    for tried in range(RISES):
+        low = np.max(
+            [leg.sunk(hips, a) for leg, a in zip(legs, angles, strict=True)], 0
+        )
+        if low.max() < SUNK * target.size:
+            break
+        hips[:, up_index(target.rig)] += upper(low, RISE_TIME * fps)
+        if tried == RISES - 1:
+            angles = [leg.swivel(hips, fps) for leg in legs]
+    return hips, angles

@@ -1,0 +1,134 @@
+"""A map from the joints of one skeleton to those of another, and its text."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from animtool.core.errors import Fault
+from animtool.core.names import number, text
+from animtool.retarget.roles import Anatomy, RoleSource
+from animtool.rig.skeleton import Rig
+
+# Columns of a map file's lists.
+WIDTH = 88
+
+
+@dataclass(frozen=True, slots=True)
+class JointPair:
+    """A joint of the source and the joint of the target that it moves."""
+
+    source: int  # index of the joint
+    target: int  # index of the joint
+    role: str  # of `ROLES`; empty where a file or a name alone pairs them
+    found: RoleSource  # the less sure of the two
+    confidence: float  # 0 to 1
+
+
+@dataclass(frozen=True, slots=True)
+class JointChain:
+    """Joints of a role on both sides, where either has several.
+
+    Where a joint begins is its distance from the first one along the chain, as a share
+    of the chain's length with its last bone: 0 for the first.
+    """
+
+    role: str
+    source: tuple[int, ...]
+    target: tuple[int, ...]
+    source_at: tuple[float, ...]  # 0 to 1, below 1
+    target_at: tuple[float, ...]  # 0 to 1, below 1
+
+
+@dataclass(frozen=True, slots=True)
+class TwistShare:
+    """A joint of the target that takes a share of a bone's twist."""
+
+    joint: int  # index in the target
+    bone: int  # index in the target of the joint whose bone is twisted
+    share: float  # of the twist from the bone's begin (0) to its end (1)
+
+
+@dataclass(frozen=True, slots=True)
+class JointMap:
+    """Which joints of a target follow which of a source."""
+
+    pairs: tuple[JointPair, ...]  # in the order of the target's joints
+    chains: tuple[JointChain, ...]
+    twists: tuple[TwistShare, ...]
+    unmapped_source: tuple[int, ...]  # joints that move nothing
+    unmapped_target: tuple[int, ...]  # joints that stay at rest
+    source: Anatomy
+    target: Anatomy
+    notices: tuple[Fault, ...] = ()
+
+    def by_role(self, role: str) -> JointPair | None:
+        """Return the first pair of a role; None where it is not mapped."""
+        return next((pair for pair in self.pairs if pair.role == role), None)
+
+
+def map_text(found: JointMap, source: Rig, target: Rig) -> str:
+    """Return a map as the text of a map file, to be edited.
+
+    Read again for the same skeletons, it gives the same pairs, chains and twists.
+    """
+    return "\n".join(_lines(found, source, target)) + "\n"
+
+
+def _lines(found: JointMap, source: Rig, target: Rig) -> Iterator[str]:
+    ours, theirs = source.names, target.names
+    yield f"# {text(source.name)} onto {text(target.name)}"
+    yield "map: animtool/1"
+    # Who edits it finds the key, and what it may be.
+    yield "others: none  # auto maps joints that are not named here, as without a file"
+    yield "joints:"
+    chained = {j for chain in found.chains for j in chain.target}
+    chains = {chain.target[0]: chain for chain in found.chains}
+    for pair in found.pairs:
+        if pair.target in chains:
+            chain = chains[pair.target]
+            left = _flow([ours[j] for j in chain.source])
+            right = _flow([theirs[j] for j in chain.target])
+        elif pair.target in chained:
+            continue
+        else:
+            left, right = text(ours[pair.source]), text(theirs[pair.target])
+        role = f", role: {pair.role}" if pair.role else ""
+        sure = f"  # {pair.found or 'unsure'}, {pair.confidence:.0%} sure"
+        comment = sure if pair.confidence < 1.0 else ""
+        yield f"- {{source: {left}, target: {right}{role}}}{comment}"
+    if found.twists:
+        yield "twists:"
+    for twist in found.twists:
+        joint, bone = text(theirs[twist.joint]), text(theirs[twist.bone])
+        share = number(round(twist.share, 6))
+        yield f"- {{joint: {joint}, bone: {bone}, share: {share}}}"
+    unmapped = {
+        "source": [ours[j] for j in found.unmapped_source],
+        "target": [theirs[j] for j in found.unmapped_target],
+    }
+    if any(unmapped.values()):
+        yield "ignored:"
+    for side, names in unmapped.items():
+        if names:
+            yield from _wrapped(f"  {side}: [", list(map(text, names)))
+
+
+def _wrapped(head: str, names: Sequence[str]) -> Iterator[str]:
+    """Yield the lines of a list of names, none broken."""
+    line = head
+    for i, name in enumerate(names):
+        last = i == len(names) - 1
+        item = f"{name}]" if last else f"{name},"
+        gap = "" if line == head or line.endswith(" ") else " "
+        if len(line) + len(gap) + len(item) > WIDTH and line != head:
+            yield line
+            line, gap = " " * len(head), ""
+        line += f"{gap}{item}"
+    yield line
+
+
+def _flow(names: Sequence[str]) -> str:
+    if len(names) == 1:
+        return text(names[0])
+    return f"[{', '.join(map(text, names))}]"

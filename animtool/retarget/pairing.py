@@ -1,0 +1,310 @@
+"""Pairing the joints of two skeletons by their roles, their names or a map file."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault, OptionError
+from animtool.retarget.anatomy import anatomy
+from animtool.retarget.file import FileMap, MapFile, load_map, resolved_map
+from animtool.retarget.map import JointChain, JointMap, JointPair, TwistShare
+from animtool.retarget.roles import (
+    DIGITS,
+    END,
+    MITTEN,
+    ROLES,
+    SIDES,
+    TWIST,
+    Anatomy,
+    MapMode,
+    RoleSource,
+    base_role,
+)
+from animtool.rig.kinematics import rest_world
+from animtool.rig.skeleton import Rig
+
+# Where the last bone of a chain leads to, the first of them that there is.
+_NEXT = {
+    "spine": ("neck", "head"),
+    "neck": ("head",),
+    "clavicle": ("upper_arm",),
+    "upper_arm": ("forearm",),
+    "forearm": ("hand",),
+    "pelvis": ("thigh",),
+    "thigh": ("shin",),
+    "shin": ("foot",),
+    "foot": ("toe",),
+}
+# Twist joints hang on the bones that their name or place says.
+_TWISTED = ("upper_arm", "forearm", "thigh", "shin")
+
+
+def map_joints(
+    source: Rig,
+    target: Rig,
+    *,
+    preset: str | None = None,
+    target_preset: str | None = None,
+    map_file: Path | str | MapFile | None = None,
+    mode: MapMode = "auto",
+    source_positions: FloatArray | None = None,
+    target_positions: FloatArray | None = None,
+) -> JointMap:
+    """Return which joints of a target follow which of a source.
+
+    Args:
+        source: The skeleton of a take, of J joints.
+        target: The rig that it goes onto, of K joints.
+        preset: The convention of the source's names; None finds it.
+        target_preset: That of the target's names.
+        map_file: A map file, or one that was read; its pairs go before all others.
+        mode: What joints are told by.
+        source_positions: Of the source's joints in a pose of a person who stands
+            ``(J, 3)`` [m], where its rest pose is none.
+        target_positions: Of the target's joints ``(K, 3)`` [m].
+
+    Raises:
+        FormatError: The map file cannot be read, or names joints that neither has.
+        OptionError: There is no such preset (MAP003), or nothing is mapped (MAP004).
+
+    >>> from animtool.rig.skeleton import Joint
+    >>> ours = [Joint("LeftArm", -1), Joint("LeftForeArm", 0), Joint("LeftHand", 1)]
+    >>> theirs = [Joint("hand_l", -1)]
+    >>> found = map_joints(Rig("take", tuple(ours)), Rig("puppet", tuple(theirs)))
+    >>> [(pair.source, pair.target, pair.role) for pair in found.pairs]
+    [(2, 0, 'hand_l')]
+    """
+    stated: FileMap | None = None
+    if map_file is not None:
+        file = map_file if isinstance(map_file, MapFile) else load_map(map_file)
+        stated = resolved_map(file, source, target)
+    by_names = mode != "structure"
+    anatomies = (
+        anatomy(source, preset=preset, positions=source_positions, by_names=by_names),
+        anatomy(
+            target,
+            preset=target_preset,
+            positions=target_positions,
+            by_names=by_names,
+        ),
+    )
+    pairing = _Pairing((source, target), anatomies)
+    if stated is not None:
+        pairing.add_file(stated)
+    if stated is None or not stated.only:
+        if mode == "rename":
+            pairing.add_same_names()
+        for role in ROLES:
+            pairing.add_role(role, mode)
+        if mode != "rename":
+            pairing.add_mittens()
+    pairs, chains = pairing.pairs, pairing.chains
+    if stated is not None and stated.twists is not None:
+        twists = stated.twists
+    else:
+        twists = _twists(target, anatomies[1], pairing)
+    if not pairs:
+        message = f"no joint of {source.name!r} maps to one of {target.name!r}"
+        hint = "name a preset of each, or write a map file"
+        raise OptionError(Fault("MAP004", message, hint=hint))
+    used = {pair.source for pair in pairs.values()}
+    used |= {j for chain in chains for j in chain.source}
+    moved = {*pairs, *(twist.joint for twist in twists)}
+    return JointMap(
+        tuple(pairs[j] for j in sorted(pairs)),
+        tuple(chains),
+        twists,
+        _left(source, anatomies[0], used),
+        _left(target, anatomies[1], moved),
+        *anatomies,
+        (*anatomies[0].notices, *anatomies[1].notices),
+    )
+
+
+def _left(rig: Rig, known: Anatomy, used: set[int]) -> tuple[int, ...]:
+    """Return the joints that are not mapped and are no mere ends of bones."""
+    return tuple(
+        j for j in range(len(rig.joints)) if j not in used and known.roles[j] != END
+    )
+
+
+@dataclass(slots=True)
+class _Pairing:
+    """The pairs and chains found so far; what was paired first stays."""
+
+    rigs: tuple[Rig, Rig]
+    anatomies: tuple[Anatomy, Anatomy]
+    pairs: dict[int, JointPair] = field(default_factory=dict)  # by joint of the target
+    chains: list[JointChain] = field(default_factory=list)
+    # Joints that a file keeps as they are, of both sides.
+    ignored: tuple[frozenset[int], frozenset[int]] = (frozenset(), frozenset())
+
+    def add_file(self, stated: FileMap) -> None:
+        """Pair what a map file says."""
+        self.ignored = stated.ignored
+        for entry in stated.entries:
+            role = entry.role or self.anatomies[1].roles[entry.target[0]]
+            role = role if role in ROLES else ""
+            self._add(role, entry.source, entry.target, RoleSource.FILE)
+
+    def add_same_names(self) -> None:
+        """Pair joints of the same name."""
+        source, target = self.rigs
+        names = {name: j for j, name in enumerate(source.names)}
+        for j, name in enumerate(target.names):
+            if name in names and j not in self.pairs and j not in self.ignored[1]:
+                self.pairs[j] = JointPair(names[name], j, "", RoleSource.NAME, 1.0)
+
+    def add_role(self, role: str, mode: MapMode) -> None:
+        """Pair the joints of one role that are left."""
+        ours, theirs = (
+            [
+                j
+                for j in known.chain(role)
+                if j not in ignored and (mode != "names" or _by_name(known, j))
+            ]
+            for known, ignored in zip(self.anatomies, self.ignored, strict=True)
+        )
+        theirs = [j for j in theirs if j not in self.pairs]
+        if mode == "rename":
+            taken = {pair.source for pair in self.pairs.values()}
+            ours = [j for j in ours if j not in taken]
+            for k, j in zip(ours, theirs, strict=False):
+                self._add(role, [k], [j])
+        elif ours and theirs and base_role(role) == "toe":
+            self._add_toes(role, ours, theirs)
+        elif ours and theirs:
+            self._add(role, ours, theirs)
+
+    def _add_toes(self, role: str, ours: list[int], theirs: list[int]) -> None:
+        """Pair the toes of a foot, in their order from the inner side on."""
+        rows = [
+            _in_order(rig, known, role, chain)
+            for rig, known, chain in zip(
+                self.rigs, self.anatomies, (ours, theirs), strict=True
+            )
+        ]
+        last = len(rows[0]) - 1
+        for i, toe in enumerate(rows[1]):
+            at = i / (len(rows[1]) - 1) if len(rows[1]) > 1 else 0.5
+            self._add(role, rows[0][int(at * last + 0.5)], toe)
+
+    def add_mittens(self) -> None:
+        """Pair fingers with a hand that has them in one, whichever side has it."""
+        for side in SIDES:
+            mittens = [known.chain(f"{MITTEN}_{side}") for known in self.anatomies]
+            first = [
+                [j for digit in DIGITS[1:] for j in known.chain(f"{digit}_1_{side}")]
+                for known in self.anatomies
+            ]
+            ours, theirs = mittens
+            if ours and not theirs:
+                for j in first[1]:
+                    if j not in self.pairs and j not in self.ignored[1]:
+                        self._add(self.anatomies[1].roles[j], ours[:1], [j])
+            elif theirs and not ours and first[0] and theirs[0] not in self.pairs:
+                middle = first[0][min(1, len(first[0]) - 1)]
+                self._add(f"{MITTEN}_{side}", [middle], theirs[:1])
+
+    def _add(
+        self,
+        role: str,
+        ours: Sequence[int],
+        theirs: Sequence[int],
+        found: RoleSource | None = None,
+    ) -> None:
+        """Pair two chains, and note them where either has several joints."""
+        at = [
+            _places(rig, known, chain)
+            for rig, known, chain in zip(
+                self.rigs, self.anatomies, (ours, theirs), strict=True
+            )
+        ]
+        if len(ours) > 1 or len(theirs) > 1:
+            chain = (tuple(ours), tuple(theirs), tuple(at[0]), tuple(at[1]))
+            self.chains.append(JointChain(role, *chain))
+        for i, j in enumerate(theirs):
+            same = len(ours) == len(theirs)
+            k = ours[i] if same else ours[_nearest(at[0], at[1][i])]
+            ends = zip(self.anatomies, (k, j), strict=True)
+            sure, how = min(
+                ((known.confidence[each], known.found[each]) for known, each in ends),
+                key=lambda pair: pair[0],
+            )
+            if found is not None:
+                sure, how = 1.0, found
+            self.pairs[j] = JointPair(k, j, role, how, sure)
+
+
+def _in_order(
+    rig: Rig, known: Anatomy, role: str, joints: list[int]
+) -> list[list[int]]:
+    """Return the joints of each toe of a foot, the innermost first."""
+    tops = [j for j in joints if int(rig.parents[j]) not in joints]
+    toes = [[j for j in joints if top in rig.upwards(j)] for top in tops]
+    side, places = role[-1:], rest_world(rig).positions[0]
+    feet = [known.chain(f"foot_{each}") for each in (side, "lr".replace(side, ""))]
+    if len(toes) < 2 or not all(feet):
+        return toes
+    inwards = places[feet[1][0]] - places[feet[0][0]]
+    return sorted(toes, key=lambda toe: -float(places[toe[0]] @ inwards))
+
+
+def _by_name(known: Anatomy, joint: int) -> bool:
+    return known.found[joint] in {RoleSource.NAME, RoleSource.PRESET, RoleSource.FILE}
+
+
+def _nearest(at: Sequence[float], place: float) -> int:
+    """Return the last joint that begins at a place or above, or next to it."""
+    return int(np.argmin(np.abs(np.asarray(at) - place)))
+
+
+def _places(rig: Rig, known: Anatomy, chain: Sequence[int]) -> list[float]:
+    """Return where the joints of a chain begin, as shares of its length."""
+    steps = [0.0, *(_distance(rig, a, b) for a, b in pairwise(chain))]
+    total = sum(steps) + _bone(rig, known, chain[-1])
+    if total <= 0 or max(steps) <= 0:
+        return [i / len(chain) for i in range(len(chain))]
+    return [float(at) / total for at in np.cumsum(steps)]
+
+
+def _distance(rig: Rig, upper: int, lower: int) -> float:
+    """Return the length of the way down from one joint to another [m]."""
+    way = rig.upwards(lower)
+    way = way[: way.index(upper)] if upper in way else [lower]
+    return float(np.linalg.norm(rig.rest_translations[way], axis=1).sum())
+
+
+def _bone(rig: Rig, known: Anatomy, joint: int) -> float:
+    """Return the length of a joint's bone: to the next role, or else its end [m]."""
+    role = known.roles[joint]
+    side = role.removeprefix(base_role(role))
+    for name in _NEXT.get(base_role(role), ()):
+        below = [j for j in known.chain(name + side) if joint in rig.upwards(j)[1:]]
+        if below:
+            return _distance(rig, joint, below[0])
+    ends = [child.translation for child in rig.joints if child.parent == joint]
+    ends += rig.joints[joint].tips
+    return max((float(np.linalg.norm(end)) for end in ends), default=0.0)
+
+
+def _twists(target: Rig, known: Anatomy, pairing: _Pairing) -> tuple[TwistShare, ...]:
+    """Return the shares of twist of joints that lie along a bone."""
+    shares = []
+    for j, role in enumerate(known.roles):
+        bone = target.joints[j].parent
+        if role != TWIST or bone < 0 or j in {*pairing.pairs, *pairing.ignored[1]}:
+            continue
+        if base_role(known.roles[bone]) not in _TWISTED:
+            continue
+        length = _bone(target, known, bone)
+        own = float(np.linalg.norm(target.joints[j].translation))
+        share = min(own / length, 1.0) if length > 0 else 0.5
+        shares.append(TwistShare(j, bone, share))
+    return tuple(shares)

@@ -1,0 +1,152 @@
+"""A skeleton as a person: where its joints rest, and which are its limbs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from animtool.core.array_types import FloatArray
+from animtool.maths import so3
+from animtool.retarget.roles import base_role
+from animtool.rig.kinematics import forward, rest_world
+from animtool.rig.skeleton import Rig
+
+# Bones shorter than this share of the skeleton have no direction [1].
+NO_BONE = 1e-4
+# What leads from a joint of a role to where its bone ends.
+_NEXT = {
+    "upper_arm": "forearm",
+    "forearm": "hand",
+    "thigh": "shin",
+    "shin": "foot",
+    "hand": "middle_1",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Ball:
+    """The point that a foot rolls over."""
+
+    joint: int  # the toe that begins there; -1 where no joint does
+    offset: FloatArray  # from the ankle, in the frame of the foot (3,) [m]
+
+
+@dataclass(frozen=True, slots=True)
+class Person:
+    """A skeleton at rest, with the joints of its roles."""
+
+    rig: Rig
+    roles: tuple[str, ...]  # of each joint (J,)
+    positions: FloatArray  # at rest (J, 3) [m]
+    turns: FloatArray  # at rest, in the world (J, 4)
+    # Where its feet roll, by side; of a skeleton beside another one.
+    balls: Mapping[str, Ball] = field(default_factory=dict)
+
+    @staticmethod
+    def of(rig: Rig, roles: tuple[str, ...], pose: FloatArray | None = None) -> Person:
+        """Return a skeleton; ``pose``: local rotations ``(J, 4)`` in place of rest."""
+        if pose is None:
+            rest = rest_world(rig)
+        else:
+            rest = forward(rig, rig.rest_translations[None], pose[None])
+        return Person(rig, roles, rest.positions[0], rest.rotations[0])
+
+    def joint(self, role: str) -> int:
+        """Return the last joint of a role; -1 for none."""
+        return max((j for j, own in enumerate(self.roles) if own == role), default=-1)
+
+    def first(self, role: str) -> int:
+        """Return the first joint of a role; -1 for none."""
+        return self.roles.index(role) if role in self.roles else -1
+
+    def bone(self, joint: int) -> FloatArray | None:
+        """Return the unit direction of a joint's bone at rest ``(3,)``, if any."""
+        end, role = -1, self.roles[joint]
+        side, own = role[len(base_role(role)) :], base_role(role)
+        if own in _NEXT:
+            end = self.first(_NEXT[own] + side)
+        if end < 0:
+            below = [k for k, p in enumerate(self.rig.parents) if p == joint]
+            end = below[0] if len(below) == 1 else -1
+        ball = self.balls.get(role[-1:]) if own == "foot" else None
+        if end < 0 and ball is not None:
+            way = so3.rotate(self.turns[joint], ball.offset)
+            return np.asarray(way / np.linalg.norm(way))
+        if end < 0 or not self.apart(joint, end):
+            return None
+        way = self.positions[end] - self.positions[joint]
+        return np.asarray(way / np.linalg.norm(way))
+
+    def way(self, joint: int, below: int) -> FloatArray:
+        """Return where a joint below another is at rest, in its frame ``(3,)`` [m]."""
+        way = self.positions[below] - self.positions[joint]
+        return so3.rotate(so3.conjugate(self.turns[joint]), way)
+
+    def apart(self, joint: int, other: int) -> bool:
+        """Return whether two joints are not at one place at rest."""
+        way = self.positions[other] - self.positions[joint]
+        return float(np.linalg.norm(way)) > NO_BONE * self.size
+
+    @property
+    def size(self) -> float:
+        """How far the joints reach [m]."""
+        return float(np.ptp(self.positions, axis=0).max())
+
+    @property
+    def ways(self) -> FloatArray:
+        """Lengths of all bones from the hips to each joint at rest ``(J,)`` [m]."""
+        made = np.zeros(len(self.rig.joints))
+        hips = self.first("hips")
+        for j, parent in enumerate(self.rig.parents.tolist()):
+            if parent >= 0 and j != hips:
+                bone = self.positions[j] - self.positions[parent]
+                made[j] = made[parent] + np.linalg.norm(bone)
+        return made
+
+    @property
+    def facing(self) -> FloatArray | None:
+        """Left, up and forward of a person who stands, rows ``(3, 3)``, if known."""
+        ways = []
+        for pair in (("thigh_l", "thigh_r"), ("upper_arm_l", "upper_arm_r")):
+            left, right = map(self.first, pair)
+            if left >= 0 and right >= 0:
+                ways.append(self.positions[left] - self.positions[right])
+        low, high = self.first("hips"), self.first("head")
+        high = high if high >= 0 else self.joint("spine")
+        if not ways or low < 0 or high < 0:
+            return None
+        left = ways[0] / (np.linalg.norm(ways[0]) or 1.0)
+        up = self.positions[high] - self.positions[low]
+        up = up - (up @ left) * left
+        size = float(np.linalg.norm(up))
+        if not np.linalg.norm(ways[0]) or size <= NO_BONE * self.size:
+            return None
+        return np.stack([left, up / size, np.cross(left, up / size)])
+
+    def leg(self, side: str) -> tuple[int, int, int, int] | None:
+        """Return thigh, shin, foot and toe (-1 for none) of a side, if it has a leg."""
+        thigh, shin, foot = (
+            self.first(f"{role}_{side}") for role in ("thigh", "shin", "foot")
+        )
+        toe = self.first(f"toe_{side}")
+        return None if min(thigh, shin, foot) < 0 else (thigh, shin, foot, toe)
+
+    def leg_length(self, side: str) -> float:
+        """Return the length of thigh and shin [m]."""
+        leg = self.leg(side)
+        if leg is None:
+            return 0.0
+        points = self.positions[list(leg[:3])]
+        return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
+
+    def leg_bones(self, side: str) -> FloatArray:
+        """Return the lengths of thigh, shin and, if known, foot ``(2 or 3,)`` [m]."""
+        leg = self.leg(side)
+        assert leg is not None
+        points = self.positions[list(leg[:3])]
+        bones = np.linalg.norm(np.diff(points, axis=0), axis=1)
+        if side in self.balls:
+            bones = np.append(bones, np.linalg.norm(self.balls[side].offset))
+        return np.asarray(bones)

@@ -1,0 +1,115 @@
+"""Props of a take that hands hold: where they are, and where they go with the rig."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from animtool.core.array_types import BoolArray, FloatArray
+from animtool.maths import so3
+from animtool.motion.contacts import intervals, smoothed, without_short
+from animtool.motion.motion import Channel, Motion
+from animtool.motion.transforms import Track, Transforms, turned_track
+from animtool.retarget.transfer import Transfer
+
+# A hand holds what goes with it: its place changes less than this share of an arm a
+# second, seen from the prop.
+STEADY = 0.25
+# And is nearer to its origin than this many arms.
+NEAR = 1.5
+# What is held is carried: it goes further than this share of an arm.
+TAKEN_ALONG = 0.1
+# Speeds are those of ways smoothed by a Gaussian of this width [s].
+SMOOTH = 0.03
+
+
+@dataclass(frozen=True, slots=True)
+class PropMotion:
+    """Where a prop is in all frames, in the target's axes."""
+
+    track: int  # which of the take's it is
+    places: FloatArray  # (F, 3) [m]
+    turns: FloatArray  # (F, 4)
+
+    def held_by(self, wrist: FloatArray, arm: float, fps: float) -> BoolArray:
+        """Return when a hand holds it ``(F,)``.
+
+        Args:
+            wrist: Of the source ``(F, 3)`` [m].
+            arm: Length of its arm [m].
+            fps: Frames a second.
+        """
+        if len(wrist) < 3 or arm <= 0:
+            return np.zeros(len(wrist), np.bool_)
+        seen = self.seen(wrist)
+        speed = np.gradient(smoothed(seen, SMOOTH * fps), axis=0) * fps
+        steady = np.linalg.norm(speed, axis=1) < STEADY * arm
+        near = np.linalg.norm(seen, axis=1) < NEAR * arm
+        held = without_short(steady & near, fps)
+        for start, end in intervals(held):
+            if np.ptp(self.places[start:end], axis=0).max() < TAKEN_ALONG * arm:
+                held[start:end] = False
+        return held
+
+    def seen(self, points: FloatArray) -> FloatArray:
+        """Return points in the prop's own frame ``(F, 3)`` [m]."""
+        return so3.rotate(so3.conjugate(self.turns), points - self.places)
+
+
+class Props:
+    """The tracks of a take, with what its frames show of them."""
+
+    def __init__(self, tracks: Sequence[Track]) -> None:
+        self.tracks = tuple(tracks)
+        self._times: list[Channel] = []
+
+    def noting(self, blocks: Iterator[Motion]) -> Iterator[Motion]:
+        """Yield blocks, and note which times of the tracks they show."""
+        for block in blocks:
+            assert block.track_times is not None
+            self._times.append(block.track_times)
+            yield block
+
+    def motions(self, transfer: Transfer) -> list[PropMotion]:
+        """Return where those are that move, once all frames were read."""
+        times = Channel.concatenate(self._times).dense()[..., 0]
+        found = []
+        for i, track in enumerate(self.tracks):
+            if track.placed and track.moves:
+                turned = turned_track(track, transfer.upright).at(times[:, i])
+                found.append(PropMotion(i, turned.translations, turned.rotations))
+        return found
+
+    def moved(
+        self, held: set[int], transfer: Transfer, lift: FloatArray
+    ) -> tuple[Track, ...]:
+        """Return the tracks, of which those that hands hold go with the target.
+
+        Args:
+            held: Which they are.
+            transfer: How the target follows.
+            lift: By how much its ground is higher ``(3,)`` [m].
+        """
+        return tuple(
+            _scaled(turned_track(track, transfer.upright), transfer.scale, lift)
+            if i in held
+            else track
+            for i, track in enumerate(self.tracks)
+        )
+
+
+def _scaled(track: Track, scale: float, lift: FloatArray) -> Track:
+    """Return a track whose way is scaled, and its size is not."""
+
+    def sample(times: FloatArray) -> Transforms:
+        found = track.sample(times)
+        matrices = found.matrices
+        if matrices is not None:
+            matrices = matrices.copy()
+            matrices[:, :3, 3] = scale * matrices[:, :3, 3] + lift
+        places = scale * found.translations + lift
+        return replace(found, translations=places, matrices=matrices)
+
+    return replace(track, sample=sample)

@@ -1,0 +1,376 @@
+"""How well a take fits the skeleton that it was brought onto."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from animtool.core.array_types import BoolArray, FloatArray
+from animtool.core.errors import Fault
+from animtool.motion.contacts import FootContacts, intervals
+from animtool.motion.scores import PassScores, Score, ScoreUnit
+from animtool.retarget.feet import Placed
+from animtool.retarget.hands import HeldHand
+from animtool.retarget.legs import ball_of_foot, leg_of, up_index
+from animtool.retarget.map import JointMap
+from animtool.retarget.person import Person
+from animtool.retarget.roles import FINGERS, MITTEN, base_role
+from animtool.retarget.transfer import Transfer
+from animtool.retarget.verdict import Verdict, verdict_of
+from animtool.rig.kinematics import WorldTransforms
+
+# Roles whose bones are compared, with the role that each ends at.
+BONES = {
+    "upper_arm": "forearm",
+    "forearm": "hand",
+    "thigh": "shin",
+    "shin": "foot",
+}
+
+
+ARM = ("upper_arm", "forearm", "hand")
+
+# The most that a good take has; above these a viewer sees it, or the map is wrong.
+USUAL_DRIFT = 1e-3  # [m]
+USUAL_SOLE = 1e-3  # [m]
+USUAL_REACH = 0.01  # of the arm
+USUAL_ANGLE = np.radians(3.0)  # [rad]
+USUAL_ACCELERATION = 1.25  # of the source's
+USUAL_HELD = 0.05  # of frames
+# A heel that is farther from where it is placed has given way, over the size [1].
+GAVE_WAY = 1e-4
+USUAL_UNMAPPED = 0.2  # of the source's joints
+
+
+@dataclass(frozen=True, slots=True)
+class RetargetReport:
+    """How well a take fits its rig; a score of what there is none of is NaN."""
+
+    frames: int
+    scale: float  # lengths of the target's legs over those of the source's
+    pairs: int  # joints that follow one of the source
+    contacts: float  # share of frames in which a foot stands
+    # How far what stands goes from the middle of where it stands [m].
+    drift_mean: float
+    drift_max: float
+    source_drift_max: float  # of the source, scaled
+    sole_error: float  # of the height of what stands, at most [m]
+    penetration: float  # how far soles come below where they stand, at most [m]
+    # Of the distance of hands from shoulders, over the length of the arms, at most.
+    reach_error: float
+    # How far hands that hold each other, or stand, are from where they are to be, at
+    # most [m].
+    hand_error: float
+    # Between bones of both, feet that stand apart [rad].
+    bone_angle_mean: float
+    bone_angle_max: float
+    # The largest acceleration over that of the source, scaled as legs are, or as the
+    # way from the hips to the joint where that is more.
+    acceleration: float
+    lowered: float  # how far the hips came down so that legs reach, at most [m]
+    held: Mapping[str, float]  # share of frames in which limits stop a joint
+    held_mean: float  # of that, over the paired joints but for fingers
+    unmapped_source: tuple[str, ...]
+    unmapped_target: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Standing:
+    """Which feet stand, and when."""
+
+    sides: str  # of the legs that both skeletons have, such as "lr"
+    contacts: Sequence[FootContacts]  # of each
+    placed: Placed | None  # None where feet are not held
+    hands: Sequence[HeldHand] = ()  # that keep their contacts
+
+
+class FitMeter:
+    """How well a take fits, gathered block by block.
+
+    Args:
+        transfer: How the rig follows.
+        found: Which joints follow which.
+        standing: Which feet stand, of all frames.
+    """
+
+    def __init__(self, transfer: Transfer, found: JointMap, standing: Standing) -> None:
+        self._transfer, self._found, self._standing = transfer, found, standing
+        self._up = up_index(transfer.target.rig)
+        self._frames = 0
+        # Ankle and ball of each foot, of the target and of the source, scaled; the ball
+        # is the ankle where none is known (F, 2, 2, 3).
+        self._feet: list[list[FloatArray]] = [[] for _ in standing.sides]
+        self._angles = 0.0, 0, 0.0  # sum, count and largest [rad]
+        self._reach, self._hand = math.nan, 0.0
+        # Of each frame, by score.
+        self._values: dict[str, list[FloatArray]] = {}
+        self._worst: dict[str, FloatArray] = {}
+        # The largest accelerations of both so far, and the last frames of both.
+        self._fastest = np.zeros(2)
+        self._last: list[FloatArray] = []
+        ours = transfer.target.ways[[pair.target for pair in found.pairs]]
+        theirs = transfer.source.ways[[pair.source for pair in found.pairs]]
+        theirs = np.maximum(theirs, transfer.source.size * 0.01)
+        # A source without offsets has no lengths.
+        ratios = np.divide(ours, theirs, out=np.zeros_like(ours), where=theirs > 0)
+        # Hands of arms that are longer, over the legs, go that much faster.
+        self._sizes = np.maximum(ratios, transfer.scale)[:, None]
+
+    def add(
+        self, begin: int, world: WorldTransforms, source: FloatArray, balls: FloatArray
+    ) -> None:
+        """Take the frames that come next.
+
+        Args:
+            begin: The first of them.
+            world: Of the target's F frames and K joints [m].
+            source: Joints of the source, in the target's axes ``(F, J, 3)`` [m].
+            balls: Those of the source's feet, in these axes ``(F, L, 3)`` [m].
+        """
+        target = world.positions
+        self._frames += len(target)
+        part = slice(begin, begin + len(target))
+        for k, side in enumerate(self._standing.sides):
+            ball = ball_of_foot(self._transfer.target, side, target, world.rotations)
+            tips, rows = (ball, balls[:, k]), []
+            for (person, points, size), tip in zip(
+                self._both(target, source), tips, strict=True
+            ):
+                ankle = points[:, leg_of(person, side)[2]]
+                rows.append(size * np.stack([ankle, tip], axis=1))
+            self._feet[k].append(np.stack(rows, axis=1))
+        self._add_angles(part, target, source)
+        reach = _reach_errors(self._both(target, source))
+        self._reach = float(np.fmax(self._reach, np.fmax.reduce(reach)))
+        self._note("hands", reach)
+        for hand in self._standing.hands:
+            wrist = target[:, self._transfer.target.first(f"hand_{hand.side}")]
+            off = np.linalg.norm(wrist - hand.goal[part], axis=1)[hand.held[part]]
+            self._hand = max(self._hand, float(off.max(initial=0.0)))
+        pairs = self._found.pairs
+        now = [
+            target[:, [pair.target for pair in pairs]],
+            self._sizes * source[:, [pair.source for pair in pairs]],
+        ]
+        if self._last:
+            now = [np.concatenate(each) for each in zip(self._last, now, strict=True)]
+        self._last = [each[-2:].copy() for each in now]
+        if len(now[0]) > 2:
+            sizes = [
+                np.linalg.norm(np.diff(each, 2, axis=0), axis=2).max(axis=1, initial=0)
+                for each in now
+            ]
+            self._fastest = np.maximum(
+                self._fastest, [each.max(initial=0.0) for each in sizes]
+            )
+            self._note("acceleration", sizes[0])
+
+    def _note(self, score: str, values: FloatArray) -> None:
+        self._values.setdefault(score, []).append(values)
+
+    def _both(
+        self, target: FloatArray, source: FloatArray
+    ) -> list[tuple[Person, FloatArray, float]]:
+        """Return both skeletons with where they are, and what scales them."""
+        transfer = self._transfer
+        return [
+            (transfer.target, target, 1.0),
+            (transfer.source, source, transfer.scale),
+        ]
+
+    def _add_angles(self, part: slice, target: FloatArray, source: FloatArray) -> None:
+        """Take angles between bones of both, legs that stand left out."""
+        standing = self._standing
+        total, count, most = self._angles
+        bends, counts = np.zeros((2, len(target)))
+        for side in "lr":
+            for role, end in BONES.items():
+                ways = []
+                for person, points, _ in self._both(target, source):
+                    first = person.first(f"{role}_{side}")
+                    last = person.first(f"{end}_{side}")
+                    if min(first, last) >= 0 and person.apart(first, last):
+                        ways.append(points[:, last] - points[:, first])
+                if len(ways) < 2:
+                    continue
+                across = np.linalg.norm(np.cross(ways[0], ways[1]), axis=1)
+                angle = np.arctan2(across, (ways[0] * ways[1]).sum(axis=1))
+                if role in {"thigh", "shin"} and side in standing.sides:
+                    k = standing.sides.index(side)
+                    free = ~standing.contacts[k].any[part]
+                    bends[free] += angle[free]
+                    counts[free] += 1
+                    angle = angle[free]
+                else:
+                    bends += angle
+                    counts += 1
+                total, count = total + float(angle.sum()), count + len(angle)
+                most = max(most, float(angle.max(initial=0.0)))
+        self._angles = total, count, most
+        self._note("limbs", bends / np.maximum(counts, 1))
+
+    def _raised(self, k: int, ankle: FloatArray) -> BoolArray:
+        """Return where a limit raises a heel about its toe, which stands ``(F,)``."""
+        placed, contacts = self._standing.placed, self._standing.contacts[k]
+        if placed is None or not contacts.toe.any():
+            return np.zeros(len(ankle), np.bool_)
+        off = np.linalg.norm(ankle - placed.ankles[k], axis=1)
+        return np.asarray(contacts.toe & (off > GAVE_WAY * self._transfer.target.size))
+
+    def _keep_worst(self, score: str, values: FloatArray) -> None:
+        """Take values of all frames; the worst of several counts."""
+        before = self._worst.get(score)
+        self._worst[score] = values if before is None else np.fmax(before, values)
+
+    def verdict(
+        self, clamped: Mapping[int, float], forced: Sequence[Fault] = ()
+    ) -> Verdict:
+        """Return whether the frames so far can be used; see `report`.
+
+        Args:
+            clamped: Joints that limits held, in shares of the frames.
+            forced: Errors that were passed over on request.
+        """
+        report = self.report(clamped)
+        values = {
+            name: np.concatenate(blocks) for name, blocks in self._values.items()
+        } | self._worst
+        if "acceleration" in values:
+            # Second differences stand at the frame in their middle.
+            fast = values["acceleration"] / max(float(self._fastest[1]), 1e-300)
+            values["acceleration"] = np.pad(fast, 1)
+        least = {"drift": report.source_drift_max}
+        return verdict_of(scores_of(report), values, least, forced)
+
+    def report(self, clamped: Mapping[int, float]) -> RetargetReport:
+        """Return how well the frames so far fit.
+
+        Args:
+            clamped: Joints that limits held, in shares of the frames.
+        """
+        transfer, found, standing = self._transfer, self._found, self._standing
+        self._worst.clear()
+        drifts, others = [np.zeros(0)], [np.zeros(0)]
+        soles: list[float] = []
+        below: list[float] = []
+        stands = 0.0
+        for k, side in enumerate(standing.sides):
+            feet, contacts = np.concatenate(self._feet[k]), standing.contacts[k]
+            stands += float(contacts.any.mean()) / len(standing.sides)
+            has_toe = side in transfer.target.balls
+            both = has_toe and side in transfer.source.balls
+            heel = contacts.ankle & ~self._raised(k, feet[:, 0, 0])
+            for joint, mask in enumerate((heel, contacts.toe)):
+                if joint == 0 or both:
+                    drifts.append(_drift(feet[:, 0, joint], mask, self._up))
+                    stood = contacts.toe if joint else contacts.ankle
+                    others.append(_drift(feet[:, 1, joint], stood, self._up))
+                    self._keep_worst("drift", drifts[-1])
+            sole = feet[:, 0, 1, self._up]
+            flat = contacts.toe if has_toe else contacts.any
+            if flat.any():
+                level = float(np.median(sole[flat]))
+                if standing.placed is not None:
+                    level = standing.placed.soles[k]
+                soles.append(float(np.abs(sole[flat] - level).max()))
+                self._keep_worst("soles", np.where(flat, np.abs(sole - level), 0.0))
+                below.append(level - float(sole.min()))
+        drift, theirs = (
+            each[~np.isnan(each)]
+            for each in (np.concatenate(drifts), np.concatenate(others))
+        )
+        total, count, most = self._angles
+        own, other = self._fastest.tolist()
+        names, ours = transfer.target.rig.names, transfer.source.rig.names
+        joints = transfer.target.rig.joints
+        driven = {j for j, joint in enumerate(joints) if joint.driven is not None}
+        placed = standing.placed
+        return RetargetReport(
+            self._frames,
+            transfer.scale,
+            len(found.pairs),
+            stands,
+            float(drift.mean()) if len(drift) else math.nan,
+            float(drift.max()) if len(drift) else math.nan,
+            float(theirs.max()) if len(theirs) else math.nan,
+            max(soles, default=math.nan),
+            max([0.0, *below]) if below else math.nan,
+            self._reach,
+            self._hand,
+            total / count if count else math.nan,
+            most if count else math.nan,
+            own / other if other > 0 else math.nan,
+            0.0 if placed is None else placed.lowered,
+            {names[j]: share for j, share in clamped.items()},
+            _mean_held(found, clamped),
+            tuple(ours[j] for j in found.unmapped_source),
+            tuple(names[j] for j in found.unmapped_target if j not in driven),
+        )
+
+
+def scores_of(report: RetargetReport) -> PassScores:
+    """Return the numbers by which takes are compared, and the joints they concern."""
+    length, share = ScoreUnit.LENGTH, ScoreUnit.SHARE
+    lost, stopped = len(report.unmapped_source), report.held_mean
+    values = (
+        ("drift", report.drift_max, length, USUAL_DRIFT, 0.0),
+        ("soles", report.sole_error, length, USUAL_SOLE, 0.0),
+        ("hands", report.reach_error, share, USUAL_REACH, 0.0),
+        ("limbs", report.bone_angle_mean, ScoreUnit.ANGLE, USUAL_ANGLE, 0.0),
+        ("acceleration", report.acceleration, ScoreUnit.RATIO, USUAL_ACCELERATION, 1.0),
+        ("limits", stopped, share, USUAL_HELD, 0.0),
+        ("not mapped", lost / max(lost + report.pairs, 1), share, USUAL_UNMAPPED, 0.0),
+    )
+    names = {
+        "stopped by their limits": tuple(report.held),
+        "not mapped, of the source": report.unmapped_source,
+        "not mapped, of the rig": report.unmapped_target,
+    }
+    return PassScores(
+        tuple(Score(*value) for value in values),
+        {what: joints for what, joints in names.items() if joints},
+    )
+
+
+def _mean_held(found: JointMap, clamped: Mapping[int, float]) -> float:
+    """Return the mean share of frames in which limits stop a joint, without fingers."""
+    fingers = {*FINGERS, MITTEN}
+    joints = [p.target for p in found.pairs if base_role(p.role) not in fingers]
+    return sum(clamped.get(j, 0.0) for j in joints) / max(len(joints), 1)
+
+
+def _drift(points: FloatArray, stands: BoolArray, up: int) -> FloatArray:
+    """Return distances on the ground from the middle of each contact ``(F,)`` [m].
+
+    NaN where nothing stands.
+    """
+    flat = [k for k in range(3) if k != up]
+    made = np.full(len(points), math.nan)
+    for start, end in intervals(stands):
+        own = points[start:end][:, flat]
+        made[start:end] = np.linalg.norm(own - own.mean(axis=0), axis=1)
+    return made
+
+
+def _reach_errors(both: Sequence[tuple[Person, FloatArray, float]]) -> FloatArray:
+    """Return how far the share of the arm that a hand is off differs ``(F,)``.
+
+    NaN where there is no pair of arms.
+    """
+    worst = np.full(len(both[0][1]), math.nan)
+    for side in "lr":
+        shares = []
+        for person, points, _ in both:
+            arm = [person.first(f"{role}_{side}") for role in ARM]
+            if min(arm) < 0:
+                continue
+            own = points[:, arm]
+            length = np.linalg.norm(np.diff(own[0], axis=0), axis=1).sum()
+            if length > 0:
+                shares.append(np.linalg.norm(own[:, 2] - own[:, 0], axis=1) / length)
+        if len(shares) == 2:
+            worst = np.fmax(worst, np.abs(shares[0] - shares[1]))
+    return worst

@@ -1,0 +1,289 @@
+"""Poses of one skeleton as those of another: turns in the world, and the root's way."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.units import UpAxis, up_from_up
+from animtool.maths import so3
+from animtool.retarget.balls import balls_of
+from animtool.retarget.map import JointMap
+from animtool.retarget.person import NO_BONE, Person
+from animtool.retarget.roles import base_role
+from animtool.retarget.standing import STANDS
+from animtool.rig.skeleton import Rig
+
+# Roles whose bones point the way that those of the source do, however they rest.
+_POINTING = {"upper_arm", "forearm", "hand", "thigh", "shin"}
+# Joints that leave their rest by less, over the skeleton, do by rounding alone [1].
+NO_MOVE = 1e-9
+# Bones whose lengths differ by less, over the leg, are alike [1].
+ALIKE = 1e-6
+
+
+@dataclass(frozen=True, slots=True)
+class Transfer:
+    """How a skeleton follows another one."""
+
+    source: Person
+    target: Person
+    # From the world of the source to that of the target: its up axis (4,).
+    upright: FloatArray
+    # Lengths of the target over those of the source.
+    scale: float
+    # Of each joint of the target (K,): which of the source it follows, -1 for none;
+    # and which is next in its chain, with the share of that.
+    follows: IntArray
+    after: IntArray
+    share: FloatArray
+    # Turns of the target in the world where the source rests (K, 4).
+    aligned: FloatArray
+    twists: Sequence[tuple[int, int, int, float]] = field(default=())
+
+    @staticmethod
+    def of(
+        source: Person, target: Person, found: JointMap, *, as_rig: bool = False
+    ) -> Transfer:
+        """Return how the joints of a map follow.
+
+        ``as_rig``: whether the source rests as the target does.
+        """
+        balls = balls_of(source, target), balls_of(target, source)
+        source = replace(source, balls=balls[0])
+        target = replace(target, balls=balls[1])
+        turn = up_from_up(target.rig.up, source.rig.up)
+        upright = so3.IDENTITY if turn is None else np.array(turn)
+        count = len(target.rig.joints)
+        follows, after = np.full(count, -1), np.full(count, -1)
+        share = np.zeros(count)
+        for pair in found.pairs:
+            follows[pair.target] = after[pair.target] = pair.source
+        for chain in found.chains:
+            if len(chain.source) == len(chain.target):
+                places = list(zip(chain.target, chain.source, strict=True))
+                for own, other in places:
+                    follows[own] = after[own] = other
+                continue
+            middles = _middles(chain.source_at)
+            for own, at in zip(chain.target, _middles(chain.target_at), strict=True):
+                k = int(np.searchsorted(middles, at))
+                low, high = max(k - 1, 0), min(k, len(middles) - 1)
+                gap = middles[high] - middles[low]
+                follows[own], after[own] = chain.source[low], chain.source[high]
+                share[own] = (at - middles[low]) / gap if gap > 0 else 0.0
+        for own, other in _namesakes(source.rig, target.rig, follows):
+            follows[own] = after[own] = other
+        aligned = _aligned(source, target, follows, upright, as_rig=as_rig)
+        twists = []
+        for twist in found.twists:
+            below = _below(target, twist.bone)
+            if below >= 0:
+                twists.append((twist.joint, twist.bone, below, twist.share))
+        scale = _scale(source, target)
+        return Transfer(
+            source, target, upright, scale, follows, after, share, aligned, twists
+        )
+
+    @property
+    def alike(self) -> bool:
+        """Whether legs and feet of both are the same but for their size."""
+        sides = [s for s in "lr" if self.target.leg(s) and self.source.leg(s)]
+        both = self.target, self.source
+        for side in sides:
+            balls = [each.balls.get(side) for each in both]
+            # Feet with other toes roll otherwise, though they are as long.
+            if len({ball is not None and ball.joint >= 0 for ball in balls}) > 1:
+                return False
+            bones = [each.leg_bones(side) for each in both]
+            if len(bones[0]) != len(bones[1]):
+                return False
+            off = np.abs(bones[0] - self.scale * bones[1])
+            if (off > ALIKE * bones[0].sum()).any():
+                return False
+        return bool(sides)
+
+    def turns(self, world: FloatArray) -> FloatArray:
+        """Return turns of the target in the world ``(F, K, 4)``.
+
+        Args:
+            world: Turns of the source ``(F, J, 4)``.
+
+        Joints that follow none are as their parents carry them.
+        """
+        rig = self.target.rig
+        changed = so3.multiply(world, so3.conjugate(self.source.turns))
+        if (self.upright != so3.IDENTITY).any():
+            changed = so3.multiply(self.upright, changed)
+            changed = so3.multiply(changed, so3.conjugate(self.upright))
+        made = np.zeros((len(world), len(rig.joints), 4))
+        for j, (joint, parent) in enumerate(zip(rig.joints, rig.parents, strict=True)):
+            first = self.follows[j]
+            if first < 0:
+                own = rig.rest_rotations[j]
+                above = made[:, parent] if parent >= 0 else so3.IDENTITY
+                made[:, j] = so3.multiply(above, own)
+                continue
+            del joint
+            turn = changed[:, first]
+            if self.after[j] != first:
+                share = np.full(len(world), self.share[j])
+                turn = so3.slerp(turn, changed[:, self.after[j]], share)
+            made[:, j] = so3.multiply(turn, self.aligned[j])
+        return made
+
+    def bones(
+        self, world: FloatArray, translations: FloatArray, turns: FloatArray
+    ) -> FloatArray:
+        """Return local translations of the target ``(F, K, 3)`` [m].
+
+        Those of rest, and by how much the source's leave its own, scaled; ``(1, K, 3)``
+        where they never do.
+
+        Args:
+            world: Turns of the source ``(F, J, 4)``.
+            translations: Local, of the source ``(F, J, 3)`` [m].
+            turns: Of the target in the world ``(F, K, 4)``.
+        """
+        ours, theirs = self.source.rig, self.target.rig
+        off = translations - ours.rest_translations
+        moves = np.abs(off).max(axis=(0, 2)) > NO_MOVE * self.source.size
+        made = theirs.rest_translations[None]
+        hips = self.target.first("hips")
+        for own, other in enumerate(self.follows.tolist()):
+            above, below = int(theirs.parents[own]), int(ours.parents[max(other, 0)])
+            if other < 0 or not moves[other] or min(above, below) < 0 or own == hips:
+                continue
+            if len(made) == 1:
+                made = np.repeat(made, len(turns), axis=0)
+            way = so3.rotate(self.upright, so3.rotate(world[:, below], off[:, other]))
+            back = so3.conjugate(turns[:, above])
+            made[:, own] += self.scale * so3.rotate(back, way)
+        return np.asarray(made)
+
+    def hips(self, positions: FloatArray) -> FloatArray:
+        """Return the middle between the thighs of the target ``(F, 3)`` [m].
+
+        Args:
+            positions: Of the source's joints ``(F, J, 3)`` [m].
+        """
+        return self.scale * self.turned(middle_of_hips(self.source, positions))
+
+    def turned(self, points: FloatArray) -> FloatArray:
+        """Return points of the source ``(..., 3)`` in the target's axes."""
+        if (self.upright == so3.IDENTITY).all():
+            return points
+        return so3.rotate(self.upright, points)
+
+
+def middle_of_hips(person: Person, positions: FloatArray) -> FloatArray:
+    """Return what is between the thighs ``(F, 3)``; the root, where there are none."""
+    thighs = [person.first(f"thigh_{side}") for side in "lr"]
+    thighs = [j for j in thighs if j >= 0]
+    joints = thighs if len(thighs) == 2 else [max(person.first("hips"), 0)]
+    return np.asarray(positions[:, joints].mean(axis=1))
+
+
+def _namesakes(source: Rig, target: Rig, follows: IntArray) -> list[tuple[int, int]]:
+    """Return joints of which no more is known than that both have them: tails."""
+    used, names = {*follows.tolist()}, {name: j for j, name in enumerate(source.names)}
+    return [
+        (own, names[name])
+        for own, name in enumerate(target.names)
+        if follows[own] < 0 and name in names and names[name] not in used
+    ]
+
+
+def _middles(at: Sequence[float]) -> FloatArray:
+    edges = np.append(at, 1.0)
+    return np.asarray((edges[1:] + edges[:-1]) / 2)
+
+
+def _below(person: Person, bone: int) -> int:
+    """Return the joint whose turn twists a bone: the next with a role below it."""
+    below = [k for k, parent in enumerate(person.rig.parents) if parent == bone]
+    with_role = [k for k in below if person.roles[k] not in {"", "twist", "end"}]
+    return with_role[0] if with_role else -1
+
+
+def _aligned(
+    source: Person,
+    target: Person,
+    follows: IntArray,
+    upright: FloatArray,
+    *,
+    as_rig: bool,
+) -> FloatArray:
+    """Return how the target is turned where the source rests ``(K, 4)``.
+
+    All of it faces the same way; limbs point the way of the source's, feet along the
+    ground, unless it rests as the target does.
+    """
+    up = np.eye(3)[1 if target.rig.up is UpAxis.Y else 2]
+    heading = _heading(source, target, upright, up)
+    made = so3.multiply(heading, target.turns)
+    for j, first in enumerate(follows.tolist() if not as_rig else []):
+        own = base_role(target.roles[j])
+        if first < 0:
+            continue
+        bone, other = target.bone(j), source.bone(first)
+        if bone is None or other is None:
+            continue
+        bone, other = so3.rotate(heading, bone), so3.rotate(upright, other)
+        if own == "foot":
+            bone, other = (way - (way @ up) * up for way in (bone, other))
+            sizes = np.linalg.norm(bone), np.linalg.norm(other)
+            if min(sizes) < NO_BONE:
+                continue
+            bone, other = bone / sizes[0], other / sizes[1]
+        elif own not in _POINTING and own[:-2] not in _FINGERS:
+            continue
+        made[j] = so3.multiply(so3.between(bone, other), made[j])
+    return made
+
+
+def _heading(
+    source: Person, target: Person, upright: FloatArray, up: FloatArray
+) -> FloatArray:
+    """Return the turn of the target's rest pose to the way the source faces ``(4,)``.
+
+    Who stands is turned about the vertical alone, so that soles stay level.
+    """
+    ours, theirs = source.facing, target.facing
+    if ours is None or theirs is None:
+        return so3.IDENTITY
+    ours = so3.rotate(upright, ours)
+    if min(float(ours[1] @ up), float(theirs[1] @ up)) < STANDS:
+        return so3.from_matrix(ours.T @ theirs)
+    old, new = (way - (way @ up) * up for way in (theirs[2], ours[2]))
+    angle = np.arctan2(np.cross(old, new) @ up, old @ new)
+    return so3.from_axis_angle(up, angle)
+
+
+# Roles whose way from the hips says how large a person is, whatever its arms are.
+BODY = {"neck", "head", "upper_arm", "thigh", "shin"}
+_FINGERS = {"thumb", "index", "middle", "ring", "pinky"}
+
+
+def _scale(source: Person, target: Person) -> float:
+    """Return the lengths of the target's legs over those of the source's.
+
+    Without legs, the lengths of the bones from the hips to the rest of the body.
+    """
+    pairs = [
+        (target.leg_length(side), source.leg_length(side))
+        for side in "lr"
+        if target.leg(side) and source.leg(side)
+    ]
+    if not pairs:
+        ways = target.ways, source.ways
+        pairs = [
+            (float(ways[0][target.first(role)]), float(ways[1][source.first(role)]))
+            for role in dict.fromkeys(source.roles)
+            if base_role(role) in BODY and role in target.roles
+        ]
+    own, other = (sum(lengths) for lengths in zip((0.0, 0.0), *pairs, strict=True))
+    return own / other if other > 0 and own > 0 else 1.0

@@ -1,0 +1,230 @@
+"""Joints of one skeleton onto those of another."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.people import named, person
+
+from animtool.core.errors import FormatError, OptionError
+from animtool.retarget import JointMap, map_joints, map_text
+from animtool.retarget.roles import RoleSource
+from animtool.rig.skeleton import Joint, Rig
+
+
+def pairs(found: JointMap, source: Rig, target: Rig) -> dict[str, str]:
+    """Return the names of source joints by those of the target."""
+    return {target.names[p.target]: source.names[p.source] for p in found.pairs}
+
+
+def names_of(rig: Rig, joints: tuple[int, ...]) -> list[str]:
+    return [rig.names[j] for j in joints]
+
+
+def spined(count: int, prefix: str) -> Rig:
+    """Return a person with a spine of some joints of equal length."""
+    rig, _ = person(lambda role: role if "spine_" not in role else "", fingers=False)
+    at = rig.index("spine")
+    step = tuple(0.35 * x for x in (0.0, 1.0 / count, 0.0))
+    spine = [
+        Joint(f"{prefix}{i}", at + i - 1 if i else 0, translation=step)
+        for i in range(count)
+    ]
+    rest = [
+        replace(
+            j,
+            parent=j.parent + (count - 1) * (j.parent >= at),
+            translation=step if j.name == "neck" else j.translation,
+        )
+        for j in rig.joints[at + 1 :]
+    ]
+    return replace(rig, joints=(*rig.joints[:at], *spine, *rest))
+
+
+def test_mixamo_goes_onto_an_unreal_rig() -> None:
+    source, ours = person(named("mixamo"))
+    target, theirs = person(named("ue5_manny"), metacarpals=True)
+    found = map_joints(source, target)
+    assert (found.source.preset, found.target.preset) == ("mixamo", "ue5_manny")
+    by_target = pairs(found, source, target)
+    assert by_target["clavicle_l"] == "mixamorig:LeftShoulder"
+    assert by_target["index_01_r"] == "mixamorig:RightHandIndex1"
+    for name, role in theirs.items():
+        if "_0_" in role:
+            assert name in names_of(target, found.unmapped_target)
+        else:
+            assert ours[by_target[name]] == role
+    assert found.unmapped_source == ()
+    assert found.by_role("hand_l") is not None
+    assert found.by_role("index_0_l") is None
+
+
+def test_fingers_are_not_shifted_by_one() -> None:
+    source, _ = person(named("perception_neuron"), metacarpals=True)
+    target, _ = person(named("mixamo"))
+    by_target = pairs(map_joints(source, target), source, target)
+    for digit in ("Index", "Middle", "Ring", "Pinky"):
+        for i in (1, 2, 3):
+            name = f"LeftHand{digit}{i}"
+            assert by_target[f"mixamorig:{name}"] == name
+
+
+@pytest.mark.parametrize(("ours", "theirs"), [(1, 4), (2, 5), (3, 3), (5, 2), (7, 3)])
+def test_chains_of_unequal_length_share_by_length(ours: int, theirs: int) -> None:
+    source, target = spined(ours, "spine_a"), spined(theirs, "spine_b")
+    found = map_joints(source, target)
+    by_target = pairs(found, source, target)
+    followed = [by_target[f"spine_b{i}"] for i in range(theirs)]
+    assert followed[0] == "spine_a0"
+    assert followed == sorted(followed)
+    chain = next((c for c in found.chains if c.role == "spine"), None)
+    assert (chain is None) == (ours == theirs == 1)
+    if chain:
+        assert chain.source_at == pytest.approx(np.arange(ours) / ours)
+        for i, at in enumerate(chain.target_at):
+            k = chain.source.index(source.index(followed[i]))
+            if ours != theirs:
+                gaps = np.abs(np.array(chain.source_at) - at)
+                assert gaps[k] == pytest.approx(gaps.min())
+
+
+def test_twist_joints_take_their_share() -> None:
+    target, _ = person(named("ue5_manny"))
+    arm = target.index("upperarm_l")
+    extra = [
+        Joint(f"upperarm_twist_0{i}_l", arm, translation=(0.28 * share, 0.0, 0.0))
+        for i, share in ((1, 0.25), (2, 0.75))
+    ]
+    target = replace(target, joints=(*target.joints, *extra))
+    source, _ = person()
+    found = map_joints(source, target)
+    shares = [(target.names[t.joint], t.bone, t.share) for t in found.twists]
+    assert shares == [
+        ("upperarm_twist_01_l", arm, pytest.approx(0.25)),
+        ("upperarm_twist_02_l", arm, pytest.approx(0.75)),
+    ]
+    assert found.unmapped_target == ()
+
+
+def test_renaming_pairs_one_to_one() -> None:
+    source, target = spined(3, "spine_a"), spined(5, "spine_b")
+    found = map_joints(source, target, mode="rename")
+    assert not found.chains
+    assert len({pair.source for pair in found.pairs}) == len(found.pairs)
+    assert names_of(target, found.unmapped_target) == ["spine_b3", "spine_b4"]
+    same = map_joints(target, target, mode="rename")
+    assert all(pair.source == pair.target for pair in same.pairs)
+    assert len(same.pairs) == len(target.joints)
+
+
+def test_names_alone_leave_out_what_structure_knows() -> None:
+    source, _ = person()
+    target, _ = person(lambda role: "odd" if role == "shin_l" else role)
+    by_name = map_joints(source, target, mode="names")
+    assert names_of(target, by_name.unmapped_target) == ["odd"]
+    whole = map_joints(source, target)
+    pair = whole.by_role("shin_l")
+    assert pair is not None
+    assert (pair.found, pair.confidence) == (RoleSource.STRUCTURE, 0.7)
+
+
+def test_a_hand_in_a_mitten_moves_all_fingers() -> None:
+    keep = {"index_1", "index_2", "thumb_1"}
+    digits = ("index", "middle", "ring", "pinky", "thumb")
+    mitten, _ = person(
+        lambda role: (
+            ""
+            if role.startswith(digits) and role[:-2] not in keep
+            else role.replace("index_1", "fingers").replace("index_2", "fingers2")
+        )
+    )
+    target, _ = person()
+    found = pairs(map_joints(mitten, target), mitten, target)
+    assert {found[f"{digit}_1_l"] for digit in digits[:4]} == {"fingers_l"}
+    assert "middle_2_l" not in found
+    back = pairs(map_joints(target, mitten), target, mitten)
+    assert back["fingers_r"] == "middle_1_r"
+
+
+def test_nothing_in_common_is_refused() -> None:
+    source, _ = person()
+    crane = Rig("crane", (Joint("base", -1), Joint("jib", 0, translation=(1, 0, 0))))
+    with pytest.raises(OptionError) as caught:
+        map_joints(source, crane)
+    assert caught.value.code == "MAP004"
+
+
+def written(tmp_path: Path, text: str) -> Path:
+    path = tmp_path / "one.map.yaml"
+    path.write_text(text, "utf-8")
+    return path
+
+
+@pytest.mark.parametrize("preset", ["mixamo", "ue5_manny", "max_biped", "mmd"])
+def test_a_written_map_reads_back(tmp_path: Path, preset: str) -> None:
+    source, _ = person(named(preset))
+    source = replace(source, name="a take\nb: 1")
+    target, _ = person(metacarpals=True)
+    found = map_joints(source, target)
+    path = written(tmp_path, map_text(found, source, target))
+    again = map_joints(source, target, map_file=path)
+    bare = [(pair.source, pair.target, pair.role) for pair in found.pairs]
+    assert [(pair.source, pair.target, pair.role) for pair in again.pairs] == bare
+    assert sorted(again.chains, key=str) == sorted(found.chains, key=str)
+    assert again.unmapped_target == found.unmapped_target
+    assert {pair.found for pair in again.pairs} == {RoleSource.FILE}
+
+
+def test_a_map_goes_before_names(tmp_path: Path) -> None:
+    source, _ = person(named("mixamo"))
+    target, _ = person()
+    text = (
+        "map: animtool/1\njoints:\n- {source: RightHand, target: hand_l}\n"
+        "others: auto\nignored: {source: [Head], target: [neck]}\n"
+    )
+    found = map_joints(source, target, map_file=written(tmp_path, text))
+    by_target = pairs(found, source, target)
+    assert by_target["hand_l"] == by_target["hand_r"] == "mixamorig:RightHand"
+    assert {"head", "neck"}.isdisjoint(by_target)
+    assert by_target["foot_l"] == "mixamorig:LeftFoot"
+    only = text.replace("others: auto\n", "")
+    found = map_joints(source, target, map_file=written(tmp_path, only))
+    assert list(pairs(found, source, target)) == ["hand_l"]
+
+
+def test_a_map_does_for_other_prefixes(tmp_path: Path) -> None:
+    source, _ = person(lambda role: named("mixamo")(role).replace("rig:", "rig7:"))
+    target, _ = person()
+    text = "map: animtool/1\njoints: [{source: 'mixamorig7:Hips', target: hips}]\n"
+    for one in (text, text.replace("mixamorig7:", "")):
+        found = map_joints(source, target, map_file=written(tmp_path, one))
+        assert pairs(found, source, target) == {"hips": "mixamorig7:Hips"}
+
+
+@pytest.mark.parametrize(
+    ("line", "code", "place", "hint"),
+    [
+        ("{source: Hipps, target: hips}", "MAP001", (3, 12), "'Hips'"),
+        ("{source: Hips, target: [hips, chin]}", "MAP001", (3, 33), "'shin_"),
+        ("{source: Hips, target: [hips, hips]}", "MAP002", (3, 26), "joints[0]"),
+        ("{source: Hips, target: hips, role: hip}", "MAP005", (3, 38), "'hips'"),
+        ("{source: Hips, target: []}", "DOC022", (3, 26), ""),
+        ("{sauce: Hips, target: hips}", "DOC020", (3, 11), "'source'"),
+        ("", "DOC022", (2, 9), "begin each entry with '- '"),
+    ],
+)
+def test_a_wrong_map_is_refused_with_its_place(
+    tmp_path: Path, line: str, code: str, place: tuple[int, int], hint: str
+) -> None:
+    source, _ = person(named("mixamo"))
+    target, _ = person()
+    joints = f"\n- {line}" if line else " {Hips: hips}"
+    path = written(tmp_path, f"map: animtool/1\njoints:{joints}\n")
+    with pytest.raises(FormatError) as caught:
+        map_joints(source, target, map_file=path)
+    fault = caught.value.faults[0]
+    assert (fault.code, (fault.lines[0], fault.column)) == (code, place)
+    assert hint in (fault.hint or "")

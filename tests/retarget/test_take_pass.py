@@ -1,0 +1,71 @@
+"""Takes as they arrive: what is said about them, and what is done instead."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from animtool import Channel, Motion, Rig, Take, open_source
+from animtool.core.errors import OptionError
+from animtool.core.units import UpAxis, up_from_up
+from animtool.maths import so3
+from animtool.mocap.options import RetargetOptions
+from animtool.motion.take import TakeStream
+from animtool.retarget.take_pass import onto_rig
+from animtool.rig.kinematics import forward
+
+
+def turned(take: Take, turn: np.ndarray) -> Take:
+    """Return a take whose motion is turned, and its rest pose is not."""
+    places, turns = take.motion.translations.dense(), take.motion.rotations.dense()
+    places[:, 0] = so3.rotate(turn, places[:, 0])
+    turns[:, 0] = so3.multiply(turn, turns[:, 0])
+    channels = Channel.from_dense(places), Channel.from_dense(so3.align_signs(turns))
+    return replace(take, motion=Motion(*channels))
+
+
+def test_a_take_that_stands_along_z_in_a_file_that_does_not_say_so(root: Path) -> None:
+    walk = open_source(root / "samples/walk/walk.bvh").collect()
+    biped = Rig.load(root / "rigs/biped/biped.rig.yaml")
+    tall = turned(walk, np.array(up_from_up(UpAxis.Z, UpAxis.Y)))
+    places = []
+    for take, codes in ((walk, []), (tall, ["MAP009"])):
+        made, _, notices = onto_rig(TakeStream.of(take), biped, RetargetOptions())
+        assert [n.code for n in notices if n.code == "MAP009"] == codes
+        motion = Motion.concatenate(list(made.blocks()))
+        places.append(forward(biped, *motion.dense()).positions)
+        assert made.report().sole_error < 1e-6
+    # Its rest pose lies then, and faces the target as a whole, with how it leans.
+    assert_allclose(places[1], places[0], atol=0.02)
+
+
+def test_offsets_that_are_not_the_rest_pose(root: Path) -> None:
+    """Arms that hang in the offsets, of a take whose zero pose is that of the rig."""
+    walk = open_source(root / "samples/walk/walk.bvh").collect()
+    down = {"LeftForeArm": (0.0, -0.3, 0.0), "RightForeArm": (0.0, -0.3, 0.0)}
+    joints = tuple(
+        replace(joint, translation=down.get(joint.name, joint.translation))
+        for joint in walk.rig.joints
+    )
+    take = replace(walk, rig=replace(walk.rig, joints=joints))
+    turns = {}
+    for rest in (None, "rig"):
+        options = RetargetOptions(rest=rest)  # type: ignore[arg-type]
+        made, _, _ = onto_rig(TakeStream.of(take), walk.rig, options)
+        turns[rest] = Motion.concatenate(list(made.blocks())).rotations.dense()
+    arm = walk.rig.index("LeftArm")
+    source = walk.motion.rotations.dense()
+    off = so3.angle_between(turns["rig"], source)
+    assert off.max() < 1e-7
+    assert so3.angle_between(turns[None], source)[:, arm].min() > 1
+
+
+@pytest.mark.parametrize("key", ["preset", "target_preset"])
+def test_a_convention_of_either_skeleton_can_be_said(root: Path, key: str) -> None:
+    walk = open_source(root / "samples/walk/walk.bvh").collect()
+    with pytest.raises(OptionError, match="mixamoo"):
+        onto_rig(TakeStream.of(walk), walk.rig, RetargetOptions(**{key: "mixamoo"}))
