@@ -7,6 +7,7 @@ from typing import Any
 
 import click
 
+from animtool.capture.options import CleanOptions
 from animtool.cli.console import Console
 from animtool.cli.options import (
     INPUT,
@@ -18,7 +19,6 @@ from animtool.cli.options import (
     strict_option,
 )
 from animtool.cli.outputs import all_named, skipped, writing_options
-from animtool.mocap.options import CleanOptions
 
 
 @click.command(

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from animtool.capture.options import FaceOptions
 from animtool.cli.console import Console
 from animtool.cli.options import (
     INPUT,
@@ -21,7 +22,6 @@ from animtool.cli.options import (
 from animtool.cli.outputs import all_named, skipped, writing_options
 from animtool.core.errors import counted, listed
 from animtool.core.quantities import length_text
-from animtool.mocap.options import FaceOptions
 
 if TYPE_CHECKING:
     from animtool.scene.face import FaceResult

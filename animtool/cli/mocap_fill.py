@@ -8,10 +8,10 @@ from typing import Any
 
 import click
 
+from animtool.capture.options import FillOptions
 from animtool.cli.console import Console
 from animtool.cli.marker_files import marker_options, output_option, run_on_markers
 from animtool.cli.options import INPUT, read_values, record_option
-from animtool.mocap.options import FillOptions
 
 
 @click.command(
@@ -69,14 +69,14 @@ def fill(
             raise click.UsageError(f"{option} is of a skeleton: give --template too.")
 
     def work(read: Any, still: Any = None) -> tuple[Any, Any]:
-        from animtool.mocap.markers.fill import fill as run_fill
+        from animtool.capture.markers.fill import fill as run_fill
 
         options = FillOptions(**read_values(FillOptions, params))
         if template is None:
             return run_fill(read, options)
-        from animtool.mocap.markers.skeleton import Subject
-        from animtool.mocap.solve.source import at_file, named_rig
-        from animtool.mocap.template.file import load_template
+        from animtool.capture.markers.skeleton import Subject
+        from animtool.capture.solve.source import at_file, named_rig
+        from animtool.capture.templates.file import load_template
         from animtool.scene.onto_rig import open_rig
 
         loaded = load_template(template)

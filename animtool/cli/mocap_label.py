@@ -39,7 +39,7 @@ def label(
     """
 
     def work(points: Any, trial: Any) -> tuple[Any, Any]:
-        from animtool.mocap.markers.label import label as run_label
+        from animtool.capture.markers.label import label as run_label
 
         return run_label(points, trial)
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from animtool.capture.options import SolveOptions
 from animtool.cli.console import Console
 from animtool.cli.options import (
     INPUT,
@@ -27,10 +28,9 @@ from animtool.cli.outputs import (
 )
 from animtool.core.errors import counted, listed, percent
 from animtool.core.quantities import duration_text, length_text
-from animtool.mocap.options import SolveOptions
 
 if TYPE_CHECKING:
-    from animtool.mocap.solve.report import MarkerScore
+    from animtool.capture.solve.report import MarkerScore
     from animtool.scene.mocap_solve import MocapSolveResult
 
 MAX_NAMED = 8

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from animtool.capture.options import TriangulateOptions
 from animtool.cli.console import Console, columns, finite
 from animtool.cli.options import (
     INPUT,
@@ -18,10 +19,9 @@ from animtool.cli.options import (
 )
 from animtool.cli.outputs import all_named, skipped, writing_options
 from animtool.core.units import LengthUnit, UpAxis
-from animtool.mocap.options import TriangulateOptions
 
 if TYPE_CHECKING:
-    from animtool.mocap.cameras.report import CameraReport, Triangulation
+    from animtool.capture.cameras.report import CameraReport, Triangulation
 
 
 @click.command(
@@ -75,13 +75,13 @@ def triangulate(
     """
     if skipped(console, "mocap triangulate", params, output, lambda: [output]):
         return
+    from animtool.capture.cameras.file import load_all_cameras
+    from animtool.capture.cameras.observations import read_observations
+    from animtool.capture.cameras.openpose import read_keypoints
+    from animtool.capture.cameras.triangulate import triangulate as solve
     from animtool.core.errors import refuse_warnings
     from animtool.core.files.output import check_outputs
     from animtool.formats.marker_files import check_marker_output, write_markers
-    from animtool.mocap.cameras.file import load_all_cameras
-    from animtool.mocap.cameras.observations import read_observations
-    from animtool.mocap.cameras.openpose import read_keypoints
-    from animtool.mocap.cameras.triangulate import triangulate as solve
 
     check_marker_output(output)
     inputs = [observations, *calibrations]

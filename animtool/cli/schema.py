@@ -36,11 +36,11 @@ def completion(console: Console, shell: str) -> None:
 # Models, or what returns one.
 MODELS = {
     "batch": "animtool.batch.file:BatchModel",
-    "cameras": "animtool.mocap.cameras.file:CamerasModel",
+    "cameras": "animtool.capture.cameras.file:CamerasModel",
     "clip": "animtool.clip.schema:ClipModel",
-    "landmarks": "animtool.mocap.face.file:LandmarksModel",
+    "landmarks": "animtool.capture.face.file:LandmarksModel",
     "map": "animtool.retarget.file:MapModel",
-    "markers": "animtool.mocap.template.file:MarkersModel",
+    "markers": "animtool.capture.templates.file:MarkersModel",
     "remap": "animtool.rig.remap:RemapModel",
     "rig": "animtool.rig.schema:RigModel",
     "scene": "animtool.scene.schema:whole_model",

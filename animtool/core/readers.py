@@ -107,7 +107,7 @@ STO = Reader(
 )
 
 _OF_MARKERS = ("unit", "up", "fps", "rig", "template", "progress")
-_SOLVE = "animtool.mocap.solve.source:open_markers_source"
+_SOLVE = "animtool.capture.solve.source:open_markers_source"
 C3D = Reader(
     "C3D markers",
     source=_SOLVE,

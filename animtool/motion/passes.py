@@ -94,7 +94,7 @@ PLUGIN_GROUP = "animtool.passes"
 
 PASSES: dict[str, str] = {
     "blend": "animtool.edit.layers:BLEND",
-    "clean": "animtool.mocap.clean:PASS",
+    "clean": "animtool.capture.clean:PASS",
     "difference": "animtool.edit.layers:DIFFERENCE",
     "feet": "animtool.retarget.take_pass:FEET",
     "hang": "animtool.edit.tree:PASS",

@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
+from animtool.capture.markers.spikes import find_spikes
 from animtool.core.errors import Fault
 from animtool.core.quantities import Description
 from animtool.core.readers import find_reader
 from animtool.formats.marker_files import file_of
-from animtool.mocap.markers.spikes import find_spikes
 from animtool.motion.markers import Markers
 
 

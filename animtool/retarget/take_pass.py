@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
+from animtool.capture.options import RetargetOptions
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, FormatError, OptionError, Severity
 from animtool.core.options import with_written
-from animtool.mocap.options import RetargetOptions
 from animtool.motion.motion import Motion
 from animtool.motion.passes import (
     MOTION_PARTS,

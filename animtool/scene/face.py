@@ -9,17 +9,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from animtool.capture.face.capture import FaceCapture, in_order, read_capture
+from animtool.capture.face.file import face_model, load_landmarks
+from animtool.capture.face.model import FaceModel
+from animtool.capture.face.solve import FaceFit, fit_face
+from animtool.capture.options import FaceOptions
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, OptionError, Severity
 from animtool.core.files.output import check_outputs
 from animtool.core.names import is_named
 from animtool.core.units import UpAxis, unit_name
 from animtool.maths.so3 import multiply, rotate
-from animtool.mocap.face.capture import FaceCapture, in_order, read_capture
-from animtool.mocap.face.file import face_model, load_landmarks
-from animtool.mocap.face.model import FaceModel
-from animtool.mocap.face.solve import FaceFit, fit_face
-from animtool.mocap.options import FaceOptions
 from animtool.motion.driving import driven_take
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.take import Take, TakeStream
@@ -35,7 +35,7 @@ from animtool.scene.sources import SourceOptions
 from animtool.scene.written import take_outputs, write_take
 
 if TYPE_CHECKING:
-    from animtool.mocap.cameras.camera import Camera
+    from animtool.capture.cameras.camera import Camera
     from animtool.scene.prims import BakeReport
 
 # From a world with Z up to one with Y up.
@@ -208,8 +208,8 @@ def _seen(
         message = "landmarks are in pixels, and no camera is given"
         hint = "--camera FILE has the lens of the camera"
         raise OptionError(Fault("FAC010", message, str(job.capture), (), hint))
-    from animtool.mocap.cameras.camera import rays
-    from animtool.mocap.cameras.file import load_cameras
+    from animtool.capture.cameras.camera import rays
+    from animtool.capture.cameras.file import load_cameras
 
     lens = _camera(job, load_cameras(job.camera).cameras)
     numbers = np.array([*lens.focal, *lens.centre])

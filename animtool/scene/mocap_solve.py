@@ -8,6 +8,16 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from animtool.capture.options import SolveOptions
+from animtool.capture.solve.calibration import Calibration, calibrate
+from animtool.capture.solve.run import MarkerSolve, solve_markers
+from animtool.capture.solve.source import (
+    at_file,
+    named_rig,
+    solve_stream,
+)
+from animtool.capture.templates.file import load_template
+from animtool.capture.templates.template import template_text
 from animtool.core.errors import Fault, OptionError, refuse_warnings
 from animtool.core.files.output import (
     check_outputs,
@@ -18,16 +28,6 @@ from animtool.core.files.output import (
 from animtool.core.files.reading import seen_from
 from animtool.core.names import is_named
 from animtool.formats.marker_files import file_of, open_markers
-from animtool.mocap.options import SolveOptions
-from animtool.mocap.solve.calibration import Calibration, calibrate
-from animtool.mocap.solve.run import MarkerSolve, solve_markers
-from animtool.mocap.solve.source import (
-    at_file,
-    named_rig,
-    solve_stream,
-)
-from animtool.mocap.template.file import load_template
-from animtool.mocap.template.template import template_text
 from animtool.motion.take import TakeStream
 from animtool.rig.placed import at_origin
 from animtool.scene.convert import ConvertReport

@@ -9,6 +9,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from animtool.capture.options import RetargetOptions
 from animtool.core.errors import Fault, OptionError, refuse_warnings
 from animtool.core.files.output import (
     check_outputs,
@@ -18,7 +19,6 @@ from animtool.core.files.output import (
 )
 from animtool.core.names import is_named
 from animtool.core.units import unit_name
-from animtool.mocap.options import RetargetOptions
 from animtool.motion.driving import driven_stream
 from animtool.motion.reorient import off_its_place
 from animtool.motion.take import TakeStream

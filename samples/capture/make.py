@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from animtool import open_source
+from animtool.capture.templates import load_template
 from animtool.maths import so3
-from animtool.mocap.template import load_template
 from animtool.rig.kinematics import forward
 
 HERE = Path(__file__).parent

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from animtool import open_source
+from animtool.capture.face.file import face_model, load_landmarks
 from animtool.maths.so3 import rotate
-from animtool.mocap.face.file import face_model, load_landmarks
 from animtool.rig.file import load_rig
 from animtool.rig.surfaces import surfaces_of
 

@@ -25,8 +25,8 @@ from measuring import (
     taken_of,
 )
 
-from animtool.mocap.cameras import load_cameras, read_observations, triangulate
-from animtool.mocap.cameras.camera import camera_numbers
+from animtool.capture.cameras import load_cameras, read_observations, triangulate
+from animtool.capture.cameras.camera import camera_numbers
 
 Array = npt.NDArray[np.float64]
 OWN = "animtool, mocap triangulate"

@@ -32,9 +32,9 @@ def routes(path: Path, made: dict[str, np.ndarray]):
     """Return what finds the weights of a capture, by tool."""
     from scipy.optimize import lsq_linear, nnls
 
+    from animtool.capture.face import fit_face
+    from animtool.capture.face.capture import read_capture
     from animtool.maths.so3 import conjugate, rotate
-    from animtool.mocap.face import fit_face
-    from animtool.mocap.face.capture import read_capture
 
     capture = read_capture(path)
     truth = np.load(path.with_name(path.name.replace(".npz", ".truth.npz")))

@@ -25,10 +25,10 @@ from support.clouds import cloud
 from support.mocap_skeleton import rig_of, template_of
 from support.named import scores_of
 
+from animtool.capture.markers.fill import fill
+from animtool.capture.markers.label import label
+from animtool.capture.markers.skeleton import Subject
 from animtool.formats.marker_files import open_markers
-from animtool.mocap.markers.fill import fill
-from animtool.mocap.markers.label import label
-from animtool.mocap.markers.skeleton import Subject
 
 RESULTS = Path(__file__).parent / "results" / "mocap_label.csv"
 ROUNDS = 3

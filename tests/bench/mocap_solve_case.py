@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from animtool.capture.templates import MarkerTemplate, TemplateMarker
 from animtool.core.clock import Clock
-from animtool.mocap.template import MarkerTemplate, TemplateMarker
 from animtool.motion.markers import Markers
 from animtool.rig.limits import RangeLimit
 from animtool.rig.skeleton import Joint, JointType, Rig

@@ -19,7 +19,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from support.clouds import MOTIONS, cloud
 from support.mocap_skeleton import rig_of, template_of
 
-from animtool.mocap.solve import calibrate, solve_markers
+from animtool.capture.solve import calibrate, solve_markers
 
 
 def joint_error(seed: int) -> tuple[float, float]:

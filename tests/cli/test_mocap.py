@@ -12,12 +12,12 @@ from support.cli import animtool
 from support.marked import FIGURE, TEMPLATE, captured, column, moving
 
 from animtool import open_source
+from animtool.capture.options import CleanOptions
+from animtool.capture.templates.template import template_text
 from animtool.core.clock import Clock
 from animtool.formats.marker_arrays import write_marker_arrays
 from animtool.formats.marker_files import open_markers, write_markers
 from animtool.maths import so3
-from animtool.mocap.options import CleanOptions
-from animtool.mocap.template.template import template_text
 from animtool.motion.markers import Markers
 from animtool.motion.passes import find_pass
 from animtool.rig.write import rig_text

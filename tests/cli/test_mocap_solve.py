@@ -12,10 +12,10 @@ from support.cli import animtool
 from support.marked import FIGURE, TEMPLATE, captured, moving
 
 from animtool import Rig, open_source
+from animtool.capture.solve.calibration import with_bones
+from animtool.capture.templates import load_template
+from animtool.capture.templates.template import template_text
 from animtool.formats.marker_arrays import write_marker_arrays
-from animtool.mocap.solve.calibration import with_bones
-from animtool.mocap.template import load_template
-from animtool.mocap.template.template import template_text
 from animtool.rig.write import rig_text
 
 

@@ -17,7 +17,7 @@ from support.stage import (
     write_observations,
 )
 
-from animtool.mocap.cameras import triangulate
+from animtool.capture.cameras import triangulate
 
 STAGE = ring(4)
 POINTS = walkers(30, 5)

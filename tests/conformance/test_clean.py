@@ -9,10 +9,10 @@ import pytest
 from support.data import data_files
 
 from animtool import open_source
+from animtool.capture.clean import CleanOptions, cleaned_take
 from animtool.core.array_types import FloatArray
 from animtool.edit import find_cycle
 from animtool.maths import so3
-from animtool.mocap.clean import CleanOptions, cleaned_take
 
 
 @pytest.mark.parametrize("path", data_files("mocap", "warp_*.truth.npz"))

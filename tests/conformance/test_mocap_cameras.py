@@ -12,9 +12,7 @@ import numpy as np
 import pytest
 from support.data import data_files
 
-from animtool.core.array_types import BoolArray, FloatArray
-from animtool.maths import so3
-from animtool.mocap.cameras import (
+from animtool.capture.cameras import (
     Observations,
     TriangulateOptions,
     Triangulation,
@@ -22,6 +20,8 @@ from animtool.mocap.cameras import (
     read_observations,
     triangulate,
 )
+from animtool.core.array_types import BoolArray, FloatArray
+from animtool.maths import so3
 
 # Against the root mean square of a solve that knows which observations are wrong.
 MAX_RATIO = 1.005

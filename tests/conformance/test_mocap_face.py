@@ -11,8 +11,8 @@ import pytest
 from support.data import data_files
 
 from animtool import Rig, open_source
-from animtool.mocap.face import fit_face
-from animtool.mocap.face.capture import read_capture
+from animtool.capture.face import fit_face
+from animtool.capture.face.capture import read_capture
 from animtool.rig.shapes import arkit_name
 
 HEAD = Path(__file__).parents[2] / "rigs/head/head.rig.yaml"

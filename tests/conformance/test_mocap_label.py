@@ -15,10 +15,10 @@ from support.mocap_skeleton import rig_of, template_of
 from support.named import scores_of
 from support.suite import is_full
 
+from animtool.capture.markers.fill import FillReport, fill
+from animtool.capture.markers.label import label
+from animtool.capture.markers.skeleton import Subject
 from animtool.formats.marker_files import open_markers
-from animtool.mocap.markers.fill import FillReport, fill
-from animtool.mocap.markers.label import label
-from animtool.mocap.markers.skeleton import Subject
 from animtool.motion.markers import Markers
 
 # Recall and precision of names; of spikes, and of frames with swapped names.

@@ -13,10 +13,10 @@ from support.data import data_files
 from support.mocap_skeleton import rig_of, template_of
 from support.suite import one_of
 
+from animtool.capture.solve import calibrate, solve_markers
+from animtool.capture.templates import MarkerTemplate
 from animtool.core.array_types import FloatArray
 from animtool.core.clock import Clock
-from animtool.mocap.solve import calibrate, solve_markers
-from animtool.mocap.template import MarkerTemplate
 from animtool.motion.markers import Markers
 from animtool.rig.skeleton import Rig
 

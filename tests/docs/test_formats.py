@@ -20,10 +20,10 @@ from animtool import Clip, Rig, bake
 from animtool.batch.discover import find_batch
 from animtool.batch.file import load_batch
 from animtool.batch.item import INPUT_NAMES
+from animtool.capture.templates import load_template
 from animtool.cli.schema import MODELS
 from animtool.ik.file import load_targets
 from animtool.ik.on_take import solve_take
-from animtool.mocap.template import load_template
 from animtool.retarget import map_joints
 from animtool.retarget.roles import DIGITS, ROLES, base_role
 from animtool.rig.expressions import FUNCTIONS

@@ -11,14 +11,14 @@ from support.cli import animtool
 
 from animtool.batch.file import load_batch
 from animtool.batch.spec import Limits
+from animtool.capture.cameras.file import load_cameras
+from animtool.capture.face.file import face_model, load_landmarks
+from animtool.capture.templates import TemplateMarker, load_template
 from animtool.clip.file import load_clip, open_clip
 from animtool.core.shot import FrameRange, Shot
 from animtool.documents.migrate import plan_migration
 from animtool.documents.versions import STEPS, newest
 from animtool.ik.file import load_targets
-from animtool.mocap.cameras.file import load_cameras
-from animtool.mocap.face.file import face_model, load_landmarks
-from animtool.mocap.template import TemplateMarker, load_template
 from animtool.retarget import TwistShare
 from animtool.retarget.file import load_map, resolved_map
 from animtool.rig.file import load_rig

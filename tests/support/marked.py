@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from animtool.capture.templates import MarkerTemplate, TemplateMarker
 from animtool.core.array_types import FloatArray
 from animtool.core.clock import Clock
 from animtool.maths import so3
-from animtool.mocap.template import MarkerTemplate, TemplateMarker
 from animtool.motion.markers import Markers
 from animtool.rig.joints import coordinate_slices, local_from_coordinates
 from animtool.rig.kinematics import forward

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from animtool.mocap.template import MarkerTemplate, TemplateMarker
+from animtool.capture.templates import MarkerTemplate, TemplateMarker
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.skeleton import Joint, JointType, Rig
 

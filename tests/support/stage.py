@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from animtool.capture.cameras.camera import Camera, Cameras, project
+from animtool.capture.cameras.observations import Observations
 from animtool.core.array_types import FloatArray
 from animtool.core.clock import Clock
-from animtool.mocap.cameras.camera import Camera, Cameras, project
-from animtool.mocap.cameras.observations import Observations
 
 LENS = (-0.08, 0.01, 0.0008, -0.0005, 0.002, 0.0, 0.0, 0.0)
 

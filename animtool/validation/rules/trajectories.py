@@ -7,9 +7,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from animtool.capture.markers.spikes import find_spikes
 from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.errors import Fault, counted, listed, percent
-from animtool.mocap.markers.spikes import find_spikes
 from animtool.validation.subjects.trajectories import MarkersSubject
 
 # Share of its frames that a marker may be missing from.

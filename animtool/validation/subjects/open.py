@@ -46,7 +46,7 @@ def open_map(document: Document) -> CheckedFile:
 
 def open_markers(document: Document) -> CheckedFile:
     """Return a marker template, checked against the rig that it names."""
-    from animtool.mocap.template.file import template_of_document
+    from animtool.capture.templates.file import template_of_document
 
     template = template_of_document(document)
     faults = list(document.notices)
@@ -60,7 +60,7 @@ def open_markers(document: Document) -> CheckedFile:
 
 def open_landmarks(document: Document) -> CheckedFile:
     """Return a landmarks file, on its rig where it names one."""
-    from animtool.mocap.face.file import face_model, landmarks_of_document
+    from animtool.capture.face.file import face_model, landmarks_of_document
 
     file = landmarks_of_document(document)
     if file.rig is not None:
@@ -77,7 +77,7 @@ def open_remap(document: Document) -> CheckedFile:
 
 def open_cameras(document: Document) -> CheckedFile:
     """Return a camera file."""
-    from animtool.mocap.cameras.file import cameras_of_document
+    from animtool.capture.cameras.file import cameras_of_document
 
     return CheckedFile(Kind.CAMERAS, [], cameras_of_document(document))
 

@@ -10,7 +10,7 @@ import numpy as np
 from clock import now, since
 from mocap_solve_case import case_of
 
-from animtool.mocap.solve import solve_markers
+from animtool.capture.solve import solve_markers
 
 
 def main() -> None:

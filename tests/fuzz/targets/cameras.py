@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 from support.stage import ring
 
+from animtool.capture.cameras import Camera, load_cameras, project, read_keypoints
 from animtool.core.errors import AnimtoolError
 from animtool.maths.so3 import from_matrix, log
-from animtool.mocap.cameras import Camera, load_cameras, project, read_keypoints
 from fuzz.mutations import pick, spoil
 
 ABOUT = "calibrations (JSON, OpenCV, TOML) and OpenPose keypoints, read"

@@ -15,13 +15,13 @@ import numpy as np
 import yaml
 
 from animtool.batch.file import load_batch
+from animtool.capture.cameras.file import load_cameras
+from animtool.capture.face.file import face_model, load_landmarks
+from animtool.capture.templates import load_template
 from animtool.clip.file import check_clip, load_clip, open_clip
 from animtool.core.errors import AnimtoolError, Fault
 from animtool.core.quantities import json_printed
 from animtool.ik.file import load_targets
-from animtool.mocap.cameras.file import load_cameras
-from animtool.mocap.face.file import face_model, load_landmarks
-from animtool.mocap.template import load_template
 from animtool.retarget.file import load_map
 from animtool.rig.file import load_rig
 from animtool.rig.remap import link_shapes, load_remap

@@ -1,0 +1,306 @@
+"""Calibrations as OpenCV, Pose2Sim and anipose write them.
+
+References:
+    OpenCV, ``FileStorage``; Pagnon et al., Pose2Sim, 2021; Karashchuk et al.,
+    Anipose, 2021. All have world to camera, rotations as matrices or as
+    rotation vectors, and the lens as OpenCV.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from animtool.capture.cameras.camera import (
+    UNNAMED,
+    Camera,
+    Cameras,
+    nearest_rotation,
+)
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault, FormatError, excerpt, listed
+from animtool.core.toml_text import parse_toml
+from animtool.core.units import LengthUnit, UpAxis
+from animtool.documents.document import Document, Location, document_of, read_text
+from animtool.documents.fields import MAX_NUMBER
+from animtool.maths.so3 import exp, to_matrix
+
+# What programs call a value, the first that a camera has.
+_KEYS = {
+    "matrix": ("K", "camera_matrix", "cameraMatrix", "matrix", "intrinsics"),
+    "distortion": (
+        "dist",
+        "distortion_coefficients",
+        "distCoeffs",
+        "dist_coeffs",
+        "distortions",
+        "distortion",
+        "D",
+    ),
+    "rotation": ("R", "rotation", "rvec", "rotation_matrix"),
+    "translation": ("t", "T", "translation", "tvec", "translation_vector"),
+    "size": ("size", "image_size"),
+}
+_SIDES = (("width", "height"), ("image_width", "image_height"))
+# Numbers of a lens that OpenCV writes; those behind the eighth, of a thin prism and a
+# tilted sensor, are not modelled.
+_LENSES = (0, 4, 5, 8, 12, 14)
+MODELLED = 8
+MAX_NODES = 1_000_000
+_TABLE = re.compile(r"^\s*\[\s*\"?([^\"\]]+?)\"?\s*\]")
+
+
+def read_any(path: Path) -> Document:
+    """Return a file of cameras as a document, in YAML, JSON, TOML or of OpenCV.
+
+    Raises:
+        FormatError: It cannot be read, or is neither.
+    """
+    text = read_text(path)
+    if path.suffix.lower() == ".toml":
+        return _toml(text, path)
+    if "opencv-matrix" in text and not text.lstrip().startswith("{"):
+        # The head is of YAML 1.0, and the tag says what rows and cols say too.
+        text = re.sub(r"\A\ufeff?%YAML[^\n]*", "", text)
+        text = text.replace("!!opencv-matrix", "")
+    return document_of(text, path)
+
+
+def _toml(text: str, path: Path) -> Document:
+    try:
+        value = parse_toml(text)
+    except ValueError as error:
+        found = re.search(r"at line (\d+)", str(error))
+        lines = (int(found[1]),) if found else ()
+        message = f"invalid TOML: {str(error).split(' (at ')[0]}"
+        raise FormatError(Fault("CAM003", message, str(path), lines)) from error
+    starts: dict[str, int] = {}
+    for number, row in enumerate(text.splitlines(), 1):
+        table = _TABLE.match(row)
+        if table is not None:
+            starts.setdefault(table[1], number)
+    places = [(1, 1)]
+    for key, inner in value.items():
+        line = starts.get(key, 1)
+        places += [(line, 1)] * (1 + _nodes(inner))
+    return Document(path, value, places)
+
+
+def _nodes(value: Any) -> int:
+    """Return how many places a value and what is in it have in a document."""
+    if isinstance(value, dict):
+        return 1 + sum(1 + _nodes(inner) for inner in value.values())
+    if isinstance(value, list):
+        return 1 + sum(map(_nodes, value))
+    return 1
+
+
+def calibration_of(
+    document: Document, unit: LengthUnit | None, up: UpAxis | None
+) -> Cameras:
+    """Return a document of another program as cameras.
+
+    Raises:
+        FormatError: With every fault: there are no cameras, or a value of one is
+            missing or wrong (CAM003), a rotation is none (CAM001), or a name stands
+            twice (CAM002).
+    """
+    scale = (unit or _unit(document)).meters
+    entries = list(_entries(document.value))
+    if not entries:
+        message = "holds no cameras"
+        hint = "animtool reads cameras: animtool/1, OpenCV, Pose2Sim and anipose"
+        document.add("CAM003", (), message, hint)
+    found: list[Camera] = []
+    for location, name, entry in entries:
+        camera = _Entry(document, location, entry).camera(name, scale)
+        if camera is None:
+            continue
+        if camera.name in {other.name for other in found}:
+            message = f"a second camera is called {camera.name!r}"
+            document.add("CAM002", location, message)
+        found.append(camera)
+    document.check()
+    notices = tuple(document.notices)
+    return Cameras(tuple(found), up or UpAxis.Y, str(document.path), notices)
+
+
+def _unit(document: Document) -> LengthUnit:
+    """Return the unit that a document states; one that is none is noted."""
+    location: Location = ("units",)
+    stated = document.value.get("units")
+    if isinstance(stated, dict) and "length" in stated:
+        stated, location = stated["length"], ("units", "length")
+    if stated is None or isinstance(stated, dict):
+        return LengthUnit.M
+    if isinstance(stated, str) and stated in set(LengthUnit):
+        return LengthUnit(stated)
+    hint = f"allowed: {', '.join(LengthUnit)}"
+    document.add("CAM003", location, f"{excerpt(str(stated))} is no unit", hint)
+    return LengthUnit.M
+
+
+def _entries(value: dict[str, Any]) -> Iterator[tuple[Location, str, dict[str, Any]]]:
+    """Yield the cameras of a calibration: their places, names and values."""
+    listed_ = value.get("cameras")
+    if isinstance(listed_, list):
+        for i, entry in enumerate(listed_):
+            if isinstance(entry, dict):
+                yield ("cameras", i), f"cam{i:02d}", entry
+    elif _is_camera(value):
+        yield (), UNNAMED, value
+    else:
+        tables = listed_ if isinstance(listed_, dict) else value
+        around: Location = ("cameras",) if isinstance(listed_, dict) else ()
+        for name, entry in tables.items():
+            if isinstance(entry, dict) and _is_camera(entry):
+                yield (*around, name), name, entry
+
+
+def _is_camera(value: Mapping[str, Any]) -> bool:
+    return any(key in value for key in _KEYS["matrix"])
+
+
+@dataclass(frozen=True, slots=True)
+class _Entry:
+    """A camera of a calibration, and where it stands."""
+
+    document: Document
+    location: Location
+    value: dict[str, Any]
+
+    def camera(self, name: str, scale: float) -> Camera | None:
+        """Return the camera; None where there are faults, which are noted."""
+        if self.value.get("fisheye") is True:
+            message = "a fisheye lens is not modelled"
+            hint = "undistort its pixels first, and state a lens without distortion"
+            self.document.add("CAM003", (*self.location, "fisheye"), message, hint)
+            return None
+        matrix = self._numbers("matrix", (3, 3))
+        lens = self._numbers("distortion", None)
+        rotation = self._numbers("rotation", None)
+        translation = self._numbers("translation", (3,))
+        size = self._size()
+        if matrix is None or rotation is None or translation is None or lens is None:
+            return None
+        if not self._is_matrix(matrix):
+            return None
+        turned = self._rotation(rotation)
+        if turned is None or not self._is_lens(lens):
+            return None
+        stated = self.value.get("name")
+        return Camera(
+            stated if isinstance(stated, str) and stated else str(name),
+            (float(matrix[0, 0]), float(matrix[1, 1])),
+            (float(matrix[0, 2]), float(matrix[1, 2])),
+            turned,
+            translation * scale,
+            size,
+            float(matrix[0, 1]),
+            tuple(np.append(lens.ravel(), np.zeros(MODELLED))[:MODELLED].tolist()),
+        )
+
+    def _key(self, what: str) -> str | None:
+        return next((key for key in _KEYS[what] if key in self.value), None)
+
+    def _numbers(self, what: str, shape: tuple[int, ...] | None) -> FloatArray | None:
+        key = self._key(what)
+        if key is None:
+            if what == "distortion":
+                return np.zeros(0)
+            message = f"the camera has no {what}"
+            hint = f"it is called {listed(_KEYS[what])}"
+            if what in {"rotation", "translation"}:
+                hint = f"only its lens is calibrated; {hint}"
+            self.document.add("CAM003", self.location, message, hint)
+            return None
+        value = self.value[key]
+        if isinstance(value, dict) and "data" in value:
+            value = self._opencv(value)
+        try:
+            numbers = np.array(value, np.float64)
+        except (TypeError, ValueError, OverflowError):
+            numbers = np.array(np.nan)
+        if shape is not None and numbers.size == np.prod(shape):
+            numbers = numbers.reshape(shape)
+        message = ""
+        if numbers.ndim == 0 or not np.isfinite(numbers).all():
+            message = f"{key} is not a list of finite numbers"
+        elif numbers.size and np.abs(numbers).max() > MAX_NUMBER:
+            message = f"{key} has a number beyond {MAX_NUMBER:g}"
+        elif shape is not None and numbers.shape != shape:
+            message = f"{key} has shape {numbers.shape}, not {shape}"
+        if message:
+            self.document.add("CAM003", (*self.location, key), message)
+            return None
+        return numbers
+
+    def _opencv(self, value: dict[str, Any]) -> Any:
+        """Return a matrix of a FileStorage, or its numbers where the shape is off."""
+        rows, columns, data = (value.get(key) for key in ("rows", "cols", "data"))
+        if not (
+            isinstance(rows, int) and isinstance(columns, int) and rows > 0 < columns
+        ):
+            return None
+        if not isinstance(data, list) or rows * columns != len(data):
+            return None
+        return [data[i * columns : (i + 1) * columns] for i in range(rows)]
+
+    def _is_matrix(self, matrix: FloatArray) -> bool:
+        below = [*matrix[1:, 0], matrix[2, 1], matrix[2, 2] - 1]
+        fine = matrix[0, 0] > 0 and matrix[1, 1] > 0 and np.allclose(below, 0)
+        if not fine:
+            message = "is no camera matrix"
+            hint = "[[fx, s, cx], [0, fy, cy], [0, 0, 1]] with fx and fy above 0"
+            key = self._key("matrix") or "matrix"
+            self.document.add("CAM003", (*self.location, key), message, hint)
+        return bool(fine)
+
+    def _rotation(self, value: FloatArray) -> FloatArray | None:
+        if value.size == 3:
+            return to_matrix(exp(value.ravel()))
+        matrix = nearest_rotation(value.reshape(3, 3)) if value.size == 9 else None
+        if matrix is None:
+            message = "is no rotation"
+            hint = (
+                "a matrix with rows of length 1 at right angles, or a rotation vector"
+            )
+            key = self._key("rotation") or "rotation"
+            self.document.add("CAM001", (*self.location, key), message, hint)
+        return matrix
+
+    def _is_lens(self, value: FloatArray) -> bool:
+        key = self._key("distortion") or "distortion"
+        if value.size not in range(9) and value.size not in _LENSES:
+            message = f"{value.size} numbers are no lens of OpenCV"
+            self.document.add("CAM003", (*self.location, key), message)
+            return False
+        if value.ravel()[MODELLED:].any():
+            message = "thin prisms and tilted sensors are not modelled"
+            hint = "calibrate without them: k1, k2, p1, p2, k3 to k6"
+            self.document.add("CAM003", (*self.location, key), message, hint)
+            return False
+        return True
+
+    def _size(self) -> tuple[int, int] | None:
+        key = self._key("size")
+        pair: Any = None if key is None else self.value[key]
+        for width, height in _SIDES:
+            if width in self.value and height in self.value:
+                pair, key = [self.value[width], self.value[height]], width
+        if pair is None or key is None:
+            return None
+        try:
+            sides = [int(side) for side in pair]
+        except (TypeError, ValueError, OverflowError):
+            sides = []
+        if len(sides) != 2 or not all(0 < side <= 100_000 for side in sides):
+            message = "is no width and height of an image"
+            self.document.add("CAM003", (*self.location, key), message)
+            return None
+        return sides[0], sides[1]

@@ -1,0 +1,209 @@
+"""Camera files, ``*.cameras.yaml``, and calibrations as other programs write them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from annotated_types import Len
+from pydantic import Field
+
+from animtool.capture.cameras.camera import (
+    UNNAMED,
+    Camera,
+    Cameras,
+    nearest_rotation,
+)
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault, FormatError
+from animtool.core.units import LengthUnit, UpAxis
+from animtool.documents.check import FileModel, check_version, validated
+from animtool.documents.document import Document
+from animtool.documents.fields import (
+    IgnoreModel,
+    Name,
+    Quaternion,
+    Real,
+    Vector,
+    key,
+)
+from animtool.maths.so3 import to_matrix
+
+# What the side of an image may be [px].
+MAX_SIDE = 100_000
+MAX_CAMERAS = 256
+
+Focal = Annotated[Real, Field(gt=0)]
+Side = Annotated[int, Field(ge=1, le=MAX_SIDE)]
+
+
+class CameraUnitsModel(FileModel):
+    """Units of the numbers in a camera file."""
+
+    length: Literal["m", "cm", "mm", "in"] = key(
+        "Of translations. Focal lengths and centres are in pixels.", "mm", default="m"
+    )
+
+
+class CameraModel(FileModel):
+    """A calibrated camera: `x_camera = rotation * x_world + translation`."""
+
+    name: Name = key("Unique among the cameras.", "cam01")
+    size: Annotated[list[Side], Len(2, 2)] | None = key(
+        "Width and height of its images in pixels. Pixels outside are named.",
+        [1920, 1080],
+        default=None,
+    )
+    focal: Annotated[list[Focal], Len(2, 2)] = key(
+        "Focal lengths along x and y in pixels.", [1334.4, 1333.1]
+    )
+    centre: Annotated[list[Real], Len(2, 2)] = key(
+        "The principal point in pixels.", [949.9, 539.3]
+    )
+    skew: Real = key("Skew of the image axes in pixels.", 0.5, default=0.0)
+    distortion: Annotated[list[Real], Len(0, 8)] = key(
+        "k1, k2, p1, p2, k3, k4, k5, k6 of the lens, as OpenCV orders them; the last "
+        "ones may be left out.",
+        [-0.073, 0.006, 0, 0, 0],
+        default=[],
+    )
+    rotation: Annotated[list[Vector], Len(3, 3)] | Quaternion = key(
+        "From the world to the camera, which looks along z with y down: a matrix by "
+        "rows, or `[w, x, y, z]`.",
+        [0.7, 0.0, 0.7, 0.0],
+    )
+    translation: Vector = key(
+        "Of the world's origin, seen from the camera.", [-0.08, 0.92, 4.72]
+    )
+
+
+class CamerasModel(FileModel):
+    """A camera file."""
+
+    cameras: Literal["animtool/1"] = key("File type and format version.", "animtool/1")
+    units: CameraUnitsModel = key(
+        "Units of the numbers.", {"length": "mm"}, default=CameraUnitsModel()
+    )
+    up: Literal["Y", "Z"] = key("The axis of the world that points up.", "Z", "Y")
+    views: Annotated[list[CameraModel], Len(1, MAX_CAMERAS)] = key(
+        "The cameras, in the order of the observations.",
+        [
+            {
+                "name": "cam01",
+                "focal": [1334.4, 1333.1],
+                "centre": [949.9, 539.3],
+                "rotation": [1, 0, 0, 0],
+                "translation": [0, 0, 4],
+            }
+        ],
+    )
+    ignore: list[IgnoreModel] = key(
+        "Findings of `animtool validate` that are known and stay.",
+        [{"code": "CAM002", "why": "it is meant"}],
+        default=[],
+    )
+
+
+def cameras_of_document(document: Document) -> Cameras:
+    """Return a document as cameras.
+
+    Raises:
+        FormatError: With every fault, such as a rotation that is none (CAM001) and a
+            name that stands twice (CAM002).
+    """
+    check_version(document, "cameras")
+    model = validated(document, CamerasModel)
+    scale = LengthUnit(model.units.length).meters
+    found: list[Camera] = []
+    names: dict[str, int] = {}
+    for i, view in enumerate(model.views):
+        if view.name in names:
+            message = f"a second camera is called {view.name!r}"
+            hint = f"the first is views[{names[view.name]}]"
+            document.add("CAM002", ("views", i, "name"), message, hint)
+        names.setdefault(view.name, i)
+        rotation = _rotation(view.rotation)
+        if rotation is None:
+            message = "is no rotation"
+            hint = "rows of length 1 at right angles, right-handed, or [w, x, y, z]"
+            document.add("CAM001", ("views", i, "rotation"), message, hint)
+            continue
+        found.append(
+            Camera(
+                view.name,
+                (view.focal[0], view.focal[1]),
+                (view.centre[0], view.centre[1]),
+                rotation,
+                np.array(view.translation) * scale,
+                None if view.size is None else (view.size[0], view.size[1]),
+                view.skew,
+                (*view.distortion, *[0.0] * (8 - len(view.distortion))),
+            )
+        )
+    document.check()
+    notices = tuple(document.notices)
+    return Cameras(tuple(found), UpAxis(model.up), str(document.path), notices)
+
+
+def _rotation(value: list[list[float]] | list[float]) -> FloatArray | None:
+    """Return the rotation of a matrix or a quaternion w, x, y, z; None of neither."""
+    numbers = np.array(value, np.float64)
+    if numbers.ndim == 2:
+        return nearest_rotation(numbers)
+    length = float(np.linalg.norm(numbers))
+    if not 0.99 < length < 1.01:
+        return None
+    return to_matrix(np.roll(numbers / length, -1))
+
+
+def load_cameras(
+    path: Path | str, *, unit: LengthUnit | None = None, up: UpAxis | None = None
+) -> Cameras:
+    """Read calibrated cameras: our files, and those of OpenCV, Pose2Sim and anipose.
+
+    Args:
+        path: A camera file (``cameras: animtool/1``), an OpenCV FileStorage in YAML or
+            JSON, a JSON file with a list of cameras with ``K``, ``R``, ``t`` and
+            ``dist``, or a TOML file of Pose2Sim or anipose.
+        unit: What translations are in, where the file does not say; metres if not
+            given.
+        up: Which axis of the world points up, where the file does not say.
+
+    Raises:
+        FormatError: It cannot be read or is malformed, with every fault.
+    """
+    from animtool.capture.cameras.calibrations import calibration_of, read_any
+
+    document = read_any(Path(path))
+    if isinstance(document.value.get("cameras"), str):
+        return cameras_of_document(document)
+    return calibration_of(document, unit, up)
+
+
+def load_all_cameras(
+    paths: Sequence[Path], *, unit: LengthUnit | None = None, up: UpAxis | None = None
+) -> Cameras:
+    """Return the cameras of several files, such as one of each camera.
+
+    A camera without a name of its own in its file is called as the file is.
+
+    Raises:
+        FormatError: One cannot be read, or a name stands in two (CAM002).
+    """
+    read = [load_cameras(path, unit=unit, up=up) for path in paths]
+    if len(read) == 1:
+        return read[0]
+    found: dict[str, Camera] = {}
+    for path, each in zip(paths, read, strict=True):
+        for camera in each.cameras:
+            alone = len(each) == 1 and camera.name == UNNAMED
+            name = path.name.partition(".")[0] if alone else camera.name
+            if name in found:
+                message = f"a second camera is called {name!r}"
+                raise FormatError(Fault("CAM002", message, str(path)))
+            found[name] = replace(camera, name=name)
+    notices = tuple(note for each in read for note in each.notices)
+    return Cameras(tuple(found.values()), read[0].up, str(paths[0]), notices)

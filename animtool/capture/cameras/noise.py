@@ -1,0 +1,198 @@
+"""How exact observations are, and which cameras are stale, measured on a part of them.
+
+References:
+    Rousseeuw, Least median of squares regression, 1984; the median of chi-square is
+    that of Wilson and Hilferty, 1931.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from animtool import _kernels
+from animtool.capture.cameras.camera import Camera, camera_numbers
+from animtool.capture.cameras.observations import Observations
+from animtool.capture.cameras.stale import PoseChange, pose_change
+from animtool.core.array_types import BoolArray, FloatArray
+
+# Points that noise is measured on: it is known to some percent then.
+SAMPLE = 1500
+# Of them, where all pairs of cameras are compared.
+FIRST_SAMPLE = 400
+# Median length of a vector of two normal numbers of deviation 1: sqrt(2 ln 2).
+MEDIAN = 1.1774100225154747
+# Least median of residuals over pairs of rays, against the noise: by cameras of a
+# point, from 2 on. Measured with cameras around a volume.
+_LEAST = (0.50, 0.20, 0.83, 0.61, 0.91, 0.76, 0.94, 0.83, 0.97)
+# Below, a gate would follow the rounding of pixels [px].
+MIN_NOISE = 0.05
+# A camera has the noise of all unless its own is this many times as large or small.
+ALIKE = 1.5
+# What the noise of a camera may be at most, against that of all.
+_MAX_RATIO = 3.0
+# A camera whose noise is this many times that of all is looked at: it may be stale.
+_SUSPECT = 1.1
+_SUSPECTS = 4
+# Share of points that must be found, if cameras are to agree [1].
+MIN_FOUND_SHARE = 0.5
+_ROUNDS = 2
+_ANY = 1e6  # a gate that everything passes
+# What the kernel says of an observation.
+USED, _REJECTED, _INACTIVE = 1, 2, 3
+
+
+@dataclass(frozen=True, slots=True)
+class Noise:
+    """How exact the observations of each camera are.
+
+    Attributes:
+        pixels: Standard deviation of an axis [px] ``(C,)``.
+        stale: Cameras that another pose fits much better in all frames, by index.
+        agree: Whether cameras agree on most of the points.
+    """
+
+    pixels: FloatArray
+    stale: dict[int, PoseChange]
+    agree: bool = True
+
+
+def measured_noise(
+    observations: Observations, cameras: Sequence[Camera], gate: float, condition: float
+) -> Noise:
+    """Return how exact observations are, as a part of all frames shows."""
+    frames, views, markers = observations.stored.shape[:3]
+    step = max(1, frames * markers // SAMPLE)
+    pixels = observations.pixels(0, frames, step)
+    trust = observations.trust(0, frames, step)
+    numbers = camera_numbers(cameras)
+    noise = np.full(views, first_noise(pixels, numbers))
+    active = np.ones(pixels.shape[:2], bool)
+    stale: dict[int, PoseChange] = {}
+    settings = (gate, condition)
+    for turn in range(_ROUNDS + views):
+        *_, residuals, states = _kernels.triangulate_points(
+            pixels, trust, numbers, active, noise, *settings, detailed=True
+        )
+        lengths = np.sqrt(np.einsum("fcmi,fcmi->fcm", residuals, residuals))
+        if trust is not None:
+            lengths = lengths * np.sqrt(np.maximum(trust, 0))
+        pooled = _pooled(lengths, states == USED)
+        if pooled is None:
+            break
+        own = _own(lengths, states)
+        middle = np.nanmedian(own) if np.isfinite(own).any() else 1.0
+        ratios = np.nan_to_num(own / middle, nan=1.0)
+        alike = (ratios < ALIKE) & (ratios > 1 / ALIKE)
+        scaled = np.where(alike, 1.0, np.clip(ratios, 1 / _MAX_RATIO, _MAX_RATIO))
+        noise = np.maximum(pooled * scaled, MIN_NOISE)
+        left_out = _stale_camera(
+            cameras, pixels, trust, noise, active, ratios, settings
+        )
+        if left_out is not None:
+            worst, stale[worst] = left_out[0], left_out[1]
+            active[:, worst] = False
+            rest = active[0]
+            noise[:] = first_noise(pixels[:, rest], numbers[rest])
+        elif turn >= _ROUNDS - 1:
+            break
+    points, *_ = _kernels.triangulate_points(
+        pixels, trust, numbers, active, noise, *settings, detailed=False
+    )
+    seen = (np.isfinite(pixels).all(axis=-1) & active[..., None]).sum(axis=1) > 1
+    found = int(np.isfinite(points[..., 0]).sum())
+    if found < MIN_FOUND_SHARE * seen.sum():
+        # No two agree, or any two do: all are used, as far as they are apart.
+        stale, active = {}, np.ones_like(active)
+        *_, residuals, states = _kernels.triangulate_points(
+            pixels, trust, numbers, active, noise, _ANY, condition, detailed=True
+        )
+        lengths = np.sqrt(np.einsum("fcmi,fcmi->fcm", residuals, residuals))
+        apart = _pooled(lengths, states == USED)
+        noise[:] = noise if apart is None else max(apart, MIN_NOISE)
+        return Noise(noise, stale, agree=False)
+    noise[list(stale)] = np.median(noise[active[0]])
+    return Noise(noise, stale)
+
+
+def _stale_camera(
+    cameras: Sequence[Camera],
+    pixels: FloatArray,
+    trust: FloatArray | None,
+    noise: FloatArray,
+    active: BoolArray,
+    ratios: FloatArray,
+    settings: tuple[float, float],
+) -> tuple[int, PoseChange] | None:
+    """Return the camera that a change of pose brings to where the others see points.
+
+    One at a time: a stale camera makes others look worse than they are.
+    """
+    if active[0].sum() < 3:
+        return None
+    suspects = np.argsort(-ratios, kind="stable")
+    found: list[tuple[float, int, PoseChange]] = []
+    for camera in suspects[:_SUSPECTS].tolist():
+        if not active[0, camera] or ratios[camera] < _SUSPECT:
+            continue
+        others = active.copy()
+        others[:, camera] = False
+        points, sizes, *_ = _kernels.triangulate_points(
+            pixels,
+            trust,
+            camera_numbers(cameras),
+            others,
+            noise,
+            *settings,
+            detailed=False,
+        )
+        change = pose_change(cameras[camera], points, pixels[:, camera])
+        if change is not None:
+            found.append((float(np.nanmedian(sizes[..., 0])), camera, change))
+    if not found:
+        return None
+    _, camera, change = min(found, key=lambda each: each[:2])
+    return camera, change
+
+
+def first_noise(pixels: FloatArray, numbers: FloatArray) -> float:
+    """Return the noise that least medians of squared residuals show [px]."""
+    pixels = pixels[:: max(1, pixels.shape[0] * pixels.shape[2] // FIRST_SAMPLE)]
+    counts = np.isfinite(pixels).all(axis=-1).sum(axis=1)
+    least = _kernels.least_median_residuals(np.ascontiguousarray(pixels), numbers)
+    known = np.isfinite(least) & (counts > 1)
+    if not known.any():
+        return 1.0
+    factors = np.array([*_LEAST, 1.0])[np.clip(counts - 2, 0, len(_LEAST))]
+    return max(float(np.median(least[known] / factors[known])), MIN_NOISE)
+
+
+def _pooled(lengths: FloatArray, used: BoolArray) -> float | None:
+    """Return the noise that the sums of squares of points show [px]."""
+    counts = used.sum(axis=1)
+    sums = np.where(used, lengths, 0.0)
+    sums = (sums * sums).sum(axis=1)[counts > 1]
+    free = 2.0 * counts[counts > 1] - 3
+    if not len(sums):
+        return None
+    middle = free * (1 - 2 / (9 * free)) ** 3
+    return float(np.sqrt(np.median(sums / middle)))
+
+
+def _own(lengths: FloatArray, states: npt.NDArray[np.uint8]) -> FloatArray:
+    """Return the noise of each camera by its median residual [px] ``(C,)``."""
+    used = states == USED
+    others = used.sum(axis=1)[:, None] - used
+    judged = (used | (states == _REJECTED) | (states == _INACTIVE)) & (others > 1)
+    # A point of n cameras takes 3 of 2n residuals of those that it is from.
+    free = np.where(used, 1 - 1.5 / np.maximum(others + used, 2), 1.0)
+    scaled = np.where(judged & np.isfinite(lengths), lengths / np.sqrt(free), np.nan)
+    medians = np.full(lengths.shape[1], np.nan)
+    for camera in range(len(medians)):
+        values = scaled[:, camera]
+        if np.isfinite(values).sum() >= 20:
+            medians[camera] = np.nanmedian(values) / MEDIAN
+    return medians

@@ -1,0 +1,222 @@
+"""What cameras see of markers: pixels over frames."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from animtool.capture.cameras.camera import Cameras
+from animtool.core.array_types import FloatArray
+from animtool.core.clock import Clock
+from animtool.core.errors import Fault, FormatError, OptionError, counted, listed
+from animtool.core.files.reading import open_input
+from animtool.core.rates import FractionLike, rate_from_float, rate_option
+from animtool.core.similar import similar
+from animtool.documents.arrays import Archives
+
+# Arrays of pixels by name: what a number is [px], and the number of what is not seen.
+_ARRAYS = {"uv8": (0.125, 65535), "uv": (1.0, None)}
+MAX_CAMERAS = 256
+# What a command wants of a file that is none.
+WANTED = (
+    "write uv (frames, cameras, markers, 2) in pixels, fs and marker_names with "
+    "numpy.savez, then: animtool mocap triangulate take.npz --cameras "
+    "stage.cameras.yaml -o markers.npz"
+)
+# Of a file of another kind, what says which [bytes].
+HEAD = 4096
+# Rates that a capture may have [Hz].
+_RATES = (0.1, 100_000.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Observations:
+    """Pixels at which C cameras see M points over F frames.
+
+    Attributes:
+        names: Of the points.
+        clock: Times of the frames.
+        stored: Pixels as the file has them ``(F, C, M, 2)``.
+        cameras: Names of the cameras; empty where the file names none, and they are in
+            the order of the cameras file.
+        unit: What a stored number is [px].
+        missing: The stored number of what is not seen; None is NaN.
+        confidences: How sure a detector is ``(F, C, M)``, 0 for not seen; None where
+            all count the same.
+        path: Where they are from.
+        notices: Warnings and notes about that.
+    """
+
+    names: tuple[str, ...]
+    clock: Clock
+    stored: npt.NDArray[Any]
+    cameras: tuple[str, ...] = ()
+    unit: float = 1.0
+    missing: int | None = None
+    confidences: FloatArray | None = None
+    path: str = ""
+    notices: tuple[Fault, ...] = ()
+
+    def pixels(self, first: int, end: int, step: int = 1) -> FloatArray:
+        """Return the pixels of frames ``(F, C, M, 2)``, NaN where not seen."""
+        stored = self.stored[first:end:step]
+        pixels: FloatArray = np.multiply(stored, self.unit, dtype=np.float64)
+        if self.missing is not None:
+            pixels[(stored == self.missing).any(axis=-1)] = np.nan
+        return pixels
+
+    def trust(self, first: int, end: int, step: int = 1) -> FloatArray | None:
+        """Return the confidences of frames ``(F, C, M)``; None where all are 1."""
+        if self.confidences is None:
+            return None
+        return np.ascontiguousarray(self.confidences[first:end:step], np.float64)
+
+
+def read_observations(
+    path: Path | str, *, fps: FractionLike | None = None
+) -> Observations:
+    """Return the observations of an npz file.
+
+    It holds ``uv`` ``(F, C, M, 2)`` in pixels, NaN where not seen, or ``uv8``, eighths
+    of a pixel as uint16, 65535 where not seen; the number ``fs`` (frames a second) and
+    the texts ``marker_names``. It may hold the texts ``camera_names`` and
+    ``confidence`` ``(F, C, M)``.
+
+    Args:
+        path: The file.
+        fps: The frame rate, where the file has a wrong one or none.
+
+    Raises:
+        FormatError: It cannot be read, or holds no such arrays (CAM010).
+        OptionError: fps is no rate (SCN022).
+    """
+    path = Path(path)
+    open_input(path, None).close()
+    try:
+        with Archives() as archives:
+            return _read(archives, path, fps)
+    except ValueError as error:
+        message = str(error).removeprefix(path.name).lstrip("# ")
+        message, hint = _other_kind(path, message)
+        raise FormatError(Fault("CAM010", message, str(path), hint=hint)) from error
+
+
+def _other_kind(path: Path, message: str) -> tuple[str, str]:
+    """Return message and hint for a file that is of another kind than npz."""
+    with open_input(path, None) as file:
+        head = file.read(HEAD)
+    if head[:2] == b"PK":
+        return message, WANTED
+    text = head.lstrip(b"\xef\xbb\xbf \r\n\t")
+    if path.suffix.lower() != ".json" and text[:1] not in {b"{", b"["}:
+        return "is no npz file of pixels", WANTED
+    kind = "is a JSON file; observations are an npz file of pixels, or a folder of "
+    kind += "OpenPose keypoints"
+    if b'"people"' in text:
+        hint = "give the folder that has a folder of such files for each camera: "
+        hint += "animtool mocap triangulate pose/ --cameras calib.toml --fps 60 "
+        return kind, hint + "-o people.npz"
+    if any(key in text for key in (b'"cameras"', b'"camera_matrix"', b'"K"')):
+        kind = f"holds cameras, not what they see; give it as --cameras {path.name}"
+    return kind, WANTED
+
+
+def _read(archives: Archives, path: Path, fps: FractionLike | None) -> Observations:
+    known = archives.names(path)
+    key = next((name for name in _ARRAYS if name in known), None)
+    if key is None:
+        held = listed(known) or "nothing"
+        raise ValueError(f"has no array 'uv' or 'uv8' of pixels; it holds {held}")
+    unit, missing = _ARRAYS[key]
+    head = archives.header(path, key)
+    if len(head.shape) != 4 or head.shape[3] != 2:
+        message = f"{key!r} has shape {head.shape}, not (frames, cameras, markers, 2)"
+        raise ValueError(message)
+    frames, views, count, _ = head.shape
+    if not (frames and views and count):
+        raise ValueError(f"{key!r} has shape {head.shape}: nothing is in it")
+    if views > MAX_CAMERAS:
+        raise ValueError(f"{key!r} is of {views} cameras; at most {MAX_CAMERAS} can be")
+    if (head.kind == "f") != (key == "uv"):
+        kinds = "floats" if key == "uv" else "whole numbers"
+        raise ValueError(f"{key!r} does not hold {kinds}")
+    stored = archives.stored(path, key)
+    if head.kind == "f" and np.isinf(stored).any():
+        raise ValueError(f"{key!r} holds an infinity")
+    texts = {
+        name: tuple(archives.texts(path, name)) if name in known else ()
+        for name in ("marker_names", "camera_names")
+    }
+    names = texts["marker_names"] or tuple(f"*{i}" for i in range(count))
+    cameras = texts["camera_names"]
+    lengths = (
+        ("marker_names", len(names), count),
+        ("camera_names", len(cameras), views),
+    )
+    for what, given, wanted in lengths:
+        if given not in {wanted, 0}:
+            raise ValueError(f"{what!r} are {given}, and {key!r} is of {wanted}")
+    rate = _rate(archives, path, known, fps)
+    confidences = None
+    if "confidence" in known:
+        confidences = archives.load(path, "confidence")
+        if confidences.shape != (frames, views, count):
+            message = f"'confidence' has shape {confidences.shape}"
+            raise ValueError(f"{message}, not {(frames, views, count)}")
+    clock = Clock(rate, Fraction(1), Fraction(1), frames)
+    return Observations(
+        names, clock, stored, cameras, unit, missing, confidences, str(path)
+    )
+
+
+def _rate(
+    archives: Archives, path: Path, known: list[str], fps: FractionLike | None
+) -> Fraction:
+    if fps is not None:
+        return rate_option(fps)
+    if "fs" not in known:
+        raise ValueError("has no number 'fs', the frame rate; --fps gives one")
+    stated = archives.stored(path, "fs").ravel()
+    low, high = _RATES
+    if stated.size != 1 or not low <= float(stated[0]) <= high:
+        shown = listed(stated.tolist())
+        raise ValueError(f"'fs' is {shown}, no frame rate; --fps gives one")
+    return rate_from_float(float(stated[0]))
+
+
+def matched(observations: Observations, cameras: Cameras) -> Cameras:
+    """Return the cameras of observations, in their order.
+
+    Raises:
+        OptionError: They are not those of the file (CAM011), or fewer than two
+            (CAM012).
+    """
+    path = cameras.path or None
+    seen = observations.stored.shape[1]
+    if observations.cameras:
+        by_name = {camera.name: camera for camera in cameras.cameras}
+        missing = [name for name in observations.cameras if name not in by_name]
+        if missing:
+            near = similar(missing[0], list(by_name))
+            message = f"there is no calibration of camera {missing[0]!r}"
+            hint = (
+                f"did you mean {near!r}?" if near else f"it has {listed(list(by_name))}"
+            )
+            raise OptionError(Fault("CAM011", message, path, (), hint))
+        chosen = tuple(by_name[name] for name in observations.cameras)
+    else:
+        chosen = cameras.cameras
+        if len(chosen) != seen:
+            message = f"holds {counted(len(chosen), 'camera')}, and the observations "
+            message += f"are of {seen}"
+            hint = "camera_names in the observations says which they are"
+            raise OptionError(Fault("CAM011", message, path, (), hint))
+    if seen < 2:
+        message = "one camera sees no depth: two and more are needed"
+        raise OptionError(Fault("CAM012", message, observations.path or path))
+    return replace(cameras, cameras=chosen)

@@ -1,0 +1,216 @@
+"""What triangulation found, how well cameras agree, and what to know about them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from animtool.capture.cameras.camera import Camera
+from animtool.capture.cameras.stale import MIN_VIEW, Disagreement, Moved
+from animtool.core.array_types import BoolArray, FloatArray
+from animtool.core.clock import Clock
+from animtool.core.errors import Fault, Severity, counted, listed, percent
+from animtool.core.shot import frame_spans
+from animtool.motion.markers import Markers
+
+# Share of a camera's observations that are outliers, above which it is named [1].
+MANY_OUTLIERS = 0.1
+# Share of a frame's points that are gaps, above which it is named [1].
+LOST = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class CameraReport:
+    """How well a camera agrees with the points.
+
+    Attributes:
+        name: Of the camera.
+        observed: Observations that it has.
+        used: Observations that points are from.
+        outliers: Share of the observations of found points that were left out [1].
+        error_px: Root mean square reprojection error of the used ones [px].
+        error_mm: The same at the depth of the points [mm].
+        noise_px: Standard deviation of an axis, as measured [px].
+        no_ray: Observations that its lens model does not cover.
+        outside: Observations outside of its image.
+        moved: Frames through which it does not fit its calibration.
+        disagrees: Single frames in which it does not agree with the others.
+    """
+
+    name: str
+    observed: int
+    used: int
+    outliers: float
+    error_px: float
+    error_mm: float
+    noise_px: float
+    no_ray: int = 0
+    outside: int = 0
+    moved: tuple[Moved, ...] = ()
+    disagrees: tuple[Disagreement, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Triangulation:
+    """Points from cameras, and how well the cameras agree.
+
+    Attributes:
+        markers: The points, with camera counts and residuals.
+        deviations: Standard error of each point [m] ``(F, M)``, NaN for a gap.
+        cameras: One report for each.
+        error_px: Root mean square reprojection error of used observations [px].
+        error_mm: The same at the depth of the points [mm].
+        seen: Points that two cameras and more see.
+        found: Points that have a position.
+        notices: Warnings and notes.
+    """
+
+    markers: Markers
+    deviations: FloatArray = field(repr=False)
+    cameras: tuple[CameraReport, ...]
+    error_px: float
+    error_mm: float
+    seen: int
+    found: int
+    notices: tuple[Fault, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Tallies:
+    """Counts of cameras in frames, as the kernel has them ``(F, C, 8)``."""
+
+    values: FloatArray
+
+    @property
+    def used(self) -> FloatArray:
+        """Observations that points are from ``(F, C)``."""
+        return self.values[..., 1]
+
+    @property
+    def judged(self) -> FloatArray:
+        """Observations of found points ``(F, C)``."""
+        return self.values[..., 2]
+
+    @property
+    def rejected(self) -> FloatArray:
+        """Outliers among them ``(F, C)``."""
+        return self.values[..., 3]
+
+    def report(
+        self, camera: int, name: str, noise: float, moved: tuple[Moved, ...]
+    ) -> CameraReport:
+        """Return the report of a camera."""
+        sums = self.values[:, camera].sum(axis=0)
+        observed, used, judged, rejected, no_ray, pixels, metres, outside = sums
+        return CameraReport(
+            name,
+            int(observed),
+            int(used),
+            float(rejected / judged) if judged else 0.0,
+            float(np.sqrt(pixels / used)) if used else np.nan,
+            float(1000 * np.sqrt(metres / used)) if used else np.nan,
+            noise,
+            int(no_ray),
+            int(outside),
+            moved,
+        )
+
+    def errors(self) -> tuple[float, float]:
+        """Return the reprojection error of all used observations [px] and [mm]."""
+        used = max(1.0, float(self.used.sum()))
+        pixels, metres = self.values[..., 5:7].sum(axis=(0, 1))
+        return float(np.sqrt(pixels / used)), float(1000 * np.sqrt(metres / used))
+
+
+def camera_notices(
+    report: CameraReport, camera: Camera, clock: Clock, path: str, *, kept: bool
+) -> Iterator[Fault]:
+    """Yield what to know about a camera.
+
+    kept: Whether it takes part where it moved.
+    """
+
+    def warning(code: str, message: str, hint: str | None = None) -> Fault:
+        return Fault(code, message, path or None, (), hint, Severity.WARNING)
+
+    for moved in report.moved:
+        whole = moved.first == 0 and moved.end == clock.count
+        text = (
+            f"camera {report.name!r} moved in frames {moved.first + 1} to {moved.end}"
+        )
+        if whole:
+            text = f"camera {report.name!r} does not fit its calibration in any frame"
+        text += f": {percent(moved.outliers)} of what it sees are outliers"
+        if moved.change is not None:
+            text += f", and {moved.change} would explain it"
+        if moved.kept:
+            text += "; it is kept: the others fit no better without it"
+        else:
+            text += "; it is kept" if kept else "; it is left out there"
+        yield warning("CAM101", text, "calibrate it again")
+    if report.disagrees:
+        worst = max(report.disagrees, key=lambda each: each.outliers)
+        named = frame_spans([each.frame + 1 for each in report.disagrees])
+        text = f"camera {report.name!r} does not agree with the others in "
+        text += f"{counted(len(report.disagrees), 'frame')}: {named}"
+        if worst.outliers > 0:
+            text += f" ({percent(worst.outliers)} outliers in {worst.frame + 1})"
+        hint = "was it bumped or out of step there? its outliers are left out"
+        yield warning("CAM111", text, hint)
+    if report.outliers > MANY_OUTLIERS and not report.moved:
+        text = f"{percent(report.outliers)} of what camera {report.name!r} sees are "
+        yield warning("CAM102", f"{text}outliers", "check its labels and its clock")
+    if not report.observed:
+        yield warning("CAM103", f"camera {report.name!r} sees nothing")
+    if report.no_ray:
+        text = (
+            f"{counted(report.no_ray, 'pixel')} of camera {report.name!r} are beyond "
+        )
+        yield warning("CAM106", f"{text}what its lens model covers")
+    if report.outside and camera.size is not None:
+        text = f"{counted(report.outside, 'pixel')} of camera {report.name!r} are "
+        text += f"outside of its image of {camera.size[0]} x {camera.size[1]}"
+        hint = "are calibration and observations of the same image size?"
+        yield warning("CAM107", text, hint)
+
+
+def lost_frames(
+    positions: FloatArray, seen: BoolArray, clock: Clock, path: str
+) -> Iterator[Fault]:
+    """Yield the frames in which no two cameras agree on most of what two see.
+
+    Args:
+        positions: ``(F, M, 3)``, NaN for a gap.
+        seen: What two cameras and more see ``(F, M)``.
+        clock: Of the frames.
+        path: Of the observations.
+    """
+    lost = (seen & np.isnan(positions[..., 0])).sum(axis=1)
+    frames = np.flatnonzero((lost > LOST * seen.sum(axis=1)) & (lost >= MIN_VIEW))
+    if not len(frames) or len(frames) == clock.count:
+        return
+    text = f"cameras do not agree in {counted(len(frames), 'frame')}: "
+    text += f"{frame_spans((frames + 1).tolist())}; most points there are gaps"
+    hint = "too few cameras see them to tell which one is off: one may have moved"
+    yield Fault("CAM112", text, path or None, (), hint, Severity.WARNING)
+
+
+def gap_notices(
+    names: Sequence[str], positions: FloatArray, seen: int, path: str
+) -> Iterator[Fault]:
+    """Yield what to know about points that are not found.
+
+    positions: ``(F, M, 3)``, NaN for a gap.
+    """
+    found = np.isfinite(positions[..., 0])
+    never = [names[i] for i in np.flatnonzero(~found.any(axis=0)).tolist()]
+    if never:
+        text = f"no two cameras agree on {listed(never)} in any frame"
+        yield Fault("CAM104", text, path or None, severity=Severity.WARNING)
+    lost = seen - int(found.sum())
+    if lost > 0:
+        text = f"{counted(lost, 'point')} that two cameras and more see are gaps: no "
+        text += "two agree, or their rays are too flat"
+        yield Fault("CAM105", text, path or None, severity=Severity.NOTE)

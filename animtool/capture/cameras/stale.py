@@ -1,0 +1,287 @@
+"""Cameras that moved after calibration: which, when, and by how much."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from animtool.capture.cameras.camera import Camera, project
+from animtool.core.array_types import BoolArray, FloatArray
+from animtool.maths.so3 import exp, from_matrix, log, to_matrix
+
+# Share of outliers from which a camera does not fit its calibration [1].
+MOVED = 0.5
+# How long it must last [s], and how many observations say so.
+MIN_SECONDS = 0.25
+MIN_OBSERVATIONS = 20
+_STEPS = 8
+# Observations of a frame that say whether a camera agrees there; how many times its
+# noise the rest is then off, and by how many deviations of chance.
+MIN_VIEW, LOUD, CHANCE = 3, 2.0, 6.0
+
+
+@dataclass(frozen=True, slots=True)
+class PoseChange:
+    """A motion of a camera.
+
+    Attributes:
+        angle: How far it turned [rad].
+        distance: How far it went [m].
+        error_px: Median reprojection error that is left with it [px].
+    """
+
+    angle: float
+    distance: float
+    error_px: float
+
+    def __str__(self) -> str:
+        """Return it in words."""
+        turn = f"a turn of {np.degrees(self.angle):.2f} degrees"
+        way = f"a shift of {1000 * self.distance:.1f} mm"
+        return f"{turn} and {way} (reprojection then {self.error_px:.2f} px)"
+
+
+@dataclass(frozen=True, slots=True)
+class Moved:
+    """Frames through which a camera does not fit its calibration.
+
+    Attributes:
+        first: The first one, from 0.
+        end: Behind the last one.
+        outliers: Share of what it sees that are outliers [1].
+        change: What would explain it; None where nothing does.
+        kept: Whether it takes part all the same, as the others fit no better without.
+    """
+
+    first: int
+    end: int
+    outliers: float
+    change: PoseChange | None = None
+    kept: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Disagreement:
+    """A frame in which a camera does not agree with the others.
+
+    Attributes:
+        frame: From 0.
+        outliers: Share of what it sees that are outliers [1].
+        error_px: Root mean square reprojection error of the rest [px]; NaN without any.
+    """
+
+    frame: int
+    outliers: float
+    error_px: float
+
+
+def moved_ranges(
+    judged: FloatArray, rejected: FloatArray, active: BoolArray, rate: float
+) -> tuple[int, list[Moved]] | None:
+    """Return the camera that fits worst, and where; None where all fit.
+
+    A camera that would leave fewer than two is not taken.
+
+    Args:
+        judged: Observations of found points ``(F, C)``.
+        rejected: Outliers among them ``(F, C)``.
+        active: Cameras that take part ``(F, C)``.
+        rate: Frames a second.
+    """
+    window = max(1, min(len(judged), round(MIN_SECONDS * rate)))
+    best: tuple[int, list[Moved]] | None = None
+    most = 0
+    for camera in range(judged.shape[1]):
+        live = active[:, camera] & (active.sum(axis=1) > 2)
+        count = _around(np.where(live, judged[:, camera], 0), window)
+        wrong = _around(np.where(live, rejected[:, camera], 0), window)
+        off = live & (wrong > MOVED * count) & (count >= MIN_OBSERVATIONS)
+        own = np.where(live[:, None], rejected, 0.0)
+        ranges = _moved(judged, own, camera, off, window)
+        total = sum(int(rejected[m.first : m.end, camera].sum()) for m in ranges)
+        if total > most:
+            best, most = (camera, ranges), total
+    return best
+
+
+def stale_ranges(
+    judged: FloatArray, rejected: FloatArray, camera: int, rate: float
+) -> list[Moved]:
+    """Return where a camera that takes no part does not fit; all where no part says.
+
+    Arguments are those of `moved_ranges`.
+    """
+    window = max(1, min(len(judged), round(MIN_SECONDS * rate)))
+    count = _around(judged[:, camera], window)
+    wrong = _around(rejected[:, camera], window)
+    off = (wrong > MOVED * count) | (count < MIN_OBSERVATIONS)
+    if not (off & (count >= MIN_OBSERVATIONS)).any():
+        off[:] = True
+    return _moved(judged, rejected, camera, off, window)
+
+
+def disagreements(
+    values: FloatArray, camera: int, noise: float, live: BoolArray
+) -> list[Disagreement]:
+    """Return single frames in which a camera does not agree with the others.
+
+    Args:
+        values: Tallies of the kernel ``(F, C, 8)``.
+        camera: Its index.
+        noise: Of its observations, as a standard deviation of an axis [px].
+        live: Frames in which it takes part ``(F,)``.
+    """
+    _, used, judged, rejected, _, pixels, *_ = values[:, camera].T
+    with np.errstate(invalid="ignore", divide="ignore"):
+        ratio = pixels / used / (2 * noise**2)
+        chance = 1 + CHANCE / np.sqrt(used)
+    many = rejected > MOVED * judged
+    loud = (used >= MIN_VIEW) & (ratio > np.maximum(LOUD**2, chance))
+    frames = np.flatnonzero(live & (judged >= MIN_VIEW) & (many | loud))
+    return [
+        Disagreement(
+            f,
+            float(rejected[f] / judged[f]),
+            float(np.sqrt(pixels[f] / used[f])) if used[f] else float("nan"),
+        )
+        for f in frames.tolist()
+    ]
+
+
+def truncated_error(
+    residuals: FloatArray,
+    seen: BoolArray,
+    noise: FloatArray,
+    gate: float,
+    more: BoolArray | bool = False,
+) -> float:
+    """Return the mean squared reprojection error of observations, by what is expected.
+
+    Residuals beyond the gate, and observations of points that are not found, count as
+    at the gate.
+
+    Args:
+        residuals: ``(F, C, M, 2)`` [px], NaN where a point is not found.
+        seen: The observations that count ``(F, C, M)``.
+        noise: Of each camera [px] ``(C,)``.
+        gate: What is an outlier, against the noise.
+        more: Whether a camera more takes part in a point ``(F, M)``.
+    """
+    squares = (residuals**2).sum(axis=-1) / noise[:, None] ** 2
+    squares = np.where(np.isfinite(squares), np.minimum(squares, gate**2), gate**2)
+    count = seen.sum(axis=1)
+    # A point takes 3 of the 2 n residuals of all n cameras that see it.
+    free = 2 * count - 3 * count / np.maximum(count + more, 1)
+    return float(squares[seen].sum() / max(float(free.sum()), 1e-12))
+
+
+def _moved(
+    judged: FloatArray, rejected: FloatArray, camera: int, off: BoolArray, window: int
+) -> list[Moved]:
+    """Return runs of frames in which a camera is off, to the frame."""
+    wrong = np.concatenate([rejected[:, camera] > MOVED * judged[:, camera], [False]])
+    found = []
+    for begin, end in _runs(off, window):
+        first = begin - int(np.argmin(wrong[:begin][::-1])) if begin else 0
+        if begin and wrong[:begin].all():
+            first = 0
+        last = end + int(np.argmin(wrong[end:]))
+        share = _share(judged, rejected, camera, first, last)
+        found.append(Moved(first, last, share))
+    return found
+
+
+def _share(
+    judged: FloatArray, rejected: FloatArray, camera: int, a: int, b: int
+) -> float:
+    return float(rejected[a:b, camera].sum() / max(1, judged[a:b, camera].sum()))
+
+
+def _around(values: FloatArray, window: int) -> FloatArray:
+    """Return sums over a window around each frame ``(F,)``, cut at the ends."""
+    total = np.concatenate([[0], np.cumsum(values)])
+    frames = np.arange(len(values))
+    first = np.maximum(frames - window // 2, 0)
+    end = np.minimum(first + window, len(values))
+    first = np.maximum(end - window, 0)
+    return np.asarray(total[end] - total[first])
+
+
+def _runs(off: BoolArray, window: int) -> list[tuple[int, int]]:
+    """Return runs of frames of a window and more, gaps shorter than one closed."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], off.astype(np.int8), [0]])))
+    closed: list[list[int]] = []
+    for a, b in edges.reshape(-1, 2).tolist():
+        if closed and a - closed[-1][1] < window:
+            closed[-1][1] = b
+        else:
+            closed.append([a, b])
+    # What lasts for a window is off for half of one at least around it.
+    return [(a, b) for a, b in closed if b - a >= max(1, window // 2)]
+
+
+def pose_change(
+    camera: Camera, points: FloatArray, pixels: FloatArray
+) -> PoseChange | None:
+    """Return the motion of a camera that fits its pixels best; None where none does.
+
+    Gauss-Newton steps with residuals weighted by 1 / (1 + r / s), s their median.
+
+    Args:
+        camera: As it was calibrated.
+        points: In the world [m] ``(F, M, 3)``, NaN for gaps.
+        pixels: What it sees of them ``(F, M, 2)``, NaN for what it does not.
+    """
+    known = np.isfinite(points).all(axis=-1) & np.isfinite(pixels).all(axis=-1)
+    points, pixels = points[known], pixels[known]
+    if len(points) < MIN_OBSERVATIONS:
+        return None
+    rotation, translation = camera.rotation, camera.translation
+    moved = camera
+    for _ in range(_STEPS):
+        moved = Camera(
+            camera.name, camera.focal, camera.centre, rotation, translation,
+            camera.size, camera.skew, camera.distortion,
+        )  # fmt: skip
+        off = project(moved, points) - pixels
+        lengths = np.linalg.norm(off, axis=-1)
+        usable = np.isfinite(lengths)
+        if usable.sum() < MIN_OBSERVATIONS:
+            return None
+        middle = max(float(np.median(lengths[usable])), 1e-6)
+        weights = np.where(usable, 1 / (1 + lengths / middle), 0.0)
+        slopes = _slopes(moved, points)
+        usable &= np.isfinite(slopes).all(axis=(1, 2))
+        root = np.sqrt(weights[usable])[:, None]
+        matrix = (slopes[usable] * root[..., None]).reshape(-1, 6)
+        step = np.linalg.lstsq(matrix, -(off[usable] * root).ravel(), rcond=None)[0]
+        rotation = to_matrix(exp(step[:3])) @ rotation
+        translation = to_matrix(exp(step[:3])) @ translation + step[3:]
+    left = np.linalg.norm(project(moved, points) - pixels, axis=-1)
+    before = np.linalg.norm(project(camera, points) - pixels, axis=-1)
+    if not np.nanmedian(left) < 0.5 * np.nanmedian(before):
+        return None
+    turn = log(from_matrix(moved.rotation @ camera.rotation.T))
+    return PoseChange(
+        float(np.linalg.norm(turn)),
+        float(np.linalg.norm(moved.position - camera.position)),
+        float(np.nanmedian(left)),
+    )
+
+
+def _slopes(camera: Camera, points: FloatArray) -> FloatArray:
+    """Return pixels by a turn and a shift in the camera's frame ``(N, 2, 6)``."""
+    here = project(camera, points)
+    size = 1e-6
+    columns = []
+    for axis in range(6):
+        turn = to_matrix(exp(size * np.eye(6)[axis][:3]))
+        shift = size * np.eye(6)[axis][3:]
+        nudged = Camera(
+            camera.name, camera.focal, camera.centre, turn @ camera.rotation,
+            turn @ camera.translation + shift, camera.size, camera.skew,
+            camera.distortion,
+        )  # fmt: skip
+        columns.append((project(nudged, points) - here) / size)
+    return np.stack(columns, axis=-1)

@@ -1,0 +1,358 @@
+"""Points in the world from what calibrated cameras see of them.
+
+Each point is where the sum of squared reprojection errors is least. Where the residual
+says that an observation is wrong, cameras are left out until the others agree, or the
+point is sought that most cameras agree on. What no two cameras agree on is a gap.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from animtool import _kernels
+from animtool.capture.cameras.camera import Cameras, camera_numbers
+from animtool.capture.cameras.noise import USED, measured_noise
+from animtool.capture.cameras.observations import Observations, matched
+from animtool.capture.cameras.report import (
+    Tallies,
+    Triangulation,
+    camera_notices,
+    gap_notices,
+    lost_frames,
+)
+from animtool.capture.cameras.stale import (
+    Disagreement,
+    Moved,
+    PoseChange,
+    disagreements,
+    moved_ranges,
+    pose_change,
+    stale_ranges,
+    truncated_error,
+)
+from animtool.capture.options import TriangulateOptions
+from animtool.core.array_types import BoolArray
+from animtool.core.errors import Fault, OptionError, Severity, counted
+from animtool.motion.markers import Markers
+
+# Observations that are worked on at once: what they take stays below 50 MB.
+BLOCK = 500_000
+# Noise above this share of an image's width means that cameras and observations do not
+# belong together [1].
+MAX_NOISE = 0.03
+# Noise above this share of the width is more than detectors of keypoints have [1].
+ODD_NOISE = 0.01
+# Frames that the motion of a camera is measured on.
+_CHANGE_FRAMES = 50
+# Errors of the others this near each other are the same [1]: outliers of a camera that
+# is kept are left out of the points anyway.
+TIE = 1.02
+
+Progress = Callable[[float], None]
+
+
+def triangulate(
+    observations: Observations,
+    cameras: Cameras,
+    options: TriangulateOptions | None = None,
+    *,
+    progress: Progress | None = None,
+) -> Triangulation:
+    """Return the points that calibrated cameras see.
+
+    Args:
+        observations: Pixels over frames.
+        cameras: Their calibrations, in any order where the observations name theirs.
+        options: How; None is the defaults.
+        progress: Told the share done.
+
+    Raises:
+        OptionError: Cameras and observations do not belong together (CAM011, CAM014),
+            there is one camera (CAM012), no point is seen by two (CAM013), or an
+            option is out of range (CAP001).
+    """
+    options = options or TriangulateOptions()
+    _check_options(options)
+    run = _Run(observations, matched(observations, cameras), options, progress)
+    return run.result()
+
+
+def _check_options(options: TriangulateOptions) -> None:
+    for name in ("gate", "noise"):
+        value = getattr(options, name)
+        if value is not None and not 0 < value < np.inf:
+            message = f"{name} must be above 0 and finite, not {value:g}"
+            raise OptionError(Fault("CAP001", message, where=name))
+    if not 0 <= options.min_angle < np.pi / 2:
+        degrees = np.degrees(options.min_angle)
+        message = f"the least angle must be from 0 to below 90 degrees, not {degrees:g}"
+        raise OptionError(Fault("CAP001", message, where="min_angle"))
+
+
+class _Run:
+    """A triangulation under way."""
+
+    def __init__(
+        self,
+        observations: Observations,
+        cameras: Cameras,
+        options: TriangulateOptions,
+        progress: Progress | None,
+    ) -> None:
+        self.observations, self.cameras, self.options = observations, cameras, options
+        self.progress = progress
+        self.frames, self.views, self.markers = observations.stored.shape[:3]
+        self.numbers = camera_numbers(cameras.cameras)
+        self.active = np.ones((self.frames, self.views), bool)
+        self.noise = np.ones(self.views)
+        self.positions = np.full((self.frames, self.markers, 3), np.nan)
+        self.known = np.full((self.frames, self.markers, 5), np.nan)
+        self.tallies = Tallies(np.zeros((self.frames, self.views, 8)))
+        self.notices = [*cameras.notices, *observations.notices]
+        self.moved: list[list[Moved]] = [[] for _ in range(self.views)]
+
+    def result(self) -> Triangulation:
+        """Return the points and the reports."""
+        stale = self._measure()
+        self._solve(0, self.frames)
+        self._note_stale(stale)
+        self._leave_out_moved()
+        self._check_found()
+        return self._triangulation()
+
+    def _measure(self) -> dict[int, PoseChange]:
+        """Measure the noise; return cameras that do not fit in any frame."""
+        if self.options.noise is not None:
+            self.noise = np.full(self.views, float(self.options.noise))
+            return {}
+        measured = measured_noise(
+            self.observations, self.cameras.cameras, self.options.gate, self._condition
+        )
+        if not self.options.keep_moved:
+            self.active[:, list(measured.stale)] = False
+        self.noise = measured.pixels
+        middle = float(np.median(self.noise))
+        widths = [
+            c.size[0] if c.size else 2 * c.centre[0] for c in self.cameras.cameras
+        ]
+        width = max(1.0, float(np.median(widths)))
+        if middle > MAX_NOISE * width:
+            message = f"cameras do not agree: rays miss each other by {middle:.0f} px"
+            self._disagree(message)
+        if not measured.agree or middle > ODD_NOISE * width:
+            message = f"rays of the cameras miss each other by {middle:.1f} px"
+            hint = "one of them may have moved; calibrate them again"
+            self._warn("CAM108", message, hint)
+        return measured.stale
+
+    @property
+    def _condition(self) -> float:
+        """The most that the trace of a normal matrix times its inverse's may be.
+
+        Of two rays at an angle a, unit weights: 4 / (2 sin(a / 2)^2).
+        """
+        return float(2 / max(np.sin(self.options.min_angle / 2) ** 2, 1e-12))
+
+    def _solve(self, first: int, end: int) -> None:
+        """Solve frames block by block, and note what is known of them."""
+        for begin, stop in self._blocks(first, end):
+            at = slice(begin, stop)
+            self.positions[at], self.known[at], self.tallies.values[at], *_ = (
+                _kernels.triangulate_points(
+                    self.observations.pixels(begin, stop),
+                    self.observations.trust(begin, stop),
+                    self.numbers,
+                    np.ascontiguousarray(self.active[at]),
+                    self.noise,
+                    self.options.gate,
+                    self._condition,
+                    detailed=False,
+                )
+            )
+            if self.progress is not None:
+                self.progress(stop / self.frames)
+
+    def _blocks(self, first: int, end: int) -> Iterator[tuple[int, int]]:
+        size = max(1, BLOCK // (self.views * self.markers))
+        for begin in range(first, end, size):
+            yield begin, min(begin + size, end)
+
+    def _note_stale(self, stale: dict[int, PoseChange]) -> None:
+        """Note where cameras that another pose fits better are off; use them elsewhere.
+
+        All frames are looked at as one before: a camera that moved on the way is off
+        in a part of them.
+        """
+        rate = float(self.observations.clock.rate)
+        for camera, change in stale.items():
+            judged, rejected = self.tallies.judged, self.tallies.rejected
+            ranges = stale_ranges(judged, rejected, camera, rate)
+            was = self.active[:, camera].copy()
+            self.moved[camera] += self._left_out(
+                camera, [replace(each, change=change) for each in ranges]
+            )
+            if not self.options.keep_moved:
+                self.active[:, camera] = True
+                for each in self.moved[camera]:
+                    self.active[each.first : each.end, camera] = each.kept
+                self._solve_changed(self.active[:, camera] != was)
+
+    def _left_out(self, camera: int, ranges: list[Moved]) -> list[Moved]:
+        """Return ranges with whether a camera is kept in them: it is no better without.
+
+        What says so is the reprojection error of the other cameras.
+        """
+        if self.options.keep_moved:
+            return ranges
+        return [replace(m, kept=not self._better_without(camera, m)) for m in ranges]
+
+    def _better_without(self, camera: int, moved: Moved) -> bool:
+        """Return whether the other cameras agree better where one is left out."""
+        step = max(1, (moved.end - moved.first) // _CHANGE_FRAMES)
+        at = slice(moved.first, moved.end, step)
+        pixels = self.observations.pixels(moved.first, moved.end, step)
+        trust = self.observations.trust(moved.first, moved.end, step)
+        visible = np.isfinite(pixels).all(axis=-1)
+        seen = visible & self.active[at][..., None]
+        seen[:, camera] = False
+        seen &= (seen.sum(axis=1) > 1)[:, None]
+        errors = []
+        for kept in (True, False):
+            active = np.ascontiguousarray(self.active[at])
+            active[:, camera] = kept
+            *_, residuals, states = _kernels.triangulate_points(
+                pixels,
+                trust,
+                self.numbers,
+                active,
+                self.noise,
+                self.options.gate,
+                self._condition,
+                detailed=True,
+            )
+            takes_part = states[:, camera] == USED
+            errors.append(
+                truncated_error(
+                    residuals.astype(np.float64),
+                    seen,
+                    self.noise,
+                    self.options.gate,
+                    takes_part,
+                )
+            )
+        return errors[1] <= TIE * errors[0]
+
+    def _solve_changed(self, changed: BoolArray) -> None:
+        """Solve the frames again in which the cameras are others."""
+        edges = np.diff(np.concatenate([[0], changed.astype(np.int8), [0]]))
+        for first, end in np.flatnonzero(edges).reshape(-1, 2).tolist():
+            self._solve(first, end)
+
+    def _leave_out_moved(self) -> None:
+        """Leave out cameras where they do not fit, the worst first."""
+        rate = float(self.observations.clock.rate)
+        checked = self.active.copy()
+        for camera, moved in enumerate(self.moved):
+            for each in moved:
+                checked[each.first : each.end, camera] = False
+        for _ in range(self.views):
+            judged, rejected = self.tallies.judged, self.tallies.rejected
+            worst = moved_ranges(judged, rejected, checked, rate)
+            if worst is None:
+                break
+            camera, ranges = worst
+            ranges = self._left_out(camera, ranges)
+            self.moved[camera] += [self._explained(camera, each) for each in ranges]
+            for each in ranges:
+                checked[each.first : each.end, camera] = False
+                if not (self.options.keep_moved or each.kept):
+                    self.active[each.first : each.end, camera] = False
+                    self._solve(each.first, each.end)
+
+    def _disagreements(self, camera: int) -> tuple[Disagreement, ...]:
+        """Return single frames in which a camera does not agree with the others."""
+        live = self.active[:, camera].copy()
+        for each in self.moved[camera]:
+            live[each.first : each.end] = False
+        noise = float(self.noise[camera])
+        return tuple(disagreements(self.tallies.values, camera, noise, live))
+
+    def _explained(self, camera: int, moved: Moved) -> Moved:
+        """Return a range with the change of pose that would explain it."""
+        step = max(1, (moved.end - moved.first) // _CHANGE_FRAMES)
+        pixels = self.observations.pixels(moved.first, moved.end, step)[:, camera]
+        points = self.positions[moved.first : moved.end : step]
+        change = pose_change(self.cameras.cameras[camera], points, pixels)
+        return replace(moved, change=change)
+
+    def _check_found(self) -> None:
+        if np.isfinite(self.positions).any():
+            return
+        if not self._seen:
+            message = "no point is seen by two cameras in any frame"
+            path = self.observations.path or None
+            raise OptionError(Fault("CAM013", message, path))
+        self._disagree(f"no two cameras agree on any of {counted(self._seen, 'point')}")
+
+    def _warn(self, code: str, message: str, hint: str) -> None:
+        path = self.cameras.path or None
+        self.notices.append(Fault(code, message, path, (), hint, Severity.WARNING))
+
+    def _disagree(self, message: str) -> None:
+        hint = "is this the calibration of these cameras, in this order, for images of "
+        hint += "this size?"
+        path = self.cameras.path or None
+        raise OptionError(Fault("CAM014", message, path, (), hint))
+
+    @property
+    def _seen(self) -> int:
+        """How many points two cameras and more see."""
+        return int((self.known[..., 4] > 1).sum())
+
+    def _triangulation(self) -> Triangulation:
+        observations, cameras = self.observations, self.cameras.cameras
+        reports = tuple(
+            replace(
+                self.tallies.report(
+                    c, cameras[c].name, float(self.noise[c]), tuple(moved)
+                ),
+                disagrees=self._disagreements(c),
+            )
+            for c, moved in enumerate(self.moved)
+        )
+        kept = self.options.keep_moved
+        notices = self.notices
+        for report, camera in zip(reports, cameras, strict=True):
+            notices += camera_notices(
+                report, camera, observations.clock, observations.path, kept=kept
+            )
+        notices += lost_frames(
+            self.positions,
+            self.known[..., 4] > 1,
+            observations.clock,
+            observations.path,
+        )
+        notices += gap_notices(
+            observations.names, self.positions, self._seen, observations.path
+        )
+        markers = Markers(
+            observations.names,
+            observations.clock,
+            self.positions,
+            self.cameras.up,
+            self.known[..., 3].astype(np.int64),
+            self.known[..., 1].copy(),
+            notices=tuple(notices),
+        )
+        return Triangulation(
+            markers,
+            self.known[..., 2].copy(),
+            reports,
+            *self.tallies.errors(),
+            self._seen,
+            int(markers.seen.sum()),
+            tuple(notices),
+        )

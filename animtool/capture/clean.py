@@ -1,0 +1,341 @@
+"""Captured takes cleaned: spikes out, and each joint filtered as its noise asks for.
+
+A spike is a frame, or a few, that what comes before, what comes after and the line
+between both disagree with, all to the same side. A step or a corner, as where a foot
+lands, agrees with one of the three and stays.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from animtool.capture.options import CleanOptions
+from animtool.core.array_types import BoolArray, FloatArray
+from animtool.core.errors import Fault, OptionError, Severity, counted, listed
+from animtool.core.quantities import angle_text, length_text
+from animtool.maths import so3
+from animtool.maths.filters import (
+    NOISE_ORDER,
+    best_cutoff,
+    lowpass,
+    lowpass_turns,
+    noise_level,
+)
+from animtool.motion.motion import Channel
+from animtool.motion.passes import OptionChecks, Pass, PassContext, Scope, TakePart
+from animtool.motion.scores import PassScores, Score, ScoreUnit
+from animtool.motion.take import Take
+from animtool.rig.kinematics import rest_size
+
+# A spike is this many times what the frames around it change their speed by.
+SPIKE_FACTOR = 5.0
+# Frames on either side that say how rough a motion is.
+AROUND = 8
+# What is smaller is no spike: a share of the rig's size, and of a quaternion.
+MIN_SHIFT, MIN_TURN = 1e-3, 5e-3
+# Noise below this share of the smallest spike is that of a file's digits.
+NO_NOISE = 2e-4
+# A spike can hide one beside it, which is seen when the first is gone.
+SEARCHES = 3
+# What goes across a spike holds what is slower than this share of the rate.
+ACROSS = 0.2
+# Noise of good captures is below this [rad].
+USUAL_NOISE = math.radians(0.2)
+MAX_NAMED = 6
+
+
+@dataclass(frozen=True, slots=True)
+class CleanedSignal:
+    """What was done to the translations or rotations of a joint."""
+
+    joint: str
+    rotation: bool  # of its rotations, or of its translations
+    spikes: tuple[int, ...]  # frames that were replaced, ascending
+    noise: float  # standard deviation before filtering [m] or [rad]
+    cutoff: float | None  # [Hz]; none where it was not filtered
+
+    @property
+    def part(self) -> str:
+        """What of which joint it is."""
+        return f"{self.joint} {'rotation' if self.rotation else 'translation'}"
+
+    @property
+    def noise_text(self) -> str:
+        """The noise with its unit."""
+        if self.rotation:
+            return angle_text(math.degrees(self.noise))
+        return length_text(self.noise)
+
+
+@dataclass(slots=True)
+class _Cleaner:
+    names: tuple[str, ...]
+    rate: float
+    options: CleanOptions
+    signals: list[CleanedSignal] = field(default_factory=list)
+
+    def channel(self, channel: Channel, least: float) -> Channel:
+        """Return a channel of translations or rotations cleaned, joint by joint."""
+        rotation = channel.rest.shape[1] == 4
+        values = channel.values.copy()
+        for i, joint in enumerate(channel.animated.tolist()):
+            signal = values[:, i]
+            bad = _spikes(signal, self.options.spikes, least, rotation=rotation)
+            if bad.any():
+                signal = bridged(signal, ~bad, rotation=rotation)
+            noise = noise_level(signal)
+            cutoff = self._cutoff(signal) if noise > NO_NOISE * least else None
+            if cutoff is not None:
+                run = lowpass_turns if rotation else lowpass
+                signal = run(signal, cutoff, self.rate)
+            values[:, i] = signal
+            frames = tuple(np.flatnonzero(bad).tolist())
+            size = 2 * noise if rotation else noise  # half an angle is in a quaternion
+            done = CleanedSignal(self.names[joint], rotation, frames, size, cutoff)
+            self.signals.append(done)
+        return replace(channel, values=values).compact()
+
+    def _cutoff(self, signal: FloatArray) -> float | None:
+        if self.options.keep_noise:
+            return None
+        if self.options.cutoff is not None:
+            return self.options.cutoff
+        return best_cutoff(signal, self.rate)
+
+
+def bridged(signal: FloatArray, known: BoolArray, *, rotation: bool) -> FloatArray:
+    """Return a signal ``(F, K)`` with the frames that are not known gone across."""
+    if rotation:
+        aligned = signal.copy()
+        aligned[known] = so3.align_signs(signal[known], signal[known][0])
+        signal = aligned
+    run = lowpass_turns if rotation else lowpass
+    across = run(signal, ACROSS, 1.0, order=3, known=known)
+    return np.where(known[:, None], signal, across)
+
+
+def _spikes(
+    signal: FloatArray, longest: int, least: float, *, rotation: bool
+) -> BoolArray:
+    """Return which frames of a signal ``(F, K)`` are part of a spike ``(F,)``."""
+    bad = np.zeros(len(signal), np.bool_)
+    for _ in range(SEARCHES if longest else 0):
+        found = np.zeros_like(bad)
+        rough = SPIKE_FACTOR * _roughness(signal) + least
+        for run, size in _runs(signal, longest, rotation=rotation):
+            # A long spike looks like a short one in the midst of it, too.
+            for first in np.flatnonzero(size > rough[2 : 2 + len(size)]).tolist():
+                part = slice(first + 2, first + 2 + run)
+                if not found[part.start - 1 : part.stop + 1].any():
+                    found[part] = True
+        if not found.any() or (bad | found).mean() > 0.5:
+            break
+        bad |= found
+        signal = bridged(signal, ~bad, rotation=rotation)
+    return bad
+
+
+def _runs(
+    signal: FloatArray, longest: int, *, rotation: bool
+) -> Iterator[tuple[int, FloatArray]]:
+    """Yield how far each run of some frames is off, those of frame 2 on first."""
+    for run in range(longest, 0, -1):
+        count = len(signal) - run - 3
+        if count < 1:
+            continue
+        at = [signal[k : k + count] for k in range(run + 4)]
+        if rotation:  # signs that a spike leaves behind are none of a turn
+            for k, other in (
+                (run + 2, 1),
+                (run + 3, run + 2),
+                (2, 1),
+                (run + 1, run + 2),
+            ):
+                at[k] = _signed(at[k], at[other])
+        before, after = at[1], at[run + 2]
+        ahead, back = 2 * before - at[0], 2 * after - at[run + 3]
+        step = (after - before) / (run + 1)
+        sizes = []
+        for away, line in (
+            (at[2] - ahead, at[2] - before - step),
+            (at[run + 1] - back, at[run + 1] - after + step),
+        ):
+            off = np.linalg.norm(line, axis=-1)
+            along = np.sum(away * line, axis=-1) / np.where(off > 0, off, 1)
+            sizes += [off, along]
+        yield run, np.min(sizes, axis=0)
+
+
+def _signed(turns: FloatArray, others: FloatArray) -> FloatArray:
+    """Return quaternions ``(F, 4)`` with the signs nearest to others."""
+    dots = np.sum(turns * others, axis=-1, keepdims=True)
+    return np.where(dots < 0, -turns, turns)
+
+
+def _roughness(signal: FloatArray) -> FloatArray:
+    """Return the usual change of speed about each frame ``(F,)``."""
+    if len(signal) < 3:
+        return np.zeros(len(signal))
+    bent = np.linalg.norm(np.diff(signal, 2, axis=0), axis=-1)
+    width = min(2 * AROUND + 1, len(bent))
+    windows = np.lib.stride_tricks.sliding_window_view(bent, width)
+    middle = np.arange(len(signal)) - 1 - width // 2
+    return np.asarray(np.median(windows, axis=-1)[np.clip(middle, 0, len(windows) - 1)])
+
+
+_DEFAULTS = CleanOptions()
+
+
+def clean(
+    take: Take,
+    *,
+    spikes: int = _DEFAULTS.spikes,
+    keep_noise: bool = _DEFAULTS.keep_noise,
+    cutoff: float | None = None,
+) -> Take:
+    """Return a take without spikes, each joint filtered as its noise asks for.
+
+    Filters have no lag. A joint whose noise a filter would hardly lessen is not
+    filtered, so that a take without noise stays as it is. What was done is noted
+    (CAP101).
+
+    Args:
+        take: F frames.
+        spikes: Longest spike that is removed [frames]; 0 leaves them.
+        keep_noise: Whether noise stays.
+        cutoff: Filter every joint at this frequency [Hz]; none chooses one for the
+            translations and one for the rotations of each joint.
+
+    Raises:
+        OptionError: A number makes no sense (CAP001).
+    """
+    options = CleanOptions(spikes, keep_noise, cutoff)
+    for check in _checks(options).values():
+        check()
+    cleaned, signals = cleaned_take(take, options)
+    return replace(cleaned, notices=(*take.notices, *notices(take, signals, options)))
+
+
+def cleaned_take(take: Take, options: CleanOptions) -> tuple[Take, list[CleanedSignal]]:
+    """Return a take cleaned, and what was done to the joints that move."""
+    motion = take.motion
+    cleaner = _Cleaner(tuple(take.rig.names), float(take.clock.rate), options)
+    shifts = cleaner.channel(motion.translations, MIN_SHIFT * rest_size(take.rig))
+    turns = cleaner.channel(motion.rotations, MIN_TURN)
+    dense = so3.align_signs(turns.values, turns.rest[turns.animated])
+    motion = replace(
+        motion, translations=shifts, rotations=replace(turns, values=dense)
+    )
+    return replace(take, motion=motion), cleaner.signals
+
+
+def notices(
+    take: Take, signals: list[CleanedSignal], options: CleanOptions
+) -> list[Fault]:
+    """Return what there is to say about a take that was cleaned."""
+    if (
+        take.clock.count <= NOISE_ORDER
+        and not options.keep_noise
+        and options.cutoff is None
+    ):
+        message = (
+            f"with {counted(take.clock.count, 'frame')} noise cannot be told from "
+            f"motion; nothing is filtered"
+        )
+        return [Fault("CAP102", message, severity=Severity.WARNING)]
+    spiky = sorted({s.joint for s in signals if s.spikes})
+    filtered = [s for s in signals if s.cutoff is not None]
+    parts = []
+    if spiky:
+        frames = sum(len(s.spikes) for s in signals)
+        names = listed(spiky, MAX_NAMED)
+        parts.append(f"{counted(frames, 'frame')} of spikes replaced ({names})")
+    if filtered:
+        parts.append(_filtered(filtered, len(signals)))
+    if not parts:
+        return []
+    return [Fault("CAP101", "; ".join(parts), severity=Severity.NOTE)]
+
+
+def _filtered(signals: list[CleanedSignal], count: int) -> str:
+    """Return which cut-offs were chosen, and the noise that asked for them."""
+    order = sorted(signals, key=lambda s: s.cutoff or 0.0)
+    low, high = order[0], order[-1]
+    text = (
+        f"{len(signals)} of {counted(count, 'signal')} filtered, at "
+        f"{low.cutoff:.3g} Hz ({low.joint}) to {high.cutoff:.3g} Hz ({high.joint})"
+    )
+    shift = max((s.noise for s in signals if not s.rotation), default=0.0)
+    turn = max((s.noise for s in signals if s.rotation), default=0.0)
+    return f"{text}; noise up to {length_text(shift)} and {math.degrees(turn):.2g} deg"
+
+
+def scores_of(frames: int, signals: list[CleanedSignal]) -> PassScores:
+    """Return how bad a take was, and what was done to which joint, the worst first."""
+    filtered = sorted(
+        (s for s in signals if s.cutoff is not None), key=lambda s: s.cutoff or 0.0
+    )
+    spiky = sorted((s for s in signals if s.spikes), key=lambda s: -len(s.spikes))
+    lost = len({frame for s in signals for frame in s.spikes})
+    turns = (s.noise for s in signals if s.rotation)
+    shifts = (s.noise for s in signals if not s.rotation)
+    names = {
+        "filtered": tuple(
+            f"{s.part} at {s.cutoff:.3g} Hz, noise {s.noise_text}" for s in filtered
+        ),
+        "spikes": tuple(f"{s.part} in {len(s.spikes)}" for s in spiky),
+    }
+    return PassScores(
+        (
+            Score("noise of places", max(shifts, default=0.0), ScoreUnit.LENGTH, 1e-3),
+            Score("of turns", max(turns, default=0.0), ScoreUnit.ANGLE, USUAL_NOISE),
+            Score("frames with spikes", lost / max(frames, 1), ScoreUnit.SHARE, 0.01),
+        ),
+        {what: joints for what, joints in names.items() if joints},
+    )
+
+
+def _refused(message: str) -> OptionError:
+    return OptionError(Fault("CAP001", message))
+
+
+def _check_spikes(spikes: int) -> None:
+    if not 0 <= spikes <= AROUND // 2:
+        raise _refused(f"spikes is {spikes}; it must be 0 to {AROUND // 2}")
+
+
+def _check_cutoff(cutoff: float | None) -> None:
+    if cutoff is not None and not 0 < cutoff < math.inf:
+        raise _refused(f"cutoff is {cutoff:g} Hz; it must be above 0")
+
+
+def _checks(options: CleanOptions) -> OptionChecks:
+    return {
+        "spikes": lambda: _check_spikes(options.spikes),
+        "cutoff": lambda: _check_cutoff(options.cutoff),
+    }
+
+
+def _run(take: Take, options: CleanOptions, context: PassContext) -> Take:
+    cleaned, signals = cleaned_take(take, options)
+    context.notices.extend(notices(take, signals, options))
+    context.scores.append(scores_of(take.clock.count, signals))
+    return cleaned
+
+
+_PARTS = frozenset({TakePart.JOINTS})
+
+PASS = Pass(
+    "clean",
+    "Remove spikes and noise",
+    CleanOptions,
+    Scope.CLIP,
+    _run,
+    _checks,
+    reads=_PARTS | {TakePart.RIG, TakePart.CLOCK},
+    changes=_PARTS,
+)

@@ -1,0 +1,259 @@
+"""Landmarks of a face as files have them, and which are those of a rig."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from animtool.capture.face.model import FaceModel, landmark_names
+from animtool.core.array_types import FloatArray
+from animtool.core.clock import Clock, time_fraction
+from animtool.core.errors import (
+    Fault,
+    FormatError,
+    OptionError,
+    Severity,
+    counted,
+    listed,
+    naming,
+)
+from animtool.core.files.reading import open_input
+from animtool.core.names import nearest
+from animtool.core.rates import FractionLike, RateError, parse_rate, rate_option
+from animtool.core.readers import find_reader
+from animtool.core.units import LengthUnit, UpAxis
+from animtool.documents.arrays import Archives
+from animtool.documents.references import split_reference
+
+_UNITS = {f"_{unit}": unit.meters for unit in LengthUnit}
+_POINTS = re.compile(r"landmarks(_mm|_cm|_m|_in|_px)?")
+MAX_POSITIONS = 200_000_000
+MAX_NAMED = 12
+
+
+@dataclass(frozen=True, slots=True)
+class FaceCapture:
+    """Landmarks of a face over frames.
+
+    Attributes:
+        path: The file.
+        names: Of the landmarks; None where the file has none.
+        clock: Times of the frames.
+        points: World space [m] ``(F, N, 3)``, or of one camera [px] ``(F, N, 2)``; NaN
+            where missing.
+        up: The up axis of the world.
+        model: The face that the file has beside them; None where it has none.
+        notices: What is odd.
+    """
+
+    path: Path
+    names: tuple[str, ...] | None
+    clock: Clock
+    points: FloatArray
+    up: UpAxis = UpAxis.Y
+    model: FaceModel | None = None
+    notices: tuple[Fault, ...] = ()
+
+    @property
+    def pixels(self) -> bool:
+        """Whether they are those of a camera."""
+        return int(self.points.shape[-1]) == 2
+
+
+def read_capture(
+    path: Path | str,
+    *,
+    unit: LengthUnit | None = None,
+    up: UpAxis | None = None,
+    fps: FractionLike | None = None,
+) -> FaceCapture:
+    """Return the landmarks of a file: an npz, or any file of markers.
+
+    An npz holds positions ``landmarks_mm`` (or ``_cm``, ``_m``, ``_in``) ``(F, N, 3)``
+    or pixels ``landmarks_px`` ``(F, N, 2)``, the rate ``fs``, and if it likes the texts
+    ``landmark_names``, and a face: ``neutral_mm`` ``(N, 3)``, ``delta_mm``
+    ``(S, N, 3)``, the texts ``shape_names``.
+
+    Args:
+        path: The file; ``take.npz#landmarks_b_mm`` names the array too.
+        unit: What positions are in; None is what the file says.
+        up: Which axis points up; None is what the file says, or Y.
+        fps: The frame rate; None is what the file says.
+
+    Raises:
+        FormatError: It cannot be read, or its arrays do not fit together (FAC003).
+        OptionError: Its suffix is none that markers are read from (IO002).
+    """
+    text, array = split_reference(str(path), "")
+    path = Path(text)
+    if path.suffix.lower() != ".npz":
+        opener = find_reader(path).markers_opener(path)
+        markers = opener(path, unit=unit, up=up, fps=fps)
+        named = [name for name in markers.names if not name.startswith("*")]
+        return FaceCapture(
+            path,
+            tuple(markers.names) if len(named) == len(markers.names) else None,
+            markers.clock,
+            markers.positions,
+            markers.up,
+            notices=markers.notices,
+        )
+    open_input(path, None).close()
+    try:
+        with Archives() as archives:
+            return _read(archives, path, array, unit, up or UpAxis.Y, fps)
+    except ValueError as error:
+        raise _wrong(path, str(error).removeprefix(path.name).lstrip("# ")) from error
+
+
+def _wrong(path: Path, message: str, hint: str | None = None) -> FormatError:
+    return FormatError(Fault("FAC003", message, str(path), (), hint))
+
+
+def _read(
+    archives: Archives,
+    path: Path,
+    array: str,
+    unit: LengthUnit | None,
+    up: UpAxis,
+    fps: FractionLike | None,
+) -> FaceCapture:
+    known = archives.names(path)
+    names = [name for name in known if _POINTS.fullmatch(name)]
+    if array:
+        names = [array]
+    if not names:
+        hint = f"it holds {listed(known)}; landmarks_mm (F, N, 3) are positions in mm"
+        raise _wrong(path, "has no array landmarks_mm or landmarks_px", hint)
+    key = names[0]
+    head = archives.header(path, key)
+    width = 2 if key.endswith("_px") else 3
+    if len(head.shape) != 3 or head.shape[2] != width or head.kind not in "fiu":
+        message = f"{key} has shape {head.shape}, not (frames, landmarks, {width})"
+        raise _wrong(path, message)
+    frames, count, _ = head.shape
+    if not frames or not count or frames * count > MAX_POSITIONS:
+        raise _wrong(path, f"{key} has {frames} frames of {count} landmarks")
+    scale = 1.0 if width == 2 else _meters(key, unit)
+    points = np.array(archives.stored(path, key), np.float64) * scale
+    notices = []
+    # NaN is missing; so is what is no number at all.
+    infinite = np.isinf(points).any(axis=-1)
+    if infinite.any():
+        points[infinite] = np.nan
+        message = f"{int(infinite.sum())} landmarks are infinite: taken for missing"
+        notices.append(Fault("FAC106", message, str(path), severity=Severity.WARNING))
+    texts = None
+    if "landmark_names" in known:
+        texts = tuple(archives.texts(path, "landmark_names"))
+        if len(texts) != count or len(set(texts)) < count:
+            message = f"landmark_names are {len(set(texts))} names of {count} landmarks"
+            raise _wrong(path, message)
+    return FaceCapture(
+        path,
+        texts,
+        Clock(_rate(archives, path, known, fps), Fraction(1), Fraction(1), frames),
+        points,
+        up,
+        _model(archives, path, known, texts, unit),
+        tuple(notices),
+    )
+
+
+def _meters(key: str, unit: LengthUnit | None) -> float:
+    if unit is not None:
+        return unit.meters
+    return _UNITS.get(key[key.rfind("_") :] if "_" in key else "", LengthUnit.MM.meters)
+
+
+def _rate(
+    archives: Archives, path: Path, known: Sequence[str], fps: FractionLike | None
+) -> Fraction:
+    if fps is not None:
+        return rate_option(fps)
+    if "fs" not in known:
+        hint = "--source-fps says it"
+        raise _wrong(path, "states no rate (fs)", hint)
+    stated = archives.stored(path, "fs").ravel()
+    try:
+        return parse_rate(str(time_fraction(float(stated[0]))))
+    except (IndexError, RateError, ValueError, OverflowError) as error:
+        raise _wrong(path, f"fs is {stated[:1].tolist()}, no frame rate") from error
+
+
+def _model(
+    archives: Archives,
+    path: Path,
+    known: Sequence[str],
+    names: tuple[str, ...] | None,
+    unit: LengthUnit | None,
+) -> FaceModel | None:
+    """Return the face of an npz; None where it has none."""
+    neutral = next((key for key in known if re.match(r"neutral(_|$)", key)), None)
+    deltas = next((key for key in known if re.match(r"deltas?(_|$)", key)), None)
+    if neutral is None or deltas is None or "shape_names" not in known:
+        return None
+
+    def meters(key: str) -> FloatArray:
+        values: npt.NDArray[np.float64] = archives.load(path, key) * _meters(key, unit)
+        return values
+
+    points = meters(neutral)
+    shapes = tuple(archives.texts(path, "shape_names"))
+    labels = landmark_names(len(points), names)
+    try:
+        return FaceModel(labels, shapes, points, meters(deltas))
+    except OptionError as error:
+        faults = [
+            Fault(f.code, f.message, str(path), hint=f.hint) for f in error.faults
+        ]
+        raise FormatError(faults) from error
+
+
+def in_order(capture: FaceCapture, model: FaceModel) -> tuple[FloatArray, list[Fault]]:
+    """Return landmarks in the order of a face ``(F, N, …)``, and what does not fit.
+
+    Named ones by name, so that others may be missing; the rest by their number.
+
+    Raises:
+        OptionError: There are others in number, or none of the names (FAC004).
+    """
+    path, count = str(capture.path), len(model.names)
+    if capture.names is None or capture.names == model.names:
+        if capture.points.shape[1] != count:
+            message = (
+                f"has {counted(capture.points.shape[1], 'landmark')} without names, "
+                f"and the face has {count}"
+            )
+            hint = "landmark_names in the npz says which are which"
+            raise OptionError(Fault("FAC004", message, path, (), hint))
+        return capture.points, []
+    places = {name: i for i, name in enumerate(capture.names)}
+    there = [places.get(name, -1) for name in model.names]
+    if max(there) < 0:
+        message = f"no landmark is one of the face, such as {capture.names[0]!r}"
+        hint = f"{nearest(capture.names[0], model.names)}"
+        raise OptionError(Fault("FAC004", message, path, (), hint))
+    made = np.full((len(capture.points), count, capture.points.shape[2]), np.nan)
+    for i, at in enumerate(there):
+        if at >= 0:
+            made[:, i] = capture.points[:, at]
+    notices = []
+    for names, what in (
+        ([n for n, at in zip(model.names, there, strict=True) if at < 0],
+         "landmarks of the face are not in the capture: "),
+        ([n for n in capture.names if n not in set(model.names)],
+         "landmarks of the capture are not on the face: "),
+    ):  # fmt: skip
+        if names:
+            message = f"{len(names)} {what}"
+            notices.append(
+                naming("FAC107", message, names, path, severity=Severity.WARNING)
+            )
+    return made, notices

@@ -1,0 +1,245 @@
+"""Landmarks files, ``*.landmarks.yaml``: where on the meshes of a rig landmarks are."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from annotated_types import Ge, Len
+
+from animtool.capture.face.model import BentShapes, FaceModel
+from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.config import project_roots
+from animtool.core.names import nearest
+from animtool.documents.check import FileModel, check_version, validated
+from animtool.documents.document import Document, Location, read_document
+from animtool.documents.fields import IgnoreModel, Name, Real, key
+from animtool.documents.references import referred_input
+from animtool.rig.parts import Shape
+from animtool.rig.skeleton import Rig
+from animtool.rig.surfaces import Surface, SurfaceShape, surfaces_of
+from animtool.skin.shapes import InbetweenDeltas, ShapeDeltas, prepare_shapes
+
+# Weights of a landmark's vertices add up to 1 as far as text is exact.
+SUM_TOLERANCE = 1e-3
+
+Vertex = Annotated[int, Ge(0)]
+
+
+class LandmarkModel(FileModel):
+    """A landmark on a mesh: at a vertex, or in between several."""
+
+    name: Name = key("The landmark, unique in the file.", "nose_tip")
+    mesh: Name | None = key(
+        "The mesh that it is on. Not given: that of the file.", "face", default=None
+    )
+    vertex: Vertex | None = key("The vertex that it is at.", 1042, default=None)
+    vertices: Annotated[list[Vertex], Len(1)] | None = key(
+        "The vertices that it is in between, such as those of a triangle.",
+        [7, 12, 13],
+        default=None,
+    )
+    weights: Annotated[list[Real], Len(1)] | None = key(
+        "How near it is to each of the vertices, 1 in all: barycentric coordinates. "
+        "Not given: in their middle.",
+        [0.5, 0.3, 0.2],
+        default=None,
+    )
+
+
+class LandmarksModel(FileModel):
+    """A landmarks file."""
+
+    landmarks: Literal["animtool/1"] = key(
+        "File type and format version.", "animtool/1"
+    )
+    rig: Name | None = key(
+        "The rig that it is for. `mocap face` names the rig itself.",
+        "head.rig.yaml",
+        default=None,
+    )
+    mesh: Name | None = key(
+        "The mesh of landmarks that name none. Not given: the only mesh with shapes.",
+        "face",
+        default=None,
+    )
+    points: Annotated[list[LandmarkModel], Len(1)] = key(
+        "The landmarks, in the order of captures that name none.",
+        [{"name": "nose_tip", "vertex": 1042}],
+    )
+    ignore: list[IgnoreModel] = key(
+        "Findings of `animtool validate` that are known and stay.",
+        [{"code": "FAC008", "why": "it is meant"}],
+        default=[],
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class LandmarksFile:
+    """A landmarks file that was read."""
+
+    document: Document
+    model: LandmarksModel
+    rig: Path | None  # the rig file that it names, resolved
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the landmarks."""
+        return tuple(point.name for point in self.model.points)
+
+
+def load_landmarks(path: Path | str) -> LandmarksFile:
+    """Return a landmarks file; meshes and vertices are checked by `face_model`.
+
+    Raises:
+        FormatError: It cannot be read or is malformed, with every fault.
+    """
+    return landmarks_of_document(read_document(Path(path)))
+
+
+def landmarks_of_document(document: Document) -> LandmarksFile:
+    """Return a document as a landmarks file (what does not fit together: FAC008)."""
+    check_version(document, "landmarks")
+    model = validated(document, LandmarksModel)
+    taken: dict[str, int] = {}
+    for i, point in enumerate(model.points):
+        at: Location = ("points", i)
+        if point.name in taken:
+            message = f"two landmarks are called {point.name!r}"
+            hint = f"the other is points[{taken[point.name]}]"
+            document.add("FAC008", (*at, "name"), message, hint)
+        taken.setdefault(point.name, i)
+        if (point.vertex is None) == (point.vertices is None):
+            message = "a landmark is at one vertex, or in between several"
+            hint = "write vertex: 12, or vertices: [12, 13, 14]"
+            document.add("FAC008", at, message, hint)
+        if point.weights is not None:
+            count = len(point.vertices or ())
+            if len(point.weights) != count:
+                message = f"has {len(point.weights)} weights for {count} vertices"
+                document.add("FAC008", (*at, "weights"), message)
+            elif abs(sum(point.weights) - 1) > SUM_TOLERANCE:
+                message = f"weights add up to {sum(point.weights):g}, not 1"
+                document.add("FAC008", (*at, "weights"), message)
+    rig = None
+    if model.rig is not None:
+        roots = project_roots(document.path)
+        rig = referred_input(document, ("rig",), model.rig, roots)
+    document.check()
+    return LandmarksFile(document, model, rig)
+
+
+def face_model(file: LandmarksFile, rig: Rig) -> FaceModel:
+    """Return the landmarks of a rig and what its shapes do to them.
+
+    Shapes with a weight of their own are solved for; combined ones follow.
+
+    Raises:
+        FormatError: The rig has no such mesh, or the mesh no such vertex (FAC008).
+    """
+    surfaces = {surface.name: surface for surface in surfaces_of(rig)}
+    rows = _rows(file, surfaces)
+    neutral = np.stack([_at(surfaces[m].points, at, w) for m, at, w in rows])
+    deltas: dict[str, FloatArray] = {}
+    bent: list[ShapeDeltas] = []
+    for shape in rig.shapes:
+        moved = _moved(shape, surfaces, rows)
+        if moved is None:
+            continue
+        deltas[shape.name] = moved[0]
+        between = tuple(InbetweenDeltas(at, values) for at, values in moved[1])
+        bent.append(ShapeDeltas(shape.name, moved[0], inbetweens=between))
+    own = [shape for shape in rig.shapes if not shape.combine and shape.name in deltas]
+    names = tuple(shape.name for shape in own)
+    # A combined shape may combine others that move no landmark: all are kept.
+    shapes = tuple(rig.shapes)
+    curved = any(s.combine and s.name in deltas for s in shapes)
+    curved = curved or any(shape.inbetweens for shape in bent)
+    places = {shape.name: i for i, shape in enumerate(shapes)}
+    return FaceModel(
+        file.names,
+        names,
+        neutral,
+        np.stack([deltas[name] for name in names])
+        if names
+        else np.zeros((0, *neutral.shape)),
+        BentShapes(
+            shapes, prepare_shapes(bent, neutral), tuple(places[n] for n in names)
+        )
+        if curved
+        else None,
+    )
+
+
+_Row = tuple[str, IntArray, FloatArray]
+
+
+def _rows(file: LandmarksFile, surfaces: dict[str, Surface]) -> list[_Row]:
+    """Return mesh, vertices and weights of each landmark."""
+    document, model = file.document, file.model
+    shaped = [name for name, surface in surfaces.items() if surface.shapes]
+    usual = model.mesh or (shaped[0] if len(shaped) == 1 else None)
+    rows: list[_Row] = []
+    for i, point in enumerate(model.points):
+        at: Location = ("points", i)
+        mesh = point.mesh or usual
+        if mesh is None:
+            message = "names no mesh, and several have shapes"
+            document.add("FAC008", at, message, f"allowed: {', '.join(shaped)}")
+            continue
+        if mesh not in surfaces:
+            where = (*at, "mesh") if point.mesh else ("mesh",)
+            message = f"the rig has no mesh {mesh!r}"
+            document.add("FAC008", where, message, nearest(mesh, surfaces))
+            continue
+        vertices = [point.vertex] if point.vertex is not None else point.vertices or []
+        count = len(surfaces[mesh].points)
+        for k, vertex in enumerate(vertices):
+            if vertex >= count:
+                where = (*at, "vertex") if point.vertex is not None else (
+                    *at, "vertices", k
+                )  # fmt: skip
+                message = f"mesh {mesh!r} has no vertex {vertex}; it has {count}"
+                document.add("FAC008", where, message)
+        even = [1.0 / max(len(vertices), 1)] * len(vertices)
+        rows.append((mesh, np.array(vertices), np.array(point.weights or even)))
+    document.check()
+    return rows
+
+
+def _at(values: FloatArray, vertices: IntArray, weights: FloatArray) -> FloatArray:
+    """Return an array of a mesh at a landmark ``(3,)``."""
+    return np.asarray(weights @ values[vertices])
+
+
+_Moved = tuple[FloatArray, list[tuple[float, FloatArray]]]
+
+
+def _moved(
+    shape: Shape, surfaces: dict[str, Surface], rows: list[_Row]
+) -> _Moved | None:
+    """Return what a shape adds at landmarks, and in between; None is nothing."""
+    found: SurfaceShape | None = None
+    surface = surfaces.get(shape.mesh)
+    if surface is not None:
+        found = next((s for s in surface.shapes if s.name == shape.name), None)
+    if surface is None or found is None:
+        return None
+
+    def at_landmarks(values: FloatArray) -> FloatArray:
+        whole = np.zeros((len(surface.points), 3))
+        if found.vertices is None:
+            whole[:] = values
+        else:
+            whole[found.vertices] = values
+        return np.stack(
+            [
+                _at(whole, at, w) if mesh == shape.mesh else np.zeros(3)
+                for mesh, at, w in rows
+            ]
+        )
+
+    between = [(one.at, at_landmarks(one.deltas)) for one in found.inbetweens]
+    return at_landmarks(found.deltas), between

@@ -1,0 +1,403 @@
+"""Landmarks to blend-shape weights: bounded, robust, smooth in time, without the head.
+
+Every frame asks for weights and a head pose at which the shaped face lies on its
+landmarks. Frames are coupled by the cost of changes, so a take is solved in windows
+that overlap by more than a change reaches: the same numbers whatever is read at a time.
+
+References:
+    P. J. Huber, Robust Statistics, 1981, chapter 7 (reweighted least squares).
+    D. P. Bertsekas, Projected Newton methods for optimization problems with simple
+    constraints, 1982.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from enum import StrEnum
+
+import numpy as np
+
+from animtool import _kernels
+from animtool.capture.face.model import MIN_MOTION, FaceModel, spread
+from animtool.capture.face.poses import camera_pose, head_poses
+from animtool.core.array_types import BoolArray, FloatArray, IntArray
+from animtool.core.errors import Fault, OptionError, Severity, counted, listed, naming
+from animtool.maths.so3 import align_signs, slerp
+
+# Frames of a window that count, and those on both sides that it is solved with: a
+# change is felt for some frames only.
+WINDOW, OVERLAP = 256, 32
+# A pose and a weight need as many in a frame.
+MIN_LANDMARKS = 4
+# Frames that the noise is measured on.
+NOISE_FRAMES = 200
+# Half of the residuals of noise in three directions are shorter than so many
+# deviations, and in two.
+MEDIAN_3D, MEDIAN_2D = 1.538, 1.1774
+# Residuals longer than so many deviations of the noise count for less: 3 % of good.
+ROBUST_DEVIATIONS = 3.0
+# Of noise, in shares of the face's size: below, weights are exact to a thousandth.
+MIN_NOISE = 1e-5
+# How fast weights of a lively face change [1/s].
+USUAL_SPEED = 3.0
+# Deviation of weights from 0 that is usual: what landmarks do not show stays small.
+USUAL_WEIGHT = 0.5
+# A weight's change in the last round that is none.
+ENOUGH = 1e-5
+ROUNDS = 30
+# Rounds for in-betweens and correctives.
+BENT_ROUNDS = 6
+BENT_ENOUGH = 1e-4
+# A capture's size against the face's: beyond, its unit is another.
+MAX_SCALE = 3.0
+# A landmark that counts for less than half in so many frames is misplaced.
+POOR_SHARE = 0.5
+MAX_NAMED = 12
+
+
+class FrameStatus(StrEnum):
+    """How a frame was solved."""
+
+    SOLVED = "solved"
+    GAP = "gap"  # too few landmarks: weights and pose are between those of others
+    POOR = "poor"  # more than half of the landmarks were taken for outliers
+
+
+@dataclass(frozen=True, slots=True)
+class FaceFit:
+    """Weights of a face over frames, and how well they fit.
+
+    Attributes:
+        model: The face.
+        weights: Of its shapes, 0 to 1 ``(F, S)``.
+        rotations: Of the head, world from face ``(F, 4)``.
+        translations: Likewise [m] ``(F, 3)``.
+        residuals: How far landmarks are from the face, in [m], or [px] of a camera
+            ``(F, N)``; NaN where missing.
+        shares: For how much each counted, 0 to 1 ``(F, N)``.
+        status: Of each frame.
+        noise: Deviation of the noise in one direction, in the unit of the residuals.
+        rounds: Of the slowest window.
+        change: Largest change of a weight in a window's last round.
+        notices: What is odd.
+    """
+
+    model: FaceModel
+    weights: FloatArray
+    rotations: FloatArray
+    translations: FloatArray
+    residuals: FloatArray
+    shares: FloatArray
+    status: tuple[FrameStatus, ...]
+    noise: float
+    rounds: int
+    change: float
+    notices: tuple[Fault, ...] = ()
+
+    @property
+    def rms(self) -> float:
+        """Root of the mean square residual of landmarks that count by half or more."""
+        good = (self.shares >= POOR_SHARE) & np.isfinite(self.residuals)
+        return float(np.sqrt((self.residuals[good] ** 2).mean())) if good.any() else 0.0
+
+
+def fit_face(
+    model: FaceModel,
+    observed: FloatArray,
+    fps: float,
+    *,
+    smooth: float = 1.0,
+    camera: FloatArray | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> FaceFit:
+    """Return weights and head poses at which a face lies on its landmarks.
+
+    Args:
+        model: The face.
+        observed: Its landmarks in the world, in the model's order, NaN where missing
+            [m] ``(F, N, 3)``; with a camera, free of distortion [px] ``(F, N, 2)``.
+        fps: Frames a second.
+        smooth: How much changes from frame to frame cost: 1 is as the noise and a
+            lively face ask for, 0 nothing.
+        camera: fx, fy, cx, cy of a camera that looks along +Z with Y down [px].
+        progress: Called with the share done, 0 to 1.
+
+    Raises:
+        OptionError: Landmarks do not fit the model (FAC004), no frame has enough
+            (FAC005), sizes differ as those of different units do (FAC006), no shape
+            moves a landmark (FAC007), or the camera sees no face (FAC010).
+
+    >>> model = FaceModel(tuple("abcd"), ("up",), np.eye(4)[:, :3], np.ones((1, 4, 3)))
+    >>> model = FaceModel(model.names, ("x",), model.neutral, np.eye(4, 3, 1)[None])
+    >>> seen = model.points(np.full((2, 1), 0.5))
+    >>> fit_face(model, seen, 60.0).weights.round(4).tolist()
+    [[0.5], [0.5]]
+    """
+    _check(model, observed, camera)
+    seen: BoolArray = np.asarray(np.isfinite(observed).all(axis=-1))
+    usable = seen.sum(axis=1) >= MIN_LANDMARKS
+    if not usable.any():
+        message = f"no frame has {MIN_LANDMARKS} landmarks or more"
+        raise OptionError(Fault("FAC005", message))
+    moving = model.moving()
+    if not moving.any():
+        message = "no shape moves a landmark"
+        hint = "are the landmarks on the mesh that the shapes are of?"
+        raise OptionError(Fault("FAC007", message, hint=hint))
+    # What moves landmarks alike is solved as one shape, and shared evenly.
+    kept, share = _shared(model, moving)
+    face = model.select(kept)
+    if model.bent is None:
+        counts = np.bincount(share[moving], minlength=len(model.shapes))[kept]
+        face = replace(face, deltas=face.deltas * counts[:, None, None])
+    fit = _Fit(
+        face, np.where(usable[:, None, None], observed, np.nan), fps, smooth, camera
+    )
+    weights, poses, residuals, shares, rounds, change = fit.solve(progress)
+    whole = np.zeros((len(observed), len(model.shapes)))
+    places = np.cumsum(kept) - 1
+    whole[:, moving] = weights[:, places[share[moving]]]
+    rotations, translations = _bridged(poses, usable)
+    poor = usable & ((shares < POOR_SHARE).sum(axis=1) > 0.5 * len(model.names))
+    poor &= (shares >= POOR_SHARE).sum(axis=1) < 0.5 * seen.sum(axis=1)
+    status = np.where(
+        usable, np.where(poor, FrameStatus.POOR, FrameStatus.SOLVED), "gap"
+    )
+    notices = [*model.notices(), *_notices(model, seen, usable, poor, shares)]
+    return FaceFit(
+        model,
+        whole,
+        rotations,
+        translations,
+        residuals,
+        shares,
+        tuple(FrameStatus(s) for s in status.tolist()),
+        fit.noise,
+        rounds,
+        change,
+        tuple(notices),
+    )
+
+
+def _shared(model: FaceModel, moving: BoolArray) -> tuple[BoolArray, IntArray]:
+    """Return which shapes are solved, and for each that moves the one it goes with."""
+    kept, share = moving.copy(), np.arange(len(moving))
+    for a, b in model.alike() if model.bent is None else ():
+        same = np.linalg.norm(model.deltas[a] - model.deltas[b])
+        if share[a] == a and same <= MIN_MOTION * np.linalg.norm(model.deltas[a]):
+            share[b], kept[b] = a, False
+    return kept, share
+
+
+def _check(model: FaceModel, observed: FloatArray, camera: FloatArray | None) -> None:
+    """Refuse landmarks that are not those of a face."""
+    width = 3 if camera is None else 2
+    shape = (len(model.names), width)
+    if observed.ndim != 3 or observed.shape[1:] != shape or not len(observed):
+        message = (
+            f"landmarks have shape {observed.shape}, and the face has "
+            f"{counted(len(model.names), 'landmark')}: (F, {shape[0]}, {width})"
+        )
+        raise OptionError(Fault("FAC004", message))
+    if len(model.names) < MIN_LANDMARKS:
+        message = f"the face has {counted(len(model.names), 'landmark')}"
+        hint = f"a pose and weights need {MIN_LANDMARKS} or more"
+        raise OptionError(Fault("FAC004", message, hint=hint))
+    if camera is not None or spread(model.neutral) == 0:
+        return
+    seen: BoolArray = np.asarray(np.isfinite(observed).all(axis=-1))
+    full = np.flatnonzero(seen.sum(axis=1) >= MIN_LANDMARKS)[:: max(1, len(seen) // 50)]
+    ratios = [
+        spread(observed[f, seen[f]]) / max(spread(model.neutral[seen[f]]), 1e-300)
+        for f in full.tolist()
+    ]
+    ratio = float(np.median(ratios)) if ratios else 1.0
+    if not 1 / MAX_SCALE <= ratio <= MAX_SCALE:
+        message = f"the captured face is {ratio:.3g} times as large as the rig's"
+        hint = "--units says the unit of the landmarks"
+        raise OptionError(Fault("FAC006", message, hint=hint))
+
+
+class _Fit:
+    """One fit: the noise of its landmarks, then its windows."""
+
+    def __init__(
+        self,
+        face: FaceModel,
+        observed: FloatArray,
+        fps: float,
+        smooth: float,
+        camera: FloatArray | None,
+    ) -> None:
+        self.face, self.camera = face, camera
+        self.observed = np.ascontiguousarray(observed, np.float64)
+        self.deltas = np.ascontiguousarray(face.deltas)
+        self.start = self._first_poses()
+        self.unit = 1.0 if camera is None else self._pixels()
+        self.noise = self._noise()
+        speed = USUAL_SPEED / fps
+        self.smooth = smooth * (self.noise / speed) ** 2
+        self.rest = (self.noise / USUAL_WEIGHT) ** 2
+
+    def _first_poses(self) -> FloatArray:
+        if self.camera is None:
+            return head_poses(self.face.neutral, self.observed)
+        middle = np.full(self.observed.shape[1:], np.nan)
+        some = np.isfinite(self.observed[..., 0]).any(axis=0)
+        middle[some] = np.nanmedian(self.observed[:, some], axis=0)
+        pose = camera_pose(self.face.neutral, middle, self.camera)
+        if pose is None or not pose[6] > 0:
+            message = "the camera sees no face that could be the rig's"
+            hint = "are the landmarks in its pixels, in the order of their names?"
+            raise OptionError(Fault("FAC010", message, hint=hint))
+        return np.repeat(pose[None], len(self.observed), axis=0)
+
+    def _pixels(self) -> float:
+        """Return how many pixels a metre of the face is."""
+        assert self.camera is not None
+        return float(self.camera[0] / np.median(self.start[:, 6]))
+
+    def _run(
+        self,
+        frames: slice | FloatArray,
+        threshold: float,
+        smooth: float,
+        rounds: int,
+        neutral: FloatArray | None = None,
+        begin: tuple[FloatArray, FloatArray] | None = None,
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, int, float]:
+        observed = self.observed[frames]
+        shape = (len(observed), len(self.face.shapes))
+        weights, poses = begin or (np.zeros(shape), self.start[frames])
+        own = self.face.neutral[None] if neutral is None else neutral
+        return _kernels.fit_face(
+            np.ascontiguousarray(own),
+            self.deltas,
+            np.ascontiguousarray(observed),
+            self.camera,
+            np.ascontiguousarray(poses),
+            np.ascontiguousarray(weights),
+            threshold,
+            smooth,
+            self.rest,
+            ENOUGH,
+            rounds,
+            begin is not None,
+        )
+
+    def _noise(self) -> float:
+        """Return the deviation of the noise, by frames that are solved one by one."""
+        good = np.flatnonzero(np.isfinite(self.observed[..., 0]).any(axis=1))
+        chosen = good[np.linspace(0, len(good) - 1, NOISE_FRAMES).astype(int)]
+        chosen = np.unique(chosen)
+        least = MIN_NOISE * self.face.size * self.unit
+        self.rest = (least * 10 / USUAL_WEIGHT) ** 2
+        threshold = 0.1 * self.face.size * self.unit
+        noise = least
+        for _ in range(3):
+            weights, _, residuals, _, _, _ = self._run(chosen, threshold, 0.0, 6)
+            seen = np.isfinite(residuals)
+            width = self.observed.shape[-1]
+            rows = width * seen.sum()
+            # Each pose and each weight off its bounds takes one residual.
+            taken = 6 * len(chosen) + ((weights > 0) & (weights < 1)).sum()
+            free = max(1.0 - taken / max(rows, 1), 0.05)
+            usual = MEDIAN_3D if width == 3 else MEDIAN_2D
+            noise = float(np.median(residuals[seen])) / usual / np.sqrt(free)
+            noise = max(noise, least)
+            threshold = ROBUST_DEVIATIONS * noise
+        return noise
+
+    def solve(
+        self, progress: Callable[[float], None] | None
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, int, float]:
+        """Return what the kernel does, of all windows."""
+        count, landmarks = self.observed.shape[:2]
+        weights = np.zeros((count, len(self.face.shapes)))
+        poses = np.zeros((count, 7))
+        residuals = np.zeros((count, landmarks))
+        shares = np.zeros((count, landmarks))
+        rounds, change = 0, 0.0
+        for first in range(0, count, WINDOW):
+            begin, end = max(0, first - OVERLAP), min(count, first + WINDOW + OVERLAP)
+            found = self._window(slice(begin, end))
+            own = slice(first, min(count, first + WINDOW))
+            inner = slice(first - begin, own.stop - begin)
+            weights[own], poses[own] = found[0][inner], found[1][inner]
+            residuals[own], shares[own] = found[2][inner], found[3][inner]
+            rounds, change = max(rounds, found[4]), max(change, found[5])
+            if progress is not None:
+                progress(own.stop / count)
+        return weights, poses, residuals, shares, rounds, change
+
+    def _window(
+        self, frames: slice
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, int, float]:
+        threshold = ROBUST_DEVIATIONS * self.noise
+        found = self._run(frames, threshold, self.smooth, ROUNDS)
+        if self.face.bent is None:
+            return found
+        for _ in range(BENT_ROUNDS):
+            weights, poses = found[0], found[1]
+            neutral = self.face.neutral + self.face.offsets(weights)
+            found = self._run(
+                frames, threshold, self.smooth, ROUNDS, neutral, (weights, poses)
+            )
+            if np.abs(found[0] - weights).max() < BENT_ENOUGH:
+                break
+        return found
+
+
+def _bridged(poses: FloatArray, usable: BoolArray) -> tuple[FloatArray, FloatArray]:
+    """Return rotations and translations, of frames without landmarks in between."""
+    turns, shifts = align_signs(poses[:, :4]), poses[:, 4:].copy()
+    if usable.all():
+        return turns, shifts
+    good, frames = np.flatnonzero(usable), np.arange(len(usable))
+    turns[good] = align_signs(turns[good])
+    after = np.minimum(np.searchsorted(good, frames), len(good) - 1)
+    before = np.maximum(np.searchsorted(good, frames, "right") - 1, 0)
+    a, b = good[before], good[after]
+    span = np.maximum(b - a, 1)
+    share = np.clip((frames - a) / span, 0.0, 1.0)
+    bad = ~usable
+    turns[bad] = slerp(turns[a[bad]], turns[b[bad]], share[bad])
+    shifts[bad] = shifts[a[bad]] + share[bad, None] * (shifts[b[bad]] - shifts[a[bad]])
+    return align_signs(turns), shifts
+
+
+def _notices(
+    model: FaceModel,
+    seen: BoolArray,
+    usable: BoolArray,
+    poor: BoolArray,
+    shares: FloatArray,
+) -> list[Fault]:
+    made = []
+    for frames, code, what in (
+        (~usable, "FAC103", f"fewer than {MIN_LANDMARKS} landmarks: in between"),
+        (poor, "FAC104", "landmarks of which most are outliers"),
+    ):
+        which = np.flatnonzero(frames).tolist()
+        if which:
+            message = (
+                f"{counted(len(which), 'frame')} with {what}; from the first, frames "
+                f"{listed(which, MAX_NAMED)}"
+            )
+            made.append(Fault(code, message, severity=Severity.WARNING))
+    used = seen & usable[:, None]
+    counts = used.sum(axis=0)
+    off = (used & (shares < POOR_SHARE)).sum(axis=0) > POOR_SHARE * np.maximum(
+        counts, 1
+    )
+    for names, what in (
+        ([n for n, c in zip(model.names, counts.tolist(), strict=True) if not c],
+         "are never seen: "),
+        ([n for n, o in zip(model.names, off.tolist(), strict=True) if o],
+         "do not fit the face in most frames: "),
+    ):  # fmt: skip
+        if names:
+            message = f"{counted(len(names), 'landmark')} {what}"
+            made.append(naming("FAC105", message, names, severity=Severity.WARNING))
+    return made

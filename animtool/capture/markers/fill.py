@@ -1,0 +1,259 @@
+"""Marker trajectories made whole: swaps and spikes repaired, gaps filled."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from animtool.capture.markers.geometry import distances
+from animtool.capture.markers.predict import Prediction, follow, predict, turned
+from animtool.capture.markers.spikes import Spike, find_spikes, without_spikes
+from animtool.capture.markers.swaps import Swap, unswapped
+from animtool.capture.options import FillOptions
+from animtool.core.array_types import BoolArray, FloatArray
+from animtool.core.errors import Fault, Severity, counted
+from animtool.core.process.blas import one_thread
+from animtool.motion.markers import Markers
+
+if TYPE_CHECKING:
+    from animtool.capture.markers.skeleton import SkeletonMarkers, Subject
+
+# Up to this long a curve through the frames around is as good as anything [s].
+CURVE_SECONDS = 0.05
+# Frames on either side that the curve goes by, and the fewest of one side.
+AROUND, MIN_FRAMES = 6, 3
+DEGREE = 5
+# What is about as near as noise is not looked for elsewhere [m], and in which share of
+# a gap another marker is seen that holds a joint.
+CLOSE, MOSTLY = 0.001, 0.8
+# What was left out beside a gap is met so much better than the gap itself.
+DOUBT = 1.6
+
+
+@dataclass(frozen=True, slots=True)
+class FilledGap:
+    """A gap that was filled, or could not be.
+
+    Attributes:
+        marker: Its name.
+        first: First frame without a position, from 0.
+        last: Last frame.
+        method: ``skeleton`` by the pose, ``curve`` by the frames around, ``markers`` by
+            the other markers, or empty where it was left.
+    """
+
+    marker: str
+    first: int
+    last: int
+    method: str
+
+
+@dataclass(frozen=True, slots=True)
+class FillReport:
+    """What filling did.
+
+    Attributes:
+        frames: Number of frames.
+        markers: Number of markers.
+        filled: Positions that were filled.
+        left: Positions that are still missing.
+        gaps: Every gap, by marker and frame.
+        spikes: Spikes that were removed, which are gaps then.
+        swaps: Spans in which two markers had each other's names.
+        notices: Warnings.
+    """
+
+    frames: int
+    markers: int
+    filled: int
+    left: int
+    gaps: list[FilledGap] = field(default_factory=list)
+    spikes: list[Spike] = field(default_factory=list)
+    swaps: list[Swap] = field(default_factory=list)
+    notices: list[Fault] = field(default_factory=list)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the report as plain values."""
+        found = {f: getattr(self, f) for f in ("frames", "markers", "filled", "left")}
+        listed = {
+            name: [asdict(entry) for entry in getattr(self, name)]
+            for name in ("gaps", "spikes", "swaps")
+        }
+        notices = [notice.as_dict() for notice in self.notices]
+        return {**found, **listed, "notices": notices}
+
+
+def fill(
+    markers: Markers,
+    options: FillOptions | None = None,
+    subject: Subject | None = None,
+) -> tuple[Markers, FillReport]:
+    """Return markers without swaps, spikes and gaps, as far as they can be told.
+
+    With a subject, gaps are filled by its skeleton: where that has the marker, and how
+    far it is off there before the gap and behind. The other gaps, and all without a
+    subject, are filled by a curve through the frames around them, up to 50 ms. Longer
+    ones are filled by the other markers: where those most rigid with a marker are, and
+    how it moves with their pose in the frames in which it is seen. A gap in which fewer
+    than three other markers are seen, or one at an end of the take without enough to
+    learn from, is left; a last position is never held.
+
+    Each gap is filled from the frames within six seconds of it. Which markers are most
+    rigid with each other is taken from the whole take, and so are swaps and skeleton.
+
+    Args:
+        markers: Named trajectories; points without a label stay as they are.
+        options: What to repair.
+        subject: Who wears the markers; its template says which of them the skeleton
+            tells. In frames with fewer than three it tells nothing.
+
+    Raises:
+        OptionError: The markers do not fit the subject, as of
+            `animtool.capture.solve.calibrate`.
+
+    >>> from animtool.core.clock import Clock
+    >>> path = np.zeros((9, 1, 3)) + np.arange(9.0)[:, None, None]
+    >>> path[4] = np.nan
+    >>> whole, report = fill(Markers(("LFHD",), Clock(120, 1, 1, 9), path))
+    >>> whole.positions[4, 0].round(6).tolist(), report.gaps[0].method
+    ([4.0, 4.0, 4.0], 'curve')
+    """
+    with one_thread():
+        return _filled_markers(markers, options or FillOptions(), subject)
+
+
+def _filled_markers(
+    markers: Markers, options: FillOptions, subject: Subject | None
+) -> tuple[Markers, FillReport]:
+    """Return markers that are whole, and what was done."""
+    swaps: list[Swap] = []
+    spikes: list[Spike] = []
+    if not options.keep_swaps:
+        markers, swaps = unswapped(markers)
+    if not options.keep_spikes:
+        spikes = find_spikes(markers)
+        markers = without_spikes(markers, spikes)
+    positions = markers.positions
+    gaps: list[FilledGap] = []
+    notices: list[Fault] = []
+    labelled = [not name.startswith("*") for name in markers.names]
+    if not options.keep_gaps:
+        skeleton = None
+        if subject is not None and not markers.seen[:, labelled].all():
+            from animtool.capture.markers.skeleton import skeleton_markers
+
+            skeleton = skeleton_markers(markers, subject)
+            notices += skeleton.notices
+        positions, gaps = _filled(markers, options.longest, skeleton)
+    was_seen = markers.seen
+    now = np.asarray(np.isfinite(positions).all(axis=-1))
+    filled = now & ~was_seen
+    if markers.filled is not None:
+        filled |= markers.filled & now
+    made = replace(
+        markers, positions=positions, filled=filled if filled.any() else None
+    )
+    left = int((~now[:, labelled]).sum())
+    if left and not options.keep_gaps:
+        open_gaps = sum(not gap.method for gap in gaps)
+        message = f"{counted(open_gaps, 'gap')} could not be filled"
+        hint = "no three markers around are seen, or too little is seen to learn from"
+        notices.append(Fault("MKR111", message, None, (), hint, Severity.WARNING))
+    report = FillReport(
+        len(markers), len(markers.names), int((now & ~was_seen).sum()), left, gaps,
+        spikes, swaps, notices,
+    )  # fmt: skip
+    return made, report
+
+
+def _filled(
+    markers: Markers, longest: float | None, skeleton: SkeletonMarkers | None
+) -> tuple[FloatArray, list[FilledGap]]:
+    """Return positions without gaps, shorter gaps filled first, and the gaps."""
+    positions = markers.positions.copy()
+    measured = np.asarray(np.isfinite(positions).all(axis=-1))
+    seen = measured.copy()
+    rate = float(markers.clock.rate)
+    spread = distances(positions).spread
+    found = []
+    for length, first, marker in _gaps(markers, seen):
+        gap = slice(first, first + length)
+        path: FloatArray | None = None
+        method = ""
+        if longest is None or length <= longest * rate:
+            if skeleton is not None and skeleton.tells(marker, gap):
+                made = follow(skeleton, positions, measured, marker, gap, rate)
+                method = "skeleton"
+                others = measured[gap].mean(axis=0) >= MOSTLY
+                guess = skeleton.drift(marker, others) * length / rate
+                if guess and max(guess, made.off) > CLOSE:
+                    made = replace(made, off=max(guess, made.off))
+                    where = (positions, seen, marker, gap, spread[marker], rate)
+                    made, method = _likeliest(
+                        (made, "skeleton"),
+                        (turned(skeleton, *where), "skeleton"),
+                        (predict(*where), "markers"),
+                    )
+                path = made.positions
+            elif length <= CURVE_SECONDS * rate + 1e-9:
+                method = "curve"
+                path = _curve(positions[:, marker], seen[:, marker], gap)
+            if path is None:
+                learnt = predict(positions, seen, marker, gap, spread[marker], rate)
+                path = None if learnt is None else learnt.positions
+                method = "markers"
+        if path is not None:
+            positions[gap, marker] = path
+            seen[gap, marker] = True
+        name = markers.names[marker]
+        last = first + length - 1
+        found.append(FilledGap(name, first, last, "" if path is None else method))
+    order = {name: i for i, name in enumerate(markers.names)}
+    found.sort(key=lambda gap: (order[gap.marker], gap.first))
+    return positions, found
+
+
+def _likeliest(*ways: tuple[Prediction | None, str]) -> tuple[Prediction, str]:
+    """Return the prediction that is least off, and its method; the first in doubt."""
+    (held, name), *others = ((way, name) for way, name in ways if way is not None)
+    off = held.off / DOUBT
+    return min([(replace(held, off=off), name), *others], key=lambda way: way[0].off)
+
+
+def _gaps(markers: Markers, seen: BoolArray) -> list[tuple[int, int, int]]:
+    """Return length, first frame and marker of all gaps, the shortest first."""
+    gaps = []
+    for marker, name in enumerate(markers.names):
+        if name.startswith("*") or not seen[:, marker].any():
+            continue
+        missing = (~seen[:, marker]).astype(np.int8)
+        edges = np.flatnonzero(np.diff(missing, prepend=0, append=0)).reshape(-1, 2)
+        gaps += [(end - first, first, marker) for first, end in edges.tolist()]
+    return sorted(gaps)
+
+
+def _curve(path: FloatArray, seen: BoolArray, gap: slice) -> FloatArray | None:
+    """Return a polynomial through the frames around a gap; None where they are few."""
+    before = _run(seen, gap.start - 1, -1)
+    after = _run(seen, gap.stop, 1)
+    if len(before) < MIN_FRAMES or len(after) < MIN_FRAMES:
+        return None
+    frames = np.array([*before[::-1], *after])
+    middle = 0.5 * (gap.start + gap.stop - 1)
+    scale = float(max(frames[-1] - middle, middle - frames[0]))
+    degree = min(DEGREE, len(frames) - 3)
+    powers = np.vander((frames - middle) / scale, degree + 1)
+    inside = np.vander((np.arange(gap.start, gap.stop) - middle) / scale, degree + 1)
+    return np.asarray(inside @ (np.linalg.pinv(powers) @ path[frames]))
+
+
+def _run(seen: BoolArray, start: int, step: int) -> list[int]:
+    """Return the frames of a run that begins beside a gap, at most so many."""
+    frames: list[int] = []
+    frame = start
+    while 0 <= frame < len(seen) and seen[frame] and len(frames) < AROUND:
+        frames.append(frame)
+        frame += step
+    return frames

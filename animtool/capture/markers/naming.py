@@ -1,0 +1,397 @@
+"""Names of points that explain all distances between them best."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+
+from animtool.capture.markers.chains import alike_of
+from animtool.capture.markers.evidence import evidence
+from animtool.capture.markers.geometry import Distances
+from animtool.core.array_types import BoolArray, FloatArray, IntArray
+
+# What a point is named for at least, in all its distances together [nat].
+WORTH = 1.0
+# Points that stay as near are named in twos [m], with so many others each.
+RIGID, PARTNERS = 0.006, 3
+# Names taken away and given anew, and what has to be gained by it [nat].
+TRIALS, GAIN = 40, 0.05
+# Markers found for less than this, of what was seen longest, and points without a name
+# that were seen for longer than that, have names around them given anew: how often, how
+# far [m], how much is left to chance [nat], and how often all names are.
+LACKING, LONG, RESTARTS, RADIUS, BIAS, EMPTY_START = (
+    0.5,
+    0.3,
+    60,
+    (0.3, 1.2),
+    (0.5, 6.0),
+    0.4,
+)
+# Markers about one whose name is in doubt [m].
+AROUND = 0.3
+# Names of markers so near at rest are exchanged in threes, and two and two [m].
+NEAR = 0.28
+# How far below the best names may be, before exchanges, for those to be tried [nat].
+WITHIN = 10.0
+MAX_CHANGES = 40
+
+
+class Naming:
+    """Names of points, and what the distances of all that have one say of each name.
+
+    Attributes:
+        given: Which marker each point is ``(R,)``; -1 for none.
+    """
+
+    def __init__(
+        self, moving: Distances, overlap: FloatArray, rest: FloatArray
+    ) -> None:
+        """Take what is known of distances.
+
+        moving: Of the points. overlap: Frames in which pairs are seen ``(R, R)``. rest:
+        Of the markers ``(M, M)`` [m].
+        """
+        count, markers = len(overlap), len(rest)
+        self.together: BoolArray = overlap > 0
+        # A pair counts by how long it was seen, of what could be.
+        share = overlap / max(1.0, float(overlap.max()))
+        self.length = np.diag(share).copy()
+        np.fill_diagonal(share, 0.0)
+        self.says = said_of(moving, share, rest)
+        # Points that are not seen together and have one name should be one marker.
+        part = np.minimum(self.length[:, None], self.length) * ~self.together
+        linked = (part * alike_of(moving, overlap)).astype(np.float32)
+        for name in range(markers):
+            self.says[:, :, name, name] += linked
+        self.pairs = _rigid_pairs(moving, share)
+        self.moves = exchanges(rest)
+        self.given = np.full(count, -1)
+        self.said = np.zeros((count, markers))
+        self.taken = np.zeros((count, markers), np.int64)
+
+    def copy(self) -> Naming:
+        """Return names that can be changed without changing these."""
+        other = object.__new__(Naming)
+        other.__dict__.update(self.__dict__)
+        for name in ("given", "said", "taken"):
+            setattr(other, name, getattr(self, name).copy())
+        return other
+
+    def total(self) -> float:
+        """Return how well names explain all distances [nat]."""
+        named = np.flatnonzero(self.given >= 0)
+        return 0.5 * float(self.said[named, self.given[named]].sum())
+
+    def put(self, point: int, marker: int) -> None:
+        """Give a point a name, or take it with -1."""
+        before = int(self.given[point])
+        for name, sign in ((before, -1), (marker, 1)):
+            if name >= 0:
+                self.said += sign * self.says[point, :, name]
+                self.taken[self.together[point], name] += sign
+        self.given[point] = marker
+
+    def grow(self, bias: FloatArray | float = 0.0) -> None:
+        """Name points one by one, or two rigid ones, those that are clearest first.
+
+        Points that are seen together are not the same marker.
+
+        bias: What speaks for names besides ``(R, M)`` [nat].
+        """
+        rows = np.arange(len(self.given))
+        while True:
+            score = np.where(self.taken > 0, -np.inf, self.said + bias)
+            score[self.given >= 0] = -np.inf
+            pair = self._pair(score)
+            marker = score.argmax(axis=1)
+            best = score[rows, marker]
+            score[rows, marker] = -np.inf
+            rival = np.maximum(score.max(axis=1), 0.0)
+            clear = np.full(len(rows), -1.0)
+            worth = np.isfinite(best) & (best > WORTH * self.length)
+            clear[worth] = (best - rival)[worth]
+            point = int(clear.argmax())
+            if pair and pair[0] > max(0.0, clear[point]):
+                self.put(*pair[1])
+                self.put(*pair[2])
+            elif clear[point] > 0.0:
+                self.put(point, int(marker[point]))
+            else:
+                return
+
+    def _pair(self, score: FloatArray) -> Any:
+        """Return how clear two rigid points are [nat], and the points with names."""
+        first, second = self.pairs
+        free = (self.given[first] < 0) & (self.given[second] < 0)
+        first, second = first[free], second[free]
+        if not len(first):
+            return None
+        both = score[first][:, :, None] + score[second][:, None, :]
+        both = (both + self.says[first, second]).reshape(len(first), -1)
+        rows = np.arange(len(first))
+        top = both.argmax(axis=1)
+        best = both[rows, top].copy()
+        both[rows, top] = -np.inf
+        rival = np.maximum(both.max(axis=1), 0.0)
+        clear = np.full(len(first), -1.0)
+        worth = np.isfinite(best)
+        worth[worth] = (best > WORTH * (self.length[first] + self.length[second]))[
+            worth
+        ]
+        clear[worth] = 0.5 * (best - rival)[worth]
+        row = int(clear.argmax())
+        i, j = divmod(int(top[row]), score.shape[1])
+        return float(clear[row]), (int(first[row]), i), (int(second[row]), j)
+
+    def improve(self, most: float = -np.inf) -> None:
+        """Give points, and markers, other names where distances then fit better.
+
+        most: Below this by far, exchanges are not tried.
+        """
+        for _ in range(MAX_CHANGES):
+            moved = self._move()
+            if self.total() < most - WITHIN:
+                return
+            names = self._exchanges()
+            if names is None:
+                if not moved:
+                    return
+                continue
+            for point in np.flatnonzero(self.given >= 0).tolist():
+                new = int(names[self.given[point]])
+                if new != self.given[point]:
+                    self.put(point, new)
+
+    def _move(self) -> bool:
+        """Give points a free name that fits better; return whether there were any."""
+        moved = False
+        for point in range(len(self.given)):
+            now = int(self.given[point])
+            taken = self.taken[point].copy()
+            here = 0.0
+            if now >= 0:
+                taken[now] -= 1
+                here = float(self.said[point, now])
+            score = np.where(taken > 0, -np.inf, self.said[point])
+            other = int(score.argmax())
+            least = here + GAIN if now >= 0 else WORTH * self.length[point]
+            if other != now and score[other] > least:
+                self.put(point, other)
+                moved = True
+            elif now >= 0 and here < 0.0:
+                self.put(point, -1)
+                moved = True
+        return moved
+
+    def _exchanges(self) -> IntArray | None:
+        """Return which name each marker should have ``(M,)``; None where as it is.
+
+        Exchanges of any two markers are looked at, and of near ones those of three, and
+        of two and two.
+        """
+        named = np.flatnonzero(self.given >= 0)
+        have, first = np.unique(self.given[named], return_index=True)
+        count = self.said.shape[1]
+        rows = self.says[named[first]]
+        more = np.setdiff1d(np.arange(len(named)), first)
+        for point in named[more].tolist():
+            rows[np.searchsorted(have, self.given[point])] += self.says[point]
+        says: FloatArray = np.zeros((count,) * 4, self.says.dtype)
+        says[np.ix_(have, have)] = rows[:, named[first]]
+        for point in named[more].tolist():
+            says[have, self.given[point]] += rows[:, point]
+        says[np.arange(count), np.arange(count)] = 0.0
+        names = np.arange(count)
+        for _ in range(MAX_CHANGES):
+            # What each marker by each name would say, with the names of all others.
+            alone = np.zeros((count, count))
+            for other in have.tolist():
+                alone += says[:, other, :, names[other]]
+            best, gain = None, GAIN
+            for old, new in self.moves:
+                value = gain_of(says, alone, names, old, new)
+                top = int(value.argmax()) if len(value) else 0
+                if len(value) and value[top] > gain:
+                    best, gain = (old[top], new[top]), float(value[top])
+            if best is None:
+                break
+            names[best[0]] = names[best[1]]
+        return names if (names != np.arange(count)).any() else None
+
+    def doubt(self, tried: set[tuple[int, int]]) -> tuple[int, int] | None:
+        """Return the point, and the other marker, that names speak most against."""
+        rows = np.arange(len(self.given))
+        named = self.given >= 0
+        now = np.where(named, self.said[rows, self.given], 0.0)
+        regret = self.said - now[:, None]
+        regret[rows[named], self.given[named]] = -np.inf
+        for point, marker in tried:
+            regret[point, marker] = -np.inf
+        point, marker = divmod(int(regret.argmax()), regret.shape[1])
+        return (point, marker) if regret[point, marker] > 0.0 else None
+
+    def eject(self, point: int, marker: int, around: BoolArray) -> None:
+        """Give a point a name, take it from those in the way, and name them anew.
+
+        around: Markers whose names are given anew too ``(M,)``.
+        """
+        barred = self.together[point] & (self.given == marker)
+        barred |= (self.given >= 0) & around[self.given]
+        for other in np.flatnonzero(barred).tolist():
+            self.put(other, -1)
+        self.put(point, marker)
+        self.grow()
+
+    def lacking(self) -> IntArray:
+        """Return the markers of which no point, or little, was found.
+
+        All of them, where it is a point seen for long that lacks a name.
+        """
+        found = np.zeros(self.said.shape[1])
+        named = self.given >= 0
+        np.add.at(found, self.given[named], self.length[named])
+        lacking = np.flatnonzero(found < LACKING)
+        if not len(lacking) and (self.length[~named] > LONG).any():
+            return np.arange(len(found))
+        return lacking
+
+    def restart(
+        self, around: BoolArray, seed: dict[int, int], bias: FloatArray
+    ) -> None:
+        """Take the names of some markers ``(M,)`` away, and name anew from a seed."""
+        for point in np.flatnonzero((self.given >= 0) & around[self.given]).tolist():
+            self.put(point, -1)
+        for point, marker in seed.items():
+            self.put(point, marker)
+        self.grow(bias)
+
+
+def searched(best: Naming, rest: FloatArray, seeds: Sequence[dict[int, int]]) -> Naming:
+    """Return names that explain more, found by taking some away and naming anew.
+
+    What is taken away is the name that distances speak for, of a point that has another
+    one, and where that is not enough those of all markers about the two.
+    """
+    best = _redoubted(best, rest)
+    most = best.total()
+    # What lacks a point is where another one is named as it.
+    rng = np.random.default_rng(0)
+    for _ in range(RESTARTS):
+        lacking = best.lacking()
+        if not len(lacking):
+            break
+        centre = int(rng.choice(lacking))
+        around = rest[centre] < rng.uniform(*RADIUS)
+        if len(lacking) < len(rest) and rng.random() < 0.5:
+            around |= (rest[lacking] < AROUND).any(axis=0)
+        chance = rng.uniform(*BIAS) * best.length[:, None]
+        bias = rng.normal(0.0, 1.0, best.said.shape) * chance
+        other = best.copy()
+        # Now and then all begins anew, with another group.
+        seed = (
+            seeds[int(rng.integers(len(seeds)))] if rng.random() < EMPTY_START else {}
+        )
+        other.restart(around | bool(seed), seed, bias)
+        other.improve(-np.inf if seed else most)
+        total = other.total()
+        if total > most + GAIN:
+            best = _redoubted(other, rest)
+            most = best.total()
+    return best
+
+
+def _redoubted(best: Naming, rest: FloatArray) -> Naming:
+    """Return names in which those that distances speak against most were tried."""
+    best.improve()
+    most = best.total()
+    tried: set[tuple[int, int]] = set()
+    for _ in range(TRIALS):
+        move = best.doubt(tried)
+        if move is None:
+            break
+        tried.add(move)
+        point, marker = move
+        about = rest[marker] < AROUND
+        if best.given[point] >= 0:
+            about = about | (rest[best.given[point]] < AROUND)
+        for around in (np.zeros(len(rest), bool), about):
+            other = best.copy()
+            other.eject(point, marker, around)
+            other.improve(most)
+            total = other.total()
+            if total > most + GAIN:
+                best, most = other, total
+                break
+    return best
+
+
+def said_of(moving: Distances, share: FloatArray, rest: FloatArray) -> FloatArray:
+    """Return what each pair of points says of each two names ``(R, R, M, M)``."""
+    count, markers = len(share), len(rest)
+    # Single precision: the table is large, and nats need no more.
+    says: Any = np.zeros((count, count, markers, markers), np.float32)
+    for point in range(count - 1):
+        others = slice(point + 1, count)
+        table = evidence(
+            moving.mean[point, others],
+            moving.spread[point, others],
+            rest.reshape(1, -1),
+        ).reshape(-1, markers, markers)
+        table *= share[point, others, None, None]
+        says[point, others] = table
+        says[others, point] = table.transpose(0, 2, 1)
+    return np.asarray(says)
+
+
+def _rigid_pairs(moving: Distances, share: FloatArray) -> tuple[IntArray, IntArray]:
+    """Return the pairs of points that stay rigid, of those nearest to be so."""
+    known = (share > 0) & np.isfinite(moving.spread)
+    spread = np.where(known, moving.spread, np.inf)
+    company = np.argsort(spread, axis=1, kind="stable")[:, :PARTNERS]
+    pairs = {
+        (min(point, other), max(point, other))
+        for point, others in enumerate(company.tolist())
+        for other in others
+        if spread[point, other] < RIGID
+    }
+    listed = np.array(sorted(pairs), np.int64).reshape(-1, 2)
+    return listed[:, 0], listed[:, 1]
+
+
+def gain_of(
+    says: FloatArray, alone: FloatArray, names: IntArray, old: IntArray, new: IntArray
+) -> FloatArray:
+    """Return what is gained where markers take the names of others ``(N,)`` [nat]."""
+    was, will = names[old], names[new]
+    value = (alone[old, will] - alone[old, was]).sum(axis=1)
+    for a, b in combinations(range(old.shape[1]), 2):
+        one, two = old[:, a], old[:, b]
+        value += says[one, two, will[:, a], will[:, b]]
+        value += says[one, two, was[:, a], was[:, b]]
+        value -= says[one, two, will[:, a], was[:, b]]
+        value -= says[one, two, was[:, a], will[:, b]]
+    return np.asarray(value)
+
+
+def exchanges(rest: FloatArray) -> list[tuple[IntArray, IntArray]]:
+    """Return exchanges: the markers ``(N, K)``, and whose name each takes."""
+    near = rest < NEAR
+    first, second = np.triu_indices(len(rest), 1)
+    two = np.stack([first, second], axis=1)
+    close = two[near[first, second]]
+    one, other = np.triu_indices(len(close), 1)
+    four = np.concatenate([close[one], close[other]], axis=1)
+    apart = (close[one][:, :, None] != close[other][:, None, :]).all(axis=(1, 2))
+    four = four[apart]
+    row, third = np.nonzero(near[close].any(axis=1))
+    three = np.concatenate([close[row], third[:, None]], axis=1)
+    three = three[(three[:, 2] != three[:, 0]) & (three[:, 2] != three[:, 1])]
+    return [
+        (two, two[:, ::-1]),
+        (three, three[:, [1, 2, 0]]),
+        (three, three[:, [2, 0, 1]]),
+        (four, four[:, [1, 0, 3, 2]]),
+    ]

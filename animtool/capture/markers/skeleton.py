@@ -1,0 +1,148 @@
+"""Where markers would be if they were fixed to a skeleton that is solved to a take."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from animtool.capture.solve import SolveOptions, calibrate, solve_markers
+from animtool.capture.templates.template import MarkerTemplate
+from animtool.core.array_types import BoolArray, FloatArray, IntArray
+from animtool.core.errors import Fault
+from animtool.core.units import up_from_up
+from animtool.maths import so3
+from animtool.motion.markers import Markers
+from animtool.rig.skeleton import JointType, Rig
+
+# How far a marker strays in a second whose joint is held by two others, one on it and
+# one below, by fewer, and by none [m].
+DRIFT = (0.004, 0.008, 0.02)
+
+
+@dataclass(frozen=True, slots=True)
+class Subject:
+    """Who wears the markers.
+
+    Attributes:
+        rig: A rig of about the subject's build.
+        template: Where the markers are on it, to a few centimetres.
+        static: A take of the subject standing in about the rest pose, if there is one.
+        options: How to solve.
+    """
+
+    rig: Rig
+    template: MarkerTemplate
+    static: Markers | None = None
+    options: SolveOptions = field(default_factory=SolveOptions)
+
+
+@dataclass(frozen=True, slots=True)
+class SkeletonMarkers:
+    """The M markers of F frames, as the joints of a skeleton carry them.
+
+    Attributes:
+        positions: ``(F, M, 3)`` [m], in the world of the take; NaN for markers that
+            the template lacks.
+        rotations: Of the joints that carry them ``(F, M, 3, 3)``.
+        origins: Of those joints ``(F, M, 3)`` [m].
+        parents: Rotations of the joints above those ``(F, M, 3, 3)``.
+        joints: Which joint carries each marker ``(M,)``; -1 for markers that the
+            template lacks.
+        above_joint: Which joint is above each ``(J,)``; -1 for the root.
+        free: Which joints turn about any axis ``(J,)``.
+        known: Frames with markers enough to tell the pose ``(F,)``.
+        notices: What calibration and solve say.
+    """
+
+    positions: FloatArray
+    rotations: FloatArray
+    origins: FloatArray
+    parents: FloatArray
+    joints: IntArray
+    above_joint: IntArray
+    free: BoolArray
+    known: BoolArray
+    notices: tuple[Fault, ...]
+
+    def tells(self, marker: int, frames: slice) -> bool:
+        """Return whether the skeleton says where a marker is in all of some frames."""
+        has = np.isfinite(self.positions[frames, marker]).all()
+        return bool(has and self.known[frames].all())
+
+    def above(self, marker: int) -> bool:
+        """Return whether there is a joint above that of a marker."""
+        joint = int(self.joints[marker])
+        return joint >= 0 and int(self.above_joint[joint]) >= 0
+
+    def mates(self, marker: int, seen: BoolArray) -> list[int]:
+        """Return the markers on the same joint that are seen ``(M,)``."""
+        same = (self.joints == self.joints[marker]) & seen
+        same[marker] = False
+        return [int(mate) for mate in np.flatnonzero(same)]
+
+    def drift(self, marker: int, seen: BoolArray) -> float:
+        """Return how fast a marker strays from where the skeleton has it [m/s].
+
+        Other markers that are seen hold its joint: three places on it or below do, one
+        on it or below where it is a hinge. The fewer, the more of its pose is a guess.
+        """
+        joint = int(self.joints[marker])
+        mates = len(self.mates(marker, seen))
+        joints = self.joints[seen & (self.joints >= 0)]
+        below = int((self.above_joint[joints] == joint).sum())
+        if mates >= 2 or (not self.free[joint] and mates + below):
+            return 0.0
+        if mates and below:
+            return DRIFT[0]
+        return DRIFT[1] if mates or below > 1 else DRIFT[2]
+
+
+def skeleton_markers(markers: Markers, subject: Subject) -> SkeletonMarkers:
+    """Return the markers of a take on the skeleton of a subject.
+
+    Bones and offsets are calibrated to the take, and then its poses are solved.
+
+    Raises:
+        OptionError: As of `animtool.capture.solve.calibrate`.
+    """
+    found = calibrate(
+        markers,
+        subject.rig,
+        subject.template,
+        static=subject.static,
+        options=subject.options,
+    )
+    solve = solve_markers(markers, found.rig, found.template, subject.options)
+    take = solve.take()
+    world, model = take.world(), solve.model
+    turned = np.einsum("feij,ej->fei", world.linear[:, model.joints], model.offsets)
+    points = world.positions[:, model.joints] + turned
+    rotations = world.rotations[:, model.joints]
+    turn = up_from_up(model.rig.up, markers.up)
+    if turn is not None:
+        back = so3.conjugate(np.array(turn))
+        points, rotations = so3.rotate(back, points), so3.multiply(back, rotations)
+    shape = len(markers), len(markers.names)
+    positions = np.full((*shape, 3), np.nan)
+    matrices = np.full((*shape, 3, 3), np.nan)
+    positions[:, model.columns] = points
+    matrices[:, model.columns] = so3.to_matrix(rotations)
+    origins, above = np.full_like(positions, np.nan), np.full_like(matrices, np.nan)
+    at = world.positions[:, model.joints]
+    above_joint = np.asarray(model.rig.parents, np.int64)
+    over = world.rotations[:, np.maximum(above_joint[model.joints], 0)]
+    if turn is not None:
+        at, over = so3.rotate(back, at), so3.multiply(back, over)
+    origins[:, model.columns] = at
+    above[:, model.columns] = so3.to_matrix(over)
+    joints = np.full(shape[1], -1)
+    joints[model.columns] = model.joints
+    known = np.ones(len(markers), np.bool_)
+    known[solve.score.sparse] = False
+    notices = (*found.notices, *solve.notices)
+    hinges = {JointType.PIN, JointType.FIXED, JointType.PRISMATIC}
+    free = np.array([joint.type not in hinges for joint in model.rig.joints])
+    return SkeletonMarkers(
+        positions, matrices, origins, above, joints, above_joint, free, known, notices
+    )

@@ -1,0 +1,165 @@
+"""Markers that distances hardly tell apart: told by how their neighbours lie."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from animtool.capture.markers.geometry import distances, fitted
+from animtool.capture.markers.naming import exchanges, gain_of, said_of
+from animtool.core.array_types import FloatArray, IntArray
+
+# An exchange that distances speak against by more is not looked at [nat].
+AGAINST = 6.0
+# Markers around those exchanged, of which any two give them a frame.
+AROUND = 5
+# Two pairs are exchanged at once where they are so near [m].
+NEAR_DISTANCE = 0.26
+# Frames looked at, and those of them that are nearest to the pose of the trial [1].
+SAMPLES, BEST, MIN_SAMPLES = 120, 0.1, 8
+# Shapes are off by as much for noise alone [m]; a shape that is off e times more is
+# spoken against by so much [nat].
+NOISE, SHAPES = 0.001, 10.0
+# An exchange is made for more than this, and is in doubt for more than that [nat].
+MADE, DOUBTED = 0.05, -0.8
+# In a part of a take, more than this [nat].
+IN_PART = 2.0
+MAX_EXCHANGES = 12
+
+
+@dataclass(frozen=True, slots=True)
+class Exchange:
+    """An exchange of names that fits a take about as well as what was chosen.
+
+    Attributes:
+        markers: Those exchanged.
+        score: How much speaks for it [nat]; below 0.
+    """
+
+    markers: tuple[int, ...]
+    score: float
+
+
+def told_apart(
+    positions: FloatArray, shape: FloatArray
+) -> tuple[IntArray, list[Exchange], list[tuple[int, int]]]:
+    """Return which name each marker should have ``(M,)``, and what stays in doubt.
+
+    The pairs are those that distances leave open, by the names that they should have.
+
+    Exchanges of markers that distances do not rule out are looked at: what distances
+    say of them, and how far the shape at rest is off the points, by any two markers
+    beside them, in the frames in which it is least so, turned but not mirrored.
+
+    positions: By the names they have ``(F, M, 3)``. shape: At rest ``(M, 3)`` [m].
+    """
+    rest = np.linalg.norm(shape[:, None] - shape[None], axis=-1)
+    seen = np.isfinite(positions[..., 0]).astype(np.float64)
+    overlap = seen.T @ seen
+    share = overlap / max(1.0, float(overlap.max()))
+    np.fill_diagonal(share, 0.0)
+    says = said_of(distances(positions), share, rest)
+    moves = _near_only(exchanges(rest), rest)
+    names = np.arange(len(shape))
+    known: dict[tuple[int, ...], float] = {}
+    doubts: list[Exchange] = []
+    pairs: list[tuple[int, int]] = []
+    for _ in range(MAX_EXCHANGES):
+        alone = np.zeros(rest.shape)
+        for other, name in enumerate(names.tolist()):
+            alone += says[:, other, :, name]
+        best, most = None, MADE
+        doubts, pairs = [], []
+        for old, new in moves:
+            gains = gain_of(says, alone, names, old, new)
+            for row in np.flatnonzero(gains > -AGAINST).tolist():
+                if old.shape[1] == 2:
+                    a, b = names[old[row]].tolist()
+                    pairs.append((a, b))
+                changed = names.copy()
+                changed[old[row]] = names[new[row]]
+                score = float(gains[row])
+                score += SHAPES * _shape_says(
+                    positions, shape, rest, old[row].tolist(), names, changed, known
+                )
+                if score > most:
+                    best, most = changed, score
+                elif score > DOUBTED:
+                    markers = tuple(sorted(names[old[row]].tolist()))
+                    doubts.append(Exchange(markers, min(score, 0.0)))
+        if best is None:
+            break
+        names = best
+    return names, doubts, pairs
+
+
+def exchanged_in(
+    positions: FloatArray, shape: FloatArray, pair: tuple[int, int]
+) -> bool:
+    """Return whether shapes say clearly that two markers are exchanged in some frames.
+
+    positions: Of these frames, by the names they have ``(F, M, 3)``.
+    """
+    names = np.arange(len(shape))
+    then = names.copy()
+    then[list(pair)] = pair[::-1]
+    rest = np.linalg.norm(shape[:, None] - shape[None], axis=-1)
+    says = _shape_says(positions, shape, rest, list(pair), names, then, {})
+    return SHAPES * says > IN_PART
+
+
+def _near_only(
+    moves: list[tuple[IntArray, IntArray]], rest: FloatArray
+) -> list[tuple[IntArray, IntArray]]:
+    """Return exchanges without those of two pairs that have nothing to do."""
+    kept = []
+    for old, new in moves:
+        near = np.ones(len(old), bool)
+        if old.shape[1] == 4:
+            between = rest[old[:, :2, None], old[:, None, 2:]]
+            near = between.min(axis=(1, 2)) < NEAR_DISTANCE
+        kept.append((old[near], new[near]))
+    return kept
+
+
+def _shape_says(
+    positions: FloatArray,
+    shape: FloatArray,
+    rest: FloatArray,
+    changed: list[int],
+    now: IntArray,
+    then: IntArray,
+    known: dict[tuple[int, ...], float],
+) -> float:
+    """Return how much shapes speak for other names, a mean over neighbours [nat]."""
+    distance = rest[now[changed]][:, now].min(axis=0)
+    distance[changed] = np.inf
+    nearest = np.argsort(distance, kind="stable")[:AROUND]
+    ratios = []
+    for pair in combinations(nearest.tolist(), 2):
+        group = [*changed, *pair]
+        offs = []
+        for names in (now, then):
+            key = (*group, *names[group].tolist())
+            if key not in known:
+                known[key] = _off(positions, group, shape[names[group]])
+            offs.append(known[key])
+        if np.isfinite(offs).all():
+            ratios.append(np.log((offs[0] + NOISE) / (offs[1] + NOISE)))
+    return float(np.mean(ratios)) if ratios else 0.0
+
+
+def _off(positions: FloatArray, group: list[int], shape: FloatArray) -> float:
+    """Return how far a shape is off points in the frames that fit it best [m]."""
+    points = positions[:, group]
+    whole = np.flatnonzero(np.isfinite(points).all(axis=(1, 2)))
+    if len(whole) < MIN_SAMPLES:
+        return np.inf
+    points = points[whole[:: max(1, len(whole) // SAMPLES)]]
+    rotation, shift = fitted(points, shape)
+    fit = np.einsum("fij,kj->fki", rotation, shape) + shift[:, None]
+    off = np.sqrt(((fit - points) ** 2).sum(axis=-1).mean(axis=1))
+    count = max(1, int(BEST * len(off)))
+    return float(np.partition(off, count - 1)[:count].mean())

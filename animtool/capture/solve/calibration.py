@@ -1,0 +1,443 @@
+"""Bone lengths and marker offsets of a subject, from a static and a motion take.
+
+Scales s of the bones and offsets o of the markers are found together with the poses of
+some frames: reweighted Gauss-Newton, the poses' part of each step taken out (the Schur
+complement of bundle adjustment: B. Triggs et al., Bundle adjustment, a modern
+synthesis, 2000, section 6.1), with what is likely of a body as priors.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from animtool import _kernels
+from animtool.capture.options import SolveOptions
+from animtool.capture.solve.model import (
+    MIN_MARKERS,
+    MarkerProblem,
+    marker_model,
+    seen_markers,
+)
+from animtool.capture.solve.run import check_units, in_world_of
+from animtool.capture.solve.sampling import (
+    ROBUST,
+    misses_of,
+    sampled_frames,
+    sampled_poses,
+    usual_noise,
+)
+from animtool.capture.templates.match import match_markers
+from animtool.capture.templates.template import MarkerTemplate
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault, OptionError, Severity, listed
+from animtool.ik.chain import difference
+from animtool.ik.fit import FitOptions, fit
+from animtool.ik.solving import chain_targets
+from animtool.motion.markers import Markers
+from animtool.rig.kinematics import forward
+from animtool.rig.sides import pair_sides
+from animtool.rig.skeleton import JointType, Pose, Rig
+
+# Frames of the motion and of the static take that are looked at.
+MOTION_FRAMES, STATIC_FRAMES = 120, 10
+# What is likely: how far bones are from the overall scale, that from 1, left bones from
+# right ones [1], markers from where the template has them, by an axis [m].
+BONES, OVERALL, SIDES, OFFSETS = 0.07, 0.25, 0.004, 0.008
+# How near the rest pose a subject stands in a static take, and joints are elsewhere,
+# where no marker says otherwise [rad].
+STANDING, MOVING = 0.08, 1.5
+# Steps, and the change of the parameters that ends them: bones [1], offsets [m].
+ROUNDS, STILL = 25, 2e-4
+# How far markers of a template for everyone may be off at first [m].
+GENERIC = 0.03
+# A bone whose scale is known no better is named.
+UNSURE = 0.5
+# Fewer frames say too little.
+MIN_FRAMES = 10
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """A subject's rig and template.
+
+    Attributes:
+        rig: The rig with the subject's bones.
+        template: The template with the subject's offsets.
+        scales: Of each joint's bone from its parent, against the rig given ``(J,)``.
+        shifts: How far each marker went from its offset ``(M,)`` [m]; NaN where the
+            capture lacks it.
+        noise: How far markers are off, as a standard deviation of an axis ``(E,)`` [m].
+        rounds: Steps taken.
+        frames: Frames that were looked at.
+        converged: Whether the steps came to an end.
+        notices: Warnings.
+    """
+
+    rig: Rig
+    template: MarkerTemplate
+    scales: FloatArray
+    shifts: FloatArray
+    noise: FloatArray
+    rounds: int
+    frames: int
+    converged: bool
+    notices: tuple[Fault, ...] = ()
+
+
+def calibrate(
+    markers: Markers,
+    rig: Rig,
+    template: MarkerTemplate,
+    *,
+    static: Markers | None = None,
+    options: SolveOptions | None = None,
+) -> Calibration:
+    """Return the bones and marker offsets that fit a subject best.
+
+    Args:
+        markers: A take in which every joint moves.
+        rig: A rig of about the subject's build.
+        template: Where markers are on it, to a few centimetres.
+        static: A take of the subject standing in about the rest pose; it says what is
+            no turn of a joint but a marker that was put on elsewhere.
+        options: Noise and subject.
+
+    Raises:
+        OptionError: As of `animtool.capture.solve.solve_markers`; or too few frames have
+            enough markers (SOL006).
+
+    Limits of the method: how far a marker is put on about the axis of a bone whose ends
+    it cannot tell is known from the static take alone. Bones that no marker sees follow
+    the others.
+    """
+    options = options or SolveOptions()
+    found = _Calibrating(markers, rig, template, static, options)
+    rounds, converged = found.run()
+    return found.result(rounds, converged)
+
+
+class _Calibrating:
+    """Bones, offsets and poses on their way."""
+
+    def __init__(
+        self,
+        markers: Markers,
+        rig: Rig,
+        template: MarkerTemplate,
+        static: Markers | None,
+        options: SolveOptions,
+    ) -> None:
+        self.template, self.options = template, options
+        match = match_markers(template, markers.names, options.subject)
+        model = marker_model(rig, template, match.columns)
+        self.model = model.changed(without_limits(model), model.offsets)
+        self.given = rig
+        motion = in_world_of(rig, markers)[:, self.model.columns]
+        parts = [motion[sampled_frames(motion, MOTION_FRAMES)]]
+        if static is not None:
+            still = self._named_alike(in_world_of(rig, static), static.names)
+            parts.insert(0, still[sampled_frames(still, STATIC_FRAMES)])
+        self.still = 0 if static is None else len(parts[0])
+        self.positions = np.concatenate(parts)
+        if len(self.positions) < MIN_FRAMES:
+            message = f"{len(self.positions)} frames have {MIN_MARKERS} markers or more"
+            hint = f"a calibration needs {MIN_FRAMES}"
+            raise OptionError(Fault("SOL006", message, hint=hint))
+        check_units(self.model, self.positions)
+        self.bones = _bones(self.model.rig)
+        self.base = self.model.rig.rest_translations
+        self.offsets0 = self.model.offsets
+        self.scales = np.full(len(self.bones), self._overall())
+        self.held = np.array([m.fixed for m in self.model.template.markers], np.bool_)
+        size = np.where(self.held, 1.0, self.scales[0])
+        self.offsets = size[:, None] * self.offsets0
+        self.noise = np.full(len(self.model.joints), max(GENERIC, options.noise))
+        self.surety = np.zeros(len(self.bones))
+
+    def _named_alike(self, positions: FloatArray, names: tuple[str, ...]) -> FloatArray:
+        """Return the markers of another take in the order of the model's."""
+        match = match_markers(self.model.template, names, self.options.subject)
+        out = np.full((len(positions), len(match.columns), 3), np.nan)
+        has = match.columns >= 0
+        out[:, has] = positions[:, match.columns[has]]
+        return out
+
+    def _overall(self) -> float:
+        """Return how much larger the subject is than the rig."""
+        frames = self.positions[: max(self.still, 1)]
+        rest = self.model.points(self.model.starts(frames))
+        seen = seen_markers(frames)[:, :, None]
+        if self.still == 0:
+            return 1.0
+
+        def spread(points: FloatArray) -> float:
+            own = np.where(seen, points, np.nan)
+            return float(np.nanstd(own, axis=1).mean())
+
+        return min(max(spread(frames) / max(spread(rest), 1e-9), 0.2), 5.0)
+
+    def run(self) -> tuple[int, bool]:
+        """Take steps until they are small; their number, and whether they ended."""
+        self._rebuild()
+        poses = sampled_poses(self.model, self.positions, self.noise)
+        for round_ in range(ROUNDS):
+            poses = self._settled(poses)
+            step = self._step(poses)
+            bones, shifts = step[: len(self.bones)], step[len(self.bones) :]
+            self.scales = np.clip(self.scales + bones, 0.1, 10.0)
+            self.offsets = self.offsets + shifts.reshape(-1, 3)
+            self._rebuild()
+            if max(np.abs(bones).max(initial=0), np.abs(shifts).max(initial=0)) < STILL:
+                return round_ + 1, True
+        return ROUNDS, False
+
+    def _rebuild(self) -> None:
+        self.model = self.model.changed(
+            scaled_rig(self.model.rig, self.bones, self.scales, self.base), self.offsets
+        )
+
+    def _settled(self, poses: FloatArray) -> FloatArray:
+        """Return poses that fit the present bones; what is off says how noisy it is."""
+        options = FitOptions(1.0, math.inf, robust=ROBUST, rounds=6)
+        targets = self.model.targets(self.positions, self.noise)
+        found = fit(self.model.problem, targets, poses, options, path=poses)
+        misses = misses_of(self.model, found.coordinates, self.positions)
+        usual = usual_noise(misses, self.options.noise)
+        # Down by steps: markers that are far off at first must not be given up.
+        self.noise = np.minimum(self.noise, np.maximum(usual, self.noise / 2))
+        return found.coordinates
+
+    def _step(self, poses: FloatArray) -> FloatArray:
+        """Return the change of scales and offsets ``(B + 3 E,)``, poses following."""
+        problem, model = self.model.problem, self.model
+        targets = chain_targets(problem, model.targets(self.positions, self.noise))
+        chain = problem.chain
+        count, degrees = len(poses), problem.degrees
+        _, residuals, slopes, _ = _kernels.linearize_ik(
+            chain.nodes,
+            chain.numbers,
+            chain.goals,
+            chain.goal_numbers,
+            chain.from_rig(poses),
+            targets,
+            np.zeros((count, degrees)),
+        )
+        columns = self._columns(poses)
+        off = np.linalg.norm(residuals.reshape(count, -1, 3), axis=2)
+        share = np.repeat(1 / (1 + (off / ROBUST) ** 2), 3, axis=1)
+        residuals = residuals * share
+        slopes = slopes * share[:, :, None]
+        columns = columns * share[:, :, None]
+        normal = np.swapaxes(slopes, 1, 2) @ slopes
+        held = np.full((count, degrees), MOVING**-2.0)
+        held[: self.still] = STANDING**-2.0
+        normal += np.eye(degrees) * held[:, :, None]
+        felt = np.swapaxes(slopes, 1, 2)
+        # What poses take of parameters and residuals alike.
+        taken = np.linalg.solve(normal, felt @ columns)
+        pull = held * self._from_rest(poses)
+        own = np.linalg.solve(
+            normal,
+            (felt @ residuals[:, :, None])[:, :, 0][:, :, None] - pull[:, :, None],
+        )[:, :, 0]
+        rows = columns.reshape(-1, columns.shape[2])
+        mixed = (felt @ columns).reshape(-1, columns.shape[2])
+        matrix = rows.T @ rows - mixed.T @ taken.reshape(mixed.shape)
+        right = rows.T @ residuals.ravel() - mixed.T @ own.ravel()
+        prior, drawn = self._prior()
+        self.surety = np.diag(matrix)[: len(self.bones)] / (
+            np.diag(matrix)[: len(self.bones)] + BONES**-2.0
+        )
+        return np.linalg.solve(matrix + prior, right + drawn)
+
+    def _from_rest(self, poses: FloatArray) -> FloatArray:
+        """Return how far poses are from rest ``(F, D)``, but for where the root is."""
+        chain = self.model.problem.chain
+        start = chain.from_rig(self.model.starts(self.positions))
+        own = chain.from_rig(poses)
+        away = difference(chain, start, own)
+        # The root goes where it goes.
+        away[:, : min(6, away.shape[1])] = 0.0
+        return away
+
+    def _columns(self, poses: FloatArray) -> FloatArray:
+        """Return how weighted markers follow the parameters ``(F, 3 E, B + 3 E)``."""
+        model, rig = self.model, self.model.rig
+        local = model.local(poses)
+        world = forward(rig, local.translations, local.rotations)
+        count, markers = len(poses), len(model.joints)
+        out = np.zeros((count, markers, 3, len(self.bones) + 3 * markers))
+        above = np.zeros((markers, len(rig.joints)), np.bool_)
+        for e, j in enumerate(model.joints.tolist()):
+            above[e, rig.upwards(j)] = True
+        for b, group in enumerate(self.bones):
+            for j in group:
+                bone = world.linear[:, rig.joints[j].parent] @ self.base[j]
+                out[:, above[:, j], :, b] += bone
+        for e, j in enumerate(model.joints.tolist()):
+            first = len(self.bones) + 3 * e
+            if not model.template.markers[e].fixed:
+                out[:, e, :, first : first + 3] = world.linear[:, j]
+        weights = model.template.weights / self.noise
+        seen = seen_markers(self.positions)
+        out *= (seen * weights)[:, :, None, None]
+        return out.reshape(count, 3 * markers, -1)
+
+    def _prior(self) -> tuple[FloatArray, FloatArray]:
+        """Return what is likely of scales and offsets: matrix, and what it draws to."""
+        bones, size = len(self.bones), len(self.bones) + self.offsets.size
+        matrix, drawn = np.zeros((size, size)), np.zeros(size)
+        # Bones about an overall scale that is itself about 1, which is summed out.
+        own = np.eye(bones) / BONES**2
+        total = bones / BONES**2 + OVERALL**-2.0
+        own -= np.ones((bones, bones)) / BONES**4 / total
+        away = self.scales - 1.0
+        matrix[:bones, :bones] = own
+        drawn[:bones] = -own @ away
+        for left, right in self._pairs():
+            difference = self.scales[left] - self.scales[right]
+            for a, sign in ((left, 1.0), (right, -1.0)):
+                matrix[a, a] += SIDES**-2.0
+                drawn[a] -= sign * difference / SIDES**2
+            matrix[left, right] -= SIDES**-2.0
+            matrix[right, left] -= SIDES**-2.0
+        # Markers go with the bones that they are on: what is left of each, d = A p.
+        left_over = np.zeros((self.offsets.size, size))
+        left_over[:, bones:] = np.eye(self.offsets.size)
+        of_bones = self._carriers()[:, None, :] * self.offsets0[:, :, None]
+        left_over[:, :bones] = -of_bones.reshape(-1, bones)
+        away = self.offsets.ravel() - of_bones.reshape(-1, bones) @ self.scales
+        # Those on landmarks stay, whatever the bones do.
+        held = np.repeat(self.held, 3)
+        left_over[held, :bones] = 0.0
+        away[held] = 0.0
+        matrix += left_over.T @ left_over / OFFSETS**2
+        drawn -= left_over.T @ away / OFFSETS**2
+        return matrix, drawn
+
+    def _carriers(self) -> FloatArray:
+        """Return the share of each bone in the size of a marker's joint ``(E, B)``.
+
+        A joint is as large as the bones that begin there; one at an end as all of them.
+        """
+        rig = self.model.rig
+        into = np.array([group[0] for group in self.bones])
+        parents = np.array([rig.joints[group[0]].parent for group in self.bones])
+        out = np.zeros((len(self.model.joints), len(self.bones)))
+        for e, j in enumerate(self.model.joints.tolist()):
+            own = parents == j if (parents == j).any() else into == j
+            out[e, own if own.any() else slice(None)] = 1.0
+        return np.asarray(out / out.sum(axis=1, keepdims=True))
+
+    def _pairs(self) -> list[tuple[int, int]]:
+        """Return the numbers of bones that are left and right of each other."""
+        rig = self.model.rig
+        stated = [(j.name, j.mirror) for j in rig.joints if j.mirror]
+        partners = pair_sides(rig.names, rig.parents, stated).partners
+        place = {j: b for b, group in enumerate(self.bones) for j in group}
+        return [
+            (place[j], place[int(k)])
+            for j, k in enumerate(partners)
+            if j < k and j in place and int(k) in place and place[j] != place[int(k)]
+        ]
+
+    def result(self, rounds: int, converged: bool) -> Calibration:
+        """Return what was found."""
+        rig = self.model.rig
+        scales = np.ones(len(rig.joints))
+        for b, group in enumerate(self.bones):
+            scales[list(group)] = self.scales[b]
+        found = {m.name: m for m in self.model.template.markers}
+        shifts = np.full(len(self.template.markers), np.nan)
+        markers = []
+        for m, marker in enumerate(self.template.markers):
+            own = found.get(marker.name)
+            if own is not None:
+                shifts[m] = np.linalg.norm(np.subtract(own.offset, marker.offset))
+            markers.append(
+                marker if own is None else replace(marker, offset=own.offset)
+            )
+        notices = []
+        if not converged:
+            message = f"the calibration did not come to an end in {ROUNDS} steps"
+            hint = "a longer take, or a static one, says more"
+            notices.append(Fault("SOL104", message, None, (), hint, Severity.WARNING))
+        unseen = [
+            rig.names[group[0]]
+            for b, group in enumerate(self.bones)
+            if self.surety[b] < UNSURE
+        ]
+        if unseen:
+            message = (
+                "no marker says how long these bones are; they follow the others: "
+            )
+            message += listed(unseen, 8)
+            notices.append(Fault("SOL105", message, None, (), None, Severity.NOTE))
+        return Calibration(
+            with_bones(self.given, scales),
+            replace(self.template, markers=tuple(markers), document=None),
+            scales,
+            shifts,
+            self.noise,
+            rounds,
+            len(self.positions),
+            converged,
+            tuple(notices),
+        )
+
+
+def _bones(rig: Rig) -> list[tuple[int, ...]]:
+    """Return the joints whose bones scale, each by itself: all but roots."""
+    return [
+        (j,)
+        for j, joint in enumerate(rig.joints)
+        if joint.parent >= 0 and any(joint.translation)
+    ]
+
+
+def without_limits(model: MarkerProblem) -> Rig:
+    """Return a model's rig; pins that markers tell the angle of have no limits.
+
+    One that stands at its limit could not say that it is the marker that is elsewhere.
+    """
+    rig = model.rig
+    moves = np.zeros(len(rig.joints), np.int64)
+    for j in model.joints.tolist():
+        moves[rig.upwards(j)] += 1
+    joints = tuple(
+        replace(joint, limits=None)
+        if joint.type is JointType.PIN and count >= MIN_MARKERS
+        else joint
+        for joint, count in zip(rig.joints, moves.tolist(), strict=True)
+    )
+    return replace(rig, joints=joints)
+
+
+def scaled_rig(
+    rig: Rig, bones: list[tuple[int, ...]], scales: FloatArray, base: FloatArray
+) -> Rig:
+    """Return a rig whose bones are so many times as long as a base ``(J, 3)``."""
+    joints = list(rig.joints)
+    for group, scale in zip(bones, scales.tolist(), strict=True):
+        for j in group:
+            x, y, z = (scale * base[j]).tolist()
+            joints[j] = replace(joints[j], translation=(x, y, z))
+    return replace(rig, joints=tuple(joints))
+
+
+def with_bones(rig: Rig, scales: FloatArray) -> Rig:
+    """Return a rig with bones ``(J,)`` times as long; surfaces stay bound as they were.
+
+    The end of a bone that carries no joint goes with the joint's own bone.
+    """
+    joints, bind = [], dict(rig.bind)
+    for joint, scale in zip(rig.joints, scales.tolist(), strict=True):
+        x, y, z = (scale * value for value in joint.translation)
+        tips = tuple((scale * a, scale * b, scale * c) for a, b, c in joint.tips)
+        joints.append(replace(joint, translation=(x, y, z), tips=tips))
+        if rig.meshes and joint.name not in bind and scale != 1.0:
+            bind[joint.name] = Pose(joint.translation, joint.rotation)
+    return replace(rig, joints=tuple(joints), bind=bind)

@@ -1,0 +1,191 @@
+"""A rig with markers on it: what is solved for, and where frames are looked for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from animtool.capture.templates.template import MarkerTemplate
+from animtool.core.array_types import BoolArray, FloatArray, IntArray
+from animtool.core.errors import Fault, OptionError
+from animtool.ik.goals import KINDS, Goal, Targets
+from animtool.ik.problem import Problem, build
+from animtool.ik.sub_rig import with_types
+from animtool.maths import so3
+from animtool.rig.joints import (
+    LocalTransforms,
+    coordinate_slices,
+    local_from_coordinates,
+)
+from animtool.rig.kinematics import forward
+from animtool.rig.skeleton import JointType, Rig
+
+# Fewer say nothing of how a body is turned.
+MIN_MARKERS = 3
+# How much less a marker says of the pose of the root for each joint between.
+LESS_BY_JOINT = 0.3
+
+
+@dataclass(frozen=True)
+class MarkerProblem:
+    """E markers of a template that a capture has, on a rig of Q coordinates.
+
+    Attributes:
+        problem: A position goal for each marker.
+        template: Of these markers alone, those of a joint side by side.
+        columns: Index of each in the capture ``(E,)``.
+        joints: Index of the joint of each ``(E,)``.
+    """
+
+    problem: Problem
+    template: MarkerTemplate
+    columns: IntArray
+    joints: IntArray
+
+    @property
+    def rig(self) -> Rig:
+        """The rig, its joints typed."""
+        return self.problem.rig
+
+    @property
+    def offsets(self) -> FloatArray:
+        """Offsets of the markers ``(E, 3)`` [m]."""
+        return self.template.offsets
+
+    def targets(self, positions: FloatArray, noise: FloatArray) -> Targets:
+        """Return the targets of markers ``(F, E, 3)`` [m], NaN where one is missing.
+
+        noise: How far each marker may be off, where its weight is 1 ``(E,)`` [m].
+        """
+        seen = seen_markers(positions)
+        weights = np.zeros((*seen.shape, len(KINDS)))
+        weights[:, :, 0] = seen * self.template.weights * self.problem.length / noise
+        return Targets(np.where(seen[:, :, None], positions, 0.0), weights=weights)
+
+    def starts(self, positions: FloatArray) -> FloatArray:
+        """Return the rest pose moved onto markers ``(F, E, 3)`` as a whole ``(F, Q)``.
+
+        Markers near the root count most.
+        """
+        rig = self.rig
+        q = np.zeros((len(positions), self.problem.coordinates))
+        slices = coordinate_slices(rig)
+        for place, joint in zip(slices, rig.joints, strict=True):
+            if joint.type in {JointType.BALL, JointType.FREE}:
+                q[:, place.stop - 1] = 1.0
+        root = self._root()
+        if root is None:
+            return q
+        depths = np.array([len(rig.upwards(j)) for j in self.joints])
+        near = LESS_BY_JOINT ** (depths - depths.min())
+        seen = seen_markers(positions)
+        turn, at = rigid_motions(
+            self.points(q[:1])[0],
+            np.where(seen[:, :, None], positions, 0.0),
+            seen * near * self.template.weights,
+        )
+        rest = forward(rig, rig.rest_translations[None], rig.rest_rotations[None])
+        rest_at, rest_turn = rest.positions[0, root], rest.rotations[0, root]
+        # world = T(rest) R(rest) motion: what is left of the world's turn.
+        world_turn = so3.multiply(turn, rest_turn)
+        world_at = so3.rotate(turn, rest_at) + at
+        back = so3.conjugate(rest_turn)
+        place = slices[root]
+        q[:, place.start : place.start + 3] = so3.rotate(back, world_at - rest_at)
+        q[:, place.start + 3 : place.stop] = so3.multiply(back, world_turn)
+        return q
+
+    def _root(self) -> int | None:
+        """Return the free joint at the root; None where it is fixed to the world."""
+        roots = [j for j in self.rig.roots if self.rig.joints[j].type is JointType.FREE]
+        return roots[0] if len(roots) == 1 else None
+
+    def local(self, coordinates: FloatArray) -> LocalTransforms:
+        """Return the local transforms of poses ``(F, Q)``."""
+        return local_from_coordinates(self.rig, coordinates)
+
+    def points(self, coordinates: FloatArray) -> FloatArray:
+        """Return where the markers are in poses ``(F, Q)``: ``(F, E, 3)`` [m]."""
+        local = self.local(coordinates)
+        world = forward(self.rig, local.translations, local.rotations)
+        linear = world.linear[:, self.joints]
+        turned = np.einsum("feij,ej->fei", linear, self.offsets)
+        return np.asarray(world.positions[:, self.joints] + turned)
+
+    def changed(self, rig: Rig, offsets: FloatArray) -> MarkerProblem:
+        """Return the model with other bones and offsets ``(E, 3)``."""
+        markers = tuple(
+            replace(marker, offset=tuple(offset))
+            for marker, offset in zip(
+                self.template.markers, offsets.tolist(), strict=True
+            )
+        )
+        return _built(rig, replace(self.template, markers=markers), self.columns)
+
+
+def marker_model(
+    rig: Rig, template: MarkerTemplate, columns: IntArray
+) -> MarkerProblem:
+    """Return the model of the markers that a capture has.
+
+    Args:
+        rig: Its joints; where a file does not say what they can do, they turn.
+        template: M markers.
+        columns: Of each marker its index in the capture ``(M,)``, -1 where it is
+            missing, as `animtool.capture.templates.match_markers` finds them.
+
+    Raises:
+        OptionError: The rig lacks a joint (MKT001), fewer than 3 markers are there
+            (SOL003), or none is moved by a joint (IK003).
+    """
+    rig = with_types(rig)
+    joints = template.joints(rig)
+    used = [
+        m for m in range(len(columns)) if columns[m] >= 0 and template.weights[m] > 0
+    ]
+    if len(used) < MIN_MARKERS:
+        names = ", ".join(template.markers[m].name for m in used)
+        message = f"has {len(used)} of the template's {len(columns)} markers: {names}"
+        hint = f"at least {MIN_MARKERS} are needed, and some on every limb"
+        raise OptionError(Fault("SOL003", message, hint=hint))
+    used.sort(key=lambda m: int(joints[m]))
+    markers = tuple(template.markers[m] for m in used)
+    return _built(rig, replace(template, markers=markers), columns[used])
+
+
+def _built(rig: Rig, template: MarkerTemplate, columns: IntArray) -> MarkerProblem:
+    goals = [Goal(marker.joint, marker.offset) for marker in template.markers]
+    problem = build(rig, goals)
+    return MarkerProblem(problem, template, columns, template.joints(rig))
+
+
+def rigid_motions(
+    points: FloatArray, positions: FloatArray, weights: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the rotation ``(F, 4)`` and way ``(F, 3)`` that take points to others.
+
+    The least weighted sum of squares (W. Kabsch, 1976).
+
+    Args:
+        points: ``(E, 3)``.
+        positions: ``(F, E, 3)``.
+        weights: ``(F, E)``; where all are 0, nothing turns.
+    """
+    total = np.maximum(weights.sum(axis=1, keepdims=True), 1e-12)
+    share = weights / total
+    middle = share @ points
+    wanted = np.einsum("fe,fei->fi", share, positions)
+    spread = np.einsum(
+        "fe,fei,fej->fij", share, points - middle[:, None], positions - wanted[:, None]
+    )
+    left, _, right = np.linalg.svd(spread)
+    mirror = np.sign(np.linalg.det(left @ right))
+    left[:, :, 2] *= np.where(mirror == 0, 1.0, mirror)[:, None]
+    rotation = so3.from_matrix(np.swapaxes(left @ right, 1, 2))
+    return rotation, wanted - so3.rotate(rotation, middle)
+
+
+def seen_markers(positions: FloatArray) -> BoolArray:
+    """Return which markers of ``(F, E, 3)`` have a position ``(F, E)``."""
+    return np.asarray(np.isfinite(positions).all(axis=2))

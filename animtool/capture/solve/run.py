@@ -1,0 +1,261 @@
+"""The solve of a whole capture, window by window."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from animtool.capture.options import SolveOptions
+from animtool.capture.solve.model import (
+    MIN_MARKERS,
+    MarkerProblem,
+    marker_model,
+    seen_markers,
+)
+from animtool.capture.solve.report import SolveScore
+from animtool.capture.solve.sampling import (
+    ROBUST,
+    misses_of,
+    sampled_frames,
+    sampled_poses,
+    usual_noise,
+)
+from animtool.capture.templates.match import MarkerMatch, match_markers
+from animtool.capture.templates.template import MarkerTemplate
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault, OptionError, Severity, counted, listed
+from animtool.core.quantities import length_text
+from animtool.core.shot import frame_spans
+from animtool.core.units import up_from_up
+from animtool.ik.fit import FitOptions, fit
+from animtool.maths import so3
+from animtool.motion.driving import driven_take
+from animtool.motion.markers import Markers
+from animtool.motion.motion import Channel, Motion
+from animtool.motion.take import Take
+from animtool.rig.skeleton import Rig
+
+Progress = Callable[[float], None] | None
+# Frames that are solved at once, and how far the solve looks ahead of them: beyond
+# that, what a joint does next says nothing of a frame. Fixed, so that results are the
+# same however a take is read.
+WINDOW, AHEAD = 600, 120
+# Frames before a window, whose poses stay and whose speed goes on.
+BEHIND = 2
+# Frames by themselves that say how far markers are off.
+SAMPLES = 24
+# Markers that are this many times as far apart as the rig's are in other units.
+OTHER_UNITS = 30.0
+# Markers that are farther off as a rule are not on this rig [m].
+STRANGE = 0.01
+# Where the noise is looked for from, and when it is found.
+FAR, ROUNDS, SETTLED = 0.02, 4, 0.7
+
+
+@dataclass
+class MarkerSolve:
+    """The solve of one capture.
+
+    Attributes:
+        model: Rig and markers that are solved for.
+        match: Which marker of the capture is which.
+        positions: Of the model's markers ``(F, E, 3)`` [m], in the rig's world; NaN
+            where one is missing.
+        markers: The capture.
+        noise: How far each marker is off, as a standard deviation of an axis ``(E,)``
+            [m].
+        options: How to solve.
+        score: What is found; complete once `blocks` are drawn.
+        notices: Warnings.
+    """
+
+    model: MarkerProblem
+    match: MarkerMatch
+    positions: FloatArray
+    markers: Markers
+    noise: FloatArray
+    options: SolveOptions
+    score: SolveScore
+    notices: list[Fault] = field(default_factory=list)
+
+    def blocks(self, progress: Progress = None) -> Iterator[Motion]:
+        """Yield the motion of one window of frames after the other."""
+        last: FloatArray | None = None
+        turns: FloatArray | None = None
+        count = len(self.positions)
+        for first in range(0, count, WINDOW):
+            end = min(first + WINDOW, count)
+            coordinates = self._window(first, end, last)
+            last = coordinates[-BEHIND:]
+            motion = self._motion(coordinates, turns)
+            turns = motion.rotations.values[-1]
+            yield motion
+            if progress is not None:
+                progress(end / count)
+        self.score.finish()
+        self._name_frames()
+
+    def take(self, progress: Progress = None) -> Take:
+        """Return the whole take."""
+        motion = Motion.concatenate(list(self.blocks(progress)))
+        motion = motion.map(Channel.compact)
+        rig, clock = self.model.rig, self.markers.clock
+        return driven_take(Take(rig, clock, motion, tuple(self.notices)))
+
+    def _window(self, first: int, end: int, last: FloatArray | None) -> FloatArray:
+        """Return the poses of frames, those before them given."""
+        behind = 0 if last is None else len(last)
+        ahead = min(end + AHEAD, len(self.positions))
+        positions = self.positions[first - behind : ahead]
+        starts = self.model.starts(positions)
+        if last is not None:
+            starts[:behind] = last
+        found = fit(
+            self.model.problem,
+            self.model.targets(positions, self.noise),
+            starts,
+            FitOptions(
+                float(self.markers.clock.rate),
+                self.options.acceleration,
+                robust=ROBUST,
+            ),
+            path=None if last is None else starts,
+            first=behind,
+        )
+        own = slice(behind, behind + end - first)
+        self.score.add(
+            first,
+            found.misses[own],
+            found.taken[own],
+            found.searched[own],
+            seen_markers(positions[own]),
+        )
+        return found.coordinates[own]
+
+    def _motion(self, coordinates: FloatArray, turns: FloatArray | None) -> Motion:
+        rig = self.model.rig
+        local = self.model.local(coordinates)
+        moved = sorted({rig.index(name) for name in self.model.problem.joints})
+        slides = [j for j in moved if rig.joints[j].type in {"free", "prismatic"}]
+        rotations = so3.align_signs(local.rotations[:, moved], turns)
+        return Motion(
+            Channel(
+                rig.rest_translations,
+                np.array(slides, np.int64),
+                local.translations[:, slides],
+            ),
+            Channel(rig.rest_rotations, np.array(moved, np.int64), rotations),
+        )
+
+    def _name_frames(self) -> None:
+        """Warn of frames that too few markers, or none that fit, say anything of."""
+        clock = self.markers.clock
+        for code, frames, what in (
+            ("SOL101", self.score.sparse, f"fewer than {MIN_MARKERS} markers are seen"),
+            ("SOL102", self.score.poor, "markers do not fit"),
+        ):
+            if not len(frames):
+                continue
+            start, step = clock.start, clock.step
+            named = frame_spans([math.floor(start + step * f) for f in frames.tolist()])
+            message = f"{what} in {counted(len(frames), 'frame')}: {named}"
+            hint = "poses there are of the frames around them"
+            if code == "SOL102":
+                hint = "labels may be wrong there, or the rig not the subject's"
+            self.notices.append(
+                Fault(code, message, hint=hint, severity=Severity.WARNING)
+            )
+
+
+def solve_markers(
+    markers: Markers,
+    rig: Rig,
+    template: MarkerTemplate,
+    options: SolveOptions | None = None,
+) -> MarkerSolve:
+    """Return the solve of a capture; drawing its blocks does the work.
+
+    Args:
+        markers: F frames of labelled markers.
+        rig: The subject's: see `animtool.capture.solve.calibrate`.
+        template: Where its markers are.
+        options: How to solve.
+
+    Raises:
+        OptionError: No marker has a name of the template (SOL001), or those of several
+            subjects have (SOL002); there are fewer than 3 markers (SOL003) or no frame
+            with as many (SOL004), or they are in other units than the rig (SOL005); the
+            rig lacks a joint of the template (MKT001).
+
+    Limits of the method: poses are the nearest to those of the frames before them; what
+    was captured of a limb that comes back from a long gap is found if its markers say
+    so together.
+    """
+    options = options or SolveOptions()
+    match = match_markers(template, markers.names, options.subject)
+    model = marker_model(rig, template, match.columns)
+    positions = in_world_of(model.rig, markers)[:, model.columns]
+    sample = positions[sampled_frames(positions, SAMPLES)]
+    if not len(sample):
+        message = f"no frame has {MIN_MARKERS} markers of the template"
+        raise OptionError(Fault("SOL004", message, hint="see animtool info"))
+    check_units(model, sample)
+    notices = []
+    if match.missing:
+        message = f"the capture lacks {counted(len(match.missing), 'marker')} of the "
+        message += f"template: {listed(match.missing, 8)}"
+        notices.append(Fault("SOL103", message, severity=Severity.WARNING))
+    noise = sampled_noise(model, sample, options.noise)
+    usual = float(np.median(noise))
+    if usual > STRANGE:
+        message = f"markers are {length_text(usual)} off their places on the rig"
+        hint = "--calibrate fits bones and offsets to the subject"
+        notices.append(Fault("SOL107", message, hint=hint, severity=Severity.WARNING))
+    score = SolveScore(model.template.names, len(positions), noise)
+    return MarkerSolve(model, match, positions, markers, noise, options, score, notices)
+
+
+def sampled_noise(model: MarkerProblem, sample: FloatArray, least: float) -> FloatArray:
+    """Return how far markers of ``(F, E, 3)`` are off, by an axis ``(E,)`` [m].
+
+    Far off first, such that a rig that is not the subject's is told from wrong labels.
+    """
+    noise = np.full(len(model.joints), FAR)
+    for _ in range(ROUNDS):
+        misses = misses_of(model, sampled_poses(model, sample, noise), sample)
+        found = usual_noise(misses, least)
+        settled = bool((found > SETTLED * noise).all())
+        noise = found
+        if settled:
+            break
+    return noise
+
+
+def in_world_of(rig: Rig, markers: Markers) -> FloatArray:
+    """Return positions ``(F, M, 3)`` with the up axis of a rig [m]."""
+    turn = up_from_up(rig.up, markers.up)
+    if turn is None:
+        return markers.positions
+    return so3.rotate(np.array(turn), markers.positions)
+
+
+def check_units(model: MarkerProblem, sample: FloatArray) -> None:
+    """Refuse markers ``(F, E, 3)`` that are in other units than a rig (SOL005)."""
+    rest = model.points(model.starts(sample[:1]))[0]
+    ratios = []
+    for frame in sample:
+        seen = np.isfinite(frame).all(axis=1)
+        own, wanted = rest[seen], frame[seen]
+        spread = np.linalg.norm(own - own.mean(axis=0), axis=1).mean()
+        other = np.linalg.norm(wanted - wanted.mean(axis=0), axis=1).mean()
+        ratios.append(other / max(float(spread), 1e-9))
+    ratio = float(np.median(ratios))
+    if 1 / OTHER_UNITS < ratio < OTHER_UNITS:
+        return
+    times, what = (ratio, "larger") if ratio > 1 else (1 / max(ratio, 1e-12), "smaller")
+    message = f"the markers are {times:.3g} times {what} than those on the rig"
+    hint = "--units says what the capture is in: m, cm, mm or in"
+    raise OptionError(Fault("SOL005", message, hint=hint))

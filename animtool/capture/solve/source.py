@@ -1,0 +1,168 @@
+"""A capture of markers as a source of motion: the solve, window by window."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from animtool.capture.options import SolveOptions
+from animtool.capture.solve.run import MarkerSolve, solve_markers
+from animtool.capture.templates.file import load_template
+from animtool.capture.templates.template import MarkerTemplate
+from animtool.core.errors import Fault, FormatError, OptionError, Severity, counted
+from animtool.core.units import LengthUnit, UpAxis, unit_name
+from animtool.formats.marker_files import open_markers
+from animtool.motion.driving import driven_stream
+from animtool.motion.markers import Markers
+from animtool.motion.motion import Motion
+from animtool.motion.scores import PassScores, Score, ScoreUnit
+from animtool.motion.take import TakeStream
+from animtool.rig.placed import at_origin
+from animtool.rig.skeleton import Rig
+
+# What a good solve leaves of a marker, skin moving [m], and of wrong labels [1].
+USUAL_MISS, USUAL_OUTLIERS = 0.005, 0.01
+
+
+def open_markers_source(
+    path: Path,
+    *,
+    rig: Path | None = None,
+    template: Path | None = None,
+    cameras: Path | None = None,
+    unit: LengthUnit | None = None,
+    up: UpAxis | None = None,
+    fps: Any = None,
+    progress: Callable[[float], None] | None = None,
+) -> TakeStream:
+    """Open a file of markers as the motion of a rig.
+
+    Args:
+        path: Markers; with ``cameras`` what these see of them, an npz of pixels.
+        rig: Whose motion it is; None is the rig that the template names.
+        template: Where the markers are.
+        cameras: Calibrations of the cameras, which triangulate the markers.
+        unit: Of the markers, or of the calibrations.
+        up: Which axis points up there.
+        fps: The frame rate, where the file has a wrong one or none.
+        progress: Told the share done.
+
+    Raises:
+        FormatError: A file is malformed.
+        OptionError: No template is given (SOL007), no rig is (SOL008), or the markers
+            do not fit them, as of `animtool.capture.solve.solve_markers`.
+    """
+    if cameras is None:
+        markers = open_markers(path, unit=unit, up=up, fps=fps)
+    else:
+        markers = triangulated(path, cameras, unit=unit, up=up, fps=fps)
+    if template is None:
+        message = "holds markers, and no template says where they are"
+        hint = "--template says it, or template: of the source in a scene"
+        raise OptionError(Fault("SOL007", message, str(path), (), hint))
+    read = load_template(template)
+    named = named_rig(read, rig, template)
+    loaded = at_origin(Rig.load(named))
+    solve = at_file(path, lambda: solve_markers(markers, loaded, read, SolveOptions()))
+    stream = solve_stream(solve, path, progress)
+    stream.notices = [*loaded.notices, *stream.notices]
+    stream.details |= {"rig": str(named), "template": str(template)}
+    return stream
+
+
+def named_rig(template: MarkerTemplate, rig: Path | None, path: Path) -> Path:
+    """Return the rig that is given, or the one that a template names (else SOL008)."""
+    if rig is not None:
+        return rig
+    if template.rig is not None:
+        return template.rig
+    message = "names no rig"
+    hint = "write 'rig: hero.rig.yaml' into it, or give a rig (--rig)"
+    raise OptionError(Fault("SOL008", message, str(path), (), hint))
+
+
+def triangulated(
+    path: Path,
+    cameras: Path,
+    *,
+    unit: LengthUnit | None = None,
+    up: UpAxis | None = None,
+    fps: Any = None,
+) -> Markers:
+    """Return the markers that cameras see, with what is said of the cameras.
+
+    Raises:
+        FormatError: A file cannot be read.
+        OptionError: Cameras and observations do not fit each other (CAM011 to
+            CAM014), or an option is out of range (CAP001).
+    """
+    from animtool.capture.cameras.file import load_all_cameras
+    from animtool.capture.cameras.observations import read_observations
+    from animtool.capture.cameras.triangulate import triangulate
+
+    found = triangulate(
+        read_observations(path, fps=fps), load_all_cameras([cameras], unit=unit, up=up)
+    )
+    error = f"reprojection {found.error_px:.3g} px ({found.error_mm:.3g} mm)"
+    message = f"{counted(len(found.cameras), 'camera')}: {error}"
+    note = Fault("SOL106", message, str(path), severity=Severity.NOTE)
+    return replace(found.markers, notices=(*found.notices, note))
+
+
+def at_file(path: Path, made: Callable[[], Any]) -> Any:
+    """Return what a function makes; faults without a file get that of the markers."""
+    try:
+        return made()
+    except (FormatError, OptionError) as error:
+        faults = [f if f.path else replace(f, path=str(path)) for f in error.faults]
+        raise type(error)(faults) from error
+
+
+def solve_stream(
+    solve: MarkerSolve, path: Path, progress: Callable[[float], None] | None
+) -> TakeStream:
+    """Return the motion of a solve as a stream; notices complete when it is read."""
+    markers, rig = solve.markers, solve.model.rig
+    clock = markers.clock
+    stream = TakeStream(
+        rig,
+        clock.fps,
+        clock.start,
+        clock.step,
+        iter(()),
+        [_at(path, fault) for fault in (*markers.notices, *solve.notices)],
+    )
+
+    def blocks() -> Iterator[Motion]:
+        known = len(solve.notices)
+        yield from solve.blocks(progress)
+        stream.notices += [_at(path, fault) for fault in solve.notices[known:]]
+        stream.scores.append(solve_scores(solve))
+
+    stream.blocks = blocks()
+    stream.blocks = driven_stream(stream).blocks
+    stream.details = {
+        "format": "markers",
+        "units": unit_name(rig.meters_per_unit),
+        "markers": counted(len(solve.model.joints), "marker"),
+    }
+    return stream
+
+
+def solve_scores(solve: MarkerSolve) -> PassScores:
+    """Return how well a solve fits, as reports and batches list it."""
+    score = solve.score
+    outliers = float(np.mean([each.outliers for each in score.markers]))
+    scores = (
+        Score("marker", score.total, ScoreUnit.LENGTH, USUAL_MISS),
+        Score("outliers", outliers, ScoreUnit.SHARE, USUAL_OUTLIERS),
+    )
+    return PassScores(scores, pass_name="solve")
+
+
+def _at(path: Path, fault: Fault) -> Fault:
+    return fault if fault.path else replace(fault, path=str(path))

@@ -1,0 +1,134 @@
+"""Marker template files, ``*.markers.yaml``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from annotated_types import Len
+from pydantic import Field
+
+from animtool.capture.templates.template import MarkerTemplate, TemplateMarker
+from animtool.core.config import project_roots
+from animtool.core.files.reading import is_there
+from animtool.core.units import LengthUnit
+from animtool.documents.check import FileModel, check_version, validated
+from animtool.documents.document import Document, read_document
+from animtool.documents.fields import IgnoreModel, Name, Real, Vector, key
+from animtool.documents.references import missing_hint, referred
+
+# Farther from its joint no marker of a body is; a larger number is in another unit [m].
+MAX_OFFSET = 10.0
+
+
+class MarkerUnitsModel(FileModel):
+    """Units of the numbers in a template."""
+
+    length: Literal["m", "cm", "mm", "in"] = key("Of offsets.", "mm", default="m")
+
+
+class MarkerModel(FileModel):
+    """A marker, and the joint that carries it."""
+
+    name: Name = key("As captures call it, without the name of the subject.", "LFHD")
+    joint: Name = key("The joint of the rig that carries it.", "head")
+    offset: Vector = key("Where it is, in the joint's frame.", [0.07, 0.1, 0.08])
+    weight: Annotated[Real, Field(ge=0)] = key(
+        "How much it counts in a solve, against 1 of the others; 0 is not at all.",
+        0.5,
+        default=1.0,
+    )
+    fixed: bool = key(
+        "Whether calibration keeps the offset, as of a marker on a landmark that was "
+        "measured.",
+        True,
+        default=False,
+    )
+    aliases: list[Name] = key(
+        "Other names that captures give it.", ["LeftFrontHead"], default=[]
+    )
+
+
+class MarkersModel(FileModel):
+    """A marker template."""
+
+    markers: Literal["animtool/1"] = key("File type and format version.", "animtool/1")
+    rig: str | None = key(
+        "The rig that carries the markers. Not given: `--rig` or the scene names it.",
+        "hero.rig.yaml",
+        default=None,
+    )
+    units: MarkerUnitsModel = key(
+        "Units of the numbers in the file.",
+        {"length": "mm"},
+        default=MarkerUnitsModel(),
+    )
+    marker_set: Annotated[list[MarkerModel], Len(1)] = key(
+        "The markers.",
+        [{"name": "LFHD", "joint": "head", "offset": [0.07, 0.1, 0.08]}],
+    )
+    ignore: list[IgnoreModel] = key(
+        "Findings of `animtool validate` that are known and stay.",
+        [{"code": "MKT003", "why": "the prop is this large"}],
+        default=[],
+    )
+
+
+def load_template(path: Path | str) -> MarkerTemplate:
+    """Return the marker template of a file; `MarkerTemplate.joints` checks joints.
+
+    Raises:
+        FormatError: It cannot be read or is malformed, with every fault.
+    """
+    return template_of_document(read_document(Path(path)))
+
+
+def template_of_document(document: Document) -> MarkerTemplate:
+    """Return a document as a marker template; see `load_template`."""
+    check_version(document, "markers")
+    model = validated(document, MarkersModel)
+    unit = LengthUnit(model.units.length).meters
+    taken: dict[str, int] = {}
+    markers = []
+    for i, entry in enumerate(model.marker_set):
+        names = [("name", entry.name)]
+        names += [(f"aliases[{k}]", alias) for k, alias in enumerate(entry.aliases)]
+        for where, name in names:
+            if name in taken:
+                message = f"two markers are called {name!r}"
+                hint = f"rename it here, or in marker_set[{taken[name]}]"
+                place = ("aliases", int(where[8:-1])) if "[" in where else ("name",)
+                document.add("MKT002", ("marker_set", i, *place), message, hint)
+            taken.setdefault(name, i)
+        x, y, z = (value * unit for value in entry.offset)
+        if max(abs(x), abs(y), abs(z)) > MAX_OFFSET:
+            message = f"{entry.name!r} is more than {MAX_OFFSET:g} m off its joint"
+            hint = "units: {length: mm} says that the file is in millimetres"
+            document.warn("MKT003", ("marker_set", i, "offset"), message, hint)
+        markers.append(
+            TemplateMarker(
+                entry.name,
+                entry.joint,
+                (x, y, z),
+                entry.weight,
+                entry.fixed,
+                tuple(entry.aliases),
+            )
+        )
+    if all(entry.weight == 0 for entry in model.marker_set):
+        message = "every marker has weight 0"
+        document.add("MKT004", ("marker_set",), message, "leave out some weights")
+    rig = _rig(document, model.rig)
+    document.check()
+    return MarkerTemplate(tuple(markers), rig, document)
+
+
+def _rig(document: Document, name: str | None) -> Path | None:
+    """Return the rig file that a template names; a fault where it is missing."""
+    if name is None:
+        return None
+    path = referred(document, ("rig",), name, project_roots(document.path))
+    if path is not None and not is_there(path):
+        near = missing_hint(document, name)
+        document.add("DOC015", ("rig",), f"{name!r} does not exist", near)
+    return path

@@ -1,0 +1,138 @@
+"""Finding the markers of a template among those of a capture."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from animtool.capture.templates.template import MarkerTemplate
+from animtool.core.array_types import IntArray
+from animtool.core.errors import Fault, OptionError, counted, listed
+from animtool.core.names import nearest
+from animtool.core.similar import similar
+
+# Names in a message.
+SHOWN = 6
+
+
+@dataclass(frozen=True, slots=True)
+class MarkerMatch:
+    """Where the markers of a template are in a capture.
+
+    Attributes:
+        columns: Of each marker of the template, its index in the capture ``(M,)``; -1
+            where the capture lacks it.
+        missing: Names of the template's markers that the capture lacks.
+        unused: Names in the capture that the template does not know.
+        subject: The prefix that the names have before a colon; empty for none.
+    """
+
+    columns: IntArray
+    missing: tuple[str, ...]
+    unused: tuple[str, ...]
+    subject: str = ""
+
+
+def match_markers(
+    template: MarkerTemplate, names: Sequence[str], subject: str | None = None
+) -> MarkerMatch:
+    """Return where a template's markers are among the names of a capture.
+
+    A name fits with or without the prefix of its subject (``Ann:LFHD``), and by its
+    aliases. Points without label do not fit.
+
+    Args:
+        template: The markers.
+        names: Of the capture's markers.
+        subject: Prefix of the names that count; None takes the only one, or the names
+            without prefix.
+
+    Raises:
+        OptionError: No name fits (SOL001), or names of several subjects do (SOL002).
+
+    >>> from animtool.capture.templates.template import TemplateMarker
+    >>> template = MarkerTemplate((TemplateMarker("LFHD", "head"),))
+    >>> match_markers(template, ["*0", "Ann:LFHD"]).columns.tolist()
+    [1]
+    """
+    labelled = [name for name in names if not name.startswith("*")]
+    found = {each: _columns(template, names, each) for each in _subjects(labelled)}
+    fitting = {each: c for each, c in found.items() if (c >= 0).any()}
+    if subject is not None:
+        if subject not in found:
+            message = f"no marker is of the subject {subject!r}"
+            raise OptionError(Fault("SOL001", message, hint=nearest(subject, found)))
+        fitting = {subject: found[subject]}
+        labelled = [name for name in labelled if _split(name)[0] == subject]
+    if len(fitting) > 1:
+        count = counted(len(fitting), "subject")
+        message = f"holds markers of {count}: {listed(sorted(fitting))}"
+        hint = "choose one with --subject"
+        raise OptionError(Fault("SOL002", message, hint=hint))
+    if not fitting or not (next(iter(fitting.values())) >= 0).any():
+        raise OptionError(_unmatched(template, labelled, names))
+    ((subject, columns),) = fitting.items()
+    used = set(columns[columns >= 0].tolist())
+    missing = [m for m, c in zip(template.names, columns, strict=True) if c < 0]
+    unused = [
+        name
+        for i, name in enumerate(names)
+        if i not in used and not name.startswith("*")
+    ]
+    return MarkerMatch(columns, tuple(missing), tuple(unused), subject)
+
+
+def _subjects(names: Iterable[str]) -> list[str]:
+    """Return the prefixes of names, empty for those without."""
+    return list(dict.fromkeys(_split(name)[0] for name in names))
+
+
+def _split(name: str) -> tuple[str, str]:
+    subject, _, bare = name.rpartition(":")
+    return subject.strip(), bare.strip()
+
+
+def _columns(template: MarkerTemplate, names: Sequence[str], subject: str) -> IntArray:
+    """Return the index of each marker among the names of a subject; -1 without one."""
+    own = {
+        i: bare
+        for i, (prefix, bare) in enumerate(map(_split, names))
+        if prefix == subject and not names[i].startswith("*")
+    }
+    columns = np.full(len(template.markers), -1, np.int64)
+    taken: set[int] = set()
+    # As it is written first, whatever its case then.
+    for spelled in (str, str.casefold):
+        index: dict[str, int] = {}
+        for i, bare in own.items():
+            index.setdefault(spelled(bare), i)
+        for m, marker in enumerate(template.markers):
+            for name in (marker.name, *marker.aliases):
+                i = index.get(spelled(name), -1)
+                if columns[m] < 0 <= i and i not in taken:
+                    columns[m] = i
+                    taken.add(i)
+    return columns
+
+
+def _unmatched(
+    template: MarkerTemplate, labelled: Sequence[str], names: Sequence[str]
+) -> Fault:
+    """Return the fault of a capture without any marker of a template."""
+    message = "no marker has a name of the template"
+    if not labelled:
+        message = f"none of its {counted(len(names), 'point')} has a label"
+        hint = "animtool mocap label gives points their names"
+        return Fault("SOL001", message, hint=hint)
+    bare = [_split(name)[1] for name in labelled]
+    near = [
+        f"{name!r} is near {found!r}"
+        for name in template.names
+        if (found := similar(name, bare))
+    ]
+    hint = "; ".join(near[:SHOWN])
+    if not near:
+        hint = f"it has {listed(labelled[:SHOWN])}; add them to aliases"
+    return Fault("SOL001", message, hint=hint)

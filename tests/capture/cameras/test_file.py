@@ -1,0 +1,240 @@
+"""Camera files, and calibrations of other programs."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from support.stage import cameras_text, ring
+
+from animtool.capture.cameras import Camera, Cameras, load_cameras
+from animtool.capture.cameras.file import load_all_cameras
+from animtool.core.errors import FormatError
+from animtool.core.units import LengthUnit, UpAxis
+from animtool.maths.so3 import from_matrix, log
+
+STAGE = ring(3)
+
+
+def same(found: Cameras, wanted: Cameras = STAGE) -> None:
+    assert found.names == wanted.names
+    for one, other in zip(found.cameras, wanted.cameras, strict=True):
+        np.testing.assert_allclose(one.numbers, other.numbers, atol=1e-9)
+
+
+def written(path: Path, text: str) -> Path:
+    path.write_text(text, "utf-8")
+    return path
+
+
+def matrix(camera: Camera) -> list[list[float]]:
+    (fx, fy), (cx, cy) = camera.focal, camera.centre
+    return [[fx, camera.skew, cx], [0, fy, cy], [0, 0, 1]]
+
+
+def test_our_files(tmp_path: Path) -> None:
+    same(load_cameras(written(tmp_path / "a.cameras.yaml", cameras_text(STAGE))))
+
+
+def test_lists_of_arrays(tmp_path: Path) -> None:
+    entries = [
+        {
+            "name": c.name, "width": 1920, "height": 1080, "K": matrix(c),
+            "R": c.rotation.tolist(), "t": (1000 * c.translation).tolist(),
+            "dist": c.distortion[:5],
+        }
+        for c in STAGE.cameras
+    ]  # fmt: skip
+    text = json.dumps({"units": "mm", "cameras": entries})
+    same(load_cameras(written(tmp_path / "a.cameras.json", text)))
+
+
+def toml_of(camera: Camera, scale: float) -> str:
+    turn = log(from_matrix(camera.rotation)).tolist()
+    return (
+        f"[{camera.name}]\nname = '{camera.name}'\nsize = [1920.0, 1080.0]\n"
+        f"matrix = {[list(map(float, row)) for row in matrix(camera)]}\n"
+        f"distortions = {list(camera.distortion[:5])}\nrotation = {turn}\n"
+        f"translation = {(scale * camera.translation).tolist()}\nfisheye = false\n\n"
+    )
+
+
+def test_toml(tmp_path: Path) -> None:
+    text = "".join(toml_of(c, 1000) for c in STAGE.cameras)
+    path = written(tmp_path / "a.toml", f"{text}[metadata]\nadjusted = false\n")
+    found = load_cameras(path, unit=LengthUnit.MM, up=UpAxis.Z)
+    same(found)
+    assert found.up is UpAxis.Z
+
+
+def opencv(camera: Camera) -> str:
+    def stored(values: Any) -> str:
+        values = np.atleast_2d(np.array(values, float))
+        rows, columns = values.shape
+        data = ", ".join(
+            f"{v:.17g}" + ("." if v == int(v) else "") for v in values.flat
+        )
+        return (
+            f"!!opencv-matrix\n   rows: {rows}\n   cols: {columns}\n   dt: d\n"
+            f"   data: [ {data} ]\n"
+        )
+
+    return (
+        "%YAML:1.0\n---\nimage_width: 1920\nimage_height: 1080\n"
+        f"camera_matrix: {stored(matrix(camera))}"
+        f"distortion_coefficients: {stored(camera.distortion[:5])}"
+        f"R: {stored(camera.rotation)}T: {stored(camera.translation[:, None])}"
+    )
+
+
+def test_opencv(tmp_path: Path) -> None:
+    paths = [
+        written(tmp_path / f"{camera.name}.yml", opencv(camera))
+        for camera in STAGE.cameras
+    ]
+    same(load_all_cameras(paths))
+    camera = STAGE.cameras[0]
+    both = {
+        camera.name: {
+            "cameraMatrix": {"type_id": "opencv-matrix", "rows": 3, "cols": 3,
+                             "data": np.ravel(matrix(camera)).tolist()},
+            "distCoeffs": list(camera.distortion),
+            "rvec": log(from_matrix(camera.rotation)).tolist(),
+            "tvec": [[v] for v in camera.translation.tolist()],
+            "image_size": [1920, 1080],
+        }
+    }  # fmt: skip
+    found = load_cameras(written(tmp_path / "both.json", json.dumps(both)))
+    same(found, Cameras(STAGE.cameras[:1]))
+
+
+GOOD = """\
+cameras: animtool/1
+views:
+- {name: a, focal: [1300, 1300], centre: [960, 540], rotation: [1, 0, 0, 0], translation: [0, 0, 4]}
+- {name: b, focal: [1300, 1300], centre: [960, 540], rotation: [[0,0,1],[0,1,0],[-1,0,0]], translation: [0, 0, 4]}
+"""  # noqa: E501
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "code"),
+    [
+        ("name: b", "name: a", "CAM002"),
+        ("[1, 0, 0, 0]", "[2, 0, 0, 0]", "CAM001"),
+        ("[0,1,0]", "[0,-1,0]", "CAM001"),
+        ("[0,1,0]", "[0,1,1]", "CAM001"),
+        ("focal: [1300, 1300]", "focal: [0, 1300]", "DOC022"),
+        ("focal: [1300, 1300]", "focal: [.nan, 1300]", "DOC022"),
+        ("[0, 0, 4]", "[0, 0, .inf]", "DOC022"),
+        ("[0, 0, 4]", "[0, 0]", "DOC022"),
+        ("centre", "center", "DOC020"),
+        ("animtool/1", "animtool/7", "DOC012"),
+    ],
+)
+def test_faults_have_lines(tmp_path: Path, old: str, new: str, code: str) -> None:
+    path = written(tmp_path / "a.cameras.yaml", GOOD)
+    assert len(load_cameras(path)) == 2
+    written(path, GOOD.replace(old, new, 1))
+    with pytest.raises(FormatError) as caught:
+        load_cameras(path)
+    (fault,) = caught.value.faults
+    assert fault.code == code
+    assert fault.lines
+
+
+def spoil(entry: dict[str, Any], key: str, value: Any) -> dict[str, Any]:
+    changed = {**entry, key: value}
+    return {k: v for k, v in changed.items() if v is not None}
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "code"),
+    [
+        ("K", None, "CAM003"),
+        ("K", [[1, 0, 0], [0, 0, 0], [0, 0, 1]], "CAM003"),
+        ("K", [[1e3, 0, 5], [0, 1e3, 5], [0, 0, 0]], "CAM003"),
+        ("K", [[1e3, 0, 5], [0, float("nan"), 5], [0, 0, 1]], "CAM003"),
+        ("K", "none", "CAM003"),
+        ("K", [[1, 2], [3]], "CAM003"),
+        ("R", None, "CAM003"),
+        ("R", np.diag([1, 1, -1]).tolist(), "CAM001"),
+        ("R", np.diag([1, 1, 1.1]).tolist(), "CAM001"),
+        ("R", [[1e300] * 3] * 3, "CAM003"),
+        ("R", [1, 2], "CAM001"),
+        ("t", [1, 2], "CAM003"),
+        ("t", [1, 2, float("inf")], "CAM003"),
+        ("t", [1, 2, 1e300], "CAM003"),
+        ("R", [1e308, 1e308, 0], "CAM003"),
+        ("t", [1, 2, 10**400], "DOC001"),
+        ("dist", [0.1], None),
+        ("dist", [0] * 12, None),
+        ("dist", [0] * 11 + [1], "CAM003"),
+        ("dist", [0] * 13, "CAM003"),
+        ("width", -1, "CAM003"),
+        ("fisheye", True, "CAM003"),
+    ],
+)
+def test_faults_of_others(
+    tmp_path: Path, key: str, value: Any, code: str | None
+) -> None:
+    camera = STAGE.cameras[0]
+    entry = {
+        "name": "a", "width": 1920, "height": 1080, "K": matrix(camera),
+        "R": camera.rotation.tolist(), "t": camera.translation.tolist(),
+        "dist": [0, 0, 0, 0, 0],
+    }  # fmt: skip
+    text = json.dumps({"cameras": [spoil(entry, key, value)]})
+    text = text.replace("NaN", ".nan").replace("Infinity", ".inf")
+    path = written(tmp_path / "a.yaml", text)
+    if code is None:
+        assert len(load_cameras(path)) == 1
+        return
+    with pytest.raises(FormatError) as caught:
+        load_cameras(path)
+    assert [fault.code for fault in caught.value.faults] == [code]
+    assert caught.value.faults[0].path == str(path)
+
+
+@pytest.mark.parametrize(
+    ("units", "ahead"),
+    [("mm", 0.004), ({"length": "cm"}, 0.04), (None, 4), (["mm"], None), ("ell", None)],
+)
+def test_units_of_a_calibration(
+    tmp_path: Path, units: Any, ahead: float | None
+) -> None:
+    camera = STAGE.cameras[0]
+    entry = {"K": matrix(camera), "R": camera.rotation.tolist(), "t": [0, 0, 4]}
+    text = json.dumps({"units": units, "cameras": [entry]})
+    path = written(tmp_path / "a.json", text)
+    if ahead is not None:
+        (found,) = load_cameras(path).cameras
+        assert found.translation[2] == pytest.approx(ahead)
+        return
+    with pytest.raises(FormatError) as caught:
+        load_cameras(path)
+    assert caught.value.code == "CAM003"
+
+
+def test_what_is_no_calibration(tmp_path: Path) -> None:
+    for name, text, code in (
+        ("a.toml", "[cam\n", "CAM003"),
+        ("b.toml", "", "CAM003"),
+        ("c.yaml", "rig: animtool/1\n", "CAM003"),
+        ("d.json", '{"cameras": []}', "CAM003"),
+        ("e.yml", "%YAML:1.0\n---\nK: !!opencv-matrix\n", "CAM003"),
+        ("f.json", "[1, 2]", "DOC007"),
+        ("deep.toml", f"{'.'.join('a' * 20_000)} = 1", "CAM003"),
+    ):
+        with pytest.raises(FormatError) as caught:
+            load_cameras(written(tmp_path / name, text))
+        assert caught.value.code == code, name
+    table = toml_of(STAGE.cameras[0], 1)
+    path = written(
+        tmp_path / "g.toml", f"# a\n{table}{table.replace('cam0', 'cam1', 1)}"
+    )
+    with pytest.raises(FormatError) as caught:
+        load_cameras(path)
+    assert (caught.value.code, caught.value.faults[0].lines) == ("CAM002", (11,))

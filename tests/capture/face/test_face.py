@@ -1,0 +1,306 @@
+"""Landmarks to weights: exact, robust, smooth, without the head; and what is wrong."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from animtool.capture.face import FaceModel, fit_face, transfer_weights
+from animtool.capture.face import solve as solving
+from animtool.capture.face.capture import FaceCapture, in_order, read_capture
+from animtool.capture.face.file import face_model, load_landmarks
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import FormatError, OptionError
+from animtool.maths.so3 import from_axis_angle, rotate
+from animtool.rig.remap import link_shapes, load_remap
+from animtool.rig.skeleton import Rig
+
+ROOT = Path(__file__).parents[3]
+FRAMES, LANDMARKS, SHAPES = 90, 40, 12
+
+
+def made_face(seed: int = 0) -> FaceModel:
+    rng = np.random.default_rng(seed)
+    neutral = rng.normal(size=(LANDMARKS, 3)) * [0.06, 0.08, 0.03]
+    deltas = rng.normal(size=(SHAPES, LANDMARKS, 3)) * 0.006
+    names = tuple(f"m{i}" for i in range(LANDMARKS))
+    return FaceModel(names, tuple(f"s{i}" for i in range(SHAPES)), neutral, deltas)
+
+
+def made_weights(frames: int = FRAMES, shapes: int = SHAPES) -> FloatArray:
+    t = np.arange(frames)[:, None] / 60
+    phases = np.random.default_rng(5).uniform(0, 6, (2, shapes))
+    wave = 0.4 + 0.7 * np.sin(2.5 * t * (1 + phases[0] / 6) + phases[1])
+    return np.clip(wave, 0, 1)
+
+
+def placed(points: FloatArray) -> FloatArray:
+    t = np.arange(len(points))[:, None] / 60
+    turns = from_axis_angle(np.array([0.36, 0.48, 0.8]), 0.6 * np.sin(3 * t[:, 0]) + 2)
+    moved = rotate(turns[:, None], points) + (t * [0.1, 0, 0.05])[:, None]
+    return np.asarray(moved + np.array([0.3, 1.6, -2]))
+
+
+def test_exact_landmarks_give_exact_weights() -> None:
+    model, weights = made_face(), made_weights()
+    fit = fit_face(model, placed(model.points(weights)), 60)
+    assert np.abs(fit.weights - weights).max() < 1e-3
+    assert fit.rms < 1e-5
+    assert set(fit.status) == {"solved"}
+    at = rotate(fit.rotations[:, None], model.points(fit.weights))
+    at = at + fit.translations[:, None]
+    assert np.abs(at - placed(model.points(weights))).max() < 1e-4
+
+
+def spoiled(points: FloatArray, noise: float = 2e-4) -> FloatArray:
+    rng = np.random.default_rng(2)
+    seen = points + rng.normal(0, noise, points.shape)
+    off = rng.random(points.shape[:2]) < 0.01
+    seen[off] += rng.normal(0, 0.01, (int(off.sum()), 3))
+    seen[rng.random(points.shape[:2]) < 0.02] = np.nan
+    return np.asarray(seen)
+
+
+def test_noise_outliers_and_gaps() -> None:
+    model, weights = made_face(), made_weights()
+    seen = spoiled(placed(model.points(weights)))
+    seen[30:33] = np.nan
+    fit = fit_face(model, seen, 60)
+    assert fit.noise == pytest.approx(2e-4, rel=0.1)
+    off = fit.weights - weights
+    assert np.sqrt((off**2).mean()) < 0.01
+    assert np.abs(off).max() < 0.1
+    assert [i for i, s in enumerate(fit.status) if s == "gap"] == [30, 31, 32]
+    assert [notice.code for notice in fit.notices] == ["FAC103"]
+    # Of noise alone, smoothing takes some away.
+    rough = fit_face(model, seen, 60, smooth=0.0)
+    jumps = [np.abs(np.diff(f.weights, 2, axis=0)).mean() for f in (fit, rough)]
+    assert jumps[0] < jumps[1]
+
+
+def test_the_same_bytes_whatever_is_read_at_a_time(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    model = made_face()
+    seen = spoiled(placed(model.points(made_weights(150))))
+    whole = fit_face(model, seen, 60)
+    again = fit_face(model, seen.copy(), 60)
+    assert_array_equal(again.weights, whole.weights)
+    # Where a window ends does not show: a change is felt for less than the overlap.
+    monkeypatch.setattr(solving, "WINDOW", 40)
+    cut = fit_face(model, seen, 60)
+    assert np.abs(cut.weights - whole.weights).max() < 1e-3
+
+
+def test_one_camera_that_goes_with_the_head() -> None:
+    model, weights = made_face(), made_weights(30)
+    camera = np.array([900.0, 880.0, 640.0, 360.0])
+    half = np.array([1.0, 0, 0, 0])
+    seen = rotate(half, model.points(weights)) + np.array([0.01, 0.02, 0.35])
+    pixels = seen[..., :2] / seen[..., 2:] * camera[:2] + camera[2:]
+    fit = fit_face(model, pixels, 60, camera=camera)
+    assert np.abs(fit.weights - weights).max() < 0.02
+    assert fit.rms < 0.05
+    with pytest.raises(OptionError, match="FAC010"):
+        fit_face(model, np.full_like(pixels, 5.0), 60, camera=camera)
+
+
+def test_shapes_that_show_little() -> None:
+    model = made_face()
+    deltas = model.deltas.copy()
+    deltas[3] = 0
+    deltas[5] = deltas[4]
+    model = replace(model, deltas=deltas)
+    weights = made_weights()
+    fit = fit_face(model, placed(model.points(weights)), 60)
+    assert [n.code for n in fit.notices] == ["FAC101", "FAC102"]
+    assert not fit.weights[:, 3].any()
+    assert_allclose(fit.weights[:, 4], fit.weights[:, 5], atol=2e-3)
+
+
+def test_landmarks_that_do_not_fit() -> None:
+    model, seen = made_face(), made_face().neutral[None].repeat(20, 0)
+    for wrong, code in (
+        (seen[:, :-1], "FAC004"),
+        (np.full_like(seen, np.nan), "FAC005"),
+        (seen * 1000, "FAC006"),
+        (seen / 1000, "FAC006"),
+    ):
+        with pytest.raises(OptionError, match=code):
+            fit_face(model, wrong, 60)
+    still = replace(model, deltas=model.deltas * 0)
+    with pytest.raises(OptionError, match="FAC007"):
+        fit_face(still, seen, 60)
+    one = FaceModel(("a",), ("s",), np.zeros((1, 3)), np.ones((1, 1, 3)))
+    with pytest.raises(OptionError, match="FAC004"):
+        fit_face(one, np.zeros((5, 1, 3)), 60)
+    with pytest.raises(OptionError, match="FAC003"):
+        replace(model, neutral=model.neutral[:4])
+    with pytest.raises(OptionError, match="FAC003"):
+        replace(model, deltas=model.deltas * np.nan)
+    # A landmark somewhere else counts for little, and is named.
+    astray = placed(model.points(made_weights()))
+    astray[:, 7] += 0.05
+    fit = fit_face(model, astray, 60)
+    assert [n.code for n in fit.notices] == ["FAC105"]
+    assert "m7" in fit.notices[0].message
+    # Frames of other things are named too.
+    astray[50] = np.random.default_rng(1).normal(0, 0.08, (LANDMARKS, 3))
+    codes = {n.code for n in fit_face(model, astray, 60).notices}
+    assert "FAC104" in codes
+
+
+def test_the_proportions_of_an_actor() -> None:
+    model, weights = made_face(), made_weights()
+    weights[0] = 0
+    rng = np.random.default_rng(8)
+    actor = replace(
+        model,
+        neutral=model.neutral * 1.1 + rng.normal(0, 0.002, model.neutral.shape),
+        deltas=model.deltas * 1.1,
+    )
+    seen = placed(actor.points(weights))
+    off = [
+        np.abs(fit_face(m, seen, 60).weights - weights).max()
+        for m in (model, model.of_actor(seen[0]))
+    ]
+    assert off[1] < 0.02 < off[0]
+
+
+def test_files_of_landmarks(tmp_path: Path) -> None:
+    path = tmp_path / "take.npz"
+
+    def saved(**arrays: object) -> Path:
+        np.savez(path, **arrays)  # type: ignore[arg-type]
+        return path
+
+    points = np.zeros((5, 4, 3))
+    points[0, 0] = np.inf
+    capture = read_capture(saved(landmarks_mm=points + 1, fs=30))
+    assert (capture.clock.rate, capture.names, capture.model) == (30, None, None)
+    assert np.isnan(capture.points[0, 0]).all()
+    assert capture.points[1, 1].tolist() == [0.001] * 3
+    assert [n.code for n in capture.notices] == ["FAC106"]
+    for arrays in (
+        {"fs": 30},
+        {"landmarks_mm": points},
+        {"landmarks_mm": points, "fs": 0},
+        {"landmarks_mm": points, "fs": np.nan},
+        {"landmarks_mm": points[0], "fs": 30},
+        {"landmarks_px": points, "fs": 30},
+        {"landmarks_mm": points, "fs": 30, "landmark_names": np.array(["a", "b"])},
+        {
+            **{"landmarks_mm": points, "fs": 30, "neutral_mm": np.zeros((3, 3))},
+            **{"delta_mm": np.zeros((2, 4, 3)), "shape_names": np.array(["a", "b"])},
+        },
+    ):
+        with pytest.raises(FormatError, match="FAC003"):
+            read_capture(saved(**arrays))
+    path.write_bytes(b"no archive")
+    with pytest.raises(FormatError, match="FAC003"):
+        read_capture(path)
+
+
+def test_landmarks_are_found_by_name() -> None:
+    model = made_face()
+    clock = read_clock()
+    names = (*reversed(model.names[1:]), "spare")
+    points = np.arange(LANDMARKS * 3.0).reshape(1, LANDMARKS, 3)
+    found, notices = in_order(FaceCapture(Path("x"), names, clock, points), model)
+    assert np.isnan(found[0, 0]).all()
+    assert found[0, 1].tolist() == points[0, LANDMARKS - 2].tolist()
+    assert [n.code for n in notices] == ["FAC107", "FAC107"]
+    with pytest.raises(OptionError, match="FAC004"):
+        in_order(FaceCapture(Path("x"), ("q",), clock, points[:, :1]), model)
+    with pytest.raises(OptionError, match="FAC004"):
+        in_order(FaceCapture(Path("x"), None, clock, points[:, :3]), model)
+
+
+def read_clock():  # type: ignore[no-untyped-def]
+    from fractions import Fraction
+
+    from animtool.core.clock import Clock
+
+    return Clock(Fraction(60), Fraction(1), Fraction(1), 1)
+
+
+@pytest.mark.parametrize(
+    "points",
+    [
+        "[{name: a, vertex: 1}, {name: a, vertex: 2}]",
+        "[{name: a}]",
+        "[{name: a, vertex: 1, vertices: [1, 2]}]",
+        "[{name: a, vertices: [1, 2], weights: [1]}]",
+        "[{name: a, vertices: [1, 2], weights: [1, 1]}]",
+        "[{name: a, vertex: 99999999}]",
+        "[{name: a, vertex: 1, mesh: nose}]",
+    ],
+)
+def test_landmarks_files_that_do_not_fit(tmp_path: Path, points: str) -> None:
+    path = tmp_path / "x.landmarks.yaml"
+    path.write_text(f"landmarks: animtool/1\npoints: {points}\n", "utf-8")
+    rig = Rig.load(ROOT / "rigs/head/head.rig.yaml")
+    with pytest.raises(FormatError, match="FAC008"):
+        face_model(load_landmarks(path), rig)
+
+
+def test_remap_files(tmp_path: Path) -> None:
+    path = tmp_path / "x.remap.yaml"
+
+    def written(shapes: str) -> Path:
+        path.write_text(f"remap: animtool/1\nshapes: {shapes}\n", "utf-8")
+        return path
+
+    links = link_shapes(
+        ["Smile_L", "brow", "JawOpen"],
+        ["mouthSmileLeft", "jaw_open"],
+        load_remap(written("[{source: Smile_L, target: mouthSmile_L, gain: 0.5}]")),
+    )
+    assert [(k.source, k.target, k.gain) for k in links.links] == [
+        (0, 0, 0.5),
+        (2, 1, 1.0),
+    ]
+    assert (links.lost, links.resting) == (("brow",), ())
+    with pytest.raises(FormatError, match="FAC001"):
+        link_shapes(["a"], ["b"], load_remap(written("[{source: a, target: c}]")))
+    for wrong in (
+        "[{source: a, target: b}, {source: a, target: b}]",
+        "[{source: a, target: b, clamp: [1, 0]}]",
+    ):
+        with pytest.raises(FormatError, match="FAC002"):
+            load_remap(written(wrong))
+
+
+def test_weights_from_one_face_to_another() -> None:
+    source = made_face()
+    # The same face twice as large, its shapes mixed: the motion is the same.
+    mixed = np.eye(SHAPES)
+    mixed[0, 1] = 0.5
+    deltas = 2 * np.tensordot(mixed, source.deltas, 1)
+    target = replace(
+        source,
+        shapes=tuple(f"t{i}" for i in range(SHAPES)),
+        neutral=source.neutral * 2,
+        deltas=deltas,
+    )
+    weights = made_weights() * 0.5
+    made = transfer_weights(
+        weights, source.shapes, target.shapes, faces=(source, target)
+    )
+    moved = target.points(made.weights) - 2 * source.points(weights)
+    assert np.sqrt((moved**2).mean()) < 0.002
+    with pytest.raises(OptionError, match="FAC009"):
+        transfer_weights(weights, source.shapes, target.shapes)
+    named = transfer_weights(weights[:, :2], ["JawOpen", "q"], ["jaw_open"])
+    assert_array_equal(named.weights[:, 0], weights[:, 0])
+    assert [n.code for n in named.notices] == ["FAC108"]
+
+
+def test_landmarks_that_count_little_say_nothing_of_the_fit() -> None:
+    model, weights = made_face(), made_weights(6)
+    fit = fit_face(model, placed(model.points(weights)), 60)
+    assert replace(fit, shares=np.zeros_like(fit.shares)).rms == 0

@@ -1,0 +1,160 @@
+"""Captures that are noisy, gapped and mislabelled, onto the skeleton they are of."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from support.marked import FIGURE, TEMPLATE, Captured, captured, column, moving
+
+from animtool.capture.solve import SolveOptions, solve_markers
+from animtool.capture.solve import run as run_module
+from animtool.core.errors import OptionError
+from animtool.core.units import UpAxis
+from animtool.motion.markers import Markers
+from animtool.motion.take import Take
+
+FPS = 100.0
+
+
+def spoiled(seed: int = 7, frames: int = 240) -> Captured:
+    """Return a capture with gaps, spikes and exchanged labels."""
+    truth = captured(moving(frames, FPS, seed), FPS)
+    rng = np.random.default_rng(seed)
+    points = truth.markers.positions.copy()
+    for _ in range(20):
+        first, marker = rng.integers(frames - 12), rng.integers(points.shape[1])
+        points[first : first + rng.integers(2, 12), marker] = np.nan
+    for _ in range(10):
+        points[rng.integers(frames), rng.integers(points.shape[1])] += 0.05
+    a, b = column("LWRA"), column("LWRB")
+    points[100:140, [a, b]] = points[100:140, [b, a]]
+    return replace(truth, markers=replace(truth.markers, positions=points))
+
+
+def error(take: Take, truth: Captured) -> float:
+    """Return the largest distance of a joint from where it was [m]."""
+    away = take.world().positions - truth.positions
+    return float(np.linalg.norm(away, axis=2).max())
+
+
+def test_joints_are_found_and_labels_mended() -> None:
+    truth = spoiled()
+    solve = solve_markers(truth.markers, FIGURE, TEMPLATE)
+    take = solve.take()
+    assert take.clock == truth.markers.clock
+    assert error(take, truth) < 0.01
+    found = {(e.marker, e.label) for e in solve.score.exchanged}
+    assert {("LWRA", "LWRB"), ("LWRB", "LWRA")} <= found
+    swap = [e for e in solve.score.exchanged if e.marker == "LWRA"]
+    assert abs(swap[0].first - 100) < 3
+    assert abs(swap[-1].last - 139) < 3
+    assert 0.0003 < solve.score.total < 0.001
+    assert not solve.notices
+
+
+def test_limits_are_kept() -> None:
+    truth = spoiled(9)
+    take = solve_markers(truth.markers, FIGURE, TEMPLATE).take()
+    for j, joint in enumerate(FIGURE.joints):
+        if joint.type == "pin":
+            turn = take.motion.rotations.dense()[:, j]
+            angle = 2 * np.arctan2(turn[:, :3] @ np.asarray(joint.axis), turn[:, 3])
+            assert angle.min() > -1e-9
+
+
+def test_windows_do_not_show(monkeypatch: pytest.MonkeyPatch) -> None:
+    truth = spoiled(11)
+    whole = solve_markers(truth.markers, FIGURE, TEMPLATE).take()
+    monkeypatch.setattr(run_module, "WINDOW", 70)
+    monkeypatch.setattr(run_module, "AHEAD", 40)
+    solve = solve_markers(truth.markers, FIGURE, TEMPLATE)
+    assert len(list(solve.blocks())) == 4
+    parts = solve_markers(truth.markers, FIGURE, TEMPLATE).take()
+    away = whole.world().positions - parts.world().positions
+    assert np.abs(away).max() < 0.001
+
+
+def test_a_start_of_a_take_is_that_of_the_whole() -> None:
+    frames = run_module.WINDOW + run_module.AHEAD
+    truth = captured(moving(frames + 60, FPS, 2), FPS)
+    cut = replace(
+        truth.markers,
+        positions=truth.markers.positions[:frames],
+        clock=replace(truth.markers.clock, count=frames),
+    )
+    noise = SolveOptions(noise=0.001)
+    first = next(solve_markers(cut, FIGURE, TEMPLATE, noise).blocks())
+    same = next(solve_markers(truth.markers, FIGURE, TEMPLATE, noise).blocks())
+    assert first.rotations.values.tobytes() == same.rotations.values.tobytes()
+
+
+def test_a_limb_without_markers_keeps_moving() -> None:
+    truth = captured(moving(200, FPS, 5, 0.5), FPS)
+    points = truth.markers.positions.copy()
+    arm = [column(name) for name in ("LUPA", "LELB", "LWRA", "LWRB")]
+    points[80:120, arm] = np.nan
+    markers = replace(truth.markers, positions=points)
+    assert error(solve_markers(markers, FIGURE, TEMPLATE).take(), truth) < 0.08
+
+
+def test_frames_without_markers_are_named() -> None:
+    truth = captured(moving(120, FPS, 5), FPS)
+    points = truth.markers.positions.copy()
+    points[50:60] = np.nan
+    points[80, 2:] = np.nan
+    solve = solve_markers(replace(truth.markers, positions=points), FIGURE, TEMPLATE)
+    take = solve.take()
+    assert np.isfinite(take.world().positions).all()
+    (notice,) = [n for n in solve.notices if n.code == "SOL101"]
+    assert "51 to 60, 81" in notice.message
+
+
+def test_a_rig_of_another_is_told() -> None:
+    truth = captured(moving(60, FPS, 5), FPS)
+    rng = np.random.default_rng(0)
+    points = truth.markers.positions.copy()
+    points[20:40] += rng.uniform(-0.3, 0.3, points[20:40].shape)
+    solve = solve_markers(replace(truth.markers, positions=points), FIGURE, TEMPLATE)
+    solve.take()
+    assert "SOL102" in [n.code for n in solve.notices]
+
+
+def test_z_up_is_stood_up() -> None:
+    truth = captured(moving(40, FPS, 5), FPS)
+    x, y, z = np.moveaxis(truth.markers.positions, 2, 0)
+    turned = np.stack([x, -z, y], axis=2)
+    markers = replace(truth.markers, positions=turned, up=UpAxis.Z)
+    assert error(solve_markers(markers, FIGURE, TEMPLATE).take(), truth) < 0.005
+
+
+def _changed(markers: Markers, points: np.ndarray) -> Markers:
+    return replace(markers, positions=points)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "code"),
+    [
+        (lambda m: _changed(m, m.positions * 1000), "SOL005"),
+        (lambda m: _changed(m, m.positions / 1000), "SOL005"),
+        (lambda m: _changed(m, m.positions * np.nan), "SOL004"),
+        (lambda m: m.select(np.arange(2)), "SOL003"),
+        (lambda m: replace(m, names=tuple(f"*{i}" for i in range(14))), "SOL001"),
+    ],
+)
+def test_what_cannot_be_solved_is_refused(spoil: object, code: str) -> None:
+    markers = captured(moving(30, FPS, 1), FPS).markers
+    with pytest.raises(OptionError) as caught:
+        solve_markers(spoil(markers), FIGURE, TEMPLATE)  # type: ignore[operator]
+    assert caught.value.code == code
+
+
+def test_a_prefix_and_missing_markers_are_no_hindrance() -> None:
+    truth = captured(moving(60, FPS, 6), FPS)
+    names = tuple(f"Ann:{name}" for name in truth.markers.names)
+    kept = np.array([i for i in range(14) if i != column("C7")])
+    markers = replace(truth.markers, names=names).select(kept)
+    solve = solve_markers(markers, FIGURE, TEMPLATE)
+    assert error(solve.take(), truth) < 0.006
+    assert [n.code for n in solve.notices] == ["SOL103"]

@@ -1,0 +1,93 @@
+"""Template files: what is wrong is said where it is, and what is written is read."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from support.cli import animtool
+from support.marked import FIGURE, TEMPLATE
+
+from animtool.capture.templates import MarkerTemplate, TemplateMarker, load_template
+from animtool.capture.templates.template import template_text
+from animtool.core.errors import FormatError, OptionError
+from animtool.rig.write import rig_text
+
+
+def written(folder: Path, text: str) -> Path:
+    """Return a template file with a text."""
+    path = folder / "t.markers.yaml"
+    path.write_text(f"markers: animtool/1\n{text}", "utf-8")
+    return path
+
+
+def test_what_is_written_is_read(tmp_path: Path) -> None:
+    (tmp_path / "f.rig.yaml").write_text(rig_text(FIGURE), "utf-8")
+    odd = TemplateMarker("no: 1", "arm_l", (1e-6, -2.5, 0.0), 0.25, True, ("a b", "é"))
+    template = MarkerTemplate((*TEMPLATE.markers, odd))
+    path = tmp_path / "t.markers.yaml"
+    path.write_text(template_text(template, "all", "f.rig.yaml"), "utf-8")
+    found = load_template(path)
+    assert found.markers == template.markers
+    assert found.rig == tmp_path / "f.rig.yaml"
+    assert found.joints(FIGURE).tolist() == template.joints(FIGURE).tolist()
+
+
+@pytest.mark.parametrize(
+    ("text", "code", "line"),
+    [
+        ("marker_set: []\n", "DOC022", 2),
+        ("marker_set:\n- {name: A, joint: b}\n- {name: A, joint: b}\n", "MKT002", 4),
+        (
+            "marker_set:\n- {name: A, joint: b}\n- {name: B, joint: b, aliases: [A]}\n",
+            "MKT002",
+            4,
+        ),
+        ("marker_set:\n- {name: A, joint: b, weight: 0}\n", "MKT004", 3),
+        ("marker_set:\n- {name: A, joint: b, weight: -1}\n", "", 3),
+        ("marker_set:\n- {name: A, joint: b, offset: [1, 2]}\n", "", 3),
+        ("marker_set:\n- {name: A, joint: b, offset: [.nan, 0, 0]}\n", "", 3),
+        ("rig: nowhere.rig.yaml\nmarker_set:\n- {name: A, joint: b}\n", "DOC015", 2),
+        ("marker_set:\n- {name: A, joint: b, offset: [0, 0, 0], size: 1}\n", "", 3),
+    ],
+)
+def test_faults_have_their_line(
+    tmp_path: Path, text: str, code: str, line: int
+) -> None:
+    if "offset" not in text:
+        text = text.replace("joint: b", "joint: b, offset: [0, 0, 0]")
+    with pytest.raises(FormatError) as caught:
+        load_template(written(tmp_path, text))
+    assert caught.value.faults[0].lines == (line,)
+    assert code in {"", caught.value.code}
+
+
+def test_offsets_in_another_unit_are_pointed_out(tmp_path: Path) -> None:
+    path = written(tmp_path, "marker_set:\n- {name: A, joint: b, offset: [70, 0, 0]}\n")
+    document = load_template(path).document
+    assert document is not None
+    assert [notice.code for notice in document.notices] == ["MKT003"]
+
+
+def test_a_joint_that_the_rig_lacks_is_named_with_its_line(tmp_path: Path) -> None:
+    path = written(
+        tmp_path, "marker_set:\n- {name: A, joint: arm_x, offset: [0, 0, 0]}\n"
+    )
+    with pytest.raises(FormatError) as caught:
+        load_template(path).joints(FIGURE)
+    (fault,) = caught.value.faults
+    assert (fault.code, fault.lines) == ("MKT001", (3,))
+    assert "arm_" in (fault.hint or "")
+    with pytest.raises(OptionError):
+        MarkerTemplate((TemplateMarker("A", "arm_x"),)).joints(FIGURE)
+
+
+def test_validate_checks_against_the_rig(tmp_path: Path) -> None:
+    (tmp_path / "f.rig.yaml").write_text(rig_text(FIGURE), "utf-8")
+    path = written(
+        tmp_path,
+        "rig: f.rig.yaml\nmarker_set:\n- {name: A, joint: arms, offset: [0, 0, 0]}\n",
+    )
+    done = animtool("validate", path)
+    assert done.code == 1
+    assert "MKT001" in done.stdout + done.stderr

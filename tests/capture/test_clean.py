@@ -1,0 +1,123 @@
+"""Spikes and noise out of takes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+from support.small_takes import content, small
+
+from animtool.capture.clean import CleanOptions, clean, cleaned_take
+from animtool.core.errors import OptionError
+from animtool.formats.bvh import read_bvh
+from animtool.maths import so3
+from animtool.motion.motion import Channel
+from animtool.motion.take import Take
+
+
+def spiked(take: Take, seed: int) -> tuple[Take, set[tuple[int, int]]]:
+    """Return a take with spikes of 1 to 3 frames, and the frames and joints of them."""
+    rng = np.random.default_rng(seed)
+    turns, truth = take.motion.rotations.dense(), set()
+    for joint in take.motion.rotations.animated.tolist():
+        first = int(rng.integers(4, take.clock.count - 8))
+        for frame in range(first, first + int(rng.integers(1, 4))):
+            axis = rng.standard_normal(3)
+            turn = so3.exp(axis / np.linalg.norm(axis) * rng.uniform(0.4, 3.0))
+            turns[frame, joint] = so3.multiply(turns[frame, joint], turn)
+            truth.add((frame, joint))
+    turns = so3.align_signs(turns)
+    motion = replace(take.motion, rotations=Channel.from_dense(turns))
+    return replace(take, motion=motion), truth
+
+
+def removed(take: Take) -> tuple[Take, set[tuple[int, int]]]:
+    cleaned, signals = cleaned_take(take, CleanOptions(keep_noise=True))
+    index = take.rig.names.index
+    return cleaned, {(f, index(s.joint)) for s in signals for f in s.spikes}
+
+
+def test_spikes_are_found_and_nothing_else(walk: Path) -> None:
+    take = read_bvh(walk).collect()
+    assert not removed(take)[1]
+    hits = wrong = missed = 0
+    for seed in range(3):
+        dirty, truth = spiked(take, seed)
+        cleaned, found = removed(dirty)
+        hits += len(found & truth)
+        wrong += len(found - truth)
+        missed += len(truth - found)
+        there = so3.angle_between(
+            cleaned.motion.rotations.dense(), take.motion.rotations.dense()
+        )
+        assert np.percentile(there, 99.5) < 0.05
+    assert hits / (hits + wrong) > 0.95
+    assert hits / (hits + missed) > 0.95
+
+
+def noisy(take: Take, turn: float, shift: float) -> Take:
+    rng = np.random.default_rng(8)
+    turns, shifts = take.motion.rotations.dense(), take.motion.translations.dense()
+    shake = so3.exp(turn * rng.standard_normal(shifts.shape))
+    motion = replace(
+        take.motion,
+        rotations=Channel.from_dense(so3.multiply(turns, shake)),
+        translations=Channel.from_dense(
+            shifts + shift * rng.standard_normal(shifts.shape)
+        ),
+    )
+    return replace(take, motion=motion)
+
+
+def test_noise_is_lessened_and_said(walk: Path) -> None:
+    take = read_bvh(walk).collect()
+    dirty = noisy(take, 0.02, 0.002)
+    cleaned = clean(dirty)
+    truth = take.motion.rotations.dense()
+    before, after = (
+        so3.angle_between(one.motion.rotations.dense(), truth)
+        for one in (dirty, cleaned)
+    )
+    assert np.sqrt(np.mean(after**2)) < 0.7 * np.sqrt(np.mean(before**2))
+    note = cleaned.notices[-1]
+    assert note.code == "CAP101"
+    assert "Hz" in note.message
+
+
+def test_a_take_without_noise_stays() -> None:
+    rig, count = small().rig, 60
+    turns = np.zeros((count, len(rig.joints), 3))
+    turns[:, 0, 1] = np.sin(np.arange(count) / 15)
+    take = small(count)
+    motion = replace(
+        take.motion,
+        rotations=Channel.from_dense(so3.exp(turns)),
+        translations=Channel.still(take.motion.translations.rest, count),
+    )
+    take = replace(take, motion=motion)
+    assert content(clean(take)) == content(take)
+
+
+def test_steps_and_corners_stay() -> None:
+    take = small(60)
+    shifts = np.zeros((60, 3, 3))
+    shifts[20:, 0, 0] = 0.5  # a step
+    shifts[40:, 0, 2] = np.arange(20) * 0.05  # a corner
+    motion = replace(take.motion, translations=Channel.from_dense(shifts))
+    cleaned, _ = removed(replace(take, motion=motion))
+    assert_array_equal(cleaned.motion.translations.dense(), shifts)
+
+
+def test_a_short_take_is_left_and_named() -> None:
+    assert [fault.code for fault in clean(small(5)).notices] == ["CAP102"]
+    assert content(clean(small(5))) == content(small(5))
+
+
+@pytest.mark.parametrize("options", [{"spikes": -1}, {"spikes": 9}, {"cutoff": 0.0}])
+def test_options_that_make_no_sense(options: dict[str, float]) -> None:
+    with pytest.raises(OptionError) as error:
+        clean(small(), **options)  # type: ignore[arg-type]
+    assert error.value.code == "CAP001"
