@@ -24,7 +24,7 @@ from support.nasty import (
 from animtool.clip.file import load_clip, open_clip
 from animtool.maths import so3
 from animtool.rig.kinematics import rest_world
-from animtool.usd.names import legal_name
+from animtool.usd.layers.names import legal_name
 
 RIG = nasty_rig()
 

@@ -39,7 +39,7 @@ from animtool.core.names import check_given, is_named
 from animtool.core.rates import rate_label
 from animtool.core.readers import BVH, DOCUMENT, READERS
 from animtool.scene.sources import is_timeline, source_stem
-from animtool.usd.jobs import check_suffix
+from animtool.usd.layers.jobs import check_suffix
 
 if TYPE_CHECKING:
     from animtool.scene.reading import Source

@@ -177,21 +177,21 @@ def _named(item: Item) -> str:
 
 def _forget_layers() -> None:
     """Let go of USD files that are still open, lest the next item sees old ones."""
-    if "animtool.usd.layers" in sys.modules:
-        from animtool.usd.layers import forget_layers
+    if "animtool.usd.layers.sdf" in sys.modules:
+        from animtool.usd.layers.sdf import forget_layers
 
         forget_layers()
 
 
 # The last freezes what the others brought.
 PRELOAD = "animtool.batch.preload"
-ALWAYS = ("animtool.batch.work", "animtool.scene.bake", "animtool.usd.author")
+ALWAYS = ("animtool.batch.work", "animtool.scene.bake", "animtool.usd.takes.author")
 READING = {
     BVH: ("animtool.formats.bvh.read",),
     DOCUMENT: ("animtool.clip.file", "animtool.rig.file", "animtool.scene.clips"),
-    USD: ("animtool.usd.read",),
+    USD: ("animtool.usd.takes.read",),
 }
-LAYERS = ("animtool.usd.target",)
+LAYERS = ("animtool.usd.rigs.target",)
 # A scene may read anything, and most change its time.
 SCENES = (
     "animtool.scene.file",
@@ -202,7 +202,7 @@ SCENES = (
     "animtool.edit.retiming",
     "animtool.scene.library",
     "animtool.scene.outputs",
-    "animtool.usd.meshes",
+    "animtool.usd.rigs.meshes",
 )
 
 
@@ -248,7 +248,7 @@ def serve(connection: Connection, builder: ItemBuilder, memory: int | None) -> N
     # What is imported before the first item takes none of its time.
     for name in needed_modules(builder.item_task):
         import_module(name)
-    from animtool.usd.layers import compute_alone
+    from animtool.usd.layers.sdf import compute_alone
 
     compute_alone()
     if memory is not None:

@@ -99,7 +99,7 @@ def _described(
         options = source_options_record(params, "positions")
         return describe(path, options), info_summary.take_text
     if params["prim_path"] is None and params["take"] is None:
-        from animtool.usd.point_info import describe_points
+        from animtool.usd.caches.info import describe_points
 
         points = describe_points(path)
         if points is not None:

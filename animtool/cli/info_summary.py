@@ -21,7 +21,7 @@ if TYPE_CHECKING:
         SceneDescription,
         SystemDescription,
     )
-    from animtool.usd.point_info import PointPrim, PointsDescription
+    from animtool.usd.caches.info import PointPrim, PointsDescription
 
 # Of a set with many prims, those that have a line each.
 MAX_PRIMS = 20

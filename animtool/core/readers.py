@@ -71,10 +71,10 @@ BVH = Reader(
 )
 USD = Reader(
     "USD",
-    "animtool.usd.stored_rig:read_rig",
-    "animtool.usd.read:read_usd",
+    "animtool.usd.rigs.stored:read_rig",
+    "animtool.usd.takes.read:read_usd",
     ("prim_path", "take", "placement"),
-    "animtool.usd.prim_transforms:open_prim",
+    "animtool.usd.props.prim_transforms:open_prim",
 )
 DOCUMENT = Reader(
     "rig and clip files",

@@ -16,7 +16,7 @@ from animtool.maths import so3
 from animtool.report.compare import SCALE_TOLERANCE, lost_text
 
 if TYPE_CHECKING:
-    from animtool.usd.point_reader import PointSample, PointSource
+    from animtool.usd.caches.reader import PointSample, PointSource
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +63,7 @@ def compare_points(first: Path, second: Path) -> PointsDifference | None:
     the up axis of the first, and lengths are compared in metres. None of files that
     hold no points, or a character.
     """
-    from animtool.usd.point_reader import open_points
+    from animtool.usd.caches.reader import open_points
 
     one = open_points(first)
     two = None if one is None else open_points(second)

@@ -21,7 +21,7 @@ from animtool.scene.sources import SourceOptions, is_usd, open_source
 if TYPE_CHECKING:
     from animtool.edit.cycle import Cycle
     from animtool.report.describe_characters import CharactersFacts
-    from animtool.usd.point_info import PointPrim
+    from animtool.usd.caches.info import PointPrim
 
 
 FRAMES_AT_ONCE = 1024
@@ -159,7 +159,7 @@ def _shot(path: Path) -> dict[str, object] | None:
     """Return the shot that a USD file states."""
     if not is_usd(path):
         return None
-    from animtool.usd.layers import find_layer, layer_shot
+    from animtool.usd.layers.sdf import find_layer, layer_shot
 
     return layer_shot(find_layer(path))
 
@@ -168,7 +168,7 @@ def _points(path: Path) -> list[PointPrim]:
     """Return what a USD file shows of points that move."""
     if not is_usd(path):
         return []
-    from animtool.usd.point_info import displaced_points
+    from animtool.usd.caches.info import displaced_points
 
     return displaced_points(path)
 

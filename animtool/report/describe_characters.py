@@ -60,7 +60,7 @@ def describe_characters(path: Path | str) -> CharactersFacts | None:
     Raises:
         FormatError: It cannot be opened.
     """
-    from animtool.usd.stage_takes import read_characters
+    from animtool.usd.takes.stage_takes import read_characters
 
     readers = read_characters(Path(path))
     if len(readers) < 2:

@@ -35,14 +35,14 @@ from animtool.scene.reading import (
     output_files,
 )
 from animtool.scene.sources import Opener, open_source, source_stem
-from animtool.usd.jobs import Form, check_suffix
-from animtool.usd.layers import check_prim_path
-from animtool.usd.names import legal_name
+from animtool.usd.layers.jobs import Form, check_suffix
+from animtool.usd.layers.names import legal_name
+from animtool.usd.layers.sdf import check_prim_path
 
 if TYPE_CHECKING:
     from animtool.scene.scene import Scene
-    from animtool.usd.over_rig import OverRig
-    from animtool.usd.target import JointMap, RigTarget
+    from animtool.usd.rigs.target import JointMap, RigTarget
+    from animtool.usd.takes.over_rig import OverRig
 
 
 def plan_bake(
@@ -143,7 +143,7 @@ def check_output(
     overwrite = options.overwrite or (library and path.exists())
     check_outputs(outputs, inputs + layer, overwrite=overwrite)
     if library and path.exists():
-        from animtool.usd.library import check_library
+        from animtool.usd.takes.library import check_library
 
         name = take_name(options, source)
         check_library(path, name, options.prim_path, overwrite=options.overwrite)
@@ -172,7 +172,7 @@ def plan_output(
     target = _target(path if added else options.rig_layer, options.prim_path)
     mappings: list[JointMap | None] = [None] * len(streams)
     if target is not None:
-        from animtool.usd.over_rig import over_rig
+        from animtool.usd.takes.over_rig import over_rig
 
         notices += target.notices
         up = target.skeleton.rig.up
@@ -241,7 +241,7 @@ def plan_output(
 def _target(rig_layer: Path | None, prim_path: str | None) -> RigTarget | None:
     """Return the rig of a layer, opened; None where there is none."""
     if rig_layer is not None:
-        from animtool.usd.target import open_target
+        from animtool.usd.rigs.target import open_target
 
         return open_target(rig_layer, prim_path)
     if prim_path is not None:
@@ -254,7 +254,7 @@ def _check_props(plan: BakePlan) -> None:
     tracks = [take.stream.tracks for take in plan.takes]
     if not any(tracks):
         return
-    from animtool.usd.transform_writer import check_props
+    from animtool.usd.props.writer import check_props
 
     stage = None if plan.target is None else plan.target.stage
     for some in tracks:
@@ -286,7 +286,7 @@ def _take_prims(take: TakePlan, target: RigTarget | None) -> OutputPrims:
 def _mapped(
     way: OverRig, target: RigTarget, options: BakeOptions, notices: list[Fault]
 ) -> JointMap:
-    from animtool.usd.target import map_joints
+    from animtool.usd.rigs.target import map_joints
 
     mapping = map_joints(
         way.stream.rig,

@@ -168,7 +168,7 @@ def _to_usd(
     with sparing_inputs(outputs):
         rig, notices = open_rig(source, prim_path)
     notices = notices + _motion_left_out(source, output, prim_path)
-    from animtool.usd.rig_layer import write_physics_layer, write_rig_layer
+    from animtool.usd.rigs.layer import write_physics_layer, write_rig_layer
 
     refuse_warnings(notices, strict=strict)
     _, more = write_rig_layer(rig, output)

@@ -32,8 +32,8 @@ from animtool.scene.options import BakeOptions
 
 if TYPE_CHECKING:
     from animtool.scene.systems.character_motion import CharacterWatch
-    from animtool.usd.target import JointMap
-    from animtool.usd.transform_writer import PropSamples
+    from animtool.usd.props.writer import PropSamples
+    from animtool.usd.rigs.target import JointMap
 
 TimedBlocks: TypeAlias = Iterator[tuple[FloatArray, Motion]]  # time codes and motions
 
@@ -319,7 +319,7 @@ class TakeRun:
             stream = self._watch.read(stream)
         opened = timed_blocks(self.plan, stream)
         if stream.tracks:
-            from animtool.usd.transform_writer import PropSamples
+            from animtool.usd.props.writer import PropSamples
 
             self.props = PropSamples(stream.tracks)
         self._timed = replace(opened, blocks=self._seen(opened.blocks))

@@ -19,11 +19,11 @@ from animtool.scene.frames import TakePlan, TakeRun, TimedBlocks, moving_joints
 from animtool.scene.prims import BakePlan, Draft, TakeReport, take_report
 from animtool.scene.progress import prefetch, timed
 from animtool.scene.sources import source_stem
-from animtool.usd.author import author, write_usd
-from animtool.usd.jobs import Form, UsdJob, UsdTake, WrittenTake
-from animtool.usd.joint_writer import round_blocks
-from animtool.usd.names import UsdNames, joint_names
-from animtool.usd.recorded_place import place_record
+from animtool.usd.layers.jobs import Form, UsdJob, UsdTake, WrittenTake
+from animtool.usd.layers.names import UsdNames, joint_names
+from animtool.usd.rigs.recorded_place import place_record
+from animtool.usd.takes.author import author, write_usd
+from animtool.usd.takes.joint_writer import round_blocks
 
 if TYPE_CHECKING:
     from animtool.edit.thin import Thinned
@@ -41,7 +41,7 @@ class JointPrims:
         with closing(_usd_takes(takes, job)) as usd_takes:
             authored, result = author(job, usd_takes)
         if plan.form is Form.LIBRARY and plan.target is not None:
-            from animtool.usd.library import merged_library
+            from animtool.usd.takes.library import merged_library
 
             authored.animation = merged_library(
                 plan.target.path, authored.animation, job.paths, plan.takes[0].name

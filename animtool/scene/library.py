@@ -18,7 +18,7 @@ from animtool.motion.take import TakeStream
 from animtool.rig.skeleton import Rig
 from animtool.scene.options import BakeOptions
 from animtool.scene.sources import source_stem
-from animtool.usd.names import distinct_names, joint_names, legal_name
+from animtool.usd.layers.names import distinct_names, joint_names, legal_name
 
 # Of the rest pose: apart by less is the same, written with other digits.
 REST_LENGTHS = 1e-5
@@ -119,7 +119,7 @@ def _ordered(
     """Return a take with its joints in another order, that of a first rig."""
     if names == order:
         return stream
-    from animtool.usd.target import JointMap
+    from animtool.usd.rigs.target import JointMap
 
     rig = stream.rig
     source = np.array([names.index(name) for name in order], np.int64)

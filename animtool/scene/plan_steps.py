@@ -29,7 +29,7 @@ from animtool.scene.options import BakeOptions, merged
 from animtool.scene.reading import Source, form_of, found_sources, output_files
 from animtool.scene.scene import Scene
 from animtool.scene.sources import fitting_options, open_source
-from animtool.usd.jobs import Form
+from animtool.usd.layers.jobs import Form
 
 
 class StepKind(StrEnum):

@@ -42,22 +42,22 @@ from animtool.skin.deform import (
     deform_blocks,
     displaced_points,
 )
-from animtool.usd.jobs import Rounding, UsdResult, WrittenTake
-from animtool.usd.layers import layer_span
-from animtool.usd.point_cache import (
+from animtool.usd.caches.point_cache import (
     CacheJob,
     author_cache,
     mesh_paths,
     round_points,
     write_chunks,
 )
-from animtool.usd.point_writer import Block, CachedMesh, PointSpace
-from animtool.usd.prop_placement import prop_placements
-from animtool.usd.skeleton import WIDTH
-from animtool.usd.transform_writer import author_props
+from animtool.usd.caches.writer import Block, CachedMesh, PointSpace
+from animtool.usd.layers.jobs import Rounding, UsdResult, WrittenTake
+from animtool.usd.layers.sdf import layer_span
+from animtool.usd.props.placement import prop_placements
+from animtool.usd.props.writer import author_props
+from animtool.usd.rigs.skeleton import WIDTH
 
 if TYPE_CHECKING:
-    from animtool.usd.target import JointMap, RigTarget
+    from animtool.usd.rigs.target import JointMap, RigTarget
 
 # Frames whose joints are held at once: 60 joints take 1.5 MB.
 PIECE = 256
@@ -101,7 +101,7 @@ def open_character(take: TakePlan, target: RigTarget | None) -> Character:
         surfaces, strands, bind = surfaces_of(rig), strands_of(rig), bind_matrices(rig)
         origin, mapping = f"rig {rig.name!r} of the take", None
     else:
-        from animtool.usd.mesh_read import source_meshes, target_meshes
+        from animtool.usd.rigs.mesh_read import source_meshes, target_meshes
 
         if target is not None:
             assert mapping is not None
@@ -400,7 +400,7 @@ def _job(
 def _layer_job(
     plan: BakePlan, character: Character, span: tuple[Fraction, Fraction] | None
 ) -> tuple[CacheJob, Character, Sequence[PointSpace]]:
-    from animtool.usd.cache_target import open_cache_target
+    from animtool.usd.caches.target import open_cache_target
 
     assert plan.target is not None
     # A mesh that follows nothing stays as the rig has it.

@@ -17,16 +17,16 @@ from animtool.rig.skeleton import Rig
 from animtool.scene.options import BakeOptions
 from animtool.scene.progress import Progress
 from animtool.scene.sources import motion_bytes
-from animtool.usd.jobs import Form, UsdResult, WrittenTake
-from animtool.usd.layers import save_layer
-from animtool.usd.names import RigPaths, legal_name
+from animtool.usd.layers.jobs import Form, UsdResult, WrittenTake
+from animtool.usd.layers.names import RigPaths, legal_name
+from animtool.usd.layers.sdf import save_layer
 
 if TYPE_CHECKING:
     from animtool.edit.thin import Thinned
     from animtool.scene.frames import TakePlan, TakeRun
     from animtool.scene.systems.character_motion import CharacterWatch
-    from animtool.usd.point_writer import CachedMesh
-    from animtool.usd.target import RigTarget
+    from animtool.usd.caches.writer import CachedMesh
+    from animtool.usd.rigs.target import RigTarget
 
 
 @dataclass(frozen=True, slots=True)

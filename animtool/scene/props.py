@@ -21,7 +21,7 @@ from animtool.motion.transforms import Track, Transforms, placed_track
 from animtool.rig.placement import Placement
 from animtool.scene.entries import SceneProp
 from animtool.scene.progress import Meter, StageCost
-from animtool.usd.transform_reader import PropSource, open_prop
+from animtool.usd.props.reader import PropSource, open_prop
 
 # Between keys a transform may shear by this share, which nobody sees, and not say so.
 SEEN_SHEAR = 1e-9

@@ -25,7 +25,7 @@ from animtool.scene.sources import (
     open_source,
     source_stem,
 )
-from animtool.usd.jobs import Form, output_paths
+from animtool.usd.layers.jobs import Form, output_paths
 
 if TYPE_CHECKING:
     from animtool.motion.take import TakeStream
@@ -283,7 +283,7 @@ def output_files(
     files = output_paths(path, form_of(options))
     if options.chunk is None:
         return files
-    from animtool.usd.chunks import point_files, system_files
+    from animtool.usd.layers.chunks import point_files, system_files
 
     sets = [point_files(path)] if options.deform else []
     sets += [system_files(path)] if simulated else []

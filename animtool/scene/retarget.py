@@ -182,7 +182,7 @@ def _numbers(job: RetargetJob, report: RetargetResult) -> FrameNumbers:
         if job.bake.frame_range is None:
             start = Fraction(span.first)
         elif job.bake.start is None and job.bake.rig_layer is not None:
-            from animtool.usd.target import open_target
+            from animtool.usd.rigs.target import open_target
 
             target = open_target(job.bake.rig_layer, job.bake.prim_path)
             start = start if target.start is None else target.start
@@ -199,7 +199,7 @@ def _without_place(stream: TakeStream, job: RetargetJob) -> TakeStream:
     rig, layer = stream.rig, job.bake.rig_layer
     if rig.stands is None or rig.rides or layer is None or job.bake.placement:
         return stream
-    from animtool.usd.target import open_target
+    from animtool.usd.rigs.target import open_target
 
     own = open_target(layer, job.bake.prim_path).placement()
     if own.uneven or own.stands.is_none:

@@ -366,7 +366,7 @@ def open_source(
 
 def open_characters(path: Path) -> dict[str, Callable[[], TakeStream]]:
     """Return what opens the take of each Skeleton of a USD file, by its path."""
-    from animtool.usd.stage_takes import read_characters
+    from animtool.usd.takes.stage_takes import read_characters
 
     note_input(path)
 

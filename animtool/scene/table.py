@@ -24,7 +24,7 @@ from animtool.rig.skeleton import Rig
 from animtool.scene.bake import plan_bake, run_bake
 from animtool.scene.options import BakeOptions
 from animtool.scene.reading import Source, source_file
-from animtool.usd.skinned import played_world
+from animtool.usd.rigs.skinned import played_world
 
 # Sample rates over the source's own. A source of samples is exact at its own.
 CURVE_RATES = (Fraction(1, 4), Fraction(1, 2), Fraction(1), Fraction(2), Fraction(4))

@@ -14,9 +14,9 @@ from animtool.core.process.signals import deferred_signals
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from animtool.usd.author import write as write
+    from animtool.usd.takes.author import write as write
 
-_PUBLIC = {"write": "animtool.usd.author"}
+_PUBLIC = {"write": "animtool.usd.takes.author"}
 
 __all__ = sorted(_PUBLIC)  # noqa: PLE0605 - the table above is the list
 

@@ -255,7 +255,7 @@ class _Samples:
     def blocks(self) -> Iterator[Any]:
         """Yield blocks as large as those of a BVH file with so many joints."""
         from animtool.formats.bvh.lines import BLOCK_VALUES
-        from animtool.usd.jobs import WrittenBlock
+        from animtool.usd.layers.jobs import WrittenBlock
 
         size = BLOCK_VALUES // (3 * len(self.names) + 3)
         for start in range(0, self.frames, size):
@@ -276,9 +276,9 @@ class _Samples:
 def _author_animtool(data: _Samples, path: Path, *, extents: bool = False) -> Any:
     from pxr import Sdf
 
-    from animtool.usd.joint_writer import AnimationWriter
-    from animtool.usd.layers import new_layer, prim, save_layer
-    from animtool.usd.names import RigPaths
+    from animtool.usd.layers.names import RigPaths
+    from animtool.usd.layers.sdf import new_layer, prim, save_layer
+    from animtool.usd.takes.joint_writer import AnimationWriter
 
     layer, paths = new_layer(path), RigPaths.below("/model")
     with Sdf.ChangeBlock():

@@ -12,7 +12,7 @@ from support.cli import animtool
 from support.clips import hero, write_clip
 from support.usd import open_stage, skeleton_query, validation_errors
 
-from animtool.usd.read import read_usd
+from animtool.usd.takes.read import read_usd
 
 CONTROLS = """\
 - {target: control/lean, interp: catmull_rom,

@@ -20,7 +20,7 @@ from animtool.scene.bake import bake
 from animtool.scene.convert import convert
 from animtool.scene.options import BakeOptions
 from animtool.scene.prims import BakeReport
-from animtool.usd.read import read_usd
+from animtool.usd.takes.read import read_usd
 
 # Joints may be this far from float64 forward kinematics, as a share of the
 # skeleton's size: float32 holds 6e-8, and errors add up along a chain.

@@ -22,7 +22,7 @@ from animtool.report.describe_scene import (
     SceneDescription,
     SystemDescription,
 )
-from animtool.usd.point_info import ChunkSet, PointPrim, PointsDescription
+from animtool.usd.caches.info import ChunkSet, PointPrim, PointsDescription
 
 TABLES = {
     "A take:": TakeDescription,

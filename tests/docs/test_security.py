@@ -14,7 +14,7 @@ from animtool.documents import archive, fields, variables, yaml_values
 from animtool.documents.document import MAX_FAULTS
 from animtool.formats.bvh.lines import MAX_LINES
 from animtool.scene.systems.run import MAX_STEPS
-from animtool.usd.layers import MAX_LAYER_BYTES, MAX_TEXT_LAYER_BYTES
+from animtool.usd.layers.sdf import MAX_LAYER_BYTES, MAX_TEXT_LAYER_BYTES
 
 
 @pytest.fixture(scope="module")

@@ -122,7 +122,7 @@ def test_a_clock_jumps_between_runs(
 def test_a_library_that_two_add_a_take_to(
     disk: Path, monkeypatch: pytest.MonkeyPatch, record_property: Record
 ) -> None:
-    from animtool.usd import library as usd_library
+    from animtool.usd.takes import library as usd_library
 
     library = disk / "library.usda"
     for i, name in enumerate(("one", "two", "three")):

@@ -12,7 +12,7 @@ from support.cli import animtool
 from animtool import BakeOptions, SourceOptions, bake, open_source
 from animtool.core.rates import rate_from_float
 from animtool.core.shot import Shot
-from animtool.usd.layers import find_layer
+from animtool.usd.layers.sdf import find_layer
 
 otio = pytest.importorskip("opentimelineio", reason="no OpenTimelineIO (extra: otio)")
 

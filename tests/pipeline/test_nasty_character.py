@@ -28,7 +28,7 @@ from animtool.motion.take import Take, TakeStream
 from animtool.rig.skeleton import Rig
 from animtool.scene.bake import bake
 from animtool.scene.options import BakeOptions
-from animtool.usd.read import read_usd
+from animtool.usd.takes.read import read_usd
 
 
 def baked(take: Take, output: Path, blocks: int = 1, **options: object) -> Any:

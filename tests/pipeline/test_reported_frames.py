@@ -27,7 +27,7 @@ from animtool.motion.take import TakeStream
 from animtool.scene.bake import bake
 from animtool.scene.options import BakeOptions
 from animtool.scene.prims import BakeReport
-from animtool.usd.read import read_usd
+from animtool.usd.takes.read import read_usd
 
 RATES = [Fraction(24), Fraction(30), Fraction(120), Fraction(24000, 1001)]
 SHUTTER = (Fraction(-1, 4), Fraction(0), Fraction(1, 4))

@@ -16,7 +16,7 @@ from animtool.cli.info_summary import points_text
 from animtool.core.files.reading import recorded_inputs
 from animtool.report import describe as module
 from animtool.report.describe import describe
-from animtool.usd.point_info import describe_points
+from animtool.usd.caches.info import describe_points
 
 
 def test_numbers(tmp_path: Path, monkeypatch) -> None:  # type: ignore[no-untyped-def]

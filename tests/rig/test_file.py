@@ -551,7 +551,7 @@ def test_any_edits_give_a_rig_or_faults(
     joints: list[Any] = []
     faults: list[Any] = []
     try:
-        with patch("animtool.usd.stored_rig.read_rig", lambda _: BASE):
+        with patch("animtool.usd.rigs.stored.read_rig", lambda _: BASE):
             joints = list(rig_of_document(edited).joints)
     except FormatError as error:
         faults = list(error.faults)
@@ -648,7 +648,7 @@ controls: [{name: grin, drives: [{shape: smile, expr: grin}]}]
 def base(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let every USD file be the base."""
     monkeypatch.setattr(
-        "animtool.usd.stored_rig.read_rig", lambda path: replace(BASE, name=path.name)
+        "animtool.usd.rigs.stored.read_rig", lambda path: replace(BASE, name=path.name)
     )
 
 

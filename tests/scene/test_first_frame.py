@@ -15,7 +15,7 @@ from support.drifting import author_samples
 from animtool.core.clock import Clock
 from animtool.core.rates import parse_rate
 from animtool.scene.first_frame import frame_start, whole_frames
-from animtool.usd.read import read_usd
+from animtool.usd.takes.read import read_usd
 
 FIRST, FRAMES = 1001, 24
 

@@ -20,7 +20,7 @@ from animtool.motion.passes import PASSES, Pass, PassContext, Scope
 from animtool.motion.take import Take, TakeStream
 from animtool.scene.file import load_scene
 from animtool.scene.retime import Preroll, begun_early, without_first
-from animtool.usd.layers import find_layer
+from animtool.usd.layers.sdf import find_layer
 
 SCENE = """scene: animtool/1
 source: {file: walk.bvh, units: cm}

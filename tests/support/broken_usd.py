@@ -13,7 +13,7 @@ from pxr import Gf, Sdf, Ts, Vt
 
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.skeleton import Joint, JointType, Rig
-from animtool.usd.rig_layer import author_physics
+from animtool.usd.rigs.layer import author_physics
 from support.cli import animtool
 from support.skinned_rig import write_pair
 

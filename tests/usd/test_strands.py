@@ -24,8 +24,8 @@ from animtool.rig.file import load_rig
 from animtool.rig.kinematics import bind_world, forward
 from animtool.rig.parts import ArraySource, Attachment, HeldArray
 from animtool.rig.skeleton import Rig
-from animtool.usd.rig_layer import write_rig_layer
-from animtool.usd.stored_rig import read_whole_rig
+from animtool.usd.rigs.layer import write_rig_layer
+from animtool.usd.rigs.stored import read_whole_rig
 
 HAIR = "/hero/Rig/Strands/hair"
 

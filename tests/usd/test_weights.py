@@ -18,13 +18,13 @@ from support.usd import open_stage, skeleton_query, validation_errors
 from animtool.core.errors import FormatError, OutputError
 from animtool.motion.motion import Channel, Motion
 from animtool.rig.skeleton import Joint, Rig
-from animtool.usd.author import author, write_usd
-from animtool.usd.jobs import Form, UsdJob, UsdResult, UsdTake
-from animtool.usd.joint_writer import round_blocks
-from animtool.usd.names import RigPaths, joint_names
-from animtool.usd.read import read_usd
-from animtool.usd.rig_layer import write_rig_layer
-from animtool.usd.target import map_joints, match_shapes, open_target
+from animtool.usd.layers.jobs import Form, UsdJob, UsdResult, UsdTake
+from animtool.usd.layers.names import RigPaths, joint_names
+from animtool.usd.rigs.layer import write_rig_layer
+from animtool.usd.rigs.target import map_joints, match_shapes, open_target
+from animtool.usd.takes.author import author, write_usd
+from animtool.usd.takes.joint_writer import round_blocks
+from animtool.usd.takes.read import read_usd
 
 SHAPES = ("smile", "blink", "frown", "jaw")
 RIG = Rig("hero", (Joint("Hips", -1), Joint("Spine", 0, translation=(0, 1, 0))))

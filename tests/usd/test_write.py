@@ -20,7 +20,7 @@ from animtool.motion.reorient import reorient
 from animtool.motion.take import Take, TakeStream
 from animtool.report.compare import compare_takes
 from animtool.scene.bake import bake
-from animtool.usd.read import read_usd
+from animtool.usd.takes.read import read_usd
 
 
 @pytest.fixture

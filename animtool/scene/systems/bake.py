@@ -23,26 +23,26 @@ from animtool.scene.scene import Scene
 from animtool.scene.sources import source_stem
 from animtool.scene.systems.character_motion import CharacterWatch
 from animtool.scene.systems.run import SystemRun, system_job
-from animtool.usd.chunks import growing_layer, system_files
-from animtool.usd.jobs import Form, Rounding, UsdResult, WrittenTake
-from animtool.usd.layers import (
+from animtool.usd.caches.writer import CachedMesh
+from animtool.usd.layers.chunks import growing_layer, system_files
+from animtool.usd.layers.jobs import Form, Rounding, UsdResult, WrittenTake
+from animtool.usd.layers.names import legal_name
+from animtool.usd.layers.sdf import (
     StageMetadata,
     author_metadata,
     check_prim_path,
     layer_span,
 )
-from animtool.usd.names import legal_name
-from animtool.usd.point_writer import CachedMesh
-from animtool.usd.simulated import (
+from animtool.usd.props.simulated import (
     SimulatedJob,
     chunk_simulated,
     grow_simulated,
     simulated_layer,
 )
-from animtool.usd.transform_writer import overlap, prop_paths
+from animtool.usd.props.writer import overlap, prop_paths
 
 if TYPE_CHECKING:
-    from animtool.usd.target import RigTarget
+    from animtool.usd.rigs.target import RigTarget
 
 FPS = Fraction(24)
 # From the world of a take to where a layer has what is simulated, at time codes.
@@ -245,7 +245,7 @@ def plan_with_take(scene: Scene, plan: BakePlan) -> SystemPrims:
     )
     way: Way | None = None
     if plan.target is not None:
-        from animtool.usd.prop_placement import way_inside
+        from animtool.usd.props.placement import way_inside
 
         mapping, path = plan.takes[0].mapping, f"{model}/system"
         to_rig = None if mapping is None else mapping.to_rig

@@ -106,7 +106,7 @@ class OnPrim:
 
     def over_time(self) -> Poses:
         """Return where it is over time, the frame of 0 s among its times."""
-        from animtool.usd.transform_reader import open_prop
+        from animtool.usd.props.reader import open_prop
 
         prop = open_prop(PropRequest(self.file, self.prim, self.prim), UpAxis.Y)
         codes, start = np.zeros(1), 0.0

@@ -51,7 +51,7 @@ from animtool.systems.fields import (
 
 if TYPE_CHECKING:
     from animtool.scene.systems.gaits import GaitsSource
-    from animtool.usd.point_reader import StillMesh
+    from animtool.usd.caches.reader import StillMesh
 
 Reader: TypeAlias = Callable[[Location, Any], Any]
 
@@ -78,7 +78,7 @@ class Prototype:
         return tuple(at(first + (last - first) * float(share)) for share in shares)
 
     def _of_stage(self) -> _Moving:
-        from animtool.usd.point_reader import open_mesh
+        from animtool.usd.caches.reader import open_mesh
 
         assert self.prim is not None
         source = open_mesh(self.path, self.prim, UpAxis.Y)
@@ -267,7 +267,7 @@ class PartReader(EntryReader):
 
     def physics(self, at: Location, model: PhysicsStageModel) -> Physics | None:
         """Return what UsdPhysics says of a stage."""
-        from animtool.usd.body_physics_read import read_bodies
+        from animtool.usd.physics.read import read_bodies
 
         path = self.input((*at, "file"), model.file)
         if path is None:
@@ -292,7 +292,7 @@ class PartReader(EntryReader):
 
     def still_mesh(self, at: Location, model: PrimMeshModel) -> StillMesh | None:
         """Return a mesh of a USD file as it is at its first frame."""
-        from animtool.usd.point_reader import read_still_mesh
+        from animtool.usd.caches.reader import read_still_mesh
 
         path = self.input((*at, "file"), model.file)
         if path is None:
@@ -339,7 +339,7 @@ class PartReader(EntryReader):
 
     def carrying_prim(self, at: Location, model: CarryingPrimModel) -> OnPrim | None:
         """Return a prim that carries others."""
-        from animtool.usd.transform_reader import open_prop
+        from animtool.usd.props.reader import open_prop
 
         path = self.input((*at, "file"), model.file)
         if path is None:

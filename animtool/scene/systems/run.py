@@ -29,10 +29,10 @@ from animtool.scene.systems.simulation import (
 from animtool.systems.run import ON_STEP, EntryRun, Reached
 from animtool.systems.saved import Clocked, write_states
 from animtool.systems.simulation import NeedsFinalState
-from animtool.usd.layers import StageMetadata
-from animtool.usd.names import distinct_names, legal_name
-from animtool.usd.point_writer import CachedMesh
-from animtool.usd.simulated import SimulatedJob
+from animtool.usd.caches.writer import CachedMesh
+from animtool.usd.layers.names import distinct_names, legal_name
+from animtool.usd.layers.sdf import StageMetadata
+from animtool.usd.props.simulated import SimulatedJob
 
 
 def last_states(

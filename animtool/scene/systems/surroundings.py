@@ -25,7 +25,7 @@ from animtool.systems.run import EntryRun
 from animtool.systems.surfaces import Bodies
 
 if TYPE_CHECKING:
-    from animtool.usd.point_reader import MeshSource
+    from animtool.usd.caches.reader import MeshSource
 
 
 # Keys of an entry that name what it runs into.
@@ -40,7 +40,7 @@ def moving_sheet(mesh: MovingMeshModel) -> Sheet:
     Raises:
         OptionError: There is no such mesh, or it makes no sense (SIM051).
     """
-    from animtool.usd.point_reader import open_mesh
+    from animtool.usd.caches.reader import open_mesh
 
     motion = _Motion(open_mesh(Path(mesh.file), mesh.prim, UpAxis.Y), mesh.frame)
     return record_of(Sheet, mesh, motion=motion, name=mesh.prim)

@@ -12,7 +12,7 @@ from animtool.core.array_types import BoolArray
 from animtool.core.errors import Fault, counted, excerpt, listed
 from animtool.core.rules import finding
 from animtool.usd.checks.subject import AnyArray, Sampled, Subject, at_samples
-from animtool.usd.faults import (
+from animtool.usd.layers.faults import (
     UNIT_TOLERANCE,
     missing_parts,
     names_twice,
@@ -20,7 +20,7 @@ from animtool.usd.faults import (
     transform_attributes,
     unknown_joints,
 )
-from animtool.usd.skinned import is_shown_mesh
+from animtool.usd.rigs.skinned import is_shown_mesh
 
 _WANTED = {
     "skel:animationSource": UsdSkel.Animation,

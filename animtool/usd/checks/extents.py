@@ -19,16 +19,16 @@ from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.clock import frame_label
 from animtool.core.errors import Fault
 from animtool.core.rules import finding
+from animtool.usd.caches.reader import PointReader
 from animtool.usd.checks.skinned_bounds import SkinnedBounds, overhang
 from animtool.usd.checks.subject import AnyArray, Sampled, Subject, at_samples
-from animtool.usd.faults import (
+from animtool.usd.layers.faults import (
     joint_parents,
     own_matrices,
     tokens,
     transform_attributes,
 )
-from animtool.usd.point_reader import PointReader
-from animtool.usd.rig_prims import decompose
+from animtool.usd.rigs.prims import decompose
 
 # Of the diagonal: text files with four digits are within.
 TOLERANCE = 1e-3

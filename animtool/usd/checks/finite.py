@@ -20,7 +20,7 @@ from pxr import Sdf, Tf, Usd
 from animtool.core.errors import Fault, counted
 from animtool.core.rules import finding
 from animtool.usd.checks.subject import Subject
-from animtool.usd.finite import floats_of, largest
+from animtool.usd.layers.finite import floats_of, largest
 
 
 def check_types(subject: Subject) -> Iterator[Fault]:

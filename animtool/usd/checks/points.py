@@ -15,9 +15,9 @@ from animtool.core.array_types import FloatArray
 from animtool.core.clock import frame_label
 from animtool.core.errors import Fault
 from animtool.core.rules import finding
+from animtool.usd.caches.reader import UNIT_TOLERANCE, PointReader, codes_of
 from animtool.usd.checks.extents import bounds_apart
 from animtool.usd.checks.subject import Sampled, Subject, at_samples
-from animtool.usd.point_reader import UNIT_TOLERANCE, PointReader, codes_of
 
 
 def check_points(subject: Subject) -> Iterator[Fault]:

@@ -38,9 +38,9 @@ from animtool.usd.checks.stage_metadata import (
 from animtool.usd.checks.subject import Subject
 from animtool.usd.checks.takes import AnimationTake, animation_takes
 from animtool.usd.checks.value_clips import check_value_clips
-from animtool.usd.dependencies import open_composed
-from animtool.usd.layers import find_layer, usd_errors
-from animtool.usd.stderr import without_usd_warnings
+from animtool.usd.layers.dependencies import open_composed
+from animtool.usd.layers.sdf import find_layer, usd_errors
+from animtool.usd.layers.stderr import without_usd_warnings
 
 # Of ours inside of UsdValidation, which need not run twice.
 OWN_KEYWORD = "animtool"

@@ -13,7 +13,7 @@ from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, counted, listed
 from animtool.core.rules import finding
 from animtool.usd.checks.subject import Subject
-from animtool.usd.faults import (
+from animtool.usd.layers.faults import (
     UNIT_TOLERANCE,
     bind_transforms,
     joint_order,
@@ -21,7 +21,7 @@ from animtool.usd.faults import (
     own_matrices,
     tokens,
 )
-from animtool.usd.rest_pose import rest_transforms
+from animtool.usd.rigs.rest_pose import rest_transforms
 
 
 def check_physics(subject: Subject) -> Iterator[Fault]:

@@ -11,10 +11,10 @@ from pxr import Usd, UsdGeom, UsdSkel
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, excerpt, listed
 from animtool.core.rules import finding
+from animtool.usd.caches.reader import PointReader
 from animtool.usd.checks.subject import Subject
-from animtool.usd.faults import duplicates, singular, tokens
-from animtool.usd.point_reader import PointReader
-from animtool.usd.rig_prims import upwards
+from animtool.usd.layers.faults import duplicates, singular, tokens
+from animtool.usd.rigs.prims import upwards
 
 # Text files with three digits and eight influences are within.
 SUM_TOLERANCE = 4e-3

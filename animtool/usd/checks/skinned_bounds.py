@@ -14,7 +14,7 @@ import numpy as np
 from pxr import Tf, Usd, UsdGeom, UsdSkel
 
 from animtool.core.array_types import FloatArray
-from animtool.usd.point_reader import PointReader, transformed
+from animtool.usd.caches.reader import PointReader, transformed
 
 # Points posed where the largest of many samples is looked for.
 MAX_POINTS = 20_000_000

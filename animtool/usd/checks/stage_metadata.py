@@ -14,8 +14,8 @@ from animtool.core.clock import frame_label, span_label
 from animtool.core.errors import Fault, excerpt
 from animtool.core.rules import finding
 from animtool.usd.checks.subject import Subject
-from animtool.usd.faults import units_and_axis
-from animtool.usd.rig_prims import stored_data
+from animtool.usd.layers.faults import units_and_axis
+from animtool.usd.rigs.prims import stored_data
 
 
 def check_composition(subject: Subject) -> Iterator[Fault]:

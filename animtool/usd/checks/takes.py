@@ -21,21 +21,16 @@ from animtool.motion.reorient import placed_motion
 from animtool.motion.take import Take
 from animtool.rig.parts import Shape
 from animtool.rig.skeleton import Joint, Rig
-from animtool.usd.animation_values import (
-    among_rest,
-    scale_channel,
-)
 from animtool.usd.checks.subject import Subject
-from animtool.usd.faults import Spot, own_matrices, tokens, transform_attributes
-from animtool.usd.library import take_range
-from animtool.usd.placement import (
+from animtool.usd.layers.faults import Spot, own_matrices, tokens, transform_attributes
+from animtool.usd.rigs.placement import (
     NOWHERE,
     SkeletonPlacement,
     movers,
     rest_rig,
     skeleton_placement,
 )
-from animtool.usd.rig_prims import (
+from animtool.usd.rigs.prims import (
     SkeletonRig,
     find_skeletons,
     rig_from_tokens,
@@ -43,6 +38,11 @@ from animtool.usd.rig_prims import (
     stored_data,
     up_axis,
 )
+from animtool.usd.takes.animation_values import (
+    among_rest,
+    scale_channel,
+)
+from animtool.usd.takes.library import take_range
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,6 @@ from animtool.core.errors import Fault, counted
 from animtool.usd.checks.extents import extent_sources, joined_bounds
 from animtool.usd.checks.skinned_bounds import SkinnedBounds
 from animtool.usd.checks.subject import Subject
-from animtool.usd.faults import tokens
 from animtool.usd.fixes.target import (
     AnyArray,
     Change,
@@ -20,8 +19,9 @@ from animtool.usd.fixes.target import (
     Target,
     rewrite,
 )
-from animtool.usd.rest_pose import relative_bind
-from animtool.usd.rig_prims import upwards
+from animtool.usd.layers.faults import tokens
+from animtool.usd.rigs.prims import upwards
+from animtool.usd.rigs.rest_pose import relative_bind
 
 # Of a sum: float32 weights cannot do better.
 ROUNDING = 1e-6

@@ -22,10 +22,10 @@ from animtool.core.files.output import once_named, replacing
 from animtool.core.files.placing import output_error
 from animtool.core.files.reading import open_input
 from animtool.core.plugins import load_object
-from animtool.usd.dependencies import open_composed
 from animtool.usd.fixes.table import EDITS
-from animtool.usd.layers import asset_path, export_layer, find_layer, usd_errors
-from animtool.usd.stderr import without_usd_warnings
+from animtool.usd.layers.dependencies import open_composed
+from animtool.usd.layers.sdf import asset_path, export_layer, find_layer, usd_errors
+from animtool.usd.layers.stderr import without_usd_warnings
 
 AnyArray = npt.NDArray[Any]
 # From the arrays of an attribute, in time order, to those that replace them.

@@ -11,10 +11,10 @@ from pxr import Sdf, Usd
 from animtool.core.clock import frame_label, span_label
 from animtool.core.errors import Fault, counted
 from animtool.maths import so3
-from animtool.usd.animation_values import OFF_FRAME
 from animtool.usd.checks.subject import Subject
 from animtool.usd.fixes.target import AnyArray, Change, Edit, NotFixableError, Target
 from animtool.usd.fixes.target import rewrite as rewrite_arrays
+from animtool.usd.takes.animation_values import OFF_FRAME
 
 # Shorter quaternions have no direction that can be trusted.
 MIN_LENGTH = 1e-3

@@ -10,7 +10,7 @@ from pxr import Gf, Sdf, Vt
 
 from animtool.scene.file import load_scene
 from animtool.scene.systems.simulation import open_systems
-from animtool.usd.characters import Characters
+from animtool.usd.props.characters import Characters
 
 
 def main(scene: str, runs: str, output: str) -> None:

@@ -23,7 +23,7 @@ from animtool.core.files.output import (
 )
 from animtool.core.files.placing import output_error
 from animtool.core.files.reading import note_input
-from animtool.usd.jobs import check_suffix
+from animtool.usd.layers.jobs import check_suffix
 
 
 def test_a_file_appears_whole(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from animtool import BakeOptions, bake
 from animtool.core.errors import AnimtoolError, Fault
 from animtool.scene.file import load_scene
 from animtool.scene.systems.simulation import open_systems
-from animtool.usd.layers import compute_alone, forget_layers
+from animtool.usd.layers.sdf import compute_alone, forget_layers
 
 ABOUT = "UsdPhysics stages of rigid bodies, with odd values, simulated"
 

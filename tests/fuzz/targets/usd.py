@@ -18,13 +18,13 @@ from animtool.core.errors import AnimtoolError
 from animtool.motion.take import TakeStream
 from animtool.report.describe import describe
 from animtool.scene.sources import SourceOptions
+from animtool.usd.caches.info import describe_points
 from animtool.usd.checks.run import inspect_layer
-from animtool.usd.layers import compute_alone, forget_layers
-from animtool.usd.mesh_read import source_meshes
-from animtool.usd.point_info import describe_points
-from animtool.usd.read import read_usd
-from animtool.usd.stored_rig import read_whole_rig
-from animtool.usd.target import open_target
+from animtool.usd.layers.sdf import compute_alone, forget_layers
+from animtool.usd.rigs.mesh_read import source_meshes
+from animtool.usd.rigs.stored import read_whole_rig
+from animtool.usd.rigs.target import open_target
+from animtool.usd.takes.read import read_usd
 from fuzz.mutations import pick, spoil
 
 ABOUT = "USD layers, text and crate, read by every reader"

@@ -13,7 +13,7 @@ from support.simulated import Simulator
 
 from animtool import BakeOptions
 from animtool.maths import so3
-from animtool.usd.body_physics_read import read_bodies
+from animtool.usd.physics.read import read_bodies
 
 AWAKE = {"sleep": {"speed": 0}}
 TYPES = ("pin", "ball", "prismatic", "fixed")

@@ -18,7 +18,7 @@ from animtool.core.errors import AnimtoolError
 from animtool.core.units import LengthUnit, UpAxis
 from animtool.report.compare_points import compare_points
 from animtool.scene.prims import BakeReport
-from animtool.usd.point_info import describe_points
+from animtool.usd.caches.info import describe_points
 
 BODIES = [
     box([0.4, 0.2, 0.2], at=[0, 1, 0], spin=[90, 200, 0])

@@ -15,7 +15,7 @@ from support.usd import open_stage, validation_errors
 from animtool.core.errors import Severity
 from animtool.core.rules import own_rules
 from animtool.usd.checks import check_layer
-from animtool.usd.stderr import without_usd_warnings
+from animtool.usd.layers.stderr import without_usd_warnings
 
 # Those of checks alone say what to do whatever the file is.
 CODES = {code: rule for code, rule in own_rules().items() if rule.hint}

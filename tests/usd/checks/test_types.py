@@ -10,7 +10,7 @@ from pxr import Gf, Sdf, Usd, Vt
 from support.suite import every_other
 
 from animtool.usd.checks.run import check_stage
-from animtool.usd.stderr import without_usd_warnings
+from animtool.usd.layers.stderr import without_usd_warnings
 
 LAYER = Path(__file__).with_name("pages.usda")
 TYPES = Sdf.ValueTypeNames

@@ -1,0 +1,1 @@
+"""Points that move: caches of meshes, curves and particles."""

@@ -1,0 +1,281 @@
+"""What joints deform as point caches: a stage of meshes, or overs on a rig."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from pxr import Sdf
+
+from animtool.core.array_types import Float32Array, FloatArray
+from animtool.core.files.output import replacing
+from animtool.core.shot import Shot
+from animtool.core.units import UpAxis
+from animtool.rig.surfaces import Strands, Surface
+from animtool.skin.deform import Deformed
+from animtool.usd.caches.writer import (
+    Block,
+    CachedMesh,
+    PointSpace,
+    PointWriter,
+    empty_attribute,
+)
+from animtool.usd.layers.chunks import (
+    Chunks,
+    Whole,
+    author_span,
+    point_files,
+    write_frames,
+)
+from animtool.usd.layers.finite import Labels, rounded
+from animtool.usd.layers.names import RigPaths
+from animtool.usd.layers.sdf import (
+    StageMetadata,
+    attribute,
+    author_metadata,
+    author_model,
+    export_layer,
+    new_layer,
+    prim,
+)
+from animtool.usd.rigs.meshes import author_meshes, mesh_names
+from animtool.usd.rigs.skeleton import author_strands, strand_paths
+
+if TYPE_CHECKING:
+    from animtool.usd.caches.target import CacheTarget
+
+
+@dataclass(frozen=True, slots=True)
+class CacheJob:
+    """What `author_cache` needs beside the blocks."""
+
+    output: Path | None  # the file; None is usda for stdout
+    paths: RigPaths
+    meshes: tuple[str, ...]  # prims of meshes, then of strands, as blocks count them
+    fps: Fraction  # time codes a second
+    frames: tuple[Fraction, Fraction] | None  # first and last; None takes the samples'
+    meters_per_unit: float  # of the layer [m]
+    up: UpAxis  # of a stage
+    surfaces: tuple[Surface, ...] = ()  # of a stage
+    strands: tuple[Strands, ...] = ()  # of a stage
+    # Of a layer, whether blocks have those of meshes that have them; False blocks the
+    # rig's.
+    normals: bool = True
+    target: CacheTarget | None = None  # of a layer, the rig; None is a stage
+    shot: Shot | None = None  # that is written
+
+
+def mesh_paths(
+    surfaces: Sequence[Surface], strands: Sequence[Strands], paths: RigPaths
+) -> tuple[str, ...]:
+    """Return where a stage has meshes, then strands: as a stage with a skeleton."""
+    return (*mesh_names(surfaces, paths)[0], *strand_paths(strands, paths))
+
+
+def round_points(
+    mesh: int,
+    codes: FloatArray,
+    deformed: Deformed,
+    meters_per_unit: float,
+    space: PointSpace,
+) -> Block:
+    """Return frames of a mesh rounded to what USD holds, and what the rounding did.
+
+    codes: time codes ``(F,)``; deformed: its frames [m]; meters_per_unit: unit of the
+    layer [m].
+    """
+    points, extents = deformed.points, deformed.extents
+    velocities, normals = deformed.velocities, deformed.normals
+    placement = space.placement
+    if placement is not None:
+        linear, shift = placement[:3, :3], placement[:3, 3] * meters_per_unit
+        points = points @ linear.T + shift
+        extents = np.stack([points.min(axis=1), points.max(axis=1)], axis=1)
+        velocities = None if velocities is None else velocities @ linear.T
+        normals = None if normals is None else _turned(normals, linear)
+    rounded_points, error, frame, vertex = rounded(
+        points, meters_per_unit, Labels("points", "point"), codes
+    )
+
+    def alike(name: str, values: FloatArray, unit: float) -> Float32Array:
+        return rounded(values, unit, Labels(name, "point"), codes)[0]
+
+    extent = alike("extent", extents, meters_per_unit)
+    values = {"points": rounded_points, "extent": _widened(extent, space.margin)}
+    if normals is not None:
+        values["normals"] = alike("normals", normals, 1.0)
+    if velocities is not None:
+        values["velocities"] = alike("velocities", velocities, meters_per_unit)
+    code = float(codes[frame])
+    return Block(mesh, codes, values, points.shape[1], error, code, vertex)
+
+
+def _widened(extents: Float32Array, margin: float) -> Float32Array:
+    """Return bounds of what is drawn about points, as `UsdGeom.Curves` has them."""
+    with np.errstate(over="ignore"):
+        return extents + np.array([[-margin], [margin]], np.float32)
+
+
+def _turned(normals: FloatArray, linear: FloatArray) -> FloatArray:
+    turned = normals @ np.linalg.inv(linear)
+    length = np.linalg.norm(turned, axis=-1, keepdims=True)
+    return np.asarray(turned / np.where(length > 0, length, 1.0))
+
+
+def author_cache(
+    job: CacheJob, blocks: Iterator[Block]
+) -> tuple[Any, list[CachedMesh]]:
+    """Author a layer in memory; nothing is written yet.
+
+    A stage has ``Xform`` prims where one with a skeleton has the model and the
+    SkelRoot, and meshes and strands at the same paths, bound to nothing. A layer makes
+    the SkelRoot of its rig an ``Xform``, so that UsdSkel does not deform what is
+    deformed already.
+    """
+    layer = new_layer(job.output or Path("stdout.usda"))
+    reports = [CachedMesh(path) for path in job.meshes]
+    writers = [PointWriter(layer, report) for report in reports]
+    whole = Whole(writers)
+    with Sdf.ChangeBlock():
+        _author_prims(layer, job)
+        write_frames(blocks, whole, reports)
+        for writer in writers:
+            writer.finish(rest=job.target is None)
+        author_metadata(layer, cache_metadata(job, whole.first, whole.last))
+    if job.target is not None:
+        job.target.check(layer)
+    return layer, reports
+
+
+def _author_prims(layer: Any, job: CacheJob) -> None:
+    """Write everything but points."""
+    if job.target is not None:
+        job.target.author(layer, normals=job.normals)
+        return
+    author_model(layer, job.paths.model)
+    prim(layer, job.paths.root, "Xform")
+    unit = job.meters_per_unit
+    author_meshes(layer, job.surfaces, job.paths, {}, unit, bound=False)
+    author_strands(layer, job.strands, job.paths, {}, unit, bound=False)
+
+
+def cache_metadata(job: CacheJob, first: float, last: float) -> StageMetadata:
+    """Return what a layer of a cache states, for frames from first to last."""
+    frames = job.frames or (Fraction(first), Fraction(last))
+    default = Sdf.Path(job.paths.model).GetPrefixes()[0].name
+    unit, up = job.meters_per_unit, job.up
+    if job.target is not None:
+        unit, up = job.target.unit, job.target.up
+    return StageMetadata(default, job.fps, *frames, unit, up, job.shot)
+
+
+@dataclass(frozen=True, slots=True)
+class ChunkedCache:
+    """A cache whose chunks are written, and a layer in memory that joins them."""
+
+    layer: Any
+    reports: list[CachedMesh]
+    _chunks: Chunks
+
+    def finish(self, save: Callable[[Any, Path | None], int]) -> list[Path]:
+        """Write the manifest, then the layer; return all files, the layer last."""
+        files, output = self._chunks.finish(), self._chunks.files.output
+        save(self.layer, output)
+        return [*files, output]
+
+
+def write_chunks(job: CacheJob, blocks: Iterator[Block], size: int) -> ChunkedCache:
+    """Write the points of a cache in files of some samples each.
+
+    Nothing is there under its name before all is written, the layer last.
+    """
+    assert job.output is not None
+    layer = new_layer(job.output)
+    with Sdf.ChangeBlock():
+        _author_prims(layer, job)
+    chunked = [_ChunkedMesh(path) for path in job.meshes]
+    reports = [mesh.report for mesh in chunked]
+
+    def chunk(path: Path, number: int) -> AbstractContextManager[list[PointWriter]]:
+        return _chunk(job, path, reports, rest=number == 0 and job.target is None)
+
+    files = point_files(job.output)
+    with Chunks(files, size, len(chunked), chunk) as chunks:
+        write_frames(blocks, chunks, chunked)
+    metadata = cache_metadata(job, chunks.starts[0], chunks.last)
+    with Sdf.ChangeBlock():
+        for mesh in chunked:
+            mesh.author(layer.GetPrimAtPath(mesh.report.path), whole=job.target is None)
+        author_metadata(layer, metadata)
+
+    def declare(manifest: Any) -> None:
+        for report in reports:
+            spec = prim(manifest, report.path, over=True)
+            for name in report.sampled:
+                empty_attribute(spec, name)
+
+    moves = any(report.samples for report in reports)
+    defaults = job.target is None and moves
+    chunks.join(layer, job.paths.root, metadata, declare, defaults=defaults)
+    if job.target is not None:
+        job.target.check(layer, points=False)
+    return ChunkedCache(layer, reports, chunks)
+
+
+@contextmanager
+def _chunk(
+    job: CacheJob, path: Path, reports: Sequence[CachedMesh], *, rest: bool
+) -> Iterator[list[PointWriter]]:
+    """Give the writers of a file, with defaults of points if asked."""
+    layer = new_layer(path)
+    for mesh in job.meshes:
+        prim(layer, mesh, over=True)
+    writers = [PointWriter(layer, report) for report in reports]
+    yield writers
+    with Sdf.ChangeBlock():
+        for writer in writers:
+            writer.release(rest=rest)
+        author_span(layer, cache_metadata(job, 0.0, 0.0))
+    with replacing(path) as temporary:
+        export_layer(layer, temporary, path)
+
+
+class _ChunkedMesh:
+    """What the layer that joins chunks has of a mesh, and its report."""
+
+    def __init__(self, path: str) -> None:
+        self.report = CachedMesh(path)
+        # Values of the first frame, while points are where they are there.
+        self._still: dict[str, Float32Array] | None = None
+
+    def count(self, block: Block) -> None:
+        """Note which attributes frames have, and whether points move."""
+        values = block.values
+        if not self.report.sampled:
+            self._still = {name: rows[0].copy() for name, rows in values.items()}
+        self.report.count(block)
+        self.report.sampled = list(values)
+        still = self._still
+        if still is not None and (values["points"] != still["points"]).any():
+            self._still = None
+
+    def author(self, spec: Any, *, whole: bool) -> None:
+        """Declare what the files hold; what never moves has its value here, which wins.
+
+        whole: whether the first chunk, a sublayer for its defaults, has zeros there.
+        """
+        for name in self.report.sampled:
+            if self._still is None:
+                empty_attribute(spec, name)
+            elif name != "velocities":
+                empty_attribute(spec, name).finish(self._still[name])
+            elif whole:
+                kind = Sdf.ValueTypeNames.Vector3fArray
+                attribute(spec, name, kind, Sdf.ValueBlock())
+        if self._still is not None:
+            self.report.sampled, self.report.samples, self.report.bytes = [], 0, 0

@@ -1,0 +1,332 @@
+"""Points of prims over time: of meshes, curves, particles and copies, on any stage.
+
+Whoever reads points, faces or when they move does it by `PointReader`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pxr import Sdf, Usd, UsdGeom, UsdSkel
+
+from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.errors import Fault, OptionError, excerpt
+from animtool.core.rates import rate_from_float
+from animtool.core.units import UpAxis, up_from_up
+from animtool.maths import so3
+from animtool.usd.layers.faults import Spot
+from animtool.usd.layers.sdf import usd_errors
+from animtool.usd.layers.stderr import without_usd_warnings
+from animtool.usd.rigs.prims import (
+    array_of,
+    array_value,
+    decompose,
+    find_prim,
+    find_skeletons,
+    integers,
+    nearest_prim,
+    numbers,
+    open_stage,
+    placing_times,
+    up_axis,
+)
+
+# Half floats are as far from a unit quaternion as this.
+UNIT_TOLERANCE = 5e-3
+
+
+class PointReader:
+    """The points of a PointBased prim, or the positions of a PointInstancer."""
+
+    def __init__(self, prim: Any) -> None:
+        self.prim = prim
+        self.copies = bool(prim.IsA(UsdGeom.PointInstancer))
+        self.attr = prim.GetAttribute("positions" if self.copies else "points")
+
+    @property
+    def times(self) -> list[float]:
+        """Time codes of the samples; none where the points never move."""
+        return list(self.attr.GetTimeSamples())
+
+    @property
+    def moments(self) -> list[float]:
+        """Time codes of the samples of its points and of what places it."""
+        return sorted({*self.times, *placing_times(self.prim)})
+
+    def has(self, name: str) -> bool:
+        """Return whether the prim states values of an attribute."""
+        attribute = self.prim.GetAttribute(name)
+        return bool(attribute and attribute.HasAuthoredValue())
+
+    def at(self, time: Any) -> FloatArray:
+        """Return the points at a time ``(N, 3)``, in the prim's own space and unit."""
+        return numbers(self.attr, 3, time)
+
+    def count(self) -> int:
+        """Return how many points there are at the earliest time."""
+        return len(self.attr.Get(Usd.TimeCode.EarliestTime()) or ())
+
+    def world_from_prim(self, time: Any) -> FloatArray:
+        """Return the prim's transform at a time, for row vectors ``(4, 4)``."""
+        world = UsdGeom.Imageable(self.prim).ComputeLocalToWorldTransform(time)
+        return np.array(world, np.float64)
+
+    def faces(self, time: Any) -> tuple[IntArray, IntArray]:
+        """Return corners of each face of a mesh ``(M,)``, and them face by face."""
+        mesh = UsdGeom.Mesh(self.prim)
+        counts = integers(mesh.GetFaceVertexCountsAttr(), time)
+        return counts, integers(mesh.GetFaceVertexIndicesAttr(), time)
+
+
+def transformed(points: FloatArray, matrix: FloatArray) -> FloatArray:
+    """Return points ``(N, 3)`` placed by a transform of row vectors ``(4, 4)``.
+
+    What is not finite there is for callers to find.
+    """
+    with np.errstate(over="ignore", invalid="ignore"):
+        placed: FloatArray = points @ matrix[:3, :3] + matrix[3, :3]
+    return placed
+
+
+def codes_of(times: Sequence[float]) -> list[Any]:
+    """Return samples as time codes, the default where there are none."""
+    return [Usd.TimeCode(time) for time in times] or [Usd.TimeCode.Default()]
+
+
+def lengths(attribute: Any, codes: Sequence[Any]) -> list[int | None]:
+    """Return how many values an array has at each of some times, None of none."""
+    values = (attribute.Get(code) for code in codes)
+    return [None if value is None else len(array_of(value)) for value in values]
+
+
+def all_prims(stage: Any) -> Iterator[Any]:
+    """Yield every prim, overs of an animation layer and those of instances too."""
+    yield from Usd.PrimRange.Stage(
+        stage, Usd.TraverseInstanceProxies(Usd.PrimAllPrimsPredicate)
+    )
+
+
+def has_character(stage: Any) -> bool:
+    """Return whether a stage has a Skeleton or an animation of one."""
+    animations = (prim.IsA(UsdSkel.Animation) for prim in all_prims(stage))
+    return bool(find_skeletons(stage)) or any(animations)
+
+
+def point_prims(stage: Any) -> Iterator[Any]:
+    """Yield the prims of points, but those of which a PointInstancer shows copies."""
+    prims = [prim for prim in all_prims(stage) if _has_points(prim)]
+    copied = {
+        path
+        for prim in prims
+        if prim.IsA(UsdGeom.PointInstancer)
+        for path in copied_meshes(prim)
+        if not prim.GetPath().HasPrefix(path)
+    }
+    for prim in prims:
+        if not any(path in copied for path in prim.GetPath().GetPrefixes()):
+            yield prim
+
+
+def copied_meshes(instancer: Any) -> list[Any]:
+    """Return the paths of what a PointInstancer shows copies of."""
+    prototypes = UsdGeom.PointInstancer(instancer).GetPrototypesRel()
+    return list(prototypes.GetForwardedTargets())
+
+
+def _has_points(prim: Any) -> bool:
+    if prim.IsAbstract():
+        return False
+    if prim.IsA(UsdGeom.PointInstancer):
+        return True
+    points = prim.GetAttribute("points")
+    bare = not prim.GetTypeName() and points and points.HasAuthoredValue()
+    return bool(prim.IsA(UsdGeom.PointBased) or bare)
+
+
+@dataclass(frozen=True, slots=True)
+class PointSample:
+    """What a prim of points has at a time code, in the world."""
+
+    points: FloatArray  # (N, 3) [m]
+    ids: IntArray | None  # (N,); None where there are none
+    orientations: FloatArray | None = None  # x, y, z, w (N, 4); None but of copies
+    scales: FloatArray | None = None  # as they are stated (N, 3) [1]; likewise
+    copied: IntArray | None = None  # which mesh each is a copy of (N,); likewise
+
+
+class PointSource:
+    """The prims of points of a stage that is open, to be looked at over time."""
+
+    def __init__(self, path: Path, stage: Any) -> None:
+        self._path, self._stage = path, stage
+        root = stage.GetDefaultPrim()
+        above = root.GetPath() if root else Sdf.Path.absoluteRootPath
+        # What is below the default prim is the same whatever that is called.
+        self._readers = {
+            str(prim.GetPath().MakeRelativePath(above)): PointReader(prim)
+            for prim in point_prims(stage)
+        }
+        self.fps = rate_from_float(stage.GetTimeCodesPerSecond())
+        self.unit = float(UsdGeom.GetStageMetersPerUnit(stage))
+        self.up = up_axis(stage)
+
+    @property
+    def names(self) -> list[str]:
+        """Paths of the prims, below the default prim."""
+        return list(self._readers)
+
+    def type(self, name: str) -> str:
+        """Return the type of a prim."""
+        return str(self._readers[name].prim.GetTypeName())
+
+    def codes(self, name: str) -> list[float]:
+        """Return the time codes of a prim's samples; none where it never moves."""
+        return [float(code) for code in self._readers[name].moments]
+
+    def at(self, name: str, code: float | None) -> PointSample:
+        """Return what a prim has at a time code; None is the default.
+
+        Copies without orientations or scales are as if these changed nothing.
+
+        Raises:
+            FormatError: Its arrays do not fit each other (USD269), or hold what is no
+                number (USD265) or no rotation (USD288).
+        """
+        reader = self._readers[name]
+        time = Usd.TimeCode.Default() if code is None else Usd.TimeCode(code)
+        prim, spot = reader.prim, Spot.of(self._path, reader.prim)
+        own, matrix = reader.at(time), reader.world_from_prim(time)
+        if not (np.isfinite(own).all() and np.isfinite(matrix).all()):
+            spot.fail("USD265", "points are not finite")
+        points = transformed(own, matrix) * self.unit
+        count = len(points)
+
+        def each(*names: str, width: int = 0) -> Any:
+            """Return rows of an attribute, whole numbers without a width, or None."""
+            attr = next((prim.GetAttribute(n) for n in names if reader.has(n)), None)
+            if attr is None:
+                return None
+            rows = numbers(attr, width, time) if width else integers(attr, time)
+            if not len(rows) == len(array_value(attr, time)) in {0, count}:
+                spot.at(attr).fail("USD269", f"{len(rows)} for {count} points")
+            return rows if len(rows) else None
+
+        ids = each("ids")
+        if not reader.copies:
+            return PointSample(points, ids)
+        turns = each("orientationsf", "orientations", width=4)
+        if turns is None:
+            turns = np.tile([0.0, 0.0, 0.0, 1.0], (count, 1))
+        sizes = np.linalg.norm(turns, axis=1, keepdims=True)
+        if not (np.abs(sizes - 1) < UNIT_TOLERANCE).all():
+            spot.fail("USD288", "a quaternion is not of length 1")
+        turns = so3.multiply(decompose(matrix[None])[1][0], turns / sizes)
+        scales = each("scales", width=3)
+        if scales is None:
+            scales = np.ones((count, 3))
+        if not np.isfinite(scales).all():
+            spot.fail("USD265", "scales are not finite")
+        copied = each("protoIndices")
+        if copied is None:
+            copied = np.full(count, -1)
+        return PointSample(points, ids, turns, scales, copied)
+
+
+def open_points(path: Path) -> PointSource | None:
+    """Return a stage that has points and no character; None of others."""
+    with usd_errors(path), without_usd_warnings():
+        stage = open_stage(path)
+        source = None if has_character(stage) else PointSource(path, stage)
+    return source if source and source.names else None
+
+
+@dataclass(frozen=True, slots=True)
+class StillMesh:
+    """Points and faces in the world."""
+
+    points: FloatArray  # ``(N, 3)`` [m]
+    counts: IntArray  # corners of each face ``(M,)``
+    indices: IntArray  # corners, face by face
+
+
+def read_still_mesh(path: Path, prim: str, up: UpAxis) -> StillMesh:
+    """Return a mesh as it is at the earliest time that its file has."""
+    return open_mesh(path, prim, up).at(None)
+
+
+class MeshSource:
+    """A mesh of a stage that is open.
+
+    span: first and last time code at which it is told to move, in shape or place; None
+    where it never does.
+    """
+
+    def __init__(self, stage: Any, prim: Any, up: UpAxis) -> None:
+        # A prim lives no longer than its stage.
+        self._stage, self._reader = stage, PointReader(prim)
+        self._unit = UsdGeom.GetStageMetersPerUnit(stage)
+        self._turn = up_from_up(up, up_axis(stage))
+        self.fps = float(stage.GetTimeCodesPerSecond())
+        times = self._reader.moments
+        self.span = (float(times[0]), float(times[-1])) if times else None
+
+    def at(self, code: float | None) -> StillMesh:
+        """Return it at a time code; None is the earliest that there is.
+
+        Raises:
+            OptionError: It makes no sense (SIM051).
+        """
+        time = Usd.TimeCode.EarliestTime() if code is None else Usd.TimeCode(code)
+        points, (counts, indices) = self._reader.at(time), self._reader.faces(time)
+        _check_mesh(points, counts, indices, str(self._reader.prim.GetPath()))
+        world = self._reader.world_from_prim(time)
+        placed = transformed(points, world) * self._unit
+        if not np.isfinite(placed).all():
+            message = f"{self._reader.prim.GetPath()} is placed at no finite place"
+            raise OptionError(
+                Fault("SIM051", message, hint="look at the transforms above it")
+            )
+        if self._turn is not None:
+            placed = so3.rotate(np.array(self._turn), placed)
+        return StillMesh(np.asarray(placed, np.float64), counts, indices)
+
+
+def open_mesh(path: Path, prim: str, up: UpAxis) -> MeshSource:
+    """Return a mesh that can be looked at over time."""
+    with usd_errors(path):
+        stage = open_stage(path)
+        mesh = find_prim(stage, prim)
+        if mesh is None or not mesh.IsA(UsdGeom.Mesh):
+            what = "no prim" if mesh is None else "no mesh"
+            hint = nearest_prim(stage, prim) if mesh is None else None
+            message = f"{path.name} holds {what} {excerpt(prim)}"
+            raise OptionError(Fault("SIM051", message, hint=hint))
+        return MeshSource(stage, mesh, up)
+
+
+def mesh_fault(points: FloatArray, counts: IntArray, indices: IntArray) -> str:
+    """Return what makes points ``(N, 3)`` and faces no mesh; nothing of a good one."""
+    if not len(points) or not len(counts):
+        return "has no points or no faces"
+    if not np.isfinite(points).all():
+        return "has a point that is not finite"
+    if (counts < 3).any():
+        return f"has a face of {counts.min()} corners"
+    if counts.sum() != len(indices):
+        return f"has {len(indices)} corners, and its faces {counts.sum()}"
+    outside = indices[(indices < 0) | (indices >= len(points))]
+    if len(outside):
+        return f"has a corner {outside[0]} that is none of its {len(points)} points"
+    return ""
+
+
+def _check_mesh(
+    points: FloatArray, counts: IntArray, indices: IntArray, prim: str
+) -> None:
+    message = mesh_fault(points, counts, indices)
+    if message:
+        raise OptionError(Fault("SIM051", f"{prim} {message}"))

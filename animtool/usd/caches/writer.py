@@ -1,0 +1,371 @@
+"""PointBased prims: their attributes, blocks of their frames, and the one writer.
+
+What joints deform and what is simulated both come as blocks of named values; prims of
+every kind state their types in one table.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, Protocol, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+from pxr import Sdf, Vt
+
+from animtool.core.array_types import Float32Array, FloatArray, IntArray
+from animtool.core.errors import Fault
+from animtool.usd.layers.finite import Labels
+from animtool.usd.layers.sdf import Samples, attribute, quaternion, vector
+
+if TYPE_CHECKING:
+    from animtool.motion.frames import (
+        CurvesFrame,
+        Frame,
+        MeshFrame,
+        PointsFrame,
+        TransformsFrame,
+    )
+
+_TYPES = Sdf.ValueTypeNames
+
+
+@dataclass(frozen=True, slots=True)
+class Kind:
+    """Type of an attribute, how a value becomes USD's, and its interpolation."""
+
+    type_name: Any
+    make: Callable[[Any], Any]
+    interpolation: str = ""
+    uniform: bool = False
+
+
+_INTEGERS = Kind(_TYPES.IntArray, Vt.IntArray.FromNumpy)
+_TOKEN = Kind(_TYPES.Token, str, uniform=True)
+ATTRIBUTES = {
+    "points": Kind(_TYPES.Point3fArray, Vt.Vec3fArray.FromNumpy),
+    "velocities": Kind(_TYPES.Vector3fArray, Vt.Vec3fArray.FromNumpy),
+    "extent": Kind(_TYPES.Float3Array, Vt.Vec3fArray.FromNumpy),
+    "normals": Kind(_TYPES.Normal3fArray, Vt.Vec3fArray.FromNumpy, "vertex"),
+    "ids": Kind(_TYPES.Int64Array, Vt.Int64Array.FromNumpy),
+    "positions": Kind(_TYPES.Point3fArray, Vt.Vec3fArray.FromNumpy),
+    "orientationsf": Kind(_TYPES.QuatfArray, Vt.QuatfArray.FromNumpy),
+    "angularVelocities": Kind(_TYPES.Vector3fArray, Vt.Vec3fArray.FromNumpy),
+    "scales": Kind(_TYPES.Float3Array, Vt.Vec3fArray.FromNumpy),
+    "protoIndices": _INTEGERS,
+    "widths": Kind(_TYPES.FloatArray, Vt.FloatArray.FromNumpy, "vertex"),
+    "curveVertexCounts": _INTEGERS,
+    "faceVertexCounts": _INTEGERS,
+    "faceVertexIndices": _INTEGERS,
+    "subdivisionScheme": _TOKEN,
+    "doubleSided": Kind(_TYPES.Bool, bool, uniform=True),
+    "purpose": _TOKEN,
+    "type": _TOKEN,
+    "wrap": _TOKEN,
+    "xformOp:translate": Kind(_TYPES.Double3, vector),
+    "xformOp:orient": Kind(_TYPES.Quatd, quaternion),
+}
+
+
+def kind_of(name: str, values: npt.NDArray[Any]) -> Kind:
+    """Return how an attribute is written: a primvar as its values ``(…, N[, 3])`` are.
+
+    name: as `place_of` reads it.
+    """
+    if not name.startswith("primvars:"):
+        return ATTRIBUTES[name.rpartition(".")[2]]
+    if np.issubdtype(values.dtype, np.integer):
+        return Kind(_TYPES.IntArray, Vt.IntArray.FromNumpy, "vertex")
+    if values.ndim == 1:
+        return Kind(_TYPES.FloatArray, Vt.FloatArray.FromNumpy, "vertex")
+    color = name == "primvars:displayColor"
+    kind = _TYPES.Color3fArray if color else _TYPES.Float3Array
+    return Kind(kind, Vt.Vec3fArray.FromNumpy, "vertex")
+
+
+def author_values(spec: Any, values: Mapping[str, Any]) -> None:
+    """Write values of `ATTRIBUTES` that never change, in their order."""
+    for name, value in values.items():
+        kind = ATTRIBUTES[name]
+        attribute(
+            spec,
+            name,
+            kind.type_name,
+            kind.make(value),
+            uniform=kind.uniform,
+            interpolation=kind.interpolation,
+        )
+
+
+# Of curves: polylines with two ends.
+LINEAR = {"type": "linear", "wrap": "nonperiodic"}
+
+
+def author_width(spec: Any, width: float) -> None:
+    """State one width of all curves, in the layer's unit."""
+    widths = Vt.FloatArray([width])
+    attribute(spec, "widths", _TYPES.FloatArray, widths, interpolation="constant")
+
+
+def place_of(path: str, name: str) -> tuple[str, str]:
+    """Return the prim that has an attribute of a prim at a path, and its name there.
+
+    >>> place_of("/it", "points"), place_of("/it", "brick_3.xformOp:orient")
+    (('/it', 'points'), ('/it/brick_3', 'xformOp:orient'))
+    """
+    part, _, own = name.rpartition(".")
+    return f"{path}/{part}" if part else path, own
+
+
+@dataclass(slots=True)
+class CharactersReport:
+    """What was written of characters."""
+
+    own: int = 0  # with an animation of their own
+    shared: int = 0  # with a part in one that others have, too
+    samples: int = 0  # poses of those with their own
+    frames: int = 0  # of these
+    error: float = 0.0  # most that a joint is off between samples [m]
+    slide: float = 0.0  # likewise a foot that stands [m]
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """Frames of one prim as the layer will hold them, in its unit."""
+
+    prim: int  # place among those that are written
+    codes: FloatArray  # time codes (F,)
+    # By attribute, as `place_of` reads its name, in order (F, …).
+    values: Mapping[str, npt.NDArray[Any]]
+    vertices: int  # of its points, the most at any frame
+    error: float = 0.0  # largest distance that rounding moved a point [m]
+    error_code: float = 0.0  # time code of that
+    error_vertex: int = 0  # the point that moved
+
+    @property
+    def bytes(self) -> int:
+        """Size of the values in memory."""
+        return sum(rows.nbytes for rows in self.values.values())
+
+    def some(self, frames: slice) -> Block:
+        """Return some of the frames; the error stays that of all."""
+        values = {name: rows[frames] for name, rows in self.values.items()}
+        return replace(self, codes=self.codes[frames], values=values)
+
+
+@dataclass(frozen=True, slots=True)
+class PointSpace:
+    """Where the points of a mesh are written."""
+
+    # Mesh from skeleton space, in the layer's unit (4, 4); None where they are one.
+    placement: FloatArray | None = None
+    margin: float = 0.0  # half the width of curves, in the layer's unit
+
+
+@dataclass(slots=True)
+class CachedMesh:
+    """What was written of a PointBased prim."""
+
+    path: str
+    vertices: int = 0  # of its points, the most at any frame
+    samples: int = 0  # time samples of its points; 0 where it never moves
+    bytes: int = 0  # size of its samples in memory
+    sampled: list[str] = field(default_factory=list)  # attributes that change
+    error: float = 0.0  # largest distance that rounding moved a point [m]
+    error_code: float = 0.0  # time code of that
+    error_vertex: int = 0  # the point that moved
+    names: Sequence[str] = ()  # of points that are bodies
+    notices: list[Fault] = field(default_factory=list)
+    characters: CharactersReport | None = None  # where it has these
+
+    def count(self, block: Block) -> None:
+        """Add a block of frames; of errors the larger is kept."""
+        self.vertices = max(self.vertices, block.vertices)
+        self.samples += len(block.codes)
+        self.bytes += block.bytes
+        if block.error > self.error:
+            self.error, self.error_code = block.error, block.error_code
+            self.error_vertex = block.error_vertex
+
+
+def labels_of(report: CachedMesh, name: str) -> Labels:
+    """Return what the values of an attribute of a prim are of."""
+    names = () if name == "extent" else report.names
+    of = "body" if names else "point"
+    place = ".".join(place_of(report.path, name))
+    return Labels(place, "" if "." in name else of, names)
+
+
+class PointWriter:
+    """Writes blocks of one prim, which is there already, to a layer.
+
+    It has samples of what changes, and a default of what does not. With `every`, each
+    frame of attributes that are there is a sample, as in what is simulated, and with
+    `first` too the first is the default.
+    """
+
+    def __init__(
+        self,
+        layer: Any,
+        report: CachedMesh,  # which prim it is
+        *,
+        every: bool = False,
+        first: bool = True,
+        added: Callable[[int], object] | None = None,  # told the bytes of each block
+    ) -> None:
+        self._layer, self._report = layer, report
+        self._every, self._first, self._added = every, first, added
+        self._channels: dict[str, Samples] = {}
+
+    def add(self, block: Block) -> None:
+        """Write a block of frames."""
+        with Sdf.ChangeBlock():
+            for name, rows in block.values.items():
+                if name not in self._channels:
+                    self._channels[name] = self._channel(name, rows)
+                self._channels[name].add(block.codes, rows)
+        if self._added is not None:
+            self._added(block.bytes)
+
+    def _channel(self, name: str, rows: npt.NDArray[Any]) -> Samples:
+        if not self._every:
+            return empty_attribute(self._spec, name)
+        labels = labels_of(self._report, name)
+        attr = self._layer.GetAttributeAtPath(labels.attribute)
+        make = kind_of(name, rows[0]).make
+        return Samples(
+            attr,
+            make,
+            every=True,
+            first=self._first,
+            of=labels.of,
+            names=labels.names,
+        )
+
+    @property
+    def _spec(self) -> Any:
+        return self._layer.GetPrimAtPath(self._report.path)
+
+    def release(self, *, rest: bool) -> None:
+        """Sample everything, whether it changes or not.
+
+        With ``rest``, there are defaults too, but for velocities: a mesh at no time.
+        """
+        for name, channel in self._channels.items():
+            channel.release()
+            if rest and name != "velocities":
+                channel.rest()
+
+    def finish(self, *, rest: bool) -> None:
+        """Write the defaults of what never changed, and report what does.
+
+        With ``rest``, what has samples has a default too; a rig has its own.
+        """
+        channels, report = self._channels, self._report
+        velocities = channels.pop("velocities", None)
+        moves = bool(channels) and channels["points"].sampled
+        if velocities is not None:
+            if moves:
+                # UsdGeomPointBased uses them beside points of the same times only.
+                velocities.release()
+                channels["velocities"] = velocities
+            else:
+                remove_attribute(self._spec, "velocities")
+        for name, channel in channels.items():
+            if rest and name != "velocities":
+                channel.rest()
+        nothing = np.zeros((0, 3), np.float32)
+        for channel in channels.values():
+            channel.finish(nothing)
+        report.sampled = [name for name, made in channels.items() if made.sampled]
+        if not moves:
+            report.samples = report.bytes = 0
+
+
+def empty_attribute(spec: Any, name: str) -> Samples:
+    """Return an attribute without value in place of what a mesh at rest has."""
+    remove_attribute(spec, name)
+    kind = ATTRIBUTES[name]
+    attr = attribute(spec, name, kind.type_name, interpolation=kind.interpolation)
+    return Samples(attr, kind.make)
+
+
+def remove_attribute(spec: Any, name: str) -> None:
+    """Remove an attribute, if the prim has it."""
+    if name in spec.attributes:
+        spec.RemoveProperty(spec.attributes[name])
+
+
+class FramePrim(Protocol):
+    """A prim of frames, as their form needs it."""
+
+    unit: float  # of the layer [m]
+    turn: FloatArray  # how the prim stands in the layer (4,)
+
+    @property
+    def triangles(self) -> IntArray:
+        """Faces of the first frame as triangles ``(T, 3)``."""
+
+    @property
+    def parts(self) -> list[str]:
+        """Names of the prims below, of a frame that has names."""
+
+    def narrowed(
+        self, name: str, values: npt.NDArray[Any], code: float
+    ) -> Float32Array:
+        """Return values ``(N,)`` or ``(N, 3)`` of an attribute in float32."""
+
+    def write_still(self, layer: Any, path: str, frame: Frame) -> None:
+        """Write a frame as a prim that never moves."""
+
+
+FrameT = TypeVar("FrameT", "CurvesFrame", "MeshFrame", "PointsFrame", "TransformsFrame")
+
+
+class FrameForm(Generic[FrameT]):
+    """How a type of frame is written: its prim, attributes and values."""
+
+    type_name: ClassVar[str]
+    sampled: ClassVar[tuple[str, ...]]  # attributes that every frame has, in order
+    points: ClassVar[str] = "points"  # what the prim calls its points
+
+    def shape(self, frame: FrameT) -> Mapping[str, IntArray]:  # noqa: ARG002
+        """Return attributes of whole numbers that say how points are joined."""
+        return {}
+
+    def tears(self, frame: FrameT) -> bool:  # noqa: ARG002
+        """Return whether the shape may be another at another frame."""
+        return False
+
+    def kinds(self, frame: FrameT) -> dict[str, Kind]:
+        """Return what has samples, in order, by name, as `place_of` reads them."""
+        arrays = {f"primvars:{name}": rows for name, rows in frame.primvars.items()}
+        kinds = {name: ATTRIBUTES[name] for name in self.sampled}
+        kinds |= {name: kind_of(name, rows) for name, rows in arrays.items()}
+        return {**kinds, "extent": ATTRIBUTES["extent"]}
+
+    def divide(self, spec: Any, frame: FrameT) -> None:
+        """Write prims below the prim that have samples."""
+
+    def describe(self, writer: FramePrim, spec: Any, frame: FrameT) -> None:
+        """Write what else the prim is, which no frame changes."""
+
+    def values(
+        self, writer: FramePrim, frame: FrameT, points: Float32Array, code: float
+    ) -> Mapping[str, npt.NDArray[Any]]:
+        """Return what a frame has beside points ``(N, 3)`` and velocities."""
+        raise NotImplementedError
+
+
+def bounds(
+    points: Float32Array, margin: float | FloatArray | Float32Array
+) -> Float32Array:
+    """Return bounds ``(2, 3)`` of points and what is about them; zeros of none."""
+    if not len(points):
+        return np.zeros((2, 3), np.float32)
+    if isinstance(margin, float):
+        low, high = points.min(axis=0) - margin, points.max(axis=0) + margin
+    else:
+        low, high = (points - margin).min(axis=0), (points + margin).max(axis=0)
+    return np.stack([low, high]).astype(np.float32)

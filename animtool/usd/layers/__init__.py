@@ -1,0 +1,1 @@
+"""Layers: opened, written in chunks, named, and kept finite."""

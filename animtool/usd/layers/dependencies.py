@@ -1,0 +1,127 @@
+"""The files that a USD layer brings in, looked at before USD opens them by their paths.
+
+USD waits for a pipe that nobody writes to, and reads a device without end.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from pxr import Ar, Sdf, Tf, Usd, UsdUtils
+
+from animtool.core.errors import Fault, FormatError, excerpt
+from animtool.core.files.reading import FileState, note_input
+from animtool.usd.layers.sdf import layer_state, usd_errors
+from animtool.usd.layers.stderr import without_usd_warnings
+
+
+@dataclass(slots=True)
+class _Walk:
+    """Layers that are brought in, each looked at and opened once."""
+
+    path: Path  # of the layer that brings them in, as the user named it
+    # What their files were before USD opened them.
+    states: dict[Path, FileState] = field(default_factory=dict)
+    # Held, so that the stage finds them open.
+    layers: list[Any] = field(default_factory=list)
+    _seen: set[str] = field(default_factory=set)
+
+    def follow(self, top: Any) -> None:
+        """Look at all that a layer brings in.
+
+        Raises:
+            FormatError: One is no file, or too large (USD155).
+        """
+        todo = [(top, dict(top.expressionVariables))]
+        while todo:
+            layer, variables = todo.pop()
+            for name in _names(layer, variables):
+                target = self._opened(layer, name)
+                if target is not None:
+                    self.layers.append(target)
+                    # Those of the layer that brings it in count for more.
+                    todo.append((target, {**target.expressionVariables, **variables}))
+
+    def _opened(self, layer: Any, name: str) -> Any:
+        """Return a layer that another names; None where USD opens none or knows it."""
+        asset = Sdf.ComputeAssetPathRelativeToLayer(layer, name)
+        bare, _ = Sdf.Layer.SplitIdentifier(asset)
+        if asset in self._seen or not Sdf.FileFormat.FindByExtension(bare):
+            return None
+        self._seen.add(asset)
+        # Of a package, the resolver would open it.
+        outer = bare.partition("[")[0]
+        file = Ar.GetResolver().Resolve(outer).GetPathString()
+        if not file or "://" in file:
+            return None
+        path = Path(file)
+        if path not in self.states:
+            state = self._state(layer, name, path)
+            if state is None:
+                return None
+            self.states[path] = state
+        try:
+            return Sdf.Layer.FindOrOpen(asset)
+        except Tf.ErrorException:
+            # The stage names what it cannot open.
+            return None
+
+    def _state(self, layer: Any, name: str, path: Path) -> FileState | None:
+        """Return what a file is; None where nothing is there that USD would open."""
+        try:
+            return layer_state(path)
+        except FormatError as error:
+            if error.__cause__ is not None or path.is_dir():
+                return None
+            reason = error.faults[0].message.removeprefix("cannot be read: ")
+            owner = excerpt(layer.GetDisplayName(), 80)
+            message = f"{owner} brings in {excerpt(name, 80)}, which {reason}"
+            hint = "name a USD file there, or remove what names it"
+            fault = Fault("USD155", message, str(self.path), (), hint)
+            raise FormatError(fault) from error
+
+
+def _names(layer: Any, variables: Mapping[str, Any]) -> Iterator[str]:
+    """Yield the names of all files that a layer may bring in."""
+    # Value clips are among them, and what templates of these stand for.
+    for names in UsdUtils.ExtractExternalReferences(layer.identifier):
+        yield from filter(None, names)
+    if not variables:
+        return
+    for name in layer.GetCompositionAssetDependencies():
+        if Sdf.VariableExpression.IsExpression(name):
+            evaluated = Sdf.VariableExpression(name).Evaluate(variables).value
+            if isinstance(evaluated, str) and evaluated:
+                yield evaluated
+
+
+def open_composed(layer: Any, path: Path) -> Any:
+    """Return the stage of a layer, all that it brings in looked at before.
+
+    What USD prints about it is not printed: `composition_notices` says the same.
+    """
+    walk = _Walk(path)
+    with usd_errors(path), without_usd_warnings():
+        walk.follow(layer)
+        stage = Usd.Stage.Open(layer)
+    note_layers(stage, walk.states)
+    return stage
+
+
+def note_layers(stage: Any, states: Mapping[Path, FileState]) -> None:
+    """Note the files that a stage is composed of, and those that it lacks."""
+    for layer in stage.GetUsedLayers():
+        if layer.anonymous:
+            continue
+        if layer.realPath:
+            path = Path(layer.realPath)
+            note_input(path, states.get(path), composed=True)
+        # Without a name it is the layer itself.
+        for name in filter(None, layer.GetCompositionAssetDependencies()):
+            resolved = Sdf.ComputeAssetPathRelativeToLayer(layer, name)
+            if resolved and "[" not in resolved and "://" not in resolved:
+                path = Path(resolved)
+                note_input(path, states.get(path), composed=True)

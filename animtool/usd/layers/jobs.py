@@ -1,0 +1,250 @@
+"""What is to be written as USD, the files that it is, and what was written."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+from fractions import Fraction
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from animtool.core.errors import Fault, OptionError
+from animtool.core.files.output import is_text
+from animtool.core.files.reading import is_there
+
+if TYPE_CHECKING:
+    import numpy as np
+    import numpy.typing as npt
+
+    from animtool.core.array_types import BoolArray, Float32Array, FloatArray
+    from animtool.core.clock import FrameSpan
+    from animtool.core.shot import Shot
+    from animtool.maths.curves import Curves
+    from animtool.rig.placement import Placement
+    from animtool.rig.skeleton import Rig
+    from animtool.usd.layers.names import RigPaths, UsdNames
+    from animtool.usd.props.writer import PropSamples
+    from animtool.usd.rigs.target import RigTarget
+    from animtool.usd.takes.splines import CurveReport
+
+
+SUFFIXES = (".usd", ".usda", ".usdc")
+# What `convert` writes, and outputs of scenes too.
+CONVERTED = (".bvh", ".yaml", ".yml")
+
+
+class Form(StrEnum):
+    """What to write.
+
+    ``stage`` is one file with skeleton and animation; ``split`` the same in three
+    layers; ``layer`` only the animation, over a rig that lives elsewhere; ``library`` a
+    take of a clip library, beside those that this has.
+    """
+
+    STAGE = "stage"
+    SPLIT = "split"
+    LAYER = "layer"
+    LIBRARY = "library"
+
+
+def output_paths(output: Path, form: Form) -> list[Path]:
+    """Return the files that a form writes, in the order written, ``output`` last."""
+    if form is not Form.SPLIT:
+        return [output]
+    return [
+        output.with_name(f"{output.stem}.rig.usda"),
+        output.with_name(f"{output.stem}.anim.usdc"),
+        output,
+    ]
+
+
+def check_suffix(
+    path: Path, source: Path | str = "SOURCE", *, folders: bool = False
+) -> None:
+    """Refuse a path that is not that of a USD file.
+
+    With ``folders`` the hint says how to name a folder.
+    """
+    suffix = path.suffix.lower()
+    if suffix in SUFFIXES:
+        if not is_text(str(path.absolute())):
+            message = "has bytes in its path that are no UTF-8, which USD cannot open"
+            raise OptionError(Fault("OUT006", message, str(path), (), "rename it"))
+        return
+    kind = f"suffix {path.suffix!r}" if path.suffix else "a name without suffix"
+    message = f"{kind} is not a USD extension"
+    hint = f"allowed: {', '.join(SUFFIXES)}"
+    if not suffix and folders:
+        hint += f"; {path}/ names a folder"
+    elif not suffix and path.name and is_there(path) and path.is_dir():
+        message = "is a folder, not a USD file"
+        hint = f"name a file in it, such as {path / 'shot.usdc'}"
+    if suffix in CONVERTED and path == Path(source):
+        hint = f"it is the source; {hint}"
+    elif suffix in CONVERTED:
+        hint = f"write it with: animtool convert {source} {path}"
+    raise OptionError(Fault("OUT004", message, str(path), (), hint))
+
+
+@dataclass(frozen=True, slots=True)
+class RootPath:
+    """The motion of the SkelRoot: translations ``(F, 3)``, rotations ``(F, 4)``.
+
+    Written in float64, so it adds nothing to the error of the joints.
+    """
+
+    translations: FloatArray
+    rotations: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class WrittenBlock:
+    """Frames as the layer will hold them, in its unit."""
+
+    codes: FloatArray  # time codes ``(F,)``
+    translations: Float32Array  # ``(F, J, 3)`` float32
+    rotations: Float32Array  # ``(F, J, 4)`` float32
+    # ``(F, J, 3)`` float16; None where nothing is scaled.
+    scales: npt.NDArray[np.float16] | None
+    extents: Float32Array  # bounds of the joints, SkelRoot space ``(F, 2, 3)`` float32
+    # Motion of the SkelRoot, where it carries that of the root joint.
+    root: RootPath | None
+    error: float  # largest distance that rounding moved a joint [m]
+    error_code: float  # time code of that
+    error_joint: int  # index of the joint that moved
+    # Of the rig's shapes ``(F, S)`` float32; None where there are none.
+    weights: Float32Array | None = None
+    scales_rounded: bool = False  # whether a scale is another number as float16
+    prim: int = 0  # a SkelAnimation is written alone
+
+
+@dataclass(slots=True)
+class Rounding:
+    """What rounding did over all blocks."""
+
+    error: float = 0.0  # largest distance that it moved a joint [m]
+    code: float = 0.0  # time code of that
+    joint: int = 0  # index of the joint that moved
+    scales: bool = False  # whether scales were rounded too, to UsdSkel's float16
+
+    def count(self, block: WrittenBlock) -> None:
+        """Take the larger of the two errors."""
+        self.scales |= block.scales_rounded
+        if block.error > self.error:
+            self.error, self.code = block.error, block.error_code
+            self.joint = block.error_joint
+
+
+@dataclass(frozen=True, slots=True)
+class UsdJob:
+    """What `write_usd` needs beside the blocks."""
+
+    form: Form  # stage, split or layer
+    output: Path | None  # the file; None writes usda to stdout
+    rig: Rig  # the joints, as the blocks have them
+    names: UsdNames  # their USD names
+    joints: list[str]  # their paths as the Skeleton has them
+    paths: RigPaths  # the character's prims
+    fps: Fraction  # time codes a second
+    meters_per_unit: float  # unit of the layer [m]
+    target: RigTarget | None = None  # the rig of a layer
+    bones: bool = False  # add geometry that shows the joints
+    shot: Shot | None = None  # the shot that is written; None is no shot
+
+
+@dataclass(frozen=True, slots=True)
+class UsdTake:
+    """One animation of a job."""
+
+    blocks: Iterable[WrittenBlock]  # its frames, as the layer will hold them
+    start: Fraction  # time code of the first sample
+    step: Fraction  # time codes from one sample to the next
+    # First and last time code; None takes those of the samples.
+    frames: tuple[Fraction, Fraction] | None = None
+    chosen: BoolArray | None = None  # joints to write ``(J,)``; None is all
+    # Names of the rig's shapes, as the blocks have their weights.
+    shapes: tuple[str, ...] = ()
+    # Curves of controls, by their names, over time codes of the layer.
+    curves: Mapping[str, Curves] = field(default_factory=dict)
+    # Of a library's take, legal and distinct; empty where it is the only animation,
+    # which needs no variant.
+    name: str = ""
+    source_name: str = ""  # what the source of a library's take is called
+    # Things beside the rig, gathered while the blocks are drawn; None is none.
+    props: PropSamples | None = None
+    # From where the take is to the numbers of a rig layer; see `PropPlacements`.
+    to_rig: Callable[[FloatArray], Placement] | None = None
+    reduced: bool = False  # whether samples are left out that others give back
+    # What the file records of where its joints stand; empty where they do not, or a
+    # rig layer does.
+    place: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(slots=True)
+class WrittenTake:
+    """What was written of one take."""
+
+    animation: str  # path of its SkelAnimation
+    name: str = ""  # of a library's take; empty where it is the only one
+    samples: int = 0  # number of time samples
+    first: Fraction = Fraction(0)  # time code of the first frame
+    last: Fraction = Fraction(0)  # time code of the last frame
+    # Attributes of the SkelAnimation that change.
+    sampled: list[str] = field(default_factory=list)
+    joints: int = 0  # joints in the SkelAnimation
+    # What rounding to float32, and of scales to float16, moved.
+    rounding: Rounding = field(default_factory=Rounding)
+    # What became of the curves of controls.
+    curves: list[CurveReport] = field(default_factory=list)
+    props: list[str] = field(default_factory=list)  # paths of the things beside the rig
+    # What there is to say of its frames.
+    notices: list[Fault] = field(default_factory=list)
+
+
+@dataclass(slots=True)
+class UsdResult:
+    """What was written."""
+
+    span: FrameSpan  # first frame, last frame and rate that the written layer states
+    outputs: list[Path] = field(default_factory=list)
+    bytes: int = 0
+    # Each animation, at least one.
+    takes: list[WrittenTake] = field(default_factory=list)
+    # Warnings and notes of `animtool.usd.write`.
+    notices: list[Fault] = field(default_factory=list)
+
+    @property
+    def first(self) -> Fraction:
+        """Time code of the first frame of any take."""
+        return self.span.first
+
+    @property
+    def last(self) -> Fraction:
+        """Time code of the last frame of any take."""
+        return self.span.last
+
+    @property
+    def samples(self) -> int:
+        """Number of time samples of all takes."""
+        return sum(take.samples for take in self.takes)
+
+    @property
+    def sampled(self) -> list[str]:
+        """Attributes of a SkelAnimation that change in some take."""
+        return list(dict.fromkeys(name for take in self.takes for name in take.sampled))
+
+    @property
+    def joints(self) -> int:
+        """Joints in the SkelAnimation that has most."""
+        return max(take.joints for take in self.takes)
+
+    @property
+    def rounding(self) -> Rounding:
+        """What rounding moved most in any take."""
+        return max((take.rounding for take in self.takes), key=lambda r: r.error)
+
+    @property
+    def curves(self) -> list[CurveReport]:
+        """What became of the curves of controls of all takes."""
+        return [curve for take in self.takes for curve in take.curves]

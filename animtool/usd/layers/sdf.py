@@ -1,0 +1,439 @@
+"""Sdf layers: opening, metadata, prims, attributes, samples, saving."""
+
+from __future__ import annotations
+
+import gc
+import re
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from pxr import Gf, Sdf, Tf, Vt, Work
+
+from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.clock import FrameSpan, time_fraction
+from animtool.core.errors import Fault, FormatError, OptionError, excerpt
+from animtool.core.files.output import replacing
+from animtool.core.files.placing import output_error
+from animtool.core.files.reading import (
+    FileState,
+    changed_error,
+    open_input,
+    seen_from,
+    too_large,
+    unreadable,
+)
+from animtool.core.process.supervisor import note_said, reading
+from animtool.core.rates import rate_from_float
+from animtool.core.shot import Shot
+from animtool.core.units import UpAxis
+from animtool.maths import so3
+from animtool.usd.layers.finite import (
+    Labels,
+    check_data,
+    check_rows,
+    check_value,
+    largest,
+)
+
+# USD maps binary layers into memory, and reads those of text whole.
+MAX_LAYER_BYTES = 1_000_000_000_000
+MAX_TEXT_LAYER_BYTES = 4_000_000_000
+CRATE = b"PXR-USDC"
+
+
+@dataclass(frozen=True, slots=True)
+class StageMetadata:
+    """What every layer states about itself."""
+
+    default_prim: str  # name of the root prim; empty states none
+    fps: Fraction  # frames and time codes a second
+    first: Fraction  # time code of the first frame
+    last: Fraction  # time code of the last frame
+    meters_per_unit: float  # length unit [m]
+    up: UpAxis
+    shot: Shot | None = None  # the shot that the layer is of; None is no shot
+
+
+# Why USD opens no file whose path has other bytes.
+NO_TEXT = "its path has bytes that are no UTF-8"
+
+
+def author_metadata(layer: Any, metadata: StageMetadata) -> None:
+    """State the rate, the range, the units, the up axis, the default prim, the shot."""
+    root = layer.pseudoRoot
+    numbers = {
+        "timeCodesPerSecond": float(metadata.fps),
+        "startTimeCode": float(metadata.first),
+        "endTimeCode": float(metadata.last),
+        "metersPerUnit": metadata.meters_per_unit,
+    }
+    check_data(numbers, "metadata")
+    if metadata.default_prim:
+        layer.defaultPrim = metadata.default_prim
+    layer.framesPerSecond = numbers["timeCodesPerSecond"]
+    for name, value in numbers.items():
+        root.SetInfo(name, value)
+    root.SetInfo("upAxis", metadata.up.value)
+    if metadata.shot is not None:
+        data = dict(layer.customLayerData)
+        shot = metadata.shot.as_dict().items()
+        stated = {_SHOT_KEYS.get(key, key): value for key, value in shot}
+        data["animtool"] = {**data.get("animtool", {}), "shot": stated}
+        layer.customLayerData = data
+
+
+def layer_span(layer: Any) -> FrameSpan:
+    """Return the frames that a layer states, as reports print them."""
+    return FrameSpan(
+        time_fraction(layer.startTimeCode),
+        time_fraction(layer.endTimeCode),
+        rate_from_float(layer.timeCodesPerSecond),
+    )
+
+
+# Keys of reports, and as USD spells them.
+_SHOT_KEYS = {
+    "cut_in": "cutIn",
+    "cut_out": "cutOut",
+    "media_in": "mediaIn",
+    "media_out": "mediaOut",
+}
+
+
+def layer_shot(layer: Any) -> dict[str, object] | None:
+    """Return the shot that a layer states, as reports have it; None for none."""
+    data = layer.customLayerData.get("animtool")
+    stored = data.get("shot") if isinstance(data, dict) else None
+    if not isinstance(stored, dict):
+        return None
+    keys = {usd: key for key, usd in _SHOT_KEYS.items()}
+    shot: dict[str, object] = {
+        keys.get(str(name), str(name)): value for name, value in stored.items()
+    }
+    frames = ("start", "end", "cut_in", "cut_out", "head", "tail")
+    return shot if all(isinstance(shot.get(key), int) for key in frames) else None
+
+
+def check_prim_path(text: str) -> None:
+    """Raise `OptionError` where a text is no absolute prim path."""
+    path = Sdf.Path(text) if Sdf.Path.IsValidPathString(text) else Sdf.Path()
+    if not (path.IsAbsolutePath() and path.IsPrimPath()):
+        message = f"--prim-path {excerpt(text)} is no path such as /World/hero"
+        raise OptionError(Fault("CLI003", message))
+
+
+def asset_path(file: Path, folder: Path) -> str:
+    """Return the asset path of a file in layers of a folder, relative where possible.
+
+    >>> asset_path(Path("/show/tex/skin.png"), Path("/show"))
+    './tex/skin.png'
+    """
+    name = seen_from(file, folder)
+    if name.startswith("../") or Path(name).is_absolute():
+        return name
+    # Without a dot, USD would search for it.
+    return f"./{name}"
+
+
+def find_layer(path: Path) -> Any:
+    """Open a layer; USD opens it by its path."""
+    state = layer_state(path, recorded=True)
+    with usd_errors(path):
+        layer = Sdf.Layer.FindOrOpen(str(path))
+        # One that is open already may be older than its file.
+        if layer is not None and not layer.dirty:
+            layer.Reload()
+    if FileState.of(path) != state:
+        raise changed_error(path)
+    if layer is None:
+        raise FormatError(Fault("USD001", "is no USD layer", str(path)))
+    return layer
+
+
+def layer_state(path: Path, *, recorded: bool = False) -> FileState:
+    """Return what a file is that USD may open.
+
+    recorded: whether a user or a document names it as an input.
+    """
+    with open_input(path, None, recorded=recorded) as file:
+        binary = file.read(len(CRATE)) == CRATE or path.suffix.lower() == ".usdz"
+        limit = MAX_LAYER_BYTES if binary else MAX_TEXT_LAYER_BYTES
+        if file.state.size > limit:
+            raise too_large(path, file.state.size, limit)
+        return file.state
+
+
+def forget_layers() -> None:
+    """Let go of files that nothing needs any more, so that they are read anew.
+
+    USD keeps a layer as long as somebody holds it, and stages hold theirs in circles.
+    """
+    if any(not layer.anonymous for layer in Sdf.Layer.GetLoadedLayers()):
+        gc.collect()
+
+
+def compute_alone() -> None:
+    """Let USD compute in the thread that asks, where other processes have the rest."""
+    Work.SetConcurrencyLimit(1)
+
+
+@contextmanager
+def usd_errors(path: Path) -> Iterator[None]:
+    """Turn what USD itself raises about a file into a `FormatError`."""
+    with reading(path):
+        try:
+            yield
+        except Tf.ErrorException as error:
+            raise FormatError(Fault("USD001", usd_reason(error), str(path))) from error
+        except UnicodeEncodeError as error:
+            raise unreadable(path, NO_TEXT) from error
+        except UnicodeDecodeError as error:
+            message = "holds text that is not UTF-8"
+            raise FormatError(Fault("USD001", message, str(path))) from error
+
+
+def usd_reason(error: Tf.ErrorException) -> str:
+    """Return what USD says of an error, without its own sources' places."""
+    texts = [str(getattr(item, "commentary", item)) for item in error.args]
+    text = re.sub(r"(pxrInternal\w*|Sdf_\w+)::", "", " ".join(" ".join(texts).split()))
+    for marker in ("Error occurred writing file: ", "Failed writing usdc data: "):
+        head, _, tail = text.partition(marker)
+        text = head + tail.split(marker)[0]
+    return text.strip()[:300] or "is no USD layer"
+
+
+def new_layer(path: Path) -> Any:
+    """Return a new layer that `save_layer` writes to ``path``."""
+    return Sdf.Layer.CreateAnonymous(path.suffix)
+
+
+def prim(layer: Any, path: str, type_name: str = "", *, over: bool = False) -> Any:
+    """Return the spec of a prim, made if need be, ancestors as overs."""
+    spec = Sdf.CreatePrimInLayer(layer, path)
+    spec.specifier = Sdf.SpecifierOver if over else Sdf.SpecifierDef
+    if type_name:
+        spec.typeName = type_name
+    return spec
+
+
+def attribute(
+    spec: Any,
+    name: str,
+    type_name: Any,
+    value: Any = None,
+    *,
+    uniform: bool = False,
+    interpolation: str = "",
+) -> Any:
+    """Return a new attribute of a prim, with a default where one is given."""
+    variability = Sdf.VariabilityUniform if uniform else Sdf.VariabilityVarying
+    attr = Sdf.AttributeSpec(spec, name, type_name, variability)
+    if value is not None:
+        if letter := largest(type_name):
+            check_value(value, letter, Labels(str(attr.path)))
+        attr.default = value
+    if interpolation:
+        attr.SetInfo("interpolation", interpolation)
+    return attr
+
+
+def put_samples(
+    layer: Any,
+    attr: Any,
+    codes: npt.NDArray[np.floating[Any]],
+    rows: IntArray,
+    values: Sequence[Any],
+) -> None:
+    """Write values of an attribute at some of the time codes.
+
+    The first is its default, and all that is written where it is alone.
+
+    Raises:
+        OutputError: A value is not finite, or too large for its type (USD170).
+    """
+    letter, labels = largest(attr.typeName), Labels(str(attr.path))
+    for code, value in zip(codes[rows].tolist(), values, strict=True):
+        if letter:
+            check_value(value, letter, labels, code)
+        if len(values) > 1:
+            layer.SetTimeSample(attr.path, code, value)
+    attr.default = values[0]
+
+
+def relationship(spec: Any, name: str, *targets: str) -> None:
+    """Make a relationship to prims."""
+    relation = Sdf.RelationshipSpec(spec, name, False, Sdf.VariabilityUniform)
+    relation.targetPathList.explicitItems = [Sdf.Path(target) for target in targets]
+
+
+def save_layer(layer: Any, path: Path | None) -> int:
+    """Write a layer to a file, whole or not at all, or as text to stdout.
+
+    Returns the bytes written.
+    """
+    if path is None:
+        text = layer.ExportToString()
+        sys.stdout.write(text)
+        note_said()
+        sys.stdout.flush()
+        return len(text.encode())
+    with replacing(path) as temporary:
+        export_layer(layer, temporary, path)
+        return temporary.stat().st_size
+
+
+def export_layer(
+    layer: Any, temporary: Path, path: Path, arguments: Mapping[str, str] | None = None
+) -> None:
+    """Write a layer to a file that becomes ``path`` when all is well."""
+    try:
+        done = layer.Export(str(temporary), args=dict(arguments or {}))
+    except Tf.ErrorException as error:
+        raise output_error(path, usd_reason(error)) from error
+    except UnicodeEncodeError as error:
+        raise output_error(path, NO_TEXT) from error
+    if not done:
+        raise output_error(path, "USD could not write it")
+
+
+def author_model(layer: Any, path: str) -> Any:
+    """Return the prim of a component; those above it are groups."""
+    model = prim(layer, path, "Xform")
+    for ancestor in model.path.GetAncestorsRange():
+        if not ancestor.IsAbsoluteRootPath():
+            kind = "component" if ancestor == model.path else "group"
+            prim(layer, str(ancestor), "Xform").SetInfo("kind", kind)
+    return model
+
+
+def author_order(spec: Any, *names: str) -> None:
+    """Say in which order a prim's operations follow each other."""
+    order = Vt.TokenArray(names)
+    types = Sdf.ValueTypeNames
+    attribute(spec, "xformOpOrder", types.TokenArray, order, uniform=True)
+
+
+def apply_schemas(spec: Any, schemas: Sequence[str]) -> None:
+    """Apply API schemas to a prim, in place of those that it has."""
+    listed = Sdf.TokenListOp()
+    listed.prependedItems = list(schemas)
+    spec.SetInfo("apiSchemas", listed)
+
+
+def vector(row: FloatArray) -> Any:
+    """Return a vector ``(3,)`` as USD has it."""
+    return Gf.Vec3d(*row.tolist())
+
+
+def quaternion(row: FloatArray) -> Any:
+    """Return a quaternion ``(4,)``, x y z w, as USD has it.
+
+    >>> import numpy as np
+    >>> quaternion(np.array([0.0, 0.0, 0.0, 1.0])).GetReal()
+    1.0
+    """
+    x, y, z, w = row.tolist()
+    return Gf.Quatd(w, x, y, z)
+
+
+def quatf(row: FloatArray) -> Any:
+    """Return a quaternion ``(4,)``, x y z w, in float32."""
+    return Gf.Quatf(quaternion(row))
+
+
+class Samples:
+    """An attribute's samples; a default only, while the values do not change.
+
+    The frames before the first change share one array, as copies of it would. Signs of
+    quaternions ``(F, …, 4)`` continue from frame to frame and from block to block:
+    every rotation over time is written here. With `every`, each frame is a sample, and
+    with `first` too the first is the default.
+
+    sampled: whether they changed, or are sampled all the same.
+    """
+
+    def __init__(
+        self,
+        attr: Any,
+        make: Callable[[Any], Any],
+        *,
+        every: bool = False,
+        first: bool = True,
+        quaternions: bool = False,
+        of: str = "",
+        names: Sequence[str] = (),
+    ) -> None:
+        self._attribute, self._path = attr, attr.path
+        self._set = attr.layer.SetTimeSample
+        self._make, self._every, self._rests = make, every, first
+        self._letter = largest(attr.typeName)
+        self._labels = Labels(str(self._path), of, names)
+        self._first: npt.NDArray[Any] | None = None
+        self._quaternions = quaternions
+        self._last: npt.NDArray[Any] | None = None
+        self._held: list[FloatArray] = []
+        self.sampled = False
+
+    def add(self, codes: FloatArray, rows: npt.NDArray[Any]) -> None:
+        """Add frames of values ``(F, …)``."""
+        rows = np.ascontiguousarray(self._continued(rows))
+        if self._letter:
+            check_rows(rows, self._letter, self._labels, codes)
+        if self._every:
+            if not self.sampled and self._rests:
+                self._attribute.default = self._make(rows[0])
+            self.sampled = True
+        elif self._first is None:
+            self._first = rows[0].copy()
+        if not self.sampled:
+            if (rows == self._first).all():
+                self._held.append(codes)
+                return
+            self.release()
+        put, path, make = self._set, self._path, self._make
+        for code, row in zip(codes.tolist(), rows, strict=True):
+            put(path, code, make(row))
+
+    def _continued(self, rows: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        """Return rows, quaternions with signs that continue those added before."""
+        if not self._quaternions or not rows.size:
+            return rows
+        last = rows[0] if self._last is None else self._last
+        rows = so3.align_signs(rows, last).astype(rows.dtype)
+        self._last = rows[-1]
+        return rows
+
+    def release(self) -> None:
+        """Sample from the first frame on, whether anything changes or not."""
+        if self.sampled:
+            return
+        self.sampled = True
+        value = self._make(self._first)
+        for codes in self._held:
+            for code in codes.tolist():
+                self._set(self._path, code, value)
+        self._held.clear()
+
+    def rest(self) -> None:
+        """Author the first value as the default too, where there are samples.
+
+        Readers that ask at no time find it.
+        """
+        if self.sampled and self._first is not None:
+            self._attribute.default = self._make(self._first)
+
+    def finish(self, otherwise: npt.NDArray[Any]) -> None:
+        """Author the default of values that never changed, or never came."""
+        if not self.sampled:
+            first = otherwise if self._first is None else self._first
+            value = self._make(first)
+            if self._letter:
+                check_value(value, self._letter, self._labels)
+            self._attribute.default = value

@@ -1,0 +1,1 @@
+"""UsdPhysics: bodies, joints and colliders, written and read."""

@@ -1,0 +1,223 @@
+"""Joints between bodies that UsdPhysics says of a stage."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from itertools import product
+from typing import Any
+
+import numpy as np
+from pxr import UsdPhysics
+
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import excerpt
+from animtool.maths import so3
+from animtool.motion.physics import STILL, JointDrive, PhysicsJoint
+from animtool.usd.layers.faults import Spot
+from animtool.usd.physics.stage import (
+    AXES,
+    LARGEST,
+    MAX_FORCE,
+    PhysicsStage,
+    is_body,
+    within,
+)
+from animtool.usd.rigs.layer import read_ball
+from animtool.usd.rigs.prims import nearest_prim, upwards
+
+JOINTS = {
+    "PhysicsFixedJoint": "fixed",
+    "PhysicsRevoluteJoint": "pin",
+    "PhysicsPrismaticJoint": "prismatic",
+    "PhysicsSphericalJoint": "ball",
+    "PhysicsJoint": "ball",
+}
+
+
+# Names of the degrees of freedom of a joint without a type.
+FREEDOMS = ("rotX", "rotY", "rotZ")
+# An ellipse of swings has two half-angles above 0, and no axis at half a turn [rad].
+SWING = math.radians(1e-3), math.radians(179.0)
+
+
+def read_joint(
+    source: PhysicsStage, prim: Any, places: Mapping[str, int], moved: Sequence[bool]
+) -> PhysicsJoint | None:
+    """Return a joint between bodies, by path; None where it joins none, or is off.
+
+    moved: Which bodies are moved by what happens to them.
+    """
+    joint = UsdPhysics.Joint(prim)
+    if joint.GetJointEnabledAttr().Get() is False:
+        return None
+    kind = JOINTS.get(str(prim.GetTypeName()))
+    if kind is None:
+        source.note(prim, f"is a {prim.GetTypeName()}, which is not read")
+        return None
+    axis = prim.GetAttribute("physics:axis")
+    token = str((axis.Get() if axis else None) or "X")
+    if token not in AXES:
+        Spot.of(source.path, axis).fail("SIM051", f"is {token!r}", "X, Y or Z")
+    lean = so3.between(AXES["X"], AXES[token])
+    bodies, frames = [], []
+    for side in (0, 1):
+        at = source.numbers(prim.GetAttribute(f"physics:localPos{side}"), 3)
+        turn = source.numbers(prim.GetAttribute(f"physics:localRot{side}"), 4)
+        own = STILL.copy()
+        own[:3] = 0.0 if at is None else at * source.unit
+        own[3:] = so3.IDENTITY if turn is None or not turn.any() else turn
+        own[3:] = so3.multiply(so3.normalize(own[3:]), lean)
+        targets = prim.GetRelationship(f"physics:body{side}").GetTargets()
+        if len(targets) > 1:
+            message = f"names {len(targets)} prims as body{side}: {targets[0]} is taken"
+            source.note(prim, message)
+        target = targets[0] if targets else None
+        body, frame = _side(source, prim, side, target, own, places)
+        bodies.append(body)
+        frames.append(frame)
+    if bodies[0] < 0 and bodies[1] < 0:
+        source.note(prim, "joins no body that is read")
+        return None
+    if bodies[0] == bodies[1]:
+        source.note(prim, "joins a body to itself, and is left out")
+        return None
+    if not any(moved[body] for body in bodies if body >= 0):
+        source.note(prim, "joins no body that is moved, and is left out")
+        return None
+    limits, swing = _limits(source, prim, kind)
+    return PhysicsJoint(
+        str(prim.GetName()),
+        kind,
+        (bodies[0], bodies[1]),
+        (frames[0], frames[1]),
+        limits,
+        swing,
+        _drive(source, prim, kind),
+        joint.GetCollisionEnabledAttr().Get() is True,
+        (_most(source, prim, "breakForce", 1), _most(source, prim, "breakTorque", 2)),
+    )
+
+
+def _most(source: PhysicsStage, prim: Any, name: str, power: int) -> float:
+    """Return the force [N] or torque [N m] that a joint breaks at; infinite is none."""
+    value = source.endless(prim.GetAttribute(f"physics:{name}"))
+    if value is None or not 0 < value < MAX_FORCE:
+        return math.inf
+    return float(value) * source.kilograms * source.unit**power
+
+
+def _side(
+    source: PhysicsStage,
+    joint: Any,
+    side: int,
+    target: Any,
+    own: FloatArray,
+    places: Mapping[str, int],
+) -> tuple[int, FloatArray]:
+    """Return the body of a side, -1 the world, and the joint's frame there."""
+    if target is None:
+        return -1, source.up(own)
+    prim = source.stage.GetPrimAtPath(target) if target.IsPrimPath() else None
+    if not prim:
+        message = (
+            f"names {excerpt(str(target))} as body{side}, and there is no such prim"
+        )
+        hint = nearest_prim(source.stage, str(target))
+        Spot.of(source.path, joint).fail("SIM051", message, hint)
+    pose, scale = source.pose(source.matrix(prim))
+    own = np.concatenate([own[:3] * scale, own[3:]])
+    placed = np.concatenate(
+        [pose[:3] + so3.rotate(pose[3:], own[:3]), so3.multiply(pose[3:], own[3:])]
+    )
+    for above in upwards(prim):
+        body = places.get(str(above.GetPath()))
+        if body is not None:
+            return body, within(source.pose(source.matrix(above))[0], placed)
+        if is_body(above):
+            message = f"hangs on {excerpt(str(above.GetPath()))}, a body that is not "
+            source.note(joint, f"{message}read: on the world in its place")
+            break
+    return -1, source.up(placed)
+
+
+def _limits(
+    source: PhysicsStage, prim: Any, kind: str
+) -> tuple[tuple[float, float] | None, tuple[float, float] | None]:
+    """Return least and most, and the swing of a ball."""
+    if kind == "fixed":
+        return None, None
+    if kind == "ball":
+        names = [f"physics:coneAngle{i}Limit" for i in (0, 1)]
+        ends = product(FREEDOMS, ("low", "high"))
+        for name in (*names, *(f"limit:{axis}:physics:{end}" for axis, end in ends)):
+            source.endless(prim.GetAttribute(name))
+        ball = read_ball(prim, (1.0, 0.0, 0.0))
+        if ball is None:
+            return None, None
+        swing = None
+        if ball.swing is not None:
+            first, second = np.clip(ball.swing, *SWING).tolist()
+            swing = first, second
+        return _apart(source, prim, ball.twist, 2 * math.pi), swing
+    low, high = (
+        source.endless(prim.GetAttribute(f"physics:{end}Limit"))
+        for end in ("lower", "upper")
+    )
+    if low is None or high is None or (math.isinf(low) and math.isinf(high)):
+        return None, None
+    if kind == "pin":
+        return _apart(source, prim, (math.radians(low), math.radians(high))), None
+    slide = (low * source.unit, high * source.unit)
+    bounded = tuple(np.clip(slide, -LARGEST, LARGEST).tolist())
+    return _apart(source, prim, bounded, math.inf), None
+
+
+def _apart(
+    source: PhysicsStage,
+    prim: Any,
+    limits: tuple[float, float] | None,
+    most: float = 2 * math.pi,
+) -> tuple[float, float] | None:
+    """Return limits that a joint can hold; None, and a notice, of others."""
+    if limits is None:
+        return None
+    low, high = limits
+    if low > high:
+        source.note(prim, "has a lower limit above its upper one: it is not limited")
+        return None
+    if high - low > most * (1 + 1e-6):
+        message = "has limits more than a turn apart: turns are not counted, and it "
+        source.note(prim, f"{message}is not limited")
+        return None
+    return low, high
+
+
+def _drive(source: PhysicsStage, prim: Any, kind: str) -> JointDrive | None:
+    axes = {"prismatic": ["linear"], "ball": ["rotX", "rotY", "rotZ"]}
+    names = axes.get(kind, ["angular"])
+    drives = [UsdPhysics.DriveAPI(prim, axis) for axis in names]
+    if not all(prim.HasAPI(UsdPhysics.DriveAPI, axis) for axis in names):
+        return None
+    linear = kind == "prismatic"
+    force = source.kilograms * source.unit ** (1 if linear else 2)
+    gain = source.kilograms if linear else force * math.degrees(1.0)
+    scale = source.unit if linear else math.radians(1.0)
+
+    def value(drive: Any, name: str, least: float = -LARGEST) -> float:
+        return source.number(getattr(drive, f"Get{name}Attr")(), least) or 0.0
+
+    targets = [value(drive, "TargetPosition") * scale for drive in drives]
+    most = source.endless(drives[0].GetMaxForceAttr())
+    rates = [value(drive, "TargetVelocity") for drive in drives]
+    ball = kind == "ball"
+    if ball and any(rates):
+        source.note(prim, "has a drive with a velocity to reach, which is not read")
+    return JointDrive(
+        value(drives[0], "Stiffness", 0.0) * gain,
+        value(drives[0], "Damping", 0.0) * gain,
+        0.0 if ball else targets[0],
+        so3.exp(np.array(targets)) if ball else so3.IDENTITY.copy(),
+        most * force if most is not None and 0 <= most < MAX_FORCE else None,
+        0.0 if ball else rates[0] * scale,
+    )

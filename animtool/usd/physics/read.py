@@ -1,0 +1,189 @@
+"""Bodies and colliders that UsdPhysics says of a stage."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pxr import Usd, UsdPhysics
+
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import counted, excerpt
+from animtool.core.similar import distinct
+from animtool.maths import so3
+from animtool.motion.physics import Physics, PhysicsBody
+from animtool.usd.layers.faults import Spot
+from animtool.usd.layers.sdf import usd_errors
+from animtool.usd.physics.joints_read import read_joint
+from animtool.usd.physics.shapes_read import read_shapes
+from animtool.usd.physics.stage import LARGEST, PhysicsStage, collides, is_body
+from animtool.usd.rigs.prims import (
+    find_prim,
+    nearest_prim,
+    open_stage,
+    placing_times,
+    upwards,
+)
+
+# What is read; more would fill the memory before anything is simulated.
+MAX_PRIMS = 100_000
+
+
+def read_bodies(path: Path, root: str, frame: float | None) -> Physics:
+    """Return what UsdPhysics says below a prim, in metres and y up.
+
+    ``frame``: the time code that comes at 0 s; None is the first of the stage. What is
+    not read is named in the notices (SIM136).
+
+    Raises:
+        FormatError: There is no such prim (SIM051), it has no bodies, or something
+            cannot be what a body is.
+    """
+    with usd_errors(path):
+        stage = open_stage(path)
+        top = stage.GetPseudoRoot() if root == "/" else find_prim(stage, root)
+        if not top:
+            message = f"holds no prim {excerpt(root)}"
+            Spot(str(path)).fail("SIM051", message, nearest_prim(stage, root))
+        start = stage.GetStartTimeCode() if frame is None else frame
+        return _read(PhysicsStage(path, stage, start), top)
+
+
+def _read(source: PhysicsStage, root: Any) -> Physics:
+    prims = list(Usd.PrimRange(root, Usd.TraverseInstanceProxies()))
+    own = [prim for prim in prims if is_body(prim)]
+    if not own:
+        message = f"{excerpt(str(root.GetPath()))} holds no rigid body"
+        Spot(str(source.path)).fail("SIM051", message, "apply PhysicsRigidBodyAPI")
+    if len(prims) > MAX_PRIMS:
+        message = f"there are {len(prims)} prims, and {MAX_PRIMS} are read at most"
+        Spot(str(source.path)).fail("SIM051", message, "name a prim further down")
+    names = distinct([str(prim.GetName()) for prim in own])
+    bodies = [_body(source, prim, name) for prim, name in zip(own, names, strict=True)]
+    kept = [k for k, body in enumerate(bodies) if body.shapes]
+    for k in sorted(set(range(len(own))) - set(kept)):
+        source.note(own[k], "has no shape that is read, and is left out")
+    if not kept:
+        message = f"{counted(len(own), 'rigid body', 'rigid bodies')}, and no shape is "
+        message += f"read: {source.notices[0].message}"
+        hint = "bodies are of spheres, capsules, cubes and meshes"
+        Spot.of(source.path, root).fail("SIM051", message, hint)
+    places = {str(own[k].GetPath()): number for number, k in enumerate(kept)}
+    moved = [not bodies[k].kinematic for k in kept]
+    joints = [
+        joint
+        for prim in prims
+        if prim.IsA(UsdPhysics.Joint)
+        and (joint := read_joint(source, prim, places, moved)) is not None
+    ]
+    for prim in prims:
+        if prim.IsA(UsdPhysics.CollisionGroup):
+            source.note(prim, "is a collision group, which is not read")
+        if prim.HasAPI(UsdPhysics.FilteredPairsAPI):
+            source.note(prim, "names pairs that do not collide, which is not read")
+    colliders = [
+        shape
+        for prim in prims
+        if collides(prim) and not any(map(is_body, upwards(prim)))
+        for shape in read_shapes(source, prim, np.eye(4), still=True)
+    ]
+    return Physics(
+        [bodies[k] for k in kept], joints, colliders, source.gravity(), source.notices
+    )
+
+
+def _body(source: PhysicsStage, prim: Any, name: str) -> PhysicsBody:
+    matrix = source.matrix(prim)
+    pose, scale = source.pose(matrix)
+    rigid = UsdPhysics.RigidBodyAPI(prim)
+    kinematic = bool(rigid.GetKinematicEnabledAttr().Get())
+    shapes = [
+        shape
+        for part in _parts(prim)
+        if collides(part)
+        for shape in read_shapes(source, part, matrix, still=False)
+    ]
+    above = source.cache.GetParentToWorldTransform(prim)
+    outer = source.pose(np.array(above, np.float64))[0][3:]
+    outer = so3.multiply(source.turn, outer)
+    velocity, spin = (
+        np.zeros(3) if given is None else so3.rotate(outer, given)
+        for given in (
+            source.numbers(rigid.GetVelocityAttr(), 3),
+            source.numbers(rigid.GetAngularVelocityAttr(), 3),
+        )
+    )
+    times, path = np.zeros(1), None
+    if kinematic:
+        times, path = _moves(source, prim)
+    return PhysicsBody(
+        name,
+        source.up(pose),
+        shapes,
+        **_mass(source, prim, scale),
+        velocity=velocity * source.unit,
+        spin=np.radians(spin),
+        kinematic=kinematic,
+        times=times,
+        path=path,
+        origin=f"{source.path.name}: {prim.GetPath()}",
+    )
+
+
+def _parts(body: Any) -> Iterator[Any]:
+    """Yield a body and what is below it, without other bodies."""
+    parts = iter(Usd.PrimRange(body, Usd.TraverseInstanceProxies()))
+    for prim in parts:
+        if prim != body and is_body(prim):
+            parts.PruneChildren()
+            continue
+        yield prim
+
+
+def _moves(source: PhysicsStage, prim: Any) -> tuple[FloatArray, FloatArray | None]:
+    """Return times [s] and poses of a kinematic body; none of one that stays."""
+    codes = placing_times(prim)
+    if len(codes) < 2:
+        return np.zeros(1), None
+    ordered, rows = sorted(codes), []
+    if not max(abs(ordered[0]), abs(ordered[-1])) <= LARGEST:
+        message = f"moves from time code {ordered[0]:g} to {ordered[-1]:g}"
+        hint = f"{LARGEST:g} is the most"
+        Spot.of(source.path, prim).fail("SIM051", message, hint)
+    for code in ordered:
+        source.cache.SetTime(Usd.TimeCode(code))
+        rows.append(source.up(source.pose(source.matrix(prim))[0]))
+    source.cache.SetTime(Usd.TimeCode(source.start))
+    rate = float(source.stage.GetTimeCodesPerSecond())
+    return (np.array(ordered) - source.start) / rate, np.array(rows)
+
+
+def _mass(source: PhysicsStage, prim: Any, scale: FloatArray) -> dict[str, Any]:
+    """Return what a body weighs; what is 0 or not given is left to its shapes."""
+    api = UsdPhysics.MassAPI(prim)
+    values: dict[str, Any] = {}
+    if not prim.HasAPI(UsdPhysics.MassAPI):
+        return {}
+    density = source.number(api.GetDensityAttr(), 0.0)
+    mass = source.number(api.GetMassAttr(), 0.0)
+    if density:
+        values["density"] = density * source.kilograms / source.unit**3
+    if mass:
+        values["mass"] = mass * source.kilograms
+    centre = api.GetCenterOfMassAttr()
+    # By the schema, what is -inf is not given.
+    given = np.array(centre.Get())
+    own = None
+    if given.dtype.kind != "f" or not np.isneginf(given).all():
+        own = source.numbers(centre, 3)
+    if own is not None:
+        values["centre"] = own * scale * source.unit
+    moments = source.numbers(api.GetDiagonalInertiaAttr(), 3, 0.0)
+    if moments is not None and moments.any():
+        values["moments"] = moments * source.kilograms * source.unit**2
+        axes = source.numbers(api.GetPrincipalAxesAttr(), 4)
+        if axes is not None and axes.any():
+            values["axes"] = so3.normalize(axes)
+    return values

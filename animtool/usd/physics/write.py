@@ -1,0 +1,246 @@
+"""Bodies, joints and colliders as UsdPhysics has them, written beside their Xforms."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from typing import Any, TypeVar
+
+import numpy as np
+from pxr import Gf, Sdf
+
+from animtool.core.array_types import FloatArray
+from animtool.core.similar import distinct
+from animtool.maths import so3
+from animtool.motion.physics import (
+    JointDrive,
+    Physics,
+    PhysicsBody,
+    PhysicsJoint,
+    PhysicsShape,
+)
+from animtool.rig.limits import BallLimit
+from animtool.usd.layers.names import legal_name
+from animtool.usd.layers.sdf import (
+    apply_schemas,
+    attribute,
+    author_order,
+    prim,
+    quaternion,
+    quatf,
+    relationship,
+    vector,
+)
+from animtool.usd.rigs.layer import author_ball
+from animtool.usd.rigs.meshes import author_mesh
+
+_TYPES = Sdf.ValueTypeNames
+PHYSICS = "Physics"  # the scope of what is no body
+_JOINTS = {
+    "fixed": "PhysicsFixedJoint",
+    "pin": "PhysicsRevoluteJoint",
+    "prismatic": "PhysicsPrismaticJoint",
+}
+NamedT = TypeVar("NamedT", PhysicsShape, PhysicsJoint)
+_GEOMETRY = {"sphere": "Sphere", "capsule": "Capsule", "box": "Cube", "plane": "Plane"}
+
+
+class PhysicsWriter:
+    """Writes what bodies are below a prim that has an Xform for each.
+
+    Args:
+        spec: The prim.
+        parts: Names of the Xforms.
+        physics: What they are.
+        unit: Of the layer [m].
+        turn: How the prim stands in the layer ``(4,)``.
+    """
+
+    def __init__(
+        self,
+        spec: Any,
+        parts: Sequence[str],
+        physics: Physics,
+        unit: float,
+        turn: FloatArray,
+    ) -> None:
+        self._layer, self._top, self._unit = spec.layer, str(spec.path), unit
+        self._parts, self._physics, self._turn = parts, physics, turn
+        self._materials: dict[tuple[float, float], str] = {}
+
+    def write(self) -> None:
+        """Write all of it."""
+        physics, scope = self._physics, f"{self._top}/{PHYSICS}"
+        self._layer.pseudoRoot.SetInfo("kilogramsPerUnit", 1.0)
+        prim(self._layer, scope, "Scope")
+        self._scene(f"{scope}/Scene")
+        for part, body in zip(self._parts, physics.bodies, strict=True):
+            self._body(f"{self._top}/{part}", body)
+        for path, shape in self._below("Collider", physics.colliders):
+            self._shape(path, shape, "none")
+        for path, joint in self._below("Joint", physics.joints):
+            self._joint(path, joint)
+
+    def _below(
+        self, kind: str, several: Sequence[NamedT]
+    ) -> Iterator[tuple[str, NamedT]]:
+        """Yield paths in a scope of their own, and what comes there."""
+        scope = f"{self._top}/{PHYSICS}/{kind}s"
+        if several:
+            prim(self._layer, scope, "Scope")
+        names = [legal_name(one.name or kind.lower()) for one in several]
+        for name, one in zip(distinct(names), several, strict=True):
+            yield f"{scope}/{name}", one
+
+    def _scene(self, path: str) -> None:
+        spec = prim(self._layer, path, "PhysicsScene")
+        size = float(np.linalg.norm(self._physics.gravity))
+        way = so3.rotate(self._turn, self._physics.gravity / (size or 1.0))
+        value = Gf.Vec3f(*way.tolist())
+        attribute(spec, "physics:gravityDirection", _TYPES.Vector3f, value)
+        self._number(spec, "physics:gravityMagnitude", size / self._unit)
+
+    @staticmethod
+    def _number(spec: Any, name: str, value: float) -> None:
+        attribute(spec, name, _TYPES.Float, value)
+
+    def _place(self, spec: Any, name: str, metres: FloatArray, kind: Any) -> None:
+        value = Gf.Vec3f(*(metres / self._unit).tolist())
+        attribute(spec, name, kind, value)
+
+    def _body(self, path: str, body: PhysicsBody) -> None:
+        spec = self._layer.GetPrimAtPath(path)
+        apply_schemas(spec, ["PhysicsRigidBodyAPI", "PhysicsMassAPI"])
+        attribute(spec, "physics:rigidBodyEnabled", _TYPES.Bool, True)
+        attribute(spec, "physics:kinematicEnabled", _TYPES.Bool, body.kinematic)
+        if not body.kinematic:
+            velocity, spin = "physics:velocity", "physics:angularVelocity"
+            self._place(spec, velocity, body.velocity, _TYPES.Vector3f)
+            turning = Gf.Vec3f(*np.degrees(body.spin).tolist())
+            attribute(spec, spin, _TYPES.Vector3f, turning)
+        if body.mass is not None:
+            self._number(spec, "physics:mass", body.mass)
+        if body.centre is not None:
+            self._place(spec, "physics:centerOfMass", body.centre, _TYPES.Point3f)
+        if body.moments is not None:
+            moments = Gf.Vec3f(*(body.moments / self._unit**2).tolist())
+            attribute(spec, "physics:diagonalInertia", _TYPES.Float3, moments)
+            attribute(spec, "physics:principalAxes", _TYPES.Quatf, quatf(body.axes))
+        for k, shape in enumerate(body.shapes):
+            self._shape(f"{path}/shape_{k + 1}", shape, "convexHull")
+
+    def _shape(self, path: str, shape: PhysicsShape, approximation: str) -> None:
+        """Write a shape that nothing shows: `purpose` is guide."""
+        mesh = shape.kind == "mesh"
+        spec = prim(self._layer, path, "Mesh" if mesh else _GEOMETRY[shape.kind])
+        schemas = ["PhysicsCollisionAPI", "MaterialBindingAPI"]
+        apply_schemas(spec, [*schemas, *(["PhysicsMeshCollisionAPI"] if mesh else [])])
+        attribute(spec, "purpose", _TYPES.Token, "guide", uniform=True)
+        pose, names = shape.pose, ["xformOp:translate", "xformOp:orient"]
+        at = vector(pose[:3] / self._unit)
+        attribute(spec, names[0], _TYPES.Double3, at)
+        attribute(spec, names[1], _TYPES.Quatd, quaternion(pose[3:]))
+        sizes = [size / self._unit for size in shape.size]
+        match shape.kind:
+            case "sphere":
+                attribute(spec, "radius", _TYPES.Double, sizes[0])
+            case "capsule":
+                attribute(spec, "axis", _TYPES.Token, "Y", uniform=True)
+                attribute(spec, "radius", _TYPES.Double, sizes[0])
+                attribute(spec, "height", _TYPES.Double, sizes[1])
+            case "box":
+                attribute(spec, "size", _TYPES.Double, 1.0)
+                names.append("xformOp:scale")
+                attribute(spec, names[2], _TYPES.Float3, Gf.Vec3f(*sizes))
+            case "plane":
+                attribute(spec, "axis", _TYPES.Token, "Y", uniform=True)
+            case "mesh":
+                self._mesh(spec, shape, approximation)
+        author_order(spec, *names)
+        binding = "material:binding:physics"
+        relationship(spec, binding, self._material(shape.friction, shape.restitution))
+
+    def _mesh(self, spec: Any, shape: PhysicsShape, approximation: str) -> None:
+        points = np.ascontiguousarray(shape.points / self._unit, np.float32)
+        corners = shape.triangles.astype(np.int32).ravel()
+        counts = np.full(len(shape.triangles), 3, np.int32)
+        bounds = np.stack([points.min(axis=0), points.max(axis=0)])
+        values = {
+            "points": points,
+            "extent": bounds,
+            "faceVertexCounts": counts,
+            "faceVertexIndices": corners,
+        }
+        author_mesh(spec, values, closed=True)
+        name, token = "physics:approximation", _TYPES.Token
+        attribute(spec, name, token, approximation, uniform=True)
+
+    def _material(self, friction: float, restitution: float) -> str:
+        """Return the path of a material, which is written once."""
+        key = friction, restitution
+        if key not in self._materials:
+            scope = f"{self._top}/{PHYSICS}/Materials"
+            prim(self._layer, scope, "Scope")
+            path = f"{scope}/material_{len(self._materials) + 1}"
+            spec = prim(self._layer, path, "Material")
+            apply_schemas(spec, ["PhysicsMaterialAPI"])
+            for side in ("static", "dynamic"):
+                self._number(spec, f"physics:{side}Friction", friction)
+            self._number(spec, "physics:restitution", restitution)
+            self._materials[key] = path
+        return self._materials[key]
+
+    def _joint(self, path: str, joint: PhysicsJoint) -> None:
+        twists = joint.limits is not None or joint.drive is not None
+        ball = "PhysicsJoint" if twists else "PhysicsSphericalJoint"
+        spec = prim(self._layer, path, _JOINTS.get(joint.kind, ball))
+        for k, (i, frame) in enumerate(zip(joint.bodies, joint.frames, strict=True)):
+            body = self._top if i < 0 else f"{self._top}/{self._parts[i]}"
+            relationship(spec, f"physics:body{k}", body)
+            self._place(spec, f"physics:localPos{k}", frame[:3], _TYPES.Point3f)
+            attribute(spec, f"physics:localRot{k}", _TYPES.Quatf, quatf(frame[3:]))
+        for power, name in enumerate(("breakForce", "breakTorque"), start=1):
+            if math.isfinite(joint.breaks[power - 1]):
+                most = joint.breaks[power - 1] / self._unit**power
+                self._number(spec, f"physics:{name}", most)
+        if joint.contacts:
+            attribute(spec, "physics:collisionEnabled", _TYPES.Bool, value=True)
+        schemas: list[str] = []
+        if joint.kind != "fixed" and not (joint.kind == "ball" and twists):
+            attribute(spec, "physics:axis", _TYPES.Token, "X", uniform=True)
+        if joint.kind == "ball":
+            limits = BallLimit(joint.swing, joint.limits, (1.0, 0.0, 0.0))
+            schemas += author_ball(spec, limits, locked=twists)
+        elif joint.limits is not None:
+            scale = math.degrees(1.0) if joint.kind == "pin" else 1 / self._unit
+            for side, value in zip(("lower", "upper"), joint.limits, strict=True):
+                self._number(spec, f"physics:{side}Limit", value * scale)
+        if joint.drive is not None:
+            schemas += self._drive(spec, joint.kind, joint.drive)
+        if schemas:
+            apply_schemas(spec, schemas)
+
+    def _drive(self, spec: Any, kind: str, drive: JointDrive) -> list[str]:
+        """Write a drive; return the schemas that it needs."""
+        if kind == "prismatic":
+            axes, scale, gain = {"linear": drive.target}, 1 / self._unit, 1.0
+            force = 1 / self._unit
+        else:
+            force = 1 / self._unit**2
+            scale, gain = math.degrees(1.0), force * math.radians(1.0)
+            axes = {"angular": drive.target}
+            if kind == "ball":
+                turn = so3.log(drive.turn).tolist()
+                axes = dict(zip(("rotX", "rotY", "rotZ"), turn, strict=True))
+        for axis, target in axes.items():
+            name = f"drive:{axis}:physics"
+            attribute(spec, f"{name}:type", _TYPES.Token, "force", uniform=True)
+            self._number(spec, f"{name}:targetPosition", target * scale)
+            self._number(spec, f"{name}:stiffness", drive.stiffness * gain)
+            self._number(spec, f"{name}:damping", drive.damping * gain)
+            if drive.speed:
+                rate = drive.speed * scale
+                self._number(spec, f"{name}:targetVelocity", rate)
+            if drive.most is not None:
+                self._number(spec, f"{name}:maxForce", drive.most * force)
+        return [f"PhysicsDriveAPI:{axis}" for axis in axes]

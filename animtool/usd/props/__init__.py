@@ -1,0 +1,1 @@
+"""Prims that move as a whole: props, cameras, bodies and characters."""

@@ -1,0 +1,385 @@
+"""Where a prim of a stage is over time, and its values: props and cameras."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pxr import Usd, UsdGeom
+
+from animtool.core.array_types import BoolArray, FloatArray
+from animtool.core.clock import time_fraction
+from animtool.core.errors import Fault, OptionError, excerpt
+from animtool.core.rates import rate_from_float
+from animtool.core.similar import similar
+from animtool.core.units import UpAxis, up_from_up
+from animtool.maths import so3
+from animtool.motion.transforms import (
+    Attribute,
+    PropRequest,
+    Reference,
+    Track,
+    Transforms,
+)
+from animtool.usd.layers.faults import Spot
+from animtool.usd.layers.sdf import usd_errors
+from animtool.usd.props.prim_transforms import world_matrices
+from animtool.usd.rigs.prims import (
+    decompose,
+    find_prim,
+    nearest_prim,
+    open_stage,
+    up_axis,
+    upwards,
+)
+
+# What float64 rounds along a hierarchy is a smaller share of a transform than this.
+ROUNDED = 1e-11
+# A time this near to a key [time code] is that of the key.
+ON_KEY = 1e-9
+
+# By the C++ type of a value that is between two others, how many numbers it is.
+_WIDTHS = {"float": 1, "double": 1, "GfHalf": 1} | {
+    f"GfVec{width}{letter}": width for width in (2, 3, 4) for letter in "fdh"
+}
+# What lasts until the next value.
+_HELD = {
+    "bool",
+    "int",
+    "unsigned int",
+    "int64_t",
+    "uint64_t",
+    "unsigned char",
+    "TfToken",
+    "std::string",
+    *(f"GfVec{width}i" for width in (2, 3, 4)),
+}
+# What a camera sees depends on these, stated or not.
+_LENS = ("focalLength", "horizontalAperture", "verticalAperture")
+_OF_CAMERAS = (
+    *_LENS,
+    "horizontalApertureOffset",
+    "verticalApertureOffset",
+    "clippingRange",
+    "focusDistance",
+    "fStop",
+    "projection",
+    "shutter:open",
+    "shutter:close",
+)
+# In units of the stage, or in tenths of these.
+_LENGTHS = frozenset(_OF_CAMERAS[:7])
+
+
+@dataclass(frozen=True, slots=True)
+class PropSource:
+    """A prim of a stage that is open."""
+
+    track: Track  # it, over the time codes of its file
+    fps: Fraction  # time codes a second
+    keys: FloatArray  # time codes of everything that moves it, ascending ``(K,)``
+    # First and last time code that it is for; None where it never moves.
+    span: tuple[Fraction, Fraction] | None
+    unstated: tuple[str, ...]  # what decides what a camera sees, and is not stated
+    # Whether its place is a matrix, as translation, rotation and scale do not come to
+    # the same.
+    sheared: bool
+    # Returns the largest share of a transform that was left out so far, as such a
+    # matrix would have it between keys.
+    shear: Callable[[], float]
+
+
+def open_prop(request: PropRequest, up: UpAxis) -> PropSource:
+    """Open a prim whose transform and values are to be read over time.
+
+    Its place is that in the world of its file: all operations of it and of the prims
+    above come together. Units are metres, the up axis is that of the rig.
+    """
+    with usd_errors(request.file):
+        stage = open_stage(request.file)
+        prim = find_prim(stage, request.prim)
+        if prim is None:
+            message = f"{request.file.name} holds no prim {excerpt(request.prim)}"
+            raise OptionError(
+                Fault("SCN048", message, hint=nearest_prim(stage, request.prim))
+            )
+        return _opened(request, stage, prim, up)
+
+
+def _opened(request: PropRequest, stage: Any, prim: Any, up: UpAxis) -> PropSource:
+    placed = bool(UsdGeom.Xformable(prim))
+    attributes = _attributes(prim, request)
+    if not placed and not attributes:
+        message = f"{request.prim} has no place: it is a {prim.GetTypeName() or 'prim'}"
+        hint = "attributes: names what to read of it"
+        raise OptionError(Fault("SCN048", message, hint=hint))
+    sampler = _Sampler(
+        stage,
+        prim,
+        attributes,
+        tuple(_described(attribute) for attribute in attributes),
+        UsdGeom.GetStageMetersPerUnit(stage),
+        up_from_up(up, up_axis(stage)),
+        str(request.file),
+        placed,
+    )
+    sampler.settle()
+    track = Track(
+        request.path,
+        sampler.at,
+        _type_name(prim, request),
+        placed,
+        sampler.moves,
+        sampler.described,
+        _reference(request, stage),
+    )
+    lens = _LENS if prim.IsA(UsdGeom.Camera) else ()
+    return PropSource(
+        track,
+        rate_from_float(stage.GetTimeCodesPerSecond()),
+        sampler.keys,
+        _span(stage, sampler.keys) if sampler.moves else None,
+        tuple(n for n in lens if not prim.GetAttribute(n).HasAuthoredValue()),
+        sampler.sheared,
+        lambda: sampler.shear,
+    )
+
+
+def _type_name(prim: Any, request: PropRequest) -> str:
+    """Return the type to write: that of a camera or light, else of a mere frame."""
+    own = str(prim.GetTypeName())
+    if prim.IsA(UsdGeom.Gprim) or prim.IsA(UsdGeom.PointInstancer) or not own:
+        own = "Xform"
+    if request.reference is not None:
+        return "" if request.reference != request.file else str(prim.GetTypeName())
+    return own
+
+
+def _reference(request: PropRequest, stage: Any) -> Reference | None:
+    if request.reference is None:
+        return None
+    if request.reference == request.file:
+        unit = UsdGeom.GetStageMetersPerUnit(stage)
+        return Reference(str(request.file.resolve()), request.prim, unit)
+    other = open_stage(request.reference)
+    if not other.GetDefaultPrim():
+        message = f"{request.reference.name} has no default prim to refer to"
+        raise OptionError(Fault("SCN048", message))
+    unit = UsdGeom.GetStageMetersPerUnit(other)
+    return Reference(str(request.reference.resolve()), "", unit)
+
+
+def _attributes(prim: Any, request: PropRequest) -> list[Any]:
+    """Return the attributes to read."""
+    attributes, faults = [], []
+    if prim.IsA(UsdGeom.Camera):
+        # What USD takes for lengths that are not stated depends on the unit.
+        always = {*_LENS, "clippingRange"}
+        own = [prim.GetAttribute(name) for name in _OF_CAMERAS]
+        attributes = [a for a in own if a.GetName() in always or a.HasAuthoredValue()]
+    for name in request.attributes:
+        attribute = prim.GetAttribute(name)
+        if attribute and attribute.GetName() in {a.GetName() for a in attributes}:
+            continue
+        if name.startswith("xformOp"):
+            message = f"{name} of {request.prim} is of its place, which is read anyway"
+            faults.append(Fault("SCN049", message, hint="leave it out"))
+        elif not attribute or not attribute.HasValue():
+            names = [a.GetName() for a in prim.GetAttributes() if a.HasValue()]
+            near = similar(name, names)
+            hint = f"did you mean {near}?" if near else None
+            message = f"{request.prim} has no value of {excerpt(name)}"
+            faults.append(Fault("SCN049", message, hint=hint))
+        elif _kind(attribute) not in {*_WIDTHS, *_HELD}:
+            message = f"{name} of {request.prim} is a {attribute.GetTypeName()}"
+            hint = "numbers, vectors, bools, tokens and strings are carried"
+            faults.append(Fault("SCN049", message, hint=hint))
+        else:
+            attributes.append(attribute)
+    if faults:
+        raise OptionError(faults)
+    return attributes
+
+
+def _kind(attribute: Any) -> str:
+    type_name = attribute.GetTypeName()
+    return "array" if type_name.isArray else str(type_name.cppTypeName)
+
+
+def _described(attribute: Any) -> Attribute:
+    name, type_name = attribute.GetName(), str(attribute.GetTypeName())
+    width = _WIDTHS.get(_kind(attribute), 0)
+    if width:
+        return Attribute(name, type_name, width, length=name in _LENGTHS)
+    times = attribute.GetTimeSamples() or [Usd.TimeCode.EarliestTime()]
+    choices = dict.fromkeys(map(attribute.Get, times))
+    return Attribute(name, type_name, 0, tuple(choices))
+
+
+def _span(stage: Any, keys: FloatArray) -> tuple[Fraction, Fraction]:
+    """Return the time codes that a prim is for: those of the stage, and its keys."""
+    ends = keys[[0, -1]].tolist() if len(keys) else []
+    if stage.HasAuthoredTimeCodeRange() or not ends:
+        ends += [stage.GetStartTimeCode(), stage.GetEndTimeCode()]
+    return time_fraction(min(ends)), time_fraction(max(ends))
+
+
+@dataclass(slots=True)
+class _Sampler:
+    """Reads a prim at time codes."""
+
+    stage: Any  # open as long as this is, and its prims with it
+    prim: Any
+    attributes: Sequence[Any]
+    described: tuple[Attribute, ...]  # the same, without values
+    unit: float  # of the stage [m]
+    # From its up axis to that of the rig; None is none.
+    turn: tuple[float, float, float, float] | None
+    where: str
+    placed: bool  # whether it has a place in the world
+    # Time codes at which something is stated, ascending.
+    keys: FloatArray = field(default_factory=lambda: np.zeros(0))
+    moves: bool = True  # whether anything is another at one time than at another
+    sheared: bool = False  # whether places are matrices
+    shear: float = 0.0  # largest share of a transform that was left out so far
+    # Those of every time, where they are even but for rounding.
+    scales: FloatArray | None = None
+
+    def settle(self) -> None:
+        """Find the keys, and by them what the prim is like."""
+        moving = list(self._moving())
+        stated = {time for part in moving for time in part.GetTimeSamples()}
+        self.keys = np.array(sorted(stated))
+        codes = self.keys
+        if not len(codes):
+            codes = np.array([self.stage.GetStartTimeCode()])
+        self.sheared = self.placed and _split(self._matrices(codes))[3] > ROUNDED
+        transforms = self.at(codes)
+        # Values that are functions of time, such as splines, have no samples.
+        self.moves = any(not part.GetTimeSamples() for part in moving) or any(
+            bool((values != values[:1]).any())
+            for values in (transforms.matrix(), *transforms.values)
+        )
+        even = np.abs(transforms.scales - transforms.scales[0]).max() <= ROUNDED
+        self.scales = (
+            _plain(transforms.scales[0]) if even and not self.sheared else None
+        )
+
+    def _moving(self) -> Iterator[Any]:
+        """Yield attributes and places that may change over time."""
+        for attribute in self.attributes:
+            if attribute.ValueMightBeTimeVarying():
+                yield attribute
+        for prim in upwards(self.prim) if self.placed else ():
+            place = UsdGeom.Xformable(prim)
+            if place and place.TransformMightBeTimeVarying():
+                yield place
+            if place and place.GetResetXformStack():
+                return
+
+    def at(self, times: FloatArray) -> Transforms:
+        """Return the prim at time codes ``(F,)``.
+
+        Raises:
+            FormatError: Its transform or a value is not finite (USD171).
+        """
+        codes = self._on_keys(times if self.moves else times[:1])
+        count, matrices = len(codes), None
+        places, turns = np.zeros((count, 3)), np.tile(so3.IDENTITY, (count, 1))
+        scales = np.ones((count, 3))
+        if self.sheared:
+            matrices = self._matrices(codes)
+        elif self.placed:
+            places, turns, scales, shear = _split(self._matrices(codes))
+            self.shear = max(self.shear, shear)
+            if self.scales is not None:
+                near = np.abs(scales - self.scales) <= ROUNDED * np.abs(self.scales)
+                scales = np.where(near, self.scales, scales)
+        transforms = Transforms(places, turns, scales, matrices, self._values(codes))
+        if not self.moves:
+            return _lasting(transforms, len(times))
+        return replace(transforms, held=self._held(codes))
+
+    def _held(self, codes: FloatArray) -> BoolArray | None:
+        low, high = map(float, _span(self.stage, self.keys))
+        # A frame lasts until the next would come, and so does its shutter before it.
+        slack = 1 - ON_KEY
+        held = (codes < low - slack) | (codes > high + slack)
+        return held if held.any() else None
+
+    def _on_keys(self, times: FloatArray) -> FloatArray:
+        """Return time codes, those of keys where they are as near as rounding goes."""
+        if not len(self.keys):
+            return times
+        behind = np.searchsorted(self.keys, times).clip(max=len(self.keys) - 1)
+        before = (behind - 1).clip(min=0)
+        for at in (before, behind):
+            near = np.abs(times - self.keys[at]) <= ON_KEY
+            times = np.where(near, self.keys[at], times)
+        return times
+
+    def _values(self, codes: FloatArray) -> tuple[Any, ...]:
+        columns: list[Any] = []
+        for attribute, about in zip(self.attributes, self.described, strict=True):
+            with usd_errors(Path(self.where)):
+                rows = [attribute.Get(Usd.TimeCode(code)) for code in codes.tolist()]
+            if about.width:
+                values = np.array(rows, np.float64).reshape(len(codes), about.width)
+                self._check(values)
+                columns.append(values * (self.unit if about.length else 1.0))
+            else:
+                columns.append(np.array([about.choices.index(row) for row in rows]))
+        return tuple(columns)
+
+    def _matrices(self, codes: FloatArray) -> FloatArray:
+        """Return where the prim is, column vectors, [m] ``(F, 4, 4)``."""
+        with usd_errors(Path(self.where)):
+            matrices = world_matrices(self.prim, codes).swapaxes(1, 2)
+        self._check(matrices)
+        matrices[:, :3, 3] *= self.unit
+        if self.turn is not None:
+            matrices[:, :3] = so3.to_matrix(self.turn) @ matrices[:, :3]
+        return matrices
+
+    def _check(self, values: FloatArray) -> None:
+        if not np.isfinite(values).all():
+            message = "its transform, or a value of it, is not finite"
+            Spot.of(self.where, self.prim).fail("USD171", message)
+
+
+def _plain(scales: FloatArray) -> FloatArray:
+    """Return scales without what rounding left of a short decimal."""
+    plain = np.round(scales, 9)
+    return np.where(np.abs(plain - scales) <= ROUNDED * np.abs(scales), plain, scales)
+
+
+def _lasting(transforms: Transforms, count: int) -> Transforms:
+    """Return one transform, and its values, as that of all times."""
+
+    def all_times(values: Any) -> Any:
+        return np.repeat(values, count, axis=0)
+
+    return Transforms(
+        all_times(transforms.translations),
+        all_times(transforms.rotations),
+        all_times(transforms.scales),
+        None if transforms.matrices is None else all_times(transforms.matrices),
+        tuple(map(all_times, transforms.values)),
+    )
+
+
+def _split(
+    matrices: FloatArray,
+) -> tuple[FloatArray, FloatArray, FloatArray, float]:
+    """Return translations, rotations, scales, and the share that they leave out."""
+    places, turns, scales = decompose(matrices.swapaxes(1, 2))
+    turns = so3.normalize(turns)
+    again = so3.to_matrix(turns) * scales[:, None, :]
+    size = np.abs(matrices[:, :3, :3]).max(axis=(1, 2))
+    apart = np.abs(again - matrices[:, :3, :3]).max(axis=(1, 2))
+    shares = apart / np.where(size > 0, size, 1.0)
+    return places, turns, scales, float(shares.max(initial=0.0))

@@ -1,0 +1,417 @@
+"""What is simulated as prims of a layer, written while it is made.
+
+Each frame is a record of a prim's values; `FORMS` says how each type is written.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+from pxr import Gf, Sdf
+
+from animtool.core.array_types import Float32Array, FloatArray, IntArray
+from animtool.core.errors import Fault, OptionError
+from animtool.core.files.output import replacing
+from animtool.maths import so3
+from animtool.maths.faces import triangulated
+from animtool.motion.frames import (
+    CharactersFrame,
+    CurvesFrame,
+    Frame,
+    MeshFrame,
+    PointsFrame,
+    TransformsFrame,
+)
+from animtool.usd.caches.writer import (
+    ATTRIBUTES,
+    LINEAR,
+    Block,
+    CachedMesh,
+    FrameForm,
+    FramePrim,
+    PointWriter,
+    author_values,
+    author_width,
+    bounds,
+    kind_of,
+    labels_of,
+    place_of,
+    remove_attribute,
+)
+from animtool.usd.layers.chunks import (
+    Chunks,
+    ClipFiles,
+    Growing,
+    Whole,
+    author_span,
+    growing_crate,
+    write_frames,
+)
+from animtool.usd.layers.finite import narrowed, rounded
+from animtool.usd.layers.sdf import (
+    Samples,
+    StageMetadata,
+    attribute,
+    author_metadata,
+    author_model,
+    author_order,
+    new_layer,
+    prim,
+    quaternion,
+)
+from animtool.usd.props.writer import InstancerForm, XformsForm, part_names
+from animtool.usd.rigs.meshes import MeshForm
+
+if TYPE_CHECKING:
+    from animtool.usd.props.characters import Characters
+
+# Of each frame its time code, and what each prim is then.
+Rows: TypeAlias = Iterable[tuple[float, Sequence[Frame]]]
+
+
+class _Curves(FrameForm[CurvesFrame]):
+    type_name = "BasisCurves"
+    sampled = ("points", "velocities", "extent")
+
+    def shape(self, frame: CurvesFrame) -> Mapping[str, IntArray]:
+        """Return how many points each curve has."""
+        return {"curveVertexCounts": frame.counts.astype(np.int32)}
+
+    def tears(self, frame: CurvesFrame) -> bool:
+        """Return whether a curve may become two."""
+        return frame.tears
+
+    def describe(self, writer: FramePrim, spec: Any, frame: CurvesFrame) -> None:
+        """Write kind and width of the curves."""
+        author_values(spec, LINEAR)
+        author_width(spec, frame.width / writer.unit)
+
+    def values(
+        self,
+        writer: FramePrim,
+        frame: CurvesFrame,
+        points: Float32Array,
+        code: float,  # noqa: ARG002
+    ) -> Mapping[str, npt.NDArray[Any]]:
+        """Return bounds of what is drawn."""
+        return {"extent": bounds(points, frame.width / writer.unit / 2)}
+
+
+class _Points(FrameForm[PointsFrame]):
+    type_name = "Points"
+    sampled = ("points", "velocities", "ids", "widths")
+
+    def values(
+        self, writer: FramePrim, frame: PointsFrame, points: Float32Array, code: float
+    ) -> Mapping[str, npt.NDArray[Any]]:
+        """Return ids, widths and bounds of the balls."""
+        widths = writer.narrowed("widths", 2 * frame.radii / writer.unit, code)
+        extent = bounds(points, widths[:, None] / 2)
+        return {"ids": frame.ids, "widths": widths, "extent": extent}
+
+
+FORMS: dict[type[Frame], FrameForm[Any]] = {
+    CurvesFrame: _Curves(),
+    MeshFrame: MeshForm(),
+    PointsFrame: _Points(),
+    TransformsFrame: InstancerForm(),
+}
+_XFORMS = XformsForm()
+
+
+def form_of(frame: Frame) -> FrameForm[Any]:
+    """Return how a frame is written."""
+    divided = isinstance(frame, TransformsFrame) and frame.xforms
+    return _XFORMS if divided else FORMS[type(frame)]
+
+
+class SimulatedPrim:
+    """One prim of frames: its attributes written once, every frame made a block."""
+
+    def __init__(
+        self,
+        path: str,
+        meters_per_unit: float,
+        turn: FloatArray | None = None,
+        fps: float = 24.0,
+    ) -> None:
+        self.report = CachedMesh(path)
+        self.unit = meters_per_unit  # of the layer [m]
+        # How the prim stands in the layer (4,).
+        self.turn = so3.IDENTITY if turn is None else turn
+        self.fps = fps  # time codes a second
+        self._characters: Characters | None = None
+        self._first: Any = None
+        self._sampled: tuple[str, ...] = ()  # what every frame has, in order
+
+    @cached_property
+    def triangles(self) -> IntArray:
+        """Faces of the first frame as triangles ``(T, 3)``."""
+        return triangulated(self._first.counts, self._first.indices)
+
+    @cached_property
+    def parts(self) -> list[str]:
+        """Names of the prims below, of a frame that has names."""
+        return part_names(self._first.names).names
+
+    def begin(self, layer: Any, frame: Frame) -> None:
+        """Write the prim of a first frame: attributes, and what no frame changes."""
+        self._first, report = frame, self.report
+        if isinstance(frame, CharactersFrame):
+            from animtool.usd.props.characters import Characters
+
+            self._characters = Characters(report.path, self.unit, self.fps)
+            self._characters.begin(layer, frame)
+            return
+        form = form_of(frame)
+        if isinstance(frame, TransformsFrame):
+            report.names = frame.names
+            if frame.xforms:
+                report.notices += part_names(frame.names).notices
+        spec = prim(layer, report.path, form.type_name)
+        form.divide(spec, frame)
+        kinds, shape = form.kinds(frame), form.shape(frame)
+        self._sampled = tuple(kinds)
+        for name, kind in kinds.items():
+            place, own = place_of(report.path, name)
+            owner = layer.GetPrimAtPath(place)
+            attribute(owner, own, kind.type_name, interpolation=kind.interpolation)
+        report.sampled = list(kinds)
+        if form.tears(frame):
+            report.sampled += shape
+            for name in shape:
+                attribute(spec, name, ATTRIBUTES[name].type_name)
+        else:
+            author_values(spec, shape)
+        form.describe(self, spec, frame)
+
+    def block(self, number: int, code: float, frame: Frame) -> Block:
+        """Return a frame as the layer will hold it; ``number`` is the prim's."""
+        codes = np.array([code])
+        if isinstance(frame, CharactersFrame):
+            assert self._characters is not None
+            self._characters.add(code, frame)
+            return Block(number, codes, {}, 0)
+        form = form_of(frame)
+        if not form.points:
+            nothing = np.zeros((0, 3), np.float32)
+            placed = form.values(self, frame, nothing, code)
+            return Block(number, codes, _rows(placed), len(frame.points))
+        points, error, vertex = self._rounded(form.points, frame.points, code)
+        values = {form.points: points, **form.values(self, frame, points, code)}
+        for name, array in frame.primvars.items():
+            values[f"primvars:{name}"] = (
+                array.astype(np.int32)
+                if np.issubdtype(array.dtype, np.integer)
+                else self.narrowed(f"primvars:{name}", array, code)
+            )
+        values["velocities"] = self._rounded("velocities", frame.velocities, code)[0]
+        held = {name: values[name] for name in self._sampled}
+        if form.tears(frame):
+            held |= form.shape(frame)
+        return Block(number, codes, _rows(held), len(points), error, code, vertex)
+
+    def finish(self, layer: Any) -> None:
+        """Write what shows only behind the last frame."""
+        if self._characters is not None:
+            self._characters.finish(layer)
+            report = self._characters.report
+            self.report.characters = report
+            self.report.vertices = report.own + report.shared
+            self.report.samples = len(self._characters.codes)
+            self.report.error = report.error
+
+    def narrowed(
+        self, name: str, values: npt.NDArray[Any], code: float
+    ) -> Float32Array:
+        """Return values ``(N,)`` or ``(N, 3)`` of an attribute in float32."""
+        labels = labels_of(self.report, name)
+        rows = narrowed(values[None], "f", labels, np.array([code]))
+        return np.asarray(rows[0], np.float32)
+
+    def _rounded(
+        self, name: str, values: FloatArray, code: float
+    ) -> tuple[Float32Array, float, int]:
+        """Return ``(N, 3)`` in the layer's unit, the largest error [m], its point."""
+        labels = labels_of(self.report, name)
+        rows, error, _, vertex = rounded(
+            values[None], self.unit, labels, np.array([code])
+        )
+        return rows[0], error, vertex
+
+    def write_still(self, layer: Any, path: str, frame: Frame) -> None:
+        """Write a frame as a prim that never moves."""
+        still = SimulatedPrim(path, self.unit)
+        still.begin(layer, frame)
+        spec = layer.GetPrimAtPath(path)
+        remove_attribute(spec, "velocities")
+        for name, rows in still.block(0, 0.0, frame).values.items():
+            if name != "velocities":
+                make = kind_of(name, rows[0]).make
+                Samples(spec.attributes[name], make).finish(rows[0])
+
+
+def _rows(values: Mapping[str, npt.NDArray[Any]]) -> dict[str, npt.NDArray[Any]]:
+    """Return the values of one frame as those of several ``(1, …)``."""
+    return {name: array[None] for name, array in values.items()}
+
+
+@dataclass(frozen=True, slots=True)
+class SimulatedJob:
+    """What to write."""
+
+    model: str  # path of the prim above all others
+    names: Sequence[str]  # of the other prims, legal and distinct
+    metadata: StageMetadata  # what the layer states
+    meters_per_unit: float  # unit of what is below the model [m]
+    turn: FloatArray | None = None  # from y up to the up axis there (4,); None is none
+    # From the world of a take to below the model, at all time codes: columns in that
+    # unit ``(F, 4, 4)``, or one; None is the same.
+    way: FloatArray | None = None
+    codes: FloatArray | None = None  # those time codes ``(F,)``
+
+    @property
+    def paths(self) -> list[str]:
+        """Where the prims are."""
+        return [f"{self.model}/{name}" for name in self.names]
+
+    def prims(self) -> list[SimulatedPrim]:
+        """Return the prims, nothing of them written."""
+        unit, turn = self.meters_per_unit, self.turn
+        fps = float(self.metadata.fps)
+        return [SimulatedPrim(path, unit, turn, fps) for path in self.paths]
+
+
+def simulated_layer(job: SimulatedJob, output: Path | None) -> Any:
+    """Return a layer with nothing but the prim above the others.
+
+    output: the file that it becomes; None is usda for stdout.
+    """
+    layer = new_layer(output or Path("stdout.usda"))
+    author_model(layer, job.model)
+    author_metadata(layer, job.metadata)
+    return layer
+
+
+def grow_simulated(job: SimulatedJob, rows: Rows, growing: Growing) -> list[CachedMesh]:
+    """Put prims into a layer, frame by frame; return what was written of each."""
+    prims, layer = job.prims(), growing.layer
+    reports = [one.report for one in prims]
+    whole = Whole([PointWriter(layer, report, every=True) for report in reports])
+    write_frames(_blocks(job, prims, rows, layer, growing), whole, reports)
+    for one in prims:
+        one.finish(layer)
+    return reports
+
+
+def chunk_simulated(
+    job: SimulatedJob, rows: Rows, layer: Any, files: ClipFiles, size: int
+) -> tuple[list[Path], list[CachedMesh]]:
+    """Write samples of prims in files of some each, and let a layer join them.
+
+    size: samples a file. The layer, in memory, has the prim above the others, and gets
+    these without samples.
+
+    Returns the files, and what was written of each prim.
+    """
+    prims = job.prims()
+    reports = [one.report for one in prims]
+
+    @contextmanager
+    def chunk(path: Path, number: int) -> Iterator[Sequence[PointWriter]]:
+        with replacing(path) as temporary, growing_crate(temporary, path) as growing:
+            _declare(growing.layer, reports, layer)
+            yield [
+                PointWriter(
+                    growing.layer,
+                    report,
+                    every=True,
+                    first=number == 0,
+                    added=growing.added,
+                )
+                for report in reports
+            ]
+            author_span(growing.layer, job.metadata)
+
+    with Chunks(files, size, len(prims), chunk) as chunks:
+        write_frames(_blocks(job, prims, rows, layer), chunks, reports)
+    chunks.join(
+        layer,
+        job.model,
+        job.metadata,
+        lambda manifest: _declare(manifest, reports, layer),
+        defaults=True,
+    )
+    return chunks.finish(), reports
+
+
+def _blocks(
+    job: SimulatedJob,
+    prims: Sequence[SimulatedPrim],
+    rows: Rows,
+    layer: Any,
+    growing: Growing | None = None,  # told of each row; None is in chunks
+) -> Iterator[Block]:
+    """Yield frames; at the first a layer gets the prims, without samples.
+
+    Each is turned as a whole where another axis is up, or goes to where a rig is.
+    """
+    types = Sdf.ValueTypeNames
+    for i, (code, frames) in enumerate(rows):
+        if growing is None:
+            _refuse_characters(frames)
+        for one, frame in () if i else zip(prims, frames, strict=True):
+            one.begin(layer, frame)
+            spec = layer.GetPrimAtPath(one.report.path)
+            if job.way is not None:
+                _author_way(spec, job, job.way)
+            elif job.turn is not None:
+                turn = quaternion(job.turn)
+                attribute(spec, "xformOp:orient", types.Quatd, turn)
+                author_order(spec, "xformOp:orient")
+        size = 0
+        for k, (one, frame) in enumerate(zip(prims, frames, strict=True)):
+            block = one.block(k, code, frame)
+            size += block.bytes
+            yield block
+        if growing is not None:
+            growing.added(size)
+
+
+def _author_way(spec: Any, job: SimulatedJob, way: FloatArray) -> None:
+    """Write where a prim is below a model that a rig's stage has somewhere."""
+    assert job.codes is not None
+    if job.turn is not None:
+        turned = np.eye(4)
+        turned[:3, :3] = so3.to_matrix(job.turn)
+        way = way @ turned
+    rows = np.broadcast_to(way.swapaxes(1, 2), (len(job.codes), 4, 4))
+    attr = attribute(spec, "xformOp:transform", Sdf.ValueTypeNames.Matrix4d)
+    samples = Samples(attr, lambda row: Gf.Matrix4d(row.tolist()))
+    samples.add(job.codes, rows)
+    samples.finish(rows[0])
+    author_order(spec, "xformOp:transform")
+
+
+def _refuse_characters(frames: Sequence[Frame]) -> None:
+    """Refuse what is not written frame by frame (SIM151)."""
+    if any(isinstance(frame, CharactersFrame) for frame in frames):
+        message = "characters with rigs are written as a whole, not in chunks"
+        raise OptionError(Fault("SIM151", message, hint="leave --chunk out"))
+
+
+def _declare(layer: Any, reports: Sequence[CachedMesh], whole: Any) -> None:
+    """Make the attributes that have samples, as another layer has them."""
+    for report in reports:
+        prim(layer, report.path, over=True)
+        for name in report.sampled:
+            path, own = place_of(report.path, name)
+            kind = whole.GetPrimAtPath(path).attributes[own].typeName
+            attribute(prim(layer, path, over=True), own, kind)

@@ -1,0 +1,365 @@
+"""Prims that move as a whole: tracks beside a rig, and copies of meshes.
+
+Props, cameras and lights are a prim each; copies a PointInstancer, or Xforms by name.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+from pxr import Gf, Sdf
+
+from animtool.core.array_types import BoolArray, Float32Array, FloatArray
+from animtool.core.errors import Fault, OptionError, Severity
+from animtool.maths import so3
+from animtool.motion.frames import MeshFrame, TransformsFrame
+from animtool.motion.motion import Motion
+from animtool.motion.transforms import Reference, Track, Transforms
+from animtool.usd.caches.writer import (
+    ATTRIBUTES,
+    FrameForm,
+    FramePrim,
+    Kind,
+    author_values,
+    bounds,
+)
+from animtool.usd.layers.names import RigPaths, UsdNames, distinct_names
+from animtool.usd.layers.sdf import (
+    Samples,
+    asset_path,
+    attribute,
+    author_order,
+    prim,
+    quaternion,
+    relationship,
+    vector,
+)
+from animtool.usd.props.placement import PropPlacements, within
+
+
+@dataclass(slots=True)
+class PropSamples:
+    """Tracks of a take on their way to a layer, apart from the motion of its rig."""
+
+    tracks: tuple[Track, ...]  # what they are
+    # Time codes of the frames that have passed, one array a block.
+    codes: list[FloatArray] = field(default_factory=list)
+    # Which time of its own each track shows there ``(F, N)``, likewise.
+    times: list[FloatArray] = field(default_factory=list)
+
+    def see(self, codes: FloatArray, motion: Motion) -> None:
+        """Keep which times of the tracks frames show."""
+        assert motion.track_times is not None
+        self.codes.append(codes)
+        self.times.append(motion.track_times.dense()[..., 0])
+
+
+# From a row of values to what USD has of it.
+_Make: TypeAlias = Callable[[Any], Any]
+
+
+def prop_paths(tracks: Sequence[Track], model: str) -> list[str]:
+    """Return where tracks are on a stage that has a character at a path."""
+    return [
+        track.path if track.path.startswith("/") else f"{model}/{track.path}"
+        for track in tracks
+    ]
+
+
+def check_props(
+    tracks: Sequence[Track], paths: RigPaths, stage: Any = None, *, library: bool
+) -> None:
+    """Refuse things where the character is, or where another thing is.
+
+    stage: what the layer goes over; None is nothing; library: whether takes are
+    variants of the model.
+    """
+    faults = []
+    model, root = paths.model, paths.root
+    by_path = prop_paths(tracks, model)
+    for i, (track, path) in enumerate(zip(tracks, by_path, strict=True)):
+        there = None if stage is None else stage.GetPrimAtPath(path)
+        message, hint = "", "name a path of its own, such as Props/box"
+        if overlap(path, root) or within(model, path):
+            message = f"{path} is of the character at {model}"
+        elif there and there.IsInstanceProxy():
+            message = f"{path} is inside of an instance, which a layer cannot reach"
+        elif library and not within(path, model):
+            message = f"{path} is not below {model}, whose variants are the takes"
+        if message:
+            faults.append(Fault("SCN047", message, hint=hint, where=track.path))
+        for other in by_path[:i]:
+            if overlap(path, other):
+                message = f"{path} meets {other}, which another thing has"
+                hint = "each has a path of its own, none below another's"
+                faults.append(Fault("SCN046", message, hint=hint, where=track.path))
+    if faults:
+        raise OptionError(faults)
+
+
+def overlap(one: str, other: str) -> bool:
+    """Return whether a path is another, or one of them is below the other."""
+    return within(one, other) or within(other, one)
+
+
+def author_props(
+    layer: Any,
+    samples: PropSamples,
+    places: PropPlacements,
+    output: Path | None,
+) -> tuple[list[str], list[Fault]]:
+    """Write the prims of tracks, with samples of what changes.
+
+    output: the file that it becomes; None is stdout.
+
+    Returns their paths, and what there is to say of their frames.
+    """
+    paths = prop_paths(samples.tracks, places.model)
+    codes, times = np.concatenate(samples.codes), np.concatenate(samples.times)
+    notices: list[Fault] = []
+    for i, (track, path) in enumerate(zip(samples.tracks, paths, strict=True)):
+        _author_above(layer, path, places)
+        there = places.exists(path)
+        type_name = "" if there else track.type_name
+        spec = prim(layer, places.spec(path), type_name, over=there)
+        if track.reference is not None:
+            _author_reference(spec, track.reference, output)
+        known = places.located(track, path, codes, track.at(times[:, i]))
+        _author_track(spec, track, codes, known, places.unit(path))
+        if known.held is not None and known.held.any():
+            notices.append(_held_notice(track, path, codes, known.held))
+    return paths, notices
+
+
+def _held_notice(track: Track, path: str, codes: FloatArray, held: BoolArray) -> Fault:
+    """Name the frames at which a thing is held, as its file has none such."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], held, [False]])))
+    ends = zip(edges[::2].tolist(), (edges[1::2] - 1).tolist(), strict=True)
+    spans = [
+        " to ".join(dict.fromkeys(f"{codes[i]:.10g}" for i in pair)) for pair in ends
+    ]
+    message = f"{path} is held at frames {', '.join(spans)}: its file has none there"
+    hint = (
+        "frame: says which of its frames comes with the first" if held.all() else None
+    )
+    return track.note("SCN107", message, hint=hint, severity=Severity.WARNING)
+
+
+def _author_above(layer: Any, path: str, places: PropPlacements) -> None:
+    """Define the prims above a path that nothing else does."""
+    for above in list(Sdf.Path(path).GetAncestorsRange())[1:]:
+        text = str(above)
+        if above.IsAbsoluteRootPath() or within(places.model, text):
+            continue
+        spec = places.spec(text)
+        if layer.GetPrimAtPath(spec) is None and not places.exists(text):
+            prim(layer, spec, "Xform")
+
+
+def _author_reference(spec: Any, reference: Reference, output: Path | None) -> None:
+    folder = Path() if output is None else output.parent
+    name = asset_path(Path(reference.file), folder)
+    prim_path = Sdf.Path(reference.prim) if reference.prim else Sdf.Path()
+    spec.referenceList.prependedItems.append(Sdf.Reference(name, prim_path))
+
+
+def _author_track(
+    spec: Any, track: Track, codes: FloatArray, sampled: Transforms, unit: float
+) -> None:
+    types = Sdf.ValueTypeNames
+    # What is referred to has points in a unit of its own.
+    factor = 1.0 if track.reference is None else track.reference.meters_per_unit / unit
+
+    def author(name: str, type_name: Any, rows: Any, make: _Make) -> None:
+        quaternions = type_name == types.Quatd
+        attr = attribute(spec, name, type_name)
+        samples = Samples(attr, make, quaternions=quaternions)
+        samples.add(codes, rows)
+        samples.finish(rows[0])
+
+    if sampled.matrices is not None:
+        matrices = sampled.matrices.copy()
+        matrices[:, :3, 3] /= unit
+        matrices[:, :3, :3] *= factor
+        rows = matrices.swapaxes(1, 2)
+        author("xformOp:transform", types.Matrix4d, rows, _matrix)
+        author_order(spec, "xformOp:transform")
+    elif track.placed:
+        author("xformOp:translate", types.Double3, sampled.translations / unit, vector)
+        author("xformOp:orient", types.Quatd, sampled.rotations, quaternion)
+        author("xformOp:scale", types.Double3, sampled.scales * factor, vector)
+        author_order(spec, "xformOp:translate", "xformOp:orient", "xformOp:scale")
+    for one, values in zip(track.attributes, sampled.values, strict=True):
+        own_type = types.Find(one.type_name)
+        if one.width:
+            make = _number if one.width == 1 else _numbers
+            author(one.name, own_type, values / (unit if one.length else 1.0), make)
+        else:
+            author(one.name, own_type, values, _choice(one.choices))
+
+
+def _choice(choices: Sequence[object]) -> Callable[[Any], object]:
+    return lambda row: choices[int(row)]
+
+
+def _number(row: FloatArray) -> float:
+    return float(row[0])
+
+
+def _numbers(row: FloatArray) -> tuple[float, ...]:
+    return tuple(row.tolist())
+
+
+def _matrix(row: FloatArray) -> Any:
+    return Gf.Matrix4d(row.tolist())
+
+
+# Operations of an Xform that moves.
+_OPERATIONS = ("xformOp:translate", "xformOp:orient")
+PROTOTYPES, PHYSICS = "Prototypes", "Physics"  # prims that are no copy
+
+
+class InstancerForm(FrameForm[TransformsFrame]):
+    """Copies as a PointInstancer."""
+
+    type_name = "PointInstancer"
+    sampled = (
+        "positions",
+        "velocities",
+        "ids",
+        "orientationsf",
+        "angularVelocities",
+        "scales",
+        "protoIndices",
+    )
+    points = "positions"
+
+    def describe(self, writer: FramePrim, spec: Any, frame: TransformsFrame) -> None:
+        """Write the meshes below the prim."""
+        relationship(spec, "prototypes", *_prototypes(writer, spec, frame.meshes))
+
+    def values(
+        self,
+        writer: FramePrim,
+        frame: TransformsFrame,
+        points: Float32Array,
+        code: float,
+    ) -> Mapping[str, npt.NDArray[Any]]:
+        """Return which mesh each is, its turn and scale, and bounds of all."""
+        boxes = np.stack([_corners(mesh.points) for mesh in frame.meshes])
+        corners = boxes[frame.copied] * (frame.scales[:, None] / writer.unit)
+        corners = so3.rotate(frame.rotations[:, None], corners) + points[:, None]
+        extent = writer.narrowed("extent", corners.reshape(-1, 3), code)
+        return {
+            "ids": frame.ids,
+            "orientationsf": writer.narrowed("orientationsf", frame.rotations, code),
+            "angularVelocities": writer.narrowed(
+                "angularVelocities", np.degrees(frame.spins), code
+            ),
+            "scales": writer.narrowed("scales", frame.scales, code),
+            "protoIndices": frame.copied.astype(np.int32),
+            "extent": bounds(extent, 0.0),
+        }
+
+
+class XformsForm(FrameForm[TransformsFrame]):
+    """Copies with names: an Xform each, with a mesh that refers to a prototype."""
+
+    type_name = "Xform"
+    points = ""
+
+    def kinds(self, frame: TransformsFrame) -> dict[str, Kind]:
+        """Return the operations of those that move."""
+        return {
+            f"{part}.{name}": ATTRIBUTES[name]
+            for i, part in enumerate(part_names(frame.names).names)
+            if i not in frame.still
+            for name in _OPERATIONS
+        }
+
+    def divide(self, spec: Any, frame: TransformsFrame) -> None:
+        """Write the Xforms, in order."""
+        for part in part_names(frame.names).names:
+            prim(spec.layer, f"{spec.path}/{part}", "Xform")
+
+    def describe(self, writer: FramePrim, spec: Any, frame: TransformsFrame) -> None:
+        """Write meshes, in which order operations follow, and where the still ones are.
+
+        The prototypes are a class, which nothing shows.
+        """
+        layer, paths = spec.layer, _prototypes(writer, spec, frame.meshes)
+        layer.GetPrimAtPath(f"{spec.path}/{PROTOTYPES}").specifier = Sdf.SpecifierClass
+        for i, part in enumerate(writer.parts):
+            own = layer.GetPrimAtPath(f"{spec.path}/{part}")
+            names = list(_OPERATIONS)
+            if i in frame.still:
+                placed = _placed(frame, i, writer.unit)
+                author_values(own, dict(zip(names, placed, strict=True)))
+            if not (frame.scales[i] == 1.0).all():
+                scale = Gf.Vec3f(*frame.scales[i].tolist())
+                attribute(own, "xformOp:scale", Sdf.ValueTypeNames.Float3, scale)
+                names.append("xformOp:scale")
+            author_order(own, *names)
+            mesh = prim(layer, f"{own.path}/mesh")
+            mesh.referenceList.Prepend(Sdf.Reference("", paths[frame.copied[i]]))
+        if frame.physics is not None:
+            from animtool.usd.physics.write import PhysicsWriter
+
+            PhysicsWriter(
+                spec, writer.parts, frame.physics, writer.unit, writer.turn
+            ).write()
+
+    def values(
+        self,
+        writer: FramePrim,
+        frame: TransformsFrame,
+        points: Float32Array,  # noqa: ARG002
+        code: float,  # noqa: ARG002
+    ) -> Mapping[str, npt.NDArray[Any]]:
+        """Return where those are that move."""
+        return {
+            f"{part}.{name}": value
+            for i, part in enumerate(writer.parts)
+            if i not in frame.still
+            for name, value in zip(
+                _OPERATIONS, _placed(frame, i, writer.unit), strict=True
+            )
+        }
+
+
+def _placed(
+    frame: TransformsFrame, i: int, unit: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return translation, in a unit [m], and rotation of a copy."""
+    return frame.points[i] / unit, frame.rotations[i]
+
+
+def part_names(names: Sequence[str]) -> UsdNames:
+    """Return legal and distinct names of copies.
+
+    >>> part_names(["brick[3]", "brick_3"]).names
+    ['brick_3', 'brick_3_2']
+    """
+    every = [PROTOTYPES, PHYSICS, *names]
+    distinct = distinct_names(every, [name.removesuffix("]") for name in every], every)
+    return replace(distinct, names=distinct.names[2:])
+
+
+def _prototypes(writer: FramePrim, spec: Any, meshes: Sequence[MeshFrame]) -> list[str]:
+    """Write meshes below a prim; return their paths."""
+    above = prim(spec.layer, f"{spec.path}/{PROTOTYPES}", "Scope")
+    paths = [f"{above.path}/mesh_{i + 1}" for i in range(len(meshes))]
+    for path, mesh in zip(paths, meshes, strict=True):
+        writer.write_still(spec.layer, path, mesh)
+    return paths
+
+
+def _corners(points: FloatArray) -> FloatArray:
+    """Return the corners ``(8, 3)`` of the box about points ``(N, 3)``."""
+    ends = np.stack([points.min(axis=0), points.max(axis=0)])
+    return ends[np.indices((2, 2, 2)).reshape(3, 8), np.arange(3)[:, None]].T

@@ -1,0 +1,1 @@
+"""Rigs as prims: skeletons, meshes, and where a stage has them."""

@@ -1,0 +1,316 @@
+"""A rig alone as USD: the layer that other departments refer to."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdPhysics, Vt
+
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault
+from animtool.maths import so3
+from animtool.rig.kinematics import rest_world
+from animtool.rig.limits import BallLimit, RangeLimit
+from animtool.rig.skeleton import Joint, JointType, Rig
+from animtool.rig.surfaces import surfaces_of
+from animtool.usd.layers.names import RigPaths, joint_names, legal_name
+from animtool.usd.layers.sdf import (
+    apply_schemas,
+    attribute,
+    author_order,
+    new_layer,
+    prim,
+    quaternion,
+    quatf,
+    relationship,
+    save_layer,
+)
+from animtool.usd.rigs.meshes import author_meshes
+from animtool.usd.rigs.skeleton import author_rig
+
+# Low above high is UsdPhysics' way to say that nothing moves there.
+LOCKED = (1.0, -1.0)
+# What is off an axis by less is rounding of float32.
+ON_AXIS = 1e-6
+
+_TYPES = Sdf.ValueTypeNames
+_AXES = "XYZ"
+
+
+@dataclass(frozen=True, slots=True)
+class PhysicsJoint:
+    """What a joint prim says of a joint."""
+
+    name: str  # USD name of the joint
+    type: JointType  # what it can do
+    # Unit axis of a pin or prismatic joint, in the joint's rest frame.
+    axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    # How far it may go [rad], [m]; None is any way.
+    limits: RangeLimit | BallLimit | None = None
+
+
+def author_physics(
+    layer: Any, model: str, rig: Rig, names: Sequence[str], meters_per_unit: float
+) -> int:
+    """Write bodies and joints below ``MODEL/Physics``; return how many joints.
+
+    meters_per_unit: unit of the layer [m].
+    """
+    held = [i for i, joint in enumerate(rig.joints) if joint.type is not JointType.FREE]
+    bodies = sorted({*held, *(rig.joints[i].parent for i in held)} - {-1})
+    scope = f"{model}/Physics"
+    prim(layer, model, over=True)
+    for path in (scope, f"{scope}/Bodies", f"{scope}/Joints"):
+        prim(layer, path, "Scope")
+    world = rest_world(rig)
+    turns = so3.from_matrix(world.linear[0])
+    for i in bodies:
+        place = world.positions[0, i] / meters_per_unit
+        _body(layer, f"{scope}/Bodies/{names[i]}", place, turns[i])
+    for i in held:
+        _joint(layer, scope, rig, i, names, meters_per_unit)
+    return len(held)
+
+
+def _body(layer: Any, path: str, place: FloatArray, turn: FloatArray) -> None:
+    spec = prim(layer, path, "Xform")
+    apply_schemas(spec, ["PhysicsRigidBodyAPI"])
+    attribute(spec, "physics:kinematicEnabled", _TYPES.Bool, True)
+    attribute(spec, "xformOp:translate", _TYPES.Double3, Gf.Vec3d(*place.tolist()))
+    attribute(spec, "xformOp:orient", _TYPES.Quatd, quaternion(turn))
+    author_order(spec, "xformOp:translate", "xformOp:orient")
+
+
+def _joint(
+    layer: Any,
+    scope: str,
+    rig: Rig,
+    index: int,
+    names: Sequence[str],
+    meters_per_unit: float,
+) -> None:
+    joint = rig.joints[index]
+    spec = prim(layer, f"{scope}/Joints/{names[index]}", _prim_type(joint))
+    token = attribute(spec, "animtool:joint", _TYPES.Token, str(joint.type))
+    token.custom = True
+    if joint.parent >= 0:
+        relationship(spec, "physics:body0", f"{scope}/Bodies/{names[joint.parent]}")
+    relationship(spec, "physics:body1", f"{scope}/Bodies/{names[index]}")
+    axis, frame = _frame(joint)
+    place = np.array(joint.translation) / meters_per_unit
+    outer = so3.multiply(np.array(joint.rotation), frame)
+    zero = Gf.Vec3f(0.0)
+    attribute(spec, "physics:localPos0", _TYPES.Point3f, Gf.Vec3f(*place.tolist()))
+    attribute(spec, "physics:localPos1", _TYPES.Point3f, zero)
+    attribute(spec, "physics:localRot0", _TYPES.Quatf, quatf(outer))
+    attribute(spec, "physics:localRot1", _TYPES.Quatf, quatf(frame))
+    if axis:
+        attribute(spec, "physics:axis", _TYPES.Token, axis, uniform=True)
+    if isinstance(joint.limits, RangeLimit):
+        pin = joint.type is JointType.PIN
+        scale = math.degrees(1.0) if pin else 1.0 / meters_per_unit
+        attribute(spec, "physics:lowerLimit", _TYPES.Float, joint.limits.low * scale)
+        attribute(spec, "physics:upperLimit", _TYPES.Float, joint.limits.high * scale)
+    elif isinstance(joint.limits, BallLimit):
+        twists = joint.limits.twist is not None
+        if schemas := author_ball(spec, joint.limits, locked=twists):
+            apply_schemas(spec, schemas)
+
+
+def _prim_type(joint: Joint) -> str:
+    if joint.type is JointType.BALL:
+        limits = joint.limits
+        twists = isinstance(limits, BallLimit) and limits.twist is not None
+        return "PhysicsJoint" if twists else "PhysicsSphericalJoint"
+    return {
+        JointType.PIN: "PhysicsRevoluteJoint",
+        JointType.PRISMATIC: "PhysicsPrismaticJoint",
+        JointType.FIXED: "PhysicsFixedJoint",
+    }[joint.type]
+
+
+def _frame(joint: Joint) -> tuple[str, FloatArray]:
+    """Return the axis token, empty for none, and the joint's own frame in the body."""
+    if isinstance(joint.limits, BallLimit):
+        token = "" if joint.limits.twist is not None else "X"
+        return token, so3.from_matrix(joint.limits.axes.T)
+    if joint.type is JointType.BALL:
+        return "X", so3.IDENTITY
+    if joint.type is JointType.FIXED:
+        return "", so3.IDENTITY
+    for letter, basis in zip(_AXES, np.eye(3), strict=True):
+        if (basis == joint.axis).all():
+            return letter, so3.IDENTITY
+    return "X", so3.from_matrix(BallLimit(twist_axis=joint.axis).axes.T)
+
+
+def author_ball(spec: Any, limits: BallLimit, *, locked: bool) -> list[str]:
+    """Write the limits of a ball; return the schemas that it needs.
+
+    One that is ``locked`` in place by limits, for it twists, is no spherical joint.
+    """
+    swing = None if limits.swing is None else np.degrees(limits.swing).tolist()
+    if not locked:
+        if swing is not None:
+            # The first cone leans towards Y, which is a turn about Z.
+            attribute(spec, "physics:coneAngle0Limit", _TYPES.Float, swing[1])
+            attribute(spec, "physics:coneAngle1Limit", _TYPES.Float, swing[0])
+        return []
+    ranges: dict[str, tuple[float, float]] = {}
+    if limits.twist is not None:
+        low, high = np.degrees(limits.twist).tolist()
+        ranges["rotX"] = LOCKED if low == high == 0 else (low, high)
+    if swing is not None:
+        ranges |= {"rotY": (-swing[0], swing[0]), "rotZ": (-swing[1], swing[1])}
+    ranges |= {f"trans{axis}": LOCKED for axis in _AXES}
+    for name, (low, high) in ranges.items():
+        attribute(spec, f"limit:{name}:physics:low", _TYPES.Float, low)
+        attribute(spec, f"limit:{name}:physics:high", _TYPES.Float, high)
+    return [f"PhysicsLimitAPI:{name}" for name in ranges]
+
+
+def read_physics(stage: Any, meters_per_unit: float) -> dict[str, PhysicsJoint]:
+    """Return what the joint prims of a stage say, by the name of the joint.
+
+    Joints of other tools are read where they have one axis or none; where there is no
+    ``animtool:joint``, a PhysicsJoint is a ball.
+
+    meters_per_unit: unit of its lengths [m].
+    """
+    joints = {}
+    for each in Usd.PrimRange(stage.GetPseudoRoot()):
+        if each.IsA(UsdPhysics.Joint):
+            joints[each.GetName()] = _read_joint(each, meters_per_unit)
+    return joints
+
+
+_JOINT_TYPES = {
+    "PhysicsRevoluteJoint": JointType.PIN,
+    "PhysicsPrismaticJoint": JointType.PRISMATIC,
+    "PhysicsFixedJoint": JointType.FIXED,
+}
+
+
+def _read_joint(joint: Any, meters_per_unit: float) -> PhysicsJoint:
+    kind = _JOINT_TYPES.get(str(joint.GetTypeName()), JointType.BALL)
+    name = str(joint.GetName())
+    rotation = UsdPhysics.Joint(joint).GetLocalRot1Attr().Get()
+    frame = so3.normalize(np.array([*rotation.imaginary, rotation.real], np.float64))
+    if kind is JointType.FIXED:
+        return PhysicsJoint(name, kind)
+    token = joint.GetAttribute("physics:axis").Get() or "X"
+    axis = _on_axis(so3.rotate(frame, np.eye(3)[_AXES.index(str(token))]))
+    if kind is JointType.BALL:
+        return PhysicsJoint(name, kind, limits=read_ball(joint, axis))
+    scale = math.radians(1.0) if kind is JointType.PIN else meters_per_unit
+    low, high = (
+        joint.GetAttribute(f"physics:{side}Limit").Get() for side in ("lower", "upper")
+    )
+    limits = None
+    if low is not None and high is not None and math.isfinite(low + high):
+        limits = RangeLimit(low * scale, high * scale)
+    return PhysicsJoint(name, kind, axis, limits)
+
+
+def _on_axis(vector: FloatArray) -> tuple[float, float, float]:
+    nearest = np.round(vector)
+    whole = np.abs(vector - nearest).max() < ON_AXIS
+    x, y, z = (nearest + 0.0 if whole else vector).tolist()
+    return x, y, z
+
+
+def read_ball(joint: Any, axis: tuple[float, float, float]) -> BallLimit | None:
+    """Return the limits of a ball about an axis; None is any way."""
+
+    def limit(name: str) -> tuple[float, float] | None:
+        low, high = (
+            joint.GetAttribute(f"limit:{name}:physics:{end}").Get()
+            for end in ("low", "high")
+        )
+        if low is None or high is None or not math.isfinite(low + high):
+            return None
+        return (0.0, 0.0) if low > high else (math.radians(low), math.radians(high))
+
+    if joint.IsA(UsdPhysics.SphericalJoint):
+        first, second = (
+            joint.GetAttribute(f"physics:coneAngle{i}Limit").Get() for i in (1, 0)
+        )
+        if first is None or second is None or not 0 <= min(first, second) < math.inf:
+            return None
+        # One that has no end is half a turn.
+        first, second = min(first, 180.0), min(second, 180.0)
+        return BallLimit((math.radians(first), math.radians(second)), None, axis)
+    twist, about_y, about_z = limit("rotX"), limit("rotY"), limit("rotZ")
+    swing = None
+    if about_y is not None and about_z is not None:
+        swing = (about_y[1], about_z[1])
+    return None if twist is None and swing is None else BallLimit(swing, twist, axis)
+
+
+# What USD takes where a layer says nothing; an animation over the rig adopts it.
+RATE = Fraction(24)
+
+
+def write_rig_layer(rig: Rig, path: Path) -> tuple[int, list[Fault]]:
+    """Write a rig layer; return its size in bytes and what is odd about names.
+
+    It holds the model, the SkelRoot, the Skeleton with bind and rest, the meshes and
+    blend shapes, and in customData what USD has no place for. It binds no animation.
+    """
+    layer, names = _rig_layer(rig, path)
+    return save_layer(layer, path), names
+
+
+def _rig_layer(rig: Rig, path: Path) -> tuple[Any, list[Fault]]:
+    names = joint_names(rig.joints)
+    paths = RigPaths.below(f"/{legal_name(rig.name)}")
+    layer, meters = new_layer(path), rig.meters_per_unit
+    with Sdf.ChangeBlock():
+        _metadata(layer, rig, paths)
+        author_rig(layer, rig, names, paths, meters)
+        tokens = dict(zip(rig.names, rig.paths(names.names), strict=True))
+        _, renamed = author_meshes(layer, surfaces_of(rig), paths, tokens, meters)
+        root = layer.GetPrimAtPath(paths.root)
+        apply_schemas(root, ["SkelBindingAPI"])
+        relationship(root, "skel:skeleton", paths.skeleton)
+    stage = Usd.Stage.Open(layer)
+    boundable = UsdGeom.Boundable(stage.GetPrimAtPath(paths.root))
+    extent = UsdGeom.Boundable.ComputeExtentFromPlugins(
+        boundable, Usd.TimeCode.Default()
+    )
+    bounds = np.array(extent, np.float32).reshape(-1, 3)
+    with Sdf.ChangeBlock():
+        value = Vt.Vec3fArray.FromNumpy(bounds)
+        attribute(root, "extent", Sdf.ValueTypeNames.Float3Array, value)
+    notices = [replace(fault, path=str(path)) for fault in names.notices + renamed]
+    return layer, notices
+
+
+def _metadata(layer: Any, rig: Rig, paths: RigPaths) -> None:
+    layer.defaultPrim = Sdf.Path(paths.model).name
+    layer.framesPerSecond = layer.timeCodesPerSecond = float(RATE)
+    layer.pseudoRoot.SetInfo("metersPerUnit", rig.meters_per_unit)
+    layer.pseudoRoot.SetInfo("upAxis", rig.up.value)
+
+
+def write_physics_layer(rig: Rig, path: Path, rig_path: Path) -> tuple[int, int]:
+    """Write joints as UsdPhysics has them, over a rig layer.
+
+    Returns bytes, and how many joints.
+    """
+    layer = new_layer(path)
+    paths = RigPaths.below(f"/{legal_name(rig.name)}")
+    names = joint_names(rig.joints).names
+    with Sdf.ChangeBlock():
+        _metadata(layer, rig, paths)
+        layer.pseudoRoot.SetInfo("kilogramsPerUnit", 1.0)
+        prim(layer, paths.model, over=True)
+        counts = author_physics(layer, paths.model, rig, names, rig.meters_per_unit)
+    layer.subLayerPaths = [f"./{rig_path.name}"]
+    return save_layer(layer, path), counts

@@ -1,0 +1,404 @@
+"""The meshes and strands that a Skeleton deforms, and their bind transforms."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pxr import Gf, Usd, UsdGeom, UsdSkel
+
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault, Severity, counted
+from animtool.core.units import UpAxis
+from animtool.rig.parts import (
+    AttachKind,
+    Attachment,
+    HeldArray,
+    Inbetween,
+    Mesh,
+    Shape,
+    Skin,
+    Subdivision,
+)
+from animtool.rig.placed import placed_rig
+from animtool.rig.placement import Placement, placement_matrix
+from animtool.rig.surfaces import Strands, Surface, strands_of, surfaces_of
+from animtool.usd.caches.reader import PointReader, transformed
+from animtool.usd.layers.faults import Spot, bind_transforms
+from animtool.usd.layers.sdf import usd_errors
+from animtool.usd.layers.stderr import without_usd_warnings
+from animtool.usd.rigs.meshes import SUBDIVISION
+from animtool.usd.rigs.placement import DROP, own_placement
+from animtool.usd.rigs.prims import (
+    SkeletonRig,
+    array_value,
+    find_skeletons,
+    integers,
+    numbers,
+    numbers_of,
+    open_stage,
+    prim_below,
+    skeleton_rig,
+)
+from animtool.usd.rigs.skinned import (
+    floats,
+    joint_names,
+    prim_name,
+    skinned_prims,
+    unbound_notice,
+    unique_name,
+)
+from animtool.usd.rigs.target import RigTarget
+from animtool.usd.rigs.unskinned import unskinned_notice
+
+_METHODS = {"classicLinear": "linear", "dualQuaternion": "dual_quaternion"}
+
+
+def read_meshes(
+    skeleton: Any, rig: SkeletonRig, where: str
+) -> tuple[tuple[Mesh, ...], tuple[Shape, ...], list[Fault]]:
+    """Return meshes, shapes and what is left out of them.
+
+    Normals that are not one a vertex are left out (USD116), as are the shapes of a mesh
+    that name no target. A mesh that follows joints as a whole has their influences at
+    every vertex; one that follows none stands where its prim places it. Numbers are in
+    the unit of the rig.
+    """
+    meshes: list[Mesh] = []
+    shapes: list[Shape] = []
+    notices = unbound_notice(skeleton, where)
+    for name, query in bound_meshes(skeleton):
+        at = Spot.of(where, query.GetPrim())
+        bind = _bind(query, skeleton, at)
+        meshes.append(_mesh(query, name, rig, at, bind, notices))
+        count = len(meshes[-1].points.load())
+        known = {shape.name for shape in shapes}
+        shapes += _shapes(query, name, count, where, known)
+    return tuple(meshes), tuple(shapes), notices
+
+
+def bound_meshes(skeleton: Any) -> list[tuple[str, Any]]:
+    """Return the meshes that a Skeleton moves: distinct names, and queries."""
+    used: set[str] = set()
+    return [
+        (unique_name(prim_name(query.GetPrim()), used), query)
+        for query in skinned_prims(skeleton, UsdGeom.Mesh)
+    ]
+
+
+def bound_shapes(skeleton: Any) -> tuple[str, ...]:
+    """Return the names of the shapes that meshes of a Skeleton have."""
+    names = (
+        str(token)
+        for _, query in bound_meshes(skeleton)
+        if query.HasBlendShapes()
+        for token in query.GetBlendShapeOrder() or ()
+    )
+    return tuple(dict.fromkeys(names))
+
+
+def _bind(query: Any, skeleton: Any, at: Spot) -> tuple[float, ...] | None:
+    """Return where a mesh is bound, or placed; None where that is the origin."""
+    if query.HasJointInfluences():
+        authored = query.GetGeomBindTransform()
+    else:
+        cache = UsdGeom.XformCache(Usd.TimeCode.EarliestTime())
+        world = cache.GetLocalToWorldTransform(skeleton.GetPrim())
+        own = cache.GetLocalToWorldTransform(query.GetPrim())
+        authored = own if world == Gf.Matrix4d(1) else own * world.GetInverse()
+    matrix = np.array(authored, np.float64).T
+    if not np.isfinite(matrix).all():
+        code = "USD235" if query.HasJointInfluences() else "USD017"
+        at.fail(code, "its transform at bind time is not finite")
+    return tuple(matrix.ravel().tolist()) if (matrix != np.eye(4)).any() else None
+
+
+def _mesh(
+    query: Any,
+    name: str,
+    rig: SkeletonRig,
+    at: Spot,
+    bind: tuple[float, ...] | None,
+    notices: list[Fault],
+) -> Mesh:
+    prim = query.GetPrim()
+    mesh = UsdGeom.Mesh(prim)
+    points = floats(PointReader(prim).attr, 3, at, "USD265")
+    if not len(points):
+        at.fail("USD017", "the mesh has no points")
+    normals = None
+    given = array_value(mesh.GetNormalsAttr())
+    if len(given) == len(points) and mesh.GetNormalsInterpolation() == "vertex":
+        normals = floats(mesh.GetNormalsAttr(), 3, at)
+    elif len(given):
+        message = "normals that are not one a vertex are left out"
+        notices.append(at.fault("USD116", message, severity=Severity.NOTE))
+    return Mesh(
+        name,
+        HeldArray(points),
+        HeldArray(_faces(mesh, len(points), at)),
+        None if normals is None else HeldArray(normals),
+        bind,
+        _skin(query, len(points), rig, at) if query.HasJointInfluences() else None,
+        _subdivision(mesh, normals is not None),
+    )
+
+
+def _subdivision(mesh: Any, with_normals: bool) -> Subdivision | None:
+    """Return the rule, None where it is the usual one."""
+    scheme = str(mesh.GetSubdivisionSchemeAttr().Get())
+    by_scheme = {name: rule for rule, name in SUBDIVISION.items()}.get(scheme)
+    usual = Subdivision.NONE if with_normals else Subdivision.CATMULL_CLARK
+    return None if by_scheme is usual else by_scheme
+
+
+def _faces(mesh: Any, points: int, at: Spot) -> FloatArray:
+    """Return the faces ``(N, K)``, -1 where one has fewer vertices than others."""
+    counts, indices = PointReader(mesh.GetPrim()).faces(None)
+    if not len(counts):
+        at.fail("USD017", "the mesh has no faces")
+    if (counts < 3).any():
+        at.fail("USD017", f"a face has {counts.min()} vertices, and needs 3")
+    if counts.sum() != len(indices):
+        message = f"{len(indices)} faceVertexIndices for faces of {counts.sum()} in all"
+        at.fail("USD017", message)
+    if len(indices) and not 0 <= indices.min() <= indices.max() < points:
+        at.fail("USD018", f"a face has a vertex that is not in 0 to {points - 1}")
+    width = int(counts.max(initial=3))
+    within = np.arange(width) < counts[:, None]
+    faces = np.full(within.shape, -1, np.int64)
+    faces[within] = indices
+    return faces.astype(np.float64)
+
+
+def _skin(query: Any, points: int, rig: SkeletonRig, at: Spot) -> Skin:
+    indices, weights = (
+        numbers_of(primvar.ComputeFlattened(), 1)[:, 0]
+        for primvar in (
+            query.GetJointIndicesPrimvar(),
+            query.GetJointWeightsPrimvar(),
+        )
+    )
+    width = query.GetNumInfluencesPerComponent()
+    rows = 1 if query.IsRigidlyDeformed() else points
+    if len(indices) != rows * width or len(weights) != rows * width:
+        message = (
+            f"{len(indices)} jointIndices and {len(weights)} jointWeights for "
+            f"{rows} x {width} influences"
+        )
+        at.fail("USD231", message)
+    if not np.isfinite(weights).all():
+        at.fail("USD233", "jointWeights hold a value that is not finite")
+    names = joint_names(query, rig, at)
+    if len(indices) and not 0 <= indices.min() <= indices.max() < len(names):
+        at.fail("USD230", f"a jointIndex is not in 0 to {len(names) - 1}")
+    shape = (points, width)
+    method = str(query.GetSkinningMethod())
+    return Skin(
+        _METHODS.get(method, "linear"),
+        names,
+        HeldArray(np.broadcast_to(indices.reshape(rows, width), shape).copy()),
+        HeldArray(np.broadcast_to(weights.reshape(rows, width), shape).copy()),
+    )
+
+
+def _shapes(
+    query: Any, mesh: str, points: int, where: str, known: set[str]
+) -> list[Shape]:
+    """Return the shapes of a mesh; one that another mesh has too gets its name."""
+    if not query.HasBlendShapes():
+        return []
+    order = [str(token) for token in query.GetBlendShapeOrder() or ()]
+    targets = query.GetBlendShapeTargetsRel().GetTargets()
+    if len(order) != len(targets):
+        message = f"{len(order)} blendShapes for {len(targets)} targets"
+        Spot.of(where, query.GetPrim()).fail("USD245", message)
+    stage = query.GetPrim().GetStage()
+    for target in targets:
+        if not stage.GetPrimAtPath(target):
+            message = f"a blendShapeTarget, {target}, does not exist"
+            Spot.of(where, query.GetPrim()).fail("USD208", message)
+    return [
+        _shape(
+            UsdSkel.BlendShape(stage.GetPrimAtPath(target)),
+            token if token not in known else f"{mesh}_{token}",
+            mesh,
+            points,
+            where,
+        )
+        for token, target in zip(order, targets, strict=True)
+    ]
+
+
+def _shape(shape: Any, name: str, mesh: str, points: int, where: str) -> Shape:
+    at = Spot.of(where, shape)
+    deltas = floats(shape.GetOffsetsAttr(), 3, at, "USD243")
+    vertices = integers(shape.GetPointIndicesAttr())
+    rows = len(vertices) or points
+    steps = shape.GetInbetweens()
+    turning = [shape.GetNormalOffsetsAttr()]
+    turning += [step.GetNormalOffsetsAttr() for step in steps]
+    if not len(deltas) and any(attr and len(array_value(attr)) for attr in turning):
+        # It turns normals alone.
+        deltas = np.zeros((rows, 3))
+    if len(deltas) != rows:
+        at.fail("USD240", f"{len(deltas)} offsets for {rows} points")
+    if len(vertices) and not 0 <= vertices.min() <= vertices.max() < points:
+        at.fail("USD241", f"a pointIndex is not in 0 to {points - 1}")
+
+    def rows_of(attr: Any) -> HeldArray | None:
+        if not attr or not attr.HasAuthoredValue():
+            return None
+        values = floats(attr, 3, at, "USD243")
+        if len(values) != rows:
+            at.fail(
+                "USD242" if attr.GetName().endswith("normalOffsets") else "USD240",
+                f"{attr.GetName()} has {counted(len(values), 'row')}, not {rows}",
+            )
+        return HeldArray(values)
+
+    between = []
+    for step in steps:
+        weight, normals = step.GetWeight(), rows_of(step.GetNormalOffsetsAttr())
+        if normals is not None and not len(array_value(step.GetAttr())):
+            offsets: HeldArray | None = HeldArray(np.zeros((rows, 3)))
+        else:
+            offsets = rows_of(step.GetAttr())
+        if weight is None or offsets is None or not np.isfinite(weight):
+            message = f"{step.GetAttr().GetName()} has no weight or no offsets"
+            at.fail("USD240" if offsets is None else "USD244", message)
+        between.append(Inbetween(float(weight), offsets, normals))
+    return Shape(
+        name,
+        mesh,
+        HeldArray(deltas),
+        rows_of(shape.GetNormalOffsetsAttr()),
+        tuple(sorted(between, key=lambda step: step.at)),
+        vertices=HeldArray(vertices.astype(np.float64)) if len(vertices) else None,
+    )
+
+
+def read_strands(skeleton: Any, rig: SkeletonRig, where: str) -> tuple[Attachment, ...]:
+    """Return the linear curves that one joint each carries, as strands.
+
+    Curves of other kinds, of different lengths, or that follow several joints, are
+    passed over. Points are in the unit of the rig.
+    """
+    return tuple(entry for entry, _ in bound_strands(skeleton, rig, where))
+
+
+def bound_strands(
+    skeleton: Any, rig: SkeletonRig, where: str
+) -> list[tuple[Attachment, Any]]:
+    """Return what `read_strands` does, each with its prim."""
+    strands: list[tuple[Attachment, Any]] = []
+    used: set[str] = set()
+    for query in skinned_prims(skeleton, UsdGeom.BasisCurves):
+        source = query.GetPrim()
+        at = Spot.of(where, source)
+        joint = _carrier(query, rig, at)
+        points = _points(UsdGeom.BasisCurves(source), query, at)
+        if joint is not None and points is not None:
+            name = unique_name(prim_name(source), used)
+            kind, held = AttachKind.STRANDS.value, HeldArray(points)
+            strands.append((Attachment(name, kind, (joint,), points=held), source))
+    return strands
+
+
+def _carrier(query: Any, rig: SkeletonRig, at: Spot) -> str | None:
+    """Return the joint that carries a prim as a whole; None where it is not one."""
+    if not query.HasJointInfluences() or not query.IsRigidlyDeformed():
+        return None
+    indices = integers(query.GetJointIndicesPrimvar().GetAttr(), Usd.TimeCode.Default())
+    weights = numbers(
+        query.GetJointWeightsPrimvar().GetAttr(), 1, Usd.TimeCode.Default()
+    )
+    if len(indices) != 1 or len(weights) != 1:
+        return None
+    names = joint_names(query, rig, at)
+    if not 0 <= indices[0] < len(names):
+        message = f"a jointIndex is not in 0 to {len(names) - 1}"
+        at.fail("USD230", message)
+    return names[int(indices[0])]
+
+
+def _points(curves: Any, query: Any, at: Spot) -> FloatArray | None:
+    """Return points ``(S, K, 3)`` at bind; None of curves that are no strands."""
+    counts = integers(curves.GetCurveVertexCountsAttr())
+    if curves.GetTypeAttr().Get() != UsdGeom.Tokens.linear or not len(counts):
+        return None
+    values = floats(PointReader(curves.GetPrim()).attr, 3, at, "USD265")
+    if counts.min() < 2 or (counts != counts[0]).any() or counts.sum() != len(values):
+        return None
+    matrix = np.array(query.GetGeomBindTransform(), np.float64)
+    if not np.isfinite(matrix).all():
+        at.fail("USD235", "geomBindTransform is not finite")
+    return transformed(values, matrix).reshape(len(counts), -1, 3)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StageMeshes:
+    """Meshes and strands of a Skeleton."""
+
+    surfaces: tuple[Surface, ...]  # the meshes [m]
+    strands: tuple[Strands, ...]  # the curves that single joints carry [m]
+    # World transforms of the Skeleton's J joints at bind time, scale and shear
+    # included, for column vectors ``(J, 4, 4)`` [m].
+    bind: FloatArray
+    up: UpAxis  # up axis of all of it
+    notices: list[Fault]  # what is left out
+
+
+def source_meshes(
+    path: Path, prim_path: str | None, placement: str | None = None
+) -> StageMeshes:
+    """Return the meshes of the character that a USD file is read as.
+
+    placement: as `animtool.usd.takes.read.read_usd` has it.
+    """
+    with usd_errors(path), without_usd_warnings():
+        stage = open_stage(path)
+        skeletons = find_skeletons(stage, prim_below(stage, prim_path))
+        if not skeletons:
+            return StageMeshes((), (), np.zeros((0, 4, 4)), UpAxis.Y, [])
+        rig = skeleton_rig(skeletons[0], path)
+        where = own_placement(skeletons[0].GetPrim(), rig.rig)
+        at_rest = where.sized if placement == DROP else where.rest
+        meshes = _meshes(skeletons[0], rig, path, at_rest)
+        left = unskinned_notice(skeletons[0], str(path), placement)
+        return replace(meshes, notices=meshes.notices + left)
+
+
+def target_meshes(target: RigTarget) -> StageMeshes:
+    """Return the meshes of a rig layer."""
+    with usd_errors(target.path), without_usd_warnings():
+        prim = target.stage.GetPrimAtPath(target.on_stage(target.paths.skeleton))
+        meshes = _meshes(UsdSkel.Skeleton(prim), target.skeleton, target.path)
+        fresh = [notice for notice in meshes.notices if notice not in target.notices]
+        return replace(meshes, notices=fresh)
+
+
+def _meshes(
+    skeleton: Any,
+    skeleton_rig: SkeletonRig,
+    path: Path,
+    placement: Placement | None = None,
+) -> StageMeshes:
+    meshes, shapes, notices = read_meshes(skeleton, skeleton_rig, str(path))
+    strands = read_strands(skeleton, skeleton_rig, str(path))
+    rig = replace(skeleton_rig.rig, meshes=meshes, shapes=shapes, attach=strands)
+    if not meshes and not strands:
+        return StageMeshes((), (), np.zeros((0, 4, 4)), rig.up, notices)
+    spot = Spot.of(path, skeleton)
+    spot.refuse(bind_transforms(skeleton, skeleton_rig.tokens, skins=True))
+    attr = skeleton.GetBindTransformsAttr()
+    bind = numbers(attr, 16).reshape(-1, 4, 4).swapaxes(-1, -2).copy()
+    bind[:, :3, 3] *= rig.meters_per_unit
+    if placement is not None and not placement.is_none:
+        rig = placed_rig(rig, placement)
+        bind = placement_matrix(placement) @ bind
+        # Joints carry no scale of their own for it: their lengths have it.
+        bind[:, :3, :3] /= placement.size
+    return StageMeshes(surfaces_of(rig), strands_of(rig), bind, rig.up, notices)

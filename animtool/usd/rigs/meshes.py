@@ -1,0 +1,408 @@
+"""Mesh prims: those of rigs with their skin and blend shapes, of bones, and of frames.
+
+`author_mesh` says what every mesh is; `doubleSided` and subdivision are stated there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from pxr import Gf, Sdf, Vt
+
+from animtool.core.array_types import Float32Array, FloatArray, IntArray
+from animtool.core.errors import Fault, Severity
+from animtool.maths.faces import closed, triangulated, vertex_normals
+from animtool.motion.frames import MeshFrame
+from animtool.rig.kinematics import rest_world
+from animtool.rig.parts import Subdivision
+from animtool.rig.skeleton import Rig
+from animtool.rig.surfaces import Surface, SurfaceShape, SurfaceSkin
+from animtool.skin.influences import InfluenceReport, Influences, read_influences
+from animtool.usd.caches.writer import (
+    FrameForm,
+    FramePrim,
+    author_values,
+    bounds,
+)
+from animtool.usd.layers.finite import Labels, check_value, narrowed
+from animtool.usd.layers.names import RigPaths, distinct_names
+from animtool.usd.layers.sdf import (
+    apply_schemas,
+    attribute,
+    author_order,
+    prim,
+    relationship,
+)
+from animtool.usd.rigs.skeleton import SCOPE
+
+# Fewer moving vertices than this share are written with their indices: an index is a
+# third of an offset.
+SPARSE = 0.75
+
+SUBDIVISION = {
+    Subdivision.NONE: "none",
+    Subdivision.CATMULL_CLARK: "catmullClark",
+    Subdivision.LOOP: "loop",
+    Subdivision.BILINEAR: "bilinear",
+}
+_TYPES = Sdf.ValueTypeNames
+_METHODS = {"linear": "classicLinear", "dual_quaternion": "dualQuaternion"}
+
+
+def author_mesh(
+    spec: Any, values: Mapping[str, Any], *, subdivision: str = "none", closed: bool
+) -> None:
+    """Write what a mesh is, apart from what frames change.
+
+    values: its attributes, in their order; closed: whether it is visible from outside
+    alone.
+    """
+    author_values(spec, {**values, "subdivisionScheme": subdivision})
+    if not closed:
+        author_values(spec, {"doubleSided": True})
+
+
+class MeshForm(FrameForm[MeshFrame]):
+    """A mesh over time, whose normals follow its faces."""
+
+    type_name = "Mesh"
+    sampled = ("points", "velocities", "extent", "normals")
+
+    def shape(self, frame: MeshFrame) -> Mapping[str, IntArray]:
+        """Return the faces."""
+        return {
+            "faceVertexCounts": frame.counts.astype(np.int32),
+            "faceVertexIndices": frame.indices.astype(np.int32),
+        }
+
+    def tears(self, frame: MeshFrame) -> bool:
+        """Return whether its faces may be others."""
+        return frame.tears
+
+    def describe(self, writer: FramePrim, spec: Any, frame: MeshFrame) -> None:  # noqa: ARG002
+        """Write that it is no cage, and whether both sides are visible."""
+        author_mesh(spec, {}, closed=frame.closed)
+
+    def values(
+        self,
+        writer: FramePrim,
+        frame: MeshFrame,
+        points: Float32Array,
+        code: float,  # noqa: ARG002
+    ) -> Mapping[str, npt.NDArray[Any]]:
+        """Return bounds and normals; what does not tear has the first frame's faces."""
+        faces = writer.triangles
+        if frame.tears:
+            faces = triangulated(frame.counts, frame.indices)
+        normals = vertex_normals(frame.points, faces)
+        return {"extent": bounds(points, 0.0), "normals": normals.astype(np.float32)}
+
+
+def mesh_names(
+    surfaces: Sequence[Surface], paths: RigPaths
+) -> tuple[list[str], dict[str, str]]:
+    """Return paths of the surfaces' prims, and the names that USD forbids, by path.
+
+    They stand below the SkelRoot, beside the Skeleton, the animation and strands.
+    """
+    taken = [Sdf.Path(path).name for path in (paths.skeleton, paths.animation)]
+    taken.append(SCOPE)
+    every = [*taken, *(surface.name for surface in surfaces)]
+    names = distinct_names(every, every, every)
+    paths_of_meshes = [f"{paths.root}/{name}" for name in names.names[len(taken) :]]
+    renamed = {
+        path: surface.name
+        for path, surface in zip(paths_of_meshes, surfaces, strict=True)
+        if Sdf.Path(path).name != surface.name
+    }
+    return paths_of_meshes, renamed
+
+
+def author_meshes(
+    layer: Any,
+    surfaces: Sequence[Surface],
+    paths: RigPaths,
+    tokens: Mapping[str, str],
+    meters_per_unit: float,
+    *,
+    bound: bool = True,
+) -> tuple[list[str], list[Fault]]:
+    """Write meshes below the SkelRoot; return the paths of their prims, and notices.
+
+    Weights of a skin are normalised, which a note says (SKIN101).
+
+    meters_per_unit: unit of the layer [m].
+    """
+    notices: list[Fault] = []
+    mesh_paths, renamed = mesh_names(surfaces, paths)
+    for path, surface in zip(mesh_paths, surfaces, strict=True):
+        spec = _mesh(layer, path, surface, meters_per_unit)
+        if path in renamed:
+            spec.SetInfo("customData", {"animtool": {"name": renamed[path]}})
+        if surface.skin is None and (surface.geom_bind != np.eye(4)).any():
+            _placed(spec, surface.geom_bind, meters_per_unit)
+        if bound and (surface.skin is not None or surface.shapes):
+            apply_schemas(spec, ["SkelBindingAPI"])
+            if surface.skin is not None:
+                notices += _skin(spec, surface, surface.skin, tokens, meters_per_unit)
+            if surface.shapes:
+                _shapes(layer, spec, surface, meters_per_unit)
+    return mesh_paths, notices
+
+
+def _mesh(layer: Any, path: str, surface: Surface, meters_per_unit: float) -> Any:
+    spec = prim(layer, path, "Mesh")
+    points = surface.points / meters_per_unit
+    extent = np.stack([points.min(axis=0), points.max(axis=0)])
+    values = {
+        "extent": _narrow(extent, f"{path}.extent"),
+        "faceVertexCounts": np.ascontiguousarray(surface.counts, np.int32),
+        "faceVertexIndices": np.ascontiguousarray(surface.indices, np.int32),
+        "points": _narrow(points, f"{path}.points"),
+    }
+    if surface.normals is not None:
+        values["normals"] = _narrow(surface.normals, f"{path}.normals")
+    author_mesh(
+        spec,
+        values,
+        subdivision=SUBDIVISION[surface.subdivision],
+        closed=closed(surface.counts, surface.indices),
+    )
+    return spec
+
+
+def _placed(spec: Any, transform: FloatArray, meters_per_unit: float) -> None:
+    """Place a mesh that follows no joint."""
+    matrix = _matrix(transform, meters_per_unit)
+    attribute(spec, "xformOp:transform", _TYPES.Matrix4d, matrix)
+    author_order(spec, "xformOp:transform")
+
+
+def _matrix(transform: FloatArray, meters_per_unit: float) -> Any:
+    """Return a transform of column vectors [m] as a row-vector matrix."""
+    rows = transform.T.copy()
+    rows[3, :3] /= meters_per_unit
+    return Gf.Matrix4d(*rows.ravel().tolist())
+
+
+def _narrow(values: FloatArray, where: str) -> Float32Array:
+    labels = Labels(where, "point")
+    return np.ascontiguousarray(narrowed(values, "f", labels))
+
+
+def _vec3f(values: FloatArray, where: str) -> Any:
+    return Vt.Vec3fArray.FromNumpy(_narrow(values, where))
+
+
+def _skin(
+    spec: Any,
+    surface: Surface,
+    skin: SurfaceSkin,
+    tokens: Mapping[str, str],
+    meters_per_unit: float,
+) -> list[Fault]:
+    influences, report = read_influences(skin.indices, skin.weights, len(skin.joints))
+    indices, weights = _padded(influences)
+    if skin.joints != tuple(tokens):
+        own = Vt.TokenArray([tokens[name] for name in skin.joints])
+        attribute(spec, "skel:joints", _TYPES.TokenArray, own, uniform=True)
+    if (surface.geom_bind != np.eye(4)).any():
+        bind = _matrix(surface.geom_bind, meters_per_unit)
+        attribute(spec, "primvars:skel:geomBindTransform", _TYPES.Matrix4d, bind)
+    flat = np.ascontiguousarray(indices.ravel(), np.int32)
+    shares = np.ascontiguousarray(weights.ravel(), np.float32)
+    for name, kind, values in (
+        ("jointIndices", _TYPES.IntArray, Vt.IntArray.FromNumpy(flat)),
+        ("jointWeights", _TYPES.FloatArray, Vt.FloatArray.FromNumpy(shares)),
+    ):
+        attr = attribute(
+            spec, f"primvars:skel:{name}", kind, values, interpolation="vertex"
+        )
+        attr.SetInfo("elementSize", indices.shape[1])
+    method = _METHODS[skin.method]
+    if method != "classicLinear":
+        name = "primvars:skel:skinningMethod"
+        attribute(spec, name, _TYPES.Token, method, uniform=True)
+    return _notices(surface.name, report)
+
+
+def _padded(influences: Influences) -> tuple[IntArray, FloatArray]:
+    """Return joints and weights ``(V, I)``, I no more than one vertex has."""
+    counts = np.diff(influences.first)
+    within = np.arange(max(1, int(counts.max(initial=1)))) < counts[:, None]
+    joints, weights = np.zeros(within.shape, np.int64), np.zeros(within.shape)
+    joints[within], weights[within] = influences.joints, influences.weights
+    return joints, weights
+
+
+def _notices(mesh: str, report: InfluenceReport) -> list[Fault]:
+    if not report.normalized:
+        return []
+    message = (
+        f"mesh {mesh!r}: the weights of {report.normalized} vertices were brought to "
+        f"the sum 1; that of vertex {report.sum_vertex} was off by "
+        f"{report.sum_error:.3g}"
+    )
+    return [Fault("SKIN101", message, severity=Severity.NOTE)]
+
+
+def _shapes(layer: Any, spec: Any, surface: Surface, meters_per_unit: float) -> None:
+    shape_names = [shape.name for shape in surface.shapes]
+    names = distinct_names(shape_names, shape_names, shape_names).names
+    targets = [f"{spec.path}/{name}" for name in names]
+    attribute(
+        spec,
+        "skel:blendShapes",
+        _TYPES.TokenArray,
+        Vt.TokenArray(shape_names),
+        uniform=True,
+    )
+    relationship(spec, "skel:blendShapeTargets", *targets)
+    for target, shape in zip(targets, surface.shapes, strict=True):
+        _shape(prim(layer, target, "BlendShape"), shape, meters_per_unit)
+
+
+def _shape(spec: Any, shape: SurfaceShape, meters_per_unit: float) -> None:
+    parts = [shape.deltas, *(step.deltas for step in shape.inbetweens)]
+    turns = [shape.normals, *(step.normals for step in shape.inbetweens)]
+    given = [part for part in [*parts, *turns] if part is not None]
+    moves = np.any([part.any(axis=1) for part in given], axis=0)
+    vertices, rows = shape.vertices, slice(None)
+    if vertices is None and moves.mean() < SPARSE:
+        vertices = np.flatnonzero(moves)
+        rows = moves
+    attribute(
+        spec,
+        "offsets",
+        _TYPES.Vector3fArray,
+        _vec3f(shape.deltas[rows] / meters_per_unit, f"{spec.path}.offsets"),
+        uniform=True,
+    )
+    if shape.normals is not None:
+        normals = _vec3f(shape.normals[rows], f"{spec.path}.normalOffsets")
+        attribute(spec, "normalOffsets", _TYPES.Vector3fArray, normals, uniform=True)
+    if vertices is not None:
+        points = Vt.IntArray.FromNumpy(np.ascontiguousarray(vertices, np.int32))
+        attribute(spec, "pointIndices", _TYPES.IntArray, points, uniform=True)
+    for i, step in enumerate(shape.inbetweens):
+        name = f"inbetweens:step_{i + 1}"
+        deltas = _vec3f(step.deltas[rows] / meters_per_unit, f"{spec.path}.{name}")
+        attr = attribute(spec, name, _TYPES.Vector3fArray, deltas, uniform=True)
+        check_value(step.at, "f", Labels(f"{spec.path}.{name}", "the weight"))
+        attr.SetInfo("weight", step.at)
+        if step.normals is not None:
+            attribute(
+                spec,
+                f"{name}:normalOffsets",
+                _TYPES.Vector3fArray,
+                _vec3f(step.normals[rows], f"{spec.path}.{name}:normalOffsets"),
+                uniform=True,
+            )
+
+
+# A bone is an octahedron, widest a fifth of the way along.
+WAIST = 0.2
+HALF_WIDTH = 0.08
+# Of the length, at either end: no two bones share a point, which tools would merge.
+GAP = 0.005
+
+_FACES = np.array([[[0, b, a], [5, a, b]] for a, b in ((1, 2), (2, 3), (3, 4), (4, 1))])
+
+
+def bone_segments(rig: Rig) -> tuple[FloatArray, IntArray]:
+    """Return bones at rest: ends ``(B, 2, 3)`` [m], world, and the joint of each.
+
+    One bone leads from a joint to each of its children and each of its tips;
+    those without length are left out.
+    """
+    world = rest_world(rig)
+    ends, joints = [], []
+    for i, joint in enumerate(rig.joints):
+        if joint.parent >= 0:
+            ends.append((world.positions[0, joint.parent], world.positions[0, i]))
+            joints.append(joint.parent)
+        for tip in joint.tips:
+            here = world.positions[0, i]
+            ends.append((here, here + world.linear[0, i] @ np.asarray(tip)))
+            joints.append(i)
+    segments = np.array(ends, np.float64).reshape(-1, 2, 3)
+    owners = np.array(joints, np.int64)
+    lengths = np.linalg.norm(segments[:, 1] - segments[:, 0], axis=-1)
+    real = lengths > 1e-6 * lengths.max(initial=0.0)
+    return segments[real], owners[real]
+
+
+def author_bones(layer: Any, rig: Rig, paths: RigPaths, meters_per_unit: float) -> bool:
+    """Write a mesh of octahedra, each bound rigidly to its joint.
+
+    Returns whether there was a bone to write.
+    """
+    segments, owners = bone_segments(rig)
+    if not len(segments):
+        return False
+    corners, outwards = _octahedra(segments / meters_per_unit)
+    points = _narrow(corners.reshape(-1, 3), f"{paths.root}/Bones.points")
+    faces = (_FACES.reshape(1, -1) + 6 * np.arange(len(segments))[:, None]).reshape(-1)
+    spec = prim(layer, f"{paths.root}/Bones", "Mesh")
+    apply_schemas(spec, ["SkelBindingAPI"])
+    values = {
+        "faceVertexCounts": np.full(len(faces) // 3, 3, np.int32),
+        "faceVertexIndices": faces.astype(np.int32),
+        "points": points,
+        "normals": outwards.reshape(-1, 3).astype(np.float32),
+        "extent": np.stack([points.min(axis=0), points.max(axis=0)]),
+        "purpose": "guide",
+    }
+    author_mesh(spec, values, closed=True)
+    color = Vt.Vec3fArray([Gf.Vec3f(0.75, 0.72, 0.65)])
+    attribute(
+        spec,
+        "primvars:displayColor",
+        _TYPES.Color3fArray,
+        color,
+        interpolation="constant",
+    )
+    skinned = np.repeat(owners, 6).astype(np.int32)
+    for name, kind, value in (
+        ("jointIndices", _TYPES.IntArray, Vt.IntArray.FromNumpy(skinned)),
+        (
+            "jointWeights",
+            _TYPES.FloatArray,
+            Vt.FloatArray.FromNumpy(np.ones(len(skinned), np.float32)),
+        ),
+    ):
+        attr = attribute(
+            spec, f"primvars:skel:{name}", kind, value, interpolation="vertex"
+        )
+        attr.SetInfo("elementSize", 1)
+    identity = Gf.Matrix4d(1.0)
+    attribute(spec, "primvars:skel:geomBindTransform", _TYPES.Matrix4d, identity)
+    relationship(spec, "skel:skeleton", paths.skeleton)
+    return True
+
+
+def _octahedra(segments: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return six points a bone: head, four about the waist, tail; and their normals.
+
+    Both are ``(B, 6, 3)``.
+    """
+    along = segments[:, 1] - segments[:, 0]
+    head, tail = segments[:, 0] + GAP * along, segments[:, 1] - GAP * along
+    length = np.linalg.norm(along, axis=-1, keepdims=True)
+    direction = along / length
+    # The axis that the bone is least along gives a side that is never degenerate.
+    other = np.eye(3)[np.argmin(np.abs(direction), axis=-1)]
+    side = np.cross(direction, other)
+    side /= np.linalg.norm(side, axis=-1, keepdims=True)
+    front = np.cross(direction, side)
+    waist = head + WAIST * along
+    width = HALF_WIDTH * length
+    around = [side, front, -side, -front]
+    ring = [waist + width * v for v in around]
+    return (
+        np.stack([head, *ring, tail], axis=1),
+        np.stack([-direction, *around, direction], axis=1),
+    )

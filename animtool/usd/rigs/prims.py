@@ -1,0 +1,364 @@
+"""A Skeleton prim as a rig, where its prims stand, and values of attributes."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Iterator, Sequence, Sized
+from dataclasses import dataclass, replace
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pxr import Sdf, Usd, UsdGeom, UsdSkel
+
+from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.errors import Fault, Severity, excerpt, listed
+from animtool.core.quantities import CONTROL
+from animtool.core.similar import distinct, similar
+from animtool.core.units import UpAxis
+from animtool.maths import so3
+from animtool.rig.skeleton import CHANNEL_NAMES, Joint, Rig
+from animtool.usd.layers.dependencies import open_composed
+from animtool.usd.layers.faults import (
+    LARGEST_METADATA,
+    SMALLEST_METADATA,
+    Spot,
+    joint_order,
+    units_and_axis,
+)
+from animtool.usd.layers.sdf import check_prim_path, find_layer
+from animtool.usd.rigs.rest_pose import readable_rest
+
+# Whose names are compared with one that there is not.
+MAX_COMPARED = 20_000
+
+
+def array_value(attr: Any, time: Any = None) -> Any:
+    """Return an attribute's array; an empty one where it has none, or no array.
+
+    Without a time, that is the default, else the first sample.
+    """
+    value = attr.Get() if time is None else attr.Get(time)
+    if value is None and time is None:
+        value = attr.Get(Usd.TimeCode.EarliestTime())
+    return array_of(value)
+
+
+def array_of(value: Any) -> Any:
+    """Return a value that is an array; an empty one where it is none."""
+    return value if isinstance(value, Sized) and not isinstance(value, str) else ()
+
+
+def numbers(attr: Any, width: int, time: Any = None) -> FloatArray:
+    """Return an attribute's rows ``(N, width)``; none where it has another type."""
+    return numbers_of(array_value(attr, time), width)
+
+
+def numbers_of(value: Any, width: int) -> FloatArray:
+    """Return the rows of an array ``(N, width)``; none where it has another type."""
+    value = array_of(value)
+    numbers = np.array(value)
+    if numbers.dtype.kind not in "fiu" or numbers.size != len(value) * width:
+        return np.zeros((0, width))
+    return numbers.astype(np.float64).reshape(-1, width)
+
+
+def integers(attr: Any, time: Any = None) -> IntArray:
+    """Return an attribute's integers ``(N,)``; none where it has another type."""
+    numbers = np.array(array_value(attr, time))
+    if numbers.dtype.kind not in "iu" or numbers.ndim != 1:
+        return np.zeros(0, np.int64)
+    return numbers.astype(np.int64)
+
+
+def stored_data(prim: Any) -> dict[str, Any]:
+    """Return what ``animtool`` in a prim's customData holds, if it is a dictionary."""
+    data = prim.GetCustomDataByKey("animtool")
+    return data if isinstance(data, dict) else {}
+
+
+_CONTROL = re.compile(f"[{CONTROL}]")
+# Rest transforms are float32.
+LARGEST_REST = float(np.finfo(np.float32).max)
+
+
+@dataclass(frozen=True, slots=True)
+class SkeletonRig:
+    """A rig made of a Skeleton prim."""
+
+    rig: Rig  # its joints, named by the last part of their path
+    tokens: list[str]  # their paths as the prim has them
+    rest_scales: FloatArray  # scale of the rest transforms ``(J, 3)``
+    notices: tuple[Fault, ...] = ()  # what is odd about the prim
+
+
+def open_stage(path: Path) -> Any:
+    """Open a stage."""
+    stage = open_composed(find_layer(path), path)
+    _check_metadata(stage, Spot(str(path), "/"))
+    return stage
+
+
+def _check_metadata(stage: Any, where: Spot) -> None:
+    """Refuse metadata that no number on the stage could be read by."""
+    rate = stage.GetTimeCodesPerSecond()
+    if not SMALLEST_METADATA <= rate <= LARGEST_METADATA:
+        where.fail("USD253", f"timeCodesPerSecond is {rate}", "write 1e-9 to 1e9")
+    for name, code in (
+        ("startTimeCode", stage.GetStartTimeCode()),
+        ("endTimeCode", stage.GetEndTimeCode()),
+    ):
+        if not abs(code) <= LARGEST_METADATA:
+            where.fail("USD254", f"{name} is {code}", "write -1e9 to 1e9")
+    where.refuse(units_and_axis(stage))
+
+
+def find_prim(stage: Any, name: str) -> Any:
+    """Return the prim at an absolute path; None where there is none."""
+    valid = Sdf.Path.IsValidPathString(name) and Sdf.Path(name).IsAbsolutePath()
+    return (stage.GetPrimAtPath(name) or None) if valid else None
+
+
+def nearest_prim(stage: Any, name: str) -> str | None:
+    """Return a hint that names the prim whose path is most like one."""
+    all_of_them = islice(stage.Traverse(), MAX_COMPARED)
+    names = [str(prim.GetPath()) for prim in all_of_them]
+    near = similar(name, names)
+    return f"did you mean {near}?" if near else None
+
+
+def upwards(prim: Any) -> Iterator[Any]:
+    """Yield a prim and those above it, the nearest first, without the pseudo-root."""
+    while prim and not prim.IsPseudoRoot():
+        yield prim
+        prim = prim.GetParent()
+
+
+def placing_times(prim: Any) -> set[float]:
+    """Return the time codes of samples of what places a prim in the world."""
+    places = filter(None, map(UsdGeom.Xformable, upwards(prim)))
+    return {time for place in places for time in place.GetTimeSamples()}
+
+
+def find_skeletons(stage: Any, below: str = "/") -> list[Any]:
+    """Return the Skeleton prims on a stage, those inside instances too."""
+    start = stage.GetPrimAtPath(below)
+    if not start:
+        return []
+    prims = Usd.PrimRange(start, Usd.TraverseInstanceProxies())
+    return [UsdSkel.Skeleton(p) for p in prims if p.IsA(UsdSkel.Skeleton)]
+
+
+def animation_source(skeleton: Any) -> Any:
+    """Return the prim of the animation that UsdSkel resolves; None without."""
+    root = UsdSkel.Root.Find(skeleton.GetPrim())
+    if not root:
+        return None
+    cache = UsdSkel.Cache()
+    cache.Populate(root, Usd.TraverseInstanceProxies())
+    query = cache.GetSkelQuery(skeleton)
+    source = query.GetAnimQuery() if query else None
+    return source.GetPrim() if source else None
+
+
+def decompose(matrices: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Split row-vector matrices ``(..., 4, 4)`` into T, R, S, with M = S·R·T.
+
+    A mirror becomes a negative scale on all three axes. Shear is left out.
+    """
+    rotations, scales = so3.split_scale(matrices[..., :3, :3].swapaxes(-1, -2))
+    return matrices[..., 3, :3], rotations, scales
+
+
+def skeleton_rig(skeleton: Any, path: Path, *, animated: bool = True) -> SkeletonRig:
+    """Return the rig of a Skeleton prim, in metres.
+
+    A character of blend shapes alone has no joints.
+
+    animated: whether it is posed by what is bound to it, as it is not under a layer.
+    """
+    stage = skeleton.GetPrim().GetStage()
+    where = Spot.of(path, skeleton)
+    tokens = [str(token) for token in array_value(skeleton.GetJointsAttr())]
+    rest, notices = np.zeros((0, 4, 4)), list[Fault]()
+    if tokens:
+        rest, notices = readable_rest(skeleton, tokens, where, animated=animated)
+    data = stored_data(skeleton.GetPrim())
+    # What animtool wrote has names of its own.
+    named = () if data else array_value(skeleton.GetJointNamesAttr())
+    model = skeleton.GetPrim().GetParent().GetParent() or skeleton.GetPrim()
+    name = model.GetName() if model.GetName() != "/" else skeleton.GetPrim().GetName()
+    places = (skeleton.GetRestTransformsAttr(), skeleton.GetBindTransformsAttr())
+    authored = [attr for attr in places if attr.HasAuthoredValue()]
+    meters, up = _own_units((authored or places)[0], stage)
+    rig = rig_from_tokens(
+        tokens, rest, name, where, meters, up, data, [str(name) for name in named]
+    )
+    return replace(rig, notices=tuple(notices))
+
+
+def check_moves(joints: int, shapes: int, where: Spot) -> None:
+    """Refuse a character that has nothing to move."""
+    if not joints and not shapes:
+        where.fail("USD002", "there are no joints and no blend shapes")
+
+
+def rig_from_tokens(
+    tokens: Sequence[str],
+    rest: FloatArray,
+    name: str,
+    where: Spot,
+    meters_per_unit: float,
+    up: UpAxis,
+    data: dict[str, Any],
+    named: Sequence[str] = (),
+) -> SkeletonRig:
+    """Return the rig of joint paths and rest transforms ``(J, 4, 4)``, file units.
+
+    Joints are called as their paths end. Their names in the source are those of
+    ``data``, else ``named``, the Skeleton's ``jointNames``, where these are usable.
+    """
+    index = {token: i for i, token in enumerate(tokens)}
+    where.refuse(joint_order(f"{where.where}.joints", tokens))
+    if not isinstance(data, dict) or not all(
+        isinstance(data.get(key, {}), dict) for key in ("names", "pins")
+    ):
+        where.fail("USD007", "customData animtool is malformed")
+    extras = _extras(data, where)
+    originals = dict(data.get("names", {}))
+    names = named if _are_names(named, len(tokens)) else [""] * len(tokens)
+    translations, rotations, scales = decompose(rest)
+    joints: list[Joint] = []
+    uniques = distinct(token.rpartition("/")[2] for token in tokens)
+    for i, token in enumerate(tokens):
+        parent = _parent(token, index)
+        leaf = token.rpartition("/")[2]
+        if match := _CONTROL.search(f"{leaf}{originals.get(leaf, '')}"):
+            message = f"joint {excerpt(token)} holds the control character {match[0]!r}"
+            where.fail("DOC023", message)
+        unique = uniques[i]
+        own = extras.get(leaf, {})
+        x, y, z = (translations[i] * meters_per_unit).tolist()
+        a, b, c, w = rotations[i].tolist()
+        joints.append(
+            Joint(
+                unique,
+                parent,
+                translation=(x, y, z),
+                rotation=(a, b, c, w),
+                source_name=_source_name(originals.get(leaf), names[i], leaf, unique),
+                channels=own.get("channels"),
+                tips=own.get("tips", ()),
+            )
+        )
+    rig = Rig(name, tuple(joints), meters_per_unit, up)
+    return SkeletonRig(rig, list(tokens), scales)
+
+
+def _are_names(named: Sequence[str], joints: int) -> bool:
+    """Return whether there is a name for each joint, which files of text can hold."""
+    plain = all(name.strip() and name.isprintable() for name in named)
+    return plain and len(set(named)) == len(named) == joints
+
+
+def _source_name(original: Any, named: str, leaf: str, unique: str) -> str:
+    """Return what a joint's source calls it; empty where that is its own name."""
+    if original is not None:
+        return str(original)
+    name = named or leaf
+    return "" if name == unique else name
+
+
+def _parent(token: str, index: dict[str, int]) -> int:
+    """Return the nearest ancestor that is a joint, as UsdSkel.Topology does."""
+    while token := token.rpartition("/")[0]:
+        if token in index:
+            return index[token]
+    return -1
+
+
+def _extras(data: dict[str, Any], where: Spot) -> dict[str, dict[str, Any]]:
+    text = data.get("joints", "")
+    if not text:
+        return {}
+    try:
+        content = json.loads(text)
+        version, joints = content["animtool"], content["joints"]
+        extras = {str(name): _joint_extras(entry) for name, entry in joints.items()}
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        where.fail("USD007", f"customData animtool:joints is malformed: {error}")
+    if version != 1:
+        where.fail("USD007", f"customData animtool:joints needs animtool/{version}")
+    return extras
+
+
+def _joint_extras(entry: dict[str, Any]) -> dict[str, Any]:
+    """Return a joint's channels and tips, checked."""
+    channels, tips = entry.get("channels"), entry.get("tips", ())
+    if channels is not None:
+        channels = tuple(channels)
+        known = [name for name in CHANNEL_NAMES if name in channels]
+        if len(known) != len(channels):
+            raise ValueError(f"channels are some of {', '.join(CHANNEL_NAMES)}")
+    points = [(float(x), float(y), float(z)) for x, y, z in tips]
+    if not all(map(math.isfinite, sum(points, ()))):
+        raise ValueError("a tip is not finite")
+    return {"channels": channels, "tips": tuple(points)}
+
+
+def _own_units(attr: Any, stage: Any) -> tuple[float, UpAxis]:
+    """Return unit [m] and up axis of the layer that an attribute's value is from.
+
+    A shot in metres may refer to a rig in centimetres: the numbers of the rig, and
+    of an animation for it, are centimetres all the same.
+    """
+    meters, up = UsdGeom.GetStageMetersPerUnit(stage), up_axis(stage)
+    stack = attr.GetPropertyStack(Usd.TimeCode.Default())
+    root = stack[0].layer.pseudoRoot if stack else None
+    if root is not None and root.HasInfo("metersPerUnit"):
+        meters = float(root.GetInfo("metersPerUnit"))
+    if root is not None and root.HasInfo("upAxis"):
+        up = UpAxis(str(root.GetInfo("upAxis")))
+    return meters, up
+
+
+def up_axis(stage: Any) -> UpAxis:
+    """Return the up axis of a stage."""
+    return UpAxis(str(UsdGeom.GetStageUpAxis(stage)))
+
+
+def prim_below(stage: Any, prim_path: str | None) -> str:
+    """Return the prim to look below: the one named, the default one, or all."""
+    if prim_path is not None:
+        check_prim_path(prim_path)
+        return prim_path
+    default = stage.GetDefaultPrim()
+    if default and find_skeletons(stage, str(default.GetPath())):
+        return str(default.GetPath())
+    return "/"
+
+
+def composition_notices(stage: Any, where: str) -> list[Fault]:
+    """Name what the stage refers to and does not find."""
+    texts = sorted(
+        {" ".join(str(error).split()) for error in stage.GetCompositionErrors()}
+    )
+    return [
+        Fault("USD112", text[:300], where, severity=Severity.WARNING) for text in texts
+    ]
+
+
+def others_notice(
+    skeletons: list[Any], where: str, hint: str | None = None
+) -> list[Fault]:
+    """Name the characters that are passed over where there are several."""
+    if len(skeletons) < 2:
+        return []
+    taken, *others = [str(skeleton.GetPath()) for skeleton in skeletons]
+    message = (
+        f"{taken} is taken of {len(skeletons)} skeletons; the others: {listed(others)}"
+    )
+    return [Fault("USD107", message, where, (), hint, Severity.WARNING)]

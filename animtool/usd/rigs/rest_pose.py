@@ -1,0 +1,167 @@
+"""The rest pose of a Skeleton, and what is used where none is authored.
+
+UsdSkel poses a Skeleton without restTransforms by an animation of all its joints, and
+not at all by one that lacks some.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from pxr import Usd, UsdSkel
+
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault, Severity, counted, listed
+from animtool.core.rules import finding
+from animtool.maths import so3
+from animtool.usd.layers.faults import (
+    Spot,
+    finite_transforms,
+    joint_parents,
+    own_matrices,
+    singular,
+    tokens,
+    transform_attributes,
+)
+
+MAX_NAMED = 6
+
+
+@dataclass(frozen=True, slots=True)
+class RestPose:
+    """Rest transforms of a Skeleton's joints."""
+
+    matrices: FloatArray  # relative to the parents, as USD has them ``(J, 4, 4)``
+    source: str = ""  # what they are taken from; empty where they are authored
+
+
+def rest_pose(skeleton: Any, joints: Sequence[str]) -> RestPose | None:
+    """Return the rest pose of a Skeleton, as authored where it is.
+
+    Else it is the bind pose; without one, the first sample of a bound animation of all
+    joints. None where there is neither.
+    """
+    rest = own_matrices(skeleton.GetRestTransformsAttr())
+    if len(rest):
+        return RestPose(rest)
+    bind = relative_bind(skeleton, joints)
+    if bind is not None:
+        return RestPose(bind, "the bind pose")
+    first = _first_sample(_animation(skeleton), joints)
+    return None if first is None else RestPose(first, "the animation's first sample")
+
+
+def relative_bind(skeleton: Any, joints: Sequence[str]) -> FloatArray | None:
+    """Return the bind transforms relative to the parents ``(J, 4, 4)``.
+
+    None where they are of another number, not finite or without an inverse, or
+    identities of several joints, which are placeholders.
+    """
+    bind = own_matrices(skeleton.GetBindTransformsAttr())
+    if len(bind) != len(joints) or not np.isfinite(bind).all():
+        return None
+    if singular(bind).any() or (len(bind) > 1 and (bind == np.eye(4)).all()):
+        return None
+    rest = np.array(bind, np.float64)
+    for joint, parent in enumerate(joint_parents(joints).tolist()):
+        if parent >= 0:
+            rest[joint] = bind[joint] @ np.linalg.inv(bind[parent])
+    return np.ascontiguousarray(rest)
+
+
+def rest_transforms(
+    skeleton: Any, joints: Sequence[str], *, animated: bool = True
+) -> Iterator[Fault]:
+    """Yield what is wrong with the rest transforms of a Skeleton that has joints.
+
+    animated: whether what it is bound to counts, as it does not for a layer over it.
+    """
+    attr = skeleton.GetRestTransformsAttr()
+    rest = own_matrices(attr)
+    if not len(rest):
+        yield _missing(skeleton, joints, animated=animated)
+    elif len(rest) != len(joints):
+        message = f"{counted(len(rest), 'restTransform')}"
+        message += f" for {counted(len(joints), 'joint')}"
+        yield finding("USD223", attr.GetPath(), message)
+    else:
+        yield from finite_transforms(attr, rest, joints)
+
+
+def _missing(skeleton: Any, joints: Sequence[str], *, animated: bool) -> Fault:
+    """Return the finding of no rest transforms: a warning where others stand in."""
+    where = skeleton.GetRestTransformsAttr().GetPath()
+    message = f"no restTransforms for {counted(len(joints), 'joint')}"
+    lacking = _lacking(_animation(skeleton), joints) if animated else []
+    if lacking:
+        message += f", and the animation lacks {len(lacking)} of them: "
+        message += f"{listed(lacking, MAX_NAMED)}; UsdSkel poses none"
+        return finding("USD239", where, message)
+    pose = rest_pose(skeleton, joints)
+    if pose is None:
+        message += ", and no bindTransforms or animation of all joints in their place"
+        return finding("USD239", where, message)
+    return finding("USD229", where, f"{message}; {pose.source} is the rest pose")
+
+
+def readable_rest(
+    skeleton: Any, joints: Sequence[str], where: Spot, *, animated: bool = True
+) -> tuple[FloatArray, list[Fault]]:
+    """Return the rest transforms ``(J, 4, 4)`` and a warning where others stand in.
+
+    What no reader can go on with is raised.
+    """
+    faults = list(rest_transforms(skeleton, joints, animated=animated))
+    replaced = [fault for fault in faults if fault.code == "USD229"]
+    where.refuse(fault for fault in faults if fault not in replaced)
+    pose = rest_pose(skeleton, joints)
+    matrices = np.zeros((0, 4, 4)) if pose is None else pose.matrices
+    warning = Severity.WARNING
+    return matrices, [
+        replace(fault, path=where.path, severity=warning) for fault in replaced
+    ]
+
+
+def _animation(skeleton: Any) -> Any:
+    """Return the animation that a Skeleton is bound to; None without."""
+    binding = UsdSkel.BindingAPI(skeleton.GetPrim())
+    source = binding.GetInheritedAnimationSource()
+    return UsdSkel.Animation(source) if source else None
+
+
+def _lacking(animation: Any, joints: Sequence[str]) -> list[str]:
+    """Return the joints that an animation lacks, where it moves any."""
+    if animation is None:
+        return []
+    moved = set(tokens(animation.GetJointsAttr()))
+    parts = transform_attributes(animation).values()
+    if not moved or not all(attr.HasAuthoredValue() for attr in parts):
+        return []
+    return [joint for joint in joints if joint not in moved]
+
+
+def _first_sample(animation: Any, joints: Sequence[str]) -> FloatArray | None:
+    """Return the first pose of an animation of all joints, as USD's matrices."""
+    if animation is None or _lacking(animation, joints):
+        return None
+    index = {name: i for i, name in enumerate(tokens(animation.GetJointsAttr()))}
+    first = Usd.TimeCode.EarliestTime()
+    parts = []
+    for attr, width in zip(
+        transform_attributes(animation).values(), (3, 4, 3), strict=True
+    ):
+        rows = np.array(attr.Get(first) or (), np.float64)
+        if rows.shape != (len(index), width) or not np.isfinite(rows).all():
+            return None
+        parts.append(rows[[index[joint] for joint in joints]])
+    moves, turns, sizes = parts
+    if not np.linalg.norm(turns, axis=1).all():
+        return None
+    matrices = np.tile(np.eye(4), (len(joints), 1, 1))
+    linear = so3.to_matrix(so3.normalize(turns)).swapaxes(-1, -2)
+    matrices[:, :3, :3] = sizes[:, :, None] * linear
+    matrices[:, 3, :3] = moves
+    return matrices

@@ -1,0 +1,229 @@
+"""Authoring a rig's prims: model, SkelRoot, Skeleton, strands."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from pxr import Sdf, Vt
+
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault, FormatError
+from animtool.maths import so3
+from animtool.rig.kinematics import bind_world
+from animtool.rig.parts import ArraySource, Shape
+from animtool.rig.skeleton import JointType, Rig
+from animtool.rig.surfaces import Strands, strands_of
+from animtool.rig.write import rig_text
+from animtool.usd.layers.finite import Labels, narrowed
+from animtool.usd.layers.names import RigPaths, UsdNames, distinct_names
+from animtool.usd.layers.sdf import (
+    apply_schemas,
+    attribute,
+    author_model,
+    prim,
+    relationship,
+)
+from animtool.usd.rigs.recorded_place import KEY, place_record
+
+_TYPES = Sdf.ValueTypeNames
+_EXTRAS_VERSION = 1
+# Below the SkelRoot, what holds the curves.
+SCOPE = "Strands"
+# How wide curves are drawn [m]: the format of rigs says nothing of it.
+WIDTH = 4e-4
+
+
+def author_rig(
+    layer: Any, rig: Rig, names: UsdNames, paths: RigPaths, meters_per_unit: float
+) -> None:
+    """Write the model, the SkelRoot and the Skeleton of a rig, with its strands."""
+    author_model(layer, paths.model)
+    prim(layer, paths.root, "SkelRoot")
+    spec = prim(layer, paths.skeleton, "Skeleton")
+    types = Sdf.ValueTypeNames
+    tokens = Vt.TokenArray(rig.paths(names.names))
+    attribute(spec, "joints", types.TokenArray, tokens, uniform=True)
+    world = bind_world(rig)
+    bind = _matrices(world.positions[0] / meters_per_unit, world.linear[0])
+    local = so3.to_matrix(rig.rest_rotations)
+    rest = _matrices(rig.rest_translations / meters_per_unit, local)
+    matrices = types.Matrix4dArray
+    attribute(spec, "bindTransforms", matrices, bind, uniform=True)
+    attribute(spec, "restTransforms", matrices, rest, uniform=True)
+    if any(entry.points is not None for entry in rig.attach):
+        named = dict(zip(rig.names, map(str, tokens), strict=True))
+        author_strands(layer, strands_of(rig), paths, named, meters_per_unit)
+    data: dict[str, Any] = {}
+    if says_more(rig):
+        data["rig"] = rig_text(stripped(rig))
+        if pins := _pins(rig):
+            data["pins"] = pins
+        data["hash"] = skeleton_hash(tokens, rest, bind)
+    if extras := joint_extras(rig, names.names):
+        data["joints"] = extras
+    if names.originals:
+        data["names"] = names.originals
+    if place := place_record(rig):
+        data[KEY] = place
+    if data:
+        spec.SetInfo("customData", {"animtool": data})
+
+
+def says_more(rig: Rig) -> bool:
+    """Return whether a rig holds what USD has no place for.
+
+    The type of a joint with channels follows from these, which stand apart.
+    """
+    parts = (rig.controls, rig.ik, rig.attach, rig.colliders)
+    return any(map(bool, parts)) or any(
+        (joint.type is not JointType.FREE and joint.channels is None)
+        or joint.limits is not None
+        or joint.mimic is not None
+        or joint.mirror
+        for joint in rig.joints
+    )
+
+
+def stripped(rig: Rig) -> Rig:
+    """Return a rig without the arrays, which USD holds."""
+    shapes = tuple(
+        Shape(shape.name, combine=shape.combine, driven=shape.driven)
+        for shape in rig.shapes
+    )
+    attach = tuple(replace(entry, pins=None, points=None) for entry in rig.attach)
+    return replace(rig, meshes=(), shapes=shapes, attach=attach)
+
+
+def _pins(rig: Rig) -> dict[str, Any]:
+    """Return the vertices that stay with the skin, by the cloth's name."""
+    return {
+        entry.name: Vt.IntArray.FromNumpy(_whole(entry.pins, entry.name))
+        for entry in rig.attach
+        if entry.pins is not None
+    }
+
+
+def _whole(source: ArraySource, name: str) -> Any:
+    try:
+        return np.ascontiguousarray(source.load(), np.int32)
+    except ValueError as error:
+        raise FormatError(Fault("RIG018", f"{name!r}: {error}")) from error
+
+
+def skeleton_hash(tokens: Any, rest: Any, bind: Any) -> str:
+    """Return a hash of the joints, rest and bind transforms of a Skeleton."""
+    digest = hashlib.sha256("\n".join(map(str, tokens)).encode())
+    for matrices in (rest, bind):
+        digest.update(np.array(matrices, "<f8").tobytes())
+    return digest.hexdigest()
+
+
+def _matrices(positions: FloatArray, linear: FloatArray) -> Any:
+    """Return row-vector matrices, as USD has them."""
+    whole = np.zeros((len(positions), 4, 4))
+    whole[:, :3, :3] = linear.swapaxes(-1, -2)
+    whole[:, 3, :3] = positions
+    whole[:, 3, 3] = 1.0
+    return Vt.Matrix4dArray.FromNumpy(whole)
+
+
+def joint_extras(rig: Rig, names: list[str]) -> str:
+    """Return what USD has no place for, as canonical JSON; empty if there is none.
+
+    Channel orders and the ends of bones [m], by USD name.
+    """
+    joints: dict[str, dict[str, object]] = {}
+    for joint, name in zip(rig.joints, names, strict=True):
+        entry: dict[str, object] = {}
+        if joint.channels is not None:
+            entry["channels"] = list(joint.channels)
+        if joint.tips:
+            entry["tips"] = [list(tip) for tip in joint.tips]
+        if entry:
+            joints[name] = entry
+    if not joints:
+        return ""
+    content = {"animtool": _EXTRAS_VERSION, "joints": joints}
+    return json.dumps(content, sort_keys=True, separators=(",", ":"))
+
+
+def author_binding(
+    layer: Any, paths: RigPaths, *, skeleton: bool, animation: bool = True
+) -> None:
+    """Bind the animation, and the skeleton too where the rig does not."""
+    spec = layer.GetPrimAtPath(paths.binding)
+    if spec is None:
+        spec = prim(layer, paths.binding, over=True)
+    apply_schemas(spec, ["SkelBindingAPI"])
+    if animation:
+        relationship(spec, "skel:animationSource", paths.animation)
+    if skeleton:
+        relationship(spec, "skel:skeleton", paths.skeleton)
+
+
+def strand_paths(strands: Sequence[Strands], paths: RigPaths) -> tuple[str, ...]:
+    """Return paths of the strands' prims."""
+    names_given = [entry.name for entry in strands]
+    names = distinct_names(names_given, names_given, names_given).names
+    return tuple(f"{paths.root}/{SCOPE}/{name}" for name in names)
+
+
+def author_strands(
+    layer: Any,
+    strands: Sequence[Strands],
+    paths: RigPaths,
+    tokens: Mapping[str, str],
+    meters_per_unit: float,  # unit of the layer [m]
+    *,
+    bound: bool = True,
+) -> None:
+    """Write strands as linear curves below the SkelRoot, each bound to its joint."""
+    if not strands:
+        return
+    prim(layer, f"{paths.root}/{SCOPE}", "Scope")
+    for entry, path in zip(strands, strand_paths(strands, paths), strict=True):
+        spec = prim(layer, path, "BasisCurves")
+        if Sdf.Path(path).name != entry.name:
+            spec.SetInfo("customData", {"animtool": {"name": entry.name}})
+        _curves(spec, entry.points / meters_per_unit, WIDTH / meters_per_unit)
+        if bound:
+            _bound(spec, tokens[entry.joint])
+
+
+def _curves(spec: Any, points: FloatArray, width: float) -> None:
+    from pxr import UsdGeom
+
+    from animtool.usd.caches.writer import LINEAR, author_values, author_width
+
+    count, length = points.shape[:2]
+    labels = Labels(f"{spec.path}.points", "point")
+    flat = np.ascontiguousarray(narrowed(points.reshape(-1, 3), "f", labels))
+    places, widths = Vt.Vec3fArray.FromNumpy(flat), Vt.FloatArray([width])
+    values = {
+        "extent": np.array(UsdGeom.Curves.ComputeExtent(places, widths)),
+        **LINEAR,
+        "curveVertexCounts": np.full(count, length, np.int32),
+        "points": flat,
+    }
+    author_values(spec, values)
+    author_width(spec, width)
+
+
+def _bound(spec: Any, token: str) -> None:
+    """Bind a prim to one joint as a whole."""
+    apply_schemas(spec, ["SkelBindingAPI"])
+    own = Vt.TokenArray([token])
+    attribute(spec, "skel:joints", _TYPES.TokenArray, own, uniform=True)
+    for name, kind, value in (
+        ("jointIndices", _TYPES.IntArray, Vt.IntArray([0])),
+        ("jointWeights", _TYPES.FloatArray, Vt.FloatArray([1.0])),
+    ):
+        attr = attribute(
+            spec, f"primvars:skel:{name}", kind, value, interpolation="constant"
+        )
+        attr.SetInfo("elementSize", 1)

@@ -1,0 +1,198 @@
+"""Prims that a Skeleton moves: which they are, and what they are read by."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pxr import Kind, Sdf, Usd, UsdGeom, UsdSkel
+
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault, OptionError, Severity, listed
+from animtool.rig.kinematics import WorldTransforms
+from animtool.usd.layers.faults import Spot
+from animtool.usd.rigs.prims import (
+    SkeletonRig,
+    find_skeletons,
+    numbers,
+    stored_data,
+    upwards,
+)
+
+
+def is_shown_mesh(prim: Any) -> bool:
+    """Return whether a prim is a mesh, and no guide as the bones of a skeleton are."""
+    return bool(
+        prim.IsA(UsdGeom.Mesh)
+        and UsdGeom.Imageable(prim).ComputePurpose() != UsdGeom.Tokens.guide
+    )
+
+
+def skinned_prims(skeleton: Any, schema: Any) -> list[Any]:
+    """Return queries of the prims of a schema that a Skeleton moves."""
+    root = UsdSkel.Root.Find(skeleton.GetPrim())
+    if not root:
+        return []
+    cache = UsdSkel.Cache()
+    cache.Populate(root, Usd.TraverseInstanceProxies())
+    bindings = cache.ComputeSkelBindings(root, Usd.TraverseInstanceProxies())
+    return [
+        query
+        for binding in bindings
+        if binding.GetSkeleton().GetPrim() == skeleton.GetPrim()
+        for query in binding.GetSkinningTargets()
+        if query.GetPrim().IsA(schema)
+    ]
+
+
+# What binds a prim to a Skeleton, and its values to joints and shapes.
+_BINDING = ("primvars:skel:jointIndices", "skel:blendShapeTargets")
+
+
+def unbound_notice(skeleton: Any, where: str) -> list[Fault]:
+    """Name what stays at rest because SkelBindingAPI is not applied to it."""
+    root = UsdSkel.Root.Find(skeleton.GetPrim())
+    if not root:
+        return []
+    below = Usd.PrimRange(root.GetPrim(), Usd.TraverseInstanceProxies())
+    unbound = [
+        str(prim.GetPath())
+        for prim in below
+        if prim.IsA(UsdGeom.Gprim)
+        and not prim.HasAPI(UsdSkel.BindingAPI)
+        and any(prim.HasProperty(name) for name in _BINDING)
+    ]
+    if not unbound:
+        return []
+    message = f"SkelBindingAPI is not applied to {listed(unbound, MAX_NAMED)}"
+    message += ", which no joint or shape moves"
+    return [Fault("USD144", message, where, (), BINDING_HINT, Severity.WARNING)]
+
+
+def ignored_binding(skeleton: Any) -> str:
+    """Return the prim whose binding UsdSkel ignores for want of its schema, or none."""
+    for prim in upwards(skeleton):
+        bound = prim.GetRelationship("skel:animationSource")
+        if bound and bound.GetTargets() and not prim.HasAPI(UsdSkel.BindingAPI):
+            return str(prim.GetPath())
+    return ""
+
+
+BINDING_HINT = "UsdSkel ignores the binding; apply it, as animtool validate --fix does"
+
+
+def prim_name(prim: Any) -> str:
+    """Return the name that a prim was written from."""
+    data = stored_data(prim)
+    return str(data.get("name", prim.GetName()))
+
+
+def unique_name(name: str, used: set[str]) -> str:
+    """Return a name, with a number where it is used; it is used from then on."""
+    unique, number = name, 2
+    while unique in used:
+        unique, number = f"{name}_{number}", number + 1
+    used.add(unique)
+    return unique
+
+
+def floats(attr: Any, width: int, at: Spot, code: str = "USD017") -> FloatArray:
+    """Return the rows of an attribute ``(N, width)``; ``code``: of one not finite."""
+    # Points that are sampled only are those of the first sample.
+    values = numbers(attr, width, Usd.TimeCode.EarliestTime())
+    if not np.isfinite(values).all():
+        message = f"{attr.GetName()} hold a value that is not finite"
+        at.fail(code, message)
+    return values
+
+
+def joint_names(query: Any, rig: SkeletonRig, at: Spot) -> tuple[str, ...]:
+    """Return the rig's names of the joints that a prim's indices count."""
+    order = query.GetJointOrder()
+    index = {token: i for i, token in enumerate(rig.tokens)}
+    tokens: Sequence[str] = rig.tokens if order is None else [str(t) for t in order]
+    unknown = [token for token in tokens if token not in index]
+    if unknown:
+        message = f"{unknown[0]!r} is no joint of the Skeleton"
+        at.fail("USD238", message)
+    return tuple(rig.rig.names[index[token]] for token in tokens)
+
+
+def played_world(path: Path, codes: FloatArray) -> WorldTransforms:
+    """Return the world transforms of the first skeleton of a stage, by UsdSkel.
+
+    codes: time codes, between samples too ``(F,)``.
+    """
+    stage = Usd.Stage.Open(str(path))
+    prim = next(p for p in stage.Traverse() if p.IsA(UsdSkel.Skeleton))
+    root = UsdSkel.Root.Find(prim)
+    cache = UsdSkel.Cache()
+    cache.Populate(root, Usd.PrimDefaultPredicate)
+    query = cache.GetSkelQuery(UsdSkel.Skeleton(prim))
+    joints = len(query.GetJointOrder())
+    local = np.zeros((len(codes), joints, 4, 4))
+    placed = np.zeros((len(codes), 1, 4, 4))
+    # UsdSkel evaluates one time at a time.
+    for i, code in enumerate(codes.tolist()):
+        when = Usd.TimeCode(code)
+        local[i] = query.ComputeJointSkelTransforms(when)
+        placed[i] = UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(when)
+    # Rows of USD's matrices are columns of ours.
+    world = np.swapaxes(local @ placed, -1, -2)
+    positions = world[..., :3, 3] * UsdGeom.GetStageMetersPerUnit(stage)
+    return WorldTransforms(
+        np.ascontiguousarray(positions), np.ascontiguousarray(world[..., :3, :3])
+    )
+
+
+MAX_NAMED = 40
+
+
+def character_paths(stage: Any) -> list[str]:
+    """Return the prims that stand for the characters of a stage.
+
+    Of each Skeleton that is the component it is part of, else its SkelRoot.
+    """
+    paths = [_character(skeleton.GetPrim()) for skeleton in find_skeletons(stage)]
+    return list(dict.fromkeys(paths))
+
+
+def _character(skeleton: Any) -> str:
+    root = UsdSkel.Root.Find(skeleton)
+    top = root.GetPrim() if root else skeleton
+    for prim in upwards(top):
+        if Kind.Registry.IsA(Usd.ModelAPI(prim).GetKind(), Kind.Tokens.component):
+            return str(prim.GetPath())
+    return str(top.GetPath())
+
+
+def holds_character(stage: Any, prim_path: str, where: str) -> bool:
+    """Return whether a stage has a character at a path, or is a rig to put there.
+
+    A rig alone has one character, at the top, and nothing where the path begins: a
+    shot will have it at the path. Any other stage is the shot itself, in which the
+    path must be that of a character.
+    """
+    if find_skeletons(stage, prim_path):
+        return True
+    characters = character_paths(stage)
+    if not characters or _is_rig_alone(stage, prim_path, characters):
+        return False
+    there = listed(characters, MAX_NAMED)
+    message = f"has no character at {prim_path}, but at {there}"
+    hint = "only a file of one rig alone may be given a path that it lacks"
+    raise OptionError(Fault("USD033", message, where, (), hint))
+
+
+def _is_rig_alone(stage: Any, prim_path: str, characters: list[str]) -> bool:
+    if stage.GetPrimAtPath(Sdf.Path(prim_path).GetPrefixes()[0]):
+        return False
+    if len(characters) > 1:
+        return False
+    prim = stage.GetPrimAtPath(characters[0])
+    # A component further down is what a shot, or a set, refers to.
+    below = Sdf.Path(characters[0]).pathElementCount > 1
+    is_model = Kind.Registry.IsA(Usd.ModelAPI(prim).GetKind(), Kind.Tokens.component)
+    return not (below and is_model)

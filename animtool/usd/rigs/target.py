@@ -1,0 +1,459 @@
+"""The rig that an animation layer is made for."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pxr import Sdf, Usd, UsdGeom, UsdSkel
+
+from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.errors import Fault, FormatError, Severity, excerpt, naming
+from animtool.core.rates import rate_from_float
+from animtool.core.units import UpAxis, unit_name
+from animtool.motion.motion import Channel, Motion
+from animtool.motion.reorient import placed_motion
+from animtool.rig.fit import Fit, check_fit
+from animtool.rig.placed import at_origin, placed_rig
+from animtool.rig.placement import Placement
+from animtool.rig.shapes import arkit_name
+from animtool.rig.skeleton import Rig
+from animtool.usd.layers.names import RigPaths, UsdNames, joint_names, legal_name
+from animtool.usd.layers.sdf import check_prim_path, usd_errors
+from animtool.usd.layers.stderr import without_usd_warnings
+from animtool.usd.rigs.placement import (
+    SkeletonPlacement,
+    moves_root,
+    skeleton_placement,
+)
+from animtool.usd.rigs.prims import (
+    SkeletonRig,
+    animation_source,
+    array_value,
+    composition_notices,
+    find_skeletons,
+    open_stage,
+    others_notice,
+    prim_below,
+    skeleton_rig,
+    up_axis,
+)
+from animtool.usd.rigs.skinned import (
+    holds_character,
+    is_shown_mesh,
+    unbound_notice,
+)
+from animtool.usd.takes.over_rig import OverRig
+
+
+@dataclass(frozen=True, slots=True)
+class RigTarget:
+    """A rig on a stage, and where a layer over it has its prims."""
+
+    path: Path
+    stage: Any
+    skeleton: SkeletonRig
+    paths: RigPaths  # prims as the layer names them
+    stage_model: str  # the model as the rig's own stage names it
+    fps: Fraction  # the stage's time codes a second
+    start: Fraction | None  # the stage's start time code, where it states one
+    operations: list[str]  # transform operations of the SkelRoot that place it
+    moves: bool  # whether it has others, which move it: the take replaces those
+    skeletons: int  # how many skeletons share the SkelRoot's extent
+    unit: float  # length unit that the stage states [m]; the rig has its own
+    up: UpAxis  # up axis that the stage states
+    notices: list[Fault]  # what is odd about it
+
+    def placement(self, codes: FloatArray | None = None) -> SkeletonPlacement:
+        """Return where the rig's stage has its Skeleton, at time codes."""
+        prim = self.stage.GetPrimAtPath(self.on_stage(self.paths.skeleton))
+        times = None if codes is None else codes.tolist()
+        return skeleton_placement(prim, self.skeleton.rig, times)
+
+    @property
+    def names(self) -> UsdNames:
+        """Names of its joints, and those of their source where they are others."""
+        rig, tokens = self.skeleton.rig, self.skeleton.tokens
+        originals = {
+            leaf: joint.source_name
+            for joint, token in zip(rig.joints, tokens, strict=True)
+            if (leaf := token.rpartition("/")[2]) != joint.source_name
+            and joint.source_name
+        }
+        return UsdNames(rig.names, originals, [])
+
+    def on_stage(self, path: str) -> str:
+        """Return where the rig's own stage has a prim of a layer over it."""
+        model = Sdf.Path(self.stage_model)
+        return str(Sdf.Path(path).ReplacePrefix(Sdf.Path(self.paths.model), model))
+
+    def on_layer(self, path: Any) -> str:
+        """Return where a layer over the rig has a prim of its own stage."""
+        model = Sdf.Path(self.paths.model)
+        return str(Sdf.Path(path).ReplacePrefix(Sdf.Path(self.stage_model), model))
+
+
+def open_target(path: Path, prim_path: str | None) -> RigTarget:
+    """Open the stage that holds a rig: a rig layer, or a shot that refers to one."""
+    with usd_errors(path), without_usd_warnings():
+        return _target(open_stage(path), path, prim_path)
+
+
+def _target(stage: Any, path: Path, prim_path: str | None) -> RigTarget:
+    moved_to: str | None = None
+    if prim_path is not None:
+        check_prim_path(prim_path)
+        if not holds_character(stage, prim_path, str(path)):
+            prim_path, moved_to = None, prim_path
+    below = prim_below(stage, prim_path)
+    skeletons = find_skeletons(stage, below)
+    if not skeletons:
+        message = f"holds no Skeleton below {below}"
+        hint = "--rig-layer names a layer that --split wrote, or a shot that uses one"
+        raise FormatError(Fault("USD008", message, str(path), (), hint))
+    prim = skeletons[0].GetPrim()
+    root = UsdSkel.Root.Find(prim)
+    if not root:
+        message = f"the Skeleton {prim.GetPath()} is in no SkelRoot"
+        raise FormatError(Fault("USD009", message, str(path)))
+    model = _model(stage, root, prim_path)
+    paths = RigPaths(
+        str(model),
+        str(root.GetPath()),
+        str(prim.GetPath()),
+        str(root.GetPath().AppendChild("Anim")),
+        _binding(prim, root, model),
+    )
+    if moved_to is not None:
+        paths = _moved(paths, str(model), moved_to)
+    start = None
+    if stage.HasAuthoredMetadata("startTimeCode"):
+        start = Fraction(stage.GetStartTimeCode()).limit_denominator(1_000_000)
+    placing, moving = _operations(root)
+    notices = composition_notices(stage, str(path))
+    notices += others_notice(skeletons, str(path), "--prim-path names one")
+    if moved_to is None:
+        notices += _bound_in_shot(stage, paths, str(path))
+    skeleton = skeleton_rig(skeletons[0], path, animated=False)
+    notices += skeleton.notices
+    notices += unbound_notice(skeletons[0], str(path))
+    notices += _unit_notice(stage, skeleton.rig, str(path))
+    if moving:
+        message = f"the SkelRoot {root.GetPath()} moves by {', '.join(moving)}"
+        hint = "the take replaces that motion"
+        notices.append(Fault("USD108", message, str(path), (), hint, Severity.NOTE))
+    return RigTarget(
+        path,
+        stage,
+        skeleton,
+        paths,
+        str(model),
+        rate_from_float(stage.GetTimeCodesPerSecond()),
+        start,
+        placing,
+        bool(moving),
+        len(find_skeletons(stage, str(root.GetPath()))),
+        UsdGeom.GetStageMetersPerUnit(stage),
+        up_axis(stage),
+        notices,
+    )
+
+
+def _unit_notice(stage: Any, rig: Rig, where: str) -> list[Fault]:
+    """Say so where a shot is in other units than the rig that it refers to."""
+    unit, up = UsdGeom.GetStageMetersPerUnit(stage), up_axis(stage)
+    same_unit = math.isclose(unit, rig.meters_per_unit, rel_tol=1e-6)
+    if same_unit and up is rig.up:
+        return []
+    mine = f"{unit_name(rig.meters_per_unit)}, {rig.up} up"
+    message = f"the stage is in {unit_name(unit)}, {up} up, its rig in {mine}"
+    hint = "the animation is in the rig's; the shot's own transform must match them"
+    return [Fault("USD110", message, where, (), hint, Severity.NOTE)]
+
+
+def _bound_in_shot(stage: Any, paths: RigPaths, where: str) -> list[Fault]:
+    """Say so where a shot itself binds an animation to a rig that it refers to."""
+    layer = stage.GetRootLayer()
+    skeleton = layer.GetPrimAtPath(paths.skeleton)
+    if skeleton is not None and skeleton.specifier == Sdf.SpecifierDef:
+        return []
+    if layer.GetPropertyAtPath(f"{paths.binding}.skel:animationSource") is None:
+        return []
+    message = f"the shot itself binds an animation at {paths.binding}"
+    hint = "as its sublayer the layer would be weaker: put it above the shot"
+    return [Fault("USD132", message, where, (), hint, Severity.WARNING)]
+
+
+def _operations(root: Any) -> tuple[list[str], list[str]]:
+    """Return the transform operations that place a SkelRoot, and that move it."""
+    placing: list[str] = []
+    moving: list[str] = []
+    for operation in UsdGeom.Xformable(root).GetOrderedXformOps():
+        names = moving if moves_root(operation) else placing
+        names.append(str(operation.GetOpName()))
+    return placing, moving
+
+
+def _model(stage: Any, root: Any, prim_path: str | None) -> Any:
+    """Return the path of the prim that stands for the character."""
+    if prim_path is not None and root.GetPath().HasPrefix(Sdf.Path(prim_path)):
+        return Sdf.Path(prim_path)
+    default = stage.GetDefaultPrim()
+    if default and root.GetPath().HasPrefix(default.GetPath()):
+        return default.GetPath()
+    return root.GetPath().GetPrefixes()[0]
+
+
+def _binding(skeleton: Any, root: Any, model: Any) -> str:
+    """Return the prim nearest the Skeleton that binds an animation, else the root.
+
+    What binds above the model is not the character's alone: the root is nearer.
+    """
+    prim = skeleton
+    while prim and prim.GetPath().HasPrefix(model):
+        source = prim.GetRelationship("skel:animationSource")
+        if source and source.HasAuthoredTargets():
+            return str(prim.GetPath())
+        prim = prim.GetParent()
+    return str(root.GetPath())
+
+
+def _moved(paths: RigPaths, model: str, to: str) -> RigPaths:
+    def move(path: str) -> str:
+        return str(Sdf.Path(path).ReplacePrefix(Sdf.Path(model), Sdf.Path(to)))
+
+    return RigPaths(
+        move(paths.model),
+        move(paths.root),
+        move(paths.skeleton),
+        move(paths.animation),
+        move(paths.binding),
+    )
+
+
+_NONE: IntArray = np.zeros(0, np.int64)
+
+
+@dataclass(frozen=True, slots=True)
+class JointMap:
+    """How the joints of a take stand in a target rig."""
+
+    rig: Rig  # the target's joints
+    # Joint of the take for each joint of the target ``(J,)``, -1 for none.
+    source: IntArray
+    rest_scales: FloatArray  # scale of the target's rest ``(J, 3)``
+    # Joints and shapes of the take that the target lacks, or spells in another way.
+    notices: list[Fault]
+    shapes: tuple[str, ...] = ()  # names of the take's shapes as the target has them
+    # How well the take's rest skeleton fits; None where there are no joints.
+    fit: Fit | None = None
+    # From where the take is to the numbers of the rig, at time codes ``(F,)``; None is
+    # the same.
+    to_rig: Callable[[FloatArray], Placement] | None = None
+    roots: IntArray = field(default_factory=lambda: _NONE)  # of the take
+    size: float = 1.0  # of the world, a length of 1 m in the numbers of the rig
+
+    def at(self, codes: FloatArray, motion: Motion) -> Motion:
+        """Return the motion of the target at time codes ``(F,)``; see `apply`."""
+        if self.to_rig is not None:
+            motion = placed_motion(motion, self.roots, self.to_rig(codes))
+        return self.apply(motion)
+
+    def apply(self, motion: Motion) -> Motion:
+        """Return the motion of the target; joints that the take lacks are at rest."""
+        scales = motion.scales
+        mapped = None
+        if scales is not None or (self.rest_scales != 1.0).any():
+            if scales is None:
+                still = np.zeros((motion.frames, 0, 3))
+                mapped = Channel(self.rest_scales, _NONE, still)
+            else:
+                mapped = self._channel(scales, self.rest_scales)
+        return Motion(
+            self._channel(motion.translations, self.rig.rest_translations),
+            self._channel(motion.rotations, self.rig.rest_rotations),
+            mapped,
+            motion.weights,
+            motion.controls,
+            motion.track_times,
+            motion.points,
+        )
+
+    def _channel(self, channel: Channel, rest: FloatArray) -> Channel:
+        has = self.source >= 0
+        still = rest.copy()
+        still[has] = channel.rest[self.source[has]]
+        place = {int(joint): i for i, joint in enumerate(channel.animated)}
+        animated = [j for j, s in enumerate(self.source.tolist()) if s in place]
+        columns = [place[int(self.source[j])] for j in animated]
+        return Channel(still, np.array(animated, np.int64), channel.values[:, columns])
+
+
+def map_joints(
+    take: Rig,
+    target: RigTarget,
+    strip_namespaces: int,
+    *,
+    force_fit: bool = False,
+    over: OverRig | None = None,
+) -> JointMap:
+    """Match joints by path, else by name, legal or original.
+
+    over: how the take comes to the numbers of the rig; None is that they are its own.
+    """
+    names = joint_names(take.joints, strip_namespaces)
+    own = [legal_name(joint.source_name or joint.name) for joint in take.joints]
+    by_key: dict[str, list[int]] = {}
+    for paths in (take.paths(own), take.paths(names.names)):
+        for i, path in enumerate(paths):
+            by_key.setdefault(f"/{path}", []).append(i)
+    for i, (joint, name) in enumerate(zip(take.joints, names.names, strict=True)):
+        for key in (joint.source_name or joint.name, joint.name, name):
+            by_key.setdefault(key, []).append(i)
+    source: list[int] = []
+    used: set[int] = set()
+    skeleton = target.skeleton
+    for joint, token in zip(skeleton.rig.joints, skeleton.tokens, strict=True):
+        keys = (f"/{token}", joint.source_name or joint.name, joint.name)
+        free = (i for key in keys for i in by_key.get(key, ()) if i not in used)
+        free_index = next(free, -1)
+        used.add(free_index)
+        source.append(free_index)
+    missing = [j.name for i, j in enumerate(take.joints) if i not in used]
+    if len(missing) == len(take.joints):
+        _check_shapes(take, target)
+    resting = [
+        joint.name
+        for joint, free_index in zip(skeleton.rig.joints, source, strict=True)
+        if free_index < 0
+    ]
+    where = str(target.path)
+    notices = []
+    if missing:
+        message = f"{len(missing)} joints of the take are not in the rig: "
+        hint, kind = "they are left out", Severity.WARNING
+        notices.append(naming("USD102", message, missing, where, hint, kind))
+    if resting:
+        message = f"{len(resting)} joints of the rig are not in the take: "
+        hint, kind = "they stay at rest", Severity.NOTE
+        notices.append(naming("USD111", message, resting, where, hint, kind))
+    shapes, shape_faults = match_shapes(target, [shape.name for shape in take.shapes])
+    found_at = np.array(source, np.int64)
+    fit: Fit | None = None
+    differences: list[Fault] = []
+    if take.joints and skeleton.rig.joints:
+        rig = skeleton.rig if over is None else placed_rig(skeleton.rig, over.sized)
+        fit, differences = check_fit(
+            at_origin(take), rig, found_at, where, forced=force_fit, unmatched=notices
+        )
+    return JointMap(
+        skeleton.rig,
+        found_at,
+        skeleton.rest_scales,
+        notices + shape_faults + differences,
+        shapes,
+        fit,
+        None if over is None else over.to_rig,
+        np.array(take.roots, np.int64),
+        1.0 if over is None else over.sized.size,
+    )
+
+
+def _check_shapes(take: Rig, target: RigTarget) -> None:
+    """Refuse a take that has no joint of a rig and is not one of its shapes alone."""
+    rig, known = target.skeleton.rig, _known_shapes(target)
+    names = [shape.name for shape in take.shapes]
+    shared = known is None or {arkit_name(n) or n for n in names} & {
+        arkit_name(n) or n for n in known
+    }
+    if names and shared and not (take.joints and rig.joints):
+        return
+    mine, theirs = (
+        f"{excerpt(one.names[0])} …" if one.joints else "none" for one in (take, rig)
+    )
+    message = f"no joint of the take ({mine}) is in the rig ({theirs})"
+    hint = "--strip-namespace drops leading 'ns:' parts"
+    if not (take.joints and rig.joints):
+        message += ", and no mesh there has a shape of it"
+        hint = "name the rig that the take is for"
+    raise FormatError(Fault("USD010", message, str(target.path), (), hint))
+
+
+def match_shapes(
+    target: RigTarget, shapes: Sequence[str]
+) -> tuple[tuple[str, ...], list[Fault]]:
+    """Return the names that a rig has for some shapes, and what is odd about them.
+
+    A shape of ARKit's is found however the rig spells it (USD118); what is on no mesh
+    is named (USD114). A rig without meshes says nothing of the shapes that it will
+    have.
+    """
+    known = _known_shapes(target)
+    if known is None:
+        return tuple(shapes), []
+    spelled = {arkit_name(name): name for name in known}
+    matches = [
+        name if name in known else spelled.get(arkit_name(name) or "", name)
+        for name in shapes
+    ]
+    # Of two that would become one, the first keeps the name.
+    matches = [
+        name if name not in matches[:i] else own
+        for i, (own, name) in enumerate(zip(shapes, matches, strict=True))
+    ]
+    where = str(target.path)
+    notices = []
+    missing = [name for name in matches if name not in known]
+    if missing:
+        message = f"{len(missing)} shapes of the take are on no mesh of the rig: "
+        hint, kind = "their weights move nothing there", Severity.WARNING
+        notices.append(naming("USD114", message, missing, where, hint, kind))
+    other = [f"{a} as {b}" for a, b in zip(shapes, matches, strict=True) if a != b]
+    if other:
+        message = f"{len(other)} shapes are written as the rig spells them: "
+        notices.append(naming("USD118", message, other, where, None, Severity.NOTE))
+    return tuple(matches), notices
+
+
+def _known_shapes(target: RigTarget) -> set[str] | None:
+    """Return the shapes that a rig's meshes have; None where it has no mesh."""
+    root = target.stage.GetPrimAtPath(target.on_stage(target.paths.root))
+    meshes = [
+        prim
+        for prim in Usd.PrimRange(root, Usd.TraverseInstanceProxies())
+        if is_shown_mesh(prim)
+    ]
+    if not meshes:
+        return None
+    return {
+        str(name)
+        for mesh in meshes
+        for name in array_value(UsdSkel.BindingAPI(mesh).GetBlendShapesAttr())
+    }
+
+
+def compose_check(target: RigTarget, layer: Any) -> Any:
+    """Return a stage of the layer over its rig, as a shot would compose them."""
+    stage = Usd.Stage.CreateInMemory()
+    root = stage.GetRootLayer()
+    if target.paths.model == target.stage_model:
+        root.subLayerPaths = [layer.identifier, target.stage.GetRootLayer().identifier]
+    else:
+        root.subLayerPaths = [layer.identifier]
+        prim = stage.DefinePrim(target.paths.model)
+        rig = target.stage.GetRootLayer().identifier
+        prim.GetReferences().AddReference(rig, target.stage_model)
+    stage.SetTimeCodesPerSecond(layer.timeCodesPerSecond)
+    return stage
+
+
+def resolved_animation(stage: Any, skeleton_path: str) -> str:
+    """Return the path of the animation that UsdSkel resolves for a Skeleton."""
+    skeleton = UsdSkel.Skeleton(stage.GetPrimAtPath(skeleton_path))
+    source = animation_source(skeleton)
+    return "" if source is None else str(source.GetPath())

@@ -1,0 +1,89 @@
+"""Meshes that no joint moves, and a transform does: what a cache has not of them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from pxr import Usd, UsdGeom, UsdSkel
+
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault, Severity, counted, listed
+from animtool.usd.caches.reader import PointReader
+from animtool.usd.props.prim_transforms import world_matrices
+from animtool.usd.rigs.placement import DROP, fixed_matrices, movers
+from animtool.usd.rigs.prims import numbers
+from animtool.usd.rigs.skinned import MAX_NAMED, is_shown_mesh
+
+# Times that a transform is looked at; a long take has more.
+MAX_TIMES = 256
+# What moves by less [m] is rounding.
+MOVED = 1e-6
+
+
+def unskinned_notice(
+    skeleton: Any, where: str, choice: str | None = None
+) -> list[Fault]:
+    """Name the meshes of a character that move, and that no joint moves (USD147).
+
+    choice: its placement; with ``drop`` what moves all of the character is no motion.
+    """
+    root = UsdSkel.Root.Find(skeleton.GetPrim())
+    if not root:
+        return []
+    skinned = _skinned(root)
+    moved = {
+        str(prim.GetPath()): distance
+        for prim in Usd.PrimRange(root.GetPrim(), Usd.TraverseInstanceProxies())
+        if is_shown_mesh(prim) and prim.GetPath() not in skinned
+        if (distance := _distance(prim, skeleton.GetPrim(), choice)) > MOVED
+    }
+    if not moved:
+        return []
+    many = counted(len(moved), "mesh", "meshes")
+    message = f"transforms move {many} without skin by up to {max(moved.values()):.4g} "
+    message += f"m, and the cache does not: {listed(list(moved), MAX_NAMED)}"
+    hint = "bind them to a joint; over the source as --rig-layer too, meshes without "
+    hint += "shapes keep their transforms"
+    return [Fault("USD147", message, where, (), hint, Severity.WARNING)]
+
+
+def _skinned(root: Any) -> set[Any]:
+    """Return the paths of what joints move below a SkelRoot."""
+    cache = UsdSkel.Cache()
+    cache.Populate(root, Usd.TraverseInstanceProxies())
+    return {
+        query.GetPrim().GetPath()
+        for binding in cache.ComputeSkelBindings(root, Usd.TraverseInstanceProxies())
+        for query in binding.GetSkinningTargets()
+        if query.HasJointInfluences()
+    }
+
+
+def _distance(prim: Any, skeleton: Any, choice: str | None) -> float:
+    """Return how far a mesh goes from where it is first [m]."""
+    chain = [*movers(prim), *(movers(skeleton) if choice == DROP else ())]
+    times = sorted({time for mover in chain for time in mover.GetTimeSamples()})
+    if len(times) < 2:
+        return 0.0
+    spread = np.linspace(0, len(times) - 1, min(len(times), MAX_TIMES))
+    codes = np.array(times)[spread.round().astype(int)]
+    matrices = world_matrices(prim, codes)
+    if choice == DROP:
+        matrices = matrices @ np.linalg.inv(fixed_matrices(skeleton, codes.tolist()))
+    corners = _corners(prim)
+    places = corners @ matrices[:, :3, :3] + matrices[:, None, 3, :3]
+    away = np.linalg.norm(places - places[:1], axis=-1).max(initial=0.0)
+    unit = UsdGeom.GetStageMetersPerUnit(prim.GetStage())
+    return float(away) * float(unit) if np.isfinite(away) else 0.0
+
+
+def _corners(prim: Any) -> FloatArray:
+    """Return the corners ``(8, 3)`` of the box about a mesh."""
+    points = numbers(PointReader(prim).attr, 3, Usd.TimeCode.EarliestTime())
+    if not len(points):
+        return np.zeros((1, 3))
+    ends = np.stack([points.min(axis=0), points.max(axis=0)])
+    return np.asarray(
+        ends[np.indices((2, 2, 2)).reshape(3, 8), np.arange(3)[:, None]].T
+    )

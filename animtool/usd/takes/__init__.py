@@ -1,0 +1,1 @@
+"""Takes as SkelAnimations, written and read."""

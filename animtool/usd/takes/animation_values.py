@@ -1,0 +1,320 @@
+"""The values of a SkelAnimation over frames, checked."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from pxr import Usd
+
+from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.clock import frame_label, time_fraction
+from animtool.core.errors import Fault, Severity, counted, excerpt
+from animtool.core.rates import rate_from_float
+from animtool.maths import so3
+from animtool.motion.motion import Channel
+from animtool.usd.layers.faults import UNIT_TOLERANCE, Spot
+from animtool.usd.rigs.prims import array_value, numbers
+from animtool.usd.takes.library import take_range
+
+
+def scale_channel(dense: FloatArray) -> Channel | None:
+    """Return the channel of scales ``(F, J, 3)``; None where nothing is scaled."""
+    return None if (dense == 1.0).all() else Channel.from_dense(dense)
+
+
+def animated_shapes(animation: Any) -> list[str]:
+    """Return the shapes that an animation has weights of."""
+    if not animation.GetBlendShapeWeightsAttr().HasAuthoredValue():
+        return []
+    return [str(token) for token in array_value(animation.GetBlendShapesAttr())]
+
+
+def shape_weights(
+    animation: Any, codes: list[float], shapes: int, where: Spot, drift: float = 0.0
+) -> Channel:
+    """Return weights of an animation's shapes at time codes; see `sampled_values`."""
+    attr = animation.GetBlendShapeWeightsAttr()
+    rows = sampled_values(attr, codes, shapes, 1, where, of="shape", drift=drift)
+    return Channel.from_dense(np.repeat(rows, len(codes) // len(rows), axis=0))
+
+
+def sampled_values(
+    attr: Any,
+    codes: list[float],
+    count: int,
+    width: int,
+    where: Spot,
+    *,
+    of: str = "joint",
+    drift: float = 0.0,
+) -> FloatArray:
+    """Return an attribute's samples ``(F, J, K)``; F is 1 where it does not change.
+
+    drift: how far from a frame a sample is that frame's [time codes].
+    """
+    when = [Usd.TimeCode.EarliestTime()]
+    if attr.GetNumTimeSamples() > 1:
+        times = attr.GetTimeSamples() if drift else []
+        when = [Usd.TimeCode(c) for c in nearest_samples(times, codes, drift)]
+    rows = np.empty((len(when), count, width))
+    for i, time in enumerate(when):
+        value = numbers(attr, width, time)
+        if len(value) != count:
+            message = f"{attr.GetName()} has {counted(len(value), 'value')}"
+            message += f" for {counted(count, of)}"
+            hint = f"{_time_text(time)}; UsdSkel falls back to rest"
+            where.at(attr).fail("USD206" if of == "shape" else "USD200", message, hint)
+        rows[i] = value
+    if not np.isfinite(rows).all():
+        frame, joint, _ = np.argwhere(~np.isfinite(rows))[0]
+        message = f"{attr.GetName()} is not finite"
+        hint = f"{_time_text(when[frame])}, {of} {joint}"
+        where.at(attr).fail("USD202", message, hint)
+    return rows
+
+
+def nearest_samples(
+    times: list[float], codes: list[float], drift: float
+) -> list[float]:
+    """Return the sample of each frame that has one so near, else the frame's time.
+
+    >>> nearest_samples([1.0, 2.02, 3.5], [1.0, 2.0, 3.0], 0.05)
+    [1.0, 2.02, 3.0]
+    """
+    if not times or not drift:
+        return codes
+    samples, frames = np.array(times), np.array(codes)
+    after = np.searchsorted(samples, frames).clip(1, max(len(samples) - 1, 1))
+    pair = np.stack([samples[after - 1], samples[np.minimum(after, len(samples) - 1)]])
+    gaps = np.abs(pair - frames)
+    nearest = np.where(gaps[0] <= gaps[1], pair[0], pair[1])
+    # Rounding of the distance itself is within.
+    near = gaps.min(axis=0) <= drift * (1 + 1e-6) + 1e-9
+    return list(map(float, np.where(near, nearest, frames)))
+
+
+def _time_text(time: Any) -> str:
+    """Return a time in words; the earliest is that of a value that does not change."""
+    if time.IsEarliestTime():
+        return "the only value"
+    return f"time code {time.GetValue():g}"
+
+
+def normalised(
+    rotations: FloatArray, names: Sequence[str], codes: list[float], where: Spot
+) -> tuple[FloatArray, list[Fault]]:
+    """Return rotations ``(F, J, 4)`` at unit length, and a warning of the worst."""
+    lengths = np.sqrt(np.einsum("fjc,fjc->fj", rotations, rotations))
+    apart = np.abs(lengths - 1.0)
+    notices = []
+    if apart.size and apart.max() > UNIT_TOLERANCE:
+        frame, joint = (int(i) for i in np.unravel_index(apart.argmax(), apart.shape))
+        count = int((apart > UNIT_TOLERANCE).sum())
+        message = (
+            f"{count} of {counted(apart.size, 'quaternion')} have another length than "
+            f"1, joint {excerpt(names[joint])} at frame {frame_label(codes[frame])} "
+            f"the most: |q| = {lengths[frame, joint]:.6g}; they are normalised"
+        )
+        hint = "UsdSkel does not normalise, and scales these joints"
+        notices.append(where.fault("USD123", message, hint, Severity.WARNING))
+    return so3.normalize(rotations), notices
+
+
+# Sub-frame samples about each frame make a grid finer than the samples; beyond this
+# it is no grid but a curve's own keys.
+FINEST_GRID = 8
+# More frames than any take of unevenly spaced keys: there, a key has gone astray.
+MAX_FRAMES = 100_000
+# Samples within this share of a step, or of a time code, from a frame are that frame's:
+# exporters add up float steps, which drift. Shutter offsets are many times larger.
+LARGEST_DRIFT = 0.02
+# Where samples fit no other grid, those so near to a whole time code are that frame's
+# [time codes]; further away, a sample may be meant where it is.
+OFF_FRAME = 0.05
+# Steps that people and exporters mean, and steps of rates that differ by a little.
+PLAIN_STEP_DENOMINATORS = (1, 2, 3, 4, 5, 6, 8, 10, 20, 50, 100)
+FINE_STEP_DENOMINATOR = 1_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class SampleGrid:
+    """Evenly spaced time codes at which samples are read."""
+
+    start: Fraction  # time code of the first frame
+    step: Fraction  # time codes from one to the next
+    count: int  # number of frames
+    even: bool  # whether samples are so spaced, or some gaps are longer
+    drift: float = 0.0  # largest distance of a sample from its frame [time codes]
+    drift_code: float = 0.0  # time code of that sample
+    between: int = 0  # number of samples that fall between frames
+
+
+@dataclass(frozen=True, slots=True)
+class _Span:
+    """First frame, and the last where the take or its stage states one."""
+
+    first: Fraction
+    last: Fraction | None
+
+
+def _span(stage: Any, animation: Any) -> _Span:
+    own = take_range(animation)
+    if own is not None:
+        return _Span(*own)
+    stated = stage.HasAuthoredTimeCodeRange()
+    last = time_fraction(stage.GetEndTimeCode()) if stated else None
+    return _Span(time_fraction(stage.GetStartTimeCode()), last)
+
+
+def among_rest(
+    rest: FloatArray, rows: FloatArray | None, places: IntArray, frames: int
+) -> FloatArray:
+    """Return the values of some joints among those of a rig at rest ``(F, J, …)``.
+
+    places: of each joint in the rig, -1 where it has none such; no rows are at rest.
+    """
+    dense = np.repeat(rest[None], frames, axis=0)
+    if rows is not None:
+        known = places >= 0
+        dense[:, places[known]] = rows[:, known]
+    return dense
+
+
+def sample_grid(
+    stage: Any, animation: Any, times: list[float], where: Spot
+) -> SampleGrid:
+    """Return the frames of an animation."""
+    grid = _grid(times, _span(stage, animation), where)
+    return _plain_rate(grid, rate_from_float(stage.GetTimeCodesPerSecond()))
+
+
+def _plain_rate(grid: SampleGrid, fps: Fraction) -> SampleGrid:
+    """Return a grid with the step of the usual rate that its own is written for.
+
+    A layer that says 23.976 for 24000/1001 has its frames 1.001001 time codes apart in
+    a stage of 24.
+    """
+    rate = fps / grid.step
+    usual = rate_from_float(float(rate))
+    drift = float(abs(fps / usual - grid.step) * (grid.count - 1))
+    if usual == rate or drift > LARGEST_DRIFT * min(float(grid.step), 1.0):
+        return grid
+    last = float(grid.start + grid.step * (grid.count - 1))
+    # The last sample drifts most, on top of what it has already.
+    code = grid.drift_code if grid.drift > drift else last
+    return replace(grid, step=fps / usual, drift=grid.drift + drift, drift_code=code)
+
+
+def _grid(times: list[float], span: _Span, where: Spot) -> SampleGrid:
+    if not times and span.last is not None:
+        # Nothing moves, for as long as the take or its stage lasts.
+        still = min(max(0, math.floor(span.last - span.first)), MAX_FRAMES) + 1
+        return SampleGrid(span.first, Fraction(1), still, True)
+    if len(times) < 2:
+        start = time_fraction(times[0]) if times else span.first
+        return SampleGrid(start, Fraction(1), 1, True)
+    grid = _exact_grid(times) or _drifting_grid(times) or _astray_grid(times)
+    return _whole_codes(times, where) if grid is None else _from_stated(grid, span)
+
+
+def _exact_grid(times: list[float]) -> SampleGrid | None:
+    """Return the coarsest grid that holds every sample; None where it is too fine."""
+    exact = [time_fraction(time) for time in times]
+    gaps = {b - a for a, b in pairwise(exact)}
+    step = _common_divisor(gaps)
+    count = int((exact[-1] - exact[0]) / step) + 1
+    if count > FINEST_GRID * len(times):
+        return None
+    return SampleGrid(exact[0], step, count, len(gaps) == 1)
+
+
+def _drifting_grid(times: list[float]) -> SampleGrid | None:
+    """Return a grid that every sample is near to; None where there is none."""
+    codes = np.array(times)
+    gaps = np.diff(codes)
+    # Attributes that drift apart have samples of one frame almost at the same time.
+    gaps = gaps[gaps > LARGEST_DRIFT * np.quantile(gaps, 0.75, method="lower")]
+    middle, mean = Fraction(float(np.median(gaps))), Fraction(float(gaps.mean()))
+    steps = [middle.limit_denominator(most) for most in PLAIN_STEP_DENOMINATORS]
+    steps.append(mean.limit_denominator(FINE_STEP_DENOMINATOR))
+    grids = (_near_grid(codes, step) for step in dict.fromkeys(steps) if step > 0)
+    return next((grid for grid in grids if grid is not None), None)
+
+
+def _near_grid(codes: FloatArray, step: Fraction) -> SampleGrid | None:
+    """Return the grid of a step if every sample is near one of its frames."""
+    length = float(step)
+    most = LARGEST_DRIFT * min(length, 1.0)
+    is_plain = step.denominator <= PLAIN_STEP_DENOMINATORS[-1]
+    plain = step.denominator if is_plain else 1
+    start = Fraction(round(codes[0] * plain), plain)
+    if abs(codes[0] - float(start)) > most:
+        start = time_fraction(float(codes[0]))
+    index = np.rint((codes - float(start)) / length)
+    away = np.abs(codes - (float(start) + index * length))
+    gaps = np.diff(index)
+    worst = int(away.argmax())
+    count = int(index[-1]) + 1
+    if away[worst] > most or index[0] != 0:
+        return None
+    if count > FINEST_GRID * len(codes):
+        return None
+    drift, code = float(away[worst]), float(codes[worst])
+    return SampleGrid(start, step, count, bool((gaps <= 1).all()), drift, code)
+
+
+def _astray_grid(times: list[float]) -> SampleGrid | None:
+    """Return the grid of samples of which some are astray from whole time codes.
+
+    None where two would be one, or where the others fit none either.
+    """
+    codes = np.array(times)
+    whole = np.round(codes)
+    off = np.abs(codes - whole)
+    moved = np.where(off <= OFF_FRAME, whole, codes)
+    if (np.diff(moved) <= 0).any():
+        return None
+    grid = _exact_grid(moved.tolist())
+    if grid is None:
+        return None
+    off[off > OFF_FRAME] = 0.0
+    worst = int(off.argmax())
+    return replace(grid, drift=float(off[worst]), drift_code=float(codes[worst]))
+
+
+def _whole_codes(times: list[float], where: Spot) -> SampleGrid:
+    """Return every time code that the samples span."""
+    exact = [time_fraction(time) for time in times]
+    first, last = math.floor(exact[0]), math.ceil(exact[-1])
+    if last - first > MAX_FRAMES:
+        message = f"{len(times)} samples spread over {last - first} time codes"
+        where.fail("USD016", message, "a stray sample?")
+    between = sum(time.denominator != 1 for time in exact)
+    count = last - first + 1
+    return SampleGrid(Fraction(first), Fraction(1), count, False, between=between)
+
+
+def _from_stated(grid: SampleGrid, span: _Span) -> SampleGrid:
+    """Return a grid from the stated first frame on, where that is just after its first.
+
+    Samples within a frame before the first serve its motion blur.
+    """
+    start = span.first
+    early = (start - grid.start) / grid.step
+    if not grid.start < start < grid.start + 1:
+        return grid
+    if early.denominator != 1 or early >= grid.count:
+        return grid
+    return replace(grid, start=start, count=grid.count - int(early))
+
+
+def _common_divisor(gaps: set[Fraction]) -> Fraction:
+    """Return the largest step that every gap is a multiple of."""
+    denominator = math.lcm(*(gap.denominator for gap in gaps))
+    return Fraction(math.gcd(*(int(gap * denominator) for gap in gaps)), denominator)

@@ -1,0 +1,411 @@
+"""A take as USD: a stage, a stage split in three layers, or a layer over a rig."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from pxr import Sdf
+
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault, OptionError
+from animtool.core.files.output import check_outputs, together
+from animtool.core.units import LengthUnit
+from animtool.maths.curves import Curves
+from animtool.motion.motion import Motion
+from animtool.motion.reorient import reorient
+from animtool.motion.take import Take, TakeStream
+from animtool.rig.surfaces import surfaces_of
+from animtool.usd.layers.chunks import Whole, write_frames
+from animtool.usd.layers.jobs import (
+    Form,
+    UsdJob,
+    UsdResult,
+    UsdTake,
+    WrittenTake,
+    check_suffix,
+    output_paths,
+)
+from animtool.usd.layers.names import RigPaths, joint_names, legal_name, plain_text
+from animtool.usd.layers.sdf import (
+    StageMetadata,
+    author_metadata,
+    check_prim_path,
+    layer_span,
+    new_layer,
+    prim,
+    save_layer,
+)
+from animtool.usd.layers.stderr import without_usd_warnings, without_version_warnings
+from animtool.usd.rigs.recorded_place import KEY, place_record
+from animtool.usd.rigs.skeleton import author_binding, author_rig
+from animtool.usd.takes.extents import author_extents
+from animtool.usd.takes.joint_writer import AnimationWriter, round_blocks
+
+BLOCK_FRAMES = 512  # of a take that is written in one call
+
+
+def author(job: UsdJob, takes: Iterable[UsdTake]) -> tuple[Authored, UsdResult]:
+    """Author the layers of a job in memory; nothing is written yet.
+
+    The takes are drawn one after the other: one that is authored need not be kept.
+    """
+    suffix = job.output or Path("stdout.usda")
+    outputs = output_paths(suffix, job.form)
+    animation = new_layer(outputs[1 if job.form is Form.SPLIT else 0])
+    authored = Authored(animation)
+    notices: list[Fault] = []
+    if job.form is not Form.LAYER:
+        authored.rig = new_layer(outputs[0]) if job.form is Form.SPLIT else animation
+    with Sdf.ChangeBlock():
+        if authored.rig is not None:
+            author_rig(authored.rig, job.rig, job.names, job.paths, job.meters_per_unit)
+            authored.visible |= any(e.points is not None for e in job.rig.attach)
+            if job.rig.meshes:
+                from animtool.usd.rigs.meshes import author_meshes
+
+                tokens = dict(zip(job.rig.names, job.joints, strict=True))
+                surfaces = surfaces_of(job.rig)
+                _, notices = author_meshes(
+                    authored.rig, surfaces, job.paths, tokens, job.meters_per_unit
+                )
+                authored.visible = True
+            if job.bones:
+                from animtool.usd.rigs.meshes import author_bones
+
+                authored.visible |= author_bones(
+                    authored.rig, job.rig, job.paths, job.meters_per_unit
+                )
+        parts = [
+            _author_take(job, authored, take, first=not i)
+            for i, take in enumerate(takes)
+        ]
+        written = [part.written for part in parts]
+        for layer in authored.layers:
+            author_metadata(layer, _metadata(job, written))
+    notices += [notice for take in written for notice in take.notices]
+    result = UsdResult(layer_span(animation), takes=written, notices=notices)
+    for part in parts:
+        if part.curves:
+            from animtool.usd.takes.splines import author_controls
+
+            part.written.curves = author_controls(
+                animation, part.written.animation, part.curves
+            )
+    # Of a rig without rest transforms UsdSkel warns at each frame.
+    with without_usd_warnings():
+        author_extents(
+            job,
+            authored.visible,
+            authored.layers,
+            [(part.written.name, part.writer) for part in parts],
+        )
+    for part in parts:
+        part.written.sampled = part.writer.sampled
+    return authored, result
+
+
+@dataclass(frozen=True, slots=True)
+class _Part:
+    """A take whose samples are authored: its writer, what it wrote, its curves."""
+
+    writer: AnimationWriter
+    written: WrittenTake
+    curves: Mapping[str, Curves]
+
+
+def _author_take(
+    job: UsdJob, authored: Authored, take: UsdTake, *, first: bool
+) -> _Part:
+    """Author a SkelAnimation and what binds it; extents and curves come later."""
+    layer, paths = authored.animation, job.paths
+    if take.name:
+        from animtool.usd.takes.library import take_paths
+
+        paths = take_paths(job.paths, take.name)
+    writer = AnimationWriter(layer, paths, job.joints, take.chosen, take.shapes)
+    if take.name or authored.rig is not layer:
+        prim(layer, paths.root, over=True)
+    if take.name and first:
+        _begin_library(job, authored, take.name)
+    with_skeleton = job.form is not Form.LAYER and not take.name
+    author_binding(layer, paths, skeleton=with_skeleton)
+    write_frames(take.blocks, Whole([writer]), [writer.rounding])
+    if job.target is None:
+        writer.finish([], replaces_motion=False)
+    else:
+        writer.finish(job.target.operations, replaces_motion=job.target.moves)
+    written = _written(job, take, writer)
+    if take.props is not None:
+        from animtool.usd.props.placement import prop_placements
+        from animtool.usd.props.writer import author_props
+
+        rig_layer = None if authored.rig is layer else authored.rig
+        places = prop_placements(
+            job.paths,
+            job.target,
+            rig_layer,
+            job.meters_per_unit,
+            job.rig.up,
+            take.name,
+            take.to_rig,
+        )
+        written.props, written.notices = author_props(
+            layer, take.props, places, job.output
+        )
+    if take.name:
+        from animtool.usd.takes.library import author_range
+
+        author_range(
+            layer,
+            paths.animation,
+            plain_text(take.source_name),
+            written.first,
+            written.last,
+        )
+    if job.form is Form.LAYER and job.names.originals:
+        # For a reader that has no rig: names of joints in their source.
+        _author_data(layer.GetPrimAtPath(paths.animation), "names", job.names.originals)
+    if take.reduced:
+        _author_data(layer.GetPrimAtPath(paths.animation), "reduced", value=True)
+    if take.place:
+        _author_data(layer.GetPrimAtPath(paths.animation), KEY, take.place)
+    return _Part(writer, written, take.curves)
+
+
+def _author_data(animation: Any, key: str, value: Mapping[str, Any] | bool) -> None:
+    """State something of a SkelAnimation that USD has no place for."""
+    held = dict(animation.GetInfo("customData") or {})
+    stated = value if isinstance(value, bool) else dict(value)
+    data = {**held.get("animtool", {}), key: stated}
+    animation.SetInfo("customData", {**held, "animtool": data})
+
+
+def _written(job: UsdJob, take: UsdTake, writer: AnimationWriter) -> WrittenTake:
+    samples = sum(map(len, writer.codes))
+    first, last = take.frames or (take.start, take.start + take.step * (samples - 1))
+    return WrittenTake(
+        writer.paths.animation,
+        take.name,
+        samples,
+        first,
+        last,
+        joints=len(job.joints) if take.chosen is None else int(take.chosen.sum()),
+        rounding=writer.rounding,
+    )
+
+
+def _begin_library(job: UsdJob, authored: Authored, name: str) -> None:
+    """Select the first take, and bind the skeleton outside of the variants."""
+    from animtool.usd.takes.library import author_selection
+
+    author_selection(authored.animation, job.paths, name)
+    if job.form is not Form.LAYER:
+        author_binding(authored.animation, job.paths, skeleton=True, animation=False)
+
+
+@dataclass(slots=True)
+class Authored:
+    """Layers in memory."""
+
+    animation: Any  # holds the SkelAnimation
+    rig: Any = None  # holds the skeleton; the same layer in a stage, None in a layer
+    visible: bool = False  # whether there are bones or meshes to see
+
+    @property
+    def layers(self) -> list[Any]:
+        """The layer of the animation, and that of the rig where it is another."""
+        separate = self.rig is not None and self.rig is not self.animation
+        return [self.animation, self.rig] if separate else [self.animation]
+
+
+def write_usd(
+    job: UsdJob,
+    authored: Authored,
+    result: UsdResult,
+    save: Callable[[Any, Path | None], int] = save_layer,
+) -> None:
+    """Write the layers of a job, that which refers to the others last."""
+    if job.output is None:
+        with _quietly(result):
+            result.bytes = save(authored.animation, None)
+        return
+    result.outputs = output_paths(job.output, job.form)
+    layers = [authored.animation]
+    if job.form is Form.SPLIT:
+        root = new_layer(job.output)
+        root.subLayerPaths = [f"./{path.name}" for path in result.outputs[1::-1]]
+        author_metadata(root, _metadata(job, result.takes))
+        layers = [authored.rig, authored.animation, root]
+    with _quietly(result), together():
+        for layer, path in zip(layers, result.outputs, strict=True):
+            own = save if layer is authored.animation else save_layer
+            result.bytes += own(layer, path)
+
+
+def _quietly(result: UsdResult) -> AbstractContextManager[None]:
+    """Hold back what USD says of files with splines, or a library's time codes."""
+    newer = any(take.curves or take.name for take in result.takes)
+    return without_version_warnings() if newer else nullcontext()
+
+
+def _metadata(job: UsdJob, takes: Sequence[WrittenTake]) -> StageMetadata:
+    default = Sdf.Path(job.paths.model).GetPrefixes()[0].name
+    unit, up = job.meters_per_unit, job.rig.up
+    if job.target is not None:
+        unit, up = job.target.unit, job.target.up
+    first, last = min(t.first for t in takes), max(t.last for t in takes)
+    return StageMetadata(default, job.fps, first, last, unit, up, job.shot)
+
+
+def write(
+    take: Take,
+    path: Path | str,
+    *,
+    rig_layer: Path | str | None = None,
+    prim_path: str | None = None,
+    force_fit: bool = False,
+    split: bool = False,
+    bones: bool = False,
+    unit: LengthUnit | str | None = None,
+    overwrite: bool = False,
+) -> UsdResult:
+    """Write a take as a USD stage, or as an animation layer over a rig.
+
+    Every frame is a sample, at its own time code. A layer adopts the units, the up
+    axis and the rate of its rig layer; where that has another rate, the samples
+    stay where they are in time.
+
+    Args:
+        take: What to write.
+        path: ``.usda``, ``.usdc`` or ``.usd``.
+        rig_layer: The rig that a layer is for, or a shot that holds it; None writes
+            a stage with skeleton and animation.
+        prim_path: Where the character stands; None is ``/{name of the rig}``, or
+            where the rig layer has it.
+        force_fit: Write a layer of a take that does not fit the rig all the same.
+        split: Write the stage in three files, ``path`` the last.
+        bones: Add geometry that shows the joints.
+        unit: Length unit of the stage; None is the rig's.
+        overwrite: Replace files that exist.
+
+    Returns:
+        What was written, with the error that rounding made [m].
+
+    Raises:
+        FormatError: The rig layer is malformed, or the take does not fit it (RIG040).
+        OptionError: An option is not for such an output (CLI002), or a file exists.
+        OutputError: A file cannot be written.
+    """
+    path = Path(path)
+    layer = None if rig_layer is None else Path(rig_layer)
+    form = Form.LAYER if layer is not None else Form.SPLIT if split else Form.STAGE
+    if layer is not None and (split or bones or unit is not None):
+        message = "split, bones and unit are for stages, and rig_layer makes a layer"
+        raise OptionError(Fault("CLI002", message))
+    check_suffix(path)
+    inputs = [] if layer is None else [layer]
+    check_outputs(output_paths(path, form), inputs, overwrite=overwrite)
+    job, written, notices = (
+        _stage_job(take, path, form, prim_path, unit, bones)
+        if layer is None
+        else _layer_job(take, path, layer, prim_path, force_fit=force_fit)
+    )
+    authored, result = author(job, [written])
+    write_usd(job, authored, result)
+    result.notices += notices
+    return result
+
+
+_Blocks = Iterator[tuple[FloatArray, Motion]]
+
+
+def _stage_job(
+    take: Take,
+    path: Path,
+    form: Form,
+    prim_path: str | None,
+    unit: LengthUnit | str | None,
+    bones: bool,
+) -> tuple[UsdJob, UsdTake, list[Fault]]:
+    rig, clock = take.rig, take.clock
+    if prim_path is not None:
+        check_prim_path(prim_path)
+    names = joint_names(rig.joints, 0)
+    job = UsdJob(
+        form=form,
+        output=path,
+        rig=rig,
+        names=names,
+        joints=rig.paths(names.names),
+        paths=RigPaths.below(prim_path or f"/{legal_name(rig.name)}"),
+        fps=clock.fps,
+        meters_per_unit=rig.meters_per_unit if unit is None else _unit(unit).meters,
+        bones=bones,
+    )
+    written = UsdTake(
+        round_blocks(_blocks(take), rig, job.meters_per_unit),
+        clock.start,
+        clock.step,
+        shapes=tuple(shape.name for shape in rig.shapes),
+        place=place_record(rig),
+    )
+    return job, written, [replace(n, path=str(path)) for n in names.notices]
+
+
+def _unit(name: LengthUnit | str) -> LengthUnit:
+    try:
+        return LengthUnit(name)
+    except ValueError as error:
+        message = f"unit is {name!r}; allowed: {', '.join(LengthUnit)}"
+        raise OptionError(Fault("CLI003", message)) from error
+
+
+def _layer_job(
+    take: Take, path: Path, layer: Path, prim_path: str | None, *, force_fit: bool
+) -> tuple[UsdJob, UsdTake, list[Fault]]:
+    from animtool.usd.rigs.target import map_joints, open_target
+    from animtool.usd.takes.over_rig import over_rig
+
+    target = open_target(layer, prim_path)
+    stream = reorient(TakeStream.of(take), target.skeleton.rig.up)
+    way = over_rig(stream, target.placement, None, str(layer), target.skeleton.rig)
+    take = way.stream.collect()
+    mapping = map_joints(take.rig, target, 0, force_fit=force_fit, over=way)
+    clock = replace(
+        take.clock, fps=target.fps, step=take.clock.step * target.fps / take.clock.fps
+    )
+    job = UsdJob(
+        form=Form.LAYER,
+        output=path,
+        rig=mapping.rig,
+        names=target.names,
+        joints=target.skeleton.tokens,
+        paths=target.paths,
+        fps=clock.fps,
+        meters_per_unit=mapping.rig.meters_per_unit,
+        target=target,
+    )
+    blocks = (
+        (codes, mapping.at(codes, motion))
+        for codes, motion in _blocks(replace(take, clock=clock))
+    )
+    written = UsdTake(
+        round_blocks(blocks, mapping.rig, job.meters_per_unit),
+        clock.start,
+        clock.step,
+        chosen=mapping.source >= 0 if (mapping.source < 0).any() else None,
+        shapes=mapping.shapes,
+    )
+    notices = target.notices + way.notices + mapping.notices
+    return job, written, notices
+
+
+def _blocks(take: Take) -> _Blocks:
+    codes = take.clock.times
+    for begin in range(0, len(codes), BLOCK_FRAMES):
+        part = slice(begin, begin + BLOCK_FRAMES)
+        yield codes[part], take.motion.select(part)

@@ -1,0 +1,243 @@
+"""The bounds of a SkelRoot over time, and what UsdSkel resolves of what is authored."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from pxr import Gf, Sdf
+
+from animtool.core.array_types import Float32Array, FloatArray
+from animtool.core.errors import Fault, OutputError
+from animtool.usd.layers.jobs import UsdJob
+from animtool.usd.layers.sdf import attribute, prim
+from animtool.usd.takes.joint_writer import AnimationWriter
+
+
+def shape_bounds(
+    root: Any, shapes: Sequence[str], weights: Sequence[Float32Array]
+) -> Float32Array | None:
+    """Return bounds ``(2, 3)`` of all frames in the space of a SkelRoot.
+
+    weights: their weights ``(F, S)``, one array a block.
+
+    Returns none where there is no mesh with points.
+    """
+    from pxr import Usd, UsdGeom
+
+    from animtool.usd.caches.reader import PointReader, transformed
+
+    largest = np.zeros(len(shapes))
+    for rows in weights:
+        largest = np.maximum(largest, np.abs(rows).max(axis=0, initial=0.0))
+    reach = dict(zip(shapes, largest.tolist(), strict=True))
+    cache = UsdGeom.XformCache(Usd.TimeCode.EarliestTime())
+    lows: list[FloatArray] = []
+    highs: list[FloatArray] = []
+    for mesh in Usd.PrimRange(root, Usd.TraverseInstanceProxies()):
+        if not mesh.IsA(UsdGeom.Mesh):
+            continue
+        points = PointReader(mesh).at(Usd.TimeCode.Default())
+        if not len(points):
+            continue
+        own, _ = cache.ComputeRelativeTransform(mesh, root)
+        matrix = np.array(own, np.float64)
+        placed = transformed(points, matrix)
+        pad = _shape_padding(mesh, reach) * float(np.linalg.norm(matrix[:3, :3], 2))
+        lows.append(placed.min(axis=0) - pad)
+        highs.append(placed.max(axis=0) + pad)
+    if not lows:
+        return None
+    bounds = np.array([np.min(lows, axis=0), np.max(highs, axis=0)])
+    # Outwards, so that rounding leaves no point outside.
+    outside = np.array([[-np.inf], [np.inf]], np.float32)
+    return np.asarray(np.nextafter(bounds.astype(np.float32), outside), np.float32)
+
+
+def _shape_padding(prim: Any, reach: dict[str, float]) -> float:
+    """Return how far shapes move a point of a mesh at most."""
+    from pxr import UsdSkel
+
+    binding = UsdSkel.BindingAPI(prim)
+    names = binding.GetBlendShapesAttr().Get() or ()
+    targets = binding.GetBlendShapeTargetsRel().GetTargets()
+    stage, pad = prim.GetStage(), 0.0
+    for name, target in zip(names, targets, strict=False):
+        weight = reach.get(str(name), 0.0)
+        shape = UsdSkel.BlendShape(stage.GetPrimAtPath(target))
+        if not weight or not shape:
+            continue
+        steps = [step.GetAttr() for step in shape.GetInbetweens()]
+        if steps:
+            # On the way to an inbetween, a small weight may move points as far as it.
+            weight = max(weight, 1.0)
+        pad += weight * max(map(_largest, (shape.GetOffsetsAttr(), *steps)))
+    return pad
+
+
+def _largest(attr: Any) -> float:
+    offsets = np.array(attr.Get() or (), np.float64).reshape(-1, 3)
+    return float(np.linalg.norm(offsets, axis=1).max(initial=0.0))
+
+
+def author_extents(
+    job: UsdJob,
+    visible: bool,
+    layers: Sequence[Any],
+    writers: Sequence[tuple[str, AnimationWriter]],
+) -> None:
+    """Write the SkelRoot's extent as UsdSkel would compute it, for every take.
+
+    That is the bounds of the joints and a padding which depends on the meshes at
+    rest alone, so one frame tells it; where the SkelRoot holds several skeletons
+    or moves its own within, UsdSkel computes every frame.
+
+    visible: whether there are bones or meshes to see.
+    """
+    bare = job.target is None and not visible
+    if bare and job.joints:
+        with Sdf.ChangeBlock():
+            for _, writer in writers:
+                writer.author_bounds(writer.padded_bounds(0.0))
+        if not any(name for name, _ in writers):
+            return
+    stage = _composed(job, layers)
+    for name, writer in writers:
+        if name:
+            _select(stage, job, name)
+        if name or job.target is not None:
+            _check_resolved(job, stage, writer.paths.animation, library=bool(name))
+        if not job.joints:
+            _author_shape_bounds(job, stage, writer)
+        elif not bare:
+            _author_bounds(job, stage, writer)
+        if name:
+            from animtool.usd.takes.library import check_variant
+
+            where = None if job.output is None else str(job.output)
+            check_variant(stage, layers[0], writer.paths, where)
+
+
+def _composed(job: UsdJob, layers: Sequence[Any]) -> Any:
+    """Return a stage of what is authored, over its rig."""
+    from pxr import Usd
+
+    if job.target is not None:
+        from animtool.usd.rigs.target import compose_check
+
+        return compose_check(job.target, layers[0])
+    top = Sdf.Layer.CreateAnonymous(".usda")
+    top.subLayerPaths = [layer.identifier for layer in layers]
+    stage = Usd.Stage.Open(top)
+    stage.SetTimeCodesPerSecond(float(job.fps))
+    return stage
+
+
+def _select(stage: Any, job: UsdJob, name: str) -> None:
+    from animtool.usd.takes.library import find_take_set, select_take
+
+    select_take(find_take_set(stage.GetPrimAtPath(job.paths.model)), name, "")
+
+
+def _author_bounds(job: UsdJob, stage: Any, writer: AnimationWriter) -> None:
+    from pxr import UsdGeom
+
+    root = UsdGeom.Boundable(stage.GetPrimAtPath(job.paths.root))
+    skeleton = UsdGeom.Xformable(stage.GetPrimAtPath(job.paths.skeleton))
+    within = skeleton.GetPrim().GetParent() == root.GetPrim()
+    simple = (
+        within
+        and (job.target is None or job.target.skeletons == 1)
+        and not skeleton.GetXformOpOrderAttr().Get()
+    )
+
+    bounds = writer.padded_bounds(_padding(job, stage, root)) if simple else []
+    if not simple or not _are_computed(root, writer.codes, bounds):
+        bounds = [
+            np.stack([_computed(root, code) for code in codes.tolist()])
+            for codes in writer.codes
+        ]
+    with Sdf.ChangeBlock():
+        writer.author_bounds(bounds)
+
+
+def _computed(root: Any, code: Any) -> Float32Array:
+    """Return the extent that USD computes ``(2, 3)``."""
+    from pxr import UsdGeom
+
+    extent = UsdGeom.Boundable.ComputeExtentFromPlugins(root, code)
+    return np.array(extent, np.float32).reshape(-1, 3)
+
+
+def _are_computed(
+    root: Any, codes: Sequence[FloatArray], bounds: Sequence[Float32Array]
+) -> bool:
+    """Return whether bounds are to the last bit those that USD computes.
+
+    The first, the middle and the last are compared.
+    """
+    times, own = np.concatenate(codes), np.concatenate(bounds)
+    return all(
+        np.array_equal(own[i], _computed(root, float(times[i])))
+        for i in {0, len(times) // 2, len(times) - 1}
+    )
+
+
+def _padding(job: UsdJob, stage: Any, root: Any) -> np.float32:
+    """Return what UsdSkel adds to the bounds of the joints.
+
+    With every joint at the origin, that is all that is left of the extent.
+    """
+    from pxr import Usd, UsdSkel
+
+    skeleton = UsdSkel.Skeleton(stage.GetPrimAtPath(job.paths.skeleton))
+    joints = skeleton.GetJointsAttr().Get() or []
+    folded = Sdf.Layer.CreateAnonymous(".usda")
+    posed = prim(folded, job.paths.animation, over=True)
+    count, types = len(joints), Sdf.ValueTypeNames
+    attribute(posed, "joints", types.TokenArray, joints, uniform=True)
+    attribute(posed, "translations", types.Float3Array, [(0, 0, 0)] * count)
+    attribute(posed, "rotations", types.QuatfArray, [Gf.Quatf.GetIdentity()] * count)
+    attribute(posed, "scales", types.Half3Array, [(1, 1, 1)] * count)
+    session = stage.GetSessionLayer()
+    session.subLayerPaths.insert(0, folded.identifier)
+    extent = _computed(root, Usd.TimeCode.Default())
+    session.subLayerPaths.remove(folded.identifier)
+    return np.float32(extent[1].max())
+
+
+def _author_shape_bounds(job: UsdJob, stage: Any, writer: AnimationWriter) -> None:
+    """Write bounds of meshes that shapes alone move, where there are any.
+
+    Without joints, USD computes none. These hold every frame: the points at rest, and
+    as far around as the weights can move a point of the mesh.
+    """
+    root = stage.GetPrimAtPath(job.paths.root)
+    bounds = shape_bounds(root, writer.shapes, writer.weights)
+    if bounds is not None:
+        with Sdf.ChangeBlock():
+            writer.author_bounds(
+                [np.repeat(bounds[None], len(c), 0) for c in writer.codes]
+            )
+
+
+def _check_resolved(job: UsdJob, stage: Any, animation: str, *, library: bool) -> None:
+    """Refuse a binding that UsdSkel does not follow."""
+    from animtool.usd.rigs.target import resolved_animation
+
+    resolved = resolved_animation(stage, job.paths.skeleton)
+    if resolved != animation:
+        path = None if job.output is None else str(job.output)
+        message = (
+            f"UsdSkel resolves {resolved or 'no animation'} for {job.paths.skeleton}, "
+            f"not {animation}"
+        )
+        hint = "a binding in the rig is stronger than the layer"
+        if library:
+            from animtool.usd.takes.library import STRONGER_HINT
+
+            hint = STRONGER_HINT
+        if stage.GetPrimAtPath(job.paths.skeleton).IsInstanceProxy():
+            hint = "the rig is instanced there, and a layer cannot reach into instances"
+        raise OutputError(Fault("USD011", message, path, (), hint))

@@ -1,0 +1,257 @@
+"""Joints: a motion as a SkelAnimation, block by block."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from pxr import Sdf, Vt
+
+from animtool import _kernels
+from animtool.core.array_types import BoolArray, Float32Array, FloatArray
+from animtool.maths import so3
+from animtool.motion.motion import Motion
+from animtool.rig.skeleton import Rig
+from animtool.usd.layers.finite import Labels, narrowed
+from animtool.usd.layers.jobs import RootPath, Rounding, WrittenBlock
+from animtool.usd.layers.names import RigPaths
+from animtool.usd.layers.sdf import (
+    Samples,
+    attribute,
+    author_order,
+    prim,
+    quaternion,
+    vector,
+)
+
+
+def round_blocks(
+    blocks: Iterator[tuple[FloatArray, Motion]],
+    rig: Rig,
+    meters_per_unit: float,  # unit of the layer [m]
+    *,
+    root_motion: bool = False,
+    size: float = 1.0,
+) -> Iterator[WrittenBlock]:
+    """Yield blocks rounded to what USD holds, and what the rounding did.
+
+    size: what the rig's stage scales it by, where the error is seen.
+    """
+    for codes, motion in blocks:
+        translations, rotations, scales = motion.dense()
+        translations /= meters_per_unit
+        root = None
+        if root_motion and rig.roots:
+            root = _move_root(rig, translations, rotations, meters_per_unit)
+        names = rig.names
+        written_t = narrowed(
+            translations, "f", Labels("translations", "joint", names), codes
+        )
+        written_r = narrowed(rotations, "f", Labels("rotations", "joint", names), codes)
+        written_s = None
+        if scales is not None:
+            labels = Labels("scales", "joint", names)
+            written_s = narrowed(scales, "h", labels, codes)
+        extents, error, frame, joint = _kernels.measure_rounding(
+            rig.parents,
+            translations,
+            rotations,
+            scales,
+            written_t,
+            written_r,
+            None if written_s is None else written_s.astype(np.float32),
+        )
+        if not rig.joints:
+            extents = np.zeros_like(extents)
+        bounds = narrowed(extents, "f", Labels("extent"), codes)
+        yield WrittenBlock(
+            codes,
+            written_t,
+            written_r,
+            written_s,
+            bounds,
+            root,
+            error * meters_per_unit * size,
+            float(codes[frame]),
+            joint,
+            _weights(motion, rig, codes),
+            scales is not None and bool((scales != written_s).any()),
+        )
+
+
+def _weights(motion: Motion, rig: Rig, codes: FloatArray) -> Float32Array | None:
+    if motion.weights is None:
+        return None
+    weights = motion.weights.dense()[..., 0]
+    names = [shape.name for shape in rig.shapes]
+    return narrowed(weights, "f", Labels("weights", "shape", names), codes)
+
+
+def _move_root(
+    rig: Rig, translations: FloatArray, rotations: FloatArray, meters_per_unit: float
+) -> RootPath:
+    """Put the first root at rest in place; return the motion that this takes away.
+
+    The SkelRoot's transform X and the local transforms M' of the roots satisfy
+    X · M' = M, with M' of the first root at rest.
+    """
+    first, *others = rig.roots
+    rest_t = rig.rest_translations[first] / meters_per_unit
+    rest_r = rig.rest_rotations[first]
+    turn = so3.multiply(rotations[:, first], so3.conjugate(rest_r))
+    move = translations[:, first] - so3.rotate(turn, rest_t)
+    translations[:, first], rotations[:, first] = rest_t, rest_r
+    back = so3.conjugate(turn)
+    for other in others:
+        translations[:, other] = so3.rotate(back, translations[:, other] - move)
+        rotations[:, other] = so3.multiply(back, rotations[:, other])
+    return RootPath(move, turn)
+
+
+_TRANSFORMS = {
+    "translations": (Sdf.ValueTypeNames.Float3Array, Vt.Vec3fArray.FromNumpy),
+    "rotations": (Sdf.ValueTypeNames.QuatfArray, Vt.QuatfArray.FromNumpy),
+    "scales": (Sdf.ValueTypeNames.Half3Array, Vt.Vec3hArray.FromNumpy),
+}
+
+
+@dataclass
+class AnimationWriter:
+    """Writes a SkelAnimation and what moves with it."""
+
+    layer: Any
+    paths: RigPaths  # the character's prims
+    joints: list[str]  # their paths as the Skeleton has them, J of them
+    chosen: BoolArray | None = None  # which of them to write ``(J,)``; None is all
+    # Names of the rig's shapes, S of them; without, no weights are written.
+    shapes: tuple[str, ...] = ()
+    rounding: Rounding = field(default_factory=Rounding)  # what rounding did so far
+
+    def __post_init__(self) -> None:
+        """Make the prim and its attributes."""
+        spec = prim(self.layer, self.paths.animation, "SkelAnimation")
+        types = Sdf.ValueTypeNames
+        names = self.joints
+        if self.chosen is not None:
+            names = [n for n, keep in zip(names, self.chosen, strict=True) if keep]
+        self._count = len(names)
+        self._transforms: dict[str, Samples] = {}
+        if names:
+            tokens = Vt.TokenArray(names)
+            attribute(spec, "joints", types.TokenArray, tokens, uniform=True)
+            self._transforms = {
+                name: Samples(
+                    attribute(spec, name, kind),
+                    make,
+                    quaternions=name == "rotations",
+                    of="joint",
+                    names=names,
+                )
+                for name, (kind, make) in _TRANSFORMS.items()
+            }
+        self._weights: list[Float32Array] = []
+        self._weight_samples: Samples | None = None
+        self._codes: list[FloatArray] = []
+        self._extents: list[Float32Array] = []
+        self._root_path: list[RootPath] = []
+
+    def add(self, block: WrittenBlock) -> None:
+        """Write a block of frames."""
+        keep = slice(None) if self.chosen is None else self.chosen
+        arrays: dict[str, npt.NDArray[Any] | None] = {
+            "translations": block.translations,
+            "rotations": block.rotations,
+            "scales": block.scales,
+        }
+        for name, samples in self._transforms.items():
+            values = arrays[name]
+            if values is not None:
+                samples.add(block.codes, values[:, keep])
+        if self.shapes and block.weights is not None:
+            self._weights.append(block.weights)
+        self._codes.append(block.codes)
+        self._extents.append(block.extents)
+        if block.root is not None:
+            self._root_path.append(block.root)
+
+    @property
+    def sampled(self) -> list[str]:
+        """Names of the attributes that change over time."""
+        named = {**self._transforms, "blendShapeWeights": self._weight_samples}
+        return [n for n, samples in named.items() if samples and samples.sampled]
+
+    def finish(self, placing: list[str], *, replaces_motion: bool) -> None:
+        """Write the defaults of what never changed and the SkelRoot's motion.
+
+        replaces_motion: whether it has others, which must no longer move it.
+        """
+        ones = np.ones((self._count, 3), np.float16)
+        for samples in self._transforms.values():
+            samples.finish(ones)
+        if self._weights:
+            self._author_weights()
+        if self._root_path:
+            self._author_root(placing)
+        elif replaces_motion:
+            author_order(self.layer.GetPrimAtPath(self.paths.root), *placing)
+
+    def padded_bounds(self, padding: float | np.float32) -> list[Float32Array]:
+        """Return the bounds of the joints, padded: ``(F, 2, 3)``, one array a block."""
+        pad = np.array([[-padding] * 3, [padding] * 3], np.float32)
+        with np.errstate(over="ignore"):
+            return [extents + pad for extents in self._extents]
+
+    def author_bounds(self, extents: list[Float32Array]) -> None:
+        """Write the SkelRoot's bounds ``(F, 2, 3)``, one array a block."""
+        spec = self.layer.GetPrimAtPath(self.paths.root)
+        attr = attribute(spec, "extent", Sdf.ValueTypeNames.Float3Array)
+        samples = Samples(attr, Vt.Vec3fArray.FromNumpy)
+        for codes, bounds in zip(self._codes, extents, strict=True):
+            samples.add(codes, bounds)
+        samples.finish(np.zeros((2, 3), np.float32))
+
+    @property
+    def codes(self) -> list[FloatArray]:
+        """Time codes of every sample, one array a block."""
+        return self._codes
+
+    @property
+    def weights(self) -> list[Float32Array]:
+        """Weights of the shapes ``(F, S)``, one array a block; none where none move."""
+        return self._weights
+
+    def _author_weights(self) -> None:
+        """Write the weights of the shapes that are not zero in every frame."""
+        used = np.any([(rows != 0.0).any(axis=0) for rows in self._weights], axis=0)
+        if not used.any():
+            return
+        spec = self.layer.GetPrimAtPath(self.paths.animation)
+        types = Sdf.ValueTypeNames
+        names = [n for n, keep in zip(self.shapes, used, strict=True) if keep]
+        tokens = Vt.TokenArray(names)
+        attribute(spec, "blendShapes", types.TokenArray, tokens, uniform=True)
+        attr = attribute(spec, "blendShapeWeights", types.FloatArray)
+        samples = Samples(attr, Vt.FloatArray.FromNumpy)
+        for codes, rows in zip(self._codes, self._weights, strict=True):
+            samples.add(codes, rows[:, used])
+        samples.finish(np.zeros(len(names), np.float32))
+        self._weight_samples = samples
+
+    def _author_root(self, placing: list[str]) -> None:
+        """Write the SkelRoot's motion, behind the operations that place it."""
+        spec = self.layer.GetPrimAtPath(self.paths.root)
+        types = Sdf.ValueTypeNames
+        names = ["xformOp:translate:rootMotion", "xformOp:orient:rootMotion"]
+        move = Samples(attribute(spec, names[0], types.Double3), vector)
+        turn = Samples(
+            attribute(spec, names[1], types.Quatd), quaternion, quaternions=True
+        )
+        author_order(spec, *placing, *names)
+        for codes, path in zip(self._codes, self._root_path, strict=True):
+            move.add(codes, path.translations)
+            turn.add(codes, path.rotations)
+        move.finish(np.zeros(3))
+        turn.finish(so3.IDENTITY)

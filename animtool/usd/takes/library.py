@@ -1,0 +1,202 @@
+"""Clip libraries: many takes on one character, each bound by a variant of its model.
+
+Every take is a SkelAnimation ``Anim_{take}`` beside the Skeleton. The variant set
+``take`` of the model binds one: a variant holds ``skel:animationSource``, the
+SkelRoot's extent and, where it carries the root's motion, its transform. None of
+these stands outside of the variants, where it would be stronger than they are.
+``customData`` of a SkelAnimation says which frames are its own::
+
+    animtool = { dictionary take = { string name, timecode start, timecode end } }
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+from pxr import Sdf, Usd
+
+from animtool.core.errors import Fault, OptionError, OutputError, excerpt, listed
+from animtool.core.rates import LARGEST_FRAME
+from animtool.core.similar import similar
+from animtool.usd.layers.names import TAKE_SET, RigPaths
+from animtool.usd.layers.sdf import find_layer, new_layer, usd_errors
+from animtool.usd.rigs.prims import find_skeletons, open_stage, prim_below, upwards
+
+# A layer stack's own opinions are stronger than its variants, whatever their order.
+STRONGER_HINT = (
+    "what a rig binds is stronger than a variant of a layer beside it: let a shot "
+    "refer to the rig, and say where with --prim-path"
+)
+
+
+def take_paths(paths: RigPaths, name: str) -> RigPaths:
+    """Return where a take has its prims: what binds it is inside of its variant.
+
+    An empty name is of a file that holds one, without variants.
+
+    >>> take_paths(RigPaths.below("/hero"), "run").binding
+    '/hero{take=run}Rig'
+    """
+    if not name:
+        return paths
+    model = Sdf.Path(paths.model)
+    variant = model.AppendVariantSelection(TAKE_SET, name)
+
+    def inside(path: str) -> str:
+        return str(Sdf.Path(path).ReplacePrefix(model, variant))
+
+    return replace(
+        paths,
+        root=inside(paths.root),
+        binding=inside(paths.binding),
+        animation=f"{paths.animation}_{name}",
+    )
+
+
+def author_selection(layer: Any, paths: RigPaths, name: str) -> None:
+    """Select the variant of a take, whose variant the layer has."""
+    layer.GetPrimAtPath(paths.model).variantSelections[TAKE_SET] = name
+
+
+def author_range(
+    layer: Any, animation: str, name: str, first: Fraction, last: Fraction
+) -> None:
+    """State a take's name in its source and its frames on its SkelAnimation."""
+    # Time codes, so that an offset of a sublayer or reference shifts them too.
+    begin, end = Sdf.TimeCode(float(first)), Sdf.TimeCode(float(last))
+    take = {"name": name, "start": begin, "end": end}
+    layer.GetPrimAtPath(animation).SetInfo("customData", {"animtool": {"take": take}})
+
+
+def take_range(animation: Any) -> tuple[Fraction, Fraction] | None:
+    """Return the first and last frame that a SkelAnimation states; None for none."""
+    data = animation.GetPrim().GetCustomDataByKey("animtool:take")
+    if not isinstance(data, dict):
+        return None
+    ends = [data.get("start"), data.get("end")]
+    ends = [x.GetValue() if isinstance(x, Sdf.TimeCode) else x for x in ends]
+    numbers = [float(x) for x in ends if isinstance(x, (int, float))]
+    if len(numbers) < 2 or not all(abs(x) <= LARGEST_FRAME for x in numbers):
+        return None
+    first, last = (Fraction(x).limit_denominator(1_000_000) for x in numbers)
+    return (first, last) if first <= last else None
+
+
+@dataclass(frozen=True, slots=True)
+class TakeSet:
+    """The takes that a stage has for a character."""
+
+    prim: Any  # the prim with the variant set
+    names: tuple[str, ...]  # of the takes
+    selected: str  # the one that is bound
+
+
+def find_take_set(start: Any) -> TakeSet | None:
+    """Return the takes that a prim, or the nearest prim above it, chooses from.
+
+    Prims inside of instances cannot choose and are passed over.
+    """
+    for prim in upwards(start):
+        if not prim.IsInstanceProxy() and prim.GetVariantSets().HasVariantSet(TAKE_SET):
+            variants = prim.GetVariantSet(TAKE_SET)
+            names = tuple(variants.GetVariantNames())
+            return TakeSet(prim, names, str(variants.GetVariantSelection()))
+    return None
+
+
+def select_take(takes: TakeSet | None, name: str, where: str) -> TakeSet:
+    """Return the takes with one bound, on their stage's session layer alone."""
+    if takes is None:
+        message = f"there is no take {excerpt(name)}: the file is no clip library"
+        hint = f"a library has a variant set {TAKE_SET!r}"
+        raise OptionError(Fault("USD031", message, where, (), hint))
+    if name not in takes.names:
+        near = similar(name, takes.names)
+        hint = f"did you mean {near!r}? " if near else ""
+        hint += f"the takes: {listed(takes.names, 40)}"
+        message = f"there is no take {excerpt(name)}"
+        raise OptionError(Fault("USD031", message, where, (), hint))
+    stage = takes.prim.GetStage()
+    with Usd.EditContext(stage, stage.GetSessionLayer()):
+        takes.prim.GetVariantSet(TAKE_SET).SetVariantSelection(name)
+    return replace(takes, selected=name)
+
+
+def check_variant(stage: Any, layer: Any, paths: RigPaths, where: str | None) -> None:
+    """Refuse a variant whose values something on the stage overrides."""
+    for place in sorted({paths.root, paths.binding}):
+        spec = layer.GetPrimAtPath(place)
+        for own in spec.properties if spec else ():
+            path = own.path.StripAllVariantSelections()
+            stack = stage.GetPropertyAtPath(path).GetPropertyStack(
+                Usd.TimeCode.Default()
+            )
+            if stack and stack[0].path != own.path:
+                message = f"{path} of the rig is stronger than that of a variant"
+                raise OutputError(Fault("USD032", message, where, (), STRONGER_HINT))
+
+
+MAX_NAMED = 40
+
+
+def check_library(
+    path: Path, name: str, prim_path: str | None, *, overwrite: bool
+) -> None:
+    """Refuse a file that a take cannot be added to.
+
+    overwrite: whether a take of that name may be replaced.
+    """
+    with usd_errors(path):
+        stage = open_stage(path)
+        skeletons = find_skeletons(stage, prim_below(stage, prim_path))
+        takes = find_take_set(skeletons[0].GetPrim()) if skeletons else None
+    if takes is None:
+        message = "is no clip library, to which a take could be added"
+        hint = f"a library has a skeleton below a variant set {TAKE_SET!r}"
+        raise OptionError(Fault("SCN051", message, str(path), (), hint))
+    if name not in takes.names:
+        return
+    if not overwrite:
+        message = f"has a take {name!r} already, of {listed(takes.names, MAX_NAMED)}"
+        hint = "--overwrite replaces it; take: names another"
+        raise OptionError(Fault("SCN050", message, str(path), (), hint))
+    variant = takes.prim.GetPath().AppendVariantSelection(TAKE_SET, name)
+    if stage.GetRootLayer().GetPrimAtPath(variant) is None:
+        message = f"has the take {name!r} in another layer, which is not written"
+        hint = "name the layer itself"
+        raise OptionError(Fault("SCN051", message, str(path), (), hint))
+
+
+def merged_library(path: Path, layer: Any, paths: RigPaths, name: str) -> Any:
+    """Return a library with a take of another layer added, or replaced by it.
+
+    Every other take, and what it selects, stays as it is.
+    """
+    whole = new_layer(path)
+    whole.TransferContent(find_layer(path))
+    model = Sdf.Path(paths.model)
+    animation = Sdf.Path(f"{paths.animation}_{name}")
+    variant = model.AppendVariantSelection(TAKE_SET, name)
+    with Sdf.ChangeBlock():
+        for spot in (animation.GetParentPath(), model):
+            if whole.GetPrimAtPath(spot) is None:
+                Sdf.CreatePrimInLayer(whole, spot)
+        _make_variant(whole.GetPrimAtPath(model), name)
+        Sdf.CopySpec(layer, animation, whole, animation)
+        Sdf.CopySpec(layer, variant, whole, variant)
+    whole.startTimeCode = min(whole.startTimeCode, layer.startTimeCode)
+    whole.endTimeCode = max(whole.endTimeCode, layer.endTimeCode)
+    return whole
+
+
+def _make_variant(model: Any, name: str) -> None:
+    """Make sure of a variant, and of the set that it is in."""
+    if TAKE_SET not in model.variantSets:
+        model.variantSetNameList.prependedItems.append(TAKE_SET)
+        Sdf.VariantSetSpec(model, TAKE_SET)
+    variants = model.variantSets[TAKE_SET]
+    if name not in variants.variants:
+        Sdf.VariantSpec(variants, name)

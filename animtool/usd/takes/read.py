@@ -1,0 +1,507 @@
+"""A SkelAnimation on a stage as a take."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pxr import Usd, UsdGeom, UsdSkel
+
+from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.clock import Clock, time_fraction
+from animtool.core.errors import Fault, FormatError, Severity, counted, listed
+from animtool.core.rates import rate_from_float
+from animtool.core.units import unit_name
+from animtool.maths import so3
+from animtool.motion.motion import Channel, Motion
+from animtool.motion.reorient import off_its_place, placed_motion
+from animtool.motion.take import Take, TakeStream
+from animtool.rig.parts import AttachKind, Shape
+from animtool.rig.placed import standing_notice
+from animtool.rig.placement import Placement
+from animtool.rig.skeleton import Rig
+from animtool.usd.layers.faults import (
+    Spot,
+    missing_parts,
+    names_twice,
+    own_matrices,
+    tokens,
+    transform_attributes,
+    unknown_joints,
+)
+from animtool.usd.layers.sdf import usd_errors
+from animtool.usd.layers.stderr import without_usd_warnings
+from animtool.usd.rigs.mesh_read import bound_shapes
+from animtool.usd.rigs.placement import (
+    DROP,
+    NOWHERE,
+    SkeletonPlacement,
+    apart_notice,
+    movers,
+    refuse_uneven,
+    rest_rig,
+    skeleton_placement,
+    uneven_notice,
+)
+from animtool.usd.rigs.prims import (
+    SkeletonRig,
+    animation_source,
+    check_moves,
+    composition_notices,
+    find_skeletons,
+    numbers,
+    open_stage,
+    others_notice,
+    prim_below,
+    rig_from_tokens,
+    skeleton_rig,
+    stored_data,
+    up_axis,
+)
+from animtool.usd.rigs.recorded_place import with_recorded_place
+from animtool.usd.rigs.skinned import (
+    BINDING_HINT,
+    MAX_NAMED,
+    character_paths,
+    ignored_binding,
+)
+from animtool.usd.takes.animation_values import (
+    SampleGrid,
+    among_rest,
+    animated_shapes,
+    nearest_samples,
+    normalised,
+    sample_grid,
+    sampled_values,
+    scale_channel,
+    shape_weights,
+)
+from animtool.usd.takes.library import TakeSet, find_take_set, select_take
+
+
+def read_usd(
+    path: Path | str,
+    *,
+    prim_path: str | None = None,
+    take: str | None = None,
+    placement: str | None = None,
+) -> TakeStream:
+    """Read the animation of a character on a stage, or of an animation layer alone.
+
+    Joints that the animation lacks are at rest. The character is as large, and is
+    where, pxr composes it: the roots and lengths hold the transforms of the Skeleton
+    and of all above it. A layer without its rig has no rest pose: its joints rest at
+    their first sample.
+
+    take: which take of a clip library; None is the one that it selects.
+    placement: ``drop`` leaves out where the character stands and faces, but for what
+        moves its SkelRoot; its size and its up axis stay. None keeps it.
+    """
+    path = Path(path)
+    with usd_errors(path), without_usd_warnings():
+        return _read_stage(open_stage(path), path, prim_path, take, placement)
+
+
+def _read_stage(
+    stage: Any,
+    path: Path,
+    prim_path: str | None,
+    take: str | None,
+    choice: str | None,
+) -> TakeStream:
+    below = prim_below(stage, prim_path)
+    takes = _takes(stage, below)
+    if take is not None:
+        takes = select_take(takes, take, str(path))
+    stream = read_character(stage, path, below, choice)
+    if takes is not None:
+        stream.details["takes"] = list(takes.names)
+        stream.details["take"] = takes.selected
+    return stream
+
+
+def _takes(stage: Any, below: str) -> TakeSet | None:
+    """Return the takes that the character has to choose from."""
+    skeletons = find_skeletons(stage, below)
+    if skeletons:
+        return find_take_set(skeletons[0].GetPrim())
+    # An animation layer alone has only overs.
+    start = stage.GetPrimAtPath(below)
+    prims = Usd.PrimRange(start, Usd.PrimAllPrimsPredicate) if start else ()
+    return next((take_set for prim in prims if (take_set := find_take_set(prim))), None)
+
+
+def read_character(
+    stage: Any, path: Path, below: str, choice: str | None = None
+) -> TakeStream:
+    """Read the first character below a prim, or the animation of a layer alone.
+
+    choice: its placement, as `read_usd` has it.
+    """
+    skeletons = find_skeletons(stage, below)
+    if skeletons:
+        skeleton = skeleton_rig(skeletons[0], path)
+        animation = _bound_animation(skeletons[0])
+        prim = skeletons[0].GetPrim()
+    else:
+        animation = _first_animation(stage, below)
+        if animation is None:
+            message = f"holds no Skeleton and no SkelAnimation below {below}"
+            there = character_paths(stage)
+            hint = f"characters: {listed(there, MAX_NAMED)}" if there else None
+            raise FormatError(Fault("USD008", message, str(path), (), hint))
+        skeleton = _rig_of_animation(animation, path, stage)
+        prim = None
+    if animation is None:
+        stream, placement = _resting(skeleton, stage, path, prim, choice)
+    else:
+        stream, placement = _read(stage, path, skeleton, animation, prim, choice)
+    stream.notices += skeleton.notices
+    moving = None if animation is None else animation.GetPrim()
+    if prim is None:
+        stream.notices += _lost_motion(animation, Spot.of(path, animation))
+    else:
+        _join_stored(stream, skeletons[0], skeleton, path)
+    where = Spot.of(path, prim or moving)
+    stream.rig = with_recorded_place(stream.rig, prim, moving, where)
+    if choice == DROP:
+        stream = _dropped(stream, placement, prim, str(path))
+    else:
+        stream.rig = rest_rig(stream.rig, placement)
+    stream.notices += others_notice(
+        skeletons, str(path), "--prim-path names one (in bake, --source-prim)"
+    )
+    stream.notices += composition_notices(stage, str(path))
+    return stream
+
+
+def _placement(
+    prim: Any, rig: Rig, codes: list[float] | None, where: Spot, choice: str | None
+) -> tuple[SkeletonPlacement, list[Fault]]:
+    """Return where a Skeleton is at time codes, which its take has to hold."""
+    if prim is None:
+        return NOWHERE, []
+    placement = skeleton_placement(prim, rig, codes)
+    if choice != DROP:
+        refuse_uneven(placement, where)
+    notices = uneven_notice(placement, where)
+    notices += apart_notice(placement, where.path or "")
+    return (NOWHERE if placement.uneven else placement), notices
+
+
+def _placed(
+    motion: Motion, rig: Rig, placement: SkeletonPlacement, choice: str | None
+) -> Motion:
+    """Return a motion, as the numbers of a rig are, where its stage has it."""
+    path = placement.motion if choice == DROP else placement.whole
+    if path.is_none:
+        return motion
+    roots = np.array(rig.roots, np.int64)
+    return placed_motion(motion, roots, path).map(Channel.compact)
+
+
+def _dropped(
+    stream: TakeStream, placement: SkeletonPlacement, prim: Any, path: str
+) -> TakeStream:
+    """Return a take without where it stands, which its motion is without already.
+
+    Its joints still hold what the file records of that.
+    """
+    raw = stream.rig
+    kept = rest_rig(raw, placement)
+    left = replace(kept, rides=placement.rides)
+    stream.notices += standing_notice(left, path, kept=False, stays=raw.rides)
+    stream.rig = rest_rig(raw, placement, DROP)
+    held = stream.rig.stands
+    stream = off_its_place(stream)
+    stream.rig = replace(stream.rig, rides=False)
+    if left.stands is not None or left.rides:
+        stream.dropped = _left_place(placement, held, prim, raw)
+    return stream
+
+
+def _left_place(
+    placement: SkeletonPlacement, held: Placement | None, prim: Any, rig: Rig
+) -> Callable[[FloatArray], Placement]:
+    """Return where a take without it stood, at time codes of its stage."""
+    stage: Any = None if prim is None else prim.GetStage()
+
+    def stood(codes: FloatArray) -> Placement:
+        own = placement
+        if placement.rides:
+            # Named here, the stage lives as long as the function, and its prims.
+            skeleton = stage.GetPrimAtPath(prim.GetPath())
+            own = skeleton_placement(skeleton, rig, codes.tolist())
+        stands, _ = own.fixed.split(rig.up)
+        return stands if held is None else stands.after(held)
+
+    return stood
+
+
+def _join_stored(
+    stream: TakeStream, skeleton: Any, rig: SkeletonRig, path: Path
+) -> None:
+    """Give the take's rig what the Skeleton's customData says of it beyond USD."""
+    data = stored_data(skeleton.GetPrim())
+    if not data.get("rig"):
+        return
+    from animtool.usd.rigs.stored import joined_rig
+
+    joined, notices = joined_rig(
+        stream.rig,
+        data,
+        rig.tokens,
+        own_matrices(skeleton.GetRestTransformsAttr()),
+        own_matrices(skeleton.GetBindTransformsAttr()),
+        path,
+    )
+    names = [shape.name for shape in joined.shapes]
+    places = np.array([names.index(s.name) for s in stream.rig.shapes], np.int64)
+    stream.blocks = _among(stream.blocks, places, len(names))
+    # Meshes and curves stay where they are, and with them cloth and strands.
+    held = {AttachKind.CLOTH, AttachKind.STRANDS}
+    attach = tuple(entry for entry in joined.attach if entry.kind not in held)
+    stream.rig = replace(joined, meshes=(), attach=attach)
+    stream.notices += notices
+
+
+def _among(blocks: Iterator[Motion], places: IntArray, count: int) -> Iterator[Motion]:
+    """Yield blocks whose weights stand at some places among others, which are 0."""
+    for block in blocks:
+        old = block.weights
+        if old is None:
+            yield block
+            continue
+        rest = np.zeros((count, 1))
+        rest[places] = old.rest
+        animated = places[old.animated]
+        order = np.argsort(animated)
+        weights = Channel(rest, animated[order], old.values[:, order])
+        yield replace(block, weights=weights)
+
+
+def _bound_animation(skeleton: Any) -> Any:
+    if not UsdSkel.Root.Find(skeleton.GetPrim()):
+        return None
+    if source := animation_source(skeleton):
+        return UsdSkel.Animation(source)
+    # An animation that UsdSkel cannot use is bound all the same: reading says why.
+    binding = UsdSkel.BindingAPI(skeleton.GetPrim()).GetInheritedAnimationSource()
+    return UsdSkel.Animation(binding) if binding else None
+
+
+def _first_animation(stage: Any, below: str) -> Any:
+    start = stage.GetPrimAtPath(below)
+    # An animation layer alone has only overs above its animation.
+    everything = Usd.PrimAllPrimsPredicate
+    prims = list(Usd.PrimRange(start, everything)) if start else []
+    bound = [
+        stage.GetPrimAtPath(target)
+        for prim in prims
+        if (binding := prim.GetRelationship("skel:animationSource"))
+        for target in binding.GetTargets()
+    ]
+    for prim in (*bound, *prims):
+        if prim and prim.IsA(UsdSkel.Animation):
+            return UsdSkel.Animation(prim)
+    return None
+
+
+def _lost_motion(animation: Any, where: Spot) -> list[Fault]:
+    """Say so where a layer alone moves a SkelRoot, whose rig is elsewhere."""
+    parent = animation.GetPrim().GetParent()
+    order = parent.GetAttribute("xformOpOrder")
+    if not order or not order.HasAuthoredValue():
+        return []
+    message = f"{parent.GetPath()} carries the root's motion, which is left out"
+    hint = "read a stage that holds the rig too"
+    return [where.fault("USD113", message, hint, Severity.WARNING)]
+
+
+def _rig_of_animation(animation: Any, path: Path, stage: Any) -> SkeletonRig:
+    joints = tokens(animation.GetJointsAttr())
+    where = Spot.of(path, animation)
+    where.refuse(names_twice(animation.GetJointsAttr()))
+    data = stored_data(animation.GetPrim())
+    matrices = np.tile(np.eye(4), (len(joints), 1, 1))
+    first = Usd.TimeCode.EarliestTime()
+    positions = numbers(animation.GetTranslationsAttr(), 3, first)
+    if joints and len(positions) == len(joints):
+        matrices[:, 3, :3] = positions
+    rig = rig_from_tokens(
+        joints,
+        matrices,
+        path.stem,
+        where,
+        UsdGeom.GetStageMetersPerUnit(stage),
+        up_axis(stage),
+        {"names": data["names"]} if "names" in data else {},
+    )
+    return replace(rig, rig=replace(rig.rig, has_rest=False))
+
+
+def _resting(
+    skeleton: SkeletonRig, stage: Any, path: Path, prim: Any, choice: str | None
+) -> tuple[TakeStream, SkeletonPlacement]:
+    """Return a rig without animation: one frame, at rest; and where that is."""
+    shapes = () if skeleton.tokens else bound_shapes(UsdSkel.Skeleton(prim))
+    rig = skeleton.rig
+    check_moves(len(rig.joints), len(shapes), Spot.of(path, prim))
+    rig = replace(rig, shapes=tuple(Shape(name) for name in shapes))
+    motion = Motion(
+        Channel.from_dense(rig.rest_translations[None]),
+        Channel.from_dense(rig.rest_rotations[None]),
+        scale_channel(skeleton.rest_scales[None]),
+        Channel.from_dense(np.zeros((1, len(shapes), 1))) if shapes else None,
+    )
+    placement, notices = _placement(prim, rig, None, Spot.of(path, prim), choice)
+    motion = _placed(motion, rig, placement, choice)
+    fps = rate_from_float(stage.GetTimeCodesPerSecond())
+    start = time_fraction(stage.GetStartTimeCode())
+    stream = TakeStream.of(Take(rig, Clock(fps, start, Fraction(1), 1), motion))
+    stream.details = _details(stage, skeleton)
+    stream.details["animation"] = None
+    if not stage.HasAuthoredMetadata("startTimeCode"):
+        stream.start = None
+    message = "no animation is bound to the skeleton; it is read at rest"
+    hint = None
+    if ignored := ignored_binding(prim):
+        message += f": {ignored} binds one, and SkelBindingAPI is not applied to it"
+        hint = BINDING_HINT
+    warning = Severity.WARNING
+    stream.notices.append(Fault("USD103", message, str(path), (), hint, warning))
+    stream.notices += notices
+    return stream, placement
+
+
+def _read(
+    stage: Any,
+    path: Path,
+    skeleton: SkeletonRig,
+    animation: Any,
+    prim: Any,
+    choice: str | None,
+) -> tuple[TakeStream, SkeletonPlacement]:
+    where = Spot.of(path, animation)
+    places, notices = _places(skeleton, animation, prim, where)
+    attributes = _attributes(animation, places, where, notices)
+    shapes = animated_shapes(animation)
+    check_moves(len(skeleton.rig.joints), len(shapes), where)
+    sources = [*attributes.values(), *([] if prim is None else movers(prim))]
+    sources += [animation.GetBlendShapeWeightsAttr()] if shapes else []
+    times = sorted({time for source in sources for time in source.GetTimeSamples()})
+    grid = sample_grid(stage, animation, times, where)
+    fps = rate_from_float(stage.GetTimeCodesPerSecond())
+    clock = Clock(fps, grid.start, grid.step, grid.count)
+    codes = clock.times.tolist()
+
+    rig = skeleton.rig
+    notices += _grid_notices(grid, len(times), where)
+    meters = rig.meters_per_unit
+    rests = {
+        "translations": rig.rest_translations / meters,
+        "rotations": rig.rest_rotations,
+        "scales": skeleton.rest_scales,
+    }
+
+    def whole(name: str, rest: FloatArray) -> FloatArray:
+        """Return an attribute for the Skeleton's joints, at rest if not animated."""
+        attr, width, rows = attributes.get(name), rest.shape[1], None
+        if attr is not None:
+            rows = sampled_values(
+                attr, codes, len(places), width, where, drift=grid.drift
+            )
+        return among_rest(rest, rows, places, len(codes))
+
+    translations, rotations, scales = (whole(*part) for part in rests.items())
+    translations *= meters
+    rotations, off = normalised(rotations, rig.names, codes, where)
+    rotations = so3.align_signs(rotations)
+    notices += off
+    motion = Motion(
+        Channel.from_dense(translations),
+        Channel.from_dense(rotations),
+        scale_channel(scales),
+        shape_weights(animation, codes, len(shapes), where, grid.drift)
+        if shapes
+        else None,
+    )
+    moving = [] if prim is None else movers(prim)
+    sampled = sorted({time for mover in moving for time in mover.GetTimeSamples()})
+    moved = nearest_samples(sampled, codes, grid.drift)
+    placement, odd = _placement(prim, rig, moved, where, choice)
+    notices += odd
+    motion = _placed(motion, rig, placement, choice)
+    rig = replace(rig, shapes=tuple(Shape(name) for name in shapes))
+    stream = TakeStream.of(Take(rig, clock, motion))
+    stream.notices.extend(notices)
+    stream.details = _details(stage, skeleton)
+    stream.details["animation"] = str(animation.GetPath())
+    return stream, placement
+
+
+def _attributes(
+    animation: Any, places: IntArray, where: Spot, notices: list[Fault]
+) -> dict[str, Any]:
+    """Return what an animation must have for UsdSkel to use it, by name.
+
+    Nothing where it moves no joint: it has weights of shapes alone, or only names
+    joints, which then stay at rest.
+    """
+    if not len(places):
+        return {}
+    missing = list(missing_parts(animation, tokens(animation.GetJointsAttr())))
+    if any(fault.severity is Severity.ERROR for fault in missing):
+        where.refuse(missing)
+    notices += [replace(fault, path=where.path) for fault in missing]
+    if missing:
+        return {}
+    return transform_attributes(animation)
+
+
+def _places(
+    skeleton: SkeletonRig, animation: Any, prim: Any, where: Spot
+) -> tuple[IntArray, list[Fault]]:
+    """Return where joints are in the Skeleton, and a warning of those left out (-1)."""
+    attr = animation.GetJointsAttr()
+    index = {token: i for i, token in enumerate(skeleton.tokens)}
+    places = np.array([index.get(token, -1) for token in tokens(attr)], np.int64)
+    if prim is None:
+        return places, []
+    unknown = unknown_joints(attr, skeleton.tokens, prim.GetPath())
+    return places, [replace(fault, path=where.path) for fault in unknown]
+
+
+def _grid_notices(grid: SampleGrid, samples: int, where: Spot) -> list[Fault]:
+    """Return notices of samples that are not evenly spaced, or not on frames."""
+    notices = []
+    every = "time code" if grid.step == 1 else f"{float(grid.step):g} time codes"
+    if not grid.even:
+        message = f"samples are unevenly spaced; read every {every}"
+        notices.append(where.fault("USD105", message, severity=Severity.NOTE))
+    if grid.drift:
+        message = (
+            f"samples are up to {grid.drift:.2g} time codes off the frames (at "
+            f"{grid.drift_code:.10g}); read as {counted(grid.count, 'frame')}, "
+            f"one every {every}"
+        )
+        notices.append(where.fault("USD121", message, severity=Severity.NOTE))
+    if grid.between:
+        message = f"{grid.between} of {samples} samples fall between frames; "
+        message += "only the values on frames are read"
+        hint = "resample the animation on whole frames where it is made"
+        warning = Severity.WARNING
+        notices.append(where.fault("USD122", message, hint, warning))
+    return notices
+
+
+def _details(stage: Any, skeleton: SkeletonRig) -> dict[str, object]:
+    return {
+        "format": "USD",
+        "layers": len(stage.GetUsedLayers()),
+        "units": unit_name(skeleton.rig.meters_per_unit),
+    }

@@ -1,0 +1,31 @@
+"""The takes of all characters of a stage."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from animtool.motion.take import TakeStream
+from animtool.usd.layers.sdf import usd_errors
+from animtool.usd.layers.stderr import without_usd_warnings
+from animtool.usd.rigs.prims import find_skeletons, open_stage
+from animtool.usd.takes.read import read_character
+
+
+def read_characters(path: Path) -> dict[str, Callable[[], TakeStream]]:
+    """Return what reads the take of each Skeleton of a stage, by its path.
+
+    A layer without its rig holds none.
+    """
+    with usd_errors(path), without_usd_warnings():
+        stage = open_stage(path)
+
+        def reader(below: str) -> Callable[[], TakeStream]:
+            def read() -> TakeStream:
+                with usd_errors(path), without_usd_warnings():
+                    return read_character(stage, path, below)
+
+            return read
+
+        paths = [str(skeleton.GetPath()) for skeleton in find_skeletons(stage)]
+        return {below: reader(below) for below in paths}
