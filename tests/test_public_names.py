@@ -40,6 +40,28 @@ def test_no_module_takes_the_place_of_a_public_name(face: str) -> None:
     assert not names & modules
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "name"),
+    [
+        ("clock", "core.clock", "Clock"),
+        ("errors", "core.errors", "Fault"),
+        ("markers", "motion.markers", "Markers"),
+        ("mocap.cameras", "capture.cameras", "Cameras"),
+        ("mocap.face", "capture.face", "fit_face"),
+        ("mocap.retarget", "retarget", "retarget_take"),
+        ("passes", "motion.passes", "Pass"),
+        ("readers", "core.readers", "Reader"),
+        ("rules", "core.rules", "Rule"),
+        ("take", "motion.take", "Take"),
+    ],
+)
+def test_modules_that_were_moved_have_their_old_names_too(
+    old: str, new: str, name: str
+) -> None:
+    before, after = import_module(f"animtool.{old}"), import_module(f"animtool.{new}")
+    assert getattr(before, name) is getattr(after, name)
+
+
 @pytest.mark.slow(seconds=20)
 def test_a_script_of_a_user_passes_pyright(root: Path) -> None:
     if find_spec("pyright") is None:

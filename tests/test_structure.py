@@ -19,63 +19,27 @@ import animtool
 PACKAGE = Path(animtool.__file__).parent
 # A package imports from those above it only.
 LAYERS = [
-    {
-        "errors",
-        "units",
-        "quantities",
-        "rates",
-        "leftovers",
-        "output",
-        "placing",
-        "config",
-        "_types",
-        "_kernels",
-        "blas",
-        "files",
-        "junit",
-        "signals",
-        "supervisor",
-        "similar",
-        "scores",
-        "spool",
-        "timecode",
-        "toml_text",
-    },
-    {"options", "plugins", "ranges", "shot"},
-    {"readers"},
+    {"core", "_kernels"},
     {"maths"},
     {"documents"},
-    {"rules"},
     {"rig"},
-    {"transforms"},
-    {
-        "clock",
-        "contacts",
-        "driver_run",
-        "driving",
-        "physics",
-        "frames",
-        "markers",
-        "motion",
-        "take",
-        "take_checks",
-    },
-    {"passthrough"},
-    {"passes", "reorient", "keyed"},
+    {"motion"},
     {"clip"},
     {"skin"},
     {"ik"},
     {"formats"},
     {"usd"},
-    {"edit", "mocap", "sim"},
+    {"edit", "retarget", "capture", "sim"},
     {"systems"},
     {"scene"},
     {"batch"},
     {"preview", "report", "validation"},
     {"cli"},
+    # Old names of modules, which plug-ins may import.
+    {"errors", "rules", "readers", "clock", "take", "markers", "passes", "mocap"},
 ]
 # Passes of one kind know nothing of those of another.
-APART = {"edit", "mocap", "sim"}
+APART = {"edit", "retarget", "capture", "sim"}
 RANK = {name: i for i, names in enumerate(LAYERS) for name in names}
 
 
@@ -197,7 +161,7 @@ OPENED = {
     "animtool.usd.caches.info": "layers that dependencies has looked at",
     "animtool.retarget.names": "a table that is part of animtool",
     "animtool.core.files.spool": "what it has written itself",
-    "animtool.rules": "pages that are part of animtool",
+    "animtool.core.rules": "pages that are part of animtool",
 }
 READS = {
     *("read_bytes", "FindOrOpen", "OpenAsAnonymous", "read_from_file", "FileIO"),

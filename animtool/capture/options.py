@@ -1,13 +1,11 @@
-"""Options of the commands and passes of captures, each with its default."""
+"""Options of the commands and passes that solve captures, each with its default."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Annotated, Literal, get_args
+from typing import Annotated
 
 from animtool.core.options import option, or_more
-from animtool.retarget.roles import MapMode
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,93 +203,4 @@ class SolveOptions:
         "--subject",
         metavar="NAME",
         help="Whose markers count, where names begin with those of several: Ann:LFHD.",
-    )
-
-
-@dataclass(frozen=True, slots=True)
-class RetargetOptions:
-    """How a take goes onto another rig.
-
-    Attributes:
-        map: A map file; None finds which joint follows which.
-        by: What joints are told by.
-        preset: The convention of the source's names; None finds it.
-        target_preset: That of the target's names.
-        rest: Frame of the source, counted from 1, whose pose is its rest pose; ``rig``
-            where it rests as the target does, whatever its offsets are; None is that of
-            its skeleton.
-        free_feet: Whether feet may slide where they stand.
-        hold_hands: Whether hands keep their contacts with each other and the ground.
-        force_fit: Whether a take goes onto a rig with which it shares less than a limb
-            or a third of the joints that move (MAP010); a map file is enough, too.
-        warn_above: Warn of scores that are more than so many times what a good take
-            has (MAP107), 0 or more; None warns of none.
-    """
-
-    map: Path | None = option(
-        None,
-        "file",
-        "--map",
-        help="A map file (.map.yaml): which joint follows which. Joints that it does "
-        "not name stay at rest, unless it says others: auto.",
-    )
-    by: MapMode = option(
-        "auto",
-        "name",
-        "--by",
-        choices=get_args(MapMode),
-        help="How joints are recognised: by their names and by where they are in the "
-        "body, by one of both, or (rename) each by a joint of the same name.",
-    )
-    preset: str | None = option(
-        None,
-        "text",
-        "--preset",
-        metavar="NAME",
-        help="The convention of the source's names.  [default: the nearest]",
-    )
-    target_preset: str | None = option(
-        None,
-        "text",
-        "--target-preset",
-        metavar="NAME",
-        help="The convention of the rig's names.  [default: the nearest]",
-    )
-    rest: int | Literal["rig"] | None = option(
-        None,
-        "source_rest",
-        "--rest",
-        metavar="offsets|frame:N|rig",
-        help="Where the rest pose of the source comes from; rig: it rests as the rig "
-        "does, whatever its offsets are.  [default: offsets]",
-    )
-    free_feet: bool = option(
-        False,
-        "switch",
-        "--feet",
-        choices=("hold", "free"),
-        help="Whether feet stay where they stand, or slide.  [default: hold]",
-    )
-    hold_hands: bool = option(
-        False,
-        "switch",
-        "--hands",
-        choices=("free", "hold"),
-        help="Whether arms turn as the source's, or hands keep their contacts with "
-        "each other and the ground.  [default: free]",
-    )
-    force_fit: bool = option(
-        False,
-        "switch",
-        "--force-fit",
-        help="Bring over what is paired, though it is less than one limb or a third of "
-        "the joints that move.",
-    )
-    warn_above: float | None = option(
-        None,
-        "amount",
-        "--warn-above",
-        metavar="TIMES",
-        help="Warn where drift, soles or another score is more than so many times what "
-        "a good take has; with --strict that fails.",
     )

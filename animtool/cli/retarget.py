@@ -7,7 +7,6 @@ from typing import Any
 
 import click
 
-from animtool.capture.options import RetargetOptions
 from animtool.cli.console import Console
 from animtool.cli.options import (
     INPUT,
@@ -29,6 +28,7 @@ from animtool.cli.outputs import (
 )
 from animtool.cli.retarget_summary import MAX_NAMED, retarget_json, retarget_text
 from animtool.core.options import options_of
+from animtool.retarget.options import RetargetOptions
 
 # Options of retargeting that those of writing do not have.
 OWN_OPTIONS = tuple(name for name in options_of(RetargetOptions) if name != "force_fit")

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from animtool.capture.options import RetargetOptions
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, FormatError, OptionError, Severity
 from animtool.core.options import with_written
@@ -30,6 +29,7 @@ from animtool.retarget.coverage import collapsed, lacking_pairs, nothing_paired
 from animtool.retarget.legs import leg_of
 from animtool.retarget.map import JointMap
 from animtool.retarget.motion import Retargeting, transfer_of
+from animtool.retarget.options import RetargetOptions
 from animtool.retarget.pairing import map_joints
 from animtool.retarget.props import Props
 from animtool.retarget.report import scores_of

@@ -9,7 +9,6 @@ from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from animtool.capture.options import RetargetOptions
 from animtool.core.errors import Fault, OptionError, refuse_warnings
 from animtool.core.files.output import (
     check_outputs,
@@ -24,6 +23,7 @@ from animtool.motion.reorient import off_its_place
 from animtool.motion.take import TakeStream
 from animtool.retarget.map import JointMap, map_text
 from animtool.retarget.motion import Retargeting
+from animtool.retarget.options import RetargetOptions
 from animtool.retarget.report import RetargetReport
 from animtool.retarget.take_pass import checked_blocks, onto_rig
 from animtool.retarget.verdict import FrameNumbers, Verdict

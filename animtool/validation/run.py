@@ -32,8 +32,8 @@ from animtool.validation.subjects.subject import CheckedFile
 def find_files(paths: Iterable[Path | str]) -> list[Path]:
     """Return the files that paths mean, each once, in the order of the paths.
 
-    See `animtool.core.files.reading.files_meant`; folders are searched for all files that animtool
-    knows by name.
+    See `animtool.core.files.reading.files_meant`; folders are searched for all files
+    that animtool knows by name.
     """
     return match_files(paths)[0]
 

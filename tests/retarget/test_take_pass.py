@@ -10,11 +10,11 @@ import pytest
 from numpy.testing import assert_allclose
 
 from animtool import Channel, Motion, Rig, Take, open_source
-from animtool.capture.options import RetargetOptions
 from animtool.core.errors import OptionError
 from animtool.core.units import UpAxis, up_from_up
 from animtool.maths import so3
 from animtool.motion.take import TakeStream
+from animtool.retarget.options import RetargetOptions
 from animtool.retarget.take_pass import onto_rig
 from animtool.rig.kinematics import forward
 

@@ -106,8 +106,8 @@ def calibrate(
         options: Noise and subject.
 
     Raises:
-        OptionError: As of `animtool.capture.solve.solve_markers`; or too few frames have
-            enough markers (SOL006).
+        OptionError: As of `animtool.capture.solve.solve_markers`; or too few frames
+            have enough markers (SOL006).
 
     Limits of the method: how far a marker is put on about the axis of a bone whose ends
     it cannot tell is known from the static take alone. Bones that no marker sees follow

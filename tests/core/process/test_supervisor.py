@@ -24,7 +24,7 @@ TIMEOUT = 60.0
 SCRIPT = """
 import os, signal, sys
 from pathlib import Path
-from animtool import supervisor
+from animtool.core.process import supervisor
 from animtool.core.errors import FormatError
 from animtool.core.files.leftovers import remove_leftovers
 from animtool.core.files.output import replacing

@@ -21,7 +21,7 @@ from animtool.rig.kinematics import forward
 from animtool.scene.file import load_scene
 from animtool.scene.systems.simulation import open_systems
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 CLIPS = ("retarget/takes/walk", "crowd/clips/stand")
 FRAMES = 42
 # A foot that stands slides no farther, in what USD plays [m].

@@ -11,7 +11,7 @@ import pytest
 from pxr import Usd, UsdGeom
 from support.cli import animtool
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 WALK = ROOT / "samples/walk/walk.bvh"
 STRIDE = ROOT / "samples/stride/stride.clip.yaml"
 SHEET = """\

@@ -1,0 +1,3 @@
+"""The old name of `animtool.core.clock`."""
+
+from animtool.core.clock import *  # noqa: F403

@@ -1,0 +1,3 @@
+"""The old name of `animtool.core.errors`."""
+
+from animtool.core.errors import *  # noqa: F403

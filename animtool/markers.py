@@ -1,0 +1,3 @@
+"""The old name of `animtool.motion.markers`."""
+
+from animtool.motion.markers import *  # noqa: F403

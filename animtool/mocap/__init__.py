@@ -1,0 +1,1 @@
+"""The old name of `animtool.capture` and `animtool.retarget`."""

@@ -1,0 +1,3 @@
+"""The old name of `animtool.capture.face`."""
+
+from animtool.capture.face import *  # noqa: F403

@@ -1,0 +1,3 @@
+"""The old name of `animtool.retarget`."""
+
+from animtool.retarget import *  # noqa: F403

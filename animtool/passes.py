@@ -1,0 +1,3 @@
+"""The old name of `animtool.motion.passes`."""
+
+from animtool.motion.passes import *  # noqa: F403

@@ -1,0 +1,3 @@
+"""The old name of `animtool.core.readers`."""
+
+from animtool.core.readers import *  # noqa: F403

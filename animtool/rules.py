@@ -1,0 +1,3 @@
+"""The old name of `animtool.core.rules`."""
+
+from animtool.core.rules import *  # noqa: F403

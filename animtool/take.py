@@ -1,0 +1,3 @@
+"""The old name of `animtool.motion.take`."""
+
+from animtool.motion.take import *  # noqa: F403
