@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -26,9 +28,140 @@ from animtool.cli.outputs import (
     written_options,
     written_options_record,
 )
-from animtool.cli.retarget_summary import MAX_NAMED, retarget_json, retarget_text
+from animtool.core.errors import counted, listed, percent
 from animtool.core.options import options_of
+from animtool.core.quantities import angle_text, duration_text, length_text
 from animtool.retarget.options import RetargetOptions
+
+if TYPE_CHECKING:
+    from animtool.retarget.report import RetargetReport
+    from animtool.retarget.verdict import Verdict
+    from animtool.scene.retarget import RetargetResult
+
+
+# What ``animtool retarget`` prints of a take on its rig.
+
+MAX_NAMED = 8
+MAX_RUNS = 6
+# What rounding leaves of lengths and angles [m, rad].
+NEGLIGIBLE = 1e-9
+
+
+def retarget_text(report: RetargetResult, most: int | None = MAX_NAMED) -> list[str]:
+    """Return the lines of a summary; ``most``: names in a line, None is all."""
+    score = report.score
+    frames, spent = score.frames, report.seconds["solve"]
+    each = duration_text(spent / max(frames, 1))
+    lines = [
+        verdict_text(report.verdict),
+        f"{report.source} onto {report.target.name}: {counted(frames, 'frame')}, "
+        f"{counted(score.pairs, 'joint')} paired, scaled by {score.scale:.3g}, "
+        f"{each} a frame",
+    ]
+    if score.contacts:
+        lines.append(
+            f"  feet stand in {percent(score.contacts)} of frames; they drift "
+            f"{_length(score.drift_mean)}, {_length(score.drift_max)} at most "
+            f"(the source {_length(score.source_drift_max)}, scaled); soles within "
+            f"{_length(score.sole_error)}"
+        )
+    lines.append(f"  {'; '.join(_fit(score))}")
+    if score.hand_error:
+        lines.append(
+            f"  hands within {length_text(score.hand_error)} of what they hold"
+        )
+    if score.lowered:
+        lines.append(
+            f"  hips lowered by up to {length_text(score.lowered)}: legs reach"
+        )
+    for what, names in (
+        ("stopped by their limits", _held(report)),
+        ("not mapped, of the source", score.unmapped_source),
+        ("not mapped, of the rig", score.unmapped_target),
+    ):
+        if names:
+            lines.append(f"  {what}: {listed(names, most or len(names))}")
+    if report.outputs:
+        lines.append(f"  written: {', '.join(map(str, report.outputs))}")
+    return lines
+
+
+def verdict_text(verdict: Verdict) -> str:
+    """Return a verdict in a line: what to look at, and in which frames."""
+    reasons = []
+    for reason in verdict.reasons:
+        text = f"{reason.what} {reason.text}".rstrip()
+        if reason.frames:
+            runs = [f"{a}" if a == b else f"{a}-{b}" for a, b in reason.frames]
+            text = f"{listed(runs, MAX_RUNS)} ({text})"
+        reasons.append(text)
+    if not reasons:
+        return str(verdict.status)
+    return f"{verdict.status}: {'; '.join(reasons)}"
+
+
+def _fit(score: RetargetReport) -> list[str]:
+    """Return what limbs, hands and accelerations are like; scores of none are none."""
+    limbs = "no limb is paired: its angles have no score"
+    if not math.isnan(score.bone_angle_mean):
+        limbs = (
+            f"limbs {_angle(score.bone_angle_mean)} off the source's, "
+            f"{_angle(score.bone_angle_max)} at most"
+        )
+    parts = [limbs]
+    if not math.isnan(score.reach_error):
+        parts.append(f"hands reach within {percent(score.reach_error)} of the arm")
+    if not math.isnan(score.acceleration):
+        fast = f"accelerations up to {score.acceleration:.3g} times the source's"
+        parts.append(fast)
+    return parts
+
+
+def _length(meters: float) -> str:
+    return length_text(meters if meters > NEGLIGIBLE else 0.0)
+
+
+def _angle(radians: float) -> str:
+    return angle_text(math.degrees(radians if radians > NEGLIGIBLE else 0.0))
+
+
+def _held(report: RetargetResult) -> list[str]:
+    most = sorted(report.score.held.items(), key=lambda item: -item[1])
+    return [f"{name} ({percent(share)} of frames)" for name, share in most]
+
+
+def retarget_json(report: RetargetResult) -> dict[str, object]:
+    """Return a summary as plain values; lengths in metres, angles in radians.
+
+    Scores of nothing are null.
+    """
+    ours, theirs = report.source_rig.names, report.target.names
+    return {
+        **report.verdict.as_dict(),
+        "retarget": "animtool/1",
+        "source": str(report.source),
+        "rig": str(report.rig),
+        "outputs": [str(path) for path in report.outputs],
+        **{name: _plain(value) for name, value in asdict(report.score).items()},
+        "joints": [
+            {
+                "source": ours[pair.source],
+                "target": theirs[pair.target],
+                "role": pair.role,
+                "found": str(pair.found),
+                "confidence": pair.confidence,
+            }
+            for pair in report.joint_map.pairs
+        ],
+        "seconds": report.seconds,
+        "notices": [notice.as_dict() for notice in report.notices],
+    }
+
+
+def _plain(value: object) -> object:
+    """Return a value as JSON has it: null for a score of nothing."""
+    return None if isinstance(value, float) and math.isnan(value) else value
+
 
 # Options of retargeting that those of writing do not have.
 OWN_OPTIONS = tuple(name for name in options_of(RetargetOptions) if name != "force_fit")

@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from animtool.capture.markers.chains import alike_of
-from animtool.capture.markers.evidence import evidence
+from animtool.capture.markers.chains import alike_of, evidence
 from animtool.capture.markers.geometry import Distances
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import re
+from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 
@@ -10,22 +12,148 @@ import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.clock import Clock
-from animtool.core.errors import FormatError, counted, listed
+from animtool.core.errors import FormatError, counted, excerpt, listed
 from animtool.core.files.reading import MAX_INPUT_BYTES, open_input
 from animtool.core.rates import FractionLike
 from animtool.core.units import LengthUnit, UpAxis
 from animtool.formats.c3d.claims import WORD, Claim, claims_of, trial_fields, word_of
-from animtool.formats.c3d.evidence import judge
-from animtool.formats.c3d.layout import Layout, Outcome, choose_layout, contradicted
-from animtool.formats.c3d.screen import read_screen
+from animtool.formats.c3d.layout import (
+    Evidence,
+    Layout,
+    Outcome,
+    choose_layout,
+    contradicted,
+)
 from animtool.formats.c3d.sections import (
     BLOCK,
     MalformedError,
+    Processor,
     Sections,
     read_sections,
 )
 from animtool.formats.trajectories import MAX_POSITIONS, MarkerFile
 from animtool.motion.markers import Markers
+
+# The up axis of a C3D file, by which of its axes point right and up on a screen.
+
+_AXIS = re.compile(r"([+-]?)([XYZ])")
+# For other up axes than +Y and +Z: the axis that is up once the positions are turned,
+# and which numbers, with which signs, are x, y and z then.
+_TURNS = {
+    "-Y": (UpAxis.Y, (0, 1, 2), (1, -1, -1)),
+    "-Z": (UpAxis.Z, (0, 1, 2), (1, -1, -1)),
+    "+X": (UpAxis.Y, (1, 0, 2), (-1, 1, 1)),
+    "-X": (UpAxis.Y, (1, 0, 2), (1, -1, 1)),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Screen:
+    """The up axis, and how positions are turned so that it points up.
+
+    Attributes:
+        up: The up axis of the turned positions.
+        order: Which coordinate of the file is x, y and z; None where nothing turns.
+        signs: By which they are multiplied.
+    """
+
+    up: UpAxis
+    order: IntArray | None = None
+    signs: FloatArray | None = None
+
+    def turned(self, positions: FloatArray) -> FloatArray:
+        """Return positions ``(..., 3)`` with `up` up."""
+        if self.order is None or self.signs is None:
+            return positions
+        return positions[..., self.order] * self.signs
+
+
+def read_screen(file: MarkerFile, sections: Sections, given: UpAxis | None) -> Screen:
+    """Return the up axis that ``Y_SCREEN`` states; an option comes before it."""
+    if given is not None:
+        return Screen(UpAxis(given))
+    right, up = (_axis(file, sections, f"{name}_SCREEN") for name in "XY")
+    if up is None and right is not None and right[1] == "Y":
+        # Y points to the side, and cannot be assumed to point up.
+        message = f"states no up axis; Z is assumed, as X_SCREEN is {right}"
+        file.note("MKR103", message, "--up says which axis is up")
+        return Screen(UpAxis.Z)
+    if up is None:
+        return Screen(file.up(None, None))
+    if right is not None and right[1] == up[1]:
+        message = f"X_SCREEN is {right} and Y_SCREEN {up}, which are one axis; "
+        file.warn("C3D105", f"{message}{up} is taken as up", "--up Y or --up Z")
+    if up not in _TURNS:
+        return Screen(UpAxis(up[1]))
+    axis, order, signs = _TURNS[up]
+    message = f"has {up} up; positions are turned so that {axis} is up"
+    file.note("C3D106", message)
+    return Screen(axis, np.array(order), np.array(signs, np.float64))
+
+
+def _axis(file: MarkerFile, sections: Sections, name: str) -> str | None:
+    """Return an axis with its sign, as in ``+Z``."""
+    found = sections.texts("POINT", name)
+    text = found[0].strip() if found else ""
+    if not text:
+        return None
+    match = _AXIS.fullmatch(text.upper())
+    if match is None:
+        message = f"{name} is {excerpt(text)}, which is none of +X, -X, +Y, -Y, +Z, -Z"
+        file.warn("C3D105", message, "--up Y or --up Z")
+        return None
+    return f"{match[1] or '+'}{match[2]}"
+
+
+# Whether numbers of a C3D file look like positions over frames.
+
+# Runs of consecutive frames that are looked at, and how long each one is.
+RUNS = 8
+RUN_FRAMES = 8
+# Positions of captures, in whichever unit: beyond are numbers of something else.
+MAX_COORDINATE = 1e6
+MIN_COORDINATE = 1e-12
+MAX_WORD = 32768.0
+
+
+def judge(layout: Layout, data: bytes, processor: Processor) -> Evidence:
+    """Return how much the numbers of a layout look like positions over frames."""
+    if layout.points == 0:
+        return Evidence(0.0, math.nan)
+    length = min(RUN_FRAMES, layout.frames)
+    begins = np.linspace(0, layout.frames - length, RUNS).astype(np.int64)
+    size = layout.width * layout.row
+    runs = []
+    for begin in sorted(set(begins.tolist())):
+        at = layout.begin + size * begin
+        piece = data[at : at + size * length]
+        kept = 4 * layout.points
+        rows = processor.rows(piece, layout.width, layout.row, kept)
+        runs.append(rows.reshape(length, layout.points, 4))
+    return _evidence(np.array(runs), layout.width)
+
+
+def _evidence(runs: FloatArray, width: int) -> Evidence:
+    """Return the evidence of runs ``(R, L, M, 4)``."""
+    positions, words = runs[..., :3], runs[..., 3]
+    with np.errstate(invalid="ignore", over="ignore"):
+        sizes = np.abs(positions)
+        wrong = ~np.isfinite(words) | (words < -1.5) | (words > MAX_WORD)
+        if width == 4:
+            beyond = ~(sizes < MAX_COORDINATE)
+            tiny = (sizes > 0) & (sizes < MIN_COORDINATE)
+            wrong |= (beyond | tiny).any(axis=-1)
+        seen = ~wrong & (words > -0.5) & (sizes > 0).any(axis=-1)
+    if not seen.any():
+        return Evidence(float(wrong.mean()), 1.0)
+    spread = float(np.sqrt(positions[seen].var(axis=0).sum()))
+    both = seen[:, 1:] & seen[:, :-1]
+    if not both.any() or spread == 0.0:
+        return Evidence(float(wrong.mean()), math.nan)
+    positions = np.where(seen[..., None], positions, 0.0)
+    steps = np.linalg.norm(np.diff(positions, axis=1), axis=-1)[both]
+    return Evidence(float(wrong.mean()), float(steps.mean()) / spread)
+
 
 # Groups of labels under which models write angles and forces as if they were points.
 MODELLED = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS", "REACTIONS")

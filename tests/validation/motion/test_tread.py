@@ -11,9 +11,8 @@ from animtool.core.errors import Fault
 from animtool.motion.take import Take
 from animtool.scene.sources import open_source
 from animtool.validation.motion.contacts import contacts_of
-from animtool.validation.motion.feet import foot_slide
+from animtool.validation.motion.feet import foot_slide, travel_scale
 from animtool.validation.motion.subject import MotionSubject
-from animtool.validation.motion.tread import travel_scale
 
 
 def subject(take: Take) -> MotionSubject:
