@@ -32,19 +32,19 @@ if TYPE_CHECKING:
     from animtool.report.describe import describe as describe
     from animtool.rig.skeleton import Joint as Joint
     from animtool.rig.skeleton import Rig as Rig
-    from animtool.scene.bake import bake as bake
-    from animtool.scene.convert import convert as convert
-    from animtool.scene.file import load_scene as load_scene
-    from animtool.scene.options import BakeOptions as BakeOptions
-    from animtool.scene.sources import SourceOptions as SourceOptions
-    from animtool.scene.sources import open_source as open_source
+    from animtool.scene.bake.bake import bake as bake
+    from animtool.scene.bake.options import BakeOptions as BakeOptions
+    from animtool.scene.convert.takes import convert as convert
+    from animtool.scene.file.read import load_scene as load_scene
+    from animtool.scene.sources.open import SourceOptions as SourceOptions
+    from animtool.scene.sources.open import open_source as open_source
     from animtool.validation.options import ValidateOptions as ValidateOptions
     from animtool.validation.run import Finding as Finding
     from animtool.validation.run import validate as validate
 
 _PUBLIC = {
     "AnimtoolError": "animtool.core.errors",
-    "BakeOptions": "animtool.scene.options",
+    "BakeOptions": "animtool.scene.bake.options",
     "BatchSpec": "animtool.batch.spec",
     "Channel": "animtool.motion.motion",
     "Clip": "animtool.clip.clip",
@@ -56,19 +56,19 @@ _PUBLIC = {
     "Rig": "animtool.rig.skeleton",
     "RunOptions": "animtool.batch.run",
     "Shot": "animtool.core.shot",
-    "SourceOptions": "animtool.scene.sources",
+    "SourceOptions": "animtool.scene.sources.open",
     "Take": "animtool.motion.take",
     "TakeStream": "animtool.motion.take",
     "ValidateOptions": "animtool.validation.options",
-    "bake": "animtool.scene.bake",
+    "bake": "animtool.scene.bake.bake",
     "compare": "animtool.report.compare",
-    "convert": "animtool.scene.convert",
+    "convert": "animtool.scene.convert.takes",
     "describe": "animtool.report.describe",
     "edit": "animtool.edit",
     "ik": "animtool.ik",
     "load_batch": "animtool.batch.file",
-    "load_scene": "animtool.scene.file",
-    "open_source": "animtool.scene.sources",
+    "load_scene": "animtool.scene.file.read",
+    "open_source": "animtool.scene.sources.open",
     "read_bvh": "animtool.formats.bvh",
     "run_batch": "animtool.batch.run",
     "sim": "animtool.sim",
@@ -86,8 +86,8 @@ def _as_arguments(text: str) -> str:
         return text
     from animtool.core.options import as_arguments
     from animtool.ik.options import TakeOptions
-    from animtool.scene.options import BakeOptions
-    from animtool.scene.sources import SourceOptions
+    from animtool.scene.bake.options import BakeOptions
+    from animtool.scene.sources.open import SourceOptions
 
     text = text.replace(", --skip-existing leaves it", "")  # of commands alone
     return as_arguments(text, BakeOptions, SourceOptions, TakeOptions)

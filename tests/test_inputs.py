@@ -12,8 +12,8 @@ from animtool.core.errors import FormatError
 from animtool.core.files.output import replacing
 from animtool.core.files.reading import FileState, Inputs, note_input, recorded_inputs
 from animtool.rig.file import load_rig
-from animtool.scene.file import load_scene
-from animtool.scene.progress import prefetch
+from animtool.scene.bake.progress import prefetch
+from animtool.scene.file.read import load_scene
 
 
 def names(inputs: Inputs, folder: Path) -> set[str]:

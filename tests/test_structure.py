@@ -150,7 +150,7 @@ OPENED = {
     "animtool.batch.work": "/proc",
     "animtool.core.files.leftovers": "/proc",
     "animtool.core.files.placing": "files that it writes, and their folders",
-    "animtool.scene.progress": "/proc and cgroups",
+    "animtool.scene.bake.progress": "/proc and cgroups",
     "animtool.usd.checks.value_clips": "layers that dependencies has looked at",
     "animtool.usd.layers.dependencies": "layers that it has looked at",
     "animtool.usd.takes.extents": "a layer in memory",

@@ -55,7 +55,7 @@ from animtool.core.files.reading import MatchedFile
 from animtool.core.names import nearest
 from animtool.core.rates import rate_from_float, rate_label
 from animtool.core.shot import Shot
-from animtool.scene.sources import source_stem
+from animtool.scene.sources.open import source_stem
 
 # At which rate the shots of a timeline count frames.
 

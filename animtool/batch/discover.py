@@ -38,11 +38,11 @@ from animtool.core.files.reading import MatchedFile, Places, files_meant, neares
 from animtool.core.names import check_given, is_named
 from animtool.core.rates import rate_label
 from animtool.core.readers import BVH, DOCUMENT, READERS
-from animtool.scene.sources import is_timeline, source_stem
+from animtool.scene.sources.open import is_timeline, source_stem
 from animtool.usd.layers.jobs import check_suffix
 
 if TYPE_CHECKING:
-    from animtool.scene.reading import Source
+    from animtool.scene.bake.reading import Source
     from animtool.scene.scene import Scene
 
 
@@ -361,7 +361,7 @@ def _cuts(spec: BatchSpec) -> CutList:
     options, start = spec.options, spec.options.start
     fps = options.fps
     if spec.scene is not None:
-        from animtool.scene.file import stated_rate
+        from animtool.scene.file.read import stated_rate
 
         start, fps = None, stated_rate(spec.scene)
     if None not in {fps, spec.fps} and fps != spec.fps:

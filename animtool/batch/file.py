@@ -34,9 +34,9 @@ from animtool.documents.check import FileModel, check_version, validated
 from animtool.documents.document import Document, Location, read_document
 from animtool.documents.fields import IgnoreModel, Name, Real, Whole, WholeFrame, key
 from animtool.documents.references import referred_input
-from animtool.scene.options import BakeOptions
-from animtool.scene.output_fields import KeyReader, option_keys, with_keys
-from animtool.scene.sources import SourceOptions, is_timeline
+from animtool.scene.bake.options import BakeOptions
+from animtool.scene.file.output_fields import KeyReader, option_keys, with_keys
+from animtool.scene.sources.open import SourceOptions, is_timeline
 
 Value = str | Real | bool
 

@@ -29,12 +29,12 @@ from animtool.core.files.output import inside, name_problem
 from animtool.core.files.reading import MatchedFile
 from animtool.core.names import is_named, nearest
 from animtool.core.shot import Shot
-from animtool.scene.options import BakeOptions
-from animtool.scene.sources import fitting_options, source_stem
+from animtool.scene.bake.options import BakeOptions
+from animtool.scene.sources.open import fitting_options, source_stem
 
 if TYPE_CHECKING:
-    from animtool.scene.outputs import OutputReport
-    from animtool.scene.reading import Source
+    from animtool.scene.bake.outputs import OutputReport
+    from animtool.scene.bake.reading import Source
     from animtool.scene.scene import Scene
 
 
@@ -317,7 +317,7 @@ class ItemTask:
         path = item.file.path if self.scene is None else self.scene
         if not is_named(path, "scene"):
             return path
-        from animtool.scene.file import load_scene
+        from animtool.scene.file.read import load_scene
 
         scene = load_scene(path, self.names(item), parts=item.names.keys())
         if item.shot is not None:
@@ -337,7 +337,7 @@ class ItemTask:
         own = getattr(scene, "output", None)
         files: Sequence[Path] = ()
         if self._is_several(scene):
-            from animtool.scene.outputs import scene_files
+            from animtool.scene.bake.outputs import scene_files
 
             files = scene_files(cast("Scene", scene), self._options(item.file.path))
         return replace(item, output=own or item.output, files=tuple(files))
@@ -354,7 +354,7 @@ class ItemTask:
     def _is_several(source: Source) -> bool:
         if isinstance(source, Path | str):
             return False
-        from animtool.scene.outputs import is_several
+        from animtool.scene.bake.outputs import is_several
 
         return is_several(source)
 
@@ -365,13 +365,13 @@ class ItemTask:
         """
         source, options = self.source(item), self._options(item.file.path)
         if item.files:
-            from animtool.scene.outputs import bake_scene
+            from animtool.scene.bake.outputs import bake_scene
 
             return bake_scene(cast("Scene", source), options)
         self.refuse_several(source)
         if item.shot is not None and isinstance(source, Path):
             options = replace(options, shot=item.shot, start=None)
-        from animtool.scene.bake import bake
+        from animtool.scene.bake.bake import bake
 
         return [bake(source, item.output, options)]
 
@@ -379,7 +379,7 @@ class ItemTask:
         """Return the files that a bake writes."""
         if item.files:
             return list(item.files)
-        from animtool.scene.reading import bake_outputs
+        from animtool.scene.bake.reading import bake_outputs
 
         return bake_outputs([source], item.output, self._options(item.file.path))
 

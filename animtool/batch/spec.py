@@ -12,7 +12,7 @@ from pathlib import Path, PurePosixPath
 from animtool.batch.overrides import Override
 from animtool.batch.variants import Variants
 from animtool.core.errors import excerpt
-from animtool.scene.options import BakeOptions
+from animtool.scene.bake.options import BakeOptions
 
 # Beyond what anybody waits for, and within what systems can count.
 MAX_SECONDS = 1e9

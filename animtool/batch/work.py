@@ -26,7 +26,7 @@ from animtool.core.readers import BVH, DOCUMENT, READERS, USD
 from animtool.motion.scores import PassScores
 
 if TYPE_CHECKING:
-    from animtool.scene.outputs import OutputReport
+    from animtool.scene.bake.outputs import OutputReport
 
 
 class Status(StrEnum):
@@ -105,7 +105,7 @@ class ItemBuilder:
         return Outcome(item.number, Status.FAILED, seconds, faults, retired=retired)
 
     def _made(self, item: Item, began: float) -> Outcome:
-        from animtool.scene.prims import raise_stopped
+        from animtool.scene.bake.prims import raise_stopped
 
         with recorded_inputs() as inputs:
             note_input(item.file.path)
@@ -160,7 +160,7 @@ def _measured(reports: Sequence[OutputReport]) -> Measured:
 
 
 def _one_measured(report: OutputReport) -> Measured:
-    from animtool.scene.prims import BakeReport
+    from animtool.scene.bake.prims import BakeReport
 
     if isinstance(report, BakeReport):
         worst = report.worst
@@ -185,23 +185,31 @@ def _forget_layers() -> None:
 
 # The last freezes what the others brought.
 PRELOAD = "animtool.batch.preload"
-ALWAYS = ("animtool.batch.work", "animtool.scene.bake", "animtool.usd.takes.author")
+ALWAYS = (
+    "animtool.batch.work",
+    "animtool.scene.bake.bake",
+    "animtool.usd.takes.author",
+)
 READING = {
     BVH: ("animtool.formats.bvh.read",),
-    DOCUMENT: ("animtool.clip.file", "animtool.rig.file", "animtool.scene.clips"),
+    DOCUMENT: (
+        "animtool.clip.file",
+        "animtool.rig.file",
+        "animtool.scene.sources.clips",
+    ),
     USD: ("animtool.usd.takes.read",),
 }
 LAYERS = ("animtool.usd.rigs.target",)
 # A scene may read anything, and most change its time.
 SCENES = (
-    "animtool.scene.file",
+    "animtool.scene.file.read",
     *(module for modules in READING.values() for module in modules),
     *LAYERS,
     "animtool.edit.looping",
     "animtool.edit.thin",
     "animtool.edit.retiming",
-    "animtool.scene.library",
-    "animtool.scene.outputs",
+    "animtool.scene.bake.library",
+    "animtool.scene.bake.outputs",
     "animtool.usd.rigs.meshes",
 )
 

@@ -36,8 +36,8 @@ from animtool.cli.outputs import (
 
 if TYPE_CHECKING:
     from animtool.preview.work_precision import Panel
-    from animtool.scene.convert import ConvertReport
-    from animtool.scene.prims import BakeReport
+    from animtool.scene.bake.prims import BakeReport
+    from animtool.scene.convert.takes import ConvertReport
     from animtool.scene.scene import Scene
 
 
@@ -131,7 +131,7 @@ def bake(
     scene = only_scene(opened)
     if scene is not None:
         _check_library(scene, params)
-        from animtool.scene.outputs import is_several
+        from animtool.scene.bake.outputs import is_several
 
         if params["stats"]:
             scene.meter.start()
@@ -172,7 +172,7 @@ def _plan(
 ) -> None:
     """Print what a bake would do."""
     from animtool.cli.plan_summary import steps_json, steps_text
-    from animtool.scene.plan_steps import bake_steps
+    from animtool.scene.bake.plan_steps import bake_steps
 
     scene = only_scene(opened)
     if output is None and (scene is None or scene.output is None):
@@ -195,7 +195,7 @@ def _one(
         console, "bake", params, path, lambda: _outputs(opened, path, params)
     ):
         return
-    from animtool.scene.bake import bake as run_bake
+    from animtool.scene.bake.bake import bake as run_bake
 
     options = bake_options_record(params)
     names = [s.name if isinstance(s, Path) else s.path.name for s in opened]
@@ -209,7 +209,7 @@ def _one(
 def _outputs(
     sources: Sequence[Path | Scene], path: Path, params: dict[str, Any]
 ) -> Sequence[Path]:
-    from animtool.scene.reading import bake_outputs
+    from animtool.scene.bake.reading import bake_outputs
 
     return bake_outputs(sources, path, bake_options_record(params))
 
@@ -218,7 +218,7 @@ def _several(
     console: Console, scene: Scene, output: Path | None, params: dict[str, Any]
 ) -> None:
     """Bake a scene to the outputs that it names."""
-    from animtool.scene.outputs import bake_scene, scene_files
+    from animtool.scene.bake.outputs import bake_scene, scene_files
 
     if output is not None:
         raise click.UsageError("The scene names its outputs: no -o.")
@@ -246,7 +246,7 @@ def _say_reports(
     """
     from animtool.cli.plan_summary import stats_json, stats_text
     from animtool.cli.summary import bake_details, output_json, output_text
-    from animtool.scene.prims import raise_stopped
+    from animtool.scene.bake.prims import raise_stopped
 
     notices = [notice for report in reports for notice in report.notices]
     # What the sources and passes say stands in every report.
@@ -290,7 +290,7 @@ def _measure(
     check_plot(plot, inputs, overwrite=params["overwrite"])
     scene = only_scene(sources)
     if scene is not None:
-        from animtool.scene.simulation_table import simulates
+        from animtool.scene.tables.simulation import simulates
 
         if simulates(scene):
             panels = _simulation_table(console, scene, params)
@@ -308,7 +308,7 @@ def _simulation_table(
         simulation_table_text,
     )
     from animtool.preview.work_precision import simulation_panels
-    from animtool.scene.simulation_table import simulation_table
+    from animtool.scene.tables.simulation import simulation_table
 
     with console.progress(f"measure {scene.path.name}") as progress:
         table = simulation_table(scene, bake_options_record(params), progress=progress)
@@ -326,7 +326,7 @@ def _bake_table(
     """Measure rates and tolerances, print it, and return what draws it."""
     from animtool.cli.summary import table_json, table_text
     from animtool.preview.work_precision import bake_panels
-    from animtool.scene.table import bake_table
+    from animtool.scene.tables.bake import bake_table
 
     options = bake_options_record(params)
     if options.deform:

@@ -25,7 +25,7 @@ from animtool.core.errors import Fault, FormatError
 from animtool.core.files.reading import is_there
 from animtool.core.names import check_given, is_named
 from animtool.core.options import options_of
-from animtool.scene.options import BakeOptions
+from animtool.scene.bake.options import BakeOptions
 
 if TYPE_CHECKING:
     from animtool.batch.cuts import Cut
@@ -46,7 +46,7 @@ def opened_sources(
         if not is_named(source, "scene"):
             opened.append(source)
             continue
-        from animtool.scene.file import load_scene
+        from animtool.scene.file.read import load_scene
 
         scene = load_scene(source, variables)
         used |= scene.variables
@@ -75,7 +75,7 @@ def only_scene(opened: Sequence[Path | Scene]) -> Scene | None:
 
 def default_bake_output(source: Path | Scene) -> Path:
     """Return the file that a scene names, else the source's own name as usdc."""
-    from animtool.scene.reading import default_output
+    from animtool.scene.bake.reading import default_output
 
     if isinstance(source, Path):
         return default_output(source)
@@ -146,7 +146,7 @@ def timeline_shot(
     fps: Fraction | None = None,
 ) -> Cut | None:
     """Return the shot and its media where a path is that of a timeline, else None."""
-    from animtool.scene.sources import is_timeline
+    from animtool.scene.sources.open import is_timeline
 
     if path is None or not is_timeline(path):
         for name in ("shot", "handles", "cut_start", "first_timecode"):
@@ -189,7 +189,7 @@ def bake_shot(
 
     ``shot`` of the given options becomes the shot's record; ``start`` is part of it.
     """
-    from animtool.scene.sources import is_timeline
+    from animtool.scene.sources.open import is_timeline
 
     path = next(filter(is_timeline, sources), None)
     if path is not None and len(sources) > 1:

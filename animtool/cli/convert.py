@@ -80,13 +80,13 @@ def convert(console: Console, /, source: Path, output: Path, **params: Any) -> N
     if is_marker_file(source) and is_marker_file(output):
         _markers(console, source, output, params)
         return
-    from animtool.scene.convert import convert as run_convert
-    from animtool.scene.convert import convert_outputs
+    from animtool.scene.convert.takes import convert as run_convert
+    from animtool.scene.convert.takes import convert_outputs
 
     of_rig = is_named(source, "rig") or is_named(output, "rig") or params["physics"]
     outputs = convert_outputs(output)
     if of_rig:
-        from animtool.scene.convert_rig import rig_outputs
+        from animtool.scene.convert.rigs import rig_outputs
 
         outputs = rig_outputs(output, physics=params["physics"])
     if skipped(console, "convert", params, output, lambda: outputs):
@@ -152,7 +152,7 @@ def _markers(
 
 def _rig(console: Console, source: Path, output: Path, params: dict[str, Any]) -> None:
     from animtool.core.errors import counted
-    from animtool.scene.convert_rig import convert_rig
+    from animtool.scene.convert.rigs import convert_rig
 
     for name in (
         "reduce",

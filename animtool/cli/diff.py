@@ -94,7 +94,7 @@ def diff(console: Console, /, first: Path, second: Path, **params: Any) -> None:
     other has not.
     """
     from animtool.report.compare import compare
-    from animtool.scene.sources import is_usd
+    from animtool.scene.sources.open import is_usd
 
     difference: Any = None
     if is_usd(first) and is_usd(second):
@@ -125,7 +125,7 @@ def diff(console: Console, /, first: Path, second: Path, **params: Any) -> None:
 
 def _options(first: Path, second: Path, params: dict[str, Any]) -> list[Any]:
     """Return what each file is: options of both where they fit, then its own."""
-    from animtool.scene.sources import fitting_options
+    from animtool.scene.sources.open import fitting_options
 
     shared = source_options_record(
         params, "take", "positions", prim_path=params["prim_path"]

@@ -58,7 +58,7 @@ def _frame(text: str) -> Any:
 
 
 def _time_code(text: str) -> Any:
-    from animtool.scene.option_text import parse_frame
+    from animtool.scene.file.option_text import parse_frame
 
     return parse_frame(text)
 
@@ -211,7 +211,7 @@ def ik(console: Console, /, **params: Any) -> None:
         console, "ik", params, output, lambda: _outputs(params)
     ):
         return
-    from animtool.scene.ik import MissedGoalsError, run_ik
+    from animtool.scene.solves.ik import MissedGoalsError, run_ik
 
     label = f"ik {params['targets'].name}"
     with all_named(), console.progress(label, stdout=to_stdout) as progress:
@@ -230,7 +230,7 @@ def _match(console: Console, params: dict[str, Any], source: Any) -> None:
     if skipped(console, "ik", params, output, lambda: [output]):
         return
     from animtool.cli.ik_summary import match_json, match_text
-    from animtool.scene.ik_match import MatchJob, run_match
+    from animtool.scene.solves.ik_match import MatchJob, run_match
 
     pose = params["pose"]
     job = MatchJob(
@@ -304,7 +304,7 @@ def _say(console: Console, report: Any, *, as_json: bool, faults: bool = True) -
 def _table(console: Console, params: dict[str, Any], *, as_json: bool) -> None:
     from animtool.cli.ik_summary import ik_table_json, ik_table_text
     from animtool.preview.work_precision import ik_panels
-    from animtool.scene.ik_table import ik_table
+    from animtool.scene.tables.ik import ik_table
 
     named = (params["rig"], params["targets"], params["start"])
     inputs = [path for path in named if path is not None]
@@ -319,13 +319,13 @@ def _table(console: Console, params: dict[str, Any], *, as_json: bool) -> None:
 
 
 def _outputs(params: dict[str, Any]) -> Sequence[Path]:
-    from animtool.scene.ik import ik_outputs
+    from animtool.scene.solves.ik import ik_outputs
 
     return ik_outputs(_job(params, False))
 
 
 def _job(params: dict[str, Any], to_stdout: bool) -> Any:
-    from animtool.scene.ik import IkJob
+    from animtool.scene.solves.ik import IkJob
 
     pose, degrees = params["pose"], params["tol_degrees"]
     return IkJob(
@@ -359,7 +359,7 @@ def _bake_options(params: dict[str, Any], to_stdout: bool) -> Any:
     if params["reduce"] is not None and output is None:
         raise click.UsageError("--reduce is for an output: give -o.")
     flags_given = [flag for flag, value in flags.items() if value]
-    from animtool.scene.sources import is_usd
+    from animtool.scene.sources.open import is_usd
 
     if flags_given and output is None:
         raise click.UsageError(f"{flags_given[0]} is for an output: give -o.")

@@ -16,9 +16,9 @@ from animtool.ik.report import BEYOND, limit_counts, status_counts, status_text
 if TYPE_CHECKING:
     from animtool.ik.report import GoalReport, Misses
     from animtool.ik.tracks import GoalTrack
-    from animtool.scene.ik import IkReport
-    from animtool.scene.ik_match import MatchReport
-    from animtool.scene.ik_table import IkTable, IkTableRow
+    from animtool.scene.solves.ik import IkReport
+    from animtool.scene.solves.ik_match import MatchReport
+    from animtool.scene.tables.ik import IkTable, IkTableRow
 
 MAX_NAMED = 8
 

@@ -83,7 +83,7 @@ def _described(
 ) -> tuple[Any, Callable[[Any], list[str]]]:
     """Return what a file holds, and what says it in words."""
     from animtool.cli import info_summary
-    from animtool.scene.sources import SourceOptions, is_usd
+    from animtool.scene.sources.open import SourceOptions, is_usd
 
     if is_named(path, "scene"):
         return _scene(path, params, used), info_summary.scene_text
@@ -120,7 +120,7 @@ def _markers(
 
 def _scene(path: Path, params: dict[str, Any], used: set[str]) -> Any:
     from animtool.report.describe_scene import describe_scene
-    from animtool.scene.file import load_scene
+    from animtool.scene.file.read import load_scene
 
     scene = load_scene(path, dict(params["variables"]))
     used |= scene.variables
@@ -129,6 +129,6 @@ def _scene(path: Path, params: dict[str, Any], used: set[str]) -> Any:
 
 def _rig(path: Path) -> Any:
     from animtool.report.describe_rig import describe_rig
-    from animtool.scene.onto_rig import open_rig
+    from animtool.scene.sources.onto_rig import open_rig
 
     return describe_rig(path, *open_rig(path))

@@ -51,8 +51,8 @@ def loop(console: Console, /, source: Path, output: Path | None, **params: Any) 
     The best cycle between --first and --last is taken; where both are given, they are
     the cycle. With -o it is written, repeated as often as is said.
     """
-    from animtool.scene.convert import convert_outputs
-    from animtool.scene.cycle import loop_source
+    from animtool.scene.convert.takes import convert_outputs
+    from animtool.scene.solves.cycle import loop_source
 
     if output is not None and skipped(
         console, "loop", params, output, lambda: convert_outputs(output)

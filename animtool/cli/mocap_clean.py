@@ -62,7 +62,7 @@ def clean(console: Console, /, source: Path, output: Path, **params: Any) -> Non
     Filters have no lag. What was removed, and at which frequencies, is said.
     """
     from animtool.motion.passes import find_pass
-    from animtool.scene.convert import convert_outputs, convert_with_passes
+    from animtool.scene.convert.takes import convert_outputs, convert_with_passes
 
     if skipped(console, "mocap clean", params, output, lambda: convert_outputs(output)):
         return

@@ -24,7 +24,7 @@ from animtool.core.errors import counted, listed
 from animtool.core.quantities import length_text
 
 if TYPE_CHECKING:
-    from animtool.scene.face import FaceResult
+    from animtool.scene.solves.face import FaceResult
 
 MAX_NAMED = 8
 
@@ -82,8 +82,8 @@ def face(console: Console, /, landmarks: Path, **params: Any) -> None:
     between 0 and 1, outliers count little, gaps are bridged, and the head's own motion
     is kept apart. Without -o the report is all.
     """
-    from animtool.scene.face import FaceJob, face_outputs, run_face
-    from animtool.scene.options import BakeOptions
+    from animtool.scene.bake.options import BakeOptions
+    from animtool.scene.solves.face import FaceJob, face_outputs, run_face
 
     job = FaceJob(
         landmarks,

@@ -77,7 +77,7 @@ def fill(
         from animtool.capture.markers.skeleton import Subject
         from animtool.capture.solve.source import at_file, named_rig
         from animtool.capture.templates.file import load_template
-        from animtool.scene.onto_rig import open_rig
+        from animtool.scene.sources.onto_rig import open_rig
 
         loaded = load_template(template)
         wearer, notices = open_rig(named_rig(loaded, rig, template))

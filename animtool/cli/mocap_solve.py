@@ -31,7 +31,7 @@ from animtool.core.quantities import duration_text, length_text
 
 if TYPE_CHECKING:
     from animtool.capture.solve.report import MarkerScore
-    from animtool.scene.mocap_solve import MocapSolveResult
+    from animtool.scene.solves.mocap_solve import MocapSolveResult
 
 MAX_NAMED = 8
 
@@ -98,7 +98,11 @@ def solve(
     to_stdout = goes_to_stdout(output, params)
     if params["static"] is not None and not params["calibrate"]:
         raise click.UsageError("--static is for a calibration: give --calibrate too.")
-    from animtool.scene.mocap_solve import MocapSolveJob, run_solve, solve_outputs
+    from animtool.scene.solves.mocap_solve import (
+        MocapSolveJob,
+        run_solve,
+        solve_outputs,
+    )
 
     job = MocapSolveJob(
         source,

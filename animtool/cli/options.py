@@ -15,8 +15,8 @@ from animtool.core.errors import Severity
 from animtool.core.options import Option, options_of
 from animtool.core.process.supervisor import stdin_lines
 from animtool.core.units import LengthUnit, UpAxis, parse_length
-from animtool.scene.options import BakeOptions
-from animtool.scene.sources import SourceOptions
+from animtool.scene.bake.options import BakeOptions
+from animtool.scene.sources.open import SourceOptions
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -198,7 +198,7 @@ common_options = stacked(
 
 def _of_scene(name: str) -> Callable[[str], Any]:
     def parse(text: str) -> Any:
-        from animtool.scene import option_text
+        from animtool.scene.file.read import option_text
 
         return getattr(option_text, f"parse_{name}")(text)
 

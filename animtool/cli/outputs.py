@@ -21,7 +21,7 @@ from animtool.cli.options import (
 )
 from animtool.core.files.output import once_named, together
 from animtool.core.process.signals import outlast_signals
-from animtool.scene.options import BakeOptions
+from animtool.scene.bake.options import BakeOptions
 
 if TYPE_CHECKING:
     from animtool.preview.work_precision import Panel

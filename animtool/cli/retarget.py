@@ -36,7 +36,7 @@ from animtool.retarget.options import RetargetOptions
 if TYPE_CHECKING:
     from animtool.retarget.report import RetargetReport
     from animtool.retarget.verdict import Verdict
-    from animtool.scene.retarget import RetargetResult
+    from animtool.scene.solves.retarget import RetargetResult
 
 
 # What ``animtool retarget`` prints of a take on its rig.
@@ -210,7 +210,11 @@ def retarget(
     they stand. Without -o the report is all.
     """
     to_stdout = goes_to_stdout(output, params)
-    from animtool.scene.retarget import RetargetJob, retarget_outputs, run_retarget
+    from animtool.scene.solves.retarget import (
+        RetargetJob,
+        retarget_outputs,
+        run_retarget,
+    )
 
     job = RetargetJob(
         source,

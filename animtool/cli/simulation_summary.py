@@ -12,7 +12,7 @@ from animtool.core.errors import listed
 from animtool.core.quantities import plain
 
 if TYPE_CHECKING:
-    from animtool.scene.simulation_table import SimulationTable
+    from animtool.scene.tables.simulation import SimulationTable
     from animtool.sim.trials.measuring import Reference, TrialRow, TrialTable
     from animtool.sim.trials.trial import Distances, Setting
 

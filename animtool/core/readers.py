@@ -79,7 +79,7 @@ USD = Reader(
 DOCUMENT = Reader(
     "rig and clip files",
     "animtool.rig.file:load_rig",
-    "animtool.scene.clips:open_clip_source",
+    "animtool.scene.sources.clips:open_clip_source",
     ("rig", "clamp"),
 )
 

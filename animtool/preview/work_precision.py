@@ -14,9 +14,9 @@ from animtool.core.files.output import replacing
 from animtool.core.files.placing import output_error
 
 if TYPE_CHECKING:
-    from animtool.scene.ik_table import IkTable, IkTableRow
-    from animtool.scene.simulation_table import SimulationTable
-    from animtool.scene.table import BakeTable
+    from animtool.scene.tables.bake import BakeTable
+    from animtool.scene.tables.ik import IkTable, IkTableRow
+    from animtool.scene.tables.simulation import SimulationTable
     from animtool.sim.trials.measuring import TrialTable
 
 

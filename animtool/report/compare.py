@@ -20,7 +20,7 @@ from animtool.motion.take import Take, TakeStream
 from animtool.rig.kinematics import forward
 from animtool.rig.shapes import arkit_name
 from animtool.rig.skeleton import Rig
-from animtool.scene.sources import (
+from animtool.scene.sources.open import (
     SourceOptions,
     fitting_options,
     is_usd,

@@ -16,7 +16,7 @@ from animtool.motion.take import Take, TakeStream
 from animtool.retarget.facts import CaptureFacts, capture_facts
 from animtool.retarget.standing import lying_notice
 from animtool.rig.kinematics import forward
-from animtool.scene.sources import SourceOptions, is_usd, open_source
+from animtool.scene.sources.open import SourceOptions, is_usd, open_source
 
 if TYPE_CHECKING:
     from animtool.edit.cycle import Cycle

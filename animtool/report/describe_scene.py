@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 from animtool.core.errors import Fault
 from animtool.core.quantities import Description
-from animtool.scene.convert import convert_outputs
-from animtool.scene.entries import OutputKind, SceneOutput, SceneSystem, kind_of
-from animtool.scene.reading import default_output, form_of, output_files
+from animtool.scene.bake.reading import default_output, form_of, output_files
+from animtool.scene.convert.takes import convert_outputs
+from animtool.scene.file.entries import OutputKind, SceneOutput, SceneSystem, kind_of
 from animtool.scene.scene import Scene
 
 

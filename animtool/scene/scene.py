@@ -17,7 +17,9 @@ from animtool.motion.driving import driven_stream, unsaid
 from animtool.motion.motion import Motion
 from animtool.motion.passes import PassContext, apply_pass
 from animtool.motion.take import Take, TakeStream
-from animtool.scene.entries import (
+from animtool.scene.bake.options import BakeOptions
+from animtool.scene.bake.progress import BlockProgress, Meter, Progress, told
+from animtool.scene.file.entries import (
     Place,
     SceneOutput,
     ScenePass,
@@ -25,14 +27,12 @@ from animtool.scene.entries import (
     SceneSource,
     SceneSystem,
 )
-from animtool.scene.options import BakeOptions
-from animtool.scene.progress import BlockProgress, Meter, Progress, told
-from animtool.scene.retime import Preroll, begun_early, in_shot, without_first
-from animtool.scene.sources import SourceOptions, open_source
+from animtool.scene.sources.open import SourceOptions, open_source
+from animtool.scene.sources.retime import Preroll, begun_early, in_shot, without_first
 
 if TYPE_CHECKING:
     from animtool.rig.placement import Placement
-    from animtool.scene.props import OpenProp
+    from animtool.scene.sources.props import OpenProp
 
 
 @dataclass(frozen=True, slots=True)
@@ -263,7 +263,7 @@ class Scene:
         """Return what is beside the character, open; all faults are said at once."""
         if not self.props:
             return ()
-        from animtool.scene.props import open_props
+        from animtool.scene.sources.props import open_props
 
         file, up = self.sources[0].path, stream.rig.up
         return open_props(self.props, file, up, self.meter, stream.notices)
@@ -280,7 +280,7 @@ class Scene:
         chosen = [prop for prop in props if prop.entry.retimed is retimed]
         if not chosen:
             return stream
-        from animtool.scene.props import with_props
+        from animtool.scene.sources.props import with_props
 
         return with_props(stream, chosen, self.first, self.bake.fps, dropped)
 
@@ -375,7 +375,7 @@ class Scene:
                 )
                 stream.blocks = read
             return stream
-        from animtool.scene.joining import Part, joined
+        from animtool.scene.sources.joining import Part, joined
 
         parts: list[Part] = []
         faults: list[Fault] = []

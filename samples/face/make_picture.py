@@ -17,7 +17,7 @@ from labelled import save
 from matplotlib import pyplot as plt
 
 from animtool import open_source
-from animtool.scene.face import FaceJob, solve_face
+from animtool.scene.solves.face import FaceJob, solve_face
 
 HERE = Path(__file__).parent
 RIG = HERE.parents[1] / "rigs/head/head.rig.yaml"

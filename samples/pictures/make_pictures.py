@@ -20,7 +20,7 @@ from animtool.clip.file import load_clip, open_clip
 from animtool.clip.sample import sample_channels
 from animtool.documents.arrays import load_array
 from animtool.motion.motion import Motion
-from animtool.scene.file import load_scene
+from animtool.scene.file.read import load_scene
 
 ROOT = Path(__file__).parents[2]
 Pose = Mapping[str, float | tuple[float, ...]]

@@ -11,7 +11,7 @@ from animtool.batch.discover import Batch, find_batch
 from animtool.batch.plan import check_overwrites, check_places
 from animtool.batch.spec import BatchSpec
 from animtool.core.errors import AnimtoolError, OptionError, OutputError
-from animtool.scene.options import BakeOptions
+from animtool.scene.bake.options import BakeOptions
 
 
 def batch(folder: Path, output: str | None, form: str | None = None) -> Batch:

@@ -18,7 +18,7 @@ from animtool.core.errors import (
     Severity,
     StrictError,
 )
-from animtool.scene.options import BakeOptions
+from animtool.scene.bake.options import BakeOptions
 from animtool.validation.run import validate
 
 SCENE = "scene: animtool/1\nsource:\n  file: ${input}\n"

@@ -13,7 +13,7 @@ from support.batch import take_files
 from animtool.batch.report import BatchReport
 from animtool.batch.run import RunOptions, run_batch
 from animtool.batch.spec import BatchSpec, made_by
-from animtool.scene.options import BakeOptions
+from animtool.scene.bake.options import BakeOptions
 
 SERIAL = RunOptions(executor="serial")
 DRY = RunOptions(dry_run=True)

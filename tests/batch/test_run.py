@@ -19,7 +19,7 @@ from animtool.batch.spec import BatchSpec
 from animtool.batch.work import Outcome, Status
 from animtool.core.errors import ExitCode, OptionError
 from animtool.core.units import UpAxis
-from animtool.scene.options import BakeOptions
+from animtool.scene.bake.options import BakeOptions
 
 SERIAL = RunOptions(executor="serial")
 

@@ -58,7 +58,7 @@ def simulated(
     streams: list[tuple[np.ndarray, np.ndarray]], seconds: float, seed: int, **keys: Any
 ) -> np.ndarray:
     """Return where people are ``(F, N, 2)``: of each stream starts and goal."""
-    from animtool.scene.file import load_scene
+    from animtool.scene.file.read import load_scene
     from animtool.scene.systems.run import SystemRun
 
     goals, populations, arrays = [], [], {}

@@ -16,7 +16,7 @@ from support.cli import animtool, animtool_process
 from animtool.cli.bake import bake
 from animtool.cli.bake_options import bake_options_record
 from animtool.core.errors import ExitCode
-from animtool.scene.options import BakeOptions
+from animtool.scene.bake.options import BakeOptions
 
 
 @pytest.fixture

@@ -23,7 +23,7 @@ from animtool.cli.options import read_values
 from animtool.core.units import LengthUnit
 from animtool.ik.options import IkMethod, TakeOptions
 from animtool.ik.report import MISSED_ANGLE, MISSED_LENGTH
-from animtool.scene.sources import SourceOptions
+from animtool.scene.sources.open import SourceOptions
 
 REACH = """targets: animtool/1
 units: {length: cm}

@@ -21,7 +21,7 @@ from animtool.maths import so3
 from animtool.motion.markers import Markers
 from animtool.motion.passes import find_pass
 from animtool.rig.write import rig_text
-from animtool.scene.convert import convert_with_passes
+from animtool.scene.convert.takes import convert_with_passes
 
 WALK = "samples/walk/walk.bvh"
 

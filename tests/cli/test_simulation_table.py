@@ -11,8 +11,8 @@ from support.beasts import write_beast
 from support.cli import animtool
 
 from animtool.core.errors import OptionError
-from animtool.scene.file import load_scene
-from animtool.scene.simulation_table import simulates, simulation_table
+from animtool.scene.file.read import load_scene
+from animtool.scene.tables.simulation import simulates, simulation_table
 from animtool.sim.integrators import INTEGRATORS
 
 SCENE = """\

@@ -15,7 +15,7 @@ from support.clips import channel_of, hero, loaded, write_clip
 from animtool.clip.clip import Clip
 from animtool.core.errors import AnimtoolError
 from animtool.rig.skeleton import Joint, Rig
-from animtool.scene.sources import open_source
+from animtool.scene.sources.open import open_source
 
 CURL = """\
 - {target: control/curl, keys: [{t: 1, v: 0}, {t: 9, v: 2}]}

@@ -19,7 +19,7 @@ from animtool.motion.take import Take
 from animtool.rig.fit import FITS, Fit, measure_fit
 from animtool.rig.kinematics import forward, rest_size
 from animtool.rig.skeleton import Rig
-from animtool.scene.onto_rig import map_names
+from animtool.scene.sources.onto_rig import map_names
 
 # Skeletons of fewer joints have no limb to bend.
 FEWEST = 10

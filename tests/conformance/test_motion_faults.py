@@ -25,7 +25,7 @@ from support.planted_takes import (
 
 from animtool.core.errors import AnimtoolError, Fault
 from animtool.motion.take import Take
-from animtool.scene.sources import open_source
+from animtool.scene.sources.open import open_source
 from animtool.validation.motion.body import feet_of
 from animtool.validation.motion.size import body_axis
 from animtool.validation.motion.subject import MotionSubject

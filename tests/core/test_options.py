@@ -29,8 +29,8 @@ from animtool.core.options import (
     with_written,
 )
 from animtool.ik.options import TakeOptions
-from animtool.scene.options import BakeOptions
-from animtool.scene.sources import SourceOptions
+from animtool.scene.bake.options import BakeOptions
+from animtool.scene.sources.open import SourceOptions
 from animtool.systems.particles import Emitter
 from animtool.validation.options import ValidateOptions
 

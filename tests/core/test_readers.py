@@ -14,7 +14,7 @@ from animtool.core.errors import AnimtoolError, FormatError
 from animtool.core.plugins import load_object
 from animtool.core.readers import READERS, Reader, find_reader, listed_readers
 from animtool.rig.skeleton import Rig
-from animtool.scene.sources import SourceOptions, open_source
+from animtool.scene.sources.open import SourceOptions, open_source
 
 DISTINCT = sorted(set(READERS.values()), key=lambda reader: reader.about)
 

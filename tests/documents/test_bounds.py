@@ -19,7 +19,7 @@ from animtool.documents.check import FileModel
 from animtool.documents.fields import MAX_NUMBER, MAX_WHOLE, check_numbers
 from animtool.ik.schema import TargetsModel
 from animtool.rig.schema import RigModel
-from animtool.scene.schema import whole_model
+from animtool.scene.file.schema import whole_model
 
 MODELS = [BatchModel, ClipModel, RigModel, whole_model(), TargetsModel]
 

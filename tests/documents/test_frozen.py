@@ -24,9 +24,9 @@ from animtool.retarget.file import load_map, resolved_map
 from animtool.rig.file import load_rig
 from animtool.rig.remap import ShapeLink, link_shapes, load_remap
 from animtool.rig.skeleton import Joint, Rig
-from animtool.scene.file import load_scene
-from animtool.scene.start import rest_take
-from animtool.scene.tracks import TrackNames
+from animtool.scene.file.read import load_scene
+from animtool.scene.file.tracks import TrackNames
+from animtool.scene.solves.start import rest_take
 
 FROZEN = Path(__file__).parent / "frozen"
 

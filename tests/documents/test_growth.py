@@ -15,7 +15,7 @@ from animtool.documents.yaml_values import MAX_MARKS
 from animtool.formats.bvh.read import read_bvh
 from animtool.ik.file import load_targets
 from animtool.rig.file import load_rig
-from animtool.scene.file import load_scene
+from animtool.scene.file.read import load_scene
 from animtool.validation.formats.plain import cut
 
 RIG = "rig: animtool/1\nname: a\njoints:\n"

@@ -15,7 +15,7 @@ from animtool.documents.edit import EditError
 from animtool.documents.migrate import migrate, plan_migration
 from animtool.documents.versions import STEPS as TABLES
 from animtool.documents.versions import Steps, newest, version_of
-from animtool.scene.file import load_scene
+from animtool.scene.file.read import load_scene
 
 
 def with_joints(value: dict[str, Any]) -> dict[str, Any]:

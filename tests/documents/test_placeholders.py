@@ -22,7 +22,7 @@ from animtool.documents.placeholders import (
 )
 from animtool.rig.joint_schema import JointModel
 from animtool.rig.schema import RigModel
-from animtool.scene.schema import whole_model
+from animtool.scene.file.schema import whole_model
 
 
 @pytest.mark.parametrize("model", [RigModel, ClipModel, whole_model()])

@@ -25,7 +25,7 @@ from animtool.maths import so3
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.passes import PassContext, apply_pass, find_pass
 from animtool.motion.take import Take
-from animtool.scene.clips import open_clip_source
+from animtool.scene.sources.clips import open_clip_source
 
 # As close as curves are promised to be; they come closer.
 EXACT = 1e-9

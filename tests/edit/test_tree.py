@@ -20,7 +20,7 @@ from animtool.maths import so3
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.take import Take
 from animtool.rig.skeleton import Joint, JointType, Rig
-from animtool.scene.file import load_scene
+from animtool.scene.file.read import load_scene
 from animtool.scene.scene import Scene
 
 FRAMES = 5

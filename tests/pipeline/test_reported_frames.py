@@ -24,9 +24,9 @@ from animtool.core.clock import Clock
 from animtool.core.errors import OptionError
 from animtool.core.shot import FrameRange
 from animtool.motion.take import TakeStream
-from animtool.scene.bake import bake
-from animtool.scene.options import BakeOptions
-from animtool.scene.prims import BakeReport
+from animtool.scene.bake.bake import bake
+from animtool.scene.bake.options import BakeOptions
+from animtool.scene.bake.prims import BakeReport
 from animtool.usd.takes.read import read_usd
 
 RATES = [Fraction(24), Fraction(30), Fraction(120), Fraction(24000, 1001)]

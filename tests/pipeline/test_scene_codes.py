@@ -23,7 +23,7 @@ from animtool.motion.passes import PassContext, apply_pass, find_pass
 from animtool.motion.take import Take, TakeStream
 from animtool.rig.parts import Shape
 from animtool.rig.skeleton import Joint, Rig
-from animtool.scene.file import load_scene
+from animtool.scene.file.read import load_scene
 
 PACKAGE = Path(animtool.__file__).parent
 NAN = float("nan")

@@ -12,7 +12,7 @@ from pxr import Usd, UsdGeom, UsdSkel
 from support.beasts import write_beast
 from support.cli import animtool
 
-from animtool.scene.file import load_scene
+from animtool.scene.file.read import load_scene
 
 SCENE = """scene: animtool/1
 source: {file: swing.clip.yaml}

@@ -170,7 +170,7 @@ import json, os, sys
 from pathlib import Path
 from animtool import BakeOptions, bake
 from animtool.core.shot import FrameRange
-from animtool.scene.progress import PeakMemory
+from animtool.scene.bake.progress import PeakMemory
 from animtool.usd import chunks
 
 chunks.HELD = 500_000

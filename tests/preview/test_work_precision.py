@@ -23,8 +23,8 @@ from animtool.preview.work_precision import (
     ik_panels,
     simulation_panels,
 )
-from animtool.scene.ik_table import IkTable, IkTableRow
-from animtool.scene.simulation_table import SimulationTable
+from animtool.scene.tables.ik import IkTable, IkTableRow
+from animtool.scene.tables.simulation import SimulationTable
 from animtool.sim.trials.measuring import Reference, TrialRow, TrialTable
 from animtool.sim.trials.trial import Distances, Setting
 

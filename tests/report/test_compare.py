@@ -23,9 +23,9 @@ from animtool.report.compare import (
     compare,
     compare_takes,
 )
-from animtool.scene.bake import bake
-from animtool.scene.options import BakeOptions
-from animtool.scene.sources import SourceOptions
+from animtool.scene.bake.bake import bake
+from animtool.scene.bake.options import BakeOptions
+from animtool.scene.sources.open import SourceOptions
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ from support.cli import animtool
 from support.props import write_props
 
 from animtool.report.describe_scene import describe_scene
-from animtool.scene.file import load_scene
+from animtool.scene.file.read import load_scene
 
 SYSTEMS = """\
 scene: animtool/1

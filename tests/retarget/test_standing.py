@@ -15,7 +15,7 @@ from animtool.maths import so3
 from animtool.motion.motion import Channel, Motion
 from animtool.retarget.anatomy import anatomy
 from animtool.retarget.standing import stands_along
-from animtool.scene.sources import open_source
+from animtool.scene.sources.open import open_source
 
 TURN = np.array(up_from_up(UpAxis.Z, UpAxis.Y))
 

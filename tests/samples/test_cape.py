@@ -14,7 +14,7 @@ from support.printed import Printed
 from animtool.motion.take import Take
 from animtool.rig.file import load_rig
 from animtool.rig.surfaces import surfaces_of
-from animtool.scene.file import load_scene
+from animtool.scene.file.read import load_scene
 
 ROOT = Path(__file__).parents[2]
 SCENE = ROOT / "samples/cape/cape.scene.yaml"

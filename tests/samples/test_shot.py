@@ -12,7 +12,7 @@ from support.props import prop_matrices
 
 from animtool import open_source
 from animtool.motion.take import Take
-from animtool.scene.file import load_scene
+from animtool.scene.file.read import load_scene
 
 NAME = "samples/shot/shot.scene.yaml"
 

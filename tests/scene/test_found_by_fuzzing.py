@@ -9,7 +9,7 @@ import pytest
 from animtool.core.errors import FormatError
 from animtool.ik.file import load_targets
 from animtool.rig.file import load_rig
-from animtool.scene.file import load_scene
+from animtool.scene.file.read import load_scene
 
 
 def test_systems_under_a_misspelt_key(tmp_path: Path) -> None:

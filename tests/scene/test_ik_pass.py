@@ -10,7 +10,7 @@ from support.cli import animtool
 
 from animtool import open_source
 from animtool.core.errors import FormatError
-from animtool.scene.file import load_scene
+from animtool.scene.file.read import load_scene
 
 SCENE = """scene: animtool/1
 source: {file: samples/walk/walk.bvh}

@@ -14,7 +14,7 @@ from support.props import prop_matrices, write_props
 from support.usd import validation_errors
 
 from animtool import open_source
-from animtool.scene.sources import SourceOptions
+from animtool.scene.sources.open import SourceOptions
 
 PASSES = {
     "slow": "- time_scale: {speed: 0.5}",

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from animtool.scene.progress import prefetch
+from animtool.scene.bake.progress import prefetch
 
 
 def threads() -> set[str]:

@@ -18,8 +18,8 @@ from animtool import open_source
 from animtool.motion.motion import Motion
 from animtool.motion.passes import PASSES, Pass, PassContext, Scope
 from animtool.motion.take import Take, TakeStream
-from animtool.scene.file import load_scene
-from animtool.scene.retime import Preroll, begun_early, without_first
+from animtool.scene.file.read import load_scene
+from animtool.scene.sources.retime import Preroll, begun_early, without_first
 from animtool.usd.layers.sdf import find_layer
 
 SCENE = """scene: animtool/1

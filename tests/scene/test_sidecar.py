@@ -12,8 +12,8 @@ from support.cli import animtool
 
 from animtool.core.errors import AnimtoolError, FormatError
 from animtool.motion.take import Take
-from animtool.scene.file import load_scene
-from animtool.scene.sources import SourceOptions, open_source
+from animtool.scene.file.read import load_scene
+from animtool.scene.sources.open import SourceOptions, open_source
 
 RIG = """rig: animtool/1
 name: cat

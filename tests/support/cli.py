@@ -59,7 +59,7 @@ def animtool_process(
 _KILLABLE = """
 import contextlib, ctypes, json, os, signal, sys
 import animtool.batch.run, animtool.cli.bake, animtool.cli.batch
-import animtool.formats.bvh.read, animtool.scene.bake, animtool.usd.takes.author
+import animtool.formats.bvh.read, animtool.scene.bake.bake, animtool.usd.takes.author
 import animtool.batch.preload
 from animtool.cli.main import run
 

@@ -15,7 +15,7 @@ from pxr import Usd
 from animtool import BakeOptions, bake
 from animtool.core.shot import FrameRange
 from animtool.maths import so3
-from animtool.scene.file import load_scene
+from animtool.scene.file.read import load_scene
 from animtool.scene.scene import Scene
 from animtool.scene.systems.run import SystemRun
 from animtool.scene.systems.trial import system_trials

@@ -16,7 +16,7 @@ from support.system_examples import EXAMPLES
 
 from animtool.core.plugins import load_object
 from animtool.motion.passes import find_pass
-from animtool.scene.file import load_scene
+from animtool.scene.file.read import load_scene
 from animtool.sim.colliders import SHAPES
 from animtool.systems.conversion import (
     PASS_UNITS,

@@ -13,7 +13,7 @@ from support.shapes_alone import NORMALS_ONLY, write_face, write_still
 from animtool import describe, open_source
 from animtool.core.errors import FormatError, OptionError
 from animtool.rig.skeleton import Rig
-from animtool.scene.convert import convert
+from animtool.scene.convert.takes import convert
 from animtool.validation.run import validate
 
 WEIGHTS = [[0, 0], [0.5, 0.25], [1.25, 0.75]]

@@ -17,10 +17,10 @@ from animtool.core.files.output import size_of
 from animtool.core.options import refused_options
 from animtool.core.shot import FrameRange
 from animtool.core.units import UpAxis
-from animtool.scene.options import BakeOptions
-from animtool.scene.prims import BakePlan, Draft, TakeReport
+from animtool.scene.bake.options import BakeOptions
+from animtool.scene.bake.prims import BakePlan, Draft, TakeReport
 from animtool.scene.scene import Scene
-from animtool.scene.sources import source_stem
+from animtool.scene.sources.open import source_stem
 from animtool.scene.systems.character_motion import CharacterWatch
 from animtool.scene.systems.run import SystemRun, system_job
 from animtool.usd.caches.writer import CachedMesh

@@ -14,7 +14,7 @@ from animtool.maths import so3
 from animtool.motion.transforms import PropRequest
 from animtool.rig.skeleton import Rig
 from animtool.rig.surfaces import surfaces_of
-from animtool.scene.entries import Place
+from animtool.scene.file.entries import Place
 from animtool.scene.systems.character_motion import (
     CharacterMotions,
     CharacterSkin,

@@ -23,7 +23,7 @@ from animtool.motion.take import Take, TakeStream
 from animtool.rig.kinematics import WorldTransforms, bind_matrices, forward
 from animtool.rig.skeleton import Rig
 from animtool.rig.surfaces import surfaces_of
-from animtool.scene.sources import open_source
+from animtool.scene.sources.open import open_source
 from animtool.sim.colliders import Collider, Sheet, Sphere, rig_colliders
 from animtool.skin.character import character_meshes
 from animtool.skin.deform import Deformed, DeformedMesh, deform_blocks
@@ -80,7 +80,7 @@ def open_take(path: Path) -> TakeStream:
     """Return the take of a clip, or of a scene with its passes."""
     if not is_named(path, "scene"):
         return open_source(path)
-    from animtool.scene.file import load_scene
+    from animtool.scene.file.read import load_scene
 
     return load_scene(path).open(keeps=False)
 

@@ -25,7 +25,7 @@ from animtool.documents.document import Document, Location, location_of
 from animtool.motion.frames import MeshFrame
 from animtool.motion.physics import Physics
 from animtool.motion.transforms import PropRequest
-from animtool.scene.entries import SystemSetup
+from animtool.scene.file.entries import SystemSetup
 from animtool.scene.systems.carriers import OnJoint, OnPrim, OnVertex
 from animtool.scene.systems.character_motion import open_take
 from animtool.scene.systems.entries import PLACING, EntryReader

@@ -28,7 +28,7 @@ from animtool.documents.references import (
     split_reference,
 )
 from animtool.maths import so3
-from animtool.scene.entries import Place, place_of_entry
+from animtool.scene.file.entries import Place, place_of_entry
 from animtool.scene.systems.surroundings import moving_sheet
 from animtool.sim.colliders import SHAPES, Collider, HeightField, Mesh, Poses
 from animtool.systems.conversion import METRES, SceneUnits

@@ -16,7 +16,7 @@ from animtool.retarget.motion import retarget_take
 from animtool.retarget.pairing import map_joints
 from animtool.rig.placed import at_origin
 from animtool.rig.skeleton import Rig
-from animtool.scene.onto_rig import NameMap, map_names, open_rig
+from animtool.scene.sources.onto_rig import NameMap, map_names, open_rig
 from animtool.scene.systems.character_motion import open_take
 from animtool.systems.crowds.cycles import gaits_of
 from animtool.systems.crowds.gaits import Gaits

@@ -9,7 +9,7 @@ from typing import Any
 from animtool.core.errors import listed
 from animtool.core.names import nearest
 from animtool.documents.document import Document, Location, location_of
-from animtool.scene.entries import SceneSystem
+from animtool.scene.file.entries import SceneSystem
 from animtool.systems.fields import Member
 from animtool.systems.kinds import SYSTEM_KINDS
 

@@ -16,7 +16,7 @@ from animtool.maths import so3
 from animtool.rig.kinematics import WorldTransforms, rest_world
 from animtool.rig.skeleton import Rig
 from animtool.rig.surfaces import surfaces_of
-from animtool.scene.entries import SceneSystem
+from animtool.scene.file.entries import SceneSystem
 from animtool.scene.systems.carriers import OnJoint, OnVertex
 from animtool.scene.systems.character_motion import CharacterMotion, CharacterMotions
 from animtool.scene.systems.surroundings import AROUND

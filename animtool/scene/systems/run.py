@@ -16,9 +16,9 @@ from animtool.core.errors import Fault, FormatError, Severity, ToleranceError, e
 from animtool.core.quantities import plain
 from animtool.core.units import UpAxis, up_from_up
 from animtool.rig.skeleton import Rig
-from animtool.scene.entries import SceneSystem
-from animtool.scene.prims import MeshReport
-from animtool.scene.progress import Phases, Progress, TimeProgress
+from animtool.scene.bake.prims import MeshReport
+from animtool.scene.bake.progress import Phases, Progress, TimeProgress
+from animtool.scene.file.entries import SceneSystem
 from animtool.scene.systems.character_motion import CharacterMotion
 from animtool.scene.systems.links import simulated_with
 from animtool.scene.systems.simulation import (

@@ -15,8 +15,8 @@ from animtool.core.names import nearest
 from animtool.core.units import UpAxis, up_from_up
 from animtool.maths import so3
 from animtool.motion.take import Take
-from animtool.scene.entries import SceneSystem
-from animtool.scene.progress import Progress
+from animtool.scene.bake.progress import Progress
+from animtool.scene.file.entries import SceneSystem
 from animtool.scene.systems.character_motion import motion_of
 from animtool.scene.systems.links import simulated_with
 from animtool.scene.systems.simulation import located_systems, open_systems

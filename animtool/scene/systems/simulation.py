@@ -10,8 +10,8 @@ from typing import Any, cast
 from animtool.core.errors import Fault, FormatError, OptionError, ToleranceError
 from animtool.core.plugins import load_object
 from animtool.rig.skeleton import Rig
-from animtool.scene.entries import SceneSystem
-from animtool.scene.progress import Phases, Progress, TimeProgress
+from animtool.scene.bake.progress import Phases, Progress, TimeProgress
+from animtool.scene.file.entries import SceneSystem
 from animtool.scene.systems.character_motion import CharacterMotion, CharacterMotions
 from animtool.scene.systems.links import in_order, member_of
 from animtool.scene.systems.proportions import misplaced

@@ -12,7 +12,7 @@ from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, OptionError, ToleranceError
 from animtool.core.plugins import load_object
 from animtool.motion.frames import Frame, PointsFrame, TransformsFrame
-from animtool.scene.entries import SceneSystem
+from animtool.scene.file.entries import SceneSystem
 from animtool.scene.systems.character_motion import CharacterMotion
 from animtool.scene.systems.links import in_order, needed
 from animtool.scene.systems.simulation import (

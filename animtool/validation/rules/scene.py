@@ -17,11 +17,11 @@ from animtool.core.rates import rate_label
 from animtool.documents.document import Location, read_document
 from animtool.documents.variables import resolve_variables
 from animtool.motion.passes import Pass, TakePart
-from animtool.scene.bake import take_name
-from animtool.scene.options import BakeOptions
-from animtool.scene.outputs import scene_files
-from animtool.scene.reading import check_options
-from animtool.scene.schema import model_for
+from animtool.scene.bake.bake import take_name
+from animtool.scene.bake.options import BakeOptions
+from animtool.scene.bake.outputs import scene_files
+from animtool.scene.bake.reading import check_options
+from animtool.scene.file.schema import model_for
 from animtool.validation.subjects.scene import SceneSubject
 
 

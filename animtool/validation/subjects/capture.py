@@ -12,7 +12,7 @@ from animtool.core.errors import Fault
 from animtool.core.files.reading import open_input
 from animtool.core.rules import Kind
 from animtool.motion.take import Take
-from animtool.scene.sources import open_source
+from animtool.scene.sources.open import open_source
 from animtool.validation.motion.subject import MotionSubject
 from animtool.validation.subjects.subject import CheckedFile
 

@@ -25,7 +25,7 @@ from animtool.documents.document import Document, Location
 from animtool.maths.curves import Interp
 from animtool.motion.take import Take
 from animtool.rig.skeleton import Rig
-from animtool.scene.clips import clip_stream
+from animtool.scene.sources.clips import clip_stream
 from animtool.validation.motion.subject import MotionSubject
 from animtool.validation.subjects.subject import CheckedFile, DocumentSubject
 

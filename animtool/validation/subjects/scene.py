@@ -17,8 +17,8 @@ from animtool.ik.take_pass import IkPassOptions, asked_of
 from animtool.ik.tracks import TargetTracks
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.take import Take
-from animtool.scene.entries import SceneOutput
-from animtool.scene.file import scene_of_document
+from animtool.scene.file.entries import SceneOutput
+from animtool.scene.file.read import scene_of_document
 from animtool.scene.scene import Scene
 from animtool.scene.systems.character_motion import motion_of
 from animtool.scene.systems.proportions import misplaced

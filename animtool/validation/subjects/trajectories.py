@@ -37,7 +37,7 @@ def open_trajectories(path: Path) -> CheckedFile:
 def open_coordinates(path: Path) -> CheckedFile:
     """Return what is wrong with a MOT or STO file, which may hold markers."""
     from animtool.formats.marker_files import is_marker_file
-    from animtool.scene.sources import open_source
+    from animtool.scene.sources.open import open_source
 
     if is_marker_file(path):
         return open_trajectories(path)

@@ -8,7 +8,7 @@ import numpy as np
 from clock import timed
 from pxr import Gf, Sdf, Vt
 
-from animtool.scene.file import load_scene
+from animtool.scene.file.read import load_scene
 from animtool.scene.systems.simulation import open_systems
 from animtool.usd.props.characters import Characters
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from clock import timed
 
-from animtool.scene.file import load_scene
+from animtool.scene.file.read import load_scene
 from animtool.scene.systems.simulation import open_systems
 
 

@@ -26,7 +26,7 @@ from animtool.retarget.file import load_map
 from animtool.rig.file import load_rig
 from animtool.rig.remap import link_shapes, load_remap
 from animtool.rig.skeleton import Rig
-from animtool.scene.file import load_scene
+from animtool.scene.file.read import load_scene
 from fuzz.mutations import spoil
 
 ABOUT = "files of each kind that people write, spoiled as bytes or as values"

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from animtool.core.errors import AnimtoolError
-from animtool.scene.file import load_scene
+from animtool.scene.file.read import load_scene
 from animtool.scene.systems.simulation import open_systems
 from fuzz.arguments import leaves
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from animtool import BakeOptions, bake
 from animtool.core.errors import AnimtoolError, Fault
-from animtool.scene.file import load_scene
+from animtool.scene.file.read import load_scene
 from animtool.scene.systems.simulation import open_systems
 from animtool.usd.layers.sdf import compute_alone, forget_layers
 

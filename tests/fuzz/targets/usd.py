@@ -17,7 +17,7 @@ from support.clean_layer import make_layer
 from animtool.core.errors import AnimtoolError
 from animtool.motion.take import TakeStream
 from animtool.report.describe import describe
-from animtool.scene.sources import SourceOptions
+from animtool.scene.sources.open import SourceOptions
 from animtool.usd.caches.info import describe_points
 from animtool.usd.checks.run import inspect_layer
 from animtool.usd.layers.sdf import compute_alone, forget_layers

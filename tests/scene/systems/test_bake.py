@@ -12,8 +12,8 @@ from pxr import Sdf, Usd, UsdGeom
 from animtool import BakeOptions, bake
 from animtool.cli.summary import bake_json, bake_text
 from animtool.core.errors import AnimtoolError, FormatError, OptionError, ToleranceError
-from animtool.scene.file import load_scene
-from animtool.scene.plan_steps import StepKind, bake_steps
+from animtool.scene.bake.plan_steps import StepKind, bake_steps
+from animtool.scene.file.read import load_scene
 from animtool.scene.systems.simulation import open_systems
 
 SCENE = """\

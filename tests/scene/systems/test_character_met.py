@@ -12,7 +12,7 @@ from pxr import Usd, UsdGeom
 
 from animtool import bake
 from animtool.core.errors import FormatError
-from animtool.scene.file import load_scene
+from animtool.scene.file.read import load_scene
 from animtool.scene.systems.character_motion import (
     CharacterMotion,
     CharacterMotions,

@@ -13,10 +13,10 @@ from support.cli import animtool
 
 from animtool.core.errors import FormatError
 from animtool.report.describe_scene import describe_scene
-from animtool.scene import outputs as scene_outputs
-from animtool.scene.file import load_scene
-from animtool.scene.options import BakeOptions
-from animtool.scene.plan_steps import StepKind, bake_steps
+from animtool.scene.bake.bake import outputs as scene_outputs
+from animtool.scene.bake.options import BakeOptions
+from animtool.scene.bake.plan_steps import StepKind, bake_steps
+from animtool.scene.file.read import load_scene
 from animtool.scene.systems import simulation
 
 HEAD = "scene: animtool/1\nfps: 24\n"

@@ -15,11 +15,11 @@ from animtool.cli.simulation_summary import simulation_table_text
 from animtool.core.errors import FormatError, OptionError, ToleranceError
 from animtool.documents.document import Document, read_document
 from animtool.motion.frames import TransformsFrame
-from animtool.scene.entries import Place, SceneSystem
-from animtool.scene.simulation_table import SimulationTable
+from animtool.scene.file.entries import Place, SceneSystem
 from animtool.scene.systems.derived import SystemSetup, read_spec
 from animtool.scene.systems.simulation import open_systems
 from animtool.scene.systems.trial import system_trials
+from animtool.scene.tables.simulation import SimulationTable
 from animtool.sim.colliders import Plane
 from animtool.sim.trials.measuring import measure
 from animtool.sim.trials.trial import Setting

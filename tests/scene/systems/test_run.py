@@ -14,7 +14,7 @@ from pxr import Usd
 from animtool import BakeOptions, bake
 from animtool.core.errors import AnimtoolError, ToleranceError
 from animtool.core.shot import FrameRange
-from animtool.scene.prims import BakeReport
+from animtool.scene.bake.prims import BakeReport
 from animtool.usd.checks import check_layer
 
 HEAD = "scene: animtool/1\nfps: 24\nrange: [1, 6]\nsystems:\n"

@@ -11,7 +11,7 @@ from pxr import Gf, Usd, UsdGeom, Vt
 from animtool import bake
 from animtool.core.errors import AnimtoolError, FormatError
 from animtool.maths import so3
-from animtool.scene.file import load_scene
+from animtool.scene.file.read import load_scene
 from animtool.scene.systems.surroundings import moving_sheet
 from animtool.sim.colliders import Poses
 from animtool.systems.fields import MovingMeshModel

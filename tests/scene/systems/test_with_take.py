@@ -21,10 +21,10 @@ from animtool.core.errors import AnimtoolError, FormatError, OptionError
 from animtool.core.shot import FrameRange
 from animtool.core.units import LengthUnit, UpAxis
 from animtool.rig.file import load_rig
-from animtool.scene.file import load_scene
-from animtool.scene.outputs import bake_scene
-from animtool.scene.plan_steps import StepKind, bake_steps
-from animtool.scene.sources import open_source
+from animtool.scene.bake.outputs import bake_scene
+from animtool.scene.bake.plan_steps import StepKind, bake_steps
+from animtool.scene.file.read import load_scene
+from animtool.scene.sources.open import open_source
 
 CODES = [float(code) for code in range(1, 10)]
 Array = npt.NDArray[np.float64]

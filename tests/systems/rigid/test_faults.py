@@ -10,7 +10,7 @@ import pytest
 from support.rigid import FLOOR, Rigid, ball, box
 
 from animtool.core.errors import AnimtoolError, FormatError, Severity
-from animtool.scene.file import load_scene
+from animtool.scene.file.read import load_scene
 from animtool.scene.systems.simulation import open_systems
 from animtool.systems.rigid import kind
 

@@ -17,7 +17,7 @@ from animtool.cli.plan_summary import mesh_text
 from animtool.core.errors import AnimtoolError
 from animtool.core.units import LengthUnit, UpAxis
 from animtool.report.compare_points import compare_points
-from animtool.scene.prims import BakeReport
+from animtool.scene.bake.prims import BakeReport
 from animtool.usd.caches.info import describe_points
 
 BODIES = [

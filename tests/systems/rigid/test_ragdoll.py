@@ -25,7 +25,7 @@ from animtool.rig.kinematics import forward
 from animtool.rig.limits import RangeLimit
 from animtool.rig.parts import Capsule, Collider
 from animtool.rig.skeleton import Joint, JointType, Rig
-from animtool.scene.file import load_scene
+from animtool.scene.file.read import load_scene
 from animtool.sim.colliders import Box, Plane, Poses, Shape
 from animtool.sim.colliders import Capsule as Shaft
 from animtool.sim.colliders import Collider as Obstacle

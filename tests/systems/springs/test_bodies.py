@@ -12,7 +12,7 @@ from pxr import Usd, UsdGeom, Vt
 from animtool import bake
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import FormatError
-from animtool.scene.file import load_scene
+from animtool.scene.file.read import load_scene
 from tests.support.balls import box_mesh
 
 SCENE = "scene: animtool/1\nfps: 24\nrange: [1, %d]\nsystems:\n%s"

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from animtool import BakeOptions, bake
-from animtool.scene.file import load_scene
+from animtool.scene.file.read import load_scene
 from animtool.sim.colliders import Collider
 from animtool.sim.colliders.shapes import Box, Capsule, Plane, Sphere
 from animtool.systems.springs import Family, rope, sheet

@@ -9,7 +9,7 @@ import pytest
 from pxr import Usd, UsdGeom
 
 from animtool.core.errors import Fault, FormatError
-from animtool.scene.file import load_scene
+from animtool.scene.file.read import load_scene
 
 SCENE = """\
 scene: animtool/1

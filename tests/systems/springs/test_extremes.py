@@ -13,7 +13,7 @@ from fuzz.targets.springs import _COMMON as COMMON
 from fuzz.targets.springs import _SYSTEMS as SYSTEMS
 
 from animtool.core.errors import AnimtoolError
-from animtool.scene.file import load_scene
+from animtool.scene.file.read import load_scene
 from animtool.scene.systems.simulation import open_systems
 from animtool.systems.springs.motion import Through, through_notices
 

@@ -9,7 +9,7 @@ import pytest
 
 from animtool import BakeOptions, bake
 from animtool.core.shot import FrameRange
-from animtool.scene.file import load_scene
+from animtool.scene.file.read import load_scene
 from animtool.sim.system import Energy
 from animtool.systems.springs.losses import REPORTED, RESTING, Losses
 from animtool.systems.springs.records import Solver

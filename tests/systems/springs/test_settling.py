@@ -9,7 +9,7 @@ import pytest
 from pxr import Usd, UsdGeom
 
 from animtool import BakeOptions, bake
-from animtool.scene.file import load_scene
+from animtool.scene.file.read import load_scene
 from animtool.systems.springs import Solver
 
 ROPE = """\

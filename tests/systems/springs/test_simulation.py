@@ -18,7 +18,7 @@ from animtool.cli.summary import bake_json, bake_text
 from animtool.core.errors import FormatError, Severity, ToleranceError
 from animtool.core.shot import FrameRange
 from animtool.rig.kinematics import forward
-from animtool.scene.file import load_scene
+from animtool.scene.file.read import load_scene
 from animtool.scene.systems.run import SystemRun
 from animtool.scene.systems.simulation import open_systems
 from animtool.systems.kinds import SYSTEM_KINDS

@@ -18,7 +18,7 @@ from animtool.core.units import LengthUnit, UpAxis
 from animtool.maths import so3
 from animtool.motion.frames import CharactersFrame
 from animtool.rig.kinematics import forward
-from animtool.scene.file import load_scene
+from animtool.scene.file.read import load_scene
 from animtool.scene.systems.simulation import open_systems
 
 ROOT = Path(__file__).parents[3]

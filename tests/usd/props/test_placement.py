@@ -16,8 +16,8 @@ from support.placed import (
     stage_text,
 )
 
-from animtool.scene.bake import bake
-from animtool.scene.options import BakeOptions
+from animtool.scene.bake.bake import bake
+from animtool.scene.bake.options import BakeOptions
 
 TOOL = """
 def Xform "tool"

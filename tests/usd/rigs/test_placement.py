@@ -30,11 +30,11 @@ from animtool.maths import so3
 from animtool.report.describe import describe
 from animtool.rig.placement import Placement
 from animtool.rig.skeleton import Rig
-from animtool.scene.bake import bake
-from animtool.scene.convert import convert
-from animtool.scene.options import BakeOptions
-from animtool.scene.retarget import RetargetJob, run_retarget
-from animtool.scene.sources import SourceOptions
+from animtool.scene.bake.bake import bake
+from animtool.scene.bake.options import BakeOptions
+from animtool.scene.convert.takes import convert
+from animtool.scene.solves.retarget import RetargetJob, run_retarget
+from animtool.scene.sources.open import SourceOptions
 
 KINDS = ("translate", "rotate", "scale", "all")
 SETTINGS = list(itertools.product("YZ", (1.0, 0.01), (24, 25, 30)))

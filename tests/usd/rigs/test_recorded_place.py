@@ -16,10 +16,10 @@ from support.placed import (
 
 from animtool import open_source
 from animtool.core.errors import FormatError
-from animtool.scene.bake import bake
-from animtool.scene.convert import convert
-from animtool.scene.options import BakeOptions
-from animtool.scene.sources import SourceOptions
+from animtool.scene.bake.bake import bake
+from animtool.scene.bake.options import BakeOptions
+from animtool.scene.convert.takes import convert
+from animtool.scene.sources.open import SourceOptions
 
 WRITTEN = ("usda", "bvh")
 PLACED = [

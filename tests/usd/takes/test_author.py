@@ -17,9 +17,9 @@ from support.usd import joint_positions, open_stage, skeleton_query, validation_
 from animtool.core.errors import AnimtoolError
 from animtool.core.shot import FrameRange
 from animtool.core.units import LengthUnit, UpAxis
-from animtool.scene.bake import bake
-from animtool.scene.options import BakeOptions
-from animtool.scene.sources import SourceOptions
+from animtool.scene.bake.bake import bake
+from animtool.scene.bake.options import BakeOptions
+from animtool.scene.sources.open import SourceOptions
 
 
 @pytest.fixture

@@ -22,7 +22,7 @@ from animtool.motion.motion import Channel, Motion
 from animtool.motion.take import Take
 from animtool.rig.parts import Shape
 from animtool.rig.skeleton import JointType, Rig
-from animtool.scene.sources import open_source
+from animtool.scene.sources.open import open_source
 from animtool.validation.motion.sampling import frozen_frames, repeated_frames
 from animtool.validation.motion.subject import MotionSubject
 from animtool.validation.options import ValidateOptions

@@ -28,7 +28,7 @@ from support.planted_takes import (
 
 from animtool.edit.resample import resampled
 from animtool.motion.take import Take
-from animtool.scene.sources import open_source
+from animtool.scene.sources.open import open_source
 
 ROOT = Path(__file__).parents[3]
 SAMPLES = ("samples/walk/walk.bvh", "samples/stride/stride.clip.yaml")

@@ -9,7 +9,7 @@ from support.planted_takes import drift, travel
 
 from animtool.core.errors import Fault
 from animtool.motion.take import Take
-from animtool.scene.sources import open_source
+from animtool.scene.sources.open import open_source
 from animtool.validation.motion.contacts import contacts_of
 from animtool.validation.motion.feet import foot_slide, travel_scale
 from animtool.validation.motion.subject import MotionSubject

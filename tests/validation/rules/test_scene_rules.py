@@ -8,7 +8,7 @@ import pytest
 from support.props import write_props
 
 from animtool.core.errors import Severity
-from animtool.scene.file import load_scene
+from animtool.scene.file.read import load_scene
 from animtool.validation.run import validate
 
 RIG = """\

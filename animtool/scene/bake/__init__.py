@@ -1,0 +1,1 @@
+"""The bake: planned, sampled, written."""

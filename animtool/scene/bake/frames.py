@@ -1,0 +1,380 @@
+"""The frames of a bake: when a take is sampled, what it is then, which joints move."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeAlias
+
+import numpy as np
+
+from animtool.core.array_types import BoolArray, FloatArray
+from animtool.core.clock import Clock, frame_label, time_codes
+from animtool.core.errors import Fault, OptionError, Severity
+from animtool.core.shot import FrameRange, Shot, frame_spans
+from animtool.edit.between import Between
+from animtool.edit.resample import (
+    SampleTimes,
+    dropped_notice,
+    plan_samples,
+    sample,
+)
+from animtool.edit.straight import straight_notices
+from animtool.edit.travel import Places
+from animtool.motion.motion import Motion
+from animtool.motion.take import TakeStream
+from animtool.rig.skeleton import Rig
+from animtool.scene.bake.first_frame import start_notice, whole_frames
+from animtool.scene.bake.options import BakeOptions
+from animtool.scene.sources.away import no_frames
+
+if TYPE_CHECKING:
+    from animtool.scene.systems.character_motion import CharacterWatch
+    from animtool.usd.props.writer import PropSamples
+    from animtool.usd.rigs.target import JointMap
+
+TimedBlocks: TypeAlias = Iterator[tuple[FloatArray, Motion]]  # time codes and motions
+
+
+@dataclass(frozen=True, slots=True)
+class TakePlan:
+    """One take of a bake."""
+
+    source: Path
+    name: str  # of a library's take, legal and distinct; else empty
+    stream: TakeStream  # opened, with the joints in the order written
+    mapping: JointMap | None  # from the take's joints to those of a rig layer
+    options: BakeOptions  # those of takes after the first have no rest frame
+    fps: Fraction  # time codes a second of the output
+    start: Fraction  # time code of the first frame
+    notices: list[Fault]  # the plan's
+
+
+@dataclass(frozen=True, slots=True)
+class TimedTake:
+    """A take at the times of an output."""
+
+    blocks: TimedBlocks
+    rig: Rig
+    # When the source is sampled; None where its own samples are written.
+    times: SampleTimes | None = None
+
+    @property
+    def frames(self) -> tuple[Fraction, Fraction] | None:
+        """First and last frame, where known before the blocks are read."""
+        return None if self.times is None else (self.times.first, self.times.last)
+
+
+def timed_blocks(plan: TakePlan, stream: TakeStream) -> TimedTake:
+    """Return a take at the times of the output.
+
+    The blocks stream through where each sample of the source is a sample of the
+    output; otherwise the take is gathered and sampled anew.
+    """
+    options = plan.options
+    # A rate that is asked for puts a sample on each frame.
+    on_frames = options.fps is None or options.keep_samples or stream.step == 1
+    as_is = (
+        plan.fps == stream.fps
+        and on_frames
+        and not options.samples
+        and options.frame_range is None
+        and options.rest_frame is None
+    )
+    if as_is:
+        return TimedTake(_streamed(plan, stream), stream.rig)
+    curve = None if stream.altered else stream.curve
+    if curve is not None and options.rest_frame is None:
+        return _sampled(plan, stream, curve)
+    take = stream.collect()
+    times = _sample_times(plan, take.clock)
+    rig, between = take.rig, Between.of(take)
+    if options.rest_frame is not None:
+        rig = _with_rest(plan, between, options.rest_frame)
+    plan.notices.extend(_straight_notices(plan, between, times))
+    return TimedTake(sample(between, times), rig, times)
+
+
+def _straight_notices(
+    plan: TakePlan, between: Between, times: SampleTimes
+) -> list[Fault]:
+    """Say by how much straight lines may be off, unless a pass of the take did."""
+    said = {notice.code for notice in plan.stream.notices}
+    places = Places(times.frames, times.fractions)
+    return [
+        replace(notice, path=str(plan.source))
+        for notice in straight_notices(between, places)
+        if notice.code not in said
+    ]
+
+
+def _sample_times(plan: TakePlan, clock: Clock) -> SampleTimes:
+    """Return when to sample a take, and notice where it lacks frames."""
+    options = plan.options
+    own_frames = None
+    if options.fps is not None and not options.keep_samples:
+        own_frames = whole_frames(clock, plan.fps, plan.start)
+    times = plan_samples(
+        clock,
+        plan.fps,
+        plan.start,
+        frame_range=options.frame_range or own_frames,
+        offsets=options.samples,
+        keep_samples=options.keep_samples,
+        hold=options.shot is not None,
+    )
+    frame_range = options.frame_range
+    if options.shot is None or frame_range is None:
+        notices = _range_notice(plan, times)
+    else:
+        notices = _missing_frames(plan, options.shot, clock)
+        # Also where samples are kept that are not on the first and the last frame.
+        first, last = Fraction(frame_range.first), Fraction(frame_range.last)
+        if options.keep_samples:
+            times = replace(times, first=first, last=last)
+    if options.start is None and options.shot is None:
+        own = plan.stream.start, plan.stream.fps
+        moved = start_notice(*own, plan.start, plan.fps, times.first)
+        notices += [replace(notice, path=str(plan.source)) for notice in moved]
+    plan.notices.extend([*notices, *_end_notices(plan, times)])
+    return times
+
+
+def _missing_frames(plan: TakePlan, shot: Shot, clock: Clock) -> list[Fault]:
+    """Name the frames of a shot that a take lacks; their nearest pose is held.
+
+    The last frame of a take lasts until the next would begin.
+    """
+    frame_range, where = plan.options.frame_range, str(plan.source)
+    assert frame_range is not None
+    asked = range(frame_range.first, frame_range.last + 1, frame_range.step)
+    step = plan.fps / clock.rate
+    last = plan.start + (clock.count - 1) * step
+    # Played backwards, it lasts as long before.
+    before, behind = (step, Fraction(0)) if shot.speed < 0 else (Fraction(0), step)
+    missing = [
+        n
+        for n in asked
+        if not (plan.start - before < n < last + behind or n in {plan.start, last})
+    ]
+    if not missing:
+        return []
+    named = f"shot {shot.name}: " if shot.name else ""
+    hint = f"the take has {float(plan.start):.7g} to {float(last):.7g}"
+    if len(missing) == len(asked):
+        # Where passes have moved the take, its times say nothing of its media.
+        whole = last if shot.speed < 0 else plan.start
+        if shot.places_media and shot.frame_at(0) == whole:
+            length = clock.count / clock.rate * abs(shot.speed)
+            raise no_frames(shot, asked[0], asked[-1], length, where)
+        message = f"{named}the take has no frame from {asked[0]} to {asked[-1]}"
+        at = None if shot.places_media else "shot.cut"
+        raise OptionError(Fault("SCN042", message, where, (), hint, where=at))
+    cut = [n for n in missing if shot.cut_in <= n <= shot.cut_out]
+    handles = [n for n in missing if n not in cut]
+    notices = []
+    for code, what, key, frames in (
+        ("SCN074", "frames of the cut", "shot.cut", cut),
+        ("SCN106", "handle frames", "shot.handles", handles),
+    ):
+        if frames:
+            message = (
+                f"{named}the take lacks {what} {frame_spans(frames, frame_range.step)}"
+            )
+            message += "; the nearest pose is held"
+            warning = Severity.WARNING
+            at = None if shot.places_media else key
+            notices.append(Fault(code, message, where, (), hint, warning, where=at))
+    return notices
+
+
+def _sampled(
+    plan: TakePlan, stream: TakeStream, curve: Callable[[FloatArray], Motion]
+) -> TimedTake:
+    """Evaluate a source that is a function of time at the output's own times."""
+    first = Fraction(1) if stream.start is None else stream.start
+    clock = Clock(stream.fps, first, stream.step, stream.count)
+    times = _sample_times(plan, clock)
+    # Exact on the source's frames; samples before its first or after its last are
+    # not on its grid. In a shot they hold its ends.
+    places = times.frames + times.fractions
+    if plan.options.shot is None:
+        ratio = float(clock.rate / plan.fps)
+        beyond = (times.codes - float(plan.start)) * ratio
+        outside = (beyond < 0) | (beyond > clock.count - 1)
+        places = np.where(outside, beyond, places)
+    motion = curve(float(first) + places * float(stream.step))
+    return TimedTake(iter([(times.codes, motion)]), stream.rig, times)
+
+
+def _streamed(plan: TakePlan, stream: TakeStream) -> TimedBlocks:
+    done = 0
+    for block in stream.blocks:
+        first = plan.start + done * stream.step
+        yield time_codes(first, stream.step, block.frames), block
+        done += block.frames
+
+
+def _range_notice(plan: TakePlan, times: SampleTimes) -> list[Fault]:
+    """Say so where a range reaches beyond the take."""
+    frame_range = plan.options.frame_range
+    if frame_range is None or plan.options.keep_samples:
+        return []
+    last = frame_range.last - (frame_range.last - frame_range.first) % frame_range.step
+    if times.first == frame_range.first and times.last == last:
+        return []
+    message = (
+        f"--range {frame_range.first}-{frame_range.last} reaches beyond the take; "
+        f"{float(times.first):g} to {float(times.last):g} are written"
+    )
+    return [Fault("SCN202", message, str(plan.source), severity=Severity.WARNING)]
+
+
+def _end_notices(plan: TakePlan, times: SampleTimes) -> list[Fault]:
+    """Name what lies between the last frame written and the end asked for."""
+    where, frame_range = str(plan.source), plan.options.frame_range
+    notices = []
+    if times.dropped:
+        faults = dropped_notice(times.dropped, plan.fps, times.last)
+        notices.append(
+            replace(faults, path=where, hint="bake --keep-samples writes it")
+        )
+    if frame_range is None or plan.options.shot is not None:
+        return notices
+    ends = f"{frame_label(times.first)} to {frame_label(times.last)}"
+    off_step = (frame_range.last - frame_range.first) % frame_range.step != 0
+    off_samples = times.first > frame_range.first or times.last < frame_range.last
+    if off_step or (plan.options.keep_samples and off_samples):
+        text = f"{frame_range.first}-{frame_range.last}"
+        text += f"x{frame_range.step}" if frame_range.step > 1 else ""
+        message = f"--range {text} has no sample at its ends; {ends} are written"
+        notices.append(Fault("CLI105", message, where, severity=Severity.NOTE))
+    return notices
+
+
+def _with_rest(plan: TakePlan, between: Between, frame: int) -> Rig:
+    """Return the rig with a frame of the take as its rest pose."""
+    frames, take = FrameRange(frame, frame), between.take
+    times = plan_samples(take.clock, plan.fps, plan.start, frame_range=frames)
+    ((_, pose),) = sample(between, times)
+    translations, rotations, _ = pose.dense()
+    joints = tuple(
+        replace(joint, translation=tuple(t), rotation=tuple(r))
+        for joint, t, r in zip(
+            take.rig.joints,
+            translations[0].tolist(),
+            rotations[0].tolist(),
+            strict=True,
+        )
+    )
+    return replace(take.rig, joints=joints)
+
+
+def moving_joints(plan: TakePlan, rig: Rig, motions: list[Motion]) -> BoolArray:
+    """Return which joints are not at the rig's rest in every frame ``(J,)``."""
+    moving = np.zeros(len(rig.joints), bool)
+    ones = np.ones((len(rig.joints), 3))
+    if plan.mapping is not None:
+        ones = plan.mapping.rest_scales
+    for motion in motions:
+        channels = [
+            (motion.translations, rig.rest_translations),
+            (motion.rotations, rig.rest_rotations),
+        ]
+        if motion.scales is not None:
+            channels.append((motion.scales, ones))
+        for channel, rest in channels:
+            moving |= (channel.rest != rest).any(axis=-1)
+            moving[channel.animated] |= (channel.values != rest[channel.animated]).any(
+                axis=(0, 2)
+            )
+    if plan.options.root_motion and rig.roots:
+        # The SkelRoot carries it; with several roots the others are relative to it.
+        moving[rig.roots[0]] = False
+        moving[rig.roots[1:]] = True
+    if rig.roots and not moving.any():
+        moving[rig.roots[0]] = True
+    return moving
+
+
+class TakeRun:
+    """One take on its way from its source to the writer."""
+
+    def __init__(self, plan: TakePlan, watch: CharacterWatch | None = None) -> None:
+        self.plan = plan
+        self.frames = self.samples = 0  # read of the source, and made for the output
+        self.props: PropSamples | None = None
+        self._watch = watch
+        self._timed: TimedTake | None = None
+
+    def open(self) -> TimedTake:
+        """Return the source's frames at the output's times, counted as they pass."""
+        if self._timed is not None:
+            return self._timed
+        stream = self.plan.stream
+        stream = replace(stream, blocks=self._counted(stream.blocks))
+        if self._watch is not None:
+            stream = self._watch.read(stream)
+        opened = timed_blocks(self.plan, stream)
+        if stream.tracks:
+            from animtool.usd.props.writer import PropSamples
+
+            self.props = PropSamples(stream.tracks)
+        self._timed = replace(opened, blocks=self._seen(opened.blocks))
+        return self._timed
+
+    @property
+    def rig(self) -> Rig:
+        """The rig at rest."""
+        return self.open().rig
+
+    def _counted(self, blocks: Iterator[Motion]) -> Iterator[Motion]:
+        for block in blocks:
+            self.frames += block.frames
+            yield block
+
+    def _seen(self, blocks: TimedBlocks) -> TimedBlocks:
+        for codes, motion in blocks:
+            self.samples += len(codes)
+            if self._watch is not None:
+                self._watch.see(codes)
+            if self.props is not None:
+                self.props.see(codes, motion)
+            yield codes, motion
+
+
+def in_frames(
+    stream: TakeStream,
+    options: BakeOptions,
+    start: Fraction,
+    source: Path,
+    notices: list[Fault],
+) -> TakeStream:
+    """Return a take at the rate and frames that options ask for, numbered as they say.
+
+    Args:
+        stream: The take.
+        options: Their ``fps`` and ``frame_range`` count.
+        start: Time code of the first frame of the take.
+        source: File that notices are located at.
+        notices: Where these go.
+    """
+    fps = options.fps or stream.fps
+    usual = BakeOptions(fps=options.fps, frame_range=options.frame_range)
+    plan = TakePlan(source, "", stream, None, usual, fps, start, notices)
+    timed = timed_blocks(plan, stream)
+    if timed.times is None:
+        return replace(stream, start=start)
+    step = 1 if options.frame_range is None else options.frame_range.step
+    return replace(
+        stream,
+        fps=fps,
+        start=timed.times.first,
+        step=Fraction(step),
+        blocks=(motion for _, motion in timed.blocks),
+        curve=None,
+        count=0,
+        control_curves={},
+    )

@@ -1,0 +1,230 @@
+"""Takes as animations of a skeleton: what the writer is told, and what it reports."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator
+from contextlib import closing
+from dataclasses import replace
+from fractions import Fraction
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from animtool.core.errors import Fault, Severity
+from animtool.maths.curves import Curves
+from animtool.motion.motion import Motion
+from animtool.rig.kinematics import rest_size
+from animtool.rig.skeleton import Rig
+from animtool.scene.bake.frames import TakePlan, TakeRun, TimedBlocks, moving_joints
+from animtool.scene.bake.prims import BakePlan, Draft, TakeReport, take_report
+from animtool.scene.bake.progress import prefetch, timed
+from animtool.scene.sources.open import source_stem
+from animtool.usd.layers.jobs import Form, UsdJob, UsdTake, WrittenTake
+from animtool.usd.layers.names import UsdNames, joint_names
+from animtool.usd.rigs.recorded_place import place_record
+from animtool.usd.takes.author import author, write_usd
+from animtool.usd.takes.joint_writer import round_blocks
+
+if TYPE_CHECKING:
+    from animtool.edit.thin import Thinned
+
+
+class JointPrims:
+    """SkelAnimations of takes, with their skeleton where no rig layer has it."""
+
+    def author(self, draft: Draft) -> Callable[[], None]:
+        """Author the layers of every take."""
+        plan = draft.plan
+        rest = draft.runs[0].rig
+        job = _job(plan, rest)
+        takes = [_JointTake(run) for run in draft.runs]
+        with closing(_usd_takes(takes, job)) as usd_takes:
+            authored, result = author(job, usd_takes)
+        if plan.form is Form.LIBRARY and plan.target is not None:
+            from animtool.usd.takes.library import merged_library
+
+            authored.animation = merged_library(
+                plan.target.path, authored.animation, job.paths, plan.takes[0].name
+            )
+        notices = [notice for take in plan.takes for notice in take.stream.notices]
+        notices += plan.notices + job.names.notices + result.notices
+        draft.layer = authored.animation
+        draft.write = lambda save: write_usd(job, authored, result, save)
+        draft.read += [take.seconds["read"] for take in takes]
+        draft.report = plan.report(
+            [
+                take.report(job, written)
+                for take, written in zip(takes, result.takes, strict=True)
+            ],
+            result,
+            notices,
+            joints=len(plan.takes[0].stream.rig.joints),
+            size=rest_size(rest),
+            meters_per_unit=job.meters_per_unit,
+            up=job.rig.up,
+        )
+        return lambda: None
+
+
+def _job(plan: BakePlan, rest: Rig) -> UsdJob:
+    """Return what the writer is to do with every take."""
+    mapping = plan.takes[0].mapping
+    rig = rest if mapping is None else mapping.rig
+    names, joints = _usd_names(plan, rig)
+    form = plan.form
+    if form is Form.LIBRARY:
+        # A library that exists gets its takes from a layer over it.
+        form = Form.STAGE if plan.target is None else Form.LAYER
+    return UsdJob(
+        form=form,
+        output=plan.output,
+        rig=rig,
+        names=names,
+        joints=joints,
+        paths=plan.paths,
+        fps=plan.fps,
+        meters_per_unit=plan.meters_per_unit,
+        target=plan.target,
+        bones=plan.options.bones,
+        shot=None if plan.form is Form.LIBRARY else plan.options.shot,
+    )
+
+
+def _usd_names(plan: BakePlan, rig: Rig) -> tuple[UsdNames, list[str]]:
+    """Return USD names of the joints, and their paths."""
+    if plan.target is not None:
+        return plan.target.names, plan.target.skeleton.tokens
+    names = joint_names(rig.joints, plan.options.strip_namespace)
+    where = str(plan.takes[0].source)
+    names = replace(
+        names, notices=[replace(fault, path=where) for fault in names.notices]
+    )
+    return names, rig.paths(names.names)
+
+
+def _usd_takes(takes: list[_JointTake], job: UsdJob) -> Generator[UsdTake]:
+    """Yield every take, made ready when the writer comes to it."""
+    for take in takes:
+        usd_take, blocks = take.prepare(job.rig)
+        root_motion = take.plan.options.root_motion
+        mapping = take.plan.mapping
+        made = round_blocks(
+            blocks,
+            job.rig,
+            job.meters_per_unit,
+            root_motion=root_motion,
+            size=1.0 if mapping is None else mapping.size,
+        )
+        rounded = prefetch(timed(made, take.seconds, "read"))
+        try:
+            yield replace(usd_take, blocks=rounded)
+        finally:
+            rounded.close()
+
+
+class _JointTake:
+    """One take as joints: those that are written, and the samples that are needed."""
+
+    def __init__(self, run: TakeRun) -> None:
+        self.plan, self._run = run.plan, run
+        self.seconds = {"read": 0.0}  # spent on making blocks [s]
+        self._thinned: Thinned | None = None
+
+    def prepare(self, rig: Rig) -> tuple[UsdTake, TimedBlocks]:
+        """Return what the writer is told of the take, and its frames.
+
+        The rig is as it is written: of the rig layer, or of the first take.
+        """
+        opened = self._run.open()
+        blocks, frames = opened.blocks, opened.frames
+        plan, options, mapping = self.plan, self.plan.options, self.plan.mapping
+        chosen = None
+        if mapping is not None:
+            mapped = mapping
+            blocks = ((codes, mapped.at(codes, motion)) for codes, motion in blocks)
+            if (mapping.source < 0).any():
+                chosen = mapping.source >= 0
+        if options.sparse:
+            held = list(blocks)
+            moving = moving_joints(plan, rig, [motion for _, motion in held])
+            kept = moving if chosen is None else moving & chosen
+            chosen, blocks = kept if kept.any() else chosen, iter(held)
+        step = plan.stream.step * plan.fps / plan.stream.fps
+        if options.reduce is not None:
+            blocks, self._thinned, frames = _thinned(plan, blocks, frames, rig, step)
+        take = UsdTake(
+            (),
+            plan.start,
+            step,
+            frames=frames,
+            chosen=chosen,
+            shapes=_shape_names(plan),
+            curves=_kept_curves(plan) if options.keep_curves else {},
+            name=plan.name,
+            source_name=source_stem(plan.source),
+            props=self._run.props,
+            to_rig=None if mapping is None else mapping.to_rig,
+            reduced=self._thinned is not None,
+            place=place_record(plan.stream.rig, rig) if mapping is None else {},
+        )
+        return take, blocks
+
+    def report(self, job: UsdJob, written: WrittenTake) -> TakeReport:
+        """Return the result of the take."""
+        thinned = self._thinned
+        joint = job.names.names[written.rounding.joint] if job.names.names else ""
+        report = take_report(self._run, written, joint)
+        report.thinned = thinned
+        if thinned and job.rig.names:
+            report.thinned_joint = job.rig.names[thinned.joint]
+        return report
+
+
+def _thinned(
+    plan: TakePlan,
+    blocks: TimedBlocks,
+    frames: tuple[Fraction, Fraction] | None,
+    rig: Rig,
+    step: Fraction,
+) -> tuple[TimedBlocks, Thinned, tuple[Fraction, Fraction]]:
+    """Return the samples that are needed, what that does, first and last frame."""
+    from animtool.edit.thin import thin_samples
+
+    held = list(blocks)
+    codes = np.concatenate([codes for codes, _ in held])
+    motion = Motion.concatenate([motion for _, motion in held])
+    tolerance = plan.options.reduce
+    assert tolerance is not None
+    # A rig that its stage scales moves by so much less there than in its own numbers.
+    size = 1.0 if plan.mapping is None else plan.mapping.size
+    other = {name: most / size for name, most in plan.options.reduce_at}
+    thinned = thin_samples(rig, codes, motion, tolerance / size, joint_tolerances=other)
+    thinned = replace(thinned, error=thinned.error * size)
+    if frames is None:
+        frames = plan.start, plan.start + step * (len(codes) - 1)
+    kept = iter([(codes[thinned.kept], motion.select(thinned.kept))])
+    return kept, thinned, frames
+
+
+def _shape_names(plan: TakePlan) -> tuple[str, ...]:
+    """Return the take's shapes as the output has them."""
+    if plan.mapping is not None:
+        return plan.mapping.shapes
+    return tuple(shape.name for shape in plan.stream.rig.shapes)
+
+
+def _kept_curves(plan: TakePlan) -> dict[str, Curves]:
+    """Return the curves of controls over the output's time codes."""
+    stream = plan.stream
+    if not stream.control_curves:
+        message = "there is no control whose curve could be kept"
+        hint = "clips have such curves; a pass that changes a control drops its curve"
+        plan.notices.append(
+            Fault("SCN208", message, str(plan.source), (), hint, Severity.WARNING)
+        )
+    start = float(Fraction(1) if stream.start is None else stream.start)
+    ratio = float(plan.fps / stream.fps)
+    return {
+        name: curves.retimed(start, ratio, float(plan.start))
+        for name, curves in stream.control_curves.items()
+    }

@@ -1,0 +1,158 @@
+"""The takes of a clip library: their names, and whether one skeleton fits them all."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+
+from animtool.core.errors import Fault, FormatError, Severity
+from animtool.core.quantities import length_text
+from animtool.core.rates import rate_label
+from animtool.maths import so3
+from animtool.motion.motion import Motion
+from animtool.motion.take import TakeStream
+from animtool.rig.skeleton import Rig
+from animtool.scene.bake.options import BakeOptions
+from animtool.scene.sources.open import source_stem
+from animtool.usd.layers.names import distinct_names, joint_names, legal_name
+
+# Of the rest pose: apart by less is the same, written with other digits.
+REST_LENGTHS = 1e-5
+REST_RADIANS = 1e-5
+
+
+def take_names(sources: Sequence[Path], notices: list[Fault]) -> list[str]:
+    """Return legal and distinct names of takes, after their files.
+
+    Two that would be the same are added to the notices.
+    """
+    stems = [source_stem(path) for path in sources]
+    names = distinct_names([path.name for path in sources], stems, stems)
+    renamed = [
+        path
+        for path, stem, name in zip(sources, stems, names.names, strict=True)
+        if name != legal_name(stem)
+    ]
+    notices += [
+        replace(notice, path=str(path))
+        for notice, path in zip(names.notices, renamed, strict=True)
+    ]
+    return names.names
+
+
+def rate_notice(
+    names: Sequence[str], streams: Sequence[TakeStream], fps: Fraction
+) -> list[Fault]:
+    """Say so where the takes have different rates."""
+    rates = [stream.fps / stream.step for stream in streams]
+    if len(set(rates)) < 2:
+        return []
+    each = ", ".join(
+        f"{name} {rate_label(rate)}" for name, rate in zip(names, rates, strict=True)
+    )
+    message = f"the takes have different rates: {each}"
+    hint = f"all are written at {rate_label(fps)}"
+    return [Fault("USD131", message, None, (), hint, Severity.NOTE)]
+
+
+def alike(
+    sources: Sequence[Path],
+    streams: Sequence[TakeStream],
+    options: BakeOptions,
+    notices: list[Fault],
+) -> list[TakeStream]:
+    """Return the takes with their joints in the order of the first take's."""
+    first, *others = [_named(stream.rig, options) for stream in streams]
+    faults = [
+        Fault("USD030", difference, str(path), (), "one library has one skeleton")
+        for path, other in zip(sources[1:], others, strict=True)
+        if (difference := _difference(first, other, str(sources[0])))
+    ]
+    if faults:
+        raise FormatError(faults)
+    ordered = [streams[0]]
+    ordered += [
+        _ordered(stream, list(other), list(first), streams[0].rig)
+        for stream, other in zip(streams[1:], others, strict=True)
+    ]
+    if options.rest_frame is None:
+        for path, stream in zip(sources[1:], ordered[1:], strict=True):
+            notices += _rest_notice(
+                streams[0].rig, stream.rig, str(path), str(sources[0])
+            )
+    return ordered
+
+
+def _named(rig: Rig, options: BakeOptions) -> dict[str, str]:
+    """Return the parent of every joint, in order, all named as USD will have them.
+
+    So a BVH and what USD holds of it have the same joints. A root has none.
+    """
+    names = joint_names(rig.joints, options.strip_namespace).names
+    return {
+        name: names[joint.parent] if joint.parent >= 0 else ""
+        for name, joint in zip(names, rig.joints, strict=True)
+    }
+
+
+def _difference(first: dict[str, str], other: dict[str, str], source: str) -> str:
+    """Return the first difference of the joints in words; empty for none."""
+    for name, parent in first.items():
+        if name not in other:
+            return f"there is no joint {name!r}, which {source} has"
+        if other[name] != parent:
+            places = [f"below {p!r}" if p else "a root" for p in (other[name], parent)]
+            return f"joint {name!r} is {places[0]}, and in {source} {places[1]}"
+    for name in other:
+        if name not in first:
+            return f"joint {name!r} is not in {source}"
+    return ""
+
+
+def _ordered(
+    stream: TakeStream, names: list[str], order: list[str], first: Rig
+) -> TakeStream:
+    """Return a take with its joints in another order, that of a first rig."""
+    if names == order:
+        return stream
+    from animtool.usd.rigs.target import JointMap
+
+    rig = stream.rig
+    source = np.array([names.index(name) for name in order], np.int64)
+    joints = tuple(
+        replace(rig.joints[i], parent=joint.parent)
+        for i, joint in zip(source.tolist(), first.joints, strict=True)
+    )
+    ordered = replace(rig, joints=joints)
+    mapping = JointMap(ordered, source, np.ones((len(joints), 3)), [])
+    curve, given = stream.curve, stream.blocks
+
+    def blocks() -> Iterator[Motion]:
+        for block in given:
+            yield mapping.apply(block)
+
+    turned = replace(stream, rig=ordered, blocks=blocks())
+    if curve is not None:
+        turned.curve = lambda times: mapping.apply(curve(times))
+    return turned
+
+
+def _rest_notice(first: Rig, other: Rig, path: str, source: str) -> list[Fault]:
+    """Say so where a take has another rest pose than the one that is written."""
+    apart = np.linalg.norm(first.rest_translations - other.rest_translations, axis=1)
+    size = float(np.abs(first.rest_translations).max(initial=0.0)) or 1.0
+    turned = so3.angle_between(first.rest_rotations, other.rest_rotations)
+    worse = np.maximum(apart / (REST_LENGTHS * size), turned / REST_RADIANS)
+    if worse.max(initial=0.0) <= 1.0:
+        return []
+    i = int(worse.argmax())
+    message = (
+        f"the rest pose is not that of {source}: joint {first.names[i]!r} is "
+        f"{length_text(apart[i])} and {np.degrees(turned[i]):.3g} degrees from it"
+    )
+    hint = f"the library has the rest pose of {source}"
+    return [Fault("USD130", message, path, (), hint, Severity.WARNING)]

@@ -1,0 +1,422 @@
+"""What a bake can be told."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields, replace
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+from animtool.clip.reduction.tolerance import KEY_TOLERANCE
+from animtool.core.errors import Fault, OptionError
+from animtool.core.options import Key, option
+from animtool.core.rates import FractionLike, OptionalFraction, rate_option
+from animtool.core.shot import FrameRange, Shot
+from animtool.core.units import LengthUnit, UpAxis
+from animtool.scene.file.option_text import parse_frame
+from animtool.scene.sources.open import SourceOptions
+
+_ADOPTED = "a layer adopts its rig layer's units and up axis: no --to-units, --to-up"
+
+
+@dataclass(frozen=True, slots=True)
+class BakeOptions:
+    """How to bake.
+
+    Attributes:
+        source: What the source is, where its file does not say.
+        form: ``stage``, ``split``, ``layer`` or ``library``; None is a layer where
+            there is a rig layer, else a stage.
+        rig_layer: The rig, or a shot that holds it, for a layer.
+        force_fit: Write a take that does not fit the rig all the same.
+        take: Name of a library's take; None is that of the source.
+        prim_path: Where the character stands; None is ``/{name of the source}``,
+            or where the rig layer has it.
+        placement: ``keep`` where the stage of a USD source has the character stand and
+            face, or ``drop`` it; None keeps it, but drops it in a layer over a rig that
+            stands somewhere itself.
+        bones: Add geometry that shows the joints.
+        strip_namespace: Leading ``ns:`` parts of joint names to drop.
+        rest_frame: Frame whose pose becomes the rest pose; None keeps the source's.
+        fps: Frames a second of the output; a number or text such as ``23.976``
+            becomes a fraction. None is the rig layer's or the source's.
+        frame_range: Frames to write.
+        shot: The shot that is written: its frames, where there is no range, at its
+            rate. The pose of frames that the take lacks is held.
+        start: Time code of the first frame of the take; a number or text becomes a
+            fraction. None is where the shot has
+            it, the rig layer's, the project's, or 1.
+        samples: Sub-frame samples around each frame, in frames.
+        keep_samples: Keep the source's samples at fractional time codes.
+        to_units: Unit of the output; None is the rig layer's or the source's.
+        to_up: Up axis of the output; likewise.
+        root_motion: Let the SkelRoot carry the first root joint's motion.
+        sparse: Write only the joints that are not at rest throughout.
+        keep_curves: Write the curves of controls beside the samples that they made.
+        reduce: Leave out samples that the others give back within so much [m]; None
+            keeps all.
+        reduce_at: Other tolerances for some joints: names or patterns, and [m].
+        deform: Write deformed meshes as point caches, in place of a skinned character.
+        velocities: Of points too, per second.
+        normals: Of meshes that have them: None and True deform these too, False leaves
+            meshes without.
+        chunk: Samples of point caches, and of systems, in each of several files; None
+            is one file.
+        keep_stopped: Where a simulation stops, write the frames before, and raise then.
+        strict: Take warnings for errors.
+        overwrite: Replace outputs that exist.
+
+    Raises:
+        OptionError: fps is no rate (SCN022), or start no frame (SCN033).
+    """
+
+    source: SourceOptions = field(default_factory=SourceOptions)
+    form: str | None = option(
+        None,
+        "choice",
+        "--as",
+        scene=Key(
+            "One file, three, an animation layer, or a take of a clip library, "
+            "beside those that the file has. Not given: `layer` with `rig_layer`, else "
+            "`stage`.",
+            "split",
+            ("stage", "split", "layer", "library"),
+            "as",
+        ),
+        batch=Key(
+            "One file, three, or an animation layer. Not given: `layer` with "
+            "`rig_layer`, else `stage`.",
+            "split",
+            ("stage", "split", "layer"),
+            "as",
+        ),
+        choices=("stage", "layer"),
+        help="One file with skeleton and animation, or only the animation, over a rig "
+        "layer.  [default: layer where there is --rig-layer, else stage]",
+    )
+    rig_layer: Path | None = option(
+        None,
+        "file",
+        "--rig-layer",
+        label="a rig layer",
+        not_for=("systems",),
+        both=Key(
+            "The rig in USD, or a shot that holds it, that a layer goes over.",
+            "hero.usda",
+        ),
+        help="The rig in USD that a layer is for, or a shot that holds it; its units, "
+        "up axis, rate and start are adopted.",
+    )
+    force_fit: bool = option(
+        False,
+        "switch",
+        "--force-fit",
+        both=Key("Write a take that does not fit the rig all the same.", True),
+        help="Write a take that does not fit the rig all the same.",
+    )
+    take: str | None = option(
+        None,
+        "text",
+        "--take",
+        scene=Key(
+            "With `as: library`: the name of the take. Not given: that of the scene.",
+            "walk",
+        ),
+    )
+    prim_path: str | None = option(
+        None,
+        "text",
+        "--prim-path",
+        scene=Key(
+            "Where the character stands. Not given: /NAME of the source, or "
+            "where the rig layer has it.",
+            "/World/hero",
+        ),
+        batch=Key(
+            "Where the character stands. Not given: as `bake` has it.", "/World/hero"
+        ),
+        metavar="PATH",
+        help="Where the character stands, such as /World/hero.",
+    )
+    placement: str | None = option(
+        None,
+        "choice",
+        "--placement",
+        label="placement",
+        not_for=("systems",),
+        both=Key(
+            "Where the stage of a USD source has the character stand and face: in the "
+            "output, or left out. Its size and its up axis stay. Not given: `keep`; "
+            "of a layer over a rig that stands somewhere itself: `drop`.",
+            "drop",
+            ("keep", "drop"),
+        ),
+        choices=("keep", "drop"),
+        help="Where the stage of a USD source has the character stand and face: keep "
+        "it, or drop it. Its size and its up axis stay.  [default: keep; drop in a "
+        "layer over a rig that stands somewhere itself]",
+    )
+    bones: bool = option(
+        False,
+        "switch",
+        "--bones",
+        label="bones",
+        not_for=("systems", "library", "deform"),
+        over_layer="--bones never goes into a layer",
+        both=Key("Add geometry that shows the joints.", True),
+        help="Add light geometry that shows the joints.",
+    )
+    strip_namespace: int = option(
+        0,
+        "count",
+        "--strip-namespace",
+        metavar="N",
+        help="Drop the first N 'ns:' parts of joint names.",
+    )
+    rest_frame: int | None = option(
+        None,
+        "rest",
+        "--rest frame:N",
+        label="rest",
+        not_for=("systems", "library", "deform"),
+        over_layer="--rest frame:N sets a skeleton's rest pose, which a layer does not "
+        "hold",
+        metavar="offsets|frame:N",
+        help="Where the rest pose comes from.  [default: offsets]",
+    )
+    fps: OptionalFraction = option(
+        None,
+        "rate",
+        "--fps",
+        batch=Key(
+            "Frames a second of the outputs. Not given: the rig layer's, or "
+            "each source's.",
+            24,
+        ),
+        help="Frames a second of the output.",
+    )
+    frame_range: FrameRange | None = option(
+        None,
+        "range",
+        "--range",
+        batch=Key(
+            "First and last frame to write, as the outputs number them. Not "
+            "given: all.",
+            [1001, 1040],
+            alias="range",
+        ),
+        help="Frames to write, such as 1-240, 1-240x2 or 12, as the output numbers "
+        "them.",
+    )
+    shot: Shot | None = None
+    start: OptionalFraction = option(
+        None,
+        "frame",
+        "--start",
+        scene=Key(
+            "Time code of the first frame; of systems alone that of 0 s, and `range` "
+            "keeps its numbers. Not given: the rig layer's, the source's, the "
+            "project's, or 1; of systems alone the first of the range.",
+            1001,
+        ),
+        batch=Key("Time code of the first frame. Not given: as `bake` has it.", 1001),
+        help="Time code of the first frame; in a scene of systems alone, that of 0 s, "
+        "where the simulation begins: the frames of the range keep their numbers.  "
+        "[default: the rig layer's, the project's, 1; of a shot the timeline's, the "
+        "project's, 1001; of systems alone the first of the range]",
+    )
+    samples: tuple[Fraction, ...] = option(
+        (),
+        "offsets",
+        "--samples",
+        scene=Key(
+            "Samples around each frame, in frames, for motion blur. Not given: "
+            "one on the frame.",
+            [-0.25, 0, 0.25],
+        ),
+        help="Samples around each frame, such as -.25,0,.25.",
+    )
+    keep_samples: bool = option(
+        False,
+        "switch",
+        "--keep-samples",
+        label="keep_samples",
+        not_for=("systems",),
+        excludes={"samples": ""},
+        help="Keep the source's own samples.",
+    )
+    to_units: LengthUnit | None = option(
+        None,
+        "unit",
+        "--to-units",
+        not_for=("library",),
+        over_layer=_ADOPTED,
+        batch=Key("Unit of the outputs. Not given: each source's.", "m"),
+        help="Unit of the output.",
+    )
+    to_up: UpAxis | None = option(
+        None,
+        "axis",
+        "--to-up",
+        not_for=("library",),
+        over_layer=_ADOPTED,
+        batch=Key("Up axis of the outputs. Not given: each source's.", "Y"),
+        help="Up axis of the output.",
+    )
+    root_motion: bool = option(
+        False,
+        "switch",
+        "--root-motion skelroot",
+        label="root_motion",
+        not_for=("systems", "deform"),
+        choices=("joint", "skelroot"),
+        help="What carries the root's motion.  [default: joint]",
+    )
+    sparse: bool = option(
+        False,
+        "switch",
+        "--sparse",
+        label="sparse",
+        not_for=("systems", "deform"),
+        both=Key("Write only joints that leave their rest pose.", True),
+        help="Write only the joints that leave their rest.",
+    )
+    keep_curves: bool = option(
+        False,
+        "switch",
+        "--keep-curves",
+        label="keep_curves",
+        not_for=("systems", "deform"),
+        scene=Key("Of a clip: write the curves of its controls as splines too.", True),
+        help="Write the curves of a clip's controls too, as splines that stay "
+        "editable.",
+    )
+    reduce: float | None = option(
+        None,
+        "length",
+        "--reduce",
+        label="reduce",
+        not_for=("systems", "deform"),
+        excludes={
+            "samples": "",
+            "root_motion": "--reduce measures joints: no --root-motion skelroot",
+        },
+        scene=Key(
+            "Leave out samples that the others give back within this length. "
+            f"Not given: all stay; of keys: {KEY_TOLERANCE}.",
+            "0.5mm",
+        ),
+        batch=Key(
+            "Leave out samples that the others give back within this length. "
+            "Not given: all stay.",
+            "0.5mm",
+        ),
+        help="Leave out samples that the others give back within so much, such as "
+        "0.5mm.",
+    )
+    reduce_at: tuple[tuple[str, float], ...] = option(
+        (),
+        "lengths",
+        "--reduce-at",
+        goes_with="reduce",
+        both=Key("Other tolerances, by joint or pattern.", {"hand_*": "0.1mm"}),
+        help="Another tolerance of --reduce for a joint, or for those that fit a "
+        "pattern, such as 'hand_*=0.1mm'; can be given several times.",
+    )
+    deform: bool = option(
+        False,
+        "switch",
+        "--deform",
+        label="deform",
+        not_for=("systems", "library"),
+        scene=Key(
+            "Write the meshes deformed, as point caches, in place of a skinned "
+            "character.",
+            True,
+        ),
+        help="Write the meshes and strands of the rig deformed, as point caches, in "
+        "place of a skinned character: points, extent, and normals of meshes that have"
+        " them.",
+    )
+    velocities: bool = option(
+        False,
+        "switch",
+        "--velocities",
+        goes_with="deform",
+        scene=Key("With `deform`: write how fast points move, per second, too.", True),
+        help="With --deform, how fast points move too, per second, for motion blur.",
+    )
+    normals: bool | None = option(
+        None,
+        "answer",
+        "--no-normals",
+        goes_with="deform",
+        scene=Key(
+            "With `deform`: whether meshes keep normals. Not given: they do.", False
+        ),
+        help="With --deform, whether meshes keep normals, which are half of the file.  "
+        "[default: normals]",
+    )
+    chunk: int | None = option(
+        None,
+        "count",
+        "--chunk",
+        scene=Key(
+            "Of `deform` and of systems: a file for every so many samples. Not "
+            "given: one file.",
+            500,
+        ),
+        metavar="N",
+        least=1,
+        help="Of --deform and of a scene's systems, for long takes, a file for every N "
+        "samples, joined as value clips; memory holds two or three of them.",
+    )
+    keep_stopped: bool = option(
+        False,
+        "switch",
+        "--keep-stopped",
+        scene=Key(
+            "Where a system stops before the last frame: write the frames before that. "
+            "The bake fails all the same.",
+            True,
+        ),
+        help="Where a scene's system blows up, write the frames before that too; the "
+        "exit code stays 4.",
+    )
+    strict: bool = option(
+        False, "switch", "--strict", batch=Key("Take warnings for errors.", True)
+    )
+    overwrite: bool = option(False, "switch", "--overwrite")
+
+    def __post_init__(self) -> None:
+        """Take the rate and the start as they are written."""
+        if self.fps is not None:
+            object.__setattr__(self, "fps", rate_option(self.fps))
+        start: Any = self.start
+        if not isinstance(start, Fraction | None):
+            object.__setattr__(self, "start", _frame_option(start))
+        if self.shot is not None:
+            if self.frame_range is None:
+                frames = FrameRange(self.shot.start, self.shot.end)
+                object.__setattr__(self, "frame_range", frames)
+            if self.fps is None:
+                object.__setattr__(self, "fps", self.shot.fps)
+
+
+def _frame_option(start: FractionLike) -> Fraction:
+    """Return the frame of the option ``start``."""
+    try:
+        return parse_frame(start)
+    except ValueError as error:
+        raise OptionError(Fault("SCN033", f"start: {error}")) from error
+
+
+def merged(options: BakeOptions, others: BakeOptions) -> BakeOptions:
+    """Return options, and where they are the usual ones, those of others."""
+    usual = BakeOptions()
+    taken = {
+        field.name: getattr(others, field.name)
+        for field in fields(BakeOptions)
+        if getattr(options, field.name) == getattr(usual, field.name)
+    }
+    return replace(options, **taken)

@@ -1,0 +1,406 @@
+"""What a bake will do, step by step: what each reads, makes and leaves out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields, replace
+from enum import StrEnum
+from fractions import Fraction
+from pathlib import Path
+from typing import cast
+
+from animtool.core.clock import Clock
+from animtool.core.errors import counted, listed
+from animtool.core.rates import rate_label
+from animtool.motion.motion import Motion
+from animtool.motion.passes import TakePart, sees_tracks
+from animtool.motion.take import TakeStream
+from animtool.motion.transforms import Track
+from animtool.rig.skeleton import Rig
+from animtool.scene.bake.options import BakeOptions, merged
+from animtool.scene.bake.reading import Source, form_of, found_sources, output_files
+from animtool.scene.convert.takes import convert_outputs
+from animtool.scene.file.entries import (
+    OutputKind,
+    ScenePass,
+    SceneProp,
+    SceneSystem,
+    kind_of,
+)
+from animtool.scene.scene import Scene
+from animtool.scene.sources.open import fitting_options, open_source
+from animtool.usd.layers.jobs import Form
+
+
+class StepKind(StrEnum):
+    """What a step is."""
+
+    SOURCE = "source"
+    PROP = "beside"
+    PASS = "pass"
+    SYSTEM = "system"
+    OUTPUT = "output"
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """One step of a bake."""
+
+    kind: StepKind  # what it is
+    name: str  # A file, or a pass
+    where: str  # its entry in the scene; empty where there is none
+    reads: tuple[str, ...]  # what it looks at: files, and parts of the take
+    makes: tuple[str, ...]  # what comes of it
+    left_out: tuple[str, ...] = ()  # what is not made, each with the reason
+
+
+def bake_steps(
+    source: Source | Sequence[Source],
+    output: Path | None,
+    options: BakeOptions | None = None,
+) -> list[Step]:
+    """Return the steps of a bake in their order; sources are read, passes are not run.
+
+    output: likewise; None takes those that a scene names.
+    """
+    alone = isinstance(source, str) or not isinstance(source, Sequence)
+    given = cast("Sequence[Source]", [source] if alone else source)
+    reading = found_sources(given)
+    options = options or BakeOptions()
+    steps: list[Step] = []
+    last: _State | None = None
+    for path in reading.files:
+        scene = reading.scenes.get(path)
+        if scene is not None and not scene.sources:
+            return _simulated_steps(scene, output, options)
+        if scene is None:
+            own = fitting_options(options.source, path, reading.files)
+            last = _State.of(open_source(path, own))
+            steps.append(_source_step(path, "", last))
+            continue
+        last = _scene_steps(scene, steps)
+    assert last is not None
+    outputs = [_Output(output, options, "output" if output is None else "")]
+    if len(reading.files) == 1 and reading.scenes:
+        scene = reading.scenes[reading.files[0]]
+        outputs = list(_scene_outputs(scene, output, options))
+        steps += _system_steps(scene, outputs)
+    for entry in outputs:
+        state = replace(last, systems=len(entry.systems))
+        steps.append(_output_step(entry.path, entry.options, entry.where, state))
+    return steps
+
+
+@dataclass(frozen=True, slots=True)
+class _Output:
+    """An output of a bake."""
+
+    path: Path | None  # the file; None is stdout, or beside the source
+    options: BakeOptions  # of the bake
+    where: str  # its entry in the scene; empty where there is none
+    systems: tuple[str, ...] = ()  # names of what is simulated that go into it
+    simulated: tuple[str, ...] = ()  # likewise, and of those that these need
+
+
+@dataclass(frozen=True, slots=True)
+class _State:
+    """What is known of a take."""
+
+    rig: Rig  # its joints, shapes and controls
+    moving: frozenset[TakePart]  # parts that hold values
+    curves: tuple[str, ...]  # controls that have a curve
+    dropped: str  # the pass that took their curves away; empty where none did
+    facts: tuple[str, ...]  # how many frames there are, and of what
+    still: tuple[str, ...]  # what never moves
+    tracks: tuple[Track, ...] = ()  # what is beside the rig
+    systems: int = 0  # how many systems are simulated beside it
+
+    @staticmethod
+    def of(stream: TakeStream) -> _State:
+        """Return what is known of a take that is read for that."""
+        take = stream.collect()
+        motion, rig = take.motion, take.rig
+        frames = counted(take.clock.count, "frame")
+        parts = {TakePart.RIG, TakePart.CLOCK, TakePart.JOINTS}
+        facts = [f"{frames} at {rate_label(take.clock.rate)}"]
+        facts.append(counted(len(rig.joints), "joint"))
+        if motion.weights is not None:
+            parts.add(TakePart.SHAPES)
+            facts.append(counted(len(rig.shapes), "shape"))
+        if motion.controls is not None:
+            parts.add(TakePart.CONTROLS)
+            facts.append(counted(len(rig.controls), "control"))
+        if take.tracks:
+            parts.add(TakePart.TRACKS)
+        return _State(
+            rig,
+            frozenset(parts),
+            tuple(stream.control_curves),
+            "",
+            tuple(facts),
+            tuple(_still(motion)),
+            take.tracks,
+        )
+
+
+def _still(motion: Motion) -> Iterator[str]:
+    """Yield what of a motion is stored once, as it never moves."""
+    for name, noun in (
+        ("translations", "translation"),
+        ("rotations", "rotation"),
+        ("scales", "scale"),
+        ("weights", "shape weight"),
+        ("controls", "control"),
+    ):
+        channel = getattr(motion, name)
+        if channel is None:
+            if name == "scales":
+                yield "scales: nothing is scaled"
+            continue
+        still = len(channel.rest) - len(channel.animated)
+        if still:
+            word = "never moves: it is" if still == 1 else "never move: they are"
+            yield f"samples of {counted(still, noun)} that {word} stored once"
+
+
+def _source_step(path: Path, where: str, state: _State) -> Step:
+    return Step(
+        StepKind.SOURCE, str(path), where, (str(path),), state.facts, state.still
+    )
+
+
+def _scene_steps(scene: Scene, steps: list[Step]) -> _State:
+    """Add the sources and passes of a scene; return what is known behind them."""
+    if len(scene.sources) > 1:
+        for source in scene.sources:
+            opened = open_source(source.path, source.options)
+            state = _State.of(opened)
+            steps.append(_source_step(source.path, source.place.where, state))
+    state = _State.of(replace(scene, passes=()).open())
+    if len(scene.sources) == 1:
+        source = scene.sources[0]
+        steps.append(_source_step(source.path, source.place.where, state))
+    tracks = {track.path: track for track in state.tracks}
+    for prop in scene.props:
+        steps.append(_prop_step(prop, tracks[prop.path]))
+    for entry in scene.passes:
+        steps.append(_pass_step(scene, entry, state))
+        if state.curves and not state.dropped and _drops(entry):
+            state = replace(state, dropped=entry.pass_.name)
+        if TakePart.CLOCK in entry.pass_.changes:
+            state = replace(state, facts=())
+        state = replace(state, moving=state.moving | _made(entry))
+    return state
+
+
+def _system_steps(scene: Scene, outputs: Sequence[_Output]) -> list[Step]:
+    """Return the steps of systems that an output has, or that these need."""
+    names = {name for output in outputs for name in output.simulated}
+    return [
+        _system_step(scene, system) for system in scene.systems if system.name in names
+    ]
+
+
+def _system_step(scene: Scene, system: SceneSystem) -> Step:
+    setup, where = system.setup, system.place.where
+    # The scene's own character has the file of the scene.
+    reads = tuple(one for one in setup.reads if one != scene.path.name)
+    reads += ("the character",) if scene.path in setup.files else ()
+    return Step(StepKind.SYSTEM, system.name, where, reads, (setup.makes,))
+
+
+def _simulated_steps(
+    scene: Scene, output: Path | None, options: BakeOptions
+) -> list[Step]:
+    """Return the steps of a scene that has no source."""
+    outputs = list(_scene_outputs(scene, output, options))
+    steps = _system_steps(scene, outputs)
+    for entry in outputs:
+        files, path = ["stdout"], entry.path
+        if path is not None:
+            files = _named(output_files(path, entry.options, simulated=True))
+        name = "stdout" if path is None else str(path)
+        prims = listed(entry.systems)
+        lines = (f"{Form.STAGE} with {prims}, their points and velocities", *files)
+        steps.append(Step(StepKind.OUTPUT, name, entry.where, ("systems",), lines))
+    return steps
+
+
+def _prop_step(prop: SceneProp, track: Track) -> Step:
+    makes = [f"{track.type_name or 'what is referred to'} at {prop.path}"]
+    if track.attributes:
+        makes.append(", ".join(attribute.name for attribute in track.attributes))
+    left_out = []
+    if not track.moves:
+        left_out.append("samples: it never moves, and is stored once")
+    if not prop.retimed:
+        left_out.append("changes of time by passes: it is not retimed")
+    if track.reference is None and track.type_name == "Xform":
+        left_out.append("geometry: not asked for (reference)")
+    return Step(
+        StepKind.PROP,
+        f"{prop.prim} of {prop.file}",
+        prop.place.where,
+        (str(prop.file),),
+        tuple(makes),
+        tuple(left_out),
+    )
+
+
+def _drops(entry: ScenePass) -> bool:
+    """Return whether a pass may take the curves of controls away."""
+    # How even time is does not depend on the frames.
+    any_clock = Clock(Fraction(24), Fraction(1), Fraction(1), 1)
+    if entry.pass_.even(entry.options, any_clock) is not None:
+        return False
+    return bool(entry.pass_.changes & {TakePart.CONTROLS, TakePart.CLOCK})
+
+
+def _made(entry: ScenePass) -> frozenset[TakePart]:
+    """Return the parts that a pass adds to a take which has none."""
+    return (entry.pass_.changes - entry.pass_.reads) & {TakePart.POINTS}
+
+
+def _pass_step(scene: Scene, entry: ScenePass, state: _State) -> Step:
+    options = entry.options
+    files = [
+        str(value)
+        for field in fields(options)
+        if isinstance(value := getattr(options, field.name), Path)
+    ]
+    there = state.moving | {TakePart.RIG, TakePart.CLOCK}
+    if not sees_tracks(entry.pass_):
+        there -= {TakePart.TRACKS}
+    left_out = []
+    if scene.preroll is not None and not entry.pass_.settles:
+        left_out.append("pre-roll: it has no state that would have to settle")
+    lacking = sorted((entry.pass_.reads & entry.pass_.changes) - there)
+    left_out += [f"{part}: the take has none" for part in lacking]
+    if state.curves and not state.dropped and _drops(entry):
+        left_out.append("curves of controls: they hold no more where it changes these")
+    return Step(
+        StepKind.PASS,
+        entry.pass_.name,
+        entry.place.where,
+        (*files, *map(str, entry.files), *_ordered(entry.pass_.reads & there)),
+        tuple(_ordered((entry.pass_.changes & there) | _made(entry))),
+        tuple(left_out),
+    )
+
+
+def _ordered(parts: frozenset[TakePart]) -> list[str]:
+    return [str(part) for part in TakePart if part in parts]
+
+
+def _scene_outputs(
+    scene: Scene, output: Path | None, options: BakeOptions
+) -> Iterator[_Output]:
+    """Yield the outputs of a scene; a file that is named is the first of them."""
+    entries = scene.outputs if output is None else scene.outputs[:1]
+    for entry in entries:
+        systems = scene.writing(entry).systems
+        yield _Output(
+            output or entry.path,
+            merged(options, entry.bake),
+            entry.place.where,
+            tuple(system.name for system in systems if system.written),
+            tuple(system.name for system in systems),
+        )
+
+
+def _output_step(
+    path: Path | None, options: BakeOptions, where: str, state: _State
+) -> Step:
+    if path is not None and kind_of(path) is not OutputKind.USD:
+        return _converted_step(path, where, state)
+    form = form_of(options)
+    files = ["stdout"]
+    if path is not None:
+        simulated = bool(state.systems)
+        files = _named(output_files(path, options, simulated=simulated))
+    reads = ["take"]
+    if options.rig_layer is not None:
+        reads.insert(0, str(options.rig_layer))
+    makes = "deformed points" if options.deform else "an animation of the skeleton"
+    if form is Form.LIBRARY:
+        makes += " as a take, beside others that there are,"
+    if state.tracks:
+        makes += f" and {counted(len(state.tracks), 'thing')} beside it"
+    if state.systems:
+        makes += f" and {counted(state.systems, 'system')}"
+    return Step(
+        StepKind.OUTPUT,
+        "stdout" if path is None else str(path),
+        where,
+        tuple(reads),
+        (f"{form} with {makes}", *files),
+        tuple(_left_out(options, form, state)),
+    )
+
+
+def _converted_step(path: Path, where: str, state: _State) -> Step:
+    is_clip = kind_of(path) is OutputKind.CLIP
+    what = "keys within a tolerance" if is_clip else "samples of rotations"
+    left_out = []
+    if state.tracks:
+        kind = "keys have" if is_clip else "a BVH has"
+        left_out.append(
+            f"{counted(len(state.tracks), 'thing')} beside: {kind} no place"
+        )
+    if state.systems:
+        left_out.append(f"{counted(state.systems, 'system')}: they are points")
+    if not is_clip and TakePart.SHAPES in state.moving:
+        left_out.append("shapes: a BVH has no place for them")
+    if state.rig.meshes and not is_clip:
+        left_out.append("meshes: a BVH has no place for them")
+    if state.curves and is_clip:
+        left_out.append("curves of controls: keys are fitted to the samples anew")
+    return Step(
+        StepKind.OUTPUT,
+        str(path),
+        where,
+        ("take",),
+        (what, *_named(convert_outputs(path))),
+        tuple(left_out),
+    )
+
+
+def _named(files: list[Path]) -> list[str]:
+    """Return files as they are called, those marked that are there."""
+    return [f"{path} (exists)" if path.exists() else str(path) for path in files]
+
+
+def _left_out(options: BakeOptions, form: Form, state: _State) -> Iterator[str]:
+    """Yield what of a take a USD file does not get, and why."""
+    yield from _of_rig(options, form, state.rig)
+    if state.curves and not options.deform:
+        if not options.keep_curves:
+            yield "curves of controls: not asked for (keep_curves)"
+        elif state.dropped:
+            yield f"curves of controls: the pass {state.dropped} may change these"
+    if TakePart.SHAPES not in state.moving and state.rig.shapes:
+        yield "shape weights: the take moves none"
+    if TakePart.POINTS in state.moving and not options.deform:
+        yield "points that are simulated: not asked for (deform)"
+    frame_range = options.frame_range
+    if frame_range is not None:
+        first, last = frame_range.first, frame_range.last
+        yield f"frames but {first} to {last}: they are not asked for"
+    if options.sparse:
+        yield "joints that stay at rest: sparse"
+    if options.reduce is not None:
+        yield f"samples that others give back within {options.reduce * 1000:g} mm"
+
+
+def _of_rig(options: BakeOptions, form: Form, rig: Rig) -> Iterator[str]:
+    """Yield what of a rig a USD file does not get, and why."""
+    if options.deform:
+        yield "skeleton and its animation: points are written in their place"
+        if not options.velocities:
+            yield "velocities: not asked for (velocities)"
+    elif form is Form.LAYER:
+        yield "skeleton and meshes: the rig layer has them"
+    elif rig.meshes:
+        yield "deformed points: not asked for (deform)"
+    else:
+        yield "meshes: the rig has none"

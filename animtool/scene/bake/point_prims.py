@@ -1,0 +1,449 @@
+"""Meshes and strands of a take as point caches: which, by what, frame by frame."""
+
+from __future__ import annotations
+
+import itertools
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing
+from dataclasses import dataclass, field, replace
+from fractions import Fraction
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault, FormatError
+from animtool.core.files.output import size_of
+from animtool.core.units import UpAxis, up_from_up
+from animtool.maths import so3
+from animtool.motion.motion import Channel, Motion
+from animtool.rig.kinematics import (
+    WorldTransforms,
+    bind_matrices,
+    forward,
+    rest_size,
+)
+from animtool.rig.skeleton import Rig
+from animtool.rig.surfaces import Strands, Surface, strands_of, surfaces_of
+from animtool.scene.bake.frames import TakePlan, TakeRun, TimedBlocks
+from animtool.scene.bake.prims import BakePlan, Draft, MeshReport, Save, take_report
+from animtool.scene.bake.progress import prefetch
+from animtool.scene.sources.open import is_usd
+from animtool.skin.character import (
+    CharacterMesh,
+    character_meshes,
+    character_strands,
+)
+from animtool.skin.deform import (
+    Deformed,
+    block_frames,
+    deform,
+    deform_blocks,
+    displaced_points,
+)
+from animtool.usd.caches.point_cache import (
+    CacheJob,
+    author_cache,
+    mesh_paths,
+    round_points,
+    write_chunks,
+)
+from animtool.usd.caches.writer import Block, CachedMesh, PointSpace
+from animtool.usd.layers.jobs import Rounding, UsdResult, WrittenTake
+from animtool.usd.layers.sdf import layer_span
+from animtool.usd.props.placement import prop_placements
+from animtool.usd.props.writer import author_props
+from animtool.usd.rigs.skeleton import WIDTH
+
+if TYPE_CHECKING:
+    from animtool.usd.rigs.target import JointMap, RigTarget
+
+# Frames whose joints are held at once: 60 joints take 1.5 MB.
+PIECE = 256
+
+
+@dataclass(frozen=True, slots=True)
+class Character:
+    """What a bake deforms."""
+
+    rig: Rig  # the joints that carry the meshes
+    surfaces: tuple[Surface, ...]
+    strands: tuple[Strands, ...]  # what single joints carry
+    # How the take's joints stand in the rig; None where they are its own.
+    mapping: JointMap | None
+    meshes: tuple[CharacterMesh, ...]  # the meshes, then the strands, ready to follow
+    origin: str  # whose meshes they are, for reports
+
+    def only(self, surfaces: Sequence[str], strands: Sequence[str]) -> Character:
+        """Return the character with some of its meshes and strands, in its order."""
+        kept = [part.name in surfaces for part in self.surfaces]
+        kept += [part.name in strands for part in self.strands]
+        return replace(
+            self,
+            surfaces=tuple(part for part in self.surfaces if part.name in surfaces),
+            strands=tuple(part for part in self.strands if part.name in strands),
+            meshes=tuple(itertools.compress(self.meshes, kept)),
+        )
+
+
+def open_character(take: TakePlan, target: RigTarget | None) -> Character:
+    """Return what a take deforms.
+
+    That is the meshes and strands of its own rig where this has meshes; else those of
+    the rig layer, else those of the USD file that the take is from.
+    """
+    stream, source, mapping = take.stream, take.source, take.mapping
+    options = take.options
+    rig = stream.rig
+    shapes = tuple(shape.name for shape in rig.shapes)
+    if rig.meshes or (target is None and not is_usd(source)):
+        surfaces, strands, bind = surfaces_of(rig), strands_of(rig), bind_matrices(rig)
+        origin, mapping = f"rig {rig.name!r} of the take", None
+    else:
+        from animtool.usd.rigs.mesh_read import source_meshes, target_meshes
+
+        if target is not None:
+            assert mapping is not None
+            shapes = mapping.shapes
+            rig, origin = target.skeleton.rig, str(target.path)
+            targets = target_meshes(target)
+        else:
+            origin, targets = (
+                str(source),
+                source_meshes(source, options.source.prim_path, options.placement),
+            )
+        take.notices.extend(targets.notices)
+        surfaces = _turned(targets.surfaces, rig.up, targets.up)
+        strands, bind = targets.strands, targets.bind
+    if options.normals is False:
+        surfaces = tuple(replace(surface, normals=None) for surface in surfaces)
+    if not surfaces and not strands:
+        message = "there is no mesh to deform"
+        hint = "name a rig that has meshes: in the clip, or with --rig or --rig-layer"
+        raise FormatError(Fault("USD040", message, str(source), (), hint))
+    meshes = character_meshes(surfaces, rig.names, bind, shapes)
+    meshes += character_strands(strands, rig.names, bind)
+    return Character(rig, surfaces, strands, mapping, tuple(meshes), origin)
+
+
+def _turned(
+    surfaces: tuple[Surface, ...], up: UpAxis, source_up: UpAxis
+) -> tuple[Surface, ...]:
+    """Stand meshes that no joint carries on another up axis; joints carry the others.
+
+    Where the joints are turned, so is what they carry, wherever it was bound.
+    """
+    turn = up_from_up(up, source_up)
+    if turn is None:
+        return surfaces
+    whole = np.eye(4)
+    whole[:3, :3] = so3.to_matrix(np.array(turn))
+    return tuple(
+        surface
+        if surface.skin is not None
+        else replace(surface, geom_bind=whole @ surface.geom_bind)
+        for surface in surfaces
+    )
+
+
+def pieces(
+    blocks: TimedBlocks, *, neighbours: bool
+) -> Iterator[tuple[FloatArray, Motion, slice]]:
+    """Yield short pieces of a motion; the slice says which of their frames count."""
+    before: tuple[FloatArray, Motion] | None = None
+    cut = _cut(blocks)
+    piece = next(cut, None)
+    while piece is not None:
+        after = next(cut, None)
+        codes, motion = piece
+        parts = [piece]
+        if neighbours and before is not None:
+            parts.insert(0, before)
+        if neighbours and after is not None:
+            parts.append((after[0][:1], after[1].select(slice(0, 1))))
+        if len(parts) > 1:
+            codes = np.concatenate([codes for codes, _ in parts])
+            motion = Motion.concatenate([motion for _, motion in parts])
+        lead = 1 if neighbours and before is not None else 0
+        yield codes, motion, slice(lead, lead + len(piece[0]))
+        before = piece[0][-1:], piece[1].select(slice(-1, None))
+        piece = after
+
+
+def _cut(blocks: TimedBlocks) -> TimedBlocks:
+    for codes, motion in blocks:
+        for begin in range(0, len(codes), PIECE):
+            part = slice(begin, begin + PIECE)
+            yield codes[part], motion.select(part)
+
+
+@dataclass
+class PointStream:
+    """Deforms a character frame by frame."""
+
+    character: Character
+    meters_per_unit: float  # unit of the output [m]
+    rate: float  # time codes a second
+    spaces: Sequence[PointSpace]  # where the points of each mesh are written
+    velocities: bool = False  # find how fast points move
+    # Spent on each mesh so far, joints left out [s].
+    seconds: list[float] = field(default_factory=list)
+
+    def blocks(self, timed: TimedBlocks) -> Iterator[Block]:
+        """Yield frames of each mesh, those of a mesh in their order."""
+        character = self.character
+        self.seconds = [0.0] * len(character.meshes)
+        for codes, motion, own in pieces(timed, neighbours=self.velocities):
+            mapped = motion
+            if character.mapping is not None:
+                mapped = character.mapping.at(codes, motion)
+            world = forward(character.rig, *mapped.dense())
+            weights = None if motion.weights is None else motion.weights.dense()[..., 0]
+            for i, mesh in enumerate(character.meshes):
+                frames = self._frames(mesh, codes, mesh.weights(weights), world)
+                if mesh.name in mapped.points:
+                    frames = self._moved(i, frames, codes, mapped.points[mesh.name])
+                yield from self._rounded(i, codes, frames, own)
+
+    def _moved(
+        self,
+        mesh: int,
+        deformed: Iterator[Deformed],
+        codes: FloatArray,
+        points: Channel,
+    ) -> Iterator[Deformed]:
+        """Yield frames of a mesh whose points are not where its joints have them."""
+        surfaces = self.character.surfaces
+        surface = surfaces[mesh] if mesh < len(surfaces) else None
+        times = codes / self.rate if self.velocities else None
+        done = 0
+        for part in deformed:
+            frames = slice(done, done + len(part.points))
+            yield displaced_points(part, points, frames, surface, times)
+            done = frames.stop
+
+    def _rounded(
+        self, mesh: int, codes: FloatArray, deformed: Iterator[Deformed], own: slice
+    ) -> Iterator[Block]:
+        """Yield the frames of a piece that count, rounded."""
+        done = 0
+        began = time.perf_counter()
+        for part in deformed:
+            first, last = max(own.start - done, 0), max(own.stop - done, 0)
+            kept = part.select(slice(first, last))
+            at = codes[done + first : done + first + len(kept.points)]
+            done += len(part.points)
+            if not len(at):
+                continue
+            space = self.spaces[mesh]
+            block = round_points(mesh, at, kept, self.meters_per_unit, space)
+            self.seconds[mesh] += time.perf_counter() - began
+            yield block
+            began = time.perf_counter()
+        self.seconds[mesh] += time.perf_counter() - began
+
+    def _frames(
+        self,
+        mesh: CharacterMesh,
+        codes: FloatArray,
+        weights: FloatArray | None,
+        world: WorldTransforms,
+    ) -> Iterator[Deformed]:
+        record = mesh.mesh
+        normals = record.normals is not None
+        if _still(mesh, weights, world):
+            # One frame is as good as all of them, and no work.
+            weights = None if weights is None else weights[:1]
+            first = WorldTransforms(world.positions[:1], world.linear[:1])
+            times = codes[:1] if self.velocities else None
+            one = deform(record, weights, first, normals=normals, times=times)
+            return _repeated(one, len(codes))
+        times = codes / self.rate if self.velocities else None
+        return deform_blocks(record, weights, world, normals=normals, times=times)
+
+
+def _still(
+    mesh: CharacterMesh, weights: FloatArray | None, world: WorldTransforms
+) -> bool:
+    """Return whether nothing that a mesh follows moves."""
+    if weights is not None and (weights != weights[:1]).any():
+        return False
+    skin = mesh.mesh.skin
+    if skin is None:
+        return True
+    return all(
+        bool((values == values[:1]).all())
+        for values in (world.positions[:, skin.joints], world.linear[:, skin.joints])
+    )
+
+
+def _repeated(one: Deformed, frames: int) -> Iterator[Deformed]:
+    size = block_frames(one.points.shape[1])
+
+    def repeat(values: FloatArray | None, count: int) -> Any:
+        return None if values is None else np.repeat(values, count, axis=0)
+
+    for begin in range(0, frames, size):
+        count = min(size, frames - begin)
+        yield Deformed(
+            repeat(one.points, count),
+            repeat(one.extents, count),
+            repeat(one.normals, count),
+            repeat(one.velocities, count),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class PointPrims:
+    """Meshes and strands of a character that the bake deforms."""
+
+    character: Character
+
+    def author(self, draft: Draft) -> Callable[[], None]:
+        """Author the prims; points in chunks are written already."""
+        plan, (run,) = draft.plan, draft.runs
+        stream, timed = run.plan.stream, run.open()
+        job, character, spaces = _job(plan, self.character, timed.frames)
+        points = PointStream(
+            character,
+            job.meters_per_unit,
+            float(plan.fps),
+            spaces,
+            plan.options.velocities,
+        )
+        with closing(prefetch(points.blocks(timed.blocks))) as blocks:
+            if plan.options.chunk is None:
+                layer, meshes = author_cache(job, blocks)
+                result = _result(layer, meshes, run)
+                draft.begin(layer, result)
+            else:
+                written = write_chunks(job, blocks, plan.options.chunk)
+                layer, meshes = written.layer, written.reports
+                result = _result(layer, meshes, run)
+
+                def write(save: Save) -> None:
+                    result.outputs += written.finish(save)
+                    result.bytes = sum(map(size_of, result.outputs))
+
+                draft.layer, draft.write = layer, write
+
+        if run.props is not None:
+            result.takes[0].props = _author_props(
+                layer, plan, job, run, character.rig.up
+            )
+        draft.read += points.seconds
+        surfaces = len(character.surfaces)
+        kinds = ["mesh"] * surfaces + ["strands"] * (len(character.meshes) - surfaces)
+        reports = [
+            MeshReport(mesh.name, report, spent, run.samples, kind)
+            for mesh, report, spent, kind in zip(
+                character.meshes, meshes, points.seconds, kinds, strict=True
+            )
+        ]
+        draft.report = plan.report(
+            [take_report(run, result.takes[0], "", reports, character.origin)],
+            result,
+            stream.notices + plan.notices,
+            joints=len(stream.rig.joints),
+            size=rest_size(character.rig),
+            meters_per_unit=job.meters_per_unit,
+            up=job.up,
+            what="point caches as a ",
+        )
+        return lambda: None
+
+
+def _author_props(
+    layer: Any, plan: BakePlan, job: CacheJob, run: TakeRun, up: UpAxis
+) -> list[str]:
+    """Write props of the take to a layer; return their prims."""
+    assert run.props is not None
+    mapping = plan.takes[0].mapping
+    places = prop_placements(
+        job.paths,
+        plan.target,
+        None,
+        job.meters_per_unit,
+        up,
+        to_rig=None if mapping is None else mapping.to_rig,
+    )
+    props, notices = author_props(layer, run.props, places, plan.output)
+    plan.notices.extend(notices)
+    return props
+
+
+def _job(
+    plan: BakePlan, character: Character, span: tuple[Fraction, Fraction] | None
+) -> tuple[CacheJob, Character, Sequence[PointSpace]]:
+    """Return what the writer is to do, with which meshes, and where these stand."""
+    if plan.target is not None:
+        return _layer_job(plan, character, span)
+    paths, unit = plan.paths, plan.meters_per_unit
+    job = CacheJob(
+        plan.output,
+        paths,
+        mesh_paths(character.surfaces, character.strands, paths),
+        plan.fps,
+        span,
+        unit,
+        plan.rig.up,
+        character.surfaces,
+        character.strands,
+        shot=plan.options.shot,
+    )
+    spaces = [PointSpace()] * len(character.surfaces)
+    spaces += [PointSpace(margin=WIDTH / unit / 2)] * len(character.strands)
+    return job, character, spaces
+
+
+def _layer_job(
+    plan: BakePlan, character: Character, span: tuple[Fraction, Fraction] | None
+) -> tuple[CacheJob, Character, Sequence[PointSpace]]:
+    from animtool.usd.caches.target import open_cache_target
+
+    assert plan.target is not None
+    # A mesh that follows nothing stays as the rig has it.
+    paths = {
+        surface.name: len(surface.points)
+        for surface in character.surfaces
+        if surface.skin is not None or surface.shapes
+    }
+    strands = {entry.name: entry.points.shape[:2] for entry in character.strands}
+    target = open_cache_target(plan.target, paths, strands)
+    plan.notices.extend(target.notices)
+    if not target.prims:
+        message = "no mesh of the take is in the rig layer"
+        where = str(plan.target.path)
+        raise FormatError(Fault("USD040", message, where, (), "nothing would deform"))
+    job = CacheJob(
+        plan.output,
+        plan.target.paths,
+        tuple(part.path for part in target.prims),
+        plan.fps,
+        span,
+        plan.meters_per_unit,
+        plan.target.up,
+        normals=plan.options.normals is not False,
+        target=target,
+        shot=plan.options.shot,
+    )
+    character = character.only(
+        [mesh.name for mesh in target.meshes], [part.name for part in target.strands]
+    )
+    return job, character, [part.space for part in target.prims]
+
+
+def _result(layer: Any, meshes: Sequence[CachedMesh], run: TakeRun) -> UsdResult:
+    span = layer_span(layer)
+    worst = max(meshes, key=lambda mesh: mesh.error)
+    sampled = [name for mesh in meshes for name in mesh.sampled]
+    take = WrittenTake(
+        "",
+        samples=run.samples,
+        first=span.first,
+        last=span.last,
+        sampled=list(dict.fromkeys(sampled)),
+        rounding=Rounding(worst.error, worst.error_code),
+    )
+    return UsdResult(span, takes=[take])

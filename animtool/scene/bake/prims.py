@@ -1,0 +1,262 @@
+"""What a bake writes: prims authored one after the other, and the report of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from fractions import Fraction
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
+
+from animtool.core.clock import FrameSpan
+from animtool.core.errors import Fault, ToleranceError
+from animtool.core.shot import Shot
+from animtool.core.units import UpAxis
+from animtool.motion.scores import PassScores
+from animtool.rig.skeleton import Rig
+from animtool.scene.bake.options import BakeOptions
+from animtool.scene.bake.progress import Progress
+from animtool.scene.sources.open import motion_bytes
+from animtool.usd.layers.jobs import Form, UsdResult, WrittenTake
+from animtool.usd.layers.names import RigPaths, legal_name
+from animtool.usd.layers.sdf import save_layer
+
+if TYPE_CHECKING:
+    from animtool.edit.thin import Thinned
+    from animtool.scene.bake.frames import TakePlan, TakeRun
+    from animtool.scene.systems.character_motion import CharacterWatch
+    from animtool.usd.caches.writer import CachedMesh
+    from animtool.usd.rigs.target import RigTarget
+
+
+@dataclass(frozen=True, slots=True)
+class MeshReport:
+    """What became of a mesh, of strands, or of a system."""
+
+    name: str  # as the rig names it
+    written: CachedMesh  # what was written of it
+    seconds: float  # spent on deforming and rounding it [s]
+    frames: int  # how many frames that was for
+    kind: str  # ``mesh`` or ``strands`` of a character, or a kind of system
+    simulated: bool = False  # whether it is a system, and not deformed
+
+
+@dataclass(slots=True)
+class TakeReport:
+    """What became of one source."""
+
+    source: Path  # the file read
+    written: WrittenTake  # what was written of it
+    source_frames: int  # frames of the source
+    source_fps: Fraction  # its frame rate
+    error_joint: str  # name of the joint that rounding moved most
+    unit_assumed: bool = False  # whether nothing states the unit of the source
+    source_bytes: int = 0  # size of the source; 0 of a scene, which holds no motion
+    # What the source states of itself.
+    details: dict[str, object] = field(default_factory=dict)
+    # Which samples were left out, where that was asked for.
+    thinned: Thinned | None = None
+    thinned_joint: str = ""  # name of the joint that this moved most
+    # What was written of each mesh, where it was deformed.
+    meshes: list[MeshReport] = field(default_factory=list)
+    meshes_of: str = ""  # whose meshes they are
+    # What became of each thing that was simulated, as plain values.
+    simulated: list[dict[str, object]] = field(default_factory=list)
+    scores: list[PassScores] = field(default_factory=list)  # of its passes
+    between: int = 0  # samples of the source that fall between the frames written
+
+
+def take_report(
+    run: TakeRun,
+    written: WrittenTake,
+    joint: str = "",
+    meshes: Sequence[MeshReport] = (),
+    meshes_of: str = "",
+) -> TakeReport:
+    """Return the result of a take: what rounding moved most, and its meshes."""
+    plan, stream, times = run.plan, run.plan.stream, run.open().times
+    return TakeReport(
+        plan.source,
+        written,
+        stream.count or run.frames,
+        stream.fps / stream.step,
+        joint,
+        plan.options.source.unit is None and "units" not in stream.details,
+        motion_bytes(plan.source),
+        stream.details,
+        meshes=list(meshes),
+        meshes_of=meshes_of,
+        simulated=list(stream.simulated),
+        scores=list(stream.scores),
+        between=0 if times is None else times.between,
+    )
+
+
+@dataclass(slots=True)
+class BakeReport:
+    """What a bake did."""
+
+    takes: list[TakeReport]  # what became of every source, at least one
+    result: UsdResult  # what was written
+    form: str  # stage, split or layer, and why
+    joints: int  # joints of the first source
+    meters_per_unit: float  # unit of the output [m]
+    up: str  # its up axis
+    size: float  # extent of the skeleton at rest [m]
+    notices: list[Fault]  # warnings and notes
+    # Wall time by stage; ``read`` runs beside ``author``.
+    seconds: dict[str, float] = field(default_factory=dict)
+    shot: Shot | None = None  # the shot that was written; None is no shot
+    # Why a system ended before the last frame, where the frames before were to be kept.
+    stopped: ToleranceError | None = None
+
+    @property
+    def span(self) -> FrameSpan:
+        """First frame, last frame and rate that the written layer states."""
+        return self.result.span
+
+    @property
+    def fps(self) -> Fraction:
+        """Time codes a second of the output."""
+        return self.span.fps
+
+    @property
+    def worst(self) -> TakeReport:
+        """The take that rounding moved most."""
+        return max(self.takes, key=lambda take: take.written.rounding.error)
+
+    @property
+    def scores(self) -> list[PassScores]:
+        """How well the passes of every source did."""
+        return [one for take in self.takes for one in take.scores]
+
+    @property
+    def files(self) -> list[Path]:
+        """Every file written, the one that was asked for last."""
+        return self.result.outputs
+
+    @property
+    def source_bytes(self) -> int:
+        """Size of all sources."""
+        return sum(take.source_bytes for take in self.takes)
+
+
+def raise_stopped(reports: Sequence[object]) -> None:
+    """Raise why a system stopped, where frames before that were kept."""
+    for report in reports:
+        if isinstance(report, BakeReport) and report.stopped is not None:
+            raise report.stopped
+
+
+# Writes a layer to a file, or as text to stdout; returns the bytes.
+Save: TypeAlias = Callable[[Any, Path | None], int]
+
+
+@dataclass(frozen=True, slots=True)
+class BakePlan:
+    """A bake that is ready to run."""
+
+    takes: tuple[TakePlan, ...]  # one, those of a library, or none of systems alone
+    output: Path | None  # the file to write; None is stdout
+    options: BakeOptions
+    form: Form
+    reason: str  # why that form
+    target: RigTarget | None  # the rig of a layer
+    fps: Fraction  # time codes a second of the output
+    start: Fraction  # time code of the first frame
+    notices: list[Fault]  # warnings collected so far
+    prims: tuple[OutputPrims, ...]  # what is written, in order
+    watch: CharacterWatch | None = None  # what systems see of the take
+
+    @property
+    def rig(self) -> Rig:
+        """The rig of the first take, or of the layer that this goes over."""
+        if self.target is not None:
+            return self.target.skeleton.rig
+        return self.takes[0].stream.rig
+
+    @property
+    def meters_per_unit(self) -> float:
+        """Unit of what is below the character's model [m]."""
+        unit = self.options.to_units
+        if self.target is not None or unit is None:
+            return self.rig.meters_per_unit
+        return unit.meters
+
+    @property
+    def paths(self) -> RigPaths:
+        """Where the character's prims are to be."""
+        if self.target is not None:
+            return self.target.paths
+        name, *others = {take.stream.rig.name: None for take in self.takes}
+        if others and self.output is not None:
+            name = self.output.stem
+        return RigPaths.below(self.options.prim_path or f"/{legal_name(name)}")
+
+    def report(
+        self,
+        takes: list[TakeReport],
+        result: UsdResult,
+        notices: list[Fault],
+        *,
+        joints: int = 0,
+        size: float = 0.0,
+        meters_per_unit: float,
+        up: UpAxis,
+        what: str = "",
+    ) -> BakeReport:
+        """Return the report of what was written of takes; ``what`` names its form."""
+        return BakeReport(
+            takes,
+            result,
+            f"{what}{self.form} ({self.reason})",
+            joints,
+            meters_per_unit,
+            up.value,
+            size,
+            notices,
+            shot=self.options.shot,
+        )
+
+
+@dataclass(slots=True)
+class Draft:
+    """A bake under way: a layer in memory, and what will be reported of it."""
+
+    plan: BakePlan
+    progress: Progress  # share of what comes after the takes
+    runs: list[TakeRun]
+    layer: Any = None  # None until the first prims have authored one
+    report: BakeReport | None = None
+    save: Save = save_layer  # writes the layer
+    write: Callable[[Save], object] | None = None  # writes all files with that
+    read: list[float] = field(default_factory=list)  # spent on making frames [s]
+
+    def begin(self, layer: Any, result: UsdResult) -> None:
+        """Begin with a layer that is a file of its own."""
+        output = self.plan.output
+
+        def write(save: Save) -> None:
+            result.bytes = save(layer, output)
+            result.outputs += [] if output is None else [output]
+
+        self.layer, self.write = layer, write
+
+
+class OutputPrims(Protocol):
+    """Prims of one kind that a bake writes: joints, points, or systems."""
+
+    def author(self, draft: Draft) -> Callable[[], None]:
+        """Put the prims into a draft, whose layer is made by the first.
+
+        Returns:
+            What completes the report when all files are written.
+
+        Raises:
+            FormatError: Rows of a source, or a system, are malformed.
+            OptionError: The range has no frame of the take.
+            OutputError: USD would not show what is authored, or a file cannot be
+                written.
+            StrictError: There were warnings, and ``strict`` is on.
+            ToleranceError: A system blew up.
+        """

@@ -1,0 +1,291 @@
+"""What a bake reads and writes: sources, options that go together, files."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeAlias
+
+from animtool.core.errors import (
+    AnimtoolError,
+    Fault,
+    FormatError,
+    OptionError,
+    Severity,
+)
+from animtool.core.names import is_named
+from animtool.core.options import clashes, given_options, refused_options
+from animtool.core.rates import rate_label
+from animtool.scene.bake.options import BakeOptions, merged
+from animtool.scene.bake.progress import Progress, share_of
+from animtool.scene.sources.open import (
+    Opener,
+    fitting_options,
+    open_source,
+    source_stem,
+)
+from animtool.usd.layers.jobs import Form, output_paths
+
+if TYPE_CHECKING:
+    from animtool.motion.take import TakeStream
+    from animtool.scene.scene import Scene
+
+Source: TypeAlias = "Path | str | Scene"
+
+
+def source_file(source: Source) -> Path:
+    """Return the file that a source is read from."""
+    return Path(source) if isinstance(source, Path | str) else source.path
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """What is to be read."""
+
+    files: list[Path]  # of the sources, in order
+    scenes: dict[Path, Scene]  # what those say that are scenes
+
+    @property
+    def inputs(self) -> list[Path]:
+        """Every file that is named to be read."""
+        named = [path for scene in self.scenes.values() for path in scene.inputs]
+        return [*self.files, *named]
+
+    def options(self, options: BakeOptions) -> tuple[BakeOptions, list[Fault]]:
+        """Return options with those of the one scene, and warnings of scenes.
+
+        The given ones come first.
+        """
+        notices = [notice for s in self.scenes.values() for notice in s.notices]
+        if len(self.files) == 1:
+            scenes = list(self.scenes.values())
+            return (merged(options, scenes[0].bake) if scenes else options), notices
+        return options, notices + _unused(self.scenes)
+
+    def open(
+        self,
+        options: BakeOptions,
+        progress: Progress = None,
+        opener: Opener = open_source,
+    ) -> list[TakeStream]:
+        """Return every source, opened; what is wrong with them is said at once.
+
+        Args:
+            options: Of the bake.
+            progress: Called with the share done, 0 to 1.
+            opener: Called as `open_source` for each source that is no scene.
+        """
+        streams: list[TakeStream] = []
+        errors: list[AnimtoolError] = []
+        for i, path in enumerate(self.files):
+            try:
+                shown = share_of(progress, i, len(self.files))
+                streams.append(self._open_one(path, options, opener, shown))
+            except AnimtoolError as error:
+                errors.append(error)
+        if len(errors) == 1:
+            raise errors[0]
+        if errors:
+            raise type(errors[0])([fault for e in errors for fault in e.faults])
+        return streams
+
+    def _open_one(
+        self, path: Path, options: BakeOptions, opener: Opener, shown: Progress
+    ) -> TakeStream:
+        """Return a source, opened; over a rig, without what joints cannot hold."""
+        try:
+            return self._opened(path, options, opener, shown)
+        except FormatError as error:
+            uneven = any(fault.code == "USD035" for fault in error.faults)
+            if not uneven or options.rig_layer is None or options.placement is not None:
+                raise
+            # The rig may have the same transform: a layer then lacks nothing.
+            left = replace(options, placement="drop")
+            return self._opened(path, left, opener, shown)
+
+    def _opened(
+        self, path: Path, options: BakeOptions, opener: Opener, shown: Progress
+    ) -> TakeStream:
+        if path in self.scenes:
+            scene = self.scenes[path].forced(
+                force_fit=options.force_fit, placement=options.placement
+            )
+            return scene.open(progress=shown)
+        own = fitting_options(options.source, path, self.files)
+        own = replace(
+            own,
+            force_fit=options.force_fit,
+            shot=options.shot or own.shot,
+            placement=options.placement,
+        )
+        stream = opener(path, own, progress=shown)
+        if stream.details.get("format") == "BVH" and own.up is None:
+            from animtool.retarget.standing import with_lying_notice
+
+            stream = with_lying_notice(path, stream)
+        return stream
+
+
+def found_sources(sources: Sequence[Source]) -> Reading:
+    """Return the files of sources, those loaded that are scenes."""
+    files = [source_file(source) for source in sources]
+    scenes: dict[Path, Scene] = {}
+    for path, source in zip(files, sources, strict=True):
+        if not isinstance(source, Path | str):
+            scenes[path] = source
+        elif is_named(path, "scene"):
+            from animtool.scene.file.read import load_scene
+
+            scenes[path] = load_scene(path)
+    return Reading(files, scenes)
+
+
+def _unused(scenes: dict[Path, Scene]) -> list[Fault]:
+    """Say so where a take of a library is a scene that states how to bake it."""
+    message = "the scene's fps, range and output are for it alone, and not used here"
+    hint = "the options of the command are for the whole library"
+    return [
+        Fault("CLI103", message, str(path), (), hint, Severity.WARNING)
+        for path, scene in scenes.items()
+        if scene.bake != BakeOptions()
+    ]
+
+
+def check_options(
+    options: BakeOptions, *, to_stdout: bool, simulated: bool = False
+) -> None:
+    """Raise `OptionError` where options exclude each other.
+
+    Args:
+        options: Of the bake.
+        to_stdout: Whether the output is no file.
+        simulated: Whether systems are written.
+    """
+    form = options.form or ("layer" if options.rig_layer else "stage")
+    wrong = _layer_clashes(options, form)
+    if form == "library":
+        wrong += _library_clashes(options, to_stdout=to_stdout)
+    wrong.append(
+        (form == "split" and to_stdout, "--split writes three files, not stdout")
+    )
+    wrong += [(True, message) for message in clashes(options)]
+    wrong += _shot_clashes(options, form)
+    wrong += _deform_clashes(options, form)
+    wrong += _chunk_clashes(options, to_stdout=to_stdout, simulated=simulated)
+    lonely = options.keep_stopped and not simulated
+    wrong.append((lonely, "--keep-stopped goes with a scene that has systems"))
+    faults = [Fault("CLI002", message) for holds, message in wrong if holds]
+    if faults:
+        raise OptionError(faults)
+
+
+def _layer_clashes(options: BakeOptions, form: str) -> list[tuple[bool, str]]:
+    """Return what animation over a rig layer does not go with, and whether it is so."""
+    refused = (given.over_layer for given in given_options(options).values())
+    return [
+        (form == "layer" and options.rig_layer is None, "--as layer needs --rig-layer"),
+        (
+            form != "layer" and options.rig_layer is not None,
+            "--rig-layer goes with --as layer",
+        ),
+        *((form == "layer", reason) for reason in dict.fromkeys(filter(None, refused))),
+    ]
+
+
+def _library_clashes(
+    options: BakeOptions, *, to_stdout: bool
+) -> list[tuple[bool, str]]:
+    """Return what a take of a library does not go with, and whether it is asked for."""
+    flags = ["-o -"] if to_stdout else []
+    flags += [refused.flag for refused in refused_options(options, "library")]
+    return [(True, f"a take of a library goes without {flag}") for flag in flags]
+
+
+def _shot_clashes(options: BakeOptions, form: str) -> list[tuple[bool, str]]:
+    """Return what excludes a shot that places its media, and whether it is so."""
+    shot = options.shot
+    if shot is None or not shot.places_media or shot.fps is None:
+        return []
+    named = f"shot {shot.name}" if shot.name else "the shot"
+    return [
+        (
+            options.fps != shot.fps,
+            f"--fps {options.fps} is not the rate of {named}, {rate_label(shot.fps)}",
+        ),
+        (
+            options.start is not None,
+            f"--start: {named} begins at {shot.start}, as its timeline says",
+        ),
+        (form == "library", f"{named} is not a take of a library"),
+    ]
+
+
+def _chunk_clashes(
+    options: BakeOptions, *, to_stdout: bool, simulated: bool
+) -> list[tuple[bool, str]]:
+    """Return what chunks do not go with, and whether it is asked for."""
+    if options.chunk is None:
+        return []
+    if not (options.deform or simulated):
+        return [(True, "--chunk goes with --deform, or a scene that has systems")]
+    message = f"--chunk needs 1 sample a file or more, not {options.chunk}"
+    return [
+        (to_stdout, "--chunk writes several files, not stdout"),
+        (options.chunk < 1, message),
+    ]
+
+
+def _deform_clashes(options: BakeOptions, form: str) -> list[tuple[bool, str]]:
+    """Return what does not go with point caches, and whether it is asked for."""
+    if not options.deform:
+        return []
+    joints = "--deform writes points, no joints"
+    flags = ["--split"] if form == "split" else []
+    flags += [refused.flag for refused in refused_options(options, "deform")]
+    return [(True, f"{joints}: no {flag}") for flag in flags]
+
+
+def bake_outputs(
+    sources: Sequence[Source], output: Path, options: BakeOptions
+) -> list[Path]:
+    """Return the files that a bake writes, ``output`` among them."""
+    simulated = False
+    if len(sources) == 1:
+        reading = found_sources(sources)
+        options, _ = reading.options(options)
+        written = (scene.writing(scene.outputs[0]) for scene in reading.scenes.values())
+        simulated = any(scene.systems for scene in written)
+    return output_files(output, options, simulated=simulated)
+
+
+def default_output(source: Path) -> Path:
+    """Return the file that a source is written to where none is named.
+
+    >>> default_output(Path("takes/wave.scene.yaml")).name
+    'wave.usdc'
+    """
+    return source.with_name(f"{source_stem(source)}.usdc")
+
+
+def form_of(options: BakeOptions) -> Form:
+    """Return what is written."""
+    return Form(options.form or (Form.LAYER if options.rig_layer else Form.STAGE))
+
+
+def output_files(
+    path: Path, options: BakeOptions, *, simulated: bool = False
+) -> list[Path]:
+    """Return the files to write; of chunks, those that they may replace.
+
+    simulated: whether systems are written.
+    """
+    files = output_paths(path, form_of(options))
+    if options.chunk is None:
+        return files
+    from animtool.usd.layers.chunks import point_files, system_files
+
+    sets = [point_files(path)] if options.deform else []
+    sets += [system_files(path)] if simulated else []
+    chunks = [file for one in sets for file in (one.manifest, *one.there())]
+    return [*files, *chunks]

@@ -1,0 +1,1 @@
+"""Takes and rigs from one file format to another."""

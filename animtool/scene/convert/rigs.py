@@ -1,0 +1,178 @@
+"""A rig from one file format to another."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from animtool.core.errors import (
+    AnimtoolError,
+    Fault,
+    OptionError,
+    Severity,
+    refuse_warnings,
+)
+from animtool.core.files.output import (
+    check_outputs,
+    sparing_inputs,
+    together,
+    write_arrays,
+    write_parts,
+)
+from animtool.core.files.reading import recorded_inputs
+from animtool.core.names import file_suffixes, is_named
+from animtool.rig.skeleton import Rig
+from animtool.rig.surfaces import StoredArrays, with_file
+from animtool.rig.write import rig_text
+from animtool.scene.sources.onto_rig import open_rig
+
+
+@dataclass(frozen=True, slots=True)
+class RigReport:
+    """What a conversion of a rig did."""
+
+    outputs: list[Path]  # the files written
+    joints: int  # joints of the rig
+    meshes: int
+    shapes: int  # its blend shapes
+    controls: int
+    physics: int | None  # joint prims written; None where they were not asked for
+    notices: list[Fault]  # warnings and notes
+
+
+def convert_rig(
+    source: Path | str,
+    output: Path | str,
+    *,
+    prim_path: str | None = None,
+    physics: bool = False,
+    overwrite: bool = False,
+    strict: bool = False,
+) -> RigReport:
+    """Convert a rig to a USD rig layer, or to a rig file with its arrays beside it.
+
+    Args:
+        source: A file that holds a rig, such as a rig file or a USD file.
+        output: ``.rig.yaml``, ``.usd``, ``.usda`` or ``.usdc``.
+        prim_path: The character, where a stage has several.
+        physics: Of USD: write joint types and limits to a layer of their own.
+        overwrite: Replace files that exist.
+        strict: Treat warnings as errors.
+
+    Raises:
+        FormatError: The source is malformed.
+        OptionError: The output holds no rig (OUT004) or exists, or physics is asked
+            of a rig file (CLI004).
+        OutputError: A file cannot be written.
+        StrictError: There were warnings, and ``strict`` is on.
+    """
+    source, output = Path(source), Path(output)
+    if is_named(output, "rig"):
+        if physics:
+            message = "--physics is for a USD file, and this is none"
+            raise OptionError(Fault("CLI004", message, str(output)))
+        with together():
+            return _to_file(source, output, prim_path, overwrite, strict)
+    if output.suffix.lower() in {".usd", ".usda", ".usdc"}:
+        with together():
+            return _to_usd(source, output, prim_path, physics, overwrite, strict)
+    message = f"suffix {output.suffix!r} holds no rig"
+    hint = "allowed: .rig.yaml, .usd, .usda, .usdc"
+    raise OptionError(Fault("OUT004", message, str(output), (), hint))
+
+
+def rig_outputs(output: Path, *, physics: bool = False) -> list[Path]:
+    """Return the files that hold a rig in the format of an output, it first.
+
+    The arrays beside a rig file are left out: not every rig has some.
+    """
+    others = [output.with_name(f"{output.stem}.physics.usda")] if physics else []
+    return [output, *others]
+
+
+def _report(
+    rig: Rig, outputs: list[Path], notices: list[Fault], physics: int | None = None
+) -> RigReport:
+    counts = len(rig.joints), len(rig.meshes), len(rig.shapes), len(rig.controls)
+    return RigReport(outputs, *counts, physics, notices)
+
+
+def _to_file(
+    source: Path, output: Path, prim_path: str | None, overwrite: bool, strict: bool
+) -> RigReport:
+    with recorded_inputs() as inputs:
+        rig, notices = open_rig(source, prim_path)
+    file = rig_file(rig, output, source)
+    check_outputs(file.outputs, [source, *inputs.opened], overwrite=overwrite)
+    refuse_warnings(notices, strict=strict)
+    file.write()
+    return _report(file.rig, file.outputs, notices)
+
+
+@dataclass(frozen=True, slots=True)
+class RigFile:
+    """A rig as a rig file has it, to be written."""
+
+    rig: Rig
+    arrays: StoredArrays  # beside the file
+    outputs: list[Path]  # the files, that of the rig last
+
+    def write(self) -> None:
+        """Write the rig and its arrays, each whole or not at all."""
+        output = self.outputs[-1]
+        if self.arrays:
+            write_arrays(self.outputs[0], self.arrays)
+        write_parts(output, [rig_text(self.rig).encode()])
+
+
+def rig_file(rig: Rig, output: Path, source: Path) -> RigFile:
+    """Return the rig file of a rig that was read from another file."""
+    stem = output.name
+    for suffix in file_suffixes("rig"):
+        stem = stem.removesuffix(suffix)
+    arrays_path = output.with_name(f"{stem}.npz")
+    moved = source.resolve().parent != output.resolve().parent
+    rig, arrays = with_file(rig, arrays_path, moved=moved)
+    return RigFile(rig, arrays, [arrays_path, output] if arrays else [output])
+
+
+def _motion_left_out(source: Path, output: Path, prim_path: str | None) -> list[Fault]:
+    """Say so where a source has motion: a rig holds none."""
+    if is_named(source, "rig"):
+        return []
+    from animtool.scene.sources.open import SourceOptions, open_source
+
+    try:
+        stream = open_source(source, SourceOptions(prim_path=prim_path))
+        frames = sum(block.frames for block in stream.blocks)
+    except AnimtoolError:
+        # A rig without animation; whatever else is wrong was said of it as a rig.
+        return []
+    if frames < 2:
+        return []
+    message = f"only the rig is written, not its motion of {frames} frames"
+    hint = f"animtool bake {source.name} --rig-layer {output.name} -o MOTION.usda"
+    return [Fault("CLI104", message, str(source), (), hint, Severity.NOTE)]
+
+
+def _to_usd(
+    source: Path,
+    output: Path,
+    prim_path: str | None,
+    physics: bool,
+    overwrite: bool,
+    strict: bool,
+) -> RigReport:
+    outputs = rig_outputs(output, physics=physics)
+    check_outputs(outputs, [source], overwrite=overwrite)
+    with sparing_inputs(outputs):
+        rig, notices = open_rig(source, prim_path)
+    notices = notices + _motion_left_out(source, output, prim_path)
+    from animtool.usd.rigs.layer import write_physics_layer, write_rig_layer
+
+    refuse_warnings(notices, strict=strict)
+    _, more = write_rig_layer(rig, output)
+    written = None
+    if physics:
+        _, written = write_physics_layer(rig, outputs[1], output)
+    return _report(rig, outputs, notices + more, written)

@@ -1,0 +1,1 @@
+"""Scene files: keys, entries and outputs, read with locations."""

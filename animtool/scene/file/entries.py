@@ -1,0 +1,259 @@
+"""The entries of a scene file: sources, things beside them, passes, outputs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+from animtool.core.errors import (
+    Fault,
+    FormatError,
+    OptionError,
+    Severity,
+    ToleranceError,
+)
+from animtool.core.units import LengthUnit
+from animtool.documents.check import FileModel
+from animtool.documents.document import Document, Location, location_of, spelled
+from animtool.motion.passes import Pass
+from animtool.motion.transforms import PropRequest
+from animtool.scene.bake.options import BakeOptions
+from animtool.scene.file.tracks import TrackNames
+from animtool.scene.sources.open import SourceOptions
+from animtool.systems.fields import EntryRecord, SystemSpec
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where in a file something is said."""
+
+    path: Path  # the file
+    line: int  # 1-based
+    column: int  # 1-based
+    where: str  # such as ``passes[1].trim``
+    # Line and column of keys that are there below it.
+    keys: Mapping[str, tuple[int, int]] = field(default_factory=dict, hash=False)
+
+    def fault(
+        self,
+        code: str,
+        message: str,
+        hint: str | None = None,
+        severity: Severity = Severity.ERROR,
+    ) -> Fault:
+        """Return a fault that is here."""
+        return self.put(Fault(code, message, hint=hint, severity=severity))
+
+    def key_of(self, fault: Fault) -> str | None:
+        """Return the key that a fault names, or the nearest one around what it names.
+
+        >>> at = Place(Path("a.yaml"), 1, 1, "systems[0]", {"bodies[1]": (4, 7)})
+        >>> at.key_of(Fault("SIM061", "two bodies", where="bodies[1].name"))
+        'bodies[1]'
+        """
+        key = fault.where or ""
+        while key and key not in self.keys:
+            key = key[: max(key.rfind("."), key.rfind("["), 0)]
+        return key or None
+
+    def put(self, fault: Fault) -> Fault:
+        """Return a fault that has no file as one that is here, or at a key of it."""
+        if fault.path is not None:
+            return fault
+        (line, column), where = (self.line, self.column), self.where
+        key = self.key_of(fault)
+        if key is not None:
+            line, column = self.keys[key]
+            where = f"{where}.{fault.where}"
+        return replace(
+            fault, path=str(self.path), lines=(line,), column=column, where=where
+        )
+
+    @contextmanager
+    def located(self) -> Iterator[None]:
+        """Give faults that have no file this place.
+
+        Raises:
+            FormatError: What an `OptionError` or a `FormatError` said.
+            ToleranceError: What one said.
+        """
+        try:
+            yield
+        except ToleranceError as error:
+            raise ToleranceError([self.put(fault) for fault in error.faults]) from error
+        except (OptionError, FormatError) as error:
+            raise FormatError([self.put(fault) for fault in error.faults]) from error
+
+
+def place_of_entry(
+    document: Document, at: Location, model: FileModel | None = None
+) -> Place:
+    """Return a place in a document, with those of the keys that its model was given."""
+    keys = {}
+    for name in () if model is None else sorted(model.model_fields_set):
+        keys[name] = document.place((*at, name))
+        value = getattr(model, name)
+        for i in range(len(value)) if isinstance(value, list) else ():
+            if isinstance(value[i], FileModel):
+                keys[f"{name}[{i}]"] = document.place((*at, name, i))
+    return Place(document.path, *document.place(at), spelled(at), keys)
+
+
+@dataclass(frozen=True, slots=True)
+class SceneSource:
+    """One source of a scene."""
+
+    path: Path  # the file
+    options: SourceOptions  # how to open it
+    place: Place  # of the entry
+    # Of several, what it brings; None is what it moves.
+    tracks: TrackNames | None = None
+    timecode: str | None = None  # SMPTE time code of its first frame; None states none
+    # Frames a second that this counts; None is the source's rate.
+    timecode_fps: Fraction | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SceneProp(PropRequest):
+    """A thing beside the character of a scene."""
+
+    # Time code of its file that comes with the first frame; None is the number of that
+    # frame.
+    frame: Fraction | None
+    # Whether passes retime it with the take; else it has the frames of what comes out
+    # of them.
+    retimed: bool
+    place: Place  # of the entry
+
+
+@dataclass(frozen=True, slots=True)
+class ScenePass:
+    """One entry of a scene's passes."""
+
+    pass_: Pass  # what to do
+    options: Any  # its own record
+    place: Place  # of the entry
+    files: tuple[Path, ...] = ()  # that its colliders go with
+
+
+@dataclass(frozen=True, slots=True)
+class SystemFacts:
+    """A system in numbers, before it is simulated."""
+
+    counts: dict[str, int]  # what it is made of, by kind
+    method: str  # its solver, or its integrator
+    step: float | None  # the longest that it takes [s]; None leaves it to the method
+    # Of its own, meshes of files among them; those of characters are not counted.
+    colliders: int
+
+
+STEPS = "steps"  # what a setting of a kind that has no methods is called
+
+
+@dataclass(frozen=True, slots=True)
+class SystemSetup:
+    """What a system is made of, as its file says it."""
+
+    spec: SystemSpec
+    around: Any  # what it runs into: `Surroundings`
+    # What keys are read as that are neither plain nor what it runs into, by key.
+    parts: Mapping[str, Any] = field(default_factory=dict)
+    record: EntryRecord | None = None  # what the spec makes of them
+    at: Location = ()  # place of the entry
+    carriers: tuple[Path, ...] = ()  # files of what carries it
+    resume: Path | None = None  # file of a state to go on from
+
+    @property
+    def _shown_record(self) -> SystemSpec | EntryRecord:
+        """What says of it what it is."""
+        return self.spec if self.record is None else self.record
+
+    @property
+    def joined(self) -> tuple[tuple[str, Location], ...]:
+        """Names of systems that it is one with, and where they stand."""
+        names = () if self.record is None else self.record.joined
+        return tuple((name, (*self.at, *location_of(key))) for name, key in names)
+
+    @property
+    def writes(self) -> tuple[str, ...]:
+        """Files that are written along with the output."""
+        return () if self.spec.save is None else (self.spec.save,)
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """Files that are read along with the scene."""
+        characters = (Path(one.file) for one in self.around.characters)
+        resume = [self.resume] if self.resume else []
+        return (*characters, *self.carriers, *self.around.followed, *resume)
+
+    @property
+    def reads(self) -> tuple[str, ...]:
+        """What acts on it, in words."""
+        return (*self._shown_record.reads, *self.around.reads)
+
+    @property
+    def makes(self) -> str:
+        """What results from it, in words."""
+        by = "" if self.method == STEPS else f" by {self.method}"
+        steps = "" if self.spec.step is None else f" in steps of {self.spec.step:g} s"
+        return f"{self._shown_record.title},{by}{steps}"
+
+    @property
+    def method(self) -> str:
+        """Its method, or what stands for one."""
+        return str(getattr(self.spec, self.spec.method_key, STEPS))
+
+    @property
+    def facts(self) -> SystemFacts:
+        """What it is made of, in numbers."""
+        counts, step = self._shown_record.counts, self.spec.step
+        return SystemFacts(counts, self.method, step, self.around.count)
+
+
+@dataclass(frozen=True, slots=True)
+class SceneSystem:
+    """One entry of a scene's systems."""
+
+    name: str  # of its prim
+    kind: str  # of `SYSTEM_KINDS`
+    setup: SystemSetup  # what it is made of
+    place: Place  # of the entry
+    written: bool = True  # whether it goes into the output; else another needs it
+    # What lengths of its entry count, as the scene states it; None states nothing.
+    unit: LengthUnit | None = None
+
+
+class OutputKind(StrEnum):
+    """What a file holds."""
+
+    USD = "usd"
+    CLIP = "clip"
+    BVH = "bvh"
+
+
+def kind_of(path: Path) -> OutputKind:
+    """Return what a file of a name holds; USD where it is not known.
+
+    >>> kind_of(Path("shot.clip.yaml")).value, kind_of(Path("shot.usdc")).value
+    ('clip', 'usd')
+    """
+    suffix = path.suffix.lower()
+    if suffix in {".yaml", ".yml"}:
+        return OutputKind.CLIP
+    return OutputKind.BVH if suffix == ".bvh" else OutputKind.USD
+
+
+@dataclass(frozen=True, slots=True)
+class SceneOutput:
+    """One output of a scene."""
+
+    path: Path | None  # the file to write; None where it names none
+    bake: BakeOptions  # options that it sets, those of the whole scene among them
+    place: Place  # of the entry
+    # Names of those that go into it; None is all.
+    systems: tuple[str, ...] | None = None

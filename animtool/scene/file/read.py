@@ -1,0 +1,372 @@
+"""Reading a scene file, ``*.scene.yaml``: a source, passes, an output."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+from animtool.core.config import project_roots
+from animtool.core.errors import AnimtoolError, OptionError
+from animtool.core.plugins import load_object
+from animtool.core.rates import parse_rate
+from animtool.documents.check import check_version, record_of_options, validated
+from animtool.documents.document import Document, Location, read_document
+from animtool.documents.references import referred
+from animtool.documents.variables import resolve_variables
+from animtool.motion.passes import Pass, find_pass
+from animtool.scene.file.entries import (
+    OutputKind,
+    ScenePass,
+    SceneProp,
+    SceneSource,
+    SceneSystem,
+    kind_of,
+    place_of_entry,
+)
+from animtool.scene.file.output_entries import OutputReader
+from animtool.scene.file.output_fields import KeyReader, option_keys
+from animtool.scene.file.schema import (
+    PropModel,
+    SceneModel,
+    SourceModel,
+    SystemModel,
+    model_for,
+)
+from animtool.scene.file.tracks import TrackNames
+from animtool.scene.scene import Scene
+from animtool.scene.sources.open import SourceOptions, is_usd, takes_option
+from animtool.scene.systems.links import check_links
+from animtool.systems.conversion import SceneUnits
+from animtool.systems.fields import SystemColliderModel
+from animtool.systems.kinds import SYSTEM_KINDS
+
+# It reads whole scenes, where they are characters.
+COLLIDER_READER = "animtool.scene.systems.entries:EntryReader"
+
+
+def load_scene(
+    path: Path | str,
+    variables: Mapping[str, str] | None = None,
+    *,
+    parts: Collection[str] = (),
+) -> Scene:
+    """Return the scene of a scene file.
+
+    Args:
+        path: The file.
+        variables: Values of ``${name}`` in it, which come before those that it gives
+            itself; it need not use them all, see `Scene.variables`. Files below an
+            absolute path among them may be read, wherever that is.
+        parts: Those of them that other files state, such as names of clips. In names
+            of files to write they are a part of one name.
+
+    Raises:
+        FormatError: With every fault of the file, each with line and column.
+    """
+    return scene_of_document(read_document(Path(path)), variables, parts=parts)
+
+
+def scene_of_document(
+    document: Document,
+    variables: Mapping[str, str] | None = None,
+    *,
+    parts: Collection[str] = (),
+) -> Scene:
+    """Return the scene of a document; see `load_scene`."""
+    given = variables or {}
+    check_version(document, "scene")
+    keys = model_for(document.value)
+    found = resolve_variables(document, keys, given, parts)
+    model = validated(document, keys)
+    named = {
+        name: Path(text) for name, text in given.items() if Path(text).is_absolute()
+    }
+    written = [path for name, path in named.items() if name not in parts]
+    reader = _SceneReader(document, model, list(named.values()), written)
+    scene = replace(
+        reader.scene(),
+        variables=found.names,
+        idle_variables=found.idle,
+        effective_variables=found.effective,
+        notices=tuple(sorted(document.notices, key=lambda notice: notice.lines)),
+    )
+    document.check()
+    return scene
+
+
+def stated_rate(path: Path) -> Fraction | None:
+    """Return the rate that a scene file states as a number; None where it has none."""
+    given = read_document(path).value
+    fps = given.get("fps") if isinstance(given, dict) else None
+    try:
+        return parse_rate(fps) if isinstance(fps, int | float | str) else None
+    except ValueError:
+        return None
+
+
+_PRIM_PATH = re.compile(r"/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
+
+
+def _overlap(one: str, other: str) -> bool:
+    """Return whether a path is another, or below it."""
+    return f"{one}/".startswith(f"{other}/") or f"{other}/".startswith(f"{one}/")
+
+
+class _SceneReader:
+    def __init__(
+        self,
+        document: Document,
+        model: SceneModel,
+        named: list[Path],
+        written: list[Path],
+    ) -> None:
+        self.document, self.model = document, model
+        roots = project_roots(document.path)
+        self.keys = KeyReader(document, (*roots, *named), "SCN003")
+        self.output_roots = (*roots, *written)
+        self.units = SceneUnits.of(model.units.length, model.units.angle)
+
+    def scene(self) -> Scene:
+        model = self.model
+        rig = None if model.rig is None else self.keys.read_file(("rig",), model.rig)
+        read = _PassReader(self.keys, self.output_roots, self.units)
+        passes = tuple(read.passes(model.passes))
+        outputs = OutputReader(self.keys, model, self.output_roots)
+        return Scene(
+            self.document.path,
+            self._sources(rig),
+            passes,
+            outputs.outputs(),
+            rig,
+            self._renamed_props(),
+            outputs.start,
+            outputs.preroll(),
+            systems=self._systems(),
+        )
+
+    def _systems(self) -> tuple[SceneSystem, ...]:
+        """Return what is simulated, alone or beside a source."""
+        model = self.model
+        if model.source is None and not model.systems:
+            hint = "it names the clip, BVH or USD file; what is simulated has systems"
+            self.document.add("DOC021", (), "key 'source' is missing", hint)
+        if not model.systems:
+            return ()
+        if model.source is None:
+            self._check_simulated()
+        read = (self._system(i, entry) for i, entry in enumerate(model.systems))
+        systems = tuple(system for system in read if system is not None)
+        check_links(self.document, systems, model.system_names)
+        return systems
+
+    def _system(self, i: int, entry: SystemModel) -> SceneSystem | None:
+        kind = self._kind(("systems", i), entry)
+        if kind is None:
+            return None
+        at: Location = ("systems", i, kind)
+        given = getattr(entry, kind)
+        # Loaded by name: systems open scenes themselves.
+        read: Any = load_object("animtool.scene.systems.derived:read_spec")
+        setup = read(self.document, at, given, self.keys.roots, self.units)
+        if setup is None:
+            return None
+        place = place_of_entry(self.document, at, given)
+        return SceneSystem(given.name, kind, setup, place, unit=self.units.stated)
+
+    def _kind(self, at: Location, entry: SystemModel) -> str | None:
+        """Return the kind that an entry names."""
+        kinds = sorted(entry.model_fields_set)
+        known = ", ".join(SYSTEM_KINDS)
+        if len(kinds) == 1:
+            return kinds[0]
+        if kinds:
+            message = f"a system is of one kind, and this of {' and '.join(kinds)}"
+            hint = "give each an entry of its own, beginning with a dash"
+            self.document.add("SCN065", at, message, hint)
+        elif not self._written_systems()[at[1]]:
+            self.document.add("SCN065", at, "it names no kind", f"they are {known}")
+        return None
+
+    def _written_systems(self) -> Any:
+        """Return the systems as written, under a misspelt key too."""
+        written = self.document.spellings.get(("systems",), "systems")
+        return self.document.value[written]
+
+    def _check_simulated(self) -> None:
+        """Refuse what there is only with a source, and outputs of other kinds."""
+        model = self.model
+        for key in sorted({"rig", "passes", "shot", "props"} & model.model_fields_set):
+            message = f"{key} is for scenes with a source"
+            self.document.add("SCN060", (key,), message, "leave it out")
+        if model.range is None:
+            message = "what is simulated has no end of its own"
+            hint = "say which frames to write: range: [1, 120]"
+            self.document.add("SCN061", (), message, hint)
+        given = model.output
+        entries = given if isinstance(given, list) else [given]
+        for i, entry in enumerate(entries):
+            at: Location = ("output", i) if isinstance(given, list) else ("output",)
+            if entry.file and kind_of(Path(entry.file)) is not OutputKind.USD:
+                message = f"{entry.file!r} is no USD file, as what is simulated is"
+                self.document.add("SCN060", (*at, "file"), message)
+
+    def _renamed_props(self) -> tuple[SceneProp, ...]:
+        props = [
+            self._prop(("props", i), entry) for i, entry in enumerate(self.model.props)
+        ]
+        for i, prop in enumerate(props):
+            for other in props[:i]:
+                if _overlap(prop.path, other.path):
+                    message = f"{prop.path!r} meets {other.path!r} of "
+                    message += other.place.where
+                    hint = "each has a path of its own, none below another's"
+                    self.document.add("SCN046", ("props", i, "path"), message, hint)
+        return tuple(props)
+
+    def _prop(self, at: Location, model: PropModel) -> SceneProp:
+        file = self.keys.read_file((*at, "from"), model.file)
+        if not is_usd(file):
+            message = f"{model.file!r} is no USD file"
+            self.document.add("SCN048", (*at, "from"), message)
+        path = model.path or model.prim.rpartition("/")[2]
+        if not _PRIM_PATH.fullmatch(path):
+            message = f"{path!r} is no path such as Props/box or /World/box"
+            self.document.add("SCN048", (*at, "path"), message)
+        shown: Path | None = None
+        if isinstance(model.reference, str):
+            shown = self.keys.read_file((*at, "reference"), model.reference)
+        elif model.reference:
+            shown = file
+        return SceneProp(
+            file,
+            model.prim,
+            path,
+            tuple(model.attributes),
+            shown,
+            frame=None if model.frame is None else Fraction(repr(model.frame)),
+            retimed=model.retimed,
+            place=place_of_entry(self.document, at),
+        )
+
+    def _sources(self, rig: Path | None) -> tuple[SceneSource, ...]:
+        given = self.model.source
+        if given is None:
+            return ()
+        if isinstance(given, SourceModel):
+            for key in ("tracks", "timecode", "timecode_fps"):
+                if getattr(given, key) is not None:
+                    message = f"{key} is for one of several sources"
+                    hint = "write a list: source: [{file: …}, {file: …}]"
+                    self.document.add("SCN038", ("source", key), message, hint)
+            return (self._source(("source",), given, rig),)
+        if given and given[0].tracks is not None:
+            message = "the first source brings all that it has"
+            hint = "tracks: says what each of the others puts in its place"
+            self.document.add("SCN038", ("source", 0, "tracks"), message, hint)
+        # Others than clips are brought onto the rig of the first as they are joined.
+        return tuple(
+            self._source(
+                ("source", i),
+                entry,
+                rig if i == 0 or takes_option(Path(entry.file), "rig") else None,
+            )
+            for i, entry in enumerate(given)
+        )
+
+    def _source(
+        self, at: Location, model: SourceModel, rig: Path | None
+    ) -> SceneSource:
+        path = self.keys.read_file((*at, "file"), model.file)
+        keys = option_keys(SourceOptions, model, "scene", at, self.keys)
+        tracks = None
+        if model.tracks is not None:
+            tracks = TrackNames(**{name: tuple(of) for name, of in model.tracks})
+        return SceneSource(
+            path,
+            SourceOptions(rig=rig, **keys),
+            place_of_entry(self.document, at),
+            tracks,
+            model.timecode,
+            self.keys.parsed((*at, "timecode_fps"), model.timecode_fps, parse_rate),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class _PassReader:
+    """Reads passes; files that they write are in ``output_roots``."""
+
+    keys: KeyReader
+    output_roots: Sequence[Path]
+    units: SceneUnits
+
+    def passes(self, entries: Sequence[Mapping[str, Any]]) -> Iterator[ScenePass]:
+        """Yield the passes of entries."""
+        for i, entry in enumerate(entries):
+            for name, given in entry.items():
+                pass_ = self._pass(("passes", i, name), name, given or {})
+                if pass_ is not None:
+                    yield pass_
+
+    def _pass(
+        self, at: Location, name: str, values: dict[str, Any]
+    ) -> ScenePass | None:
+        document = self.keys.document
+        try:
+            pass_ = find_pass(name)
+        except AnimtoolError as error:
+            fault = error.faults[0]
+            document.add(fault.code, at, fault.message, fault.hint)
+            return None
+        given = self.units.pass_options(name, values)
+        options, faults = record_of_options(pass_.options, given, name)
+        for place, fault in faults:
+            document.add(fault.code, (*at, *place), fault.message, fault.hint)
+        if options is None:
+            return None
+        options, files = self._with_colliders(at, options)
+        _check_pass(self.keys, at, pass_, options)
+        for written in getattr(options, "writes", ()):
+            referred(document, at, str(written), self.output_roots, written=True)
+        if faults:
+            return None
+        return ScenePass(pass_, options, place_of_entry(document, at), files)
+
+    def _with_colliders(
+        self, at: Location, options: Any
+    ) -> tuple[Any, tuple[Path, ...]]:
+        """Return options with what they run into, and the files that this goes with."""
+        entries = {
+            field.name: value
+            for field in fields(options)
+            if isinstance(value := getattr(options, field.name), list)
+            and any(isinstance(one, SystemColliderModel) for one in value)
+        }
+        if not entries:
+            return options, ()
+        kind: Any = load_object(COLLIDER_READER)
+        reader = kind(self.keys.document, self.keys.roots, self.units)
+        read = {
+            name: tuple(
+                reader.colliders((*at, name), list(map(self.units.converted, models)))
+            )
+            for name, models in entries.items()
+        }
+        return replace(options, **read), tuple(reader.files)
+
+
+def _check_pass(keys: KeyReader, at: Location, pass_: Pass, options: Any) -> None:
+    """Note what is wrong with options whatever the take is."""
+    for option, check in pass_.checks(options).items():
+        try:
+            check()
+        except OptionError as error:
+            for fault in error.faults:
+                keys.document.add(fault.code, (*at, option), fault.message, fault.hint)
+    for field in fields(pass_.options):
+        value = getattr(options, field.name)
+        if isinstance(value, Path):
+            keys.read_file((*at, field.name), str(value))

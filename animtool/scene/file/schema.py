@@ -1,0 +1,348 @@
+"""The keys of a scene file, as models; ``animtool schema scene`` prints them.
+
+The tables of ``docs/formats.md`` are made of their descriptions and examples.
+"""
+
+from __future__ import annotations
+
+from copy import copy
+from functools import cache
+from typing import Annotated, Any, Literal, TypeVar
+
+from annotated_types import Ge, Len
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    Discriminator,
+    Field,
+    Tag,
+    create_model,
+)
+
+from animtool.core.plugins import load_object
+from animtool.documents.check import FileModel
+from animtool.documents.fields import (
+    Frame,
+    IgnoreModel,
+    Name,
+    Real,
+    WholeFrame,
+    check_numbers,
+    key,
+)
+from animtool.scene.bake.options import BakeOptions
+from animtool.scene.file.output_fields import with_keys
+from animtool.scene.sources.open import SourceOptions
+from animtool.systems.kinds import SYSTEM_KINDS
+
+Model = TypeVar("Model", bound=BaseModel)
+
+
+class TracksModel(FileModel):
+    """What one of several sources brings: names or patterns such as `jaw*`."""
+
+    joints: list[str] = key("Joints.", ["head", "eye_*"], default=[])
+    shapes: list[str] = key("Shapes.", ["*"], default=[])
+    controls: list[str] = key(
+        "Controls, and what these drive.", ["grin", "blink_*"], default=[]
+    )
+
+
+@with_keys(
+    SourceOptions,
+    "scene",
+    *("file", "units", "up", "fps", "prim", "take", "remap", "dropped", "clamp"),
+    *("template", "cameras", "positions"),
+)
+class SourceModel(FileModel):
+    """A clip, BVH, USD or marker file, and what it leaves open."""
+
+    file: Name = key("The clip, BVH, USD or marker file.", "walk.bvh")
+    tracks: TracksModel | None = key(
+        "Of several sources, but the first: what it brings. Not given: what it moves.",
+        {"shapes": ["*"]},
+        default=None,
+    )
+    timecode: str | None = key(
+        "Of several sources: the SMPTE time code of its first frame. Not "
+        "given, for none: first frames coincide.",
+        "01:00:00:00",
+        default=None,
+    )
+    timecode_fps: Real | str | None = key(
+        "Frames a second that the time code counts. Not given: those of the source.",
+        29.97,
+        default=None,
+    )
+
+
+class PropModel(FileModel):
+    """A prop, a camera or attributes next to the character."""
+
+    file: Name = Field(
+        alias="from",
+        description="The USD file that it is read from.",
+        examples=["set/props.usda"],
+    )
+    prim: Name = key("Path of its prim there.", "/Set/box")
+    path: str | None = key(
+        "Where it is written: below the character and in its space, or, "
+        "from `/` on, in the world of the stage. Not given: the name of the prim.",
+        "Props/box",
+        default=None,
+    )
+    frame: Frame | None = key(
+        "Time code of its file that comes with the first frame of the "
+        "source. Not given: the number of that frame, by `start` of the shot or as the "
+        "source states it.",
+        1001,
+        default=None,
+    )
+    retimed: bool = key(
+        "Whether passes that change the time of the take change its time "
+        "too. `false` is for a camera of the shot: `frame` is then that of the first "
+        "frame behind the passes.",
+        False,
+        default=True,
+    )
+    attributes: list[str] = key(
+        "Names of attributes to read of it; those of a camera are read anyway.",
+        ["primvars:wetness", "visibility"],
+        default=[],
+    )
+    reference: bool | str = key(
+        "Refer to what is to be seen: `true` to the prim itself, or to "
+        "the default prim of another file.",
+        True,
+        default=False,
+    )
+
+
+class SceneUnitsModel(FileModel):
+    """Units of the numbers of systems and passes."""
+
+    length: Literal["m", "cm", "mm", "in"] | None = key(
+        "Of lengths, and of those in speeds, densities, forces and all else that is "
+        "given in metres: m/s is cm/s then, N is kg cm/s². What is not given keeps its "
+        "default; expressions and meshes of USD files keep their units. Not given: m.",
+        "cm",
+        default=None,
+    )
+    angle: Literal["deg", "rad"] | None = key(
+        "Of what is given in degrees. Not given: deg.", "deg", default=None
+    )
+
+
+class SystemModel(FileModel):
+    """One simulation, of one kind."""
+
+
+def _one_or_several(value: Any) -> str:
+    return "several" if isinstance(value, list) else "one"
+
+
+class ShotModel(FileModel):
+    """Where a scene stands in a shot; frames are those of the output."""
+
+    start: Frame | None = key(
+        "Time code of the first frame of the take. Not given: as for an "
+        "output without `start`; of a timeline's shot, where that has it.",
+        1001,
+        default=None,
+    )
+    cut: Annotated[list[WholeFrame], Len(2, 2)] = key(
+        "First and last frame of the cut; those that the take lacks are "
+        "held and named.",
+        [1009, 1090],
+    )
+    handles: Annotated[WholeFrame, Ge(0)] = key(
+        "Frames to write before and after the cut; those that the take "
+        "lacks are held and named.",
+        8,
+        default=0,
+    )
+    preroll: Annotated[WholeFrame, Ge(0)] = key(
+        "Frames before the handles that passes with a state of their own "
+        "begin in; they are not written.",
+        20,
+        default=0,
+    )
+
+
+@with_keys(
+    BakeOptions,
+    "scene",
+    *("file", "as", "take", "rig_layer", "force_fit", "prim_path", "start"),
+    *("samples", "sparse", "bones", "keep_curves", "reduce", "reduce_at", "deform"),
+    *("velocities", "normals", "systems", "chunk"),
+)
+class OutputModel(FileModel):
+    """What to write; the command line's own options come first."""
+
+    file: str | None = key(
+        "What to write: USD, a `.clip.yaml` of keys or a `.bvh`. Not "
+        "given: USD beside the source.",
+        "shot.usdc",
+        default=None,
+    )
+    systems: list[str] | None = key(
+        "Names of the systems that go into it; others are simulated where "
+        "these need them. Not given: all.",
+        ["flag", "rope"],
+        default=None,
+    )
+
+
+class SceneModel(FileModel):
+    """A scene file."""
+
+    scene: Literal["animtool/1"] = key("File type and format version.", "animtool/1")
+    variables: dict[str, str | Real | bool] = key(
+        "What `${name}` stands for in the texts of the file; `--set` of "
+        "the command line comes first.",
+        {"shot": "sh010"},
+        default={},
+    )
+    rig: str | None = key(
+        "The rig that the sources move. Not given: the one that a clip "
+        "names, else the joints of the first source.",
+        "hero.rig.yaml",
+        default=None,
+    )
+    units: SceneUnitsModel = key(
+        "Units of the numbers of `systems` and `passes`, and of arrays that they name. "
+        "Not given: metres and degrees, whatever the rig counts.",
+        {"length": "cm"},
+        default=SceneUnitsModel(),
+    )
+    fps: Real | str | None = key(
+        "Frames a second of the output. Not given: the rig layer's, or the source's.",
+        24,
+        default=None,
+    )
+    range: Annotated[list[WholeFrame], Len(2, 2)] | None = key(
+        "First and last frame to write, as the output numbers them. Not given: all.",
+        [1001, 1040],
+        default=None,
+    )
+    shot: ShotModel | None = key(
+        "The cut, its handles and pre-roll, in place of `range`.",
+        {"start": 1001, "cut": [1009, 1090], "handles": 8},
+        default=None,
+    )
+    source: (
+        Annotated[
+            Annotated[SourceModel, Tag("one")]
+            | Annotated[list[SourceModel], Len(1), Tag("several")],
+            Discriminator(_one_or_several),
+        ]
+        | None
+    ) = key(
+        "What is read; of a list the first is the whole, and the others "
+        "put tracks in its place.",
+        {"file": "walk.bvh"},
+        default=None,
+    )
+    props: Annotated[list[PropModel], Len(0, 1000)] = key(
+        "Props, cameras and attributes next to the character, which take "
+        "part in every change of time and are written with it.",
+        [{"from": "props.usda", "prim": "/Set/box", "path": "Props/box"}],
+        default=[],
+    )
+    passes: Annotated[
+        list[
+            Annotated[
+                dict[str, dict[str, Any] | None],
+                Len(1, 1),
+                AfterValidator(check_numbers),
+            ]
+        ],
+        Len(0, 1000),
+    ] = key(
+        "What is done to it, in order: the name of a pass, and its options.",
+        [{"mirror": {}}, {"trim": {"first": 5, "last": 60}}],
+        default=[],
+    )
+    systems: Annotated[list[SystemModel], Len(0, 1000)] = key(
+        "What is simulated: beside the source, or without one for the "
+        "frames of `range`.",
+        [{"particles": {"emitters": [{"rate": 100, "speed": 2}]}}],
+        default=[],
+    )
+    output: Annotated[
+        Annotated[OutputModel, Tag("one")]
+        | Annotated[list[OutputModel], Len(1), Tag("several")],
+        Discriminator(_one_or_several),
+    ] = key(
+        "What is written, or a list of all that is, each with its `file`; "
+        "options of the command line come first.",
+        {"file": "shot.usdc"},
+        default=OutputModel(),
+    )
+    ignore: list[IgnoreModel] = key(
+        "Findings of `animtool validate` that are known and stay.",
+        [{"code": "SCN102", "why": "it is meant"}],
+        default=[],
+    )
+
+    @property
+    def system_names(self) -> list[str]:
+        """Names of all systems, of those that are faulty too."""
+        return [
+            getattr(e, key).name for e in self.systems for key in e.model_fields_set
+        ]
+
+
+def whole_model() -> type[SceneModel]:
+    """Return the model of a scene, with systems of every kind."""
+    return _with_kinds(tuple(SYSTEM_KINDS))
+
+
+def model_for(written: Any) -> type[SceneModel]:
+    """Return a model that reads a scene as `whole_model` does.
+
+    It knows the kinds of systems that the scene names, and no other is imported. Of a
+    key that no scene has, or an entry that is no mapping, any kind may be meant.
+    """
+    known = {field.alias or name for name, field in SceneModel.model_fields.items()}
+    if not isinstance(written, dict) or not known.issuperset(written):
+        return whole_model()
+    systems = written.get("systems") or []
+    entries = systems if isinstance(systems, list) else [systems]
+    if not all(isinstance(entry, dict) for entry in entries):
+        return whole_model()
+    named = {kind for entry in entries for kind in entry}
+    if not named.issubset(SYSTEM_KINDS):
+        return whole_model()
+    return _with_kinds(tuple(kind for kind in SYSTEM_KINDS if kind in named))
+
+
+@cache
+def _with_kinds(kinds: tuple[str, ...]) -> type[SceneModel]:
+    # Of an entry's kinds one is given; that one may not be nothing.
+    not_given: Any = None
+    fields: dict[str, Any] = {
+        name: (
+            load_object(SYSTEM_KINDS[name].spec),
+            Field(
+                default=not_given,
+                description=SYSTEM_KINDS[name].description,
+                examples=[SYSTEM_KINDS[name].example],
+            ),
+        )
+        for name in kinds
+    }
+    system = _derived(SystemModel, fields)
+    field = copy(SceneModel.model_fields["systems"])
+    return _derived(SceneModel, {"systems": (list[system], field)})  # type: ignore[valid-type]
+
+
+def _derived(base: type[Model], fields: dict[str, Any]) -> type[Model]:
+    """Return a model of the same name with other fields too."""
+    return create_model(
+        base.__name__,
+        __base__=base,
+        __module__=__name__,
+        __doc__=base.__doc__,
+        **fields,
+    )

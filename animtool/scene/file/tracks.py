@@ -1,0 +1,179 @@
+"""Tracks of a rig, its joints, shapes and controls: which a motion brings."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+
+import numpy as np
+
+from animtool.core.array_types import FloatArray, IntArray
+from animtool.motion.motion import Channel, Motion
+from animtool.rig.joints import DRIVEN_PARTS, split_part
+from animtool.rig.skeleton import Rig
+from animtool.scene.sources.onto_rig import NameMap
+
+KINDS = ("joints", "shapes", "controls")
+
+
+@dataclass(frozen=True, slots=True)
+class TrackNames:
+    """Names or patterns of what a source brings."""
+
+    joints: tuple[str, ...] = ()
+    shapes: tuple[str, ...] = ()
+    controls: tuple[str, ...] = ()  # of controls; what these drive is meant too
+
+
+@dataclass(frozen=True, slots=True)
+class Tracks:
+    """Indices of what a source brings to a rig, ascending."""
+
+    joints: IntArray
+    shapes: IntArray
+    controls: IntArray
+
+    def __bool__(self) -> bool:
+        """Return whether there is any."""
+        return any(len(self.of(kind)) for kind in KINDS)
+
+    def of(self, kind: str) -> IntArray:
+        """Return those of a kind of `KINDS`."""
+        indices: IntArray = getattr(self, kind)
+        return indices
+
+    def names(self, rig: Rig) -> list[str]:
+        """Return what each is called."""
+        return [getattr(rig, kind)[i].name for kind in KINDS for i in self.of(kind)]
+
+    def also_in(self, other: Tracks) -> Tracks:
+        """Return those that another has too."""
+        return Tracks(*(np.intersect1d(self.of(k), other.of(k)) for k in KINDS))
+
+
+@dataclass(frozen=True, slots=True)
+class UnknownTrack:
+    """A pattern that fits nothing."""
+
+    kind: str  # ``joints``, ``shapes`` or ``controls``
+    pattern: str
+    known: list[str]  # names that could be meant
+
+
+def chosen_tracks(
+    requested: TrackNames, names: NameMap
+) -> tuple[Tracks, list[UnknownTrack]]:
+    """Return what patterns choose of what two rigs have, and those that fit nothing.
+
+    What a chosen control drives is chosen too, as a motion holds what came of it.
+    """
+    rig, unknown = names.rig, []
+    chosen: dict[str, set[int]] = {kind: set() for kind in KINDS}
+    for kind in KINDS:
+        there = np.flatnonzero(getattr(names, kind) >= 0).tolist()
+        known = {getattr(rig, kind)[i].name: i for i in there}
+        for pattern in getattr(requested, kind):
+            fitting = {i for name, i in known.items() if fnmatchcase(name, pattern)}
+            if not fitting:
+                unknown.append(UnknownTrack(kind, pattern, list(known)))
+            chosen[kind] |= fitting
+    _add_driven(rig, chosen)
+    tracks = Tracks(*(np.array(sorted(chosen[kind]), np.int64) for kind in KINDS))
+    return _within(tracks, names), unknown
+
+
+def _add_driven(rig: Rig, chosen: dict[str, set[int]]) -> None:
+    """Add what chosen controls drive, and what is driven by that."""
+    indices = {
+        kind.removesuffix("s"): {e.name: i for i, e in enumerate(getattr(rig, kind))}
+        for kind in KINDS
+    }
+    waiting = sorted(chosen["controls"])
+    while waiting:
+        for drive in rig.controls[waiting.pop()].drives:
+            kind, _, name = drive.target.partition("/")
+            if kind == "joint":
+                name, _ = split_part(name, DRIVEN_PARTS)
+            index = indices[kind][name]
+            if kind == "control" and index not in chosen["controls"]:
+                waiting.append(index)
+            chosen[f"{kind}s"].add(index)
+
+
+def moving_tracks(motion: Motion, names: NameMap, other: Rig) -> Tracks:
+    """Return what a motion moves over time, or holds away from rest."""
+    still = names.apply(still_motion(other))
+
+    def moved(kind: str) -> IntArray:
+        channel: Channel | None = getattr(motion, kind)
+        if channel is None:
+            return np.zeros(0, np.int64)
+        rest: Channel | None = getattr(still, kind)
+        moves = (channel.rest != (1.0 if rest is None else rest.rest)).any(axis=1)
+        moves[channel.animated] = True
+        return np.flatnonzero(moves)
+
+    joints = [moved(kind) for kind in ("translations", "rotations", "scales")]
+    whole = np.unique(np.concatenate(joints))
+    return _within(Tracks(whole, moved("weights"), moved("controls")), names)
+
+
+def still_motion(rig: Rig) -> Motion:
+    """Return one frame of a rig at rest, controls at their defaults."""
+    weights = np.zeros((1, len(rig.shapes), 1))
+    return Motion(
+        Channel.from_dense(rig.rest_translations[None]),
+        Channel.from_dense(rig.rest_rotations[None]),
+        weights=Channel.from_dense(weights) if rig.shapes else None,
+        controls=Channel.from_dense(_defaults(rig)[None]) if rig.controls else None,
+    )
+
+
+def _defaults(rig: Rig) -> FloatArray:
+    return np.array([[control.default] for control in rig.controls])
+
+
+def _within(tracks: Tracks, names: NameMap) -> Tracks:
+    """Return the tracks that the other rig has."""
+    return Tracks(*(tracks.of(k)[getattr(names, k)[tracks.of(k)] >= 0] for k in KINDS))
+
+
+def with_tracks(rig: Rig, base: Motion, other: Motion, tracks: Tracks) -> Motion:
+    """Return a motion with some tracks of another in place of its own."""
+
+    def optional(
+        name: str, chosen: IntArray, neutral: float | FloatArray
+    ) -> Channel | None:
+        mine: Channel | None = getattr(base, name)
+        theirs: Channel | None = getattr(other, name)
+        if not len(chosen) or (mine is None and theirs is None):
+            return mine
+        mine = mine or _steady(theirs, neutral)
+        return _replaced(mine, theirs or _steady(mine, neutral), chosen)
+
+    return Motion(
+        _replaced(base.translations, other.translations, tracks.joints),
+        _replaced(base.rotations, other.rotations, tracks.joints),
+        optional("scales", tracks.joints, 1.0),
+        optional("weights", tracks.shapes, 0.0),
+        optional("controls", tracks.controls, _defaults(rig)),
+    )
+
+
+def _steady(like: Channel | None, value: float | FloatArray) -> Channel:
+    """Return a channel of the size of another that holds a value."""
+    assert like is not None
+    rest = np.broadcast_to(value, like.rest.shape).astype(np.float64)
+    return Channel.still(rest, len(like.values))
+
+
+def _replaced(mine: Channel, theirs: Channel, chosen: IntArray) -> Channel:
+    """Return a channel with some of its entries those of another."""
+    rest = mine.rest.copy()
+    rest[chosen] = theirs.rest[chosen]
+    stay = ~np.isin(mine.animated, chosen)
+    come = np.isin(theirs.animated, chosen)
+    animated = np.concatenate([mine.animated[stay], theirs.animated[come]])
+    values = np.concatenate([mine.values[:, stay], theirs.values[:, come]], axis=1)
+    order = np.argsort(animated, kind="stable")
+    return Channel(rest, animated[order], values[:, order])

@@ -1,0 +1,1 @@
+"""Solves from files to files: targets, markers, faces, other skeletons."""

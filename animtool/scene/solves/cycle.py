@@ -1,0 +1,78 @@
+"""The cycle of a take of a file, and the take that repeats it, into a file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from animtool.core.errors import Fault, refuse_warnings
+from animtool.edit.cycle import Cycle, find_cycle, measure_cycle
+from animtool.edit.loop_options import LoopOptions
+from animtool.edit.looping import PASS, said_of
+from animtool.scene.bake.progress import Progress
+from animtool.scene.convert.takes import ConvertReport, convert_with_passes
+from animtool.scene.solves.ik import naming
+from animtool.scene.sources.open import SourceOptions, open_source
+
+
+@dataclass(frozen=True, slots=True)
+class LoopResult:
+    """The cycle of a take, its length, and notices."""
+
+    cycle: Cycle
+    seconds: float  # its length
+    notices: list[Fault]
+
+
+def loop_source(
+    source: Path,
+    output: Path | None,
+    options: LoopOptions,
+    reading: SourceOptions | None = None,
+    *,
+    overwrite: bool = False,
+    strict: bool = False,
+    progress: Progress = None,
+) -> tuple[LoopResult, ConvertReport | None]:
+    """Return the cycle of a take; with an output, also write it, repeated.
+
+    Args:
+        source: BVH, USD or clip.
+        output: ``.bvh``, ``.clip.yaml`` or a USD file; None writes nothing.
+        options: The cycle, or where it is looked for.
+        reading: What the source is.
+        overwrite: Replace outputs that exist.
+        strict: Take warnings for errors.
+        progress: Called with the share done, 0 to 1.
+
+    Raises:
+        OptionError: There is no cycle (SCN018), or a frame is outside the take
+            (SCN013).
+        AnimtoolError: As `convert` does.
+    """
+    for check in PASS.checks(options).values():
+        check()
+    stream = open_source(source, reading, progress=progress)
+    take = stream.collect()
+    with naming(source):
+        if options.find:
+            lengths = {"shortest": options.shortest, "longest": options.longest}
+            best = find_cycle(take, options.first, options.last, **lengths)
+        else:
+            best = measure_cycle(take, options.first, options.last)
+    seconds = (best.last - best.first) / float(take.clock.fps)
+    notices = [*stream.notices, *said_of(best, searched=options.find)]
+    cycle = LoopResult(best, seconds, notices)
+    if output is None:
+        refuse_warnings(notices, strict=strict)
+        return cycle, None
+    report = convert_with_passes(
+        source,
+        output,
+        [(PASS, options)],
+        reading,
+        overwrite=overwrite,
+        strict=strict,
+        progress=progress,
+    )
+    return cycle, report

@@ -1,0 +1,312 @@
+"""Faces from files to files: landmarks, a rig, and what became of them."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from animtool.capture.face.capture import FaceCapture, in_order, read_capture
+from animtool.capture.face.file import face_model, load_landmarks
+from animtool.capture.face.model import FaceModel
+from animtool.capture.face.solve import FaceFit, fit_face
+from animtool.capture.options import FaceOptions
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault, OptionError, Severity
+from animtool.core.files.output import check_outputs
+from animtool.core.names import is_named
+from animtool.core.units import UpAxis, unit_name
+from animtool.maths.so3 import multiply, rotate
+from animtool.motion.driving import driven_take
+from animtool.motion.motion import Channel, Motion
+from animtool.motion.take import Take, TakeStream
+from animtool.rig.head import HEAD, head_joints, local_rotations
+from animtool.rig.kinematics import forward
+from animtool.rig.remap import ShapeLinks, link_shapes, load_remap
+from animtool.rig.skeleton import JointType, Rig
+from animtool.scene.bake.options import BakeOptions
+from animtool.scene.bake.progress import Progress
+from animtool.scene.convert.takes import ConvertReport
+from animtool.scene.solves.written import take_outputs, write_take
+from animtool.scene.sources.onto_rig import open_rig
+from animtool.scene.sources.open import SourceOptions
+
+if TYPE_CHECKING:
+    from animtool.capture.cameras.camera import Camera
+    from animtool.scene.bake.prims import BakeReport
+
+# From a world with Z up to one with Y up.
+_Y_UP = np.array([-np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)])
+# A head that is turned farther from the rig's all the time stands in other axes.
+MAX_MEAN_TURN = np.radians(75)
+
+
+@dataclass(frozen=True, slots=True)
+class FaceJob:
+    """What `animtool mocap face` is told."""
+
+    capture: Path  # npz with landmarks, or a file of markers
+    rig: Path  # rig file or USD file
+    output: Path | None = None  # USD file or ``.clip.yaml``; None writes nothing
+    # Landmarks file of the rig; None takes the face that the capture brings.
+    landmarks: Path | None = None
+    remap: Path | None = None  # remap file from the capture's shapes to the rig's
+    camera: Path | None = None  # camera file, for landmarks in pixels
+    camera_name: str | None = None  # of the camera, where the file has several
+    options: FaceOptions = field(default_factory=FaceOptions)
+    # What the capture is.
+    reading: SourceOptions = field(default_factory=SourceOptions)
+    # `overwrite` and `strict` of it are for what the take is written to.
+    bake: BakeOptions = field(default_factory=BakeOptions)
+
+
+@dataclass(slots=True)
+class FaceResult:
+    """What became of a job."""
+
+    job: FaceJob
+    fit: FaceFit
+    links: ShapeLinks
+    take: Take
+    pixels: bool  # whether residuals are in pixels
+    notices: list[Fault]
+    seconds: dict[str, float]  # wall time by stage
+    # Pixels a metre at the face, of landmarks in pixels; else 0.
+    pixels_per_meter: float = 0.0
+    written: BakeReport | ConvertReport | None = None
+
+
+def face_outputs(job: FaceJob) -> list[Path]:
+    """Return the files that a job writes."""
+    return take_outputs(job.capture, job.output, job.bake, _named_rig(job))
+
+
+def _named_rig(job: FaceJob) -> Path | None:
+    return job.rig if is_named(job.rig, "rig") else None
+
+
+def run_face(job: FaceJob, *, progress: Progress = None) -> FaceResult:
+    """Bring a face onto its landmarks, and write the take.
+
+    Args:
+        job: What to do.
+        progress: Called with the share done, 0 to 1.
+
+    Raises:
+        FormatError: A file is malformed.
+        OptionError: Landmarks and face do not fit, an output exists, or its name is of
+            no format.
+        OutputError: An output cannot be written.
+        StrictError: There were warnings, and ``strict`` is on.
+    """
+    outputs = face_outputs(job)
+    if outputs:
+        named = (job.capture, job.rig, job.landmarks, job.remap, job.camera)
+        inputs = [path for path in named if path is not None]
+        check_outputs(outputs, inputs, overwrite=job.bake.overwrite)
+    result = solve_face(job, progress=progress)
+    if job.output is None:
+        from animtool.core.errors import refuse_warnings
+
+        refuse_warnings(result.notices, strict=job.bake.strict)
+        return result
+
+    def opened(path: Path, options: Any = None, *, progress: Progress) -> TakeStream:
+        del path, options, progress
+        stream = TakeStream.of(result.take)
+        stream.details = {
+            "format": "landmarks",
+            "units": unit_name(result.take.rig.meters_per_unit),
+        }
+        return stream
+
+    result.written = write_take(
+        job.capture,
+        job.output,
+        job.bake,
+        rig_file=_named_rig(job),
+        opener=opened,
+        progress=None,
+    )
+    result.notices += [n for n in result.written.notices if n not in result.notices]
+    return result
+
+
+def solve_face(job: FaceJob, *, progress: Progress = None) -> FaceResult:
+    """Return a face brought onto its landmarks; nothing is written."""
+    began = time.perf_counter()
+    capture = read_capture(
+        job.capture, unit=job.reading.unit, up=job.reading.up, fps=job.reading.fps
+    )
+    rig, notices = open_rig(job.rig)
+    remap = None if job.remap is None else load_remap(job.remap)
+    model = _model(job, capture, rig)
+    points, odd = in_order(capture, model)
+    camera, points = _seen(job, capture, points)
+    read = time.perf_counter()
+    try:
+        model = _proportions(job.options, model, points, camera is not None)
+        fit = fit_face(
+            model,
+            points,
+            float(capture.clock.rate),
+            smooth=job.options.smooth,
+            camera=camera,
+            progress=progress,
+        )
+    except OptionError as error:
+        path = str(job.capture)
+        raise OptionError([_at(path, fault) for fault in error.faults]) from error
+    links = link_shapes(model.shapes, [shape.name for shape in rig.shapes], remap)
+    if not links.links:
+        message = f"{rig.name!r} has no shape of the face"
+        hint = "--remap says which moves which"
+        raise OptionError(Fault("FAC009", message, str(job.rig), (), hint))
+    head = job.options.head or ("rotation" if camera is None else "none")
+    if capture.up is UpAxis.Z and camera is None and job.landmarks is None:
+        fit = _turned_up(fit)
+    motion, more = face_motion(fit, links, rig, head)
+    own = [*capture.notices, *odd, *fit.notices, *more]
+    notices += [_at(str(job.capture), notice) for notice in own]
+    take = driven_take(Take(rig, capture.clock, motion, tuple(notices)))
+    seconds = {"read": read - began, "solve": time.perf_counter() - read}
+    scale = 0.0
+    if camera is not None:
+        scale = float(camera[0] / np.median(fit.translations[:, 2]))
+    return FaceResult(
+        job, fit, links, take, camera is not None, notices, seconds, scale
+    )
+
+
+def _at(path: str, fault: Fault) -> Fault:
+    return fault if fault.path else replace(fault, path=path)
+
+
+def _model(job: FaceJob, capture: FaceCapture, rig: Rig) -> FaceModel:
+    if job.landmarks is not None:
+        return face_model(load_landmarks(job.landmarks), rig)
+    if capture.model is None:
+        message = "has no face (neutral_mm, delta_mm, shape_names)"
+        hint = "--landmarks FILE says where they are on the rig"
+        raise OptionError(Fault("FAC003", message, str(job.capture), (), hint))
+    return capture.model
+
+
+def _seen(
+    job: FaceJob, capture: FaceCapture, points: FloatArray
+) -> tuple[FloatArray | None, FloatArray]:
+    """Return the camera, and landmarks in its pixels free of distortion."""
+    if not capture.pixels:
+        if job.camera is not None:
+            message = "is for landmarks in pixels, and these are positions"
+            raise OptionError(Fault("CLI004", f"--camera {message}", str(job.capture)))
+        return None, points
+    if job.camera is None:
+        message = "landmarks are in pixels, and no camera is given"
+        hint = "--camera FILE has the lens of the camera"
+        raise OptionError(Fault("FAC010", message, str(job.capture), (), hint))
+    from animtool.capture.cameras.camera import rays
+    from animtool.capture.cameras.file import load_cameras
+
+    lens = _camera(job, load_cameras(job.camera).cameras)
+    numbers = np.array([*lens.focal, *lens.centre])
+    return numbers, rays(lens, points)[..., :2] * numbers[:2] + numbers[2:]
+
+
+def _camera(job: FaceJob, cameras: tuple[Camera, ...]) -> Camera:
+    names = [camera.name for camera in cameras]
+    if job.camera_name is None and len(cameras) == 1:
+        return cameras[0]
+    if job.camera_name not in names:
+        message = f"no camera is called {job.camera_name!r}"
+        if job.camera_name is None:
+            message = f"has {len(names)} cameras"
+        hint = f"--camera-name: {', '.join(names)}"
+        raise OptionError(Fault("FAC010", message, str(job.camera), (), hint))
+    return cameras[names.index(job.camera_name)]
+
+
+def _proportions(
+    options: FaceOptions, model: FaceModel, points: FloatArray, pixels: bool
+) -> FaceModel:
+    if options.neutral is None:
+        return model
+    if pixels:
+        message = "--neutral is for landmarks in three dimensions"
+        raise OptionError(Fault("CLI004", message))
+    if options.neutral >= len(points):
+        message = f"--neutral {options.neutral}: there are {len(points)} frames"
+        raise OptionError(Fault("FAC011", message))
+    if np.isfinite(points[options.neutral]).all(axis=-1).sum() < 4:
+        message = f"--neutral {options.neutral}: fewer than 4 landmarks in that frame"
+        raise OptionError(Fault("FAC011", message))
+    return model.of_actor(points[options.neutral])
+
+
+def _turned_up(fit: FaceFit) -> FaceFit:
+    """Return a fit in a world with Z up as one with Y up."""
+    return replace(
+        fit,
+        rotations=multiply(_Y_UP, fit.rotations),
+        translations=rotate(_Y_UP, fit.translations),
+    )
+
+
+def face_motion(
+    fit: FaceFit, links: ShapeLinks, rig: Rig, head: str
+) -> tuple[Motion, list[Fault]]:
+    """Return weights and head pose as motion of a rig, and what is odd.
+
+    Args:
+        fit: The face over frames.
+        links: Which shape of the rig follows which of the face.
+        rig: The rig.
+        head: ``rotation``, ``pose`` or ``none``.
+    """
+    count = len(fit.weights)
+    weights = links.apply(fit.weights, len(rig.shapes))
+    rotations = Channel.still(rig.rest_rotations, count)
+    translations = Channel.still(rig.rest_translations, count)
+    notices: list[Fault] = []
+    joint = head_joints(rig).get(HEAD)
+    if head != "none" and joint is None:
+        message = "the rig has no joint called head: its motion is left out"
+        notices.append(Fault("FAC109", message, severity=Severity.NOTE))
+    elif head != "none" and joint is not None:
+        mean = np.abs(fit.rotations[:, 3]).mean()
+        if 2 * np.arccos(min(float(mean), 1.0)) > MAX_MEAN_TURN:
+            message = "the head is turned far from the rig's in most frames"
+            hint = "--up says which axis points up; --head none leaves its motion out"
+            fault = Fault("FAC110", message, hint=hint, severity=Severity.WARNING)
+            notices.append(fault)
+        local = local_rotations(rig, joint, fit.rotations)
+        rotations = rotations.put(np.array([joint]), local[:, None])
+        if head == "pose":
+            translations, more = _placed(fit, rig, joint, translations)
+            notices += more
+    motion = Motion(
+        translations.compact(),
+        rotations.compact(),
+        weights=Channel.from_dense(weights[..., None]),
+    )
+    return motion, notices
+
+
+def _placed(
+    fit: FaceFit, rig: Rig, joint: int, translations: Channel
+) -> tuple[Channel, list[Fault]]:
+    """Return translations that bring the head to its place by those of its root."""
+    root = rig.upwards(joint)[-1]
+    if rig.joints[root].type is not JointType.FREE:
+        message = f"the root {rig.joints[root].name!r} is not free: the head stays"
+        return translations, [Fault("FAC109", message, severity=Severity.NOTE)]
+    rest = forward(rig, rig.rest_translations[None], rig.rest_rotations[None])
+    at = rest.positions[0, joint]
+    # The head turns about its joint, so that only this is to be moved.
+    moved = rotate(fit.rotations, np.broadcast_to(at, fit.translations.shape))
+    shift = moved + fit.translations - at
+    own = rig.rest_translations[root] + shift
+    return translations.put(np.array([root]), own[:, None]), []

@@ -1,0 +1,292 @@
+"""Inverse kinematics from files to files: a rig, targets, poses to start from."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from fractions import Fraction
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from animtool.core.clock import FrameSpan
+from animtool.core.config import project_roots
+from animtool.core.errors import (
+    Fault,
+    FormatError,
+    OptionError,
+    ToleranceError,
+    refuse_warnings,
+)
+from animtool.core.files.output import check_outputs, sparing_inputs
+from animtool.core.names import is_named
+from animtool.core.units import unit_name
+from animtool.ik.file import load_targets
+from animtool.ik.on_take import solve_take
+from animtool.ik.options import TakeOptions
+from animtool.ik.report import (
+    MISSED_ANGLE,
+    MISSED_LENGTH,
+    GoalReport,
+    apart_notices,
+    away_notices,
+    goal_reports,
+    jump_notices,
+    missed_notices,
+    span_notices,
+)
+from animtool.ik.take_run import TakeIk
+from animtool.ik.tracks import TargetTracks
+from animtool.motion.take import Take, TakeStream
+from animtool.scene.bake.options import BakeOptions
+from animtool.scene.bake.progress import Progress
+from animtool.scene.convert.takes import ConvertReport
+from animtool.scene.solves.start import open_start, rest_take
+from animtool.scene.solves.written import take_outputs, write_take
+from animtool.scene.sources.onto_rig import open_rig
+from animtool.scene.sources.open import SourceOptions
+
+if TYPE_CHECKING:
+    from animtool.scene.bake.prims import BakeReport
+
+
+@dataclass(frozen=True, slots=True)
+class IkJob:
+    """What `animtool ik` is told."""
+
+    rig: Path  # rig file, USD file or BVH
+    targets: Path  # targets file
+    # File with the poses to start from; None is the rest pose.
+    start: Path | None = None
+    source: SourceOptions = field(default_factory=SourceOptions)  # what that file is
+    pose: bool = False  # solve one frame only
+    frame: Fraction | None = None  # which; None is the first
+    options: TakeOptions = field(default_factory=TakeOptions)  # how to solve
+    # A position that is off by more is missed [m], and none is solved to less; None is
+    # a tenth of a millimetre, or what `options` solve to where that is more.
+    tolerance: float | None = None
+    # An orientation, aim or pole likewise [rad]; None is a tenth of a degree.
+    angle_tolerance: float | None = None
+    # Refuse to write what misses, or what there are warnings about.
+    strict: bool = False
+    # USD file, ``.clip.yaml`` or ``.bvh``; None writes nothing.
+    output: Path | None = None
+    to_stdout: bool = False  # write usda to stdout
+    # How USD is written; its ``reduce`` and ``overwrite`` are for others too.
+    bake: BakeOptions = field(default_factory=BakeOptions)
+
+
+@dataclass(slots=True)
+class IkReport:
+    """What came of it."""
+
+    solved: TakeIk  # the take at its targets
+    goals: list[GoalReport]  # what became of each goal
+    notices: list[Fault]  # warnings and notes
+    seconds: dict[str, float]  # wall time by stage
+    # The report of what was written; None where nothing was.
+    written: BakeReport | ConvertReport | None = None
+
+    @property
+    def span(self) -> FrameSpan:
+        """Frames of what was written, or of what was solved where nothing was."""
+        return (
+            self.solved.take.clock.span if self.written is None else self.written.span
+        )
+
+
+class MissedGoalsError(ToleranceError):
+    """Goals are missed by more than the tolerance, and ``strict`` is on.
+
+    Attributes:
+        report: What came of it.
+    """
+
+    def __init__(self, faults: list[Fault], report: IkReport) -> None:
+        super().__init__(faults)
+        self.report = report
+
+
+@dataclass(frozen=True, slots=True)
+class IkContext:
+    """A rig, its targets, and the take to bring to them."""
+
+    tracks: TargetTracks  # the targets
+    take: Take  # the poses to start from
+    still: bool  # they are the rest pose
+    only: int | None  # index of the one frame to solve; None is all
+    notices: list[Fault]  # what is odd so far
+
+
+def open_ik(job: IkJob, *, progress: Progress = None) -> IkContext:
+    """Open the files of a job.
+
+    Raises:
+        FormatError: One is malformed, with every fault.
+        OptionError: They do not fit each other.
+    """
+    rig, notices = open_rig(job.rig)
+    tracks = load_targets(job.targets, rig)
+    notices = [*notices, *tracks.notices]
+    if job.start is None:
+        clock = tracks.clock
+        if job.pose and job.frame is not None:
+            clock = replace(clock, start=job.frame, count=1)
+            tracks = tracks.placed(tracks.clock)
+        take = rest_take(rig, clock)
+        return IkContext(tracks, take, True, 0 if job.pose else None, notices)
+    take = open_start(job.start, rig, job.rig, job.source, progress=progress)
+    notices += take.notices
+    only = frame_index(take, job.frame, job.start) if job.pose else None
+    return IkContext(tracks, take, False, only, notices)
+
+
+def frame_index(take: Take, frame: Fraction | None, path: Path) -> int:
+    """Return the index of a frame of a take; None is the first.
+
+    Args:
+        take: Of a file.
+        frame: Its time code.
+        path: The file.
+
+    Raises:
+        OptionError: The take has no such frame (SCN013).
+    """
+    clock = take.clock
+    if frame is None:
+        return 0
+    place = (frame - clock.start) / clock.step
+    if place.denominator != 1 or not 0 <= place < clock.count:
+        last = clock.start + clock.step * (clock.count - 1)
+        message = f"frame {float(frame):g} is none of the frames "
+        message += f"{float(clock.start):g} to {float(last):g}"
+        raise OptionError(Fault("SCN013", message, str(path)))
+    return int(place)
+
+
+@contextmanager
+def naming(path: Path) -> Iterator[None]:
+    """Give faults that name no file the one that they are about."""
+    try:
+        yield
+    except (FormatError, OptionError) as error:
+        faults = [replace(f, path=f.path or str(path)) for f in error.faults]
+        raise type(error)(faults) from error
+
+
+def run_ik(job: IkJob, *, progress: Progress = None) -> IkReport:
+    """Solve a job, and write what comes of it.
+
+    Outputs are checked before the work. Nothing is written where ``strict`` refuses.
+
+    Args:
+        job: What to do.
+        progress: Called with the share done, 0 to 1.
+
+    Raises:
+        FormatError: A file is malformed.
+        OptionError: An option makes no sense, or the output exists.
+        OutputError: The output cannot be written.
+        MissedGoalsError: A goal is missed by more than the tolerance, and ``strict`` is
+            on.
+        StrictError: There were warnings, and ``strict`` is on.
+    """
+    reports: list[IkReport] = []
+
+    def solve(path: Path, options: Any = None, *, progress: Progress) -> TakeStream:
+        del path, options
+        reports.append(_solved(job, progress))
+        take = replace(reports[0].solved.take, notices=())
+        stream = TakeStream.of(take)
+        stream.details = {"format": "ik", "units": unit_name(take.rig.meters_per_unit)}
+        return stream
+
+    outputs = ik_outputs(job)
+    if outputs:
+        named = (job.rig, job.targets, job.start, job.bake.rig_layer)
+        inputs = [path for path in named if path is not None]
+        check_outputs(outputs, inputs, overwrite=job.bake.overwrite)
+    if job.output is None and not job.to_stdout:
+        solve(job.rig, progress=progress)
+        return reports[0]
+    began = time.perf_counter()
+    written = write_take(
+        job.targets if job.start is None else job.start,
+        job.output,
+        job.bake,
+        rig_file=_named_rig(job.rig, job.output),
+        opener=solve,
+        progress=progress,
+    )
+    report = reports[0]
+    report.written = written
+    report.seconds["write"] = time.perf_counter() - began - sum(report.seconds.values())
+    report.notices += [n for n in written.notices if n not in report.notices]
+    return report
+
+
+def ik_outputs(job: IkJob) -> list[Path]:
+    """Return the files that a job writes, the output last of those of a clip."""
+    rig_file = _named_rig(job.rig, job.output)
+    return take_outputs(job.rig, job.output, job.bake, rig_file)
+
+
+def _named_rig(rig: Path, output: Path | None) -> Path | None:
+    """Return the rig if it is a file that a clip beside the output may name."""
+    if output is None:
+        return None
+    inside = any(rig.resolve().is_relative_to(root) for root in project_roots(output))
+    return rig if is_named(rig, "rig") and inside else None
+
+
+def _solved(job: IkJob, progress: Progress) -> IkReport:
+    began = time.perf_counter()
+    with sparing_inputs(ik_outputs(job)):
+        context = open_ik(job, progress=progress)
+    read = time.perf_counter()
+    with naming(job.rig):
+        solved = solve_take(
+            context.take,
+            context.tracks,
+            _as_fine(job),
+            still=context.still,
+            only=context.only,
+            progress=progress,
+        )
+    seconds = {"read": read - began, "solve": time.perf_counter() - read}
+    goals = goal_reports(solved, *_missed_by(job))
+    missed = missed_notices(solved, goals)
+    odd = [
+        *context.notices,
+        *span_notices(solved),
+        *apart_notices(solved, smooth=job.options.smooth > 0),
+        *away_notices(solved, goals),
+        *jump_notices(solved),
+    ]
+    report = IkReport(solved, goals, [*odd, *missed], seconds)
+    if job.strict and missed:
+        raise MissedGoalsError(missed, report)
+    refuse_warnings(odd, strict=job.strict)
+    return report
+
+
+def _as_fine(job: IkJob) -> TakeOptions:
+    """Return options that solve to within what is taken for a miss."""
+    length, angle = _missed_by(job)
+    options = job.options
+    return replace(
+        options,
+        tolerance=min(options.tolerance, length or math.inf),
+        angle_tolerance=min(options.angle_tolerance, angle or math.inf),
+    )
+
+
+def _missed_by(job: IkJob) -> tuple[float, float]:
+    """Return by how much a goal is off that is missed [m], [rad]."""
+    options, length, angle = job.options, job.tolerance, job.angle_tolerance
+    return (
+        max(MISSED_LENGTH, options.tolerance) if length is None else length,
+        max(MISSED_ANGLE, options.angle_tolerance) if angle is None else angle,
+    )

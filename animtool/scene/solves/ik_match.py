@@ -1,0 +1,126 @@
+"""Matching from files to files: poses of a rig's limbs, written as targets."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field, replace
+from fractions import Fraction
+from pathlib import Path
+
+from animtool.clip.channels import ClipUnits
+from animtool.core.array_types import FloatArray
+from animtool.core.clock import Clock
+from animtool.core.errors import Fault, OptionError, refuse_warnings
+from animtool.core.files.output import (
+    check_outputs,
+    sparing_inputs,
+    together,
+    write_arrays,
+    write_parts,
+)
+from animtool.core.names import is_named
+from animtool.ik.match_take import arrays_of, chains_of, left_out, match_take
+from animtool.ik.tracks import TargetTracks
+from animtool.ik.write import targets_text
+from animtool.motion.take import Take
+from animtool.rig.surfaces import StoredArrays
+from animtool.scene.bake.progress import Progress
+from animtool.scene.solves.ik import frame_index, naming
+from animtool.scene.solves.start import open_start
+from animtool.scene.sources.onto_rig import open_rig
+from animtool.scene.sources.open import SourceOptions
+
+
+@dataclass(frozen=True, slots=True)
+class MatchJob:
+    """What `animtool ik --match` is told."""
+
+    rig: Path  # rig file, USD file or BVH, with chains
+    take: Path  # file with the poses
+    output: Path  # targets file to write
+    # What the file of poses is.
+    source: SourceOptions = field(default_factory=SourceOptions)
+    chains: tuple[str, ...] = ()  # names of chains, or patterns; none is all
+    pose: bool = False  # match one frame only
+    frame: Fraction | None = None  # which; None is the first
+    # How far sparse keys may be off [m]; None writes every frame.
+    reduce: float | None = None
+    overwrite: bool = False  # replace outputs that exist
+    strict: bool = False  # refuse to write what there are warnings about
+
+
+@dataclass(frozen=True, slots=True)
+class MatchReport:
+    """What came of it."""
+
+    tracks: TargetTracks  # the targets
+    clock: Clock  # of the poses
+    outputs: list[Path]  # the files written
+    notices: list[Fault]  # warnings and notes
+    seconds: dict[str, float]  # wall time by stage
+
+
+def run_match(job: MatchJob, *, progress: Progress = None) -> MatchReport:
+    """Write the targets that give the limbs of a take back.
+
+    Args:
+        job: What to do.
+        progress: Called with the share done, 0 to 1.
+
+    Raises:
+        FormatError: A file is malformed.
+        OptionError: The rig has no chains (TGT019) or none of a name (TGT001), the take
+            is of another rig (TGT017), lacks the frame (SCN013) or is scaled (TGT016),
+            the output exists or is no targets file (OUT004).
+        OutputError: The output cannot be written.
+        StrictError: There were warnings, and ``strict`` is on.
+    """
+    if not is_named(job.output, "targets") or job.output.suffix.lower() == ".json":
+        message = "is no name of a targets file"
+        hint = "allowed: .targets.yaml, .targets.yml"
+        raise OptionError(Fault("OUT004", message, str(job.output), (), hint))
+    with together():
+        return _run_match(job, progress)
+
+
+def _run_match(job: MatchJob, progress: Progress) -> MatchReport:
+    inputs = [job.rig, job.take]
+    check_outputs([job.output], inputs, overwrite=job.overwrite)
+    began = time.perf_counter()
+    with sparing_inputs([job.output, arrays_of(job.output)]):
+        rig, notices = open_rig(job.rig)
+        with naming(job.rig):
+            chains = chains_of(rig, job.chains)
+        take = open_start(job.take, rig, job.rig, job.source, progress=progress)
+    if job.pose:
+        take = _pose(take, frame_index(take, job.frame, job.take))
+    read = time.perf_counter()
+    left = [replace(fault, path=str(job.take)) for fault in left_out(take, chains)]
+    notices = [*notices, *take.notices, *left]
+    refuse_warnings(notices, strict=job.strict)
+    tracks = match_take(take, chains, job.output, reduce=job.reduce)
+    text = targets_text(tracks, ClipUnits.of_rig(rig))
+    matched = time.perf_counter()
+    outputs = [job.output]
+    if text.arrays:
+        outputs.insert(0, arrays_of(job.output))
+        check_outputs(outputs, inputs, overwrite=job.overwrite)
+        write_arrays(outputs[0], _named(text.arrays))
+    write_parts(job.output, [text.text.encode()])
+    seconds = {
+        "read": read - began,
+        "match": matched - read,
+        "write": time.perf_counter() - matched,
+    }
+    return MatchReport(tracks, take.clock, outputs, notices, seconds)
+
+
+def _pose(take: Take, frame: int) -> Take:
+    """Return one frame of a take."""
+    clock = take.clock
+    only = replace(clock, start=clock.start + frame * clock.step, count=1)
+    return replace(take, clock=only, motion=take.motion.select(slice(frame, frame + 1)))
+
+
+def _named(arrays: dict[str, FloatArray]) -> StoredArrays:
+    return {name.partition("#")[2]: values for name, values in arrays.items()}

@@ -1,0 +1,223 @@
+"""Solving markers from files to files: a capture, a rig, a template."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from animtool.capture.options import SolveOptions
+from animtool.capture.solve.calibration import Calibration, calibrate
+from animtool.capture.solve.run import MarkerSolve, solve_markers
+from animtool.capture.solve.source import (
+    at_file,
+    named_rig,
+    solve_stream,
+)
+from animtool.capture.templates.file import load_template
+from animtool.capture.templates.template import template_text
+from animtool.core.errors import Fault, OptionError, refuse_warnings
+from animtool.core.files.output import (
+    check_outputs,
+    sparing_inputs,
+    together,
+    write_parts,
+)
+from animtool.core.files.reading import seen_from
+from animtool.core.names import is_named
+from animtool.formats.marker_files import file_of, open_markers
+from animtool.motion.take import TakeStream
+from animtool.rig.placed import at_origin
+from animtool.scene.bake.options import BakeOptions
+from animtool.scene.bake.progress import Progress, timed
+from animtool.scene.convert.rigs import RigFile, rig_file
+from animtool.scene.convert.takes import ConvertReport
+from animtool.scene.solves.written import take_outputs, write_take
+from animtool.scene.sources.onto_rig import open_rig
+from animtool.scene.sources.open import SourceOptions
+
+if TYPE_CHECKING:
+    from animtool.scene.bake.prims import BakeReport
+
+
+@dataclass(frozen=True, slots=True)
+class MocapSolveJob:
+    """What `animtool mocap solve` is told."""
+
+    source: Path  # file of markers
+    template: Path  # where they are
+    rig: Path | None = None  # None is the one that the template names
+    static: Path | None = None  # take of the subject standing at rest
+    calibrate: bool = False  # fit bones and offsets first
+    # What the source is.
+    reading: SourceOptions = field(default_factory=SourceOptions)
+    options: SolveOptions = field(default_factory=SolveOptions)
+    # USD file, ``.clip.yaml`` or ``.bvh``; None writes nothing.
+    output: Path | None = None
+    to_stdout: bool = False  # write usda to stdout
+    write_rig: Path | None = None  # rig file of the subject to write
+    write_template: Path | None = None  # and its template
+    # How USD is written; `reduce`, `overwrite` and `strict` of it are for others too.
+    bake: BakeOptions = field(default_factory=BakeOptions)
+
+
+@dataclass(slots=True)
+class MocapSolveResult:
+    """What a job did."""
+
+    source: Path
+    rig: Path
+    solve: MarkerSolve
+    calibration: Calibration | None
+    notices: list[Fault]
+    seconds: dict[str, float]  # wall time by stage
+    outputs: list[Path] = field(default_factory=list)
+    written: BakeReport | ConvertReport | None = None
+
+
+def solve_outputs(job: MocapSolveJob) -> list[Path]:
+    """Return the files that a job writes, but for arrays beside a rig."""
+    made = [path for path in (job.write_rig, job.write_template) if path is not None]
+    written = take_outputs(job.source, job.output, job.bake, _named_rig(job))
+    return [*made, *written]
+
+
+def _named_rig(job: MocapSolveJob) -> Path | None:
+    """Return the rig file that a clip names: the one that is written, if any."""
+    rig = job.write_rig or job.rig
+    return rig if rig is not None and is_named(rig, "rig") else None
+
+
+def run_solve(job: MocapSolveJob, *, progress: Progress = None) -> MocapSolveResult:
+    """Solve a capture on a rig, and write the motion.
+
+    Args:
+        job: What to do.
+        progress: Called with the share done, 0 to 1.
+
+    Raises:
+        FormatError: A file is malformed.
+        OptionError: The markers do not fit the template or the rig (SOL001 to SOL006),
+            a calibration is to be written that was not asked for (SOL009), an output
+            exists, or its name is of no format.
+        OutputError: An output cannot be written.
+        StrictError: There were warnings, and ``strict`` is on.
+    """
+    _check(job)
+    outputs = solve_outputs(job)
+    template = load_template(job.template)
+    rig_path = named_rig(template, job.rig, job.template)
+    named = (job.source, job.template, rig_path, job.static, job.bake.rig_layer)
+    inputs = [file_of(path) for path in named if path is not None]
+    if outputs:
+        check_outputs(outputs, inputs, overwrite=job.bake.overwrite)
+    made: list[MocapSolveResult] = []
+
+    def solved(path: Path, options: Any = None, *, progress: Progress) -> TakeStream:
+        del path, options
+        stream, result = _solved(job, template, rig_path, outputs, progress)
+        made.append(result)
+        return stream
+
+    with together():
+        if job.output is None and not job.to_stdout:
+            stream = solved(job.source, progress=progress)
+            deque(stream.blocks, maxlen=0)
+            result = made[0]
+            result.notices += [n for n in stream.notices if n not in result.notices]
+            refuse_warnings(result.notices, strict=job.bake.strict)
+        else:
+            written = write_take(
+                job.source,
+                job.output,
+                job.bake,
+                rig_file=_named_rig(job),
+                opener=solved,
+                progress=progress,
+            )
+            result = made[0]
+            result.written = written
+            result.notices += [n for n in written.notices if n not in result.notices]
+        result.outputs = [*_write_subject(job, result), *outputs]
+        result.outputs = list(dict.fromkeys(result.outputs))
+    return result
+
+
+def _check(job: MocapSolveJob) -> None:
+    for path, kind in ((job.write_rig, "rig"), (job.write_template, "markers")):
+        if path is None:
+            continue
+        if not is_named(path, kind):
+            message = f"is no name of a {kind} file"
+            hint = f"allowed: .{kind}.yaml, .{kind}.yml"
+            raise OptionError(Fault("OUT004", message, str(path), (), hint))
+        if not job.calibrate:
+            message = "without a calibration there is nothing new to write"
+            hint = "--calibrate fits bones and offsets to the subject"
+            raise OptionError(Fault("SOL009", message, str(path), (), hint))
+
+
+def _write_subject(job: MocapSolveJob, result: MocapSolveResult) -> list[Path]:
+    """Write the rig and the template of a calibration; the files."""
+    found = result.calibration
+    if found is None:
+        return []
+    made: list[Path] = []
+    if job.write_rig is not None:
+        file: RigFile = rig_file(found.rig, job.write_rig, result.rig)
+        check_outputs(file.outputs, [result.rig], overwrite=job.bake.overwrite)
+        file.write()
+        made += file.outputs
+    if job.write_template is not None:
+        rig = job.write_rig or result.rig
+        name = seen_from(rig.resolve(), job.write_template.resolve().parent)
+        title = f"markers of {job.source.name}, calibrated"
+        text = template_text(found.template, title, str(name))
+        write_parts(job.write_template, [text.encode()])
+        made.append(job.write_template)
+    return made
+
+
+def _solved(
+    job: MocapSolveJob,
+    template: Any,
+    rig_path: Path,
+    outputs: list[Path],
+    progress: Progress,
+) -> tuple[TakeStream, MocapSolveResult]:
+    seconds = {"read": 0.0, "calibrate": 0.0, "solve": 0.0}
+    began = time.perf_counter()
+    reading = {name: getattr(job.reading, name) for name in ("unit", "up", "fps")}
+    found: Calibration | None = None
+    with sparing_inputs(outputs):
+        rig, notices = open_rig(rig_path)
+        rig = at_origin(rig)
+        markers = open_markers(job.source, **reading)
+        seconds["read"] = time.perf_counter() - began
+        if job.calibrate:
+            static = job.static
+            still = None
+            if static is not None:
+                still = open_markers(static, **reading)
+            found = at_file(
+                job.source,
+                lambda: calibrate(
+                    markers, rig, template, static=still, options=job.options
+                ),
+            )
+            assert found is not None
+            rig, template = found.rig, found.template
+            notices = [*notices, *found.notices]
+            seconds["calibrate"] = time.perf_counter() - began - seconds["read"]
+        solve = at_file(
+            job.source, lambda: solve_markers(markers, rig, template, job.options)
+        )
+    stream = solve_stream(solve, job.source, progress)
+    stream.notices = [*notices, *stream.notices]
+    stream.blocks = timed(stream.blocks, seconds, "solve")
+    result = MocapSolveResult(
+        job.source, rig_path, solve, found, list(stream.notices), seconds
+    )
+    return stream, result

@@ -1,0 +1,249 @@
+"""Retargeting from files to files: a take, a rig, and what became of it."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from dataclasses import dataclass, field, replace
+from fractions import Fraction
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from animtool.core.errors import Fault, OptionError, refuse_warnings
+from animtool.core.files.output import (
+    check_outputs,
+    sparing_inputs,
+    together,
+    write_parts,
+)
+from animtool.core.names import is_named
+from animtool.core.units import unit_name
+from animtool.motion.driving import driven_stream
+from animtool.motion.reorient import off_its_place
+from animtool.motion.take import TakeStream
+from animtool.retarget.map import JointMap, map_text
+from animtool.retarget.motion import Retargeting
+from animtool.retarget.options import RetargetOptions
+from animtool.retarget.report import RetargetReport
+from animtool.retarget.take_pass import checked_blocks, onto_rig
+from animtool.retarget.verdict import FrameNumbers, Verdict
+from animtool.rig.placed import at_origin, standing_notice
+from animtool.rig.skeleton import Rig
+from animtool.scene.bake.frames import in_frames
+from animtool.scene.bake.options import BakeOptions
+from animtool.scene.bake.progress import Progress, timed
+from animtool.scene.convert.takes import ConvertReport
+from animtool.scene.solves.ik import naming
+from animtool.scene.solves.written import take_outputs, write_take
+from animtool.scene.sources.onto_rig import open_rig
+from animtool.scene.sources.open import SourceOptions, is_usd, open_source
+
+if TYPE_CHECKING:
+    from animtool.scene.bake.prims import BakeReport
+
+
+@dataclass(frozen=True, slots=True)
+class RetargetJob:
+    """What `animtool retarget` is told."""
+
+    source: Path  # BVH, USD or clip with the take
+    rig: Path  # rig file, USD file or BVH that it goes onto
+    # What the source is.
+    reading: SourceOptions = field(default_factory=SourceOptions)
+    options: RetargetOptions = field(default_factory=RetargetOptions)
+    # USD file, ``.clip.yaml`` or ``.bvh``; None writes nothing.
+    output: Path | None = None
+    to_stdout: bool = False  # write usda to stdout
+    write_map: Path | None = None  # map file to write
+    # How USD is written; `fps`, `frame_range`, `start`, `reduce`, `overwrite` and
+    # `strict` of it are for others too.
+    bake: BakeOptions = field(default_factory=BakeOptions)
+
+
+@dataclass(slots=True)
+class RetargetResult:
+    """What became of a job."""
+
+    source: Path
+    rig: Path
+    going: Retargeting
+    joint_map: JointMap
+    source_rig: Rig
+    target: Rig
+    notices: list[Fault]
+    seconds: dict[str, float]  # wall time by stage
+    # Of the source: its first frame, and frames a second.
+    start: Fraction = Fraction(1)
+    rate: Fraction = Fraction(24)
+    numbers: FrameNumbers = field(default_factory=FrameNumbers)
+    outputs: list[Path] = field(default_factory=list)
+    written: BakeReport | ConvertReport | None = None
+
+    @property
+    def verdict(self) -> Verdict:
+        """Whether the take can be used; frames are numbered as the output has them."""
+        return self.going.verdict().numbered(self.numbers)
+
+    @property
+    def score(self) -> RetargetReport:
+        """How well the take fits."""
+        return self.going.report()
+
+
+def retarget_outputs(job: RetargetJob) -> list[Path]:
+    """Return the files that a job writes, the map among them."""
+    outputs = [] if job.write_map is None else [job.write_map]
+    made = take_outputs(job.source, job.output, job.bake, _named_rig(job))
+    return [*outputs, *made]
+
+
+def _named_rig(job: RetargetJob) -> Path | None:
+    return job.rig if is_named(job.rig, "rig") else None
+
+
+def run_retarget(job: RetargetJob, *, progress: Progress = None) -> RetargetResult:
+    """Bring a take onto another rig, and write it.
+
+    Args:
+        job: What to do.
+        progress: Called with the share done, 0 to 1.
+
+    Raises:
+        FormatError: A file is malformed, or a map names joints that there are not.
+        OptionError: Nothing maps (MAP004), the rest frame is none of the take's
+            (MAP006), the source is a folder (IO001), an output exists, or its name
+            is of no format (OUT004).
+        OutputError: An output cannot be written.
+        StrictError: There were warnings, and ``strict`` is on.
+    """
+    if job.write_map is not None and not is_named(job.write_map, "map"):
+        message, hint = "is no name of a map file", "allowed: .map.yaml, .map.yml"
+        raise OptionError(Fault("OUT004", message, str(job.write_map), (), hint))
+    if job.source.is_dir():
+        hint = "a batch of a scene with the pass retarget takes folders: animtool batch"
+        raise OptionError(Fault("IO001", "is a folder", str(job.source), (), hint))
+    outputs = retarget_outputs(job)
+    if outputs:
+        named = (job.source, job.rig, job.options.map, job.bake.rig_layer)
+        inputs = [path for path in named if path is not None]
+        check_outputs(outputs, inputs, overwrite=job.bake.overwrite)
+    results: list[RetargetResult] = []
+
+    def solve(path: Path, options: Any = None, *, progress: Progress) -> TakeStream:
+        del path, options
+        stream, result = _retargeted(job, outputs, progress)
+        results.append(result)
+        unit = unit_name(stream.rig.meters_per_unit)
+        stream.details = {"format": "retarget", "units": unit}
+        if job.to_stdout or (job.output is not None and is_usd(job.output)):
+            return stream
+        wanted = job.bake.fps, job.bake.frame_range, job.bake.start
+        if wanted == (None, None, None):
+            return stream
+        from animtool.scene.bake.bake import start_of
+
+        start = start_of(job.bake, None, stream, job.source)
+        return in_frames(stream, job.bake, start, job.source, stream.notices)
+
+    with together():
+        if job.output is None and not job.to_stdout:
+            deque(solve(job.source, progress=progress).blocks, maxlen=0)
+            report = results[0]
+            refuse_warnings(report.notices, strict=job.bake.strict)
+        else:
+            written = write_take(
+                job.source,
+                job.output,
+                job.bake,
+                rig_file=_named_rig(job),
+                opener=solve,
+                progress=progress,
+            )
+            report = results[0]
+            report.written = written
+            report.notices += [n for n in written.notices if n not in report.notices]
+        if job.write_map is not None:
+            text = map_text(report.joint_map, report.source_rig, report.target)
+            write_parts(job.write_map, [text.encode()])
+    report.outputs = outputs
+    report.numbers = _numbers(job, report)
+    return report
+
+
+def _numbers(job: RetargetJob, report: RetargetResult) -> FrameNumbers:
+    """Return how the output numbers the frames of the take."""
+    start, rate = report.start, report.rate
+    fps = job.bake.fps or rate
+    if isinstance(report.written, ConvertReport) or report.written is None:
+        start = job.bake.start or start
+    else:
+        span = report.written.span
+        fps, start = span.fps, job.bake.start or start
+        if job.bake.frame_range is None:
+            start = Fraction(span.first)
+        elif job.bake.start is None and job.bake.rig_layer is not None:
+            from animtool.usd.rigs.target import open_target
+
+            target = open_target(job.bake.rig_layer, job.bake.prim_path)
+            start = start if target.start is None else target.start
+    wanted = job.bake.frame_range
+    ends = (None, None) if wanted is None else (wanted.first, wanted.last)
+    return FrameNumbers(start, Fraction(fps) / rate, *ends)
+
+
+def _without_place(stream: TakeStream, job: RetargetJob) -> TakeStream:
+    """Return a take without where it stands, over a rig that stands somewhere.
+
+    Unless an option says which, or the take rides on what moves: as a bake has it.
+    """
+    rig, layer = stream.rig, job.bake.rig_layer
+    if rig.stands is None or rig.rides or layer is None or job.bake.placement:
+        return stream
+    from animtool.usd.rigs.target import open_target
+
+    own = open_target(layer, job.bake.prim_path).placement()
+    if own.uneven or own.stands.is_none:
+        return stream
+    said = standing_notice(rig, str(job.source), kept=False, over=own.stands)
+    return replace(off_its_place(stream), notices=stream.notices + said)
+
+
+def _retargeted(
+    job: RetargetJob, outputs: list[Path], progress: Progress
+) -> tuple[TakeStream, RetargetResult]:
+    seconds = {"read": 0.0, "solve": 0.0}
+    began = time.perf_counter()
+    with sparing_inputs(outputs):
+        rig, notices = open_rig(job.rig)
+        # The take says where it goes, and not the stage that has the rig.
+        rig = at_origin(rig)
+        reading = replace(job.reading, placement=job.bake.placement)
+        stream = open_source(job.source, reading, progress=progress)
+        rig = replace(rig, rides=stream.rig.rides)
+        stream = _without_place(stream, job)
+        seconds["read"] = time.perf_counter() - began
+        stream.blocks = timed(stream.blocks, seconds, "read")
+        with naming(job.source):
+            going, found, odd = onto_rig(stream, rig, job.options)
+    seconds["solve"] = time.perf_counter() - began - seconds["read"]
+    theirs = found.target.notices
+    notices = [*notices, *stream.notices]
+    for notice in odd:
+        path = job.rig if notice in theirs else job.source
+        notices.append(replace(notice, path=notice.path or str(path)))
+    blocks = checked_blocks(going, job.options, notices, job.source)
+    mapped = replace(
+        stream,
+        rig=rig,
+        blocks=timed(blocks, seconds, "solve"),
+        notices=notices,
+        curve=None,
+        count=0,
+        control_curves={},
+    )
+    result = RetargetResult(
+        job.source, job.rig, going, found, stream.rig, rig, notices, seconds
+    )
+    result.start = Fraction(1) if stream.start is None else stream.start
+    result.rate = stream.fps / stream.step
+    return driven_stream(mapped), result

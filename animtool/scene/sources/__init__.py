@@ -1,0 +1,1 @@
+"""Sources of motion: opened, joined, retimed, brought onto rigs."""

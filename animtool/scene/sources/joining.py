@@ -1,0 +1,303 @@
+"""Several sources as one take: on the rig, the rate and the frames of the first."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from fractions import Fraction
+
+import numpy as np
+
+from animtool.core.array_types import FloatArray
+from animtool.core.clock import time_codes
+from animtool.core.errors import Fault, OptionError, Severity, excerpt, listed
+from animtool.core.names import nearest
+from animtool.core.quantities import plain
+from animtool.core.rates import rate_label
+from animtool.core.timecode import seconds_between
+from animtool.edit.combine import other_frames
+from animtool.edit.travel import nearby_places
+from animtool.maths.curves import Curves
+from animtool.motion.motion import Channel, Motion
+from animtool.motion.reorient import reorient
+from animtool.motion.take import Take, TakeStream
+from animtool.scene.file.tracks import (
+    TrackNames,
+    Tracks,
+    chosen_tracks,
+    moving_tracks,
+    still_motion,
+    with_tracks,
+)
+from animtool.scene.sources.onto_rig import Noter, on_rig
+
+MAX_NAMED = 6
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """A source that is to be one of several."""
+
+    stream: TakeStream
+    tracks: TrackNames | None  # what it brings; None is what it moves
+    timecode: str | None  # of its first frame; None states none
+    # Frames a second that the time code counts; None is its rate.
+    timecode_fps: Fraction | None
+    note: Noter  # makes faults of it
+
+
+def joined(first: Part, others: Sequence[Part]) -> TakeStream:
+    """Return the first source with tracks of others in place of its own.
+
+    It has the rig, the rate and the frames of the first. The others are found on that
+    rig by name, start with the first or where time codes say, and are held at their own
+    ends. What is held, left out or brought twice is in the notices; what is to say of
+    frames may come there only while the blocks are read.
+    """
+    layers: list[_Layer] = []
+    faults: list[Fault] = []
+    for other in others:
+        try:
+            layers.append(_layer(first, other))
+        except OptionError as error:
+            faults += error.faults
+    if faults:
+        # What is wrong with the first is found with each of the others.
+        raise OptionError(list(dict.fromkeys(faults)))
+    for i, layer in enumerate(layers):
+        first.stream.notices += layer.notices
+        first.stream.notices += _taken_twice(layer, layers[:i])
+    return _Joining(first.stream, layers).stream()
+
+
+@dataclass(frozen=True, slots=True)
+class _Layer:
+    """A source on the rig of the first."""
+
+    part: Part  # what it was made of
+    take: Take  # all of it
+    tracks: Tracks  # what it brings
+    delay: Fraction  # by how much its first frame is later than the first source's [s]
+    notices: list[Fault]  # of its file
+
+    def frames(self, rate: Fraction, first: int, count: int) -> Motion:
+        """Return its motion at frames of the first source, held at its ends."""
+        clock = self.take.clock
+        if self.part.stream.curve is None:
+            return other_frames(self.take, rate, first, count, self.delay * rate)
+        begin = clock.start + (first / rate - self.delay) * clock.fps
+        return self._curved(time_codes(begin, clock.fps / rate, count))
+
+    def at(self, seconds: FloatArray) -> Motion:
+        """Return its motion at times from the first frame of the first source."""
+        clock, since = self.take.clock, seconds - float(self.delay)
+        if self.part.stream.curve is not None:
+            return self._curved(float(clock.start) + since * float(clock.fps))
+        places = nearby_places(since * float(clock.rate), clock.count)
+        return self.take.motion.map(places.blend)
+
+    def _curved(self, codes: FloatArray) -> Motion:
+        curve, clock = self.part.stream.curve, self.take.clock
+        assert curve is not None
+        last = clock.start + clock.step * (clock.count - 1)
+        return _alike(
+            curve(np.clip(codes, float(clock.start), float(last))), self.take.motion
+        )
+
+
+def _alike(motion: Motion, like: Motion) -> Motion:
+    """Return a motion that stores as moving what another does, as blocks have to."""
+
+    def same(channel: Channel, other: Channel) -> Channel:
+        return Channel(other.rest, other.animated, channel.gather(other.animated))
+
+    def optional(name: str) -> Channel | None:
+        channel, other = getattr(motion, name), getattr(like, name)
+        return None if channel is None or other is None else same(channel, other)
+
+    return Motion(
+        same(motion.translations, like.translations),
+        same(motion.rotations, like.rotations),
+        optional("scales"),
+        optional("weights"),
+        optional("controls"),
+    )
+
+
+def _layer(first: Part, other: Part) -> _Layer:
+    """Return a source as it stands on the rig and the clock of the first."""
+    rig = first.stream.rig
+    stream, names = on_rig(other.stream, rig, other.note)
+    placed, take = replace(other, stream=stream), stream.collect()
+    notices = [
+        note
+        if note.path
+        else other.note(note.code, note.message, note.hint, note.severity)
+        for note in placed.stream.notices
+    ]
+    if other.tracks is None:
+        own = reorient(replace(other.stream, blocks=iter(())), rig.up).rig
+        tracks = moving_tracks(take.motion, names, own)
+    else:
+        tracks, unknown = chosen_tracks(other.tracks, names)
+        faults = [
+            other.note(
+                "SCN037",
+                f"tracks.{one.kind}: it and {rig.name!r} have nothing that is "
+                f"{excerpt(one.pattern)}",
+                nearest(one.pattern, one.known),
+            )
+            for one in unknown
+        ]
+        if faults:
+            raise OptionError(faults)
+    if not tracks:
+        message = f"brings nothing that {rig.name!r} has"
+        raise OptionError(other.note("SCN036", message, "tracks: says what it brings"))
+    return _Layer(placed, take, tracks, _delay(first, other), notices)
+
+
+def _delay(first: Part, other: Part) -> Fraction:
+    """Return by how much a source starts later than the first [s]."""
+    parts = (first, other)
+    if first.timecode is None and other.timecode is None:
+        return Fraction(0)
+    for part in parts:
+        if part.timecode is None:
+            message = "no time code says when it starts, as another source's does"
+            hint = "write the timecode of its first frame, for all or for none"
+            raise OptionError(part.note("SCN034", message, hint))
+    stated = [
+        (str(part.timecode), part.timecode_fps or part.stream.fps / part.stream.step)
+        for part in parts
+    ]
+    for part, (label, rate) in zip(parts, stated, strict=True):
+        try:
+            seconds_between(label, rate, label, rate)
+        except ValueError as error:
+            hint = f"it counts {rate_label(rate)}, unless timecode_fps says otherwise"
+            raise OptionError(part.note("SCN033", str(error), hint)) from error
+    return seconds_between(*stated[0], *stated[1])
+
+
+def _taken_twice(layer: _Layer, before: Sequence[_Layer]) -> list[Fault]:
+    """Say so where a source brings what another before it did, and was not told."""
+    if layer.part.tracks is not None:
+        return []
+    rig = layer.take.rig
+    shared = [layer.tracks.also_in(other.tracks) for other in before]
+    both = dict.fromkeys(name for tracks in shared for name in tracks.names(rig))
+    if not both:
+        return []
+    message = f"moves {listed(list(both), MAX_NAMED)}, as a source above it does"
+    hint = "its own are taken; tracks: says what each brings"
+    return [layer.part.note("SCN105", message, hint, Severity.WARNING)]
+
+
+@dataclass(frozen=True, slots=True)
+class _Joining:
+    """The first source, and what is put on it."""
+
+    base: TakeStream
+    layers: list[_Layer]
+
+    def stream(self) -> TakeStream:
+        """Return the whole."""
+        joined = replace(
+            self.base, blocks=self._blocks(), control_curves=self._control_curves()
+        )
+        if self.base.curve is not None:
+            joined.curve = self._curve
+            self._say_frames(self.base.count)
+        elif any(layer.part.stream.curve is not None for layer in self.layers):
+            # What others bring has curves still, where the first has samples.
+            joined.curve, joined.altered = self._curve, True
+        return joined
+
+    @property
+    def _rate(self) -> Fraction:
+        return self.base.fps / self.base.step
+
+    @property
+    def _start(self) -> Fraction:
+        return Fraction(1) if self.base.start is None else self.base.start
+
+    def _blocks(self) -> Iterator[Motion]:
+        first = 0
+        for block in self.base.blocks:
+            joined = block
+            for layer in self.layers:
+                other = layer.frames(self._rate, first, block.frames)
+                joined = with_tracks(self.base.rig, joined, other, layer.tracks)
+            yield joined
+            first += block.frames
+        if self.base.curve is None:
+            self._say_frames(first)
+
+    def _curve(self, times: FloatArray) -> Motion:
+        motion = self._base_at(times)
+        seconds = (times - float(self._start)) / float(self.base.fps)
+        for layer in self.layers:
+            motion = with_tracks(self.base.rig, motion, layer.at(seconds), layer.tracks)
+        return motion
+
+    def _base_at(self, times: FloatArray) -> Motion:
+        """Return the motion of the first source; of samples at rest."""
+        if self.base.curve is not None:
+            return self.base.curve(times)
+        return still_motion(self.base.rig).select(np.zeros(len(times), np.int64))
+
+    def _control_curves(self) -> dict[str, Curves]:
+        """Return the curves of controls, each of the source that brings it."""
+        merged = dict(self.base.control_curves)
+        for layer in self.layers:
+            clock, curves = layer.take.clock, layer.part.stream.control_curves
+            ratio = float(self.base.fps / clock.fps)
+            begin = float(self._start + layer.delay * self.base.fps)
+            for i in layer.tracks.controls.tolist():
+                name = self.base.rig.controls[i].name
+                merged.pop(name, None)
+                if name in curves:
+                    merged[name] = curves[name].retimed(
+                        float(clock.start), ratio, begin
+                    )
+        return merged
+
+    def _say_frames(self, count: int) -> None:
+        """Say which frames each source lacks, and how much of it is left out."""
+        for layer in self.layers:
+            self.base.notices.extend(self._frames_of(layer, count))
+
+    def _frames_of(self, layer: _Layer, count: int) -> Iterator[Fault]:
+        """Yield what there is to say of frames."""
+        clock, note = layer.take.clock, layer.part.note
+        # In frames of the first source, from its first.
+        begin, last = layer.delay * self._rate, Fraction(count - 1)
+        own_step = self._rate / clock.rate
+        end = begin + (clock.count - 1) * own_step
+        if end < 0 or begin > last:
+            own, theirs = self._span(begin, end), self._span(Fraction(0), last)
+            message = f"has no frame of the first source: {own} is not in {theirs}"
+            raise OptionError(
+                note("SCN035", message, "compare their time codes and timecode_fps")
+            )
+        lacking = []
+        if begin > 0:
+            lacking.append(self._span(Fraction(0), Fraction(-(-begin // 1) - 1)))
+        # A frame of fewer a second lasts until the next would come.
+        if end + max(own_step, Fraction(1)) <= last:
+            lacking.append(self._span(Fraction(end // 1 + 1), last))
+        if lacking:
+            message = f"has no frame {' and '.join(lacking)}: its nearest is held there"
+            yield note("SCN103", message, None, Severity.WARNING)
+        beyond = (max(-begin, Fraction(0)) + max(end - last, Fraction(0))) / self._rate
+        if beyond:
+            message = f"{plain(float(beyond))} s before and behind the first source"
+            yield note("SCN104", f"{message} are left out", None, Severity.NOTE)
+
+    def _span(self, first: Fraction, last: Fraction) -> str:
+        shown = [
+            f"{float(self._start + frame * self.base.step):.10g}"
+            for frame in (first, last)
+        ]
+        return " to ".join(dict.fromkeys(shown))

@@ -1,0 +1,214 @@
+"""What a scene carries beside its character, on the frames of its sources."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+
+from animtool.core.array_types import FloatArray
+from animtool.core.clock import time_codes
+from animtool.core.errors import AnimtoolError, Fault, FormatError, Severity, listed
+from animtool.core.files.output import same_file
+from animtool.core.rates import rate_label
+from animtool.core.units import UpAxis
+from animtool.motion.motion import Channel, Motion
+from animtool.motion.take import TakeStream
+from animtool.motion.transforms import Track, Transforms, placed_track
+from animtool.rig.placement import Placement
+from animtool.scene.bake.progress import Meter, StageCost
+from animtool.scene.file.entries import SceneProp
+from animtool.usd.props.reader import PropSource, open_prop
+
+# Between keys a transform may shear by this share, which nobody sees, and not say so.
+SEEN_SHEAR = 1e-9
+
+
+@dataclass(frozen=True, slots=True)
+class OpenProp:
+    """A thing that a scene names, open."""
+
+    entry: SceneProp  # what the scene says of it
+    source: PropSource
+    track: Track  # the same, counted by the scene's meter
+
+
+def open_props(
+    entries: Sequence[SceneProp],
+    source: Path,
+    up: UpAxis,
+    meter: Meter,
+    notices: list[Fault],
+) -> list[OpenProp]:
+    """Return the things that a scene names, open, in a world of an up axis.
+
+    source: the file of the take, whose things go where that is brought.
+    """
+    opened: list[OpenProp] = []
+    faults: list[Fault] = []
+    for entry in entries:
+        stage = meter.stage(entry.file.name, entry.place.where)
+        try:
+            with meter.running(stage):
+                prop = open_prop(entry, up)
+        except AnimtoolError as error:
+            faults += map(entry.place.put, error.faults)
+            continue
+        track = _counted(entry, prop, stage, meter, notices)
+        own = same_file(entry.file.resolve(), source) or not entry.path.startswith("/")
+        opened.append(OpenProp(entry, prop, replace(track, along=own)))
+    if faults:
+        raise FormatError(faults)
+    return opened
+
+
+def with_props(
+    stream: TakeStream,
+    opened: Sequence[OpenProp],
+    first: Fraction | None,
+    fps: Fraction | None,
+    dropped: Callable[[FloatArray], Placement] | None = None,
+) -> TakeStream:
+    """Return a take with more things beside its rig, on its frames.
+
+    first: number of its first frame; None is what it says itself, or 1; fps: frames a
+    second of the output; None is the take's time codes; dropped: as `TakeStream` has
+    it.
+    """
+    start = Fraction(1) if stream.start is None else stream.start
+    props = [
+        _Prop(
+            prop,
+            prop.entry.frame if prop.entry.frame is not None else first or start,
+            prop.source.fps * stream.step / stream.fps,
+        )
+        for prop in opened
+    ]
+    props_stream = _PropStream(stream, props)
+    for prop in props:
+        stream.notices += prop.notes(fps or stream.fps)
+    own = (prop.track(stream, dropped) for prop in props)
+    tracks = (*stream.tracks, *own)
+    joined = replace(stream, blocks=props_stream.blocks(), tracks=tracks)
+    curve = stream.curve
+    if curve is not None:
+        joined.curve = lambda times: props_stream.added(
+            curve(times), props_stream.times_at(times)
+        )
+    return joined
+
+
+def _counted(
+    entry: SceneProp,
+    source: PropSource,
+    stage: StageCost,
+    meter: Meter,
+    notices: list[Fault],
+) -> Track:
+    """Return a track whose reading is counted, and shear of it said."""
+    noticed = False
+
+    def sample(times: FloatArray) -> Transforms:
+        nonlocal noticed
+        with meter.running(stage), entry.place.located():
+            sampled = source.track.sample(times)
+        shear = source.shear()
+        if shear > SEEN_SHEAR and not noticed:
+            noticed = True
+            message = f"{entry.prim} is sheared between its keys, by up to "
+            message += f"{shear:.2g} of its size, which is left out"
+            notices.append(entry.place.fault("SCN113", message, None, Severity.NOTE))
+        return sampled
+
+    return replace(source.track, sample=sample, note=entry.place.fault)
+
+
+@dataclass(frozen=True, slots=True)
+class _Prop:
+    """A thing on the frames of a take."""
+
+    opened: OpenProp
+    begin: Fraction  # time code of its file at the first frame
+    step: Fraction  # time codes of its file from frame to frame
+
+    def times(self, first: int, count: int) -> FloatArray:
+        """Return its time codes at frames of the take ``(count,)``."""
+        return time_codes(self.begin + first * self.step, self.step, count)
+
+    def track(
+        self, stream: TakeStream, dropped: Callable[[FloatArray], Placement] | None
+    ) -> Track:
+        """Return its track, brought along where a take's place is dropped."""
+        track = self.opened.track
+        if dropped is None or not track.along:
+            return track
+        start = Fraction(1) if stream.start is None else stream.start
+        rate = stream.step / self.step
+
+        def back(times: FloatArray) -> Placement:
+            codes = float(start) + (times - float(self.begin)) * float(rate)
+            return dropped(codes).inverse()
+
+        return placed_track(track, back)
+
+    def notes(self, fps: Fraction) -> Iterator[Fault]:
+        """Yield what there is to say of it, whatever the frames are."""
+        source, entry = self.opened.source, self.opened.entry
+        note = entry.place.fault
+        if source.unstated:
+            message = f"{entry.prim} does not state {listed(source.unstated)}"
+            hint = "what USD takes for it is written"
+            yield note("SCN108", message, hint, Severity.WARNING)
+        if source.span is None:
+            message = f"{entry.prim} does not move: it is written once"
+            yield note("SCN109", message, None, Severity.NOTE)
+        elif (fps / source.fps).denominator > 1:
+            mine, theirs = rate_label(source.fps), rate_label(fps)
+            message = f"{entry.prim} has {mine}, and the output {theirs}"
+            hint = "what it is between its own frames is written"
+            yield note("SCN110", message, hint, Severity.NOTE)
+        if source.sheared:
+            message = f"{entry.prim} is sheared: its place is written as a matrix"
+            hint = "a scale that is not even stands above a rotation"
+            yield note("SCN111", message, hint, Severity.NOTE)
+
+
+@dataclass(frozen=True, slots=True)
+class _PropStream:
+    """A take, and what comes beside it."""
+
+    stream: TakeStream
+    props: Sequence[_Prop]
+
+    @property
+    def _start(self) -> Fraction:
+        return Fraction(1) if self.stream.start is None else self.stream.start
+
+    def blocks(self) -> Iterator[Motion]:
+        first = 0
+        for block in self.stream.blocks:
+            times = [prop.times(first, block.frames) for prop in self.props]
+            yield self.added(block, np.stack(times, axis=1))
+            first += block.frames
+
+    def added(self, motion: Motion, times: FloatArray) -> Motion:
+        """Return a motion with the times ``(F, N)`` of the things, behind others."""
+        if motion.track_times is not None:
+            times = np.concatenate([motion.track_times.dense()[..., 0], times], axis=1)
+        return replace(motion, track_times=_channel(times))
+
+    def times_at(self, times: FloatArray) -> FloatArray:
+        """Return the times of the tracks at time codes of the take."""
+        frames = (times - float(self._start)) / float(self.stream.step)
+        begins = np.array([float(prop.begin) for prop in self.props])
+        steps = np.array([float(prop.step) for prop in self.props])
+        return np.asarray(begins + frames[:, None] * steps)
+
+
+def _channel(times: FloatArray) -> Channel:
+    """Return times ``(F, N)`` as a channel in which all move, as blocks have to."""
+    count = times.shape[1]
+    return Channel(np.zeros((count, 1)), np.arange(count), times[..., None])

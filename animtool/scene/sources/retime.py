@@ -1,0 +1,161 @@
+"""Takes at other times: frames before the first, and the frames of a shot."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from fractions import Fraction
+
+import numpy as np
+
+from animtool.core.array_types import FloatArray
+from animtool.core.shot import Shot
+from animtool.edit.between import Between
+from animtool.edit.travel import nearby_places
+from animtool.motion.motion import Motion
+from animtool.motion.take import TakeStream
+from animtool.scene.sources.away import no_frames
+
+
+@dataclass(frozen=True, slots=True)
+class Preroll:
+    """How early passes are to begin, in frames of the output."""
+
+    # Of the take's first frame; None is what its source says, or 1.
+    start: Fraction | None
+    first: int  # frame at which they begin
+    fps: Fraction | None  # frames a second of the output; None is the take's rate
+
+    def frames(self, stream: TakeStream) -> int:
+        """Return how many frames a take has too few before its first."""
+        start = self.start if self.start is not None else stream.start
+        lacking = (Fraction(1) if start is None else start) - self.first
+        rate = stream.fps / stream.step
+        return max(0, math.ceil(lacking * rate / (self.fps or stream.fps)))
+
+
+def begun_early(stream: TakeStream, count: int) -> TakeStream:
+    """Return a take with frames before its first that hold it.
+
+    The take's own frames keep their time codes.
+    """
+    given, curve = stream.blocks, stream.curve
+    start = Fraction(1) if stream.start is None else stream.start
+    first = float(start)
+
+    def held(times: FloatArray) -> Motion:
+        assert curve is not None
+        return curve(np.maximum(times, first))
+
+    def blocks() -> Iterator[Motion]:
+        for i, block in enumerate(given):
+            if not i:
+                yield block.select(np.zeros(count, np.int64))
+            yield block
+
+    return replace(
+        stream,
+        start=start - count * stream.step,
+        blocks=blocks(),
+        curve=None if curve is None else held,
+        altered=True,
+        count=0,
+        control_curves={},
+    )
+
+
+def without_first(stream: TakeStream, count: int, start: Fraction | None) -> TakeStream:
+    """Return a take without its first frames.
+
+    start: time code of the first that stays; None states none.
+    """
+    given = stream.blocks
+
+    def blocks() -> Iterator[Motion]:
+        left = count
+        for block in given:
+            if left < block.frames:
+                yield block.select(slice(left, None))
+            left = max(0, left - block.frames)
+
+    return replace(stream, start=start, blocks=blocks())
+
+
+def in_shot(stream: TakeStream, shot: Shot | None) -> TakeStream:
+    """Return a take whose time codes are shot frames, each sample at its own time.
+
+    Nothing is resampled or left out; a shot that does not place its media leaves the
+    take as it is. One that holds a pose has that of each of its frames.
+
+    Raises:
+        OptionError: The shot holds a pose from before or after the take (SCN042).
+    """
+    if shot is None or shot.fps is None or not shot.places_media:
+        return stream
+    if shot.speed == 0:
+        return _held(stream, shot)
+    if shot.speed < 0:
+        return _backwards(stream, shot)
+    step = stream.step / stream.fps * shot.fps / shot.speed
+    return _moved(stream, shot, shot.frame_at(0), step)
+
+
+def _moved(
+    stream: TakeStream, shot: Shot, start: Fraction, step: Fraction
+) -> TakeStream:
+    """Return a take with its samples at other frames, its curves at their times."""
+    assert shot.fps is not None
+    ratio = stream.fps * shot.speed / shot.fps
+    curve, first = stream.curve, float(1 if stream.start is None else stream.start)
+    origin = float(shot.frame_at(0))
+
+    def shifted(times: FloatArray) -> Motion:
+        assert curve is not None
+        return curve(first + (times - origin) * float(ratio))
+
+    return replace(
+        stream,
+        fps=shot.fps,
+        start=start,
+        step=step,
+        curve=None if curve is None else shifted,
+        control_curves={
+            name: curves.retimed(first, float(1 / ratio), origin)
+            for name, curves in stream.control_curves.items()
+            if ratio > 0
+        },
+    )
+
+
+def _backwards(stream: TakeStream, shot: Shot) -> TakeStream:
+    """Return a take whose last sample comes first; it is read whole."""
+    assert shot.fps is not None
+    motion = stream.collect().motion
+    between = stream.step / stream.fps
+    start = shot.frame_at((motion.frames - 1) * between)
+    last_first = motion.select(np.arange(motion.frames)[::-1])
+    step = between * shot.fps / -shot.speed
+    return _moved(replace(stream, blocks=iter([last_first])), shot, start, step)
+
+
+def _held(stream: TakeStream, shot: Shot) -> TakeStream:
+    """Return one pose of a take in every frame of a shot; the take is read whole."""
+    assert shot.fps is not None
+    assert shot.media_in is not None
+    take, count = stream.collect(), shot.end - shot.start + 1
+    place = shot.media_in * stream.fps / stream.step
+    if not 0 <= place < take.clock.count:
+        raise no_frames(shot, shot.start, shot.end, take.clock.count / take.clock.rate)
+    pose = Between.of(take).at(nearby_places([float(place)], take.clock.count))
+    held = pose.select(np.zeros(count, np.int64))
+    return replace(
+        stream,
+        fps=shot.fps,
+        start=Fraction(shot.start),
+        step=Fraction(1),
+        blocks=iter([held]),
+        curve=None,
+        count=0,
+        control_curves={},
+    )

@@ -1,0 +1,197 @@
+"""Several outputs of one scene: one run, all or none, each on its own terms."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.cli import animtool
+
+from animtool import open_source
+from animtool.core.errors import FormatError, OptionError, StrictError
+from animtool.motion.passes import PASSES, Pass, PassContext, Scope
+from animtool.motion.take import Take
+from animtool.scene.bake.options import BakeOptions
+from animtool.scene.bake.outputs import bake_scene, scene_files
+from animtool.scene.file.read import load_scene
+
+SCENE = """scene: animtool/1
+fps: 24
+range: [1005, 1012]
+source: {file: walk.bvh, units: cm}
+passes:
+- mirror:
+output:
+- {file: shot.usdc, start: 1001}
+- {file: parts.usda, as: split, start: 1001}
+- {file: shot.clip.yaml, reduce: 0.1mm, start: 1001}
+- {file: shot.bvh, start: 1001}
+"""
+FILES = [
+    "parts.anim.usdc",
+    "parts.rig.usda",
+    "parts.usda",
+    "shot.bvh",
+    "shot.clip.yaml",
+    "shot.rig.yaml",
+    "shot.usdc",
+]
+
+
+@pytest.fixture
+def shot(walk: Path, tmp_path: Path) -> Path:
+    shutil.copy(walk, tmp_path / "walk.bvh")
+    path = tmp_path / "shot.scene.yaml"
+    path.write_text(SCENE, "utf-8")
+    return path
+
+
+def made(shot: Path) -> list[str]:
+    given = {"walk.bvh", "shot.scene.yaml"}
+    return sorted(path.name for path in shot.parent.iterdir() if path.name not in given)
+
+
+def test_all_outputs_hold_the_same_take(shot: Path) -> None:
+    reports = bake_scene(load_scene(shot))
+    assert len(reports) == 4
+    assert made(shot) == FILES
+    wanted = open_source(shot.parent / "shot.usdc").collect()
+    assert (wanted.clock.start, wanted.clock.count) == (1005, 8)
+    for name, tolerance in (
+        ("parts.usda", 0.0),
+        ("shot.clip.yaml", 2e-4),
+        ("shot.bvh", 1e-5),
+    ):
+        found = open_source(shot.parent / name).collect()
+        assert found.clock.count == wanted.clock.count, name
+        assert found.clock.rate == 24, name
+        apart = found.world().positions - wanted.world().positions
+        assert np.abs(apart).max() <= tolerance, name
+    assert open_source(shot.parent / "shot.clip.yaml").collect().clock.start == 1005
+
+
+def test_passes_run_once(shot: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    runs: list[int] = []
+
+    def counted(take: Take, _: object, __: PassContext) -> Take:
+        runs.append(take.clock.count)
+        return take
+
+    options = type(load_scene(shot).passes[0].options)
+    counting = Pass("counting", "Count", options, Scope.CLIP, counted)
+    monkeypatch.setattr("scene.test_outputs.COUNTING", counting, raising=False)
+    monkeypatch.setitem(PASSES, "counting", "scene.test_outputs:COUNTING")
+    shot.write_text(SCENE.replace("mirror", "counting"), "utf-8")
+    bake_scene(load_scene(shot))
+    assert runs == [64]
+
+
+def test_an_output_that_fails_leaves_none(
+    shot: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("animtool.formats.bvh.write.bvh_text", full)
+    before = made(shot)
+    with pytest.raises(OSError, match="No space"):
+        bake_scene(load_scene(shot))
+    assert made(shot) == before
+
+
+def test_warnings_under_strict_leave_none(shot: Path) -> None:
+    text = SCENE.replace("mirror:", "loop: {first: 1, last: 17}")
+    shot.write_text(text, "utf-8")
+    with pytest.raises(StrictError):
+        bake_scene(load_scene(shot), BakeOptions(strict=True))
+    assert made(shot) == []
+
+
+def test_every_output_is_checked_before(shot: Path) -> None:
+    for name in ("shot.usdc", "shot.bvh"):
+        (shot.parent / name).touch()
+    with pytest.raises(OptionError) as caught:
+        bake_scene(load_scene(shot))
+    said = [(f.code, Path(f.path or "").name) for f in caught.value.faults]
+    assert said == [("OUT001", "shot.usdc"), ("OUT001", "shot.bvh")]
+    bake_scene(load_scene(shot), BakeOptions(overwrite=True))
+    assert made(shot) == FILES
+
+
+def test_two_outputs_of_one_file(shot: Path) -> None:
+    text = SCENE.replace("parts.usda, as: split", "Shot.usdc")
+    shot.write_text(text, "utf-8")
+    with pytest.raises(OptionError) as caught:
+        bake_scene(load_scene(shot))
+    [fault] = caught.value.faults
+    assert (fault.code, fault.lines, fault.where) == ("OUT007", (9,), "output[1]")
+
+
+def test_an_output_that_is_read(shot: Path) -> None:
+    shot.write_text(SCENE.replace("shot.bvh", "walk.bvh"), "utf-8")
+    with pytest.raises(OptionError) as caught:
+        bake_scene(load_scene(shot), BakeOptions(overwrite=True))
+    assert caught.value.code == "OUT003"
+    stage = shot.parent / "walk.usda"
+    assert animtool("bake", shot.parent / "walk.bvh", "-o", stage).code == 0
+    text = f"scene: animtool/1\nsource: {{file: {stage.name}}}\n"
+    shot.write_text(text + f"output: {{file: {stage.name}}}\n", "utf-8")
+    done = animtool("bake", shot, "--overwrite")
+    assert done.code == 2
+    assert "OUT003" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("entry", "code", "where"),
+    [
+        ("{start: 1001}", "DOC021", "output[4]"),
+        ("{file: a.bvh, reduce: 1mm}", "SCN039", "output[4].reduce"),
+        ("{file: a.clip.yaml, as: split}", "SCN039", "output[4].as"),
+        ("{file: a.usdc, deform: true, chunk: 5}", "SCN039", "output[4].chunk"),
+        ("{file: a.usdc, as: splt}", "DOC022", "output[4].as"),
+        ("{file: a.usdc, sprase: true}", "DOC020", "output[4].sprase"),
+    ],
+)
+def test_faults_have_the_place_of_their_output(
+    shot: Path, entry: str, code: str, where: str
+) -> None:
+    shot.write_text(f"{SCENE}- {entry}\n", "utf-8")
+    with pytest.raises(FormatError) as caught:
+        load_scene(shot)
+    said = [(f.code, f.lines, f.where) for f in caught.value.faults]
+    assert said == [(code, (12,), where)]
+
+
+def test_the_command_line(shot: Path) -> None:
+    done = animtool("bake", shot)
+    assert done.code == 0, done.stderr
+    assert made(shot) == FILES
+    for name in ("shot.usdc", "parts.usda", "shot.clip.yaml", "shot.bvh"):
+        assert f"{name}: " in done.stderr
+    done = animtool("bake", shot, "--skip-existing", "--format", "json")
+    assert json.loads(done.stdout)["skipped"] == str(shot)
+    done = animtool("bake", shot, "--overwrite", "--format", "json")
+    written = json.loads(done.stdout)["written"]
+    assert [("bake" in one, "convert" in one) for one in written] == [
+        *[(True, False)] * 2,
+        *[(False, True)] * 2,
+    ]
+    assert animtool("bake", shot, "-o", shot.parent / "one.usdc").code == 2
+
+
+def test_files_are_known_beforehand(shot: Path) -> None:
+    found = scene_files(load_scene(shot), BakeOptions())
+    assert sorted(path.name for path in found) == FILES
+
+
+def test_one_output_that_is_no_usd(shot: Path) -> None:
+    text = SCENE.partition("output")[0] + "output: {file: shot.bvh}\n"
+    shot.write_text(text, "utf-8")
+    assert animtool("bake", shot).code == 2
+    shot.write_text(text.replace("range: [1005, 1012]\n", ""), "utf-8")
+    done = animtool("bake", shot)
+    assert done.code == 0, done.stderr
+    assert made(shot) == ["shot.bvh"]
