@@ -198,7 +198,7 @@ common_options = stacked(
 
 def _of_scene(name: str) -> Callable[[str], Any]:
     def parse(text: str) -> Any:
-        from animtool.scene.file.read import option_text
+        from animtool.scene.file import option_text
 
         return getattr(option_text, f"parse_{name}")(text)
 
