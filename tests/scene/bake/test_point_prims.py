@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 
 from animtool.motion.motion import Channel, Motion
-from animtool.scene.bake.bake import point_prims
+from animtool.scene.bake import point_prims
 from animtool.scene.bake.point_prims import pieces
 
 

@@ -10,7 +10,7 @@ import pytest
 from support.sanitized import SANITIZED
 
 from animtool import bake
-from animtool.scene.bake.bake import progress
+from animtool.scene.bake import progress
 from animtool.scene.bake.outputs import bake_scene
 from animtool.scene.bake.progress import BlockProgress, PeakMemory, Phases, TimeProgress
 from animtool.scene.file.read import load_scene
