@@ -13,7 +13,7 @@ from support.point_caches import layered, world_points
 from support.skinned_rig import write_pair
 from support.usd import validation_errors
 
-from animtool.usd.layers.sdf import chunks
+from animtool.usd.layers import chunks
 
 CODES = [float(code) for code in range(1, 10)]
 NAMES = ["points", "extent", "normals", "velocities"]

@@ -15,7 +15,7 @@ from support.cli import animtool
 from support.sanitized import SANITIZED
 from support.usd import validation_errors
 
-from animtool.usd.layers.sdf import chunks
+from animtool.usd.layers import chunks
 
 SCENE = """\
 scene: animtool/1
