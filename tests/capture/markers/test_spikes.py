@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from mocap.markers.test_fill import FRAMES, made, paths
+from capture.markers.test_fill import FRAMES, made, paths
 
 from animtool.capture.markers.spikes import find_spikes
 

@@ -13,7 +13,7 @@ from support.cli import animtool
 
 from animtool.core.errors import FormatError
 from animtool.report.describe_scene import describe_scene
-from animtool.scene.bake.bake import outputs as scene_outputs
+from animtool.scene.bake import outputs as scene_outputs
 from animtool.scene.bake.options import BakeOptions
 from animtool.scene.bake.plan_steps import StepKind, bake_steps
 from animtool.scene.file.read import load_scene
