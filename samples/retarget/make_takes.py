@@ -145,17 +145,17 @@ class Step:
     """
 
     stance: float = 0.62
-    flat: float = 0.066
-    rise: float = 0.419
-    strike: float = -20.6
-    leave: float = 53.6
-    ahead: float = 8.45
-    height: float = 92.18
-    bob: float = 2.1
-    lowest: float = 0.036
+    flat: float = 0.075
+    rise: float = 0.42
+    strike: float = -16.0
+    leave: float = 53.0
+    ahead: float = 8.07
+    height: float = 92.25
+    bob: float = 2.05
+    lowest: float = 0.031
     skew: float = 0.29
-    knees: Keys = ((0.27, 63.5), (0.6, 33.0), (0.87, 5.0))
-    pitches: Keys = ((0.2, 58.0), (0.5, 16.0), (0.8, -14.0))
+    knees: Keys = ((0.27, 64.0), (0.6, 34.0), (0.87, 8.5))
+    pitches: Keys = ((0.2, 58.0), (0.5, 15.0), (0.8, -12.0))
 
     def hips(self, phase: Array) -> dict[str, Array]:
         """Return the tracks of the hips on a path straight ahead."""
@@ -377,7 +377,7 @@ def gait(
 
 def walk() -> Tracks:
     """Return four steps ahead."""
-    return gait(2.4, 1.1, 126.0)[1]
+    return gait(2.4, 1.1, 122.0)[1]
 
 
 def run() -> Tracks:
