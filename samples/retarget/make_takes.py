@@ -1,8 +1,10 @@
 """Make ``takes/``, a dozen takes of a person of 1.74 m: what a day of capture brings.
 
-Hips and feet come first. A foot that stands turns about its ball, which stays where it
-is; two-bone inverse kinematics puts the legs between hips and feet. Trunk and arms are
-angles over time.
+Hips and feet come first. A foot that stands turns about its heel as it strikes, then
+about its ball, and that point stays where it is; two-bone inverse kinematics puts the
+legs between hips and feet. In steps, the flexion of the knee lifts the foot that
+swings. Hips and feet of the walk and the run are such that knees follow those of gait
+laboratories (Winter, 1991; Novacheck, 1998). Trunk and arms are angles over time.
 
 Lengths are centimetres, angles degrees, time is seconds. Y is up, takes begin towards
 +Z, the left is +X. Pitch is positive forwards and down: of a foot, the heel comes up.
@@ -160,9 +162,10 @@ class Step:
     def hips(self, phase: Array) -> dict[str, Array]:
         """Return the tracks of the hips on a path straight ahead."""
         over = 4 * np.pi * (phase - self.lowest)
+        skewed = self.skew * np.sin(over)
         return {
             "hips_x": 1.6 * np.sin(2 * np.pi * phase),
-            "hips_y": self.height - self.bob * np.cos(over + self.skew * np.sin(over)),
+            "hips_y": self.height - self.bob * np.cos(over + skewed),
             "hips_yaw": -5 * np.cos(2 * np.pi * phase),
             "hips_pitch": np.zeros_like(phase),
             "hips_roll": 2.5 * np.sin(2 * np.pi * (phase - self.stance / 2 + 0.25)),
@@ -198,12 +201,12 @@ class Step:
         tracks = self.hips(phase)
         socket = pelvis(tracks) @ SOCKET
         swing = np.clip((phase - self.stance) / (1 - self.stance), 0.0, 1.0)
-        print_ = stride * (ease(swing) + self.stance / 2 - phase) + self.ahead
+        ball = stride * (ease(swing) + self.stance / 2 - phase) + self.ahead
         return np.column_stack(
             [
                 HALF_GAP - tracks["hips_x"] - socket[:, 0],
                 tracks["hips_y"] + socket[:, 1],
-                print_ + ahead - socket[:, 2],
+                ball + ahead - socket[:, 2],
             ]
         )
 
@@ -232,9 +235,9 @@ class Step:
             ((), first[:, 1], last[:, 1]),
             (self.knees, *knees),
         ):
-            keys = [(self.stance + at * (1 - self.stance), value) for at, value in inner]
-            times = [self.stance, *(at for at, _ in keys), 1.0]
-            values = [begin[1], *(value for _, value in keys), end[0]]
+            shares = np.array([0.0, *(at for at, _ in inner), 1.0])
+            times = self.stance + shares * (1 - self.stance)
+            values = [begin[1], *(value for _, value in inner), end[0]]
             speeds = (1, np.diff(begin)[0] / EPSILON), (1, np.diff(end)[0] / EPSILON)
             curves.append(CubicSpline(times, values, bc_type=speeds))
         after = np.maximum(phase, self.stance)
@@ -353,19 +356,18 @@ def gait(
     tracks["look"] = -4 * np.cos(2 * np.pi * phase)
     for side, sign in SIDES.items():
         late = 0.0 if sign > 0 else 0.5
-        count, along = np.floor(phase + late), (phase + late) % 1.0
-        swing = np.clip((along - step.stance) / (1 - step.stance), 0.0, 1.0)
+        count, since = np.floor(phase + late), (phase + late) % 1.0
+        swing = np.clip((since - step.stance) / (1 - step.stance), 0.0, 1.0)
         place = count + ease(swing) + step.stance / 2 - late
         x, z, yaw = path(stride * place + step.ahead)
         far = 1.0 if sign > 0 else outer
-        pitch, ahead, height = step.foot(far * stride, along).T
-        ball = rotation(1, yaw) @ (rotation(0, pitch) @ BALL + stacked(0 * ahead, height, ahead))[..., None]
+        pitch, ahead, height = step.foot(far * stride, since).T
+        ball = rotation(0, pitch) @ BALL + stacked(0 * ahead, height, ahead)
         # Where a path bends, both feet stay on their sides of it.
-        tracks[f"ball_x_{side}"] = x + sign * HALF_GAP * np.cos(np.radians(yaw))
-        tracks[f"ball_z_{side}"] = z - sign * HALF_GAP * np.sin(np.radians(yaw))
-        for axis, way in zip("xz", (ball[:, 0, 0], ball[:, 2, 0]), strict=True):
-            tracks[f"ball_{axis}_{side}"] += way
-        tracks[f"ball_y_{side}"] = ball[:, 1, 0]
+        across, along = np.cos(np.radians(yaw)), np.sin(np.radians(yaw))
+        tracks[f"ball_x_{side}"] = x + sign * HALF_GAP * across + ball[:, 2] * along
+        tracks[f"ball_y_{side}"] = ball[:, 1]
+        tracks[f"ball_z_{side}"] = z - sign * HALF_GAP * along + ball[:, 2] * across
         tracks[f"foot_yaw_{side}"] = yaw
         tracks[f"foot_pitch_{side}"] = pitch
         # In the air toes go with the foot, but for a little.
