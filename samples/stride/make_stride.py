@@ -41,18 +41,18 @@ BALL_HEIGHT = 0.02
 
 # A foot's cycle, as phase since its heel struck: frames 1, 3, 10, 16 of 24.
 FLAT, HEEL_OFF, TOE_OFF = 2 / FRAMES, 9 / FRAMES, 15 / FRAMES
-STRIKE_PITCH, TOE_OFF_PITCH = 19.0, -63.0  # [deg]
-AHEAD = 0.332  # [m] flat ankle in front of the hips at heel strike
+STRIKE_PITCH, TOE_OFF_PITCH = 22.4, -60.0  # [deg]
+AHEAD = 0.335  # [m] flat ankle in front of the hips at heel strike
 HALF_GAP = 0.07  # [m] ankle from the line of travel
 # In swing, at fractions of the time from toe off to strike.
-PITCH_KEYS = ((0.25, -54.4), (0.55, -8.1), (0.82, 11.2))  # [deg]
-TOE_KEYS = ((0.25, -11.9), (0.55, -1.5), (0.82, 20.1))  # [deg] of the toes
-HEIGHT_KEYS = ((0.25, 0.073), (0.5, 0.043), (0.8, 0.08))  # [m] of the ball
-TRAVEL_KEYS = ((0.25, 0.268), (0.5, 0.561), (0.75, 0.901))  # share of the way
+PITCH_KEYS = ((0.25, -52.8), (0.55, -12.5), (0.82, 14.1))  # [deg]
+TOE_KEYS = ((0.12, -20.0), (0.3, -17.0), (0.55, 1.2), (0.82, 19.8))  # [deg] of the toes
+HEIGHT_KEYS = ((0.25, 0.102), (0.5, 0.04), (0.8, 0.098))  # [m] of the ball
+TRAVEL_KEYS = ((0.25, 0.202), (0.5, 0.525), (0.75, 0.921))  # share of the way
 
-HIPS_HEIGHT, BOB, SWAY = 0.9305, 0.02, 0.018  # [m]
-LOWEST = 0.03  # phase
-SKEW = 0.17  # [rad] hips rise faster than they sink
+HIPS_HEIGHT, BOB, SWAY = 0.93, 0.02, 0.018  # [m]
+LOWEST = 0.033  # phase
+SKEW = 0.22  # [rad] hips rise faster than they sink
 HIPS_TURN, HIPS_LIST = 5.0, 3.0  # [deg]
 
 
