@@ -1,8 +1,10 @@
 """Make ``takes/``, a dozen takes of a person of 1.74 m: what a day of capture brings.
 
-Hips and feet come first. A foot that stands turns about its ball, which stays where it
-is; two-bone inverse kinematics puts the legs between hips and feet. Trunk and arms are
-angles over time.
+Hips and feet come first. A foot that stands turns about its heel as it strikes, then
+about its ball, and that point stays where it is; two-bone inverse kinematics puts the
+legs between hips and feet. In steps, the flexion of the knee lifts the foot that
+swings. Hips and feet of the walk and the run are such that knees follow those of gait
+laboratories (Winter, 1991; Novacheck, 1998). Trunk and arms are angles over time.
 
 Lengths are centimetres, angles degrees, time is seconds. Y is up, takes begin towards
 +Z, the left is +X. Pitch is positive forwards and down: of a foot, the heel comes up.
@@ -15,11 +17,13 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 
 Array = NDArray[np.float64]
 Figure = list[tuple[str, str, tuple[float, ...]]]  # name, parent, offset
@@ -35,8 +39,10 @@ SOCKET = np.array([9.0, -4.0, 0.0])  # left, from the hips
 THIGH, SHIN = 42.0, 41.0
 BALL = np.array([0.0, -6.0, 13.0])  # from the ankle
 BALL_HEIGHT = 2.0
+HEEL = np.array([0.0, -8.0, -5.0])  # from the ankle
 STANDING = 94.3  # hips
 HALF_GAP = 10.0  # ankle from the line of travel
+EPSILON = 1e-6  # [cycles] for speeds
 
 # Joint, its parent, its offset; the right side is mirrored.
 TRUNK = [
@@ -93,7 +99,7 @@ def standing(seconds: float) -> tuple[Array, Tracks]:
     tracks["hips_y"] = np.full(len(times), STANDING)
     for side, sign in SIDES.items():
         usual = {"ball_x": sign * HALF_GAP, "ball_y": BALL_HEIGHT, "ball_z": BALL[2]}
-        usual |= {"foot_yaw": 0.0, "foot_pitch": 0.0}
+        usual |= {"foot_yaw": 0.0, "foot_pitch": 0.0, "toes": 1.0}
         usual |= {"lower": 74.0, "swing": 4.0, "roll": 0.0, "elbow": 14.0}
         for name, value in usual.items():
             tracks[f"{name}_{side}"] = np.full(len(times), value)
@@ -118,19 +124,213 @@ def bent(start: float, radius: float) -> Route:
     return path
 
 
+@dataclass(frozen=True, slots=True)
+class Step:
+    """How a foot and the hips go in a cycle of two steps.
+
+    Phases are shares of the cycle since the foot struck. Keys are at shares of the
+    swing, from when the foot leaves the ground to when it strikes again.
+
+    Attributes:
+        stance: Phase in which the foot leaves the ground.
+        flat: Phase from which its sole is down.
+        rise: Phase in which its heel comes up.
+        strike: Pitch of the foot as its heel strikes.
+        leave: Pitch of the foot as its toes leave.
+        ahead: Ball in front of the hips in the middle of the stance.
+        height: Of the hips.
+        bob: How far they go up and down.
+        lowest: Phase in which they are lowest.
+        skew: How much faster they rise than sink; less than 0 rises slower.
+        knees: Flexion of the knee in the swing.
+        pitches: Of the foot in the swing.
+    """
+
+    stance: float = 0.62
+    flat: float = 0.075
+    rise: float = 0.42
+    strike: float = -16.0
+    leave: float = 53.0
+    ahead: float = 8.07
+    height: float = 92.25
+    bob: float = 2.05
+    lowest: float = 0.031
+    skew: float = 0.29
+    knees: Keys = ((0.27, 64.0), (0.6, 34.0), (0.87, 8.5))
+    pitches: Keys = ((0.2, 58.0), (0.5, 15.0), (0.8, -12.0))
+
+    def hips(self, phase: Array) -> dict[str, Array]:
+        """Return the tracks of the hips on a path straight ahead."""
+        over = 4 * np.pi * (phase - self.lowest)
+        skewed = self.skew * np.sin(over)
+        return {
+            "hips_x": 1.6 * np.sin(2 * np.pi * phase),
+            "hips_y": self.height - self.bob * np.cos(over + skewed),
+            "hips_yaw": -5 * np.cos(2 * np.pi * phase),
+            "hips_pitch": np.zeros_like(phase),
+            "hips_roll": 2.5 * np.sin(2 * np.pi * (phase - self.stance / 2 + 0.25)),
+        }
+
+    def stands(self, phase: Array) -> Array:
+        """Return how the foot stands: its pitch, and its ankle from where its ball is.
+
+        Returns:
+            Pitch, way ahead and height above the ground ``(F, 3)``.
+        """
+        landing = np.clip(1 - phase / self.flat, 0.0, None)
+        rising = np.clip((phase - self.rise) / (self.stance - self.rise), 0.0, None)
+        pitch = self.strike * landing**2 + self.leave * rising**3
+        foot = rotation(0, pitch)
+        ball = np.array([0.0, BALL_HEIGHT, 0.0])
+        on_heel = ball - BALL + HEEL - foot @ HEEL
+        on_ball = ball - foot @ BALL
+        ankle = np.where((phase < self.flat)[:, None], on_heel, on_ball)
+        return np.column_stack([pitch, ankle[:, 2], ankle[:, 1]])
+
+    def line(self, stride: float, phase: Array, ahead: Array) -> Array:
+        """Return a left leg from the hip to the ankle; its height is that of the hip.
+
+        Args:
+            stride: Length of two steps.
+            phase: Phases ``(F,)``.
+            ahead: Ankle from where the ball stands ``(F,)``.
+
+        Returns:
+            Way across, height of the hip and way along ``(F, 3)``.
+        """
+        tracks = self.hips(phase)
+        socket = pelvis(tracks) @ SOCKET
+        swing = np.clip((phase - self.stance) / (1 - self.stance), 0.0, 1.0)
+        ball = stride * (ease(swing) + self.stance / 2 - phase) + self.ahead
+        return np.column_stack(
+            [
+                HALF_GAP - tracks["hips_x"] - socket[:, 0],
+                tracks["hips_y"] + socket[:, 1],
+                ball + ahead - socket[:, 2],
+            ]
+        )
+
+    def flexion(self, stride: float, phase: Array) -> Array:
+        """Return the flexion of the knee of a foot that stands ``(F,)``."""
+        foot = self.stands(phase)
+        line = self.line(stride, phase, foot[:, 1])
+        line[:, 1] -= foot[:, 2]
+        cosine = (line * line).sum(axis=1) - THIGH**2 - SHIN**2
+        return np.degrees(np.arccos(cosine / (2 * THIGH * SHIN)))
+
+    def foot(self, stride: float, phase: Array) -> Array:
+        """Return what `stands` returns, of the whole cycle; the knee leads the swing.
+
+        Raises:
+            ValueError: A leg is too short.
+        """
+        ends = np.array([[self.stance - EPSILON, self.stance], [0.0, EPSILON]])
+        first, last = (self.stands(pair) for pair in ends)
+        knees = [self.flexion(stride, pair) for pair in ends]
+        if not np.isfinite(knees).all():
+            raise ValueError("the leg is too short where it strikes or leaves")
+        curves = []
+        for inner, begin, end in (
+            (self.pitches, first[:, 0], last[:, 0]),
+            ((), first[:, 1], last[:, 1]),
+            (self.knees, *knees),
+        ):
+            shares = np.array([0.0, *(at for at, _ in inner), 1.0])
+            times = self.stance + shares * (1 - self.stance)
+            values = [begin[1], *(value for _, value in inner), end[0]]
+            speeds = (1, np.diff(begin)[0] / EPSILON), (1, np.diff(end)[0] / EPSILON)
+            curves.append(CubicSpline(times, values, bc_type=speeds))
+        after = np.maximum(phase, self.stance)
+        pitch, ahead, knee = (curve(after) for curve in curves)
+        line = self.line(stride, after, ahead)
+        reach = THIGH**2 + SHIN**2 + 2 * THIGH * SHIN * np.cos(np.radians(knee))
+        height = line[:, 1] - np.sqrt(reach - line[:, 0] ** 2 - line[:, 2] ** 2)
+        swing = np.column_stack([pitch, ahead, height])
+        return np.where((phase < self.stance)[:, None], self.stands(phase), swing)
+
+
+WALK = Step()
+RUN = Step(
+    stance=0.36,
+    flat=0.05,
+    rise=0.11,
+    strike=-8.0,
+    leave=43.8,
+    ahead=-2.6,
+    height=90.96,
+    bob=3.5,
+    lowest=0.221,
+    skew=-0.05,
+    knees=((0.38, 95.0), (0.7, 52.0), (0.92, 10.5)),
+    pitches=((0.25, 70.0), (0.6, 20.0), (0.9, -12.0)),
+)
+SNEAK = Step(
+    stance=0.6,
+    rise=0.35,
+    strike=0.0,
+    leave=30.0,
+    height=74.0,
+    bob=1.0,
+    skew=0.0,
+    knees=((0.35, 108.0), (0.7, 90.0)),
+    pitches=((0.3, 30.0), (0.7, 0.0)),
+)
+MARCH = Step(
+    stance=0.55,
+    flat=0.05,
+    rise=0.377,
+    strike=-7.7,
+    leave=25.0,
+    ahead=13.0,
+    height=93.24,
+    bob=1.2,
+    lowest=0.028,
+    skew=0.38,
+    knees=((0.4, 112.0), (0.75, 60.0)),
+    pitches=((0.2, 36.0), (0.45, 42.0), (0.75, 8.0)),
+)
+CARRY = Step(
+    flat=0.067,
+    rise=0.45,
+    strike=-17.3,
+    leave=31.3,
+    ahead=11.32,
+    height=92.83,
+    bob=1.5,
+    lowest=0.057,
+    skew=0.395,
+    pitches=((0.2, 44.0), (0.5, 16.0), (0.8, -13.0)),
+)
+TURN = Step(
+    flat=0.06,
+    rise=0.45,
+    strike=-14.0,
+    leave=27.0,
+    ahead=12.6,
+    height=91.6,
+    bob=1.2,
+    lowest=0.061,
+    skew=0.4,
+    knees=((0.27, 66.0), (0.55, 50.0), (0.87, 27.0)),
+    pitches=((0.2, 40.0), (0.5, 8.0), (0.8, -11.0)),
+)
+
+
+def pelvis(tracks: Tracks) -> Array:
+    """Return the rotations of the hips ``(F, 3, 3)``."""
+    turned = rotation(1, tracks["hips_yaw"]) @ rotation(0, tracks["hips_pitch"])
+    return np.asarray(turned @ rotation(2, tracks["hips_roll"]))
+
+
 def gait(
     seconds: float,
     period: float,
     stride: float,
+    step: Step = WALK,
     *,
-    stance: float = 0.62,
-    lift: float = 9.0,
-    heel: float = 40.0,
-    height: float = 87.5,
-    bob: float = 1.8,
     arms: float = 24.0,
-    arch: float = 2.0,
     path: Route = straight,
+    outer: float = 1.0,
 ) -> tuple[Array, Tracks]:
     """Return someone who goes along a path.
 
@@ -138,67 +338,53 @@ def gait(
         seconds: Of the take.
         period: Of two steps.
         stride: Length of two steps.
-        stance: Share of the period that a foot stands.
-        lift: How high the ball comes in the air.
-        heel: Pitch of a foot as it leaves the ground.
-        height: Of the hips.
-        bob: How far they go up and down.
+        step: How feet and hips go.
         arms: How far these swing.
-        arch: How flat the way of a foot begins and ends in the air; 1 is steep.
         path: Where it leads.
+        outer: Way of the right foot over that of the hips, where a path bends left.
     """
     times, tracks = standing(seconds)
     phase = times / period
-    tracks["hips_x"], tracks["hips_z"], heading = path(stride * phase)
-    wave, twice = np.sin(2 * np.pi * phase), np.cos(4 * np.pi * phase)
-    # Highest in the middle of a stance; without feet on the ground, between two.
-    over = 4 * np.pi * (phase - stance / 2)
-    rising = np.cos(over) if stance > 0.5 else -np.cos(over)
-    tracks["hips_y"] = height + bob * rising
-    tracks["hips_yaw"] = heading - 5 * np.cos(2 * np.pi * phase)
-    tracks["hips_roll"] = 2.5 * np.sin(2 * np.pi * (phase - stance / 2 + 0.25))
+    x, tracks["hips_z"], heading = path(stride * phase)
+    own = step.hips(phase)
+    tracks |= {name: own[name] for name in ("hips_y", "hips_roll")}
+    tracks["hips_x"] = x + own["hips_x"] * np.cos(np.radians(heading))
+    tracks["hips_yaw"] = heading + own["hips_yaw"]
     tracks["twist"] = 9 * np.cos(2 * np.pi * phase)
-    tracks["bend"] = 3 + twice
+    tracks["bend"] = 3 + np.cos(4 * np.pi * phase)
     tracks["lean"] = -tracks["hips_roll"]
     tracks["look"] = -4 * np.cos(2 * np.pi * phase)
     for side, sign in SIDES.items():
-        own = phase + (0.0 if sign > 0 else 0.5)
-        count, along = np.floor(own), own % 1.0
-        swing = np.clip((along - stance) / (1 - stance), 0.0, 1.0)
-        step = count + ease(swing) + stance / 2 - (0.0 if sign > 0 else 0.5)
-        x, z, yaw = path(stride * step + 10.0)
+        late = 0.0 if sign > 0 else 0.5
+        count, since = np.floor(phase + late), (phase + late) % 1.0
+        swing = np.clip((since - step.stance) / (1 - step.stance), 0.0, 1.0)
+        place = count + ease(swing) + step.stance / 2 - late
+        x, z, yaw = path(stride * place + step.ahead)
+        far = 1.0 if sign > 0 else outer
+        pitch, ahead, height = step.foot(far * stride, since).T
+        ball = rotation(0, pitch) @ BALL + stacked(0 * ahead, height, ahead)
         # Where a path bends, both feet stay on their sides of it.
-        tracks[f"ball_x_{side}"] = x + sign * HALF_GAP * np.cos(np.radians(yaw))
-        tracks[f"ball_z_{side}"] = z - sign * HALF_GAP * np.sin(np.radians(yaw))
-        tracks[f"ball_y_{side}"] = BALL_HEIGHT + lift * np.sin(np.pi * swing) ** arch
+        across, along = np.cos(np.radians(yaw)), np.sin(np.radians(yaw))
+        tracks[f"ball_x_{side}"] = x + sign * HALF_GAP * across + ball[:, 2] * along
+        tracks[f"ball_y_{side}"] = ball[:, 1]
+        tracks[f"ball_z_{side}"] = z - sign * HALF_GAP * along + ball[:, 2] * across
         tracks[f"foot_yaw_{side}"] = yaw
-        rolled = ease((along - 0.55 * stance) / (0.45 * stance)) * (along < stance)
-        tracks[f"foot_pitch_{side}"] = heel * (
-            rolled + (1 - ease(swing / 0.8)) * (along >= stance)
-        )
+        tracks[f"foot_pitch_{side}"] = pitch
+        # In the air toes go with the foot, but for a little.
+        tracks[f"toes_{side}"] = 1 - 0.7 * ease(swing / 0.4)
         tracks[f"swing_{side}"] = 4 - sign * arms * np.cos(2 * np.pi * phase)
         tracks[f"elbow_{side}"] = 22 - sign * 0.4 * arms * np.cos(2 * np.pi * phase)
-    tracks["hips_x"] = tracks["hips_x"] + 1.6 * wave * np.cos(np.radians(heading))
     return times, tracks
 
 
 def walk() -> Tracks:
     """Return four steps ahead."""
-    return gait(2.4, 1.1, 110.0)[1]
+    return gait(2.4, 1.1, 122.0)[1]
 
 
 def run() -> Tracks:
     """Return a run: both feet leave the ground."""
-    _, tracks = gait(
-        *(2.0, 0.7, 166.0),
-        stance=0.36,
-        arch=1,
-        lift=24,
-        heel=50,
-        height=81,
-        bob=4,
-        arms=38,
-    )
+    _, tracks = gait(2.0, 0.7, 166.0, RUN, arms=38)
     tracks["bend"] += 9
     for side in SIDES:
         tracks[f"elbow_{side}"] += 62
@@ -207,9 +393,7 @@ def run() -> Tracks:
 
 def sneak() -> Tracks:
     """Return low and slow steps, with hands before the chest."""
-    _, tracks = gait(
-        *(4.0, 2.0, 84.0), stance=0.6, lift=15, heel=30, height=74, bob=1, arms=8
-    )
+    _, tracks = gait(4.0, 2.0, 84.0, SNEAK, arms=8)
     tracks["bend"] += 30
     tracks["nod"] -= 28
     for side in SIDES:
@@ -220,20 +404,17 @@ def sneak() -> Tracks:
 
 def march() -> Tracks:
     """Return steps with knees that come up high."""
-    _, tracks = gait(
-        *(2.4, 1.2, 92.0), stance=0.55, lift=34, heel=25, height=91, bob=1, arms=36
-    )
-    return tracks
+    return gait(2.4, 1.2, 92.0, MARCH, arms=36)[1]
 
 
 def turn() -> Tracks:
     """Return a walk that comes back in a half circle."""
-    return gait(4.4, 1.1, 92.0, path=bent(80.0, 70.0))[1]
+    return gait(4.4, 1.1, 84.0, TURN, path=bent(80.0, 70.0), outer=80 / 70)[1]
 
 
 def carry() -> Tracks:
     """Return a walk with a box in both hands."""
-    _, tracks = gait(2.4, 1.2, 96.0, heel=32, height=89, bob=1.2, arms=0)
+    _, tracks = gait(2.4, 1.2, 100.0, CARRY, arms=0)
     tracks["bend"] -= 9
     tracks["twist"] *= 0.3
     for side in SIDES:
@@ -410,13 +591,13 @@ def leg_rotations(
     local = hips.swapaxes(1, 2) @ thigh
     ankle_turn = (thigh @ bend).swapaxes(1, 2) @ foot
     # Toes stay on the ground as the heel comes up.
-    return local, bend, ankle_turn, rotation(0, -np.clip(pitch, 0, 60))
+    toes = rotation(0, -np.clip(pitch, 0, 60) * tracks[f"toes_{side}"])
+    return local, bend, ankle_turn, toes
 
 
 def local_rotations(tracks: Tracks) -> dict[str, Array]:
     """Return the local rotations of each joint ``(F, 3, 3)``."""
-    hips = rotation(1, tracks["hips_yaw"]) @ rotation(0, tracks["hips_pitch"])
-    hips = hips @ rotation(2, tracks["hips_roll"])
+    hips = pelvis(tracks)
     spine = rotation(1, tracks["twist"] / 2) @ rotation(0, tracks["bend"] / 2)
     spine = spine @ rotation(2, tracks["lean"] / 2)
     head = rotation(1, tracks["look"] / 2) @ rotation(0, tracks["nod"] / 2)

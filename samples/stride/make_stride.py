@@ -39,18 +39,20 @@ HEEL = np.array([0.0, -0.08, -0.05])  # seen from the ankle
 ANKLE_HEIGHT = 0.08
 BALL_HEIGHT = 0.02
 
-# A foot's cycle, as phase since its heel struck: frames 1, 4, 10, 16 of 24.
-FLAT, HEEL_OFF, TOE_OFF = 3 / FRAMES, 9 / FRAMES, 15 / FRAMES
-STRIKE_PITCH, TOE_OFF_PITCH = 18.0, -58.0  # [deg]
-AHEAD = 0.27  # [m] flat ankle in front of the hips at heel strike
+# A foot's cycle, as phase since its heel struck: frames 1, 3, 10, 16 of 24.
+FLAT, HEEL_OFF, TOE_OFF = 2 / FRAMES, 9 / FRAMES, 15 / FRAMES
+STRIKE_PITCH, TOE_OFF_PITCH = 22.4, -60.0  # [deg]
+AHEAD = 0.335  # [m] flat ankle in front of the hips at heel strike
 HALF_GAP = 0.07  # [m] ankle from the line of travel
 # In swing, at fractions of the time from toe off to strike.
-PITCH_KEYS = ((0.25, -55.0), (0.55, -12.0), (0.82, 17.0))  # [deg]
-TOE_KEYS = ((0.25, -18.0), (0.55, -2.0), (0.82, 20.0))  # [deg] of the toes
-HEIGHT_KEYS = ((0.25, 0.075), (0.5, 0.062), (0.8, 0.085))  # [m] of the ball
-TRAVEL_KEYS = ((0.25, 0.19), (0.5, 0.52), (0.75, 0.85))  # share of the way
+PITCH_KEYS = ((0.25, -52.8), (0.55, -12.5), (0.82, 14.1))  # [deg]
+TOE_KEYS = ((0.12, -20.0), (0.3, -17.0), (0.55, 1.2), (0.82, 19.8))  # [deg] of the toes
+HEIGHT_KEYS = ((0.25, 0.102), (0.5, 0.04), (0.8, 0.098))  # [m] of the ball
+TRAVEL_KEYS = ((0.25, 0.202), (0.5, 0.525), (0.75, 0.921))  # share of the way
 
-HIPS_HEIGHT, BOB, SWAY = 0.912, 0.016, 0.018  # [m]
+HIPS_HEIGHT, BOB, SWAY = 0.93, 0.02, 0.018  # [m]
+LOWEST = 0.033  # phase
+SKEW = 0.22  # [rad] hips rise faster than they sink
 HIPS_TURN, HIPS_LIST = 5.0, 3.0  # [deg]
 
 
@@ -96,7 +98,7 @@ def stance(phase: float) -> Array:
     """Return pitch of foot and toes [deg], height and place of the ball [m]."""
     landing = max(1 - phase / FLAT, 0.0)
     rising = max((phase - HEEL_OFF) / (TOE_OFF - HEEL_OFF), 0.0)
-    pitch = STRIKE_PITCH * landing**2 + TOE_OFF_PITCH * rising**2
+    pitch = STRIKE_PITCH * landing**2 + TOE_OFF_PITCH * rising**3
     ball = np.array([0.0, BALL_HEIGHT, BALL[2]])
     if landing > 0:
         flat_heel = np.array([0.0, ANKLE_HEIGHT, 0.0]) + HEEL
@@ -126,10 +128,11 @@ SWING = swing()
 
 def hips(phase: float) -> tuple[Array, Array]:
     """Return place and Euler XYZ angles of the hips."""
+    over = 4 * np.pi * (phase - LOWEST)
     place = np.array(
         [
             SWAY * wave(phase, 0.31),
-            HIPS_HEIGHT - BOB * wave(phase, 0.03, 2),
+            HIPS_HEIGHT - BOB * np.cos(over + SKEW * np.sin(over)),
             STRIDE * phase,
         ]
     )

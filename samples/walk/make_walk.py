@@ -53,39 +53,40 @@ BALL = np.array([0.0, BALL_HEIGHT - ANKLE_HEIGHT, BALL_FORWARD])
 TIP = np.array([0.0, -BALL_HEIGHT, TOE_LENGTH])
 
 # A foot's cycle, as phase since its own heel strike.
-FOOT_FLAT = 0.09  # the sole is down
-HEEL_OFF = 0.35  # the heel rises, the toes stay down
-TOES_ROLL = 0.51  # the ball rises too, the toe tip stays down
+FOOT_FLAT = 0.071  # the sole is down
+HEEL_OFF = 0.358  # the heel rises, the toes stay down
+TOES_ROLL = 0.498  # the ball rises too, the toe tip stays down
 TOE_OFF = 0.62  # the toe tip leaves the floor
 
 # The foot's shape at those moments [deg], toes up positive.
-STRIKE_PITCH = 20.0
-TOE_OFF_PITCH = -63.0
-TOE_OFF_TOE_PITCH = -24.0  # toes against the floor, so they bend 39 deg at the ball
+STRIKE_PITCH = 20.5
+TOE_OFF_PITCH = -66.2
+TOE_OFF_TOE_PITCH = -23.4  # toes against the floor, so they bend 39 deg at the ball
 
 # Swing: values at fractions of the time from toe off to the next heel strike. The foot
 # trails toes down, passes level, and reaches with its toes up; the ball passes lowest
 # at mid swing, where walkers trip.
-PITCH_KEYS = ((0.18, -68.0), (0.50, -18.0), (0.80, 17.0))  # [deg]
-TOE_PITCH_KEYS = ((0.16, -33.0), (0.50, -12.0), (0.80, 22.0))  # [deg]
-BALL_HEIGHT_KEYS = ((0.20, 10.4), (0.48, 6.4), (0.80, 9.0))  # [cm]
-BALL_TRAVEL_KEYS = ((0.25, 0.18), (0.50, 0.52), (0.75, 0.86))  # share of the way
+PITCH_KEYS = ((0.18, -69.9), (0.50, -13.5), (0.80, 12.6))  # [deg]
+TOE_PITCH_KEYS = ((0.16, -32.6), (0.50, -7.4), (0.80, 21.7))  # [deg]
+BALL_HEIGHT_KEYS = ((0.20, 10.6), (0.48, 5.3), (0.80, 10.6))  # [cm]
+BALL_TRAVEL_KEYS = ((0.25, 0.20), (0.50, 0.58), (0.75, 0.92))  # share of the way
 
 # Footprints.
-STRIKE_AHEAD = 32.0  # [cm] flat ankle in front of the pelvis at heel strike
+STRIKE_AHEAD = 34.8  # [cm] flat ankle in front of the pelvis at heel strike
 FOOT_HALF_GAP = 5.0  # [cm] ankle from the line of travel
 TOE_OUT = 7.0  # [deg]
 KNEE_OUT = 4.0  # [deg] the knee points between the hip's and the foot's heading
 
 # The pelvis. Everything here swings once or twice a cycle; amplitudes are half ranges.
-PELVIS_HEIGHT = 97.4  # [cm] mean; low enough that no knee locks
-PELVIS_BOB = 1.6  # [cm] lowest just after heel strike, highest at mid stance
+PELVIS_HEIGHT = 97.3  # [cm] mean; low enough that no knee locks
+PELVIS_BOB = 2.1  # [cm] lowest just after heel strike, highest at mid stance
+PELVIS_SKEW = 0.23  # [rad] it rises faster than it sinks
 PELVIS_SURGE = 0.9  # [cm] fastest where lowest, as a pendulum
 PELVIS_SWAY = 2.0  # [cm] towards the leg that carries
 PELVIS_TURN = 5.0  # [deg] the striking leg's side leads
 PELVIS_LIST = 4.0  # [deg] the free leg's side drops
 PELVIS_TILT = (3.0, 1.0)  # [deg] forward lean, mean and half range
-LOW_PHASE = 0.02
+LOW_PHASE = 0.022
 LIST_PHASE = 0.13  # of the left leg's loading
 SWAY_PHASE = 0.31
 
@@ -295,7 +296,7 @@ def stance_foot(phase: Array, sign: float) -> Array:
     landing = np.clip(1.0 - phase / FOOT_FLAT, 0.0, None)
     rising = np.clip((phase - HEEL_OFF) / (TOE_OFF - HEEL_OFF), 0.0, None)
     rolling = np.clip((phase - TOES_ROLL) / (TOE_OFF - TOES_ROLL), 0.0, None)
-    pitch = STRIKE_PITCH * landing**2 + TOE_OFF_PITCH * rising**2
+    pitch = STRIKE_PITCH * landing**2 + TOE_OFF_PITCH * rising**3
     toe_pitch = STRIKE_PITCH * landing**2 + TOE_OFF_TOE_PITCH * rolling**2
 
     # What rests on the floor stays where the flat foot puts it: the heel, then the tip.
@@ -356,11 +357,12 @@ def pelvis_path(phase: Array) -> tuple[Array, Array]:
 
     The left heel strikes at phase 0 and the left leg carries until past the half.
     """
+    over = 4.0 * np.pi * (phase - LOW_PHASE)
     surge = wave(phase, LOW_PHASE + 0.125, 2)  # a quarter wave behind the speed
     position = np.column_stack(
         [
             PELVIS_SWAY * wave(phase, SWAY_PHASE),
-            PELVIS_HEIGHT - PELVIS_BOB * wave(phase, LOW_PHASE, 2),
+            PELVIS_HEIGHT - PELVIS_BOB * np.cos(over + PELVIS_SKEW * np.sin(over)),
             STRIDE * phase + PELVIS_SURGE * surge,
         ]
     )

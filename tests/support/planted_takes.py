@@ -341,7 +341,7 @@ _FEET = frozenset({"MOT208", "MOT209"})
 TAKES = [
     Planted("a pose of 64 frames", "walk", held(0, 64), "MOT201"),
     Planted("a knee 20° off in one frame", "walk",
-            turned("LeftLeg", 20, slice(31, 32)), "MOT202"),
+            turned("LeftLeg", 20, slice(44, 45)), "MOT202"),
     Planted("an elbow 25° off from a frame on", "walk",
             turned("RightForeArm", 25, slice(40, None), 2), "MOT202"),
     Planted("a forearm turned over", "walk",
