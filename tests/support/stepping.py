@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from animtool import Take
-from animtool._types import FloatArray
+from animtool.core.array_types import FloatArray
 from animtool.maths import so3
 from animtool.rig.kinematics import rest_world
 
