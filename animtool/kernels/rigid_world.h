@@ -67,11 +67,14 @@ struct Report {
   std::int64_t first = -1, second = -1;  // shapes of it; colliders come behind the shapes
   double residual = 0;   // velocity that the last corrections changed [m/s]
   std::int64_t contacts = 0, rounds = 0, awake = 0, unsolved = 0;
+  double swing = 0;         // of the fastest drive that is too fast to be followed [1/s]
+  std::int64_t drive = -1;  // its joint
 
   // Goes on with what came after.
   void add(const Report& later) {
     if (later.deepest > deepest)
       deepest = later.deepest, first = later.first, second = later.second;
+    if (later.swing > swing) swing = later.swing, drive = later.drive;
     residual = std::max(residual, later.residual);
     contacts = later.contacts, awake = later.awake;
     rounds += later.rounds, unsolved += later.unsolved;

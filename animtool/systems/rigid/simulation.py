@@ -252,7 +252,7 @@ class RigidSimulation:
         deepest, deepest_pairs = state.deepest.copy(), state.deepest_pairs.copy()
         for k, deeper in enumerate((depth > deepest[0], t == self._begin)):
             if deeper:
-                pair = np.array(stepped[10:])
+                pair = np.array(stepped[10:12])
                 deepest[k] = depth
                 deepest_pairs[k] = np.where(pair < 0, pair, phase.shapes_of(pair))
         broken, held = self._broken(state, phase, held, t + dt)
