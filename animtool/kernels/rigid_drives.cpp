@@ -73,17 +73,18 @@ bool followed(const Joint& joint, double mass, double h) {
 // Bodies that equations of joints are of, as a matrix of inverse masses.
 class Masses {
  public:
-  Masses(const std::vector<Joint>& joints, const std::vector<Speed>& speeds)
-      : joints_(joints), speeds_(speeds) {}
+  explicit Masses(const std::vector<Speed>& speeds) : speeds_(speeds) {}
 
-  void add(const Joint& joint, const Row& row) {
+  // Returns whether it is not implied by those before.
+  bool add(const Joint& joint, const Row& row) {
     std::vector<double> line = coupled(joint, row);
     const double own = over(joint, row, joint, row);
     double left = own;
     for (const double value : line) left -= value * value;
-    if (!(left > IMPLIED * own)) return;
+    if (!(left > IMPLIED * own)) return false;
     line.push_back(std::sqrt(left));
     lines_.push_back(std::move(line)), rows_.push_back({&joint, &row});
+    return true;
   }
 
   // What an impulse of 1 changes the speed of its row by, with all equations held.
@@ -125,15 +126,17 @@ class Masses {
     return sum;
   }
 
-  const std::vector<Joint>& joints_;
   const std::vector<Speed>& speeds_;
   std::vector<std::vector<double>> lines_;
   std::vector<Of> rows_;
 };
 
-void add_locks(Masses& to, const Joint& joint, const Rows& rows) {
+// Returns whether none is implied by those before.
+bool add_locks(Masses& to, const Joint& joint, const Rows& rows) {
+  bool independent = true;
   for (std::size_t r = 0; r < rows.count; ++r)
-    if (rows.of[r].kind == Row::LOCK) to.add(joint, rows.of[r]);
+    if (rows.of[r].kind == Row::LOCK) independent &= to.add(joint, rows.of[r]);
+  return independent;
 }
 
 bool share_body(const Joint& p, const Joint& q) {
@@ -196,19 +199,20 @@ void end_drive(const Joint& joint, const Drive& drive, Row& row, double speed, d
   row.push = m * (speed - after / to.by_pull) - drive.first;
 }
 
-void find_masses(const std::vector<Joint>& joints, const std::vector<std::size_t>& island,
+bool find_masses(const std::vector<Joint>& joints, const std::vector<std::size_t>& island,
                  const std::vector<Rows>& rows, const std::vector<Speed>& speeds,
                  std::vector<Drives>& drives) {
   std::size_t count = 0;
   for (const Rows& own : rows) count += own.count;
   const bool whole = count <= TOGETHER;
-  Masses all(joints, speeds);
+  Masses all(speeds);
+  bool independent = true;
   for (std::size_t k = 0; whole && k < island.size(); ++k)
-    add_locks(all, joints[island[k]], rows[k]);
+    independent &= add_locks(all, joints[island[k]], rows[k]);
   for (std::size_t k = 0; k < island.size(); ++k) {
     const Joint& joint = joints[island[k]];
     if (!driven(joint)) continue;
-    Masses some(joints, speeds);
+    Masses some(speeds);
     if (!whole)
       for (const std::size_t i : near(joints, island, rows, k))
         add_locks(some, joints[island[i]], rows[i]);
@@ -219,6 +223,7 @@ void find_masses(const std::vector<Joint>& joints, const std::vector<std::size_t
             1 / (whole ? all : some).ease(joint, row);
     }
   }
+  return whole && independent;
 }
 
 }  // namespace animtool::rigid

@@ -35,8 +35,9 @@ void begin_drive(const Joint& joint, Drive& drive, Row& row, double speed, doubl
 // And in both halves, from the speed with which bodies went on.
 void end_drive(const Joint& joint, const Drive& drive, Row& row, double speed, double h);
 
-// Finds the masses that drives move among the joints of an island, whose rows are theirs.
-void find_masses(const std::vector<Joint>& joints, const std::vector<std::size_t>& island,
+// Finds the masses that drives move among the joints of an island, whose rows are theirs. Returns
+// whether it knows that no equation of these joints is implied by others.
+bool find_masses(const std::vector<Joint>& joints, const std::vector<std::size_t>& island,
                  const std::vector<Rows>& rows, const std::vector<Speed>& speeds,
                  std::vector<Drives>& drives);
 

@@ -41,8 +41,8 @@ constexpr double TURNED = 1e-3;
 constexpr int HELD = 3;
 constexpr double LEANING = 0.25, CREEP = 0.01;
 // Drives swing by less than this in a small step [rad], of which there are so many times more
-// at most.
-constexpr double SWING = 0.5, MOST_PARTS = 32;
+// at most; what then swings by more than so much is not as it should be.
+constexpr double SWING = 0.2, MOST_PARTS = 64, TOO_FAR = 0.5;
 // Friction this near its limit slides.
 constexpr double SLIDING = 1e-6;
 // Who is deeper in another than this share of his size does not fall asleep.
@@ -221,17 +221,17 @@ class Solver {
   void divide(const Island& island) {
     resize(settings_.substeps);
     const std::size_t count = island.joints.size();
-    drives_.assign(count, {});
+    drives_.assign(count, {}), hard_ = false;
     const auto is_driven = [&](std::size_t k) { return driven(world_.joints[k]); };
     if (!std::any_of(island.joints.begin(), island.joints.end(), is_driven)) return;
     for (std::size_t k = 0; k < count; ++k) write_rows(island.joints[k], k, 0, true);
-    find_masses(world_.joints, island.joints, rows_, speeds_, drives_);
+    hard_ = find_masses(world_.joints, island.joints, rows_, speeds_, drives_);
     double parts = 1;
     for (std::size_t k = 0; k < count; ++k)
       for (const Drive& drive : drives_[k]) {
         const double swing = swing_of(world_.joints[island.joints[k]], drive.mass, small_);
         parts = std::max(parts, swing * small_ / SWING);
-        if (swing > report_.swing && swing * small_ > SWING * MOST_PARTS)
+        if (swing > report_.swing && swing * small_ > TOO_FAR * MOST_PARTS)
           report_.swing = swing, report_.drive = static_cast<std::int64_t>(island.joints[k]);
       }
     if (parts > 1)
@@ -818,7 +818,9 @@ class Solver {
         change = -row.mass * (speed + row.error / h_);
       } else if (pushing) {
         const double back = std::clamp(joint_.bias * row.error, -PULL, PULL);
-        change = -row.mass * joint_.mass * (speed + back) - joint_.leak * row.impulse;
+        const bool hard = hard_ && row.kind == Row::LOCK;
+        change = -row.mass * (hard ? 1 : joint_.mass) * (speed + back) -
+                 (hard ? 0 : joint_.leak) * row.impulse;
       } else {
         change = -row.mass * speed;
       }
@@ -961,6 +963,7 @@ class Solver {
   std::vector<int> held_at_;  // points
   int parts_ = 1;  // small steps
   std::vector<Drives> drives_;
+  bool hard_ = false;  // whether joints give way to nothing, so that drives move what they should
   bool bouncy_ = false;  // whether somebody may bounce
   std::vector<Patch> patches_;
   std::vector<Point> points_;
