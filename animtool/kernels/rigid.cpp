@@ -225,7 +225,7 @@ RigidStepped step_rigid(const RigidBodies& bodies, In<double, 2> state, In<std::
   return {moved.release(rows), touched.release(two), touching.release(six),
           holding.release(twelve), report.deepest, report.residual, report.contacts,
           report.rounds, report.awake, report.unsolved, report.first, report.second,
-          report.swing, report.drive};
+          report.follows, report.drive};
 }
 
 }  // namespace animtool

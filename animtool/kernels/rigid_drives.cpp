@@ -16,6 +16,9 @@ constexpr double DECAYED = 20;
 constexpr std::size_t TOGETHER = 96, NEAR = 48;
 // An equation that others imply, over its own mass; who is held whole is so much heavier.
 constexpr double IMPLIED = 1e-9, HELD = 1e6;
+// Equations with less of their own than this are not solved one after the other in few rounds.
+// With less than the other of these a drive does not feel the mass behind them.
+constexpr double APART = 0.02, KNOWN = 1e-3;
 
 // How x'' = pull - stiffness x - damping x' answers after 1, from rest at 0 or with a speed.
 struct Response {
@@ -66,8 +69,8 @@ double swing(const Joint& joint, double mass) {
   return std::sqrt(std::max(joint.stiffness / mass - z * z, 0.0));
 }
 
-bool followed(const Joint& joint, double mass, double h) {
-  return mass > 0 && swing(joint, mass) * h <= FARTHEST;
+bool followed(const Joint& joint, const Drive& drive, double h) {
+  return drive.known && drive.mass > 0 && swing(joint, drive.mass) * h <= FARTHEST;
 }
 
 // Bodies that equations of joints are of, as a matrix of inverse masses.
@@ -75,16 +78,17 @@ class Masses {
  public:
   explicit Masses(const std::vector<Speed>& speeds) : speeds_(speeds) {}
 
-  // Returns whether it is not implied by those before.
-  bool add(const Joint& joint, const Row& row) {
+  // Returns what those before leave it to do, of 1; no less than what is implied.
+  double add(const Joint& joint, const Row& row) {
     std::vector<double> line = coupled(joint, row);
     const double own = over(joint, row, joint, row);
     double left = own;
     for (const double value : line) left -= value * value;
-    if (!(left > IMPLIED * own)) return false;
+    if (!(left > IMPLIED * own)) return IMPLIED;
+    const double share = left / own;
     line.push_back(std::sqrt(left));
     lines_.push_back(std::move(line)), rows_.push_back({&joint, &row});
-    return true;
+    return share;
   }
 
   // What an impulse of 1 changes the speed of its row by, with all equations held.
@@ -131,12 +135,20 @@ class Masses {
   std::vector<Of> rows_;
 };
 
-// Returns whether none is implied by those before.
-bool add_locks(Masses& to, const Joint& joint, const Rows& rows) {
-  bool independent = true;
+// What equations of joints leave each other to do.
+struct Condition {
+  double least = 1;      // of those that are not implied
+  bool implied = false;  // whether some are
+
+  void add(double share) {
+    if (share > IMPLIED) least = std::min(least, share);
+    else implied = true;
+  }
+};
+
+void add_locks(Masses& to, Condition& condition, const Joint& joint, const Rows& rows) {
   for (std::size_t r = 0; r < rows.count; ++r)
-    if (rows.of[r].kind == Row::LOCK) independent &= to.add(joint, rows.of[r]);
-  return independent;
+    if (rows.of[r].kind == Row::LOCK) condition.add(to.add(joint, rows.of[r]));
 }
 
 bool share_body(const Joint& p, const Joint& q) {
@@ -163,6 +175,12 @@ std::vector<std::size_t> near(const std::vector<Joint>& joints,
   return found;
 }
 
+// Who is held whole is not pushed harder than a hard joint would do for itself.
+void bound(const Drive& drive, Row& row) {
+  const double most = drive.mass < row.mass * HELD / 2 ? row.give : row.mass;
+  if (row.give > most) row.push *= most / row.give, row.give = most;
+}
+
 }  // namespace
 
 double swing_of(const Joint& joint, double mass, double time) {
@@ -174,21 +192,22 @@ void begin_drive(const Joint& joint, Drive& drive, Row& row, double speed, doubl
   drive.speed = speed, drive.error = row.error;
   const double pull = joint.stiffness * row.error - joint.damping * joint.speed;
   const double m = drive.mass;
-  if (!followed(joint, m, h)) {
+  if (!followed(joint, drive, h)) {
     row.give = h / 2 * (joint.damping + h * joint.stiffness), row.push = h / 2 * pull;
-    return;
+    return bound(drive, row);
   }
   const Response to = response_of(joint.stiffness / m * h * h, joint.damping / m * h);
   row.give = m * to.extra;
   row.push = m * to.lag * speed + h / 2 * pull;
+  bound(drive, row);
 }
 
 void end_drive(const Joint& joint, const Drive& drive, Row& row, double speed, double h) {
   const double m = drive.mass;
-  if (!followed(joint, m, h)) {
+  if (!followed(joint, drive, h)) {
     const double pull = joint.stiffness * row.error - joint.damping * joint.speed;
     row.give = h * (joint.damping + h * joint.stiffness), row.push = h * pull;
-    return;
+    return bound(drive, row);
   }
   const double pull = (joint.stiffness * drive.error - joint.damping * joint.speed) / m;
   const Response to = response_of(joint.stiffness / m * h * h, joint.damping / m * h);
@@ -197,6 +216,7 @@ void end_drive(const Joint& joint, const Drive& drive, Row& row, double speed, d
                        (2 * to.by_speed - to.by_pull) * others;
   row.give = m * to.extra;
   row.push = m * (speed - after / to.by_pull) - drive.first;
+  bound(drive, row);
 }
 
 bool find_masses(const std::vector<Joint>& joints, const std::vector<std::size_t>& island,
@@ -206,24 +226,26 @@ bool find_masses(const std::vector<Joint>& joints, const std::vector<std::size_t
   for (const Rows& own : rows) count += own.count;
   const bool whole = count <= TOGETHER;
   Masses all(speeds);
-  bool independent = true;
+  Condition condition;
   for (std::size_t k = 0; whole && k < island.size(); ++k)
-    independent &= add_locks(all, joints[island[k]], rows[k]);
+    add_locks(all, condition, joints[island[k]], rows[k]);
   for (std::size_t k = 0; k < island.size(); ++k) {
     const Joint& joint = joints[island[k]];
     if (!driven(joint)) continue;
     Masses some(speeds);
+    Condition own = condition;
     if (!whole)
       for (const std::size_t i : near(joints, island, rows, k))
-        add_locks(some, joints[island[i]], rows[i]);
+        add_locks(some, own, joints[island[i]], rows[i]);
     for (std::size_t r = 0; r < rows[k].count; ++r) {
       const Row& row = rows[k].of[r];
-      if (row.kind == Row::DRIVE)
-        drives[k][static_cast<std::size_t>(row.slot - SLOT_DRIVE)].mass =
-            1 / (whole ? all : some).ease(joint, row);
+      if (row.kind != Row::DRIVE) continue;
+      Drive& drive = drives[k][static_cast<std::size_t>(row.slot - SLOT_DRIVE)];
+      drive.mass = 1 / (whole ? all : some).ease(joint, row);
+      drive.known = own.least > KNOWN;
     }
   }
-  return whole && independent;
+  return whole && !condition.implied && condition.least > APART;
 }
 
 }  // namespace animtool::rigid

@@ -17,6 +17,7 @@ namespace animtool::rigid {
 // Of one equation of a drive, from step to step.
 struct Drive {
   double mass = 0;    // that it moves; 0 where it has no equation
+  bool known = false; // whether joints let it feel that
   double speed = 0;   // where a small step begins
   double error = 0;
   double first = 0;   // impulse of the first half of a small step
@@ -36,7 +37,7 @@ void begin_drive(const Joint& joint, Drive& drive, Row& row, double speed, doubl
 void end_drive(const Joint& joint, const Drive& drive, Row& row, double speed, double h);
 
 // Finds the masses that drives move among the joints of an island, whose rows are theirs. Returns
-// whether it knows that no equation of these joints is implied by others.
+// whether it knows that no equation of these joints is implied by others, or nearly.
 bool find_masses(const std::vector<Joint>& joints, const std::vector<std::size_t>& island,
                  const std::vector<Rows>& rows, const std::vector<Speed>& speeds,
                  std::vector<Drives>& drives);

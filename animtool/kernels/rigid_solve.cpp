@@ -43,6 +43,8 @@ constexpr double LEANING = 0.25, CREEP = 0.01;
 // Drives swing by less than this in a small step [rad], of which there are so many times more
 // at most; what then swings by more than so much is not as it should be.
 constexpr double SWING = 0.2, MOST_PARTS = 64, TOO_FAR = 0.5;
+// Likewise of what moves more than it feels.
+constexpr double LOSES = 0.02;
 // Friction this near its limit slides.
 constexpr double SLIDING = 1e-6;
 // Who is deeper in another than this share of his size does not fall asleep.
@@ -230,9 +232,10 @@ class Solver {
     for (std::size_t k = 0; k < count; ++k)
       for (const Drive& drive : drives_[k]) {
         const double swing = swing_of(world_.joints[island.joints[k]], drive.mass, small_);
-        parts = std::max(parts, swing * small_ / SWING);
-        if (swing > report_.swing && swing * small_ > TOO_FAR * MOST_PARTS)
-          report_.swing = swing, report_.drive = static_cast<std::int64_t>(island.joints[k]);
+        parts = std::max(parts, swing * small_ / (drive.known ? SWING : LOSES));
+        const double most = (drive.known ? TOO_FAR : LOSES) * MOST_PARTS;
+        if (swing * small_ > most)
+          report_.note_drive(step_ * most / (swing * small_), island.joints[k]);
       }
     if (parts > 1)
       resize(settings_.substeps * static_cast<int>(std::ceil(std::min(parts, MOST_PARTS))));
