@@ -242,8 +242,11 @@ class Solver {
   }
 
   void resize(int parts) {
-    parts_ = parts, small_ = h_ = step_ / parts;
-    soften();
+    const double small = step_ / parts;
+    // An impact of the island before may have left another time.
+    const bool same = small == small_ && h_ == small;
+    parts_ = parts, small_ = h_ = small;
+    if (!same) soften();
   }
 
   void soften() {
