@@ -224,7 +224,8 @@ RigidStepped step_rigid(const RigidBodies& bodies, In<double, 2> state, In<std::
   const std::size_t six[2] = {kept.size(), CONTACT}, twelve[2] = {joints, rigid::ROWS};
   return {moved.release(rows), touched.release(two), touching.release(six),
           holding.release(twelve), report.deepest, report.residual, report.contacts,
-          report.rounds, report.awake, report.unsolved, report.first, report.second};
+          report.rounds, report.awake, report.unsolved, report.first, report.second,
+          report.follows, report.drive};
 }
 
 }  // namespace animtool

@@ -28,7 +28,7 @@ class RigidBodies {
 using RigidStepped =
     std::tuple<Out<double, 2>, Out<std::int64_t, 2>, Out<double, 2>, Out<double, 2>, double,
                double, std::int64_t, std::int64_t, std::int64_t, std::int64_t, std::int64_t,
-               std::int64_t>;
+               std::int64_t, double, std::int64_t>;
 
 RigidStepped step_rigid(const RigidBodies& bodies, In<double, 2> state, In<std::int64_t, 2> pairs,
                         In<double, 2> contacts, In<double, 2> held, In<double, 2> forces,

@@ -4,6 +4,8 @@
 #include <algorithm>
 #include <limits>
 
+#include "rigid_drives.h"
+
 namespace animtool::rigid {
 
 namespace {
@@ -39,10 +41,6 @@ class Writing {
   }
   void drive(Row& row, const Joint& joint) const {
     row.kind = Row::DRIVE;
-    const double give = h_ * (joint.damping + h_ * joint.stiffness);
-    row.leak = 1 / give;
-    row.bias = h_ * joint.stiffness / give;
-    row.given -= joint.speed * (h_ * joint.damping / give);
     row.most = joint.most < 0 ? ANY : joint.most * h_;
     row.least = -row.most;
   }
@@ -64,8 +62,6 @@ class Writing {
   const Speed &a_, &b_;
   double h_;
 };
-
-bool driven(const Joint& joint) { return joint.stiffness > 0 || joint.damping > 0; }
 
 }  // namespace
 

@@ -68,7 +68,7 @@ struct Row {
   double bend = 0;    // how much more the error changes in a small step, over its time
   double mass = 0, impulse = 0, half = 0;
   double least = 0, most = 0;  // of the impulse
-  double leak = 0, bias = 0;   // of a drive, in a whole small step
+  double give = 0, push = 0;   // of a drive: impulse against speed, and against where it is
   enum { LOCK, LIMIT, DRIVE } kind = LOCK;
   int slot = 0;
 };

@@ -6,6 +6,7 @@
 #include <cmath>
 #include <numeric>
 
+#include "rigid_drives.h"
 #include "rigid_impacts.h"
 #include "rigid_points.h"
 #include "rigid_world.h"
@@ -39,6 +40,11 @@ constexpr double TURNED = 1e-3;
 // asleep below such a share of the speed of sleep.
 constexpr int HELD = 3;
 constexpr double LEANING = 0.25, CREEP = 0.01;
+// Drives swing by less than this in a small step [rad], of which there are so many times more
+// at most; what then swings by more than so much is not as it should be.
+constexpr double SWING = 0.2, MOST_PARTS = 64, TOO_FAR = 0.5;
+// Likewise of what moves more than it feels.
+constexpr double LOSES = 0.02;
 // Friction this near its limit slides.
 constexpr double SLIDING = 1e-6;
 // Who is deeper in another than this share of his size does not fall asleep.
@@ -184,14 +190,14 @@ class Solver {
       speeds_[i].w = spin_of(world_.bodies[i], states_[i]);
       refresh(i);
     }
+    rows_.assign(island.joints.size(), {});
+    divide(island);
     patches_.clear(), points_.clear();
     patches_.reserve(island.contacts.size()), points_.reserve(MOST_POINTS * island.contacts.size());
     for (const std::size_t k : island.contacts) add_patch(contacts_[k]);
-    rows_.assign(island.joints.size(), {});
     bouncy_ = std::any_of(patches_.begin(), patches_.end(),
                           [](const Patch& patch) { return patch.restitution > 0; });
-    h_ = small_;
-    for (int s = 0; s < settings_.substeps; ++s) small_step(island, s);
+    for (int s = 0; s < parts_; ++s) small_step(island, s);
     for (const Patch& patch : patches_) {
       save(patch);
       const double slack = PARTING * world_.bodies[patch.a].reach;
@@ -211,6 +217,41 @@ class Solver {
         island.parting |= row.kind != Row::DRIVE && off > PARTING * (turns ? 1 : reach);
       }
     }
+  }
+
+  // Chooses small steps of an island, shorter where a drive swings in them.
+  void divide(const Island& island) {
+    resize(settings_.substeps);
+    const std::size_t count = island.joints.size();
+    drives_.assign(count, {}), hard_ = false;
+    const auto is_driven = [&](std::size_t k) { return driven(world_.joints[k]); };
+    if (!std::any_of(island.joints.begin(), island.joints.end(), is_driven)) return;
+    for (std::size_t k = 0; k < count; ++k) write_rows(island.joints[k], k, 0, true);
+    hard_ = find_masses(world_.joints, island.joints, rows_, speeds_, drives_);
+    double parts = 1;
+    for (std::size_t k = 0; k < count; ++k)
+      for (const Drive& drive : drives_[k]) {
+        const double swing = swing_of(world_.joints[island.joints[k]], drive.mass, small_);
+        parts = std::max(parts, swing * small_ / (drive.known ? SWING : LOSES));
+        const double most = (drive.known ? TOO_FAR : LOSES) * MOST_PARTS;
+        if (swing * small_ > most)
+          report_.note_drive(step_ * most / (swing * small_), island.joints[k]);
+      }
+    if (parts > 1)
+      resize(settings_.substeps * static_cast<int>(std::ceil(std::min(parts, MOST_PARTS))));
+  }
+
+  void resize(int parts) {
+    const double small = step_ / parts;
+    // An impact of the island before may have left another time.
+    const bool same = small == small_ && h_ == small;
+    parts_ = parts, small_ = h_ = small;
+    if (!same) soften();
+  }
+
+  void soften() {
+    contact_ = Softness::of(STIFF / small_, CONTACT_DAMPING, h_);
+    joint_ = Softness::of(STIFF / small_, JOINT_DAMPING, h_);
   }
 
   // Counts the points at which friction holds bodies: what slides is not held, and what is
@@ -340,8 +381,8 @@ class Solver {
 
   // Goes from impact to impact, and what is left in one.
   void small_step(const Island& island, int s) {
-    const double begin = static_cast<double>(s) / settings_.substeps;
-    const double end = static_cast<double>(s + 1) / settings_.substeps;
+    const double begin = static_cast<double>(s) / parts_;
+    const double end = static_cast<double>(s + 1) / parts_;
     const std::size_t joints = island.joints.size();
     // Later ones begin where the one before ended.
     if (s == 0) {
@@ -369,12 +410,12 @@ class Solver {
     const double scale = std::min(time / h_, 1.0);
     if (time != h_) {
       h_ = time;
-      contact_ = Softness::of(STIFF / small_, CONTACT_DAMPING, h_);
-      joint_ = Softness::of(STIFF / small_, JOINT_DAMPING, h_);
+      soften();
       for (std::size_t k = 0; k < joints; ++k)
         write_rows(island.joints[k], k, end - time / step_, false);
     }
     for (const std::size_t i : island.bodies) pushed_[i] = 0;
+    for (std::size_t k = 0; k < joints; ++k) begin_drives(world_.joints[island.joints[k]], k);
     for (const std::size_t i : island.bodies) push(i);
     for (Patch& p : patches_) begin_warm(p, scale);
     for (std::size_t k = 0; k < joints; ++k)
@@ -385,12 +426,34 @@ class Solver {
     for (const std::size_t i : island.bodies) go(i);
     look(end);
     for (std::size_t k = 0; k < joints; ++k) write_rows(island.joints[k], k, end, false);
+    for (std::size_t k = 0; k < joints; ++k) end_drives(world_.joints[island.joints[k]], k);
     for (const std::size_t i : island.bodies) push(i);
     for (Patch& p : patches_) end_warm(p);
     for (std::size_t k = 0; k < joints; ++k) end_warm(world_.joints[island.joints[k]], rows_[k]);
     iterate(island, false);
     mark(island);
     for (const std::size_t i : island.bodies) settle(i);
+  }
+
+  void begin_drives(const Joint& joint, std::size_t k) {
+    each_drive(joint, k, [&](Drive& drive, Row& row) {
+      begin_drive(joint, drive, row, speed_of(joint, row), h_);
+    });
+  }
+  void end_drives(const Joint& joint, std::size_t k) {
+    each_drive(joint, k, [&](Drive& drive, Row& row) {
+      drive.first = row.impulse;
+      end_drive(joint, drive, row, speed_of(joint, row), h_);
+    });
+  }
+  template <typename Act>
+  void each_drive(const Joint& joint, std::size_t k, Act act) {
+    if (!driven(joint)) return;
+    for (std::size_t r = 0; r < rows_[k].count; ++r) {
+      Row& row = rows_[k].of[r];
+      if (row.kind == Row::DRIVE)
+        act(drives_[k][static_cast<std::size_t>(row.slot - SLOT_DRIVE)], row);
+    }
   }
 
   // ---- impacts
@@ -756,15 +819,14 @@ class Solver {
       const double speed = speed_of(joint, row) + (pushing ? row.bend : 0);
       double change = 0;
       if (row.kind == Row::DRIVE) {
-        // In the first half of a small step a spring has done half of what it does.
-        const double leak = pushing ? 2 * row.leak : row.leak;
-        const double share = 1 / (1 / row.mass + leak);
-        change = -share * (speed + row.bias * row.error + leak * row.impulse);
+        change = -(row.give * speed + row.push + row.impulse) / (1 + row.give / row.mass);
       } else if (row.kind == Row::LIMIT && row.error > 0) {
         change = -row.mass * (speed + row.error / h_);
       } else if (pushing) {
         const double back = std::clamp(joint_.bias * row.error, -PULL, PULL);
-        change = -row.mass * joint_.mass * (speed + back) - joint_.leak * row.impulse;
+        const bool hard = hard_ && row.kind == Row::LOCK;
+        change = -row.mass * (hard ? 1 : joint_.mass) * (speed + back) -
+                 (hard ? 0 : joint_.leak) * row.impulse;
       } else {
         change = -row.mass * speed;
       }
@@ -905,6 +967,9 @@ class Solver {
   std::vector<Pose> turns_;
   std::vector<char> pushed_;
   std::vector<int> held_at_;  // points
+  int parts_ = 1;  // small steps
+  std::vector<Drives> drives_;
+  bool hard_ = false;  // whether joints give way to nothing, so that drives move what they should
   bool bouncy_ = false;  // whether somebody may bounce
   std::vector<Patch> patches_;
   std::vector<Point> points_;

@@ -67,11 +67,18 @@ struct Report {
   std::int64_t first = -1, second = -1;  // shapes of it; colliders come behind the shapes
   double residual = 0;   // velocity that the last corrections changed [m/s]
   std::int64_t contacts = 0, rounds = 0, awake = 0, unsolved = 0;
+  double follows = 0;       // the step that follows the drive that swings fastest [s], if none did
+  std::int64_t drive = -1;  // its joint
+
+  void note_drive(double step, std::size_t joint) {
+    if (drive < 0 || step < follows) follows = step, drive = static_cast<std::int64_t>(joint);
+  }
 
   // Goes on with what came after.
   void add(const Report& later) {
     if (later.deepest > deepest)
       deepest = later.deepest, first = later.first, second = later.second;
+    if (later.drive >= 0) note_drive(later.follows, static_cast<std::size_t>(later.drive));
     residual = std::max(residual, later.residual);
     contacts = later.contacts, awake = later.awake;
     rounds += later.rounds, unsolved += later.unsolved;

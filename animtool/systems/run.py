@@ -9,8 +9,9 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 
-from animtool.core.array_types import FloatArray
+from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, OptionError, ToleranceError
+from animtool.core.quantities import plain
 from animtool.motion.frames import Frame, TransformsFrame
 from animtool.sim.colliders import MovingBodies
 from animtool.sim.colliders.bodies import Pusher, Wrenches
@@ -29,7 +30,16 @@ Watcher = TypeVar("Watcher", Surface, Bodies)
 # A time that is as near to the end of a step is that end [steps].
 ON_STEP = 1e-9
 # Numbers of a frame beyond this are in no scene; files hold up to 3e38, in any unit.
-BOUND = 1e30  # [m], [m/s], [rad/s]
+BOUND = 1e30
+# What is looked at beside primvars, and its unit.
+UNITS = {
+    "points": "m",
+    "velocities": "m/s",
+    "spins": "rad/s",
+    "rotations": "",
+    "scales": "",
+    "radii": "m",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +72,7 @@ class EntryRun:
             ToleranceError: It blew up (SIM102), or the method could not go on.
         """
         frame: Frame = self.simulation.frame(*self.run.reach(t))
-        _check_bounds(self.name, frame, t)
+        _check_bounds(self.run, self.name, frame, t)
         self._empty = self._empty is not False and not len(frame.points)
         return frame
 
@@ -103,19 +113,24 @@ class EntryRun:
         return {"name": self.name, **steps, **values}
 
 
-def _check_bounds(name: str, frame: Frame, t: float) -> None:
+def _check_bounds(run: SimulationRun, name: str, frame: Frame, t: float) -> None:
     """Raise where a frame holds a number that no file is to hold (SIM102)."""
-    for what, unit in (("points", "m"), ("velocities", "m/s"), ("spins", "rad/s")):
-        rows: FloatArray | None = getattr(frame, what, None)
-        if rows is None or not rows.size:
+    primvars = {f"primvars:{key}": rows for key, rows in _primvars(frame)}
+    arrays = {what: getattr(frame, what, None) for what in UNITS} | primvars
+    for what, rows in arrays.items():
+        if rows is None or not rows.size or rows.dtype.kind != "f":
             continue
         if rows.min() >= -BOUND and rows.max() <= BOUND:
             continue
         place = np.argwhere(~(np.abs(rows) <= BOUND))[0]
-        value = f"{float(rows[tuple(place)]):.3g} {unit}"
+        value = f"{float(rows[tuple(place)]):.3g} {UNITS.get(what, '')}".rstrip()
         message = f"{name} blew up at {t:g} s: {what}[{int(place[0])}] is {value}"
-        hint = "take shorter steps, or weaker forces"
+        hint = f"take steps shorter than {plain(run.step_length)} s, or weaker forces"
         raise ToleranceError(Fault("SIM102", message, hint=hint))
+
+
+def _primvars(frame: Frame) -> list[tuple[str, FloatArray | IntArray]]:
+    return sorted(getattr(frame, "primvars", {}).items())
 
 
 class SimulationRun(EntryRun):

@@ -13,6 +13,7 @@ from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, ToleranceError
 from animtool.systems.attach.network import Network, reach
 from animtool.systems.attach.settings import Settings
+from animtool.systems.run import BOUND
 from animtool.systems.simulation import growing
 from animtool.systems.springs.body import (
     Draws,
@@ -125,10 +126,13 @@ def stepped(made: FloatArray, passages: IntArray | None = None) -> State:
     """Return the end of a frame ``(2, N, 3)`` as a state.
 
     Raises:
-        ToleranceError: It is not finite (SIM102).
+        ToleranceError: It is not finite, or in no scene (SIM102).
     """
-    if not np.isfinite(made).all():
-        message = "the simulation blew up: its state is not finite"
+    if not np.abs(made).max(initial=0.0) <= BOUND:
+        far = np.abs(made[0])
+        number = int(np.argmax(np.where(np.isnan(far), np.inf, far).max(axis=-1)))
+        message = f"the simulation blew up: particle {number} is at "
+        message += f"{np.array2string(made[0, number], precision=3)} m"
         hint = "lower its frequency, bend, shear, gravity, wind or drag"
         raise ToleranceError(Fault("SIM102", message, hint=hint))
     return State(made[0], made[1], nowhere() if passages is None else passages)

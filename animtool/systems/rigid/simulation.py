@@ -12,6 +12,7 @@ import numpy as np
 from animtool import _kernels
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.errors import Fault, Severity, ToleranceError, excerpt
+from animtool.core.quantities import floored, plain
 from animtool.maths import so3
 from animtool.motion.frames import TransformsFrame
 from animtool.motion.physics import Physics
@@ -28,6 +29,7 @@ from animtool.systems.rigid.joints import (
     together,
 )
 from animtool.systems.rigid.loads import BodyLoads, Loads
+from animtool.systems.rigid.locked import locked_notices
 from animtool.systems.rigid.phases import Phase, Phases, held_states
 from animtool.systems.rigid.physics import (
     body_entries,
@@ -68,6 +70,9 @@ class RigidState:
         pressing: Points that press.
         awake: Bodies that are awake.
         residual: What the last corrections changed velocities by [m/s].
+        follows: The step that follows the drive that swings fastest [s], where none
+            did.
+        swinging: Its joint; -1 is none.
     """
 
     motion: FloatArray
@@ -80,6 +85,8 @@ class RigidState:
     pressing: int = 0
     awake: int = 0
     residual: float = 0.0
+    follows: float = 0.0
+    swinging: int = -1
 
 
 class RigidSimulation:
@@ -109,6 +116,7 @@ class RigidSimulation:
         self._loads = BodyLoads(spec.name, bodies, self._forces)
         whole = self._phases.at(self._phases.last, np.zeros(0, np.bool_))
         self._colliders = whole.surroundings.colliders
+        self._locked = locked_notices(joints.rows, joints.numbers, joints.names, bodies)
         self._settings = (
             spec.methods.index(spec.method),
             spec.substeps,
@@ -252,10 +260,12 @@ class RigidSimulation:
         deepest, deepest_pairs = state.deepest.copy(), state.deepest_pairs.copy()
         for k, deeper in enumerate((depth > deepest[0], t == self._begin)):
             if deeper:
-                pair = np.array(stepped[10:])
+                pair = np.array(stepped[10:12])
                 deepest[k] = depth
                 deepest_pairs[k] = np.where(pair < 0, pair, phase.shapes_of(pair))
         broken, held = self._broken(state, phase, held, t + dt)
+        follows, swinging = stepped[12] * self._spec.step / dt, stepped[13]
+        worse = swinging >= 0 and (state.swinging < 0 or follows < state.follows)
         return RigidState(
             moved,
             pairs,
@@ -267,6 +277,8 @@ class RigidSimulation:
             pressing,
             awake,
             residual,
+            follows if worse else state.follows,
+            int(phase.holding[swinging]) if worse else state.swinging,
         )
 
     def _check(self, motion: FloatArray, t: float) -> None:
@@ -471,7 +483,8 @@ class RigidSimulation:
         return Diagnostics(self.energy(state), values, self._notices(state))
 
     def _notices(self, state: RigidState) -> Sequence[Fault]:
-        found = [*self.joints.notices, *self._colliders.notices()]
+        found = [*self.joints.notices, *self._locked, *self._colliders.notices()]
+        found += self._swings(state)
         for kind in self.bodies.kinds:
             found += kind.notices
         found += self._breaks(state)
@@ -490,6 +503,18 @@ class RigidSimulation:
             severity = Severity.WARNING
             found.append(Fault("SIM123", message, hint=hint, severity=severity))
         return found
+
+    def _swings(self, state: RigidState) -> list[Fault]:
+        """Return the drive that swings faster than steps can follow, if any does."""
+        if state.swinging < 0:
+            return []
+        name = excerpt(self.joints.names[state.swinging])
+        message = f"the drive of joint {name} swings too fast for a step of "
+        message += f"{plain(self._spec.step)} s: it may lose energy or be out of time"
+        hint = (
+            f"step: {plain(floored(state.follows))}, or more damping, or less stiffness"
+        )
+        return [Fault("SIM171", message, hint=hint, severity=Severity.WARNING)]
 
     def _breaks(self, state: RigidState) -> list[Fault]:
         """Return which joints broke, and when."""

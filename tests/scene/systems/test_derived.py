@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -228,3 +229,25 @@ def test_copies_that_turn_are_shown_and_stopped(tmp_path: Path, speed: float) ->
         pytest.raises(ToleranceError, match=r"SIM102.*it blew up.*point 0"),
     ):
         opened.at(1.0)
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("velocities", {"velocities": np.array([[0.0, 2e30, 0.0]])}),
+        ("rotations", {"rotations": np.array([[2e30, 0.0, 0.0, 1.0]])}),
+        ("scales", {"scales": np.array([[1.0, -1e200, 1.0]])}),
+        ("spins", {"spins": np.array([[np.nan, 0.0, 0.0]])}),
+        ("primvars:heat", {"primvars": {"heat": np.array([1e31])}}),
+    ],
+)
+def test_numbers_that_no_file_holds_are_said_by_the_simulation(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, field: str, value: dict[str, Any]
+) -> None:
+    """SIM102 names what it is and when, before a writer would refuse it (USD170)."""
+    opened = run(tmp_path, copies=True)
+    frame = opened.at(0.05)
+    changed = replace(frame, **value)
+    monkeypatch.setattr(type(opened.simulation), "frame", lambda *_: changed)
+    with pytest.raises(ToleranceError, match=rf"SIM102.*{field}\[0\]"):
+        opened.at(0.1)

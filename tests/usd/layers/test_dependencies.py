@@ -12,9 +12,9 @@ from animtool.cli.main import run
 from animtool.core.errors import FormatError
 from animtool.core.files.reading import FileState, recorded_inputs
 from animtool.usd.checks import check_layer
+from animtool.usd.layers import sdf as layers
 from animtool.usd.layers.dependencies import open_composed
 from animtool.usd.layers.sdf import find_layer
-from animtool.usd.layers import sdf as layers
 
 HEAD = '#usda 1.0\n(\nupAxis = "Y"\nmetersPerUnit = 1\n{}\n)\n'
 CLIPS = """(clips = {{dictionary default = {{

@@ -1,0 +1,196 @@
+"""Joints that others keep from moving.
+
+The equations of joints are velocities that must be 0: what is left of all velocities
+is their null space. A joint without any of its own motion in there cannot move, however
+hard a drive pulls: two slides of one body along different ways, a pin across another.
+
+References:
+    J. Angeles, "Fundamentals of Robotic Mechanical Systems", 2014, section 9.2:
+    mobility as the nullity of the Jacobian of a loop's constraints.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.errors import Fault, Severity, counted, excerpt
+from animtool.maths import so3
+from animtool.systems.rigid.bodies import Bodies
+
+# Motion of a joint that is less than this, over what it could be, is none.
+NONE = 1e-6
+# Singular values below this share of the largest are 0.
+RANK = 1e-9
+# Most bodies of loops that are looked at together.
+MOST = 64
+# Equations of a joint in its first frame by kind, of the way and the turn: those of
+# the others are left free.
+_WAYS = {0: (0, 1, 2), 1: (0, 1, 2), 2: (0, 1, 2), 3: (1, 2)}
+_TURNS: dict[int, tuple[int, ...]] = {0: (0, 1, 2), 1: (1, 2), 2: (), 3: (0, 1, 2)}
+
+
+@dataclass(frozen=True, slots=True)
+class Locked:
+    """A joint that cannot move.
+
+    Attributes:
+        joint: Its number.
+        by: Of the joints without any one of which it could; empty where several hold.
+        left: How much of its motion is left, of 1.
+    """
+
+    joint: int
+    by: tuple[int, ...]
+    left: float
+
+
+def locked_joints(
+    rows: IntArray, frames: FloatArray, centres: FloatArray
+) -> list[Locked]:
+    """Return the joints of loops that cannot move where they begin.
+
+    Args:
+        rows: Kind and both bodies of K joints ``(K, 3)``; -1 is what does not move.
+        frames: Of each the first frame in the world ``(K, 7)`` [m].
+        centres: Of N bodies ``(N, 3)`` [m].
+    """
+    found = []
+    for loop in _loops(rows, len(centres)):
+        own_bodies = np.setdiff1d(rows[loop, 1:], [-1])
+        own_rows, count = rows[loop], len(own_bodies)
+        places = np.searchsorted(own_bodies, own_rows[:, 1:])
+        own_rows[:, 1:] = np.where(own_rows[:, 1:] < 0, -1, places)
+        around = centres[own_bodies]
+        size = float(np.ptp(np.concatenate([around, frames[loop, :3]]), axis=0).max())
+        ones = [
+            _equations(row, frames[k], around, size or 1.0)
+            for row, k in zip(own_rows, loop, strict=True)
+        ]
+        free = _null_space([held for held, _ in ones], count)
+        for k, (_, own) in zip(loop, ones, strict=True):
+            left = _left(own, free)
+            if not len(own) or left > NONE:
+                continue
+            by = []
+            for i, other in enumerate(loop):
+                if other != k:
+                    rest = [held for j, (held, _) in enumerate(ones) if j != i]
+                    if _left(own, _null_space(rest, count)) > NONE:
+                        by.append(other)
+            found.append(Locked(k, tuple(by), left))
+    return found
+
+
+def locked_notices(
+    rows: IntArray, numbers: FloatArray, names: Sequence[str], bodies: Bodies
+) -> list[Fault]:
+    """Return a warning for each joint that others keep from moving (SIM172)."""
+    start = bodies.start
+    frames = np.array([_frame(start[row[2]], own[7:14]) for row, own in zip(
+        rows.tolist(), numbers, strict=True)]).reshape(-1, 7)  # fmt: skip
+    notices = []
+    for one in locked_joints(rows, frames, start[:, :3]):
+        name = excerpt(names[one.joint])
+        message = f"joint {name} cannot move: {one.left:.1g} of its motion is left by "
+        if one.by:
+            message += "joint" + "s" * (len(one.by) > 1) + " "
+            message += ", ".join(excerpt(names[k]) for k in one.by[:3])
+            if len(one.by) > 3:
+                message += f" and {counted(len(one.by) - 3, 'more', 'more')}"
+        else:
+            message += "several other joints"
+        hint = "let their axes agree, or take one of them away"
+        severity = Severity.WARNING
+        notices.append(Fault("SIM172", message, hint=hint, severity=severity))
+    return notices
+
+
+def _frame(body: FloatArray, own: FloatArray) -> FloatArray:
+    """Return where a frame of a body is in the world ``(7,)``."""
+    at = body[:3] + so3.rotate(body[3:7], own[:3])
+    return np.concatenate([at, so3.multiply(body[3:7], own[3:])])
+
+
+def _loops(rows: IntArray, count: int) -> list[list[int]]:
+    """Return joints of each group that loops join, without branches that end."""
+    ends = [(row[1] if row[1] >= 0 else count, row[2]) for row in rows.tolist()]
+    left = set(range(len(ends)))
+    while True:
+        degree = np.bincount([i for k in left for i in ends[k]], minlength=count + 1)
+        open_ends = {
+            k for k in left if any(degree[i] == 1 and i < count for i in ends[k])
+        }
+        if not open_ends:
+            break
+        left -= open_ends
+    groups: list[tuple[set[int], list[int]]] = []
+    for k in sorted(left):
+        # What does not move joins nothing.
+        own, joints = {i for i in ends[k] if i < count}, [k]
+        for group in [one for one in groups if one[0] & own]:
+            groups.remove(group)
+            own |= group[0]
+            joints = group[1] + joints
+        groups.append((own, sorted(joints)))
+    return [joints for own, joints in groups if len(joints) > 1 and len(own) <= MOST]
+
+
+def _equations(
+    row: IntArray, frame: FloatArray, centres: FloatArray, size: float
+) -> tuple[list[tuple[int, int, FloatArray]], list[tuple[int, int, FloatArray]]]:
+    """Return what a joint holds, and what it leaves free.
+
+    Each as both bodies, and factors on the velocity and, over a size, the spin of the
+    second at its centre and of the first at its own ``(2, 6)``.
+    """
+    kind, first, second = row.tolist()
+    axes = so3.to_matrix(frame[3:]).T
+
+    def line(axis: FloatArray, turns: bool) -> tuple[int, int, FloatArray]:
+        factors = np.zeros((2, 6))
+        for k, (body, sign) in enumerate(((second, 1.0), (first, -1.0))):
+            if body < 0:
+                continue
+            if turns:
+                factors[k, 3:] = sign * axis
+            else:
+                arm = (frame[:3] - centres[body]) / size
+                factors[k, :3], factors[k, 3:] = sign * axis, sign * np.cross(arm, axis)
+        return second, first, factors
+
+    held = [line(axes[i], False) for i in _WAYS[kind]]
+    held += [line(axes[i], True) for i in _TURNS[kind]]
+    own = [line(axes[i], False) for i in range(3) if i not in _WAYS[kind]]
+    own += [line(axes[i], True) for i in range(3) if i not in _TURNS[kind]]
+    return held, own
+
+
+def _matrix(lines: Sequence[tuple[int, int, FloatArray]], count: int) -> FloatArray:
+    made = np.zeros((len(lines), 6 * count))
+    for k, (second, first, factors) in enumerate(lines):
+        made[k, 6 * second : 6 * second + 6] = factors[0]
+        if first >= 0:
+            made[k, 6 * first : 6 * first + 6] = factors[1]
+    return made
+
+
+def _null_space(
+    several: Sequence[Sequence[tuple[int, int, FloatArray]]], count: int
+) -> FloatArray:
+    """Return velocities that all equations leave ``(6N, …)``."""
+    lines = [one for own in several for one in own]
+    if not lines:
+        return np.eye(6 * count)
+    _, sizes, turned = np.linalg.svd(_matrix(lines, count))
+    rank = int((sizes > RANK * sizes[0]).sum())
+    return np.asarray(turned[rank:].T)
+
+
+def _left(own: Sequence[tuple[int, int, FloatArray]], free: FloatArray) -> float:
+    """Return the most motion of its own that a joint has left."""
+    count = len(free) // 6
+    return float(np.linalg.norm(_matrix(own, count) @ free, axis=1).max(initial=0.0))
