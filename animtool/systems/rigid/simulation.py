@@ -363,15 +363,20 @@ class RigidSimulation:
             physics=self._physics,
         )
 
-    def poses(self, state: RigidState, t: float) -> FloatArray:
-        """Return where the frames of all shapes are ``(C, 7)`` at a time [s]."""
+    def frames(self, state: RigidState, t: float) -> FloatArray:
+        """Return where the frames of all bodies are ``(B, 7)`` at a time [s]."""
         bodies = self.bodies
         frames = np.zeros((len(bodies.names), 7))
         places, turns = bodies.placed(state.motion)
         frames[bodies.dynamic] = np.concatenate([places, turns], axis=1)
         for i in np.flatnonzero(~bodies.moved).tolist():
             frames[i] = bodies.poses[i].at(t)
-        frames = frames[bodies.outlines.of]
+        return frames
+
+    def poses(self, state: RigidState, t: float) -> FloatArray:
+        """Return where the frames of all shapes are ``(C, 7)`` at a time [s]."""
+        bodies = self.bodies
+        frames = self.frames(state, t)[bodies.outlines.of]
         at, turn = bodies.outlines.at, bodies.outlines.turns
         places = frames[:, :3] + so3.rotate(frames[:, 3:], at)
         turns = so3.multiply(frames[:, 3:], turn)
@@ -398,6 +403,34 @@ class RigidSimulation:
     def count(self) -> int:
         """Bodies that can be pushed."""
         return len(self.bodies.dynamic)
+
+    @property
+    def names(self) -> Sequence[str]:
+        """Of all bodies ``(B,)``."""
+        return self.bodies.names
+
+    @property
+    def carried(self) -> IntArray:
+        """The body that each shape is of ``(C,)``."""
+        return self.bodies.outlines.of
+
+    @property
+    def dynamic(self) -> IntArray:
+        """The bodies that can be pushed ``(count,)``."""
+        return self.bodies.dynamic
+
+    def free(self, t: float) -> BoolArray:
+        """Return which bodies move by themselves from a time [s] on ``(count,)``."""
+        return self._phases.free(t, self._spec.step)
+
+    def size(self, number: int) -> float:
+        """Return how far a body reaches from its centre [m]."""
+        return float(self.bodies.kinds[self.bodies.of[number]].reach)
+
+    def speeds(self, state: RigidState) -> FloatArray:
+        """Return velocities of centres and angular ones ``(count, 6)``."""
+        spins = self.bodies.spins(state.motion)
+        return np.concatenate([state.motion[:, 7:10], spins], axis=1)
 
     def pushed(self, state: RigidState, wrenches: Wrenches) -> RigidState:
         """Return a state after impulses on its bodies."""

@@ -1,0 +1,231 @@
+"""Pins that rigid bodies of others carry: a cell of time of both together.
+
+A body is taken through a cell as if nothing of the springs pulled it, and what they pull
+over the cell is found so that body and pins end at the same places with it: Newton's
+method on the velocities that the pull gives the bodies. So a light body on a heavy rope
+is as stable as a heavy body on a light one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+
+from animtool._types import FloatArray, IntArray
+from animtool.maths import so3
+from animtool.sim.colliders.bodies import Wrenches
+from animtool.systems.tied import TiedBodies, TiedStep, carried_to
+
+# How far bodies are moved to see how the pull changes, in mean lengths of springs [1].
+TRIAL = 1e-6
+# Corrections go on until they move bodies by less, in the same [1].
+MET = 1e-9
+# What is left after the last that is near enough, in the same [1].
+ENOUGH = 1e-4
+MAX_CORRECTIONS = 24
+MAX_HALVINGS = 6
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tie:
+    """Particles that a body carries."""
+
+    columns: IntArray  # their numbers among the held particles ``(P,)``
+    carrier: int  # number of the system of the body
+    body: int  # number of the body there
+    inside: FloatArray  # where they are in its frame ``(P, 3)`` [m]
+    masses: FloatArray  # theirs, which the body bears ``(P,)`` [kg]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Ties:
+    """What carries held particles, of one or more rigid systems."""
+
+    carriers: Sequence[TiedBodies]
+    ties: Sequence[Tie]
+    gravity: FloatArray  # ``(3,)`` [m/s²]
+    size: float  # mean length of springs [m]
+
+
+class Crossed(Protocol):
+    """What springs come to in a cell, with what held particles were pulled by."""
+
+    lost: bool
+
+    @property
+    def pulls(self) -> FloatArray:
+        """Impulses and moments about the origin ``(H, 6)``."""
+
+
+class _Pulled(NamedTuple):
+    """What a guess of the pull leads to."""
+
+    crossed: Any
+    left: FloatArray  # velocities that it misses ``(6 U,)``
+    wrenches: list[Wrenches]  # what bodies were pulled by, by system
+
+
+# Returns what springs come to where held particles of some columns end a cell.
+Cross = Callable[[FloatArray, FloatArray], Any]
+
+
+class _Unknown(NamedTuple):
+    """A body whose pull is looked for."""
+
+    carrier: int
+    number: int  # among those that can be pushed
+    mass: float
+    inertia: FloatArray  # about the centre, in the world ``(3, 3)`` [kg m²]
+    ease: FloatArray  # its inverse, 0 about axes that nothing turns about
+    reach: float  # how far it is from the centre to what it carries, at most [m]
+
+
+class TiedCell:
+    """A cell of time of springs and of the bodies that carry some of their pins."""
+
+    def __init__(self, ties: Ties, t0: float, t1: float) -> None:
+        self._ties, self._h = ties, t1 - t0
+        self._steps = [one.over(t0, t1) for one in ties.carriers]
+        self._places = [
+            carried_to(self._steps[tie.carrier].begins[tie.body], tie.inside)
+            for tie in ties.ties
+        ]
+        self._unknown = list(self._bodies())
+
+    def _bodies(self) -> Any:
+        """Yield the bodies that move by themselves and carry anything."""
+        carriers = self._ties.carriers
+        for k, step in enumerate(self._steps):
+            dynamic = carriers[k].system.dynamic
+            for number, body in enumerate(dynamic.tolist()):
+                own = [t for t in self._ties.ties if (t.carrier, t.body) == (k, body)]
+                if not own or not step.free[number]:
+                    continue
+                centre, ease = (rows[number] for rows in step.inertias)
+                points = np.concatenate(
+                    [carried_to(step.begins[body], tie.inside) for tie in own]
+                )
+                reach = float(np.linalg.norm(points - centre, axis=1).max())
+                mass = float(carriers[k].masses[number])
+                inertia = np.linalg.pinv(ease, hermitian=True)
+                reach = max(reach, self._ties.size)
+                yield _Unknown(k, number, mass, inertia, ease, reach)
+
+    @property
+    def _scale(self) -> FloatArray:
+        """How far velocities of bodies move what they carry in a cell ``(6 U,)``."""
+        rows = [[1.0] * 3 + [one.reach] * 3 for one in self._unknown]
+        return self._h * np.array(rows).reshape(-1)
+
+    def cross(self, cross: Cross) -> tuple[Any, tuple[Wrenches, ...]]:
+        """Return what springs come to, and what bodies were pulled by, by system."""
+        y = np.zeros(6 * len(self._unknown))
+        now = self._tried(y, cross)
+        if not len(y) or now.crossed.lost:
+            return now.crossed, tuple(now.wrenches)
+        size, scale = self._ties.size, self._scale
+        slopes = self._slopes(y, now, TRIAL * size / scale, cross)
+        moved = np.inf
+        for _ in range(MAX_CORRECTIONS):
+            change = -np.linalg.lstsq(slopes, now.left, rcond=None)[0]
+            moved = float(np.abs(change * scale).max())
+            share, after = self._taken(y, change, now, cross)
+            if after is None:
+                break
+            change = share * change
+            y = y + change
+            # Broyden's: what this correction showed of how the pull changes.
+            gap = after.left - now.left - slopes @ change
+            square = float(change @ change)
+            if square > 0:
+                slopes = slopes + np.outer(gap, change) / square
+            now = after
+            if share == 1.0 and moved <= MET * size:
+                break
+        now.crossed.lost |= not moved <= ENOUGH * size
+        return now.crossed, tuple(now.wrenches)
+
+    def _slopes(
+        self, y: FloatArray, now: _Pulled, steps: FloatArray, cross: Cross
+    ) -> FloatArray:
+        """Return how what is missed changes with the velocities ``(6 U, 6 U)``."""
+        columns = []
+        for k, step in enumerate(steps.tolist()):
+            moved = y.copy()
+            moved[k] += step
+            columns.append((self._tried(moved, cross).left - now.left) / step)
+        return np.stack(columns, axis=1)
+
+    def _taken(
+        self, y: FloatArray, change: FloatArray, now: _Pulled, cross: Cross
+    ) -> tuple[float, _Pulled | None]:
+        """Return what share of a correction leads on, and where; None where none."""
+        share = 1.0
+        before = float(np.linalg.norm(now.left))
+        for _ in range(MAX_HALVINGS):
+            after = self._tried(y + share * change, cross)
+            sound = not after.crossed.lost and bool(np.isfinite(after.left).all())
+            if sound and float(np.linalg.norm(after.left)) <= max(4 * before, 1e-9):
+                return share, after
+            share /= 2
+        return share, None
+
+    def _tried(self, y: FloatArray, cross: Cross) -> _Pulled:
+        """Return what comes of velocities ``(6 U,)`` that pulls give bodies."""
+        pulls = [np.zeros((one.count, 6)) for one in self._ties.carriers]
+        for one, own in zip(self._unknown, y.reshape(-1, 6), strict=True):
+            row = pulls[one.carrier][one.number]
+            row[:3], row[3:] = one.mass * own[:3], one.inertia @ own[3:]
+        ends = [
+            step.pulled(step.wrenches(rows))
+            for step, rows in zip(self._steps, pulls, strict=True)
+        ]
+        goals = [
+            carried_to(ends[tie.carrier][1][tie.body], tie.inside)
+            for tie in self._ties.ties
+        ]
+        crossed = cross(np.concatenate(self._places), np.concatenate(goals))
+        found = [np.zeros_like(rows) for rows in pulls]
+        left = []
+        for one, own in zip(self._unknown, y.reshape(-1, 6), strict=True):
+            step = self._steps[one.carrier]
+            pull = self._pull(one, step, ends[one.carrier][0], goals, crossed.pulls)
+            turning = step.turning(one.number, pull)
+            gained = [pull[:3] / one.mass, one.ease @ turning]
+            left.append(np.concatenate(gained) - own)
+            found[one.carrier][one.number] = *pull[:3], *turning
+        wrenches = [
+            step.wrenches(rows) for step, rows in zip(self._steps, found, strict=True)
+        ]
+        return _Pulled(crossed, np.array(left).reshape(-1), wrenches)
+
+    def _pull(
+        self,
+        one: _Unknown,
+        step: TiedStep,
+        end: Any,
+        goals: Sequence[FloatArray],
+        pulls: FloatArray,
+    ) -> FloatArray:
+        """Return what a body is pulled by, of springs and of what it carries ``(6,)``.
+
+        Particles that it carries have mass, which springs do not feel.
+        """
+        body = self._ties.carriers[one.carrier].system.dynamic[one.number]
+        total = np.zeros(6)
+        for tie, x0, x1 in zip(self._ties.ties, self._places, goals, strict=True):
+            if tie.carrier != one.carrier or tie.body != body:
+                continue
+            total += pulls[tie.columns].sum(axis=0)
+            mass = tie.masses[:, None]
+            v0 = step.begun_at(one.number, x0)
+            v1 = step.speeds_at(end, one.number, x1)
+            fall = self._h * mass * self._ties.gravity
+            total[:3] += (fall - mass * (v1 - v0)).sum(axis=0)
+            turned = so3.cross((x0 + x1) / 2, fall)
+            turned -= mass * (so3.cross(x1, v1) - so3.cross(x0, v0))
+            total[3:] += turned.sum(axis=0)
+        return total
