@@ -117,7 +117,7 @@ class TiedBodies(Bodies):
         centres = self.system.inertias(ended)[0]
         share, own = (t - begin) / (end - begin), self.system.inertias(state)[0]
         now = share * wrenches.now
-        now[:, 3:] += np.cross(own - centres, now[:, :3])
+        now[:, 3:] += so3.cross(own - centres, now[:, :3])
         span = SHARE * (t - begin)
         return self.system.pushed(state, Wrenches(now, span * now))
 
@@ -146,7 +146,7 @@ class TiedStep:
         """Return velocities of points ``(P, 3)`` of a body that can be pushed [m/s]."""
         speeds = self._simulation.speeds(state)[number]
         centre = self._simulation.inertias(state)[0][number]
-        found: FloatArray = speeds[:3] + np.cross(speeds[3:], points - centre)
+        found: FloatArray = speeds[:3] + so3.cross(speeds[3:], points - centre)
         return found
 
     def begun_at(self, number: int, points: FloatArray) -> FloatArray:
@@ -156,13 +156,13 @@ class TiedStep:
     def turning(self, number: int, pull: FloatArray) -> FloatArray:
         """Return the moment of a pull ``(6,)`` about where it finds the centre."""
         centre = self.inertias[0][number] - self._span * self._speeds[number]
-        moment: FloatArray = pull[3:] - np.cross(centre, pull[:3])
+        moment: FloatArray = pull[3:] - so3.cross(centre, pull[:3])
         return moment
 
     def wrenches(self, pulls: FloatArray) -> Wrenches:
         """Return impulses and moments about the centres ``(count, 6)`` as a push."""
         now = pulls.copy()
-        now[:, 3:] += np.cross(self.inertias[0], pulls[:, :3])
+        now[:, 3:] += so3.cross(self.inertias[0], pulls[:, :3])
         return Wrenches(now, self._span * now)
 
     def pulled(self, wrenches: Wrenches) -> tuple[Any, FloatArray]:

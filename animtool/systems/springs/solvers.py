@@ -312,8 +312,10 @@ def _tied(
         network.lead(held, drawn)
         return _pulled(network, grid, met, TIED * ties.size)
 
-    crossed, wrenches = TiedCell(ties, t0, t1).cross(cross)
-    return replace(crossed.grid, lost=crossed.lost, tied=wrenches)
+    found = TiedCell(ties, t0, t1).cross(cross, grid.state.slopes)
+    made: Pulled = found.crossed
+    state = replace(made.grid.state, slopes=found.slopes)
+    return replace(made.grid, state=state, lost=made.lost, tied=found.wrenches)
 
 
 @dataclass(slots=True)

@@ -17,7 +17,7 @@ import numpy as np
 from animtool._types import FloatArray, IntArray
 from animtool.maths import so3
 from animtool.sim.colliders.bodies import Wrenches
-from animtool.systems.tied import TiedBodies, TiedStep, carried_to
+from animtool.systems.tied import TiedBodies, carried_to
 
 # How far bodies are moved to see how the pull changes, in mean lengths of springs [1].
 TRIAL = 1e-6
@@ -26,6 +26,8 @@ MET = 1e-9
 # What is left after the last that is near enough, in the same [1].
 ENOUGH = 1e-4
 MAX_CORRECTIONS = 24
+# Corrections after which slopes of the cell before are looked for again.
+RENEWED = 5
 MAX_HALVINGS = 6
 
 
@@ -72,11 +74,20 @@ class _Pulled(NamedTuple):
 Cross = Callable[[FloatArray, FloatArray], Any]
 
 
+class TiedCrossing(NamedTuple):
+    """A cell that was crossed."""
+
+    crossed: Any  # what springs come to
+    wrenches: tuple[Wrenches, ...]  # what bodies were pulled by, by system
+    slopes: FloatArray | None  # how what is missed changes with velocities of bodies
+
+
 class _Unknown(NamedTuple):
     """A body whose pull is looked for."""
 
     carrier: int
     number: int  # among those that can be pushed
+    ties: Sequence[int]  # numbers of what it carries
     mass: float
     inertia: FloatArray  # about the centre, in the world ``(3, 3)`` [kg m²]
     ease: FloatArray  # its inverse, 0 about axes that nothing turns about
@@ -94,6 +105,14 @@ class TiedCell:
             for tie in ties.ties
         ]
         self._unknown = list(self._bodies())
+        # Velocities of what each body carries, at the begin.
+        self._begun = [
+            {
+                k: self._steps[one.carrier].begun_at(one.number, self._places[k])
+                for k in one.ties
+            }
+            for one in self._unknown
+        ]
 
     def _bodies(self) -> Any:
         """Yield the bodies that move by themselves and carry anything."""
@@ -101,18 +120,17 @@ class TiedCell:
         for k, step in enumerate(self._steps):
             dynamic = carriers[k].system.dynamic
             for number, body in enumerate(dynamic.tolist()):
-                own = [t for t in self._ties.ties if (t.carrier, t.body) == (k, body)]
+                ties = self._ties.ties
+                own = [i for i, t in enumerate(ties) if (t.carrier, t.body) == (k, body)]
                 if not own or not step.free[number]:
                     continue
                 centre, ease = (rows[number] for rows in step.inertias)
-                points = np.concatenate(
-                    [carried_to(step.begins[body], tie.inside) for tie in own]
-                )
+                points = np.concatenate([self._places[i] for i in own])
                 reach = float(np.linalg.norm(points - centre, axis=1).max())
                 mass = float(carriers[k].masses[number])
                 inertia = np.linalg.pinv(ease, hermitian=True)
                 reach = max(reach, self._ties.size)
-                yield _Unknown(k, number, mass, inertia, ease, reach)
+                yield _Unknown(k, number, own, mass, inertia, ease, reach)
 
     @property
     def _scale(self) -> FloatArray:
@@ -120,20 +138,30 @@ class TiedCell:
         rows = [[1.0] * 3 + [one.reach] * 3 for one in self._unknown]
         return self._h * np.array(rows).reshape(-1)
 
-    def cross(self, cross: Cross) -> tuple[Any, tuple[Wrenches, ...]]:
-        """Return what springs come to, and what bodies were pulled by, by system."""
+    def cross(self, cross: Cross, known: FloatArray | None) -> TiedCrossing:
+        """Return what springs come to, and what bodies were pulled by.
+
+        ``known`` are slopes of the cell before ``(6 U, 6 U)``, from which on those of
+        this one are found.
+        """
         y = np.zeros(6 * len(self._unknown))
         now = self._tried(y, cross)
         if not len(y) or now.crossed.lost:
-            return now.crossed, tuple(now.wrenches)
+            return TiedCrossing(now.crossed, tuple(now.wrenches), None)
         size, scale = self._ties.size, self._scale
-        slopes = self._slopes(y, now, TRIAL * size / scale, cross)
+        trial = TRIAL * size / scale
+        fits = known is not None and known.shape == (len(y), len(y))
+        slopes = known if fits else self._slopes(y, now, trial, cross)
+        assert slopes is not None
         moved = np.inf
-        for _ in range(MAX_CORRECTIONS):
+        for k in range(MAX_CORRECTIONS):
+            if k == RENEWED and fits:
+                slopes = self._slopes(y, now, trial, cross)
             change = -np.linalg.lstsq(slopes, now.left, rcond=None)[0]
             moved = float(np.abs(change * scale).max())
             share, after = self._taken(y, change, now, cross)
             if after is None:
+                moved = np.inf
                 break
             change = share * change
             y = y + change
@@ -146,7 +174,7 @@ class TiedCell:
             if share == 1.0 and moved <= MET * size:
                 break
         now.crossed.lost |= not moved <= ENOUGH * size
-        return now.crossed, tuple(now.wrenches)
+        return TiedCrossing(now.crossed, tuple(now.wrenches), slopes)
 
     def _slopes(
         self, y: FloatArray, now: _Pulled, steps: FloatArray, cross: Cross
@@ -190,9 +218,10 @@ class TiedCell:
         crossed = cross(np.concatenate(self._places), np.concatenate(goals))
         found = [np.zeros_like(rows) for rows in pulls]
         left = []
-        for one, own in zip(self._unknown, y.reshape(-1, 6), strict=True):
+        for u, own in enumerate(y.reshape(-1, 6)):
+            one = self._unknown[u]
             step = self._steps[one.carrier]
-            pull = self._pull(one, step, ends[one.carrier][0], goals, crossed.pulls)
+            pull = self._pull(u, ends[one.carrier][0], goals, crossed.pulls)
             turning = step.turning(one.number, pull)
             gained = [pull[:3] / one.mass, one.ease @ turning]
             left.append(np.concatenate(gained) - own)
@@ -203,25 +232,18 @@ class TiedCell:
         return _Pulled(crossed, np.array(left).reshape(-1), wrenches)
 
     def _pull(
-        self,
-        one: _Unknown,
-        step: TiedStep,
-        end: Any,
-        goals: Sequence[FloatArray],
-        pulls: FloatArray,
+        self, u: int, end: Any, goals: Sequence[FloatArray], pulls: FloatArray
     ) -> FloatArray:
         """Return what a body is pulled by, of springs and of what it carries ``(6,)``.
 
         Particles that it carries have mass, which springs do not feel.
         """
-        body = self._ties.carriers[one.carrier].system.dynamic[one.number]
-        total = np.zeros(6)
-        for tie, x0, x1 in zip(self._ties.ties, self._places, goals, strict=True):
-            if tie.carrier != one.carrier or tie.body != body:
-                continue
+        one, total = self._unknown[u], np.zeros(6)
+        step = self._steps[one.carrier]
+        for k in one.ties:
+            tie, x0, x1 = self._ties.ties[k], self._places[k], goals[k]
             total += pulls[tie.columns].sum(axis=0)
-            mass = tie.masses[:, None]
-            v0 = step.begun_at(one.number, x0)
+            mass, v0 = tie.masses[:, None], self._begun[u][k]
             v1 = step.speeds_at(end, one.number, x1)
             fall = self._h * mass * self._ties.gravity
             total[:3] += (fall - mass * (v1 - v0)).sum(axis=0)
