@@ -55,8 +55,8 @@ class SpringState:
     )
     # What pins that bodies carry were pulled by in the last step ``(H, 6)``.
     pulls: FloatArray | None = field(default=None, metadata=later(np.ndarray))
-    # How these change with velocities of the bodies, as the last cell found.
-    slopes: FloatArray | None = field(default=None, metadata=later(np.ndarray))
+    # What the last cell found of how these change with velocities of the bodies.
+    known: FloatArray | None = field(default=None, metadata=later(np.ndarray))
 
 
 @dataclass(frozen=True, slots=True)

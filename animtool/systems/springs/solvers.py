@@ -312,9 +312,9 @@ def _tied(
         network.lead(held, drawn)
         return _pulled(network, grid, met, TIED * ties.size)
 
-    found = TiedCell(ties, t0, t1).cross(cross, grid.state.slopes)
+    found = TiedCell(ties, t0, t1).cross(cross, grid.state.known)
     made: Pulled = found.crossed
-    state = replace(made.grid.state, slopes=found.slopes)
+    state = replace(made.grid.state, known=found.known)
     return replace(made.grid, state=state, lost=made.lost, tied=found.wrenches)
 
 

@@ -22,12 +22,16 @@ from animtool.systems.tied import TiedBodies, carried_to
 # How far bodies are moved to see how the pull changes, in mean lengths of springs [1].
 TRIAL = 1e-6
 # Corrections go on until they move bodies by less, in the same [1].
-MET = 1e-9
+MET = 1e-10
+# What is not corrected further by new slopes, in the same [1].
+NEAR = 1e-7
 # What is left after the last that is near enough, in the same [1].
 ENOUGH = 1e-4
 MAX_CORRECTIONS = 24
-# Corrections after which slopes of the cell before are looked for again.
-RENEWED = 5
+# What a correction may be of the one before: ropes that become slack have kinks [1].
+GROWTH = 2.0
+# Of a correction, what the next may be before slopes are looked for again [1].
+SLOW = 0.25
 MAX_HALVINGS = 6
 
 
@@ -79,7 +83,8 @@ class TiedCrossing(NamedTuple):
 
     crossed: Any  # what springs come to
     wrenches: tuple[Wrenches, ...]  # what bodies were pulled by, by system
-    slopes: FloatArray | None  # how what is missed changes with velocities of bodies
+    # How what is missed changes with what bodies get, and that ``(6 U, 6 U + 1)``.
+    known: FloatArray | None
 
 
 class _Unknown(NamedTuple):
@@ -92,6 +97,12 @@ class _Unknown(NamedTuple):
     inertia: FloatArray  # about the centre, in the world ``(3, 3)`` [kg m²]
     ease: FloatArray  # its inverse, 0 about axes that nothing turns about
     reach: float  # how far it is from the centre to what it carries, at most [m]
+
+
+def _corrected(slopes: FloatArray, now: _Pulled) -> FloatArray:
+    """Return the correction of velocities that takes away what is missed."""
+    found: FloatArray = -np.linalg.lstsq(slopes, now.left, rcond=None)[0]
+    return found
 
 
 class TiedCell:
@@ -141,40 +152,46 @@ class TiedCell:
     def cross(self, cross: Cross, known: FloatArray | None) -> TiedCrossing:
         """Return what springs come to, and what bodies were pulled by.
 
-        ``known`` are slopes of the cell before ``(6 U, 6 U)``, from which on those of
-        this one are found.
+        ``known`` is what the cell before found, from which on this one is solved.
         """
-        y = np.zeros(6 * len(self._unknown))
-        now = self._tried(y, cross)
-        if not len(y) or now.crossed.lost:
+        count = 6 * len(self._unknown)
+        if not count:
+            now = self._tried(np.zeros(0), cross)
             return TiedCrossing(now.crossed, tuple(now.wrenches), None)
-        size, scale = self._ties.size, self._scale
-        trial = TRIAL * size / scale
-        fits = known is not None and known.shape == (len(y), len(y))
-        slopes = known if fits else self._slopes(y, now, trial, cross)
-        assert slopes is not None
+        fits = known is not None and known.shape == (count, count + 1)
+        y = known[:, -1].copy() if known is not None and fits else np.zeros(count)
+        now = self._tried(y, cross)
+        slopes = known[:, :-1] if known is not None and fits else None
+        size, scale, fresh = self._ties.size, self._scale, False
         moved = np.inf
-        for k in range(MAX_CORRECTIONS):
-            if k == RENEWED and fits:
-                slopes = self._slopes(y, now, trial, cross)
-            change = -np.linalg.lstsq(slopes, now.left, rcond=None)[0]
-            moved = float(np.abs(change * scale).max())
-            share, after = self._taken(y, change, now, cross)
-            if after is None:
-                moved = np.inf
+        for _ in range(MAX_CORRECTIONS):
+            if now.crossed.lost:
                 break
+            if slopes is None:
+                slopes, fresh = self._slopes(y, now, TRIAL * size / scale, cross), True
+            change = _corrected(slopes, now)
+            moved = float(np.abs(change * scale).max())
+            if moved <= MET * size:
+                break
+            share, left, after = self._taken(y, change, slopes, cross)
+            if after is None:
+                if fresh or moved <= NEAR * size:
+                    break
+                slopes = None
+                continue
             change = share * change
             y = y + change
-            # Broyden's: what this correction showed of how the pull changes.
             gap = after.left - now.left - slopes @ change
-            square = float(change @ change)
-            if square > 0:
-                slopes = slopes + np.outer(gap, change) / square
             now = after
-            if share == 1.0 and moved <= MET * size:
-                break
+            if left > SLOW * moved or share < 1.0:
+                slopes, fresh = None, False
+                continue
+            # Broyden's: what this correction showed of how the pull changes.
+            slopes = slopes + np.outer(gap, change) / float(change @ change)
+            fresh = False
         now.crossed.lost |= not moved <= ENOUGH * size
-        return TiedCrossing(now.crossed, tuple(now.wrenches), slopes)
+        found = None if slopes is None else np.column_stack([slopes, y])
+        return TiedCrossing(now.crossed, tuple(now.wrenches), found)
 
     def _slopes(
         self, y: FloatArray, now: _Pulled, steps: FloatArray, cross: Cross
@@ -188,18 +205,27 @@ class TiedCell:
         return np.stack(columns, axis=1)
 
     def _taken(
-        self, y: FloatArray, change: FloatArray, now: _Pulled, cross: Cross
-    ) -> tuple[float, _Pulled | None]:
-        """Return what share of a correction leads on, and where; None where none."""
-        share = 1.0
-        before = float(np.linalg.norm(now.left))
+        self,
+        y: FloatArray,
+        change: FloatArray,
+        slopes: FloatArray,
+        cross: Cross,
+    ) -> tuple[float, float, _Pulled | None]:
+        """Return what share of a correction leads on, and where; None where none.
+
+        With how far the next one moves bodies, as it is with these slopes [m]. It has
+        to be less (P. Deuflhard, Newton Methods for Nonlinear Problems, 2004, 3.3).
+        """
+        size, scale, share = self._ties.size, self._scale, 1.0
+        moved = float(np.abs(change * scale).max())
         for _ in range(MAX_HALVINGS):
             after = self._tried(y + share * change, cross)
-            sound = not after.crossed.lost and bool(np.isfinite(after.left).all())
-            if sound and float(np.linalg.norm(after.left)) <= max(4 * before, 1e-9):
-                return share, after
+            if not after.crossed.lost and np.isfinite(after.left).all():
+                left = float(np.abs(_corrected(slopes, after) * scale).max())
+                if left <= max((1 - share / 4) * moved, MET * size):
+                    return share, left, after
             share /= 2
-        return share, None
+        return share, np.inf, None
 
     def _tried(self, y: FloatArray, cross: Cross) -> _Pulled:
         """Return what comes of velocities ``(6 U,)`` that pulls give bodies."""
