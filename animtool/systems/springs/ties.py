@@ -271,9 +271,7 @@ class TiedCell:
             total += pulls[tie.columns].sum(axis=0)
             mass, v0 = tie.masses[:, None], self._begun[u][k]
             v1 = step.speeds_at(end, one.number, x1)
-            fall = self._h * mass * self._ties.gravity
-            total[:3] += (fall - mass * (v1 - v0)).sum(axis=0)
-            turned = so3.cross((x0 + x1) / 2, fall)
-            turned -= mass * (so3.cross(x1, v1) - so3.cross(x0, v0))
-            total[3:] += turned.sum(axis=0)
+            own = mass * (self._h * self._ties.gravity - (v1 - v0))
+            total[:3] += own.sum(axis=0)
+            total[3:] += so3.cross((x0 + x1) / 2, own).sum(axis=0)
         return total
