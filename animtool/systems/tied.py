@@ -31,6 +31,12 @@ class CarryingSystem(RigidSystem, Protocol):
     def initial(self) -> Any:
         """Return the state at the time of the first step."""
 
+    def step(self, state: Any, t: float, dt: float) -> Any:
+        """Return a new state, a step [s] after a time [s]."""
+
+    def push_between(self, state: Any, other: Any) -> Wrenches:
+        """Return the push that leads from a state to another of the same time."""
+
     def frames(self, state: Any, t: float) -> FloatArray:
         """Return where the frames of all bodies are ``(B, 7)`` at a time [s]."""
 
@@ -116,10 +122,14 @@ class TiedBodies(Bodies):
         ended, _ = self._run.look(end)
         centres = self.system.inertias(ended)[0]
         share, own = (t - begin) / (end - begin), self.system.inertias(state)[0]
-        now = share * wrenches.now
-        now[:, 3:] += so3.cross(own - centres, now[:, :3])
-        span = SHARE * (t - begin)
-        return self.system.pushed(state, Wrenches(now, span * now))
+
+        def earlier(pushes: FloatArray, share: float) -> FloatArray:
+            rows = share * pushes
+            rows[:, 3:] += so3.cross(own - centres, rows[:, :3])
+            return rows
+
+        now, moved = earlier(wrenches.now, share), earlier(wrenches.moved, share**2)
+        return self.system.pushed(state, Wrenches(now, moved))
 
     def over(self, t0: float, t1: float) -> TiedStep:
         """Return them over a step [s], as nothing of this system pulls them."""
@@ -136,11 +146,26 @@ class TiedStep:
     ) -> None:
         self._simulation, self._ends, self._t1 = simulation, ends, t1
         self.begins = simulation.frames(begins, t0)  # frames of all ``(B, 7)``
-        self._begun = begins
+        self.begun, self.span = begins, t1 - t0  # state at the begin; how long [s]
         self.free = simulation.free(t0)  # which move by themselves ``(count,)``
         self.inertias = simulation.inertias(ends)
         self._speeds = simulation.speeds(ends)[:, :3]
-        self._span = SHARE * (t1 - t0)
+        self._moving = SHARE * self.span
+
+    @property
+    def angle(self) -> float:
+        """How far the fastest of them turns [rad]."""
+        spins = self._simulation.speeds(self.begun)[self.free, 3:]
+        return self.span * float(np.linalg.norm(spins, axis=1).max(initial=0.0))
+
+    def part(self, state: Any, t: float, dt: float) -> TiedStep:
+        """Return them over a part of the step [s], from a state of their own."""
+        ends = self._simulation.step(state, t, dt)
+        return TiedStep(self._simulation, state, ends, t, t + dt)
+
+    def leading_to(self, state: Any) -> Wrenches:
+        """Return the push at the end that leads to a state there."""
+        return self._simulation.push_between(self._ends, state)
 
     def speeds_at(self, state: Any, number: int, points: FloatArray) -> FloatArray:
         """Return velocities of points ``(P, 3)`` of a body that can be pushed [m/s]."""
@@ -151,11 +176,11 @@ class TiedStep:
 
     def begun_at(self, number: int, points: FloatArray) -> FloatArray:
         """Return these at the begin."""
-        return self.speeds_at(self._begun, number, points)
+        return self.speeds_at(self.begun, number, points)
 
     def turning(self, number: int, pull: FloatArray) -> FloatArray:
         """Return the moment of a pull ``(6,)`` about where it finds the centre."""
-        centre = self.inertias[0][number] - self._span * self._speeds[number]
+        centre = self.inertias[0][number] - self._moving * self._speeds[number]
         moment: FloatArray = pull[3:] - so3.cross(centre, pull[:3])
         return moment
 
@@ -163,7 +188,7 @@ class TiedStep:
         """Return impulses and moments about the centres ``(count, 6)`` as a push."""
         now = pulls.copy()
         now[:, 3:] += so3.cross(self.inertias[0], pulls[:, :3])
-        return Wrenches(now, self._span * now)
+        return Wrenches(now, self._moving * now)
 
     def pulled(self, wrenches: Wrenches) -> tuple[Any, FloatArray]:
         """Return the state at the end after a push, and frames of all ``(B, 7)``."""

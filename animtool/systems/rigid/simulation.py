@@ -451,6 +451,23 @@ class RigidSimulation:
         motion[wrenches.now.any(axis=1), 13] = 0.0
         return replace(state, motion=motion)
 
+    def push_between(self, state: RigidState, other: RigidState) -> Wrenches:
+        """Return the push that leads from a state to another of the same time."""
+        before, after, masses = state.motion, other.motion, self.bodies.masses[:, None]
+        turned = so3.log(so3.multiply(after[:, 3:7], so3.conjugate(before[:, 3:7])))
+        own = so3.rotate(so3.conjugate(before[:, 3:7]), turned) * self.bodies.moments
+        twist = so3.rotate(before[:, 3:7], own)
+
+        def push(ways: FloatArray, turning: FloatArray) -> FloatArray:
+            impulses = masses * ways
+            moments = turning + so3.cross(before[:, :3], impulses)
+            return np.concatenate([impulses, moments], axis=1)
+
+        return Wrenches(
+            push(after[:, 7:10] - before[:, 7:10], after[:, 10:13] - before[:, 10:13]),
+            push(after[:, :3] - before[:, :3], twist),
+        )
+
     def inverse_masses(
         self, state: RigidState, owners: IntArray, points: FloatArray, ways: FloatArray
     ) -> FloatArray:

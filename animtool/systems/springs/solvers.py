@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any, TypeAlias
@@ -21,6 +22,7 @@ from animtool.systems.springs.motion import MAX_SUBSTEPS, Grid, SpringState, Thr
 from animtool.systems.springs.records import Solver, SpringOptions
 from animtool.systems.springs.system import SpringSystem
 from animtool.systems.springs.ties import TiedCell, Ties
+from animtool.systems.tied import TiedStep
 
 # Steps of xpbd are not shorter than this [s].
 SHORTEST = 1 / 61440
@@ -31,6 +33,8 @@ LONG_CELL = 131072
 SOLVED = 1e-6
 # The same where bodies carry pins: they feel what is left of it times a stiffness [1].
 TIED = 1e-11
+# Of a cell, where bodies turn by more in each [rad], or where no solution is found.
+TURN, MAX_PARTS = 0.125, 16
 # Particles that are deeper than this are left inside [m].
 INSIDE = 1e-6
 # Cells of time where nothing else is said [s]: whole numbers of them are frames of 24,
@@ -246,7 +250,7 @@ def advance(
 ) -> Grid:
     """Return where a motion is some cells later."""
     if system.ties is not None and cells:
-        return _tied(system, options, grid, system.ties)
+        return _tied(system, grid, system.ties)
     network = system.network(system.jumps.stage_of(grid))
     met = cell_colliders(system.colliders, system.radius, grid, cells)
     if grid.solver is Solver.SYMPLECTIC_EULER:
@@ -296,10 +300,58 @@ def _projected(
     return replace(crossed, through=max_through, stretch=max(grid.stretch, stretch))
 
 
-def _tied(
-    system: SpringSystem, options: SpringOptions, grid: Grid, ties: Ties
+def _tied(system: SpringSystem, grid: Grid, ties: Ties) -> Grid:
+    """Return where a motion is a cell later with the bodies that carry its pins.
+
+    In parts where these turn fast, or where nothing is found.
+    """
+    t0, t1 = grid.time, grid.origin + (grid.index + 1) * grid.cell
+    steps = [one.over(t0, t1) for one in ties.carriers]
+    angle, parts = max(one.angle for one in steps), 1
+    while parts < MAX_PARTS and angle > TURN * parts:
+        parts *= 2
+    while True:
+        made = _in_parts(system, grid, ties, steps, parts)
+        if not made.lost or parts >= MAX_PARTS:
+            return replace(made, origin=grid.origin, cell=grid.cell,
+                           index=grid.index + 1)  # fmt: skip
+        parts *= 2
+
+
+def _in_parts(
+    system: SpringSystem, grid: Grid, ties: Ties, steps: Sequence[TiedStep], parts: int
 ) -> Grid:
-    """Return where a motion is a cell later with the bodies that carry its pins."""
+    """Return where a motion is a cell later, in parts of it with bodies after each."""
+    if parts == 1:
+        return _tied_part(system, grid, ties, steps)[0]
+    begun, count = grid.state, -(-grid.state.substeps // parts)
+    if count * parts != begun.substeps:
+        begun = replace(begun, before=None)
+    state = replace(begun, substeps=count)
+    now = replace(grid, origin=grid.time, cell=grid.cell / parts, index=0, state=state)
+    bodies, pushes = [one.begun for one in steps], []
+    for _ in range(parts):
+        own = [
+            one.part(state, now.time, now.cell)
+            for one, state in zip(steps, bodies, strict=True)
+        ]
+        now, bodies = _tied_part(system, now, ties, own)
+        pushes.append(now.pushes)
+        if now.lost:
+            break
+    tied = [one.leading_to(state) for one, state in zip(steps, bodies, strict=True)]
+    pushed = np.sum(pushes, axis=0)
+    pushed[:, 6] = np.max(pushes, axis=0)[:, 6]
+    left = replace(now.state, substeps=grid.state.substeps)
+    if count * parts != left.substeps:
+        left = replace(left, before=None)
+    return replace(now, state=left, tied=tuple(tied), pushes=pushed)
+
+
+def _tied_part(
+    system: SpringSystem, grid: Grid, ties: Ties, steps: Sequence[TiedStep]
+) -> tuple[Grid, list[Any]]:
+    """Return where a motion is a cell later, and the states of the bodies then."""
     t0, t1 = grid.time, grid.origin + (grid.index + 1) * grid.cell
     stage = system.jumps.stage_of(grid)
     network, held, drawn = system.cell_network(stage, t0, t1)
@@ -312,10 +364,14 @@ def _tied(
         network.lead(held, drawn)
         return _pulled(network, grid, met, TIED * ties.size)
 
-    found = TiedCell(ties, t0, t1).cross(cross, grid.state.known)
+    found = TiedCell(ties, steps).cross(cross, grid.state.known)
     made: Pulled = found.crossed
     state = replace(made.grid.state, known=found.known)
-    return replace(made.grid, state=state, lost=made.lost, tied=found.wrenches)
+    bodies = [
+        one.pulled(own)[0] for one, own in zip(steps, found.wrenches, strict=True)
+    ]
+    ended = replace(made.grid, state=state, lost=made.lost, tied=found.wrenches)
+    return ended, bodies
 
 
 @dataclass(slots=True)

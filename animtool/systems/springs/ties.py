@@ -17,7 +17,7 @@ import numpy as np
 from animtool._types import FloatArray, IntArray
 from animtool.maths import so3
 from animtool.sim.colliders.bodies import Wrenches
-from animtool.systems.tied import TiedBodies, carried_to
+from animtool.systems.tied import TiedBodies, TiedStep, carried_to
 
 # How far bodies are moved to see how the pull changes, in mean lengths of springs [1].
 TRIAL = 1e-6
@@ -108,9 +108,8 @@ def _corrected(slopes: FloatArray, now: _Pulled) -> FloatArray:
 class TiedCell:
     """A cell of time of springs and of the bodies that carry some of their pins."""
 
-    def __init__(self, ties: Ties, t0: float, t1: float) -> None:
-        self._ties, self._h = ties, t1 - t0
-        self._steps = [one.over(t0, t1) for one in ties.carriers]
+    def __init__(self, ties: Ties, steps: Sequence[TiedStep]) -> None:
+        self._ties, self._steps, self._h = ties, steps, steps[0].span
         self._places = [
             carried_to(self._steps[tie.carrier].begins[tie.body], tie.inside)
             for tie in ties.ties
