@@ -83,7 +83,8 @@ class EntryRun:
         """Return its bodies as they carry particles of others."""
         run, simulation = self.run, self.simulation
         made = TiedBodies(run, simulation, run.begin, run.step_length)
-        return run.watched_by(made)
+        run.watched_by(made)
+        return made
 
     def surface(self) -> Surface:
         """Return its surface, which others run into."""
@@ -184,7 +185,9 @@ class SimulationRun(EntryRun):
             begun = kept[-1]
         now = self.time(whole)
         state = self._part(begun, t)
-        if state is not begun:
+        if state is begun and self._pullers:
+            state = self._pushed(begun)
+        elif state is not begun:
             for bodies, puller in self._pullers:
                 state = replace(state, state=bodies.pulled_by(puller, state.state, t))
         self.seen, self._asked = (state.state, max(t, now)), t

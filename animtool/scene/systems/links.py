@@ -116,8 +116,8 @@ def _check_body(
     where: str,
 ) -> bool:
     """Note a body that a rigid system has not (SIM162); builds know all of stages."""
-    specs = [other.setup.spec for other in systems if other.name == name]
-    if not specs or getattr(specs[0], "stages", ()):
+    specs: list[Any] = [each.setup.spec for each in systems if each.name == name]
+    if not specs or specs[0].stages:
         return True
     known = [model.name for model in specs[0].bodies]
     if body in known or body.rpartition("[")[0] in known:

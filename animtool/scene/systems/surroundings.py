@@ -154,13 +154,18 @@ class Surroundings:
             *(Path(str(one.file)).name for one in self.characters),
             *(one.system for one in self.systems),
             *(mesh.prim for mesh in self.meshes),
-            *(f"{name}.{body}, tied both ways" for name, body in self._bodies),
+            *(f"{body}, tied both ways" for body in self.tied_bodies),
         ]
 
     @property
-    def _bodies(self) -> list[tuple[str, str]]:
-        """Bodies that carry particles, each once with the name of its system."""
-        return list(dict.fromkeys((name, body) for name, body, _ in self.tied))
+    def met(self) -> list[str]:
+        """Names of systems that are run into."""
+        return [one.system for one in self.systems]
+
+    @property
+    def tied_bodies(self) -> list[str]:
+        """Bodies that carry particles, each once, as system.body."""
+        return list(dict.fromkeys(f"{name}.{body}" for name, body, _ in self.tied))
 
     @property
     def anything(self) -> bool:

@@ -166,7 +166,9 @@ def _check_tied(entry: BodyEntry) -> None:
         entry.note("SIM063", message, "error", hint="give a step")
     if spec.solver not in TIED_SOLVERS:
         message = f"{spec.solver} does not say what pins pull at a body"
-        entry.note("SIM163", message, "solver", hint="take auto, bdf2 or implicit_euler")
+        entry.note(
+            "SIM163", message, "solver", hint="take auto, bdf2 or implicit_euler"
+        )
     if spec.contact is not None:
         message = "a surface that keeps apart from itself is simulated by xpbd, which "
         message += "does not say what pins pull at a body"

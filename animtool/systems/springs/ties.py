@@ -1,9 +1,9 @@
 """Pins that rigid bodies of others carry: a cell of time of both together.
 
-A body is taken through a cell as if nothing of the springs pulled it, and what they pull
-over the cell is found so that body and pins end at the same places with it: Newton's
-method on the velocities that the pull gives the bodies. So a light body on a heavy rope
-is as stable as a heavy body on a light one.
+A body is taken through a cell as if nothing of the springs pulled it, and what they
+pull over the cell is found so that body and pins end at the same places with it:
+Newton's method on the velocities that the pull gives the bodies. So a light body on a
+heavy rope is as stable as a heavy body on a light one.
 """
 
 from __future__ import annotations
@@ -131,7 +131,9 @@ class TiedCell:
             dynamic = carriers[k].system.dynamic
             for number, body in enumerate(dynamic.tolist()):
                 ties = self._ties.ties
-                own = [i for i, t in enumerate(ties) if (t.carrier, t.body) == (k, body)]
+                own = [
+                    i for i, t in enumerate(ties) if (t.carrier, t.body) == (k, body)
+                ]
                 if not own or not step.free[number]:
                     continue
                 centre, ease = (rows[number] for rows in step.inertias)
