@@ -101,8 +101,8 @@ class _Unknown(NamedTuple):
 
 def _corrected(slopes: FloatArray, now: _Pulled) -> FloatArray:
     """Return the correction of velocities that takes away what is missed."""
-    found: FloatArray = -np.linalg.lstsq(slopes, now.left, rcond=None)[0]
-    return found
+    found = np.linalg.lstsq(slopes, now.left, rcond=None)[0]
+    return np.asarray(-found, np.float64)
 
 
 class TiedCell:
