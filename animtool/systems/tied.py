@@ -25,7 +25,7 @@ class CarryingSystem(RigidSystem, Protocol):
     """A simulation of rigid bodies, which may carry particles of others."""
 
     names: Sequence[str]  # of all bodies (B,)
-    carried: IntArray  # the body that each shape is of (C,)
+    shape_bodies: IntArray  # the body that each shape is of (C,)
     dynamic: IntArray  # the bodies that can be pushed (count,)
 
     def initial(self) -> Any:
@@ -97,7 +97,7 @@ class TiedBodies(Bodies):
         That is from its surface, 0 inside; with the size of the body.
         """
         made, number = self.system, self.number(carrier)
-        (own,) = np.nonzero(made.carried == number)
+        (own,) = np.nonzero(made.shape_bodies == number)
         poses = made.poses(self._start, self.begin)
         shapes = [
             replace(made.shapes[i], poses=Poses.fixed(poses[i, :3], poses[i, 3:]))
@@ -196,7 +196,7 @@ class TiedStep:
         return state, self._simulation.frames(state, self._t1)
 
 
-def carried_to(frame: FloatArray, inside: FloatArray) -> FloatArray:
+def to_world(frame: FloatArray, inside: FloatArray) -> FloatArray:
     """Return points ``(P, 3)`` in a frame ``(7,)`` as they are in the world [m]."""
     points: FloatArray = frame[:3] + so3.rotate(frame[3:], inside)
     return points

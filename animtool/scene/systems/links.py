@@ -73,11 +73,13 @@ def _groups(systems: Sequence[SceneSystem]) -> list[list[int]]:
     Those that the same rigid bodies carry are joined by these.
     """
     group = list(range(len(systems)))
-    carried: dict[str, int] = {}  # by rigid systems, the first that they carry
+    tied_first: dict[str, int] = {}  # by rigid systems, the first that they carry
     for i, system in enumerate(systems):
         joined = {name for name, _ in system.setup.joined}
         others = [k for k, other in enumerate(systems) if other.name in joined]
-        others += [carried.setdefault(name, i) for name in system.setup.around.carriers]
+        others += [
+            tied_first.setdefault(name, i) for name in system.setup.around.carriers
+        ]
         for k in others:
             old, new = max(group[i], group[k]), min(group[i], group[k])
             group = [new if of == old else of for of in group]

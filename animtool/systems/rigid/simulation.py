@@ -410,7 +410,7 @@ class RigidSimulation:
         return self.bodies.names
 
     @property
-    def carried(self) -> IntArray:
+    def shape_bodies(self) -> IntArray:
         """The body that each shape is of ``(C,)``."""
         return self.bodies.outlines.of
 

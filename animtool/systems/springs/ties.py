@@ -17,7 +17,7 @@ import numpy as np
 from animtool._types import FloatArray, IntArray
 from animtool.maths import so3
 from animtool.sim.colliders.bodies import Wrenches
-from animtool.systems.tied import TiedBodies, TiedStep, carried_to
+from animtool.systems.tied import TiedBodies, TiedStep, to_world
 
 # How far bodies are moved to see how the pull changes, in mean lengths of springs [1].
 TRIAL = 1e-6
@@ -111,7 +111,7 @@ class TiedCell:
     def __init__(self, ties: Ties, steps: Sequence[TiedStep]) -> None:
         self._ties, self._steps, self._h = ties, steps, steps[0].span
         self._places = [
-            carried_to(self._steps[tie.carrier].begins[tie.body], tie.inside)
+            to_world(self._steps[tie.carrier].begins[tie.body], tie.inside)
             for tie in ties.ties
         ]
         self._unknown = list(self._bodies())
@@ -239,7 +239,7 @@ class TiedCell:
             for step, rows in zip(self._steps, pulls, strict=True)
         ]
         goals = [
-            carried_to(ends[tie.carrier][1][tie.body], tie.inside)
+            to_world(ends[tie.carrier][1][tie.body], tie.inside)
             for tie in self._ties.ties
         ]
         crossed = cross(np.concatenate(self._places), np.concatenate(goals))

@@ -180,7 +180,7 @@ def test_no_ratio_of_masses_brings_energy(
         assert run.sums[0] <= energy + 4e-3 * GRAVITY * (mass + own)
 
 
-def test_a_pull_beside_the_centre_spins_a_body(tmp_path: Path) -> None:
+def test_a_pull_off_the_centre_spins_a_body(tmp_path: Path) -> None:
     # A spring pulls from the side: m a = F and I a' = r F, as long as little moves.
     block = box([0.4, 0.2, 0.2], name="block", mass=3.0, at=[0, 0, 0])
     tow = rope(
