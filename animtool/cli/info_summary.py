@@ -316,6 +316,7 @@ def _system_line(system: SystemDescription) -> str:
     for word, names in (
         ("joined to", system.joined),
         ("meets", met),
+        ("tied both ways to", system.tied),
         ("reads", system.files),
     ):
         if names:

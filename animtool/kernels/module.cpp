@@ -532,15 +532,17 @@ inside at the end; how much longer than at rest a spring along them is there, ov
 
   m.def("solve_springs", &solve_springs, "network"_a, "state"_a, "before"_a.none(), "torn"_a,
         "origin"_a, "first"_a, "cell"_a, "cells"_a, "substeps"_a, "two_steps"_a,
-        "tolerance"_a, "colliders"_a.none(),
+        "tolerance"_a, "colliders"_a.none(), "pulls"_a.none() = nb::none(),
         R"(Take implicit steps: of Euler, or backward differences of ``two_steps``.
 
 Cells are those of `step_springs`; ``before`` is the state a step before, None at the
 start. Newton's method goes on until a correction moves no particle by more than
-``tolerance``; a cell that is not solved is tried in shorter steps.
+``tolerance``; a cell that is not solved is tried in shorter steps. With ``pulls`` ``(H, 6)``,
+impulses of the step before on what holds the held particles and their moments about the
+origin, 0 at the start, these are returned of all steps and of the last.
 
-Returns ``(state, before, known, torn, steps, corrections, lost, unresolved)``: whether ``before`` is
-known; steps and corrections taken; whether a cell could not be solved.)");
+Returns ``(state, before, known, torn, steps, corrections, lost, unresolved, pushes, pulls)``:
+whether ``before`` is known; steps and corrections taken; whether a cell could not be solved.)");
 
   nb::class_<RigidBodies>(m, "RigidBodies",
                           R"(N rigid bodies of S convex shapes, and K joints.

@@ -5,6 +5,8 @@
 // Stable but Responsive Cloth, 2002 (what a pressed spring takes from the stiffness across
 // it is left out, so that the matrix stays positive).
 #include <algorithm>
+#include <tuple>
+#include <utility>
 
 #include "checks.h"
 #include "springs_chain.h"
@@ -282,10 +284,103 @@ struct Pair {
   std::vector<double> x, v;
 };
 
+// Impulses that the network gives what holds its held particles, each with its moment about
+// the origin: of the last step, and of all. They are summed as steps sum accelerations, so
+// that what particles gain is what holders lose.
+class HeldPulls {
+ public:
+  HeldPulls(const SpringRun& run, const std::optional<In<double, 2>>& last)
+      : wanted(last), run_(run), held_(run.network.held) {
+    if (!wanted) return;
+    of_.resize(run.network.particles(), -1);
+    for (std::size_t p = 0; p < held_.size(); ++p)
+      of_[static_cast<std::size_t>(held_[p])] = static_cast<std::int32_t>(p);
+    check::shape("pulls", *last, {held_.size(), WIDTH});
+    check::finite("pulls", *last);
+    last_.assign(last->data(), last->data() + last->size());
+    sum_.resize(last_.size());
+    forces_.resize(run.size);
+  }
+
+  // After a step [s] that went on from a share of what the last one gave.
+  void add(double h, double share) {
+    if (!wanted) return;
+    const double *x = run_.x.data(), *v = run_.v.data();
+    std::fill(forces_.begin(), forces_.end(), 0.0);
+    for (const Spring& spring : run_.lines().springs)
+      if (of_[static_cast<std::size_t>(spring.i)] >= 0 ||
+          of_[static_cast<std::size_t>(spring.j)] >= 0)
+        pull(spring, x, v);
+    run_.network.add_air_forces(run_.wind, x, v, forces_.data());
+    for (std::size_t p = 0; p < held_.size(); ++p) {
+      const std::size_t at = ROW * static_cast<std::size_t>(held_[p]);
+      const double *r = x + at, *f = forces_.data() + at;
+      const double now[WIDTH] = {f[0],
+                                 f[1],
+                                 f[2],
+                                 r[1] * f[2] - r[2] * f[1],
+                                 r[2] * f[0] - r[0] * f[2],
+                                 r[0] * f[1] - r[1] * f[0]};
+      for (std::size_t k = 0; k < WIDTH; ++k) {
+        double& given = last_[WIDTH * p + k];
+        given = share * given + h * now[k];
+        sum_[WIDTH * p + k] += given;
+      }
+    }
+  }
+
+  // All, and the last.
+  using Sums = std::pair<std::vector<double>, std::vector<double>>;
+  Sums sums() const { return {sum_, last_}; }
+  void go_back(const Sums& begun) { std::tie(sum_, last_) = begun; }
+
+  // (2, H, 6): all, then the last.
+  Out<double, 3> ended() const {
+    Buffer<double> result(2 * sum_.size());
+    std::copy(sum_.begin(), sum_.end(), result.get());
+    std::copy(last_.begin(), last_.end(), result.get() + sum_.size());
+    const std::size_t shape[3] = {2, sum_.size() / WIDTH, WIDTH};
+    return result.release(shape);
+  }
+
+  const bool wanted;
+
+ private:
+  static constexpr std::size_t WIDTH = 6;
+
+  void pull(const Spring& spring, const double* x, const double* v) {
+    const std::size_t i = ROW * static_cast<std::size_t>(spring.i);
+    const std::size_t j = ROW * static_cast<std::size_t>(spring.j);
+    double d[3], e[3];
+    for (std::size_t k = 0; k < 3; ++k) {
+      d[k] = x[j + k] - x[i + k];
+      e[k] = v[j + k] - v[i + k];
+    }
+    const double length = std::sqrt(dot3(d, d));
+    if (!(length > 0)) return;
+    const double force =
+        (spring.stiffness * (length - spring.rest) + spring.damping * dot3(d, e) / length) / length;
+    for (std::size_t k = 0; k < 3; ++k) {
+      forces_[i + k] += force * d[k];
+      forces_[j + k] -= force * d[k];
+    }
+  }
+
+  const SpringRun& run_;
+  const std::vector<std::int32_t>& held_;
+  std::vector<std::int32_t> of_;  // of each particle its number among the held, or -1
+  std::vector<double> last_, sum_, forces_;
+};
+
 class Crossing {
  public:
-  Crossing(SpringRun& run, SpringContacts& contacts, double tolerance, bool two_steps)
-      : run_(run), contacts_(contacts), implicit_(run, tolerance), two_steps_(two_steps) {}
+  Crossing(SpringRun& run, SpringContacts& contacts, double tolerance, bool two_steps,
+           HeldPulls& pulls)
+      : run_(run),
+        contacts_(contacts),
+        implicit_(run, tolerance),
+        two_steps_(two_steps),
+        pulls_(pulls) {}
 
   // One cell in a number of steps; whether all were solved.
   bool cross(std::int64_t index, double start, double cell, int substeps) {
@@ -307,6 +402,7 @@ class Crossing {
         }
       }
       if (!implicit_.solve(bx_, bv_, s, t)) return false;
+      pulls_.add(s, two_steps_ && known ? 1.0 / 3.0 : 0.0);
       run_.network.place_held(t, h, now.x.data(), run_.x.data(), run_.v.data());
       before = now;
       // What two steps go on from is smooth.
@@ -328,6 +424,7 @@ class Crossing {
   SpringContacts& contacts_;
   Implicit implicit_;
   bool two_steps_;
+  HeldPulls& pulls_;
   std::vector<double> bx_, bv_;
 };
 
@@ -338,7 +435,8 @@ SpringsSolved solve_springs(const SpringNetwork& network, In<double, 3> state,
                             double origin, std::int64_t first, double cell,
                             std::int64_t cells, int substeps, bool two_steps,
                             double tolerance,
-                            const std::optional<SpringColliders>& colliders) {
+                            const std::optional<SpringColliders>& colliders,
+                            std::optional<In<double, 2>> given) {
   const Cells grid{origin, first, cell, cells};
   check::between("substeps", substeps, 1, static_cast<int>(MOST_SUBSTEPS >> MOST_SPLITS));
   check_cells(grid, substeps << MOST_SPLITS);
@@ -350,7 +448,8 @@ SpringsSolved solve_springs(const SpringNetwork& network, In<double, 3> state,
     check::finite("before", *earlier);
   }
   SpringContacts contacts(colliders, network.particles(), cells);
-  Crossing crossing(run, contacts, tolerance, two_steps);
+  HeldPulls pulls(run, given);
+  Crossing crossing(run, contacts, tolerance, two_steps, pulls);
   crossing.before = {run.x, run.v};
   std::int64_t lost = 0;
   {
@@ -363,12 +462,14 @@ SpringsSolved solve_springs(const SpringNetwork& network, In<double, 3> state,
     }
     for (std::int64_t i = 0; i < cells && !lost; ++i) {
       const Pair start{run.x, run.v};
+      const HeldPulls::Sums begun = pulls.sums();
       if (!crossing.cross(i, grid.start(i), cell, substeps)) {
         // The equations of shorter steps are easier.
         bool found = false;
         for (int split = 1; split <= MOST_SPLITS && !found; ++split) {
           run.x = start.x;
           run.v = start.v;
+          pulls.go_back(begun);
           crossing.known = false;
           found = crossing.cross(i, grid.start(i), cell, substeps << split);
           crossing.known = false;
@@ -387,7 +488,7 @@ SpringsSolved solve_springs(const SpringNetwork& network, In<double, 3> state,
   back.v = crossing.before.v;
   return {ended_state(run),          ended_state(back), crossing.known,        ended_torn(run),
           crossing.steps, crossing.corrections(), lost,
-          contacts.unresolved, contacts.pushes()};
+          contacts.unresolved, contacts.pushes(), pulls.ended()};
 }
 
 }  // namespace animtool

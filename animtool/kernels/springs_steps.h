@@ -45,10 +45,11 @@ using SpringsProjected = std::tuple<Out<double, 3>, Out<std::uint8_t, 1>, int, i
                                     std::int64_t, std::int64_t, std::int64_t,
                                     Out<std::int64_t, 2>, SelfThrough, Out<double, 2>>;
 // states, states before, whether these are known, torn, steps, corrections, cells not solved,
-// particles left inside colliders, pushes
+// particles left inside colliders, pushes, what pulled those that are held (2, H, 6): impulses
+// and moments about the origin of all steps, then of the last; nothing unless asked for
 using SpringsSolved = std::tuple<Out<double, 3>, Out<double, 3>, bool, Out<std::uint8_t, 1>,
                                  std::int64_t, std::int64_t, std::int64_t, std::int64_t,
-                                 Out<double, 2>>;
+                                 Out<double, 2>, Out<double, 3>>;
 
 Out<std::int64_t, 1> spring_order(In<std::int64_t, 2> ends, std::size_t particles);
 
@@ -82,7 +83,8 @@ SpringsSolved solve_springs(const SpringNetwork& network, In<double, 3> state,
                             double origin, std::int64_t first, double cell,
                             std::int64_t cells, int substeps, bool two_steps,
                             double tolerance,
-                            const std::optional<SpringColliders>& colliders);
+                            const std::optional<SpringColliders>& colliders,
+                            std::optional<In<double, 2>> pulls);
 
 SpringRun begin_springs(const SpringNetwork& network, const In<double, 3>& state,
                         const In<std::uint8_t, 1>& torn);

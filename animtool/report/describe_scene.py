@@ -44,6 +44,7 @@ class SystemDescription:
     colliders: int
     joined: list[str]  # systems that it is one with
     meets: list[str]  # systems that it runs into
+    tied: list[str]  # bodies that carry its pins, as system.body
     files: list[str]  # what is read for it beside the scene
     character: bool  # whether it runs into, or hangs on, the scene's own character
     line: int  # of the scene
@@ -119,7 +120,8 @@ def _system(scene: Scene, system: SceneSystem) -> SystemDescription:
         facts.step,
         facts.colliders,
         list(dict.fromkeys(name for name, _ in setup.joined)),
-        list(dict.fromkeys(name for name, _ in setup.around.needs)),
+        list(dict.fromkeys(setup.around.met)),
+        setup.around.tied_bodies,
         [str(path) for path in dict.fromkeys(setup.files) if path != scene.path],
         scene.path in setup.files,
         system.place.line,

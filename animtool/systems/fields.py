@@ -133,6 +133,13 @@ class CarryingPrimModel(FollowedPrimModel, _CarrierModel):
     """A prim of a USD file, as that moves."""
 
 
+class CarryingBodyModel(_CarrierModel):
+    """A rigid body of the scene, which bears what the particles pull."""
+
+    system: Name = key("Name of its system, of kind `rigid`.", "crates")
+    body: Name = key("Name of the body; of several copies, with its number.", "lamp")
+
+
 class RecordModel(FileModel):
     """An entry whose part is a record."""
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -24,6 +24,7 @@ from animtool.systems.simulation import (
     SystemView,
 )
 from animtool.systems.surfaces import Bodies, RigidSystem, Surface
+from animtool.systems.tied import TiedBodies
 
 Watcher = TypeVar("Watcher", Surface, Bodies)
 
@@ -87,6 +88,13 @@ class EntryRun:
         return self.run.watched_by(
             Bodies(self.run, self.simulation, restitution, friction, two_way=two_way)
         )
+
+    def tied(self) -> TiedBodies:
+        """Return its bodies as they carry particles of others."""
+        run, simulation = self.run, self.simulation
+        made = TiedBodies(run, simulation, run.begin, run.step_length)
+        run.watched_by(made)
+        return made
 
     def surface(self) -> Surface:
         """Return its surface, which others run into."""
@@ -168,6 +176,8 @@ class SimulationRun(EntryRun):
         # Who pushes it: when, who, and with what.
         self._pushers: list[Pusher] = []
         self._pushes: list[tuple[float, int, Wrenches]] = []
+        # Who hangs on some of its bodies, and pulls them all through a step.
+        self._pullers: list[tuple[TiedBodies, Any]] = []
         # By steps, states that bodies were pushed in, as the next step begins.
         self._begun: dict[int, Reached[Any]] = {}
         self.seen: tuple[Any, float] = self.state.state, self.time(self.state.steps)
@@ -180,13 +190,38 @@ class SimulationRun(EntryRun):
         if t == self._asked:
             return self.seen
         whole = self.advance(t)
-        if whole < self.state.steps:
-            message = f"time {t:g} s is before that of the simulation"
-            raise OptionError(Fault("SIM002", message, hint="begin again"))
+        begun = self.state
+        if whole < begun.steps:
+            # Who runs into it, or hangs on it, looks ahead of the frame.
+            kept = [one for one in self._kept or () if one.steps <= whole]
+            if not kept:
+                message = f"time {t:g} s is before that of the simulation"
+                raise OptionError(Fault("SIM002", message, hint="begin again"))
+            begun = kept[-1]
         now = self.time(whole)
-        state = self._part(self.state, t)
+        state = self._part(begun, t)
+        if state is begun and self._pullers:
+            state = self._pushed(begun)
+        elif state is not begun:
+            for bodies, puller in self._pullers:
+                state = replace(state, state=bodies.pulled_by(puller, state.state, t))
         self.seen, self._asked = (state.state, max(t, now)), t
         return self.seen
+
+    def pull(self, t: float, bodies: object) -> tuple[Wrenches, float, float] | None:
+        """Return what some bodies are pulled by in the step that a time [s] is in.
+
+        With its begin and its end [s]; None where it does not pull any.
+        """
+        whole = self.advance(t)
+        now = self.time(whole)
+        part = t - now > ON_STEP * self.step_length
+        if not part or whole != self.state.steps or t < self.begin:
+            return None
+        until = self.time(whole + 1)
+        wrenches = self.simulation.pulls(self.state.state, now)
+        number = [own is bodies for own in self._pushed_bodies].index(True)
+        return wrenches[number], now, until
 
     def advance(self, t: float) -> int:
         """Take all whole steps that end at a time [s] or before; return how many."""
@@ -269,6 +304,10 @@ class SimulationRun(EntryRun):
         """Note who pushes its bodies; return the number of the pusher."""
         self._pushers.append(pusher)
         return len(self._pushers) - 1
+
+    def pulled_by(self, bodies: TiedBodies, puller: Any) -> None:
+        """Note who hangs on some of its bodies."""
+        self._pullers.append((bodies, puller))
 
     def watched_by(self, watcher: Watcher) -> Watcher:
         """Keep states from now on, for one who looks back to them."""

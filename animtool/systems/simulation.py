@@ -24,6 +24,7 @@ from animtool.sim.trajectory import Stats
 if TYPE_CHECKING:
     from animtool.sim.trials.trial import Setting
     from animtool.systems.fields import Member
+    from animtool.systems.tied import TiedBodies
 
 State = TypeVar("State")
 # Told how far work is; None where nobody looks.
@@ -74,6 +75,7 @@ class SimContext:
         members: Entries that are simulated as one: of kinds that cannot be joined, one.
         clock: Returns what is told the time that was reached in a long call [s].
         phase: Returns what long work before the first step tells the share done.
+        carriers: Rigid systems whose bodies carry particles, by name.
     """
 
     begin: float
@@ -85,6 +87,7 @@ class SimContext:
     members: Sequence[Member] = ()
     clock: Callable[[], Progress] = lambda: None
     phase: Callable[[], Progress] = lambda: None
+    carriers: Mapping[str, TiedBodies] = field(default_factory=dict)
 
 
 class SystemView(Protocol[State_contra]):

@@ -31,6 +31,9 @@ class Watched(Protocol):
     def pushed_by(self, pusher: Pusher) -> int:
         """Note who pushes its bodies; return the number of the pusher."""
 
+    def pulled_by(self, bodies: Any, puller: Any) -> None:
+        """Note who hangs on some of its bodies."""
+
 
 @runtime_checkable
 class RigidSystem(Protocol):

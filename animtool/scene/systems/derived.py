@@ -32,6 +32,7 @@ from animtool.scene.systems.entries import PLACING, EntryReader
 from animtool.scene.systems.surroundings import AROUND, Surroundings
 from animtool.systems.conversion import METRES, SceneUnits
 from animtool.systems.fields import (
+    CarryingBodyModel,
     CarryingJointModel,
     CarryingPrimModel,
     CarryingVertexModel,
@@ -48,6 +49,7 @@ from animtool.systems.fields import (
     SystemSpec,
     SystemSurfaceModel,
 )
+from animtool.systems.tied import OnBody
 
 if TYPE_CHECKING:
     from animtool.scene.systems.gaits import GaitsSource
@@ -212,6 +214,7 @@ class PartReader(EntryReader):
                 CarryingJointModel: self.carrying_joint,
                 CarryingVertexModel: self.carrying_vertex,
                 CarryingPrimModel: self.carrying_prim,
+                CarryingBodyModel: self.carrying_body,
                 SystemColliderModel: self.collider,
                 CharacterModel: self.character_collider,
                 SystemSurfaceModel: self.surface,
@@ -352,6 +355,10 @@ class PartReader(EntryReader):
             self.note((*at, "prim"), Fault("SIM053", fault.message, hint=fault.hint))
         return OnPrim(path, model.prim, model.frame)
 
+    def carrying_body(self, at: Location, model: CarryingBodyModel) -> OnBody:  # noqa: ARG002
+        """Return a rigid body that carries others; systems are looked at later."""
+        return OnBody(model.system, model.body)
+
     def _sound(self, at: Location, part: Any, *, check: bool) -> Any:
         """Return what an entry is read as, and note its own faults if asked to."""
         self.sound &= part is not None
@@ -404,6 +411,7 @@ def read_spec(
         return None
     followed = (*outside.files, *reader.files)
     read = {key: tuple(parts) for key, parts in outer.items()}
-    around = Surroundings(**read, followed=followed, at=at)
+    tied = tuple(getattr(record, "tied", ()))
+    around = Surroundings(**read, tied=tied, followed=followed, at=at)
     carriers = tuple(reader.carriers)
     return SystemSetup(spec, around, parts, record, at, carriers, resume)

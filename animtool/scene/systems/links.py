@@ -68,14 +68,21 @@ def simulated_with(systems: Sequence[SceneSystem], wanted: Sequence[int]) -> lis
 
 
 def _groups(systems: Sequence[SceneSystem]) -> list[list[int]]:
-    """Return systems that are joined together, each group as its first stands."""
+    """Return systems that are joined together, each group as its first stands.
+
+    Those that the same rigid bodies carry are joined by these.
+    """
     group = list(range(len(systems)))
+    tied_first: dict[str, int] = {}  # by rigid systems, the first that they carry
     for i, system in enumerate(systems):
-        for name, _ in system.setup.joined:
-            for k, other in enumerate(systems):
-                if other.name == name:
-                    old, new = max(group[i], group[k]), min(group[i], group[k])
-                    group = [new if of == old else of for of in group]
+        joined = {name for name, _ in system.setup.joined}
+        others = [k for k, other in enumerate(systems) if other.name in joined]
+        others += [
+            tied_first.setdefault(name, i) for name in system.setup.around.carriers
+        ]
+        for k in others:
+            old, new = max(group[i], group[k]), min(group[i], group[k])
+            group = [new if of == old else of for of in group]
     return [
         [i for i, of in enumerate(group) if of == first] for first in sorted(set(group))
     ]
@@ -94,10 +101,33 @@ def check_links(
             sound &= _check_name(document, at, name, system, systems, names, "surface")
         for name, at in setup.around.pushes if sound else ():
             sound &= _check_name(document, at, name, system, systems, names, "rigid")
+        for tie in system.setup.around.tied if sound else ():
+            sound &= _check_body(document, system, systems, *tie)
     sound = sound and _check_circles(document, systems)
     for group in in_order(systems) if sound else ():
         if len(group) > 1:
             _check_joined(document, [systems[i] for i in group])
+
+
+def _check_body(
+    document: Document,
+    system: SceneSystem,
+    systems: Sequence[SceneSystem],
+    name: str,
+    body: str,
+    where: str,
+) -> bool:
+    """Note a body that a rigid system has not (SIM162); builds know all of stages."""
+    specs: list[Any] = [each.setup.spec for each in systems if each.name == name]
+    if not specs or specs[0].stages:
+        return True
+    known = [model.name for model in specs[0].bodies]
+    if body in known or body.rpartition("[")[0] in known:
+        return True
+    message = f"no body of {name!r} is {body!r}"
+    hint = nearest(body, known) or f"it has {listed(known, 12)}"
+    document.add("SIM162", (*system.setup.at, *location_of(where)), message, hint)
+    return False
 
 
 def member_of(system: SceneSystem) -> Member:

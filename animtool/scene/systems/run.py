@@ -242,6 +242,9 @@ class SystemRun:
 
     def _keep(self, code: Fraction) -> None:
         """Keep the states that are to be saved at a time code."""
+        for i in self._saving:
+            # Who is pushed takes who pushes it along: all end at the same time.
+            self._open[i].run.receive()
         for i, at in self._saving.items():
             if at is None or code <= at:
                 self._kept[i] = float(code), self._open[i].run.receive()

@@ -16,11 +16,13 @@ from animtool.scene.systems.character_motion import CharacterMotion, CharacterMo
 from animtool.scene.systems.links import in_order, member_of
 from animtool.scene.systems.proportions import misplaced
 from animtool.scene.systems.surroundings import Surroundings
+from animtool.sim.colliders import Poses
 from animtool.systems.fields import SystemSpec
 from animtool.systems.kinds import SYSTEM_KINDS
 from animtool.systems.run import EntryRun, SimulationRun
 from animtool.systems.saved import Clocked, open_states
 from animtool.systems.simulation import Joined, Resumed, SimContext, Simulation
+from animtool.systems.tied import OnBody
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,6 +129,14 @@ def run_entries(
     begin = -spec.preroll
     around = Surroundings.of([setup.around for setup in setups])
     colliders = around.built(context.characters, context.built)
+    carriers = {name: context.built[name].tied() for name in around.carriers}
+
+    def poses(carrier: Any) -> Poses:
+        if isinstance(carrier, OnBody):
+            return carriers[carrier.system].start(carrier)
+        found: Poses = carrier.poses(context.characters)
+        return found
+
     build = cast(
         Callable[[SystemSpec, SimContext], Simulation[Any]],
         load_object(SYSTEM_KINDS[members[0].kind].build),
@@ -136,17 +146,18 @@ def run_entries(
         context.last,
         colliders,
         setups[0].parts,
-        lambda carrier: carrier.poses(context.characters),
+        poses,
         budget,
         [member_of(member) for member in members],
         lambda: context.clock(begin),
         context.phase,
+        carriers,
     )
     simulation = build(spec, sim_context)
     name = " + ".join(member.name for member in members)
     step = getattr(simulation, "step_length", spec.step)
     run = SimulationRun(name, simulation, begin, step)
-    run.collide_with(colliders.bodies)
+    run.collide_with([*colliders.bodies, *carriers.values()])
     return run
 
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import counted, refuse
 from animtool.core.units import UpAxis
-from animtool.documents.document import Location
+from animtool.documents.document import Location, location_of
 from animtool.documents.fields import record_of
 from animtool.maths.faces import triangulated
 from animtool.scene.systems.character_motion import (
@@ -98,6 +98,8 @@ class Surroundings:
     characters: tuple[CharacterModel, ...] = ()
     systems: tuple[SystemSurfaceModel, ...] = ()
     meshes: tuple[MovingMeshModel, ...] = ()
+    # Rigid systems and bodies that carry particles, and the keys of the entry for that.
+    tied: tuple[tuple[str, str, str], ...] = ()
     followed: tuple[Path, ...] = ()  # USD files that colliders and emitters go with
     at: Location = ()  # of the entry
 
@@ -109,20 +111,34 @@ class Surroundings:
             first,
             **{
                 name: sum((getattr(one, name) for one in more), getattr(first, name))
-                for name in AROUND
+                for name in (*AROUND, "tied")
             },
         )
 
     @property
     def needs(self) -> tuple[tuple[str, Location], ...]:
-        """Systems that are run into, and where they are named."""
-        return tuple((one.system, at) for one, at in self._named("system"))
+        """Systems that are run into, or carry it, and where they are named."""
+        return (*((one.system, at) for one, at in self._named("system")), *self._ties)
 
     @property
     def pushes(self) -> tuple[tuple[str, Location], ...]:
-        """Those whose bodies are pushed, and where that is said."""
+        """Those whose bodies are pushed or pulled, and where that is said."""
         named = self._named("two_way")
-        return tuple((one.system, at) for one, at in named if one.two_way)
+        pushed = ((one.system, at) for one, at in named if one.two_way)
+        return (*pushed, *self._ties)
+
+    @property
+    def _ties(self) -> tuple[tuple[str, Location], ...]:
+        """Rigid systems that carry particles, and where they are named."""
+        return tuple(
+            (name, (*self.at, *location_of(where)[:-1], "system"))
+            for name, _, where in self.tied
+        )
+
+    @property
+    def carriers(self) -> list[str]:
+        """Names of the rigid systems that carry particles, each once."""
+        return list(dict.fromkeys(name for name, *_ in self.tied))
 
     def _named(self, key: str) -> Iterator[tuple[SystemSurfaceModel, Location]]:
         """Yield systems that are run into, each with the place of a key of it."""
@@ -138,7 +154,18 @@ class Surroundings:
             *(Path(str(one.file)).name for one in self.characters),
             *(one.system for one in self.systems),
             *(mesh.prim for mesh in self.meshes),
+            *(f"{body}, tied both ways" for body in self.tied_bodies),
         ]
+
+    @property
+    def met(self) -> list[str]:
+        """Names of systems that are run into."""
+        return [one.system for one in self.systems]
+
+    @property
+    def tied_bodies(self) -> list[str]:
+        """Bodies that carry particles, each once, as system.body."""
+        return list(dict.fromkeys(f"{name}.{body}" for name, body, _ in self.tied))
 
     @property
     def anything(self) -> bool:

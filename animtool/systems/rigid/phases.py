@@ -99,6 +99,11 @@ class Phases:
         reached = t + ON_TIME * dt
         return int(np.searchsorted(self._times, reached, side="right"))
 
+    def free(self, t: float, dt: float) -> BoolArray:
+        """Return who moves by itself in a step [s] at a time [s] ``(N,)``."""
+        found: BoolArray = self._releases <= t + ON_TIME * dt
+        return found
+
     def at(self, number: int, broken: BoolArray) -> Phase:
         """Return a phase without joints that are broken ``(K,)``."""
         key = number, broken.tobytes()

@@ -375,15 +375,20 @@ class RigidSimulation:
             physics=self._physics,
         )
 
-    def poses(self, state: RigidState, t: float) -> FloatArray:
-        """Return where the frames of all shapes are ``(C, 7)`` at a time [s]."""
+    def frames(self, state: RigidState, t: float) -> FloatArray:
+        """Return where the frames of all bodies are ``(B, 7)`` at a time [s]."""
         bodies = self.bodies
         frames = np.zeros((len(bodies.names), 7))
         places, turns = bodies.placed(state.motion)
         frames[bodies.dynamic] = np.concatenate([places, turns], axis=1)
         for i in np.flatnonzero(~bodies.moved).tolist():
             frames[i] = bodies.poses[i].at(t)
-        frames = frames[bodies.outlines.of]
+        return frames
+
+    def poses(self, state: RigidState, t: float) -> FloatArray:
+        """Return where the frames of all shapes are ``(C, 7)`` at a time [s]."""
+        bodies = self.bodies
+        frames = self.frames(state, t)[bodies.outlines.of]
         at, turn = bodies.outlines.at, bodies.outlines.turns
         places = frames[:, :3] + so3.rotate(frames[:, 3:], at)
         turns = so3.multiply(frames[:, 3:], turn)
@@ -411,6 +416,34 @@ class RigidSimulation:
         """Bodies that can be pushed."""
         return len(self.bodies.dynamic)
 
+    @property
+    def names(self) -> Sequence[str]:
+        """Of all bodies ``(B,)``."""
+        return self.bodies.names
+
+    @property
+    def shape_bodies(self) -> IntArray:
+        """The body that each shape is of ``(C,)``."""
+        return self.bodies.outlines.of
+
+    @property
+    def dynamic(self) -> IntArray:
+        """The bodies that can be pushed ``(count,)``."""
+        return self.bodies.dynamic
+
+    def free(self, t: float) -> BoolArray:
+        """Return which bodies move by themselves from a time [s] on ``(count,)``."""
+        return self._phases.free(t, self._spec.step)
+
+    def size(self, number: int) -> float:
+        """Return how far a body reaches from its centre [m]."""
+        return float(self.bodies.kinds[self.bodies.of[number]].reach)
+
+    def speeds(self, state: RigidState) -> FloatArray:
+        """Return velocities of centres and angular ones ``(count, 6)``."""
+        spins = self.bodies.spins(state.motion)
+        return np.concatenate([state.motion[:, 7:10], spins], axis=1)
+
     def pushed(self, state: RigidState, wrenches: Wrenches) -> RigidState:
         """Return a state after impulses on its bodies."""
         bodies, motion = self.bodies, state.motion.copy()
@@ -429,6 +462,23 @@ class RigidSimulation:
         motion[:, 10:13] += momenta
         motion[wrenches.now.any(axis=1), 13] = 0.0
         return replace(state, motion=motion)
+
+    def push_between(self, state: RigidState, other: RigidState) -> Wrenches:
+        """Return the push that leads from a state to another of the same time."""
+        before, after, masses = state.motion, other.motion, self.bodies.masses[:, None]
+        turned = so3.log(so3.multiply(after[:, 3:7], so3.conjugate(before[:, 3:7])))
+        own = so3.rotate(so3.conjugate(before[:, 3:7]), turned) * self.bodies.moments
+        twist = so3.rotate(before[:, 3:7], own)
+
+        def push(ways: FloatArray, turning: FloatArray) -> FloatArray:
+            impulses = masses * ways
+            moments = turning + so3.cross(before[:, :3], impulses)
+            return np.concatenate([impulses, moments], axis=1)
+
+        return Wrenches(
+            push(after[:, 7:10] - before[:, 7:10], after[:, 10:13] - before[:, 10:13]),
+            push(after[:, :3] - before[:, :3], twist),
+        )
 
     def inverse_masses(
         self, state: RigidState, owners: IntArray, points: FloatArray, ways: FloatArray

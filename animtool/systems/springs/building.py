@@ -7,9 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from animtool.core.array_types import IntArray
+from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault
 from animtool.core.quantities import length_text
+from animtool.maths import so3
 from animtool.systems.simulation import SimContext
 from animtool.systems.springs import (
     Body,
@@ -27,6 +28,8 @@ from animtool.systems.springs.paths import combined
 from animtool.systems.springs.pins import air_of, moved_to_pins, ties_of, wind_ties
 from animtool.systems.springs.simulation import SpringSimulation, SpringView
 from animtool.systems.springs.spec import FaceWindModel, SpringsModel
+from animtool.systems.springs.ties import Tie, Ties
+from animtool.systems.tied import OnBody, TiedBodies
 
 # Particles that are put together, or held, this far from where they are built are
 # said to be apart [m].
@@ -126,7 +129,48 @@ class _Building:
             speed_limit=spec.speed_limit,
             self_contact=contact,
         )
+        system.ties = self._tied(system)
         return self._settled(system) if spec.settle else system
+
+    def _tied(self, system: SpringSystem) -> Ties | None:
+        """Return what carries pins of the system; None without."""
+        carriers = self._context.carriers
+        names, ties = list(carriers), []
+        rests = system.body.springs.rest
+        size = float(rests.mean()) if rests.any() else 1.0
+        columns = {n: k for k, n in enumerate(system.pinned.tolist())}
+        for entry, rows in zip(self._entries, self._rows, strict=True):
+            for pin in entry.pins:
+                if not isinstance(pin.carrier, OnBody):
+                    continue
+                bodies, own = carriers[pin.carrier.system], rows[pin.particles]
+                points = system.body.positions[own]
+                self._say_far(entry.spec.name, pin.carrier, bodies, points)
+                frame = bodies.start(pin.carrier).rows[0]
+                ties.append(
+                    Tie(
+                        np.array([columns[n] for n in own.tolist()], np.int64),
+                        names.index(pin.carrier.system),
+                        bodies.number(pin.carrier),
+                        so3.rotate(so3.conjugate(frame[3:]), points - frame[:3]),
+                        system.body.masses[own],
+                    )
+                )
+        if not ties:
+            return None
+        return Ties(list(carriers.values()), ties, system.gravity, size)
+
+    def _say_far(
+        self, name: str, carrier: OnBody, bodies: TiedBodies, points: FloatArray
+    ) -> None:
+        """Warn of pins that begin farther from their body than that is large."""
+        gap, size = bodies.gap(carrier, points)
+        if gap > size:
+            message = f"pins of {name} begin {length_text(gap)} from the surface of "
+            message += f"{carrier.body!r}, which reaches {length_text(size)}: it is "
+            message += "swung as by a stiff arm"
+            hint = "begin the particles at the body, or give the pin an offset"
+            self._notices.append(warning("SIM160", message, hint, carrier.where))
 
     def _settled(self, system: SpringSystem) -> SpringSystem:
         """Return a system that begins where it comes to rest."""

@@ -21,6 +21,10 @@ from animtool.systems.springs.checks import check_keeping_apart, check_options
 from animtool.systems.springs.drawing import Faces
 from animtool.systems.springs.pins import Join, Pin, air_of, numbered, read_pins
 from animtool.systems.springs.spec import FaceWindModel, SpringsModel
+from animtool.systems.tied import OnBody
+
+# Solvers that say what pins pull at rigid bodies.
+TIED_SOLVERS = (Solver.AUTO, Solver.BDF2, Solver.IMPLICIT_EULER)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,6 +54,16 @@ class SpringEntry:
             PinnedPoints(pin.where, pin.carrier, partial(pin.inside, points=points))
             for pin in self.pins
             if pin.carrier is not None
+        ]
+
+    @property
+    def tied(self) -> list[tuple[str, str, str]]:
+        """Rigid systems and their bodies that carry particles, and keys that say so."""
+        carriers = [pin.carrier for pin in self.pins]
+        return [
+            (one.system, one.body, one.where)
+            for one in carriers
+            if isinstance(one, OnBody)
         ]
 
     @property
@@ -135,10 +149,30 @@ def read_entry(
         message += "bodies would be pushed each time"
         hint = "give a step, or leave out two_way"
         entry.note("SIM063", message, "error", hint=hint)
+    if any(pin.body is not None for pin in spec.pins):
+        _check_tied(entry)
     if body is None:
         return None, entry.faults
     pins, joins = read_pins(entry, body)
     return SpringEntry(spec, body, pins, joins), entry.faults
+
+
+def _check_tied(entry: BodyEntry) -> None:
+    """Note what cannot be with pins that rigid bodies carry (SIM063, SIM163)."""
+    spec = entry.spec
+    if spec.error is not None:
+        message = "steps that keep an error are found by simulating several times, and "
+        message += "the bodies that carry its pins would be pulled each time"
+        entry.note("SIM063", message, "error", hint="give a step")
+    if spec.solver not in TIED_SOLVERS:
+        message = f"{spec.solver} does not say what pins pull at a body"
+        entry.note(
+            "SIM163", message, "solver", hint="take auto, bdf2 or implicit_euler"
+        )
+    if spec.contact is not None:
+        message = "a surface that keeps apart from itself is simulated by xpbd, which "
+        message += "does not say what pins pull at a body"
+        entry.note("SIM163", message, "self_contact", hint="leave it out")
 
 
 def _families(entry: BodyEntry) -> dict[str, Family | None]:

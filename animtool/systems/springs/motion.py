@@ -9,6 +9,7 @@ import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.errors import Fault, Severity, counted
+from animtool.sim.colliders.bodies import Wrenches
 from animtool.sim.trajectory import Trajectory
 from animtool.systems.simulation import growing, later
 from animtool.systems.springs.body import Flags
@@ -52,6 +53,10 @@ class SpringState:
     passages: IntArray = field(
         default_factory=lambda: np.zeros((0, 3), np.int64), metadata=growing()
     )
+    # What pins that bodies carry were pulled by in the last step ``(H, 6)``.
+    pulls: FloatArray | None = field(default=None, metadata=later(np.ndarray))
+    # What the last cell found of how these change with velocities of the bodies.
+    known: FloatArray | None = field(default=None, metadata=later(np.ndarray))
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,6 +77,8 @@ class Grid:
     # What rigid colliders were pushed by in the last cells ``(C, 7)``: impulse, moment
     # about the origin, and the mass that touched each at once, at most.
     pushes: FloatArray = field(default_factory=lambda: np.zeros((0, 7)))
+    # What rigid bodies that carry pins were pulled by in the last cell, by system.
+    tied: tuple[Wrenches, ...] = ()
     # What went through the surface, at most.
     through: Through = field(default_factory=Through)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -24,13 +24,14 @@ from animtool.systems.springs.spec import (
     PinModel,
     WindModel,
 )
+from animtool.systems.tied import OnBody
 
 # The first frame of what carries, in which it is when particles are bound to it.
 BOUND_AT = 0.0
 # Times between two gusts at which the air that went by is looked at.
 GUST_STEPS = 8
 # Keys of what carries.
-CARRIERS = ("joint", "vertex", "prim")
+CARRIERS = ("joint", "vertex", "prim", "body")
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,7 +189,8 @@ def numbered(
 def _check_alone(entry: BodyEntry, at: Location, model: PinModel, kept: str) -> None:
     """Note what cannot be beside one of the keys that say where particles go."""
     keys = {"moves", *CARRIERS, "to", "stiffness", "damping"}
-    allowed = {kept} if kept == "to" else {kept, "stiffness", "damping"}
+    alone = {"to", "body"}  # who is held by nothing else, and is not drawn
+    allowed = {kept} if kept in alone else {kept, "stiffness", "damping"}
     for key in sorted((keys & model.model_fields_set) - allowed):
         entry.note("SIM052", f"{key} is not for a pin that has {kept}", *at, key)
 
@@ -206,6 +208,9 @@ def _carrier(
         if getattr(model, key) is not None:
             _check_alone(entry, at, model, key)
             carrier = parts[key]
+            if isinstance(carrier, OnBody):
+                where = ".".join((f"pins[{at[1]}]", key, "body"))
+                carrier = replace(carrier, where=where)
     return carrier
 
 

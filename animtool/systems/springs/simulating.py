@@ -200,7 +200,8 @@ class SpringRun:
         self.status = Status.OK
         self.sign = ""
         # Where bodies are pushed, they feel it before the next cell.
-        self._cells = 1 if system.colliders.bodies else LOOK_EVERY
+        together = system.colliders.bodies or system.ties is not None
+        self._cells = 1 if together else LOOK_EVERY
         # Share that bodies took at least of what they were pushed by.
         self.taken = 1.0
         # Of a spring of xpbd, over that at rest.
@@ -208,7 +209,7 @@ class SpringRun:
         # What xpbd leaves of a stretch is no energy that it goes on with, nor is what
         # colliders leave of one to implicit steps.
         stable = grid.solver is not Solver.SYMPLECTIC_EULER and system.colliders.active
-        calm = stable or grid.solver is Solver.XPBD
+        calm = stable or grid.solver is Solver.XPBD or system.ties is not None
         growth = np.inf if calm else options.growth
         bounds = IntegrateOptions(growth=growth, stretch=options.longest)
         # Its springs that are not torn.
@@ -311,7 +312,7 @@ class SpringRun:
             self.status = Status.NOT_SOLVED
             self.sign = "Newton's method found no solution"
         else:
-            self.wrenches = self._pressed()
+            self.wrenches = [*self._pressed(), *self.grid.tied]
 
     def _pressed(self) -> list[Wrenches]:
         """Return what is pressed on bodies of other systems.

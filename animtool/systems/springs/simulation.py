@@ -14,6 +14,7 @@ from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.errors import Fault, Severity, counted, percent
 from animtool.core.quantities import length_text, plain
 from animtool.motion.frames import Frame, MeshFrame, PointsFrame
+from animtool.sim.colliders.bodies import Wrenches
 from animtool.sim.system import Energy
 from animtool.sim.trajectory import Status
 from animtool.systems.fields import Member
@@ -108,8 +109,11 @@ class SpringSimulation:
     def initial(self) -> SpringState:
         """Return the state that they begin in."""
         substeps, state = self.choice.substeps, self.system.state
-        whole = self.system.whole
-        return SpringState(np.ascontiguousarray(state), whole, substeps, substeps)
+        whole, tied = self.system.whole, self.system.ties is not None
+        pulls = np.zeros((len(self.system.pinned), 6)) if tied else None
+        return SpringState(
+            np.ascontiguousarray(state), whole, substeps, substeps, pulls=pulls
+        )
 
     def step(
         self, state: SpringState, t: float, dt: float
@@ -137,6 +141,12 @@ class SpringSimulation:
         for sheet in self.system.colliders.sheets:
             sheet.motion.forget(grid.time - max(LOOK_BACK, grid.cell))
         return Stepped(grid.state, run.wrenches)
+
+    def pulls(self, state: SpringState, t: float) -> Sequence[Wrenches]:
+        """Return what bodies of others are pressed and pulled by in the next cell."""
+        run = self._run(state, t)
+        run.cross(run.grid.index + 1)
+        return run.wrenches
 
     def _run(self, state: SpringState, t: float) -> SpringRun:
         """Return a motion that goes on from a state at its time [s]."""
@@ -229,7 +239,7 @@ class SpringSimulation:
         return [*self._said.values(), *self._losses.notices(self.choice.solver)]
 
     def _energy(self, state: SpringState, t: float) -> Energy | None:
-        if self._slowed or state.torn.any():
+        if self._slowed or state.torn.any() or self.system.ties is not None:
             return None
         energy = self.system.energy(t, state.motion)
         return None if energy.supply else energy

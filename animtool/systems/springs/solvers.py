@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any, TypeAlias
@@ -20,6 +21,8 @@ from animtool.systems.springs.checks import check_keeping_apart
 from animtool.systems.springs.motion import MAX_SUBSTEPS, Grid, SpringState, Through
 from animtool.systems.springs.records import Solver, SpringOptions
 from animtool.systems.springs.system import SpringSystem
+from animtool.systems.springs.ties import TiedCell, Ties
+from animtool.systems.tied import TiedStep
 
 # Steps of xpbd are not shorter than this [s].
 SHORTEST = 1 / 61440
@@ -28,6 +31,10 @@ LONG_CELL = 131072
 # Newton's corrections of implicit steps go on until they are below this share of the
 # mean length of springs.
 SOLVED = 1e-6
+# The same where bodies carry pins: they feel what is left of it times a stiffness [1].
+TIED = 1e-11
+# Of a cell, where bodies turn by more in each [rad], or where no solution is found.
+TURN, MAX_PARTS = 0.125, 16
 # Particles that are deeper than this are left inside [m].
 INSIDE = 1e-6
 # Cells of time where nothing else is said [s]: whole numbers of them are frames of 24,
@@ -94,6 +101,8 @@ def choose(
         check_keeping_apart(requested)
         if requested is Solver.AUTO:
             solver, reason = Solver.XPBD, "it keeps surfaces apart from themselves"
+    elif system.ties is not None:
+        return tied_choice(system.ties, options, requested, t, limit)
     elif requested is Solver.AUTO:
         solver, reason = _cheapest(system, options, rate)
     if options.step is not None:
@@ -111,6 +120,46 @@ def choose(
         steps = max(1, math.ceil(CELL * rate))
         return Choice(solver, CELL, steps, reason, limit)
     return Choice(solver, CELL, FIRST[solver], reason, limit)
+
+
+def tied_choice(
+    ties: Ties, options: SpringOptions, requested: Solver, begin: float, limit: float
+) -> Choice:
+    """Return a solver whose cells begin and end with steps of what carries pins.
+
+    Raises:
+        OptionError: None does (SIM164).
+    """
+    solver, reason = requested, "it was asked for"
+    if requested is Solver.AUTO:
+        solver, reason = Solver.BDF2, "rigid bodies carry its pins"
+    lengths = sorted({one.step for one in ties.carriers})
+    longest = lengths[-1]
+    cell = longest
+    substeps = max(FIRST[solver], math.ceil(cell / CELL * FIRST[solver]))
+    if options.step is not None:
+        cell = max(options.step, longest)
+        substeps = max(1, round(cell / options.step))
+    fits = all(_whole(cell / one) for one in lengths)
+    fits &= options.step is None or _whole(cell / options.step)
+    if not fits:
+        bodies = " and ".join(f"{one:g}" for one in lengths)
+        message = f"steps of {options.step or cell:g} s, and those of the bodies that "
+        message += f"carry its pins of {bodies} s, do not end together"
+        hint = f"give step: {longest:g}, a whole number of it, or a part of that"
+        raise OptionError(Fault("SIM164", message, where="step", hint=hint))
+    for one in ties.carriers:
+        if one.begin > begin or not _whole((begin - one.begin) / cell):
+            message = f"it begins at {begin:g} s, and the bodies that carry its pins "
+            message += f"at {one.begin:g} s"
+            hint = "give both the same preroll"
+            raise OptionError(Fault("SIM164", message, where="preroll", hint=hint))
+    return Choice(solver, cell, substeps, reason, limit)
+
+
+def _whole(ratio: float) -> bool:
+    """Return whether a ratio is a whole number, but for rounding."""
+    return abs(ratio - round(ratio)) <= 1e-9 * max(1.0, abs(ratio))
 
 
 def implicit_cost(system: SpringSystem, ratio: float) -> float:
@@ -200,6 +249,8 @@ def advance(
     system: SpringSystem, options: SpringOptions, grid: Grid, cells: int
 ) -> Grid:
     """Return where a motion is some cells later."""
+    if system.ties is not None and cells:
+        return _tied(system, grid, system.ties)
     network = system.network(system.jumps.stage_of(grid))
     met = cell_colliders(system.colliders, system.radius, grid, cells)
     if grid.solver is Solver.SYMPLECTIC_EULER:
@@ -249,6 +300,108 @@ def _projected(
     return replace(crossed, through=max_through, stretch=max(grid.stretch, stretch))
 
 
+def _tied(system: SpringSystem, grid: Grid, ties: Ties) -> Grid:
+    """Return where a motion is a cell later with the bodies that carry its pins.
+
+    In parts where these turn fast, or where nothing is found.
+    """
+    t0, t1 = grid.time, grid.origin + (grid.index + 1) * grid.cell
+    steps = [one.over(t0, t1) for one in ties.carriers]
+    angle, parts = max(one.angle for one in steps), 1
+    while parts < MAX_PARTS and angle > TURN * parts:
+        parts *= 2
+    while True:
+        made = _in_parts(system, grid, ties, steps, parts)
+        if not made.lost or parts >= MAX_PARTS:
+            return replace(made, origin=grid.origin, cell=grid.cell,
+                           index=grid.index + 1)  # fmt: skip
+        parts *= 2
+
+
+def _in_parts(
+    system: SpringSystem, grid: Grid, ties: Ties, steps: Sequence[TiedStep], parts: int
+) -> Grid:
+    """Return where a motion is a cell later, in parts of it with bodies after each."""
+    if parts == 1:
+        return _tied_part(system, grid, ties, steps)[0]
+    begun, count = grid.state, -(-grid.state.substeps // parts)
+    if count * parts != begun.substeps:
+        begun = replace(begun, before=None)
+    state = replace(begun, substeps=count)
+    now = replace(grid, origin=grid.time, cell=grid.cell / parts, index=0, state=state)
+    bodies, pushes = [one.begun for one in steps], []
+    for _ in range(parts):
+        own = [
+            one.part(state, now.time, now.cell)
+            for one, state in zip(steps, bodies, strict=True)
+        ]
+        now, bodies = _tied_part(system, now, ties, own)
+        pushes.append(now.pushes)
+        if now.lost:
+            break
+    tied = [one.leading_to(state) for one, state in zip(steps, bodies, strict=True)]
+    pushed = np.sum(pushes, axis=0)
+    pushed[:, 6] = np.max(pushes, axis=0)[:, 6]
+    left = replace(now.state, substeps=grid.state.substeps)
+    if count * parts != left.substeps:
+        left = replace(left, before=None)
+    return replace(now, state=left, tied=tuple(tied), pushes=pushed)
+
+
+def _tied_part(
+    system: SpringSystem, grid: Grid, ties: Ties, steps: Sequence[TiedStep]
+) -> tuple[Grid, list[Any]]:
+    """Return where a motion is a cell later, and the states of the bodies then."""
+    t0, t1 = grid.time, grid.origin + (grid.index + 1) * grid.cell
+    stage = system.jumps.stage_of(grid)
+    network, held, drawn = system.cell_network(stage, t0, t1)
+    met = cell_colliders(system.colliders, system.radius, grid, 1)
+    columns = np.concatenate([tie.columns for tie in ties.ties])
+    share = ((system.cell_knots(stage, t0, t1) - t0) / (t1 - t0))[:, None, None]
+
+    def cross(begins: FloatArray, ends: FloatArray) -> Pulled:
+        held[:, columns] = begins + share * (ends - begins)
+        network.lead(held, drawn)
+        return _pulled(network, grid, met, TIED * ties.size)
+
+    found = TiedCell(ties, steps).cross(cross, grid.state.known)
+    made: Pulled = found.crossed
+    state = replace(made.grid.state, known=found.known)
+    bodies = [
+        one.pulled(own)[0] for one, own in zip(steps, found.wrenches, strict=True)
+    ]
+    ended = replace(made.grid, state=state, lost=made.lost, tied=found.wrenches)
+    return ended, bodies
+
+
+@dataclass(slots=True)
+class Pulled:
+    """Where a motion is after a cell, and what held particles were pulled by."""
+
+    grid: Grid
+    pulls: FloatArray  # impulses and moments about the origin ``(H, 6)``
+    lost: bool
+
+
+def _pulled(
+    network: _kernels.SpringNetwork, grid: Grid, met: CellColliders, tolerance: float
+) -> Pulled:
+    state = grid.state
+    (
+        motion, before, known, torn, steps, corrections, lost, inside, pushes, pulls,
+    ) = _kernels.solve_springs(
+        network, state.motion, state.before, state.torn, grid.origin, grid.index,
+        grid.cell, 1, state.substeps, grid.solver is Solver.BDF2, tolerance, met,
+        state.pulls,
+    )  # fmt: skip
+    made = replace(
+        state, motion=motion, before=before if known else None, torn=torn,
+        pulls=pulls[1],
+    )  # fmt: skip
+    crossed = grid.crossed(1, made, steps, corrections, inside, pushes)
+    return Pulled(crossed, pulls[0], lost > 0)
+
+
 def _implicit(
     network: _kernels.SpringNetwork,
     grid: Grid,
@@ -258,7 +411,7 @@ def _implicit(
 ) -> Grid:
     state = grid.state
     (
-        motion, before, known, torn, steps, corrections, lost, inside, pushes,
+        motion, before, known, torn, steps, corrections, lost, inside, pushes, _,
     ) = _kernels.solve_springs(
         network, state.motion, state.before, state.torn, grid.origin, grid.index,
         grid.cell, cells, state.substeps, grid.solver is Solver.BDF2, tolerance, met,

@@ -23,6 +23,7 @@ from animtool.documents.fields import (
 )
 from animtool.systems.fields import (
     ArrayEntry,
+    CarryingBodyModel,
     CarryingJointModel,
     CarryingPrimModel,
     CarryingVertexModel,
@@ -173,6 +174,11 @@ class PinModel(FileModel):
     prim: CarryingPrimModel | None = key(
         "A prim of a USD file that carries them.",
         {"file": "props.usda", "prim": "/Set/hook"},
+        default=None,
+    )
+    body: CarryingBodyModel | None = key(
+        "A rigid body of the scene that carries them: both move each other.",
+        {"system": "crates", "body": "lamp"},
         default=None,
     )
     to: JoinedModel | None = key(

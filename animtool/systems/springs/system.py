@@ -48,6 +48,7 @@ from animtool.systems.springs.paths import (
 )
 from animtool.systems.springs.records import Air, SelfContact
 from animtool.systems.springs.slopes import fastest, slopes
+from animtool.systems.springs.ties import Ties
 
 # Of the speed of targets, where no step says over which time to take it [s].
 EPSILON_TIME = 1e-6
@@ -156,6 +157,7 @@ class SpringSystem(SecondOrder):
         self.jumps = Teleports(body, holders, self._ways, speed_limit)
         self._staged: tuple[int, _Stage] | None = None
         self.contacts: Contacts | None = None
+        self.ties: Ties | None = None  # what carries some of the pins
         self.colliders = (
             colliders if isinstance(colliders, Colliders) else Colliders(colliders)
         )
@@ -185,6 +187,30 @@ class SpringSystem(SecondOrder):
             network = replace(self.loads, springs=springs).network(Paths(knots, *paths))
             self._staged = number, _Stage(pins, targets, network)
         return self._staged[1]
+
+    def cell_knots(self, stage: int, t0: float, t1: float) -> FloatArray:
+        """Return both ends of a cell, and times [s] between at which paths bend."""
+        made = self._stage(stage)
+        times = [one for one, _ in (made.pins, made.targets, self._wind_path)]
+        every = np.unique(np.concatenate(times))
+        inside = every[(every > t0) & (every < t1)]
+        return np.concatenate([[t0], inside, [t1]])
+
+    def cell_network(
+        self, stage: int, t0: float, t1: float
+    ) -> tuple[_kernels.SpringNetwork, FloatArray, FloatArray]:
+        """Return what kernels step in a cell, with paths of pins and of targets in it.
+
+        At its knots ``(K, P, 3)`` and ``(K, A, 3)`` [m].
+        """
+        made, knots = self._stage(stage), self.cell_knots(stage, t0, t1)
+        held, drawn, wind = (
+            np.array([position_at(path, t) for t in knots.tolist()])
+            for path in (made.pins, made.targets, self._wind_path)
+        )
+        springs = self.body.springs.select(self.order)
+        paths = Paths(knots, held, drawn, wind)
+        return replace(self.loads, springs=springs).network(paths), held, drawn
 
     @property
     def loads(self) -> Loads:

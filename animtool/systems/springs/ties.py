@@ -1,0 +1,278 @@
+"""Pins that rigid bodies of others carry: a cell of time of both together.
+
+A body is taken through a cell as if nothing of the springs pulled it, and what they
+pull over the cell is found so that body and pins end at the same places with it:
+Newton's method on the velocities that the pull gives the bodies. So a light body on a
+heavy rope is as stable as a heavy body on a light one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+
+from animtool.core.array_types import FloatArray, IntArray
+from animtool.maths import so3
+from animtool.sim.colliders.bodies import Wrenches
+from animtool.systems.tied import TiedBodies, TiedStep, to_world
+
+# How far bodies are moved to see how the pull changes, in mean lengths of springs [1].
+TRIAL = 1e-6
+# Corrections go on until they move bodies by less, in the same [1].
+MET = 1e-10
+# What is not corrected further by new slopes, in the same [1].
+NEAR = 1e-7
+# What is left after the last that is near enough, in the same [1].
+ENOUGH = 1e-4
+MAX_CORRECTIONS = 24
+# What a correction may be of the one before: ropes that become slack have kinks [1].
+GROWTH = 2.0
+# Of a correction, what the next may be before slopes are looked for again [1].
+SLOW = 0.25
+MAX_HALVINGS = 6
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tie:
+    """Particles that a body carries."""
+
+    columns: IntArray  # their numbers among the held particles ``(P,)``
+    carrier: int  # number of the system of the body
+    body: int  # number of the body there
+    inside: FloatArray  # where they are in its frame ``(P, 3)`` [m]
+    masses: FloatArray  # theirs, which the body bears ``(P,)`` [kg]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Ties:
+    """What carries held particles, of one or more rigid systems."""
+
+    carriers: Sequence[TiedBodies]
+    ties: Sequence[Tie]
+    gravity: FloatArray  # ``(3,)`` [m/s²]
+    size: float  # mean length of springs [m]
+
+
+class Crossed(Protocol):
+    """What springs come to in a cell, with what held particles were pulled by."""
+
+    lost: bool
+
+    @property
+    def pulls(self) -> FloatArray:
+        """Impulses and moments about the origin ``(H, 6)``."""
+
+
+class _Pulled(NamedTuple):
+    """What a guess of the pull leads to."""
+
+    crossed: Any
+    left: FloatArray  # velocities that it misses ``(6 U,)``
+    wrenches: list[Wrenches]  # what bodies were pulled by, by system
+
+
+# Returns what springs come to where held particles of some columns end a cell.
+Cross = Callable[[FloatArray, FloatArray], Any]
+
+
+class TiedCrossing(NamedTuple):
+    """A cell that was crossed."""
+
+    crossed: Any  # what springs come to
+    wrenches: tuple[Wrenches, ...]  # what bodies were pulled by, by system
+    # How what is missed changes with what bodies get, and that ``(6 U, 6 U + 1)``.
+    known: FloatArray | None
+
+
+class _Unknown(NamedTuple):
+    """A body whose pull is looked for."""
+
+    carrier: int
+    number: int  # among those that can be pushed
+    ties: Sequence[int]  # numbers of what it carries
+    mass: float
+    inertia: FloatArray  # about the centre, in the world ``(3, 3)`` [kg m²]
+    ease: FloatArray  # its inverse, 0 about axes that nothing turns about
+    reach: float  # how far it is from the centre to what it carries, at most [m]
+
+
+def _corrected(slopes: FloatArray, now: _Pulled) -> FloatArray:
+    """Return the correction of velocities that takes away what is missed."""
+    found = np.linalg.lstsq(slopes, now.left, rcond=None)[0]
+    return np.asarray(-found, np.float64)
+
+
+class TiedCell:
+    """A cell of time of springs and of the bodies that carry some of their pins."""
+
+    def __init__(self, ties: Ties, steps: Sequence[TiedStep]) -> None:
+        self._ties, self._steps, self._h = ties, steps, steps[0].span
+        self._places = [
+            to_world(self._steps[tie.carrier].begins[tie.body], tie.inside)
+            for tie in ties.ties
+        ]
+        self._unknown = list(self._bodies())
+        # Velocities of what each body carries, at the begin.
+        self._begun = [
+            {
+                k: self._steps[one.carrier].begun_at(one.number, self._places[k])
+                for k in one.ties
+            }
+            for one in self._unknown
+        ]
+
+    def _bodies(self) -> Any:
+        """Yield the bodies that move by themselves and carry anything."""
+        carriers = self._ties.carriers
+        for k, step in enumerate(self._steps):
+            dynamic = carriers[k].system.dynamic
+            for number, body in enumerate(dynamic.tolist()):
+                ties = self._ties.ties
+                own = [
+                    i for i, t in enumerate(ties) if (t.carrier, t.body) == (k, body)
+                ]
+                if not own or not step.free[number]:
+                    continue
+                centre, ease = (rows[number] for rows in step.inertias)
+                points = np.concatenate([self._places[i] for i in own])
+                reach = float(np.linalg.norm(points - centre, axis=1).max())
+                mass = float(carriers[k].masses[number])
+                inertia = np.linalg.pinv(ease, hermitian=True)
+                reach = max(reach, self._ties.size)
+                yield _Unknown(k, number, own, mass, inertia, ease, reach)
+
+    @property
+    def _scale(self) -> FloatArray:
+        """How far velocities of bodies move what they carry in a cell ``(6 U,)``."""
+        rows = [[1.0] * 3 + [one.reach] * 3 for one in self._unknown]
+        return self._h * np.array(rows).reshape(-1)
+
+    def cross(self, cross: Cross, known: FloatArray | None) -> TiedCrossing:
+        """Return what springs come to, and what bodies were pulled by.
+
+        ``known`` is what the cell before found, from which on this one is solved.
+        """
+        count = 6 * len(self._unknown)
+        if not count:
+            now = self._tried(np.zeros(0), cross)
+            return TiedCrossing(now.crossed, tuple(now.wrenches), None)
+        fits = known is not None and known.shape == (count, count + 1)
+        y = known[:, -1].copy() if known is not None and fits else np.zeros(count)
+        now = self._tried(y, cross)
+        slopes = known[:, :-1] if known is not None and fits else None
+        size, scale, fresh = self._ties.size, self._scale, False
+        moved = np.inf
+        for _ in range(MAX_CORRECTIONS):
+            if now.crossed.lost:
+                break
+            if slopes is None:
+                slopes, fresh = self._slopes(y, now, TRIAL * size / scale, cross), True
+            change = _corrected(slopes, now)
+            moved = float(np.abs(change * scale).max())
+            if moved <= MET * size:
+                break
+            share, left, after = self._taken(y, change, slopes, cross)
+            if after is None:
+                if fresh or moved <= NEAR * size:
+                    break
+                slopes = None
+                continue
+            change = share * change
+            y = y + change
+            gap = after.left - now.left - slopes @ change
+            now = after
+            if left > SLOW * moved or share < 1.0:
+                slopes, fresh = None, False
+                continue
+            # Broyden's: what this correction showed of how the pull changes.
+            slopes = slopes + np.outer(gap, change) / float(change @ change)
+            fresh = False
+        now.crossed.lost |= not moved <= ENOUGH * size
+        found = None if slopes is None else np.column_stack([slopes, y])
+        return TiedCrossing(now.crossed, tuple(now.wrenches), found)
+
+    def _slopes(
+        self, y: FloatArray, now: _Pulled, steps: FloatArray, cross: Cross
+    ) -> FloatArray:
+        """Return how what is missed changes with the velocities ``(6 U, 6 U)``."""
+        columns = []
+        for k, step in enumerate(steps.tolist()):
+            moved = y.copy()
+            moved[k] += step
+            columns.append((self._tried(moved, cross).left - now.left) / step)
+        return np.stack(columns, axis=1)
+
+    def _taken(
+        self,
+        y: FloatArray,
+        change: FloatArray,
+        slopes: FloatArray,
+        cross: Cross,
+    ) -> tuple[float, float, _Pulled | None]:
+        """Return what share of a correction leads on, and where; None where none.
+
+        With how far the next one moves bodies, as it is with these slopes [m]. It has
+        to be less (P. Deuflhard, Newton Methods for Nonlinear Problems, 2004, 3.3).
+        """
+        size, scale, share = self._ties.size, self._scale, 1.0
+        moved = float(np.abs(change * scale).max())
+        for _ in range(MAX_HALVINGS):
+            after = self._tried(y + share * change, cross)
+            if not after.crossed.lost and np.isfinite(after.left).all():
+                left = float(np.abs(_corrected(slopes, after) * scale).max())
+                if left <= max((1 - share / 4) * moved, MET * size):
+                    return share, left, after
+            share /= 2
+        return share, np.inf, None
+
+    def _tried(self, y: FloatArray, cross: Cross) -> _Pulled:
+        """Return what comes of velocities ``(6 U,)`` that pulls give bodies."""
+        pulls = [np.zeros((one.count, 6)) for one in self._ties.carriers]
+        for one, own in zip(self._unknown, y.reshape(-1, 6), strict=True):
+            row = pulls[one.carrier][one.number]
+            row[:3], row[3:] = one.mass * own[:3], one.inertia @ own[3:]
+        ends = [
+            step.pulled(step.wrenches(rows))
+            for step, rows in zip(self._steps, pulls, strict=True)
+        ]
+        goals = [
+            to_world(ends[tie.carrier][1][tie.body], tie.inside)
+            for tie in self._ties.ties
+        ]
+        crossed = cross(np.concatenate(self._places), np.concatenate(goals))
+        found = [np.zeros_like(rows) for rows in pulls]
+        left = []
+        for u, own in enumerate(y.reshape(-1, 6)):
+            one = self._unknown[u]
+            step = self._steps[one.carrier]
+            pull = self._pull(u, ends[one.carrier][0], goals, crossed.pulls)
+            turning = step.turning(one.number, pull)
+            gained = [pull[:3] / one.mass, one.ease @ turning]
+            left.append(np.concatenate(gained) - own)
+            found[one.carrier][one.number] = *pull[:3], *turning
+        wrenches = [
+            step.wrenches(rows) for step, rows in zip(self._steps, found, strict=True)
+        ]
+        return _Pulled(crossed, np.array(left).reshape(-1), wrenches)
+
+    def _pull(
+        self, u: int, end: Any, goals: Sequence[FloatArray], pulls: FloatArray
+    ) -> FloatArray:
+        """Return what a body is pulled by, of springs and of what it carries ``(6,)``.
+
+        Particles that it carries have mass, which springs do not feel.
+        """
+        one, total = self._unknown[u], np.zeros(6)
+        step = self._steps[one.carrier]
+        for k in one.ties:
+            tie, x0, x1 = self._ties.ties[k], self._places[k], goals[k]
+            total += pulls[tie.columns].sum(axis=0)
+            mass, v0 = tie.masses[:, None], self._begun[u][k]
+            v1 = step.speeds_at(end, one.number, x1)
+            own = mass * (self._h * self._ties.gravity - (v1 - v0))
+            total[:3] += own.sum(axis=0)
+            total[3:] += so3.cross((x0 + x1) / 2, own).sum(axis=0)
+        return total

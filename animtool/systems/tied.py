@@ -1,0 +1,202 @@
+"""Rigid bodies that carry particles of another system, and bear what these pull."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Protocol
+
+import numpy as np
+
+from animtool.core.array_types import BoolArray, FloatArray, IntArray
+from animtool.core.errors import Fault, OptionError, listed
+from animtool.core.names import nearest
+from animtool.maths import so3
+from animtool.sim.colliders import Colliders, Poses
+from animtool.sim.colliders.bodies import Wrenches
+from animtool.systems.surfaces import Bodies, RigidSystem, Watched
+
+# Of how far a pull over a step takes a body, over the step and the speed that it gives:
+# half of it is even over the step, and a little more lets what is stiff come to rest.
+SHARE = 0.52
+
+
+class CarryingSystem(RigidSystem, Protocol):
+    """A simulation of rigid bodies, which may carry particles of others."""
+
+    names: Sequence[str]  # of all bodies (B,)
+    shape_bodies: IntArray  # the body that each shape is of (C,)
+    dynamic: IntArray  # the bodies that can be pushed (count,)
+
+    def initial(self) -> Any:
+        """Return the state at the time of the first step."""
+
+    def step(self, state: Any, t: float, dt: float) -> Any:
+        """Return a new state, a step [s] after a time [s]."""
+
+    def push_between(self, state: Any, other: Any) -> Wrenches:
+        """Return the push that leads from a state to another of the same time."""
+
+    def frames(self, state: Any, t: float) -> FloatArray:
+        """Return where the frames of all bodies are ``(B, 7)`` at a time [s]."""
+
+    def speeds(self, state: Any) -> FloatArray:
+        """Return velocities of centres and angular ones ``(count, 6)``."""
+
+    def free(self, t: float) -> BoolArray:
+        """Return which bodies move by themselves from a time [s] on ``(count,)``."""
+
+    def size(self, number: int) -> float:
+        """Return how far a body reaches from its centre [m]."""
+
+
+@dataclass(frozen=True, slots=True)
+class OnBody:
+    """A rigid body of the scene that carries particles."""
+
+    system: str  # name of its system
+    body: str  # its name
+    where: str = field(default="", compare=False)  # key that names it
+
+
+class TiedBodies(Bodies):
+    """Rigid bodies of a simulation under way, which carry particles.
+
+    Attributes:
+        step: Of their simulation [s].
+        begin: Of their first step [s].
+    """
+
+    def __init__(
+        self, run: Watched, simulation: CarryingSystem, begin: float, step: float
+    ) -> None:
+        super().__init__(run, simulation, 0.0, 0.0, two_way=True)
+        self.system = simulation
+        self.begin, self.step = begin, step
+        self._start: Any = simulation.initial()
+
+    def number(self, carrier: OnBody) -> int:
+        """Return the number of a body; raise SIM162 where there is none of the name."""
+        names = list(self.system.names)
+        if carrier.body in names:
+            return names.index(carrier.body)
+        message = f"no body of {carrier.system!r} is {carrier.body!r}"
+        hint = nearest(carrier.body, names) or f"it has {listed(names, 12)}"
+        fault = Fault("SIM162", message, hint=hint, where=carrier.where)
+        raise OptionError(fault)
+
+    def start(self, carrier: OnBody) -> Poses:
+        """Return the frame that a body begins in."""
+        frames = self.system.frames(self._start, self.begin)
+        row = frames[self.number(carrier)]
+        return Poses.fixed(row[:3], row[3:])
+
+    def gap(self, carrier: OnBody, points: FloatArray) -> tuple[float, float]:
+        """Return how far the nearest of points ``(P, 3)`` begins from a body [m].
+
+        That is from its surface, 0 inside; with the size of the body.
+        """
+        made, number = self.system, self.number(carrier)
+        (own,) = np.nonzero(made.shape_bodies == number)
+        poses = made.poses(self._start, self.begin)
+        shapes = [
+            replace(made.shapes[i], poses=Poses.fixed(poses[i, :3], poses[i, 3:]))
+            for i in own.tolist()
+        ]
+        if not shapes:
+            return 0.0, np.inf
+        nearest_by = Colliders(shapes).sample(points, self.begin).distances
+        return max(float(nearest_by.min()), 0.0), made.size(number)
+
+    def pushed_by(self, pusher: Any) -> None:
+        """Take note of who hangs on them."""
+        super().pushed_by(pusher)
+        self._run.pulled_by(self, pusher)
+
+    def pulled_by(self, puller: Any, state: Any, t: float) -> Any:
+        """Return a state at a time [s] within a step of who hangs on them."""
+        found = puller.pull(t, self)
+        if found is None:
+            return state
+        wrenches, begin, end = found
+        ended, _ = self._run.look(end)
+        centres = self.system.inertias(ended)[0]
+        share, own = (t - begin) / (end - begin), self.system.inertias(state)[0]
+
+        def earlier(pushes: FloatArray, share: float) -> FloatArray:
+            rows = share * pushes
+            rows[:, 3:] += so3.cross(own - centres, rows[:, :3])
+            return rows
+
+        now, moved = earlier(wrenches.now, share), earlier(wrenches.moved, share**2)
+        return self.system.pushed(state, Wrenches(now, moved))
+
+    def over(self, t0: float, t1: float) -> TiedStep:
+        """Return them over a step [s], as nothing of this system pulls them."""
+        begins, _ = self._run.look(t0, begins=True)
+        ends, _ = self._run.look(t1)
+        return TiedStep(self.system, begins, ends, t0, t1)
+
+
+class TiedStep:
+    """Bodies over a step in which particles pull them."""
+
+    def __init__(
+        self, simulation: CarryingSystem, begins: Any, ends: Any, t0: float, t1: float
+    ) -> None:
+        self._simulation, self._ends, self._t1 = simulation, ends, t1
+        self.begins = simulation.frames(begins, t0)  # frames of all ``(B, 7)``
+        self.begun, self.span = begins, t1 - t0  # state at the begin; how long [s]
+        self.free = simulation.free(t0)  # which move by themselves ``(count,)``
+        self.inertias = simulation.inertias(ends)
+        self._speeds = simulation.speeds(ends)[:, :3]
+        self._moving = SHARE * self.span
+
+    @property
+    def angle(self) -> float:
+        """How far the fastest of them turns [rad]."""
+        spins = self._simulation.speeds(self.begun)[self.free, 3:]
+        return self.span * float(np.linalg.norm(spins, axis=1).max(initial=0.0))
+
+    def part(self, state: Any, t: float, dt: float) -> TiedStep:
+        """Return them over a part of the step [s], from a state of their own."""
+        ends = self._simulation.step(state, t, dt)
+        return TiedStep(self._simulation, state, ends, t, t + dt)
+
+    def leading_to(self, state: Any) -> Wrenches:
+        """Return the push at the end that leads to a state there."""
+        return self._simulation.push_between(self._ends, state)
+
+    def speeds_at(self, state: Any, number: int, points: FloatArray) -> FloatArray:
+        """Return velocities of points ``(P, 3)`` of a body that can be pushed [m/s]."""
+        speeds = self._simulation.speeds(state)[number]
+        centre = self._simulation.inertias(state)[0][number]
+        found: FloatArray = speeds[:3] + so3.cross(speeds[3:], points - centre)
+        return found
+
+    def begun_at(self, number: int, points: FloatArray) -> FloatArray:
+        """Return these at the begin."""
+        return self.speeds_at(self.begun, number, points)
+
+    def turning(self, number: int, pull: FloatArray) -> FloatArray:
+        """Return the moment of a pull ``(6,)`` about where it finds the centre."""
+        centre = self.inertias[0][number] - self._moving * self._speeds[number]
+        moment: FloatArray = pull[3:] - so3.cross(centre, pull[:3])
+        return moment
+
+    def wrenches(self, pulls: FloatArray) -> Wrenches:
+        """Return impulses and moments about the centres ``(count, 6)`` as a push."""
+        now = pulls.copy()
+        now[:, 3:] += so3.cross(self.inertias[0], pulls[:, :3])
+        return Wrenches(now, self._moving * now)
+
+    def pulled(self, wrenches: Wrenches) -> tuple[Any, FloatArray]:
+        """Return the state at the end after a push, and frames of all ``(B, 7)``."""
+        state = self._simulation.pushed(self._ends, wrenches)
+        return state, self._simulation.frames(state, self._t1)
+
+
+def to_world(frame: FloatArray, inside: FloatArray) -> FloatArray:
+    """Return points ``(P, 3)`` in a frame ``(7,)`` as they are in the world [m]."""
+    points: FloatArray = frame[:3] + so3.rotate(frame[3:], inside)
+    return points
