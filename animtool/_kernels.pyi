@@ -229,6 +229,30 @@ def flock_accelerations(points: Annotated[NDArray[numpy.float64], dict(shape=(No
     there were to look at; where these are more than ``most``, nothing is done.
     """
 
+def flock_braking(points: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], velocities: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], least: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], seen: float, room: float, period: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], most: float) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], float]:
+    """
+    What stops N members before they are nearer than they may be ``(N, 3)`` [m/s²].
+
+    Two are as far apart as the mean of their ``least`` ``(N,)`` [m], 0 of who keeps none. Within
+    ``seen`` times that each takes half of the square of their speed over twice what is left of it,
+    the more the nearer they are; this is no less than ``room`` of their distance. ``period`` is as
+    in `flock_accelerations`.
+
+    Returns ``(accelerations, pairs)``: how many pairs there were to look at; where these are more
+    than ``most``, not all are done.
+    """
+
+def flock_apart(points: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], least: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], rounds: int, share: float, clear: float, period: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], most: float) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], float, float]:
+    """
+    Move N members apart that are nearer than the mean of their ``least`` ``(N, 3)`` [m].
+
+    In each of ``rounds``, at most, they are moved by ``share`` of what lacks and of ``clear`` times
+    their distance more. ``period`` is as in `flock_accelerations`.
+
+    Returns ``(points, overlap, pairs)``: what is left in each other [m], and how many pairs there
+    were to look at; where these are more than ``most``, it stops.
+    """
+
 def gravity(points: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], masses: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], constant: float, softening: float, accuracy: float) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]]:
     """
     Sum what N bodies pull each other by, with Plummer softening.
@@ -268,14 +292,15 @@ def molecule_forces(points: Annotated[NDArray[numpy.float64], dict(shape=(None, 
     ``(N,)``, and the sum of forces times distances. NaN goes through.
     """
 
-def crowd_step(points: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], velocities: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], preferred: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], radii: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], most: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], gives: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], groups: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C', device='cpu', writable=False)], does: Annotated[NDArray[numpy.uint8], dict(shape=(None,), order='C', device='cpu', writable=False)], starts: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C', device='cpu', writable=False)], walls: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], sight: float, nearest: int, horizon: float, space: float, push: float, headway: float, side: float, step: float, rounds: int, enough: float) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], float]:
+def crowd_step(points: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], velocities: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], preferred: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], radii: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], most: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], gives: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], shoulders: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], depth: float, groups: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C', device='cpu', writable=False)], does: Annotated[NDArray[numpy.uint8], dict(shape=(None,), order='C', device='cpu', writable=False)], starts: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C', device='cpu', writable=False)], walls: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], sight: float, nearest: int, horizon: float, space: float, push: float, headway: float, side: float, step: float, rounds: int, enough: float) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], float, Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]]:
     """
     Where N agents are a step [s] later ``(N, 2)`` [m], and their velocities.
 
     They would go at ``preferred`` ``(N, 2)`` [m/s], slower where less than ``headway`` [s] is
     between them and who goes the same way ahead of them, and ``push`` [m/s] away from those
-    nearer than ``space`` [m] who are not of their group (-1 is none). Those who come against
-    them they leave to their right by ``side`` of their speed, 0 to 1, or to their left below 0. No velocity is larger than
+    nearer than ``space`` [m] who are not of their group (-1 is none). Where others come against
+    them or across, they go to the lane that costs least; each lane farther to the left costs
+    less by ``side``, -1 to 1. No velocity is larger than
     ``most``, none collides within ``horizon`` [s] with one of the ``nearest`` that are in
     ``sight`` [m], or if there is none such the least. What each ``does`` is 0 for who walks, 1 for who
     stays and 2 for who is gone. ``walls`` ``(M, 4)``
@@ -283,7 +308,11 @@ def crowd_step(points: Annotated[NDArray[numpy.float64], dict(shape=(None, None)
     place along it. Then agents are moved apart, each by its part of what both ``gives``, in ``rounds`` at most, until the largest overlap
     is ``enough`` [m].
 
-    Returns ``(points, velocities, overlap)``.
+    ``shoulders`` ``(N, 2)`` are along the lines of shoulders that are turned: 0 long is a disc, 1
+    an ellipse that is ``depth`` times as thick as it is wide.
+
+    Returns ``(points, velocities, overlap, pressed)``: how far each is to turn its shoulders, to
+    who is on its left, or below 0 on its right, -1 to 1 ``(N,)``.
     """
 
 def fitting_spans(turns: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], parents: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], numbers: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], places: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], before: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], rest: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], feet: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], stands: Annotated[NDArray[numpy.bool_], dict(shape=(None, None), order='C', device='cpu', writable=False)], begins: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], wide: int, near: float, standing: float, hips: float) -> tuple[Annotated[NDArray[numpy.bool_], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C')]]:
@@ -609,7 +638,7 @@ class RigidBodies:
     ``corner_starts[f]`` on, counter-clockwise from outside. A ball has one point, a capsule two.
 
     ``joints`` ``(K, 3)``: 0 fixed, 1 pin, 2 ball, 3 prismatic, and two bodies; -1 is a frame that
-    the animation moves. ``joint_numbers`` ``(K, 26)``: origin and quaternion x y z w of the frames
+    the animation moves. ``joint_numbers`` ``(K, 27)``: origin and quaternion x y z w of the frames
     on both, whose x is the axis; least and most of angle, slide or twist (least above most is any);
     half-angles of the swing about y and z (below 0 is any); target of the drive, and of a ball's its
     rotation; its stiffness, its damping, and its most force or torque (below 0 is any). Bodies that

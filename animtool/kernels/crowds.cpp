@@ -39,6 +39,10 @@ constexpr double STRAY = 0.3, ACROSS = 0.3;
 constexpr double SAME_COST = 1e-9;
 // Part of its speed at which an agent goes to a lane: so much for each width, and the most.
 constexpr double SLANT = 0.44, MOST_SLANT = 0.7;
+// Who is held up by those who come against it turns its shoulders: all the way where the gap
+// to one of them is none, not at all from so much on, over its width; and where it is slower
+// than this part of what it likes, the more the slower.
+constexpr double TURNS_FROM = 0.6, HELD_UP = 0.7;
 // An agent may be as deep in a wall where a lane is, over its width.
 constexpr double GRAZE = 0.23;
 
@@ -141,10 +145,30 @@ struct Rules {
 
 struct Agents {
   const Neighbours& grid;
-  const double *points, *velocities, *preferred, *radii, *most, *gives;
+  const double *points, *velocities, *preferred, *radii, *most, *gives, *shoulders;
+  double depth;
   const std::int32_t *groups, *starts;
   const double* walls;
   const std::uint8_t* does;
+
+  // How far agent i is from its middle to a side (a unit vector): that of a disc, and as its
+  // shoulders are turned that of an ellipse that is as thick along it.
+  double half(std::size_t i, const Vec2& way) const {
+    const Vec2 line = vec2(shoulders + 2 * i);
+    const double much = line.length();
+    if (much < TINY) return radii[i];
+    const double along = line.dot(way) / much, square = std::min(along * along, 1.0);
+    return radii[i] * (1 - std::min(much, 1.0) * (1 - std::sqrt(square + depth * depth * (1 - square))));
+  }
+
+  bool turned(std::size_t i) const { return shoulders[2 * i] != 0 || shoulders[2 * i + 1] != 0; }
+
+  // How far apart two are at least, the other of whom is off by so much.
+  double wide(std::size_t i, std::size_t j, const Vec2& off, double squared) const {
+    if ((!turned(i) && !turned(j)) || !(squared > 0)) return radii[i] + radii[j];
+    const Vec2 way = off * (1 / std::sqrt(squared));
+    return half(i, way) + half(j, way);
+  }
 };
 
 class Walker {
@@ -170,11 +194,15 @@ class Walker {
     const Vec2 wanted = wish(self);
     const std::size_t met = chooser.choose(planes_.data(), planes_.size(), wanted, false, v);
     if (met < planes_.size()) least_outside(chooser, planes_, hard, met, between_, v);
+    pressed_ = pressed(self, own);
     const double speed = v.length();
     const double most = between(STUCK, PRESSED) * wanted.length();
     if (speed < most) v += (wanted - v) * (between(SHOVE, PRESSES) * (1 - speed / most));
     return v;
   }
+
+  // How far the last one is to turn its shoulders, 0 to 1: below 0 for who is at its right.
+  double pressed() const { return pressed_; }
 
  private:
   struct Seen {
@@ -182,6 +210,29 @@ class Walker {
     double squared;
     std::size_t which;
   };
+
+  // Who is nearest of those that come against it or across says so; who is as near as only
+  // turned shoulders let it be stays turned.
+  double pressed(std::size_t self, const Vec2& own) const {
+    const Vec2 wanted = vec2(agents_.preferred + 2 * self);
+    const double likes = wanted.length(), turn = vec2(agents_.shoulders + 2 * self).length();
+    if (likes < TINY && turn < TINY) return 0;
+    const Vec2 ahead = wanted * (likes > TINY ? 1 / likes : 0.0);
+    const double slow = 1 - own.dot(ahead) / (HELD_UP * std::max(likes, TINY));
+    const double held = likes > TINY ? std::clamp(slow, 0.0, 1.0) : 0.0;
+    double most = 0, side = 1;
+    for (const Seen& one : seen_) {
+      const double wide = agents_.radii[self] + agents_.radii[one.which];
+      const double gap = std::sqrt(one.squared) - wide;
+      const Vec2 other = vec2(agents_.preferred + 2 * one.which);
+      const bool against = other.dot(ahead) < ALONG * other.length();
+      const double near = std::clamp(1 - gap / (TURNS_FROM * wide), 0.0, 1.0);
+      double much = against ? held * near : 0.0;
+      if (gap < 0) much = std::max(much, turn);
+      if (much > most) most = much, side = one.off.dot(left_of(ahead)) < 0 ? -1 : 1;
+    }
+    return side * most;
+  }
 
   // A value where nobody comes against an agent, and where many do.
   double between(double alone, double met) const { return alone + (met - alone) * met_; }
@@ -303,7 +354,7 @@ class Walker {
 
   // The half-plane of velocities that an agent and another, who does its share, agree on.
   void avoid(std::size_t self, const Vec2& own, const Seen& one) {
-    const double wide = agents_.radii[self] + agents_.radii[one.which];
+    const double wide = agents_.wide(self, one.which, one.off, one.squared);
     const Vec2 relative = own - vec2(agents_.velocities + 2 * one.which);
     const bool apart = one.squared > wide * wide;
     const double time = apart ? horizon_ : rules_.step;
@@ -337,7 +388,7 @@ class Walker {
   std::vector<Seen> seen_;
   std::array<double, 2 * LANES + 3> costs_;
   double met_ = 0;  // how many come against it or across, nearer ones more: 1 at most
-  double horizon_ = 0;
+  double horizon_ = 0, pressed_ = 0;
   std::vector<HalfPlane> planes_, between_;
 };
 
@@ -356,9 +407,9 @@ double separate(const Agents& agents, Vec2* moved, const std::vector<Pair>& pair
     for (const Pair& pair : pairs) {
       const std::size_t i = static_cast<std::size_t>(pair.one),
                         j = static_cast<std::size_t>(pair.other);
-      const double wide = agents.radii[i] + agents.radii[j];
       const Vec2 off = moved[j] - moved[i];
       const double squared = off.dot(off);
+      const double wide = agents.wide(i, j, off, squared);
       if (squared >= wide * wide) continue;
       const double far = std::sqrt(squared), lack = wide - far;
       worst = std::max(worst, lack);
@@ -384,10 +435,10 @@ double separate(const Agents& agents, Vec2* moved, const std::vector<Pair>& pair
 
 }  // namespace
 
-std::tuple<Out<double, 2>, Out<double, 2>, double> crowd_step(
+CrowdStepped crowd_step(
     In<double, 2> points, In<double, 2> velocities, In<double, 2> preferred,
-    In<double, 1> radii, In<double, 1> most, In<double, 1> gives, In<std::int32_t, 1> groups,
-    In<std::uint8_t, 1> does, In<std::int32_t, 1> starts, In<double, 2> walls, double sight,
+    In<double, 1> radii, In<double, 1> most, In<double, 1> gives, In<double, 2> shoulders,
+    double depth, In<std::int32_t, 1> groups, In<std::uint8_t, 1> does, In<std::int32_t, 1> starts, In<double, 2> walls, double sight,
     std::int64_t nearest, double horizon, double space, double push, double headway, double side, double step,
     std::int64_t rounds, double enough) {
   const std::size_t count = points.shape(0);
@@ -398,6 +449,9 @@ std::tuple<Out<double, 2>, Out<double, 2>, double> crowd_step(
   check::shape("radii", radii, {count});
   check::shape("most", most, {count});
   check::shape("gives", gives, {count});
+  check::shape("shoulders", shoulders, {count, 2});
+  check::finite("shoulders", shoulders);
+  check::between("depth", depth, 0, 1);
   check::shape("groups", groups, {count});
   check::shape("does", does, {count});
   check::shape("starts", starts, {count + 1});
@@ -417,7 +471,7 @@ std::tuple<Out<double, 2>, Out<double, 2>, double> crowd_step(
   check::positive("step", step);
   check::between("rounds", rounds, 0, 10000);
   check::not_negative("enough", enough);
-  Buffer<double> out(2 * count), speeds(2 * count);
+  Buffer<double> out(2 * count), speeds(2 * count), pressed(count);
   double worst = 0;
   {
     nb::gil_scoped_release release;
@@ -436,13 +490,15 @@ std::tuple<Out<double, 2>, Out<double, 2>, double> crowd_step(
                       static_cast<std::size_t>(nearest)};
     const Neighbours grid(flat.get(), nullptr, count, sight, open, open);
     const Agents agents{grid,          points.data(), velocities.data(), preferred.data(),
-                        radii.data(),  most.data(), gives.data(), groups.data(),     starts.data(),
-                        walls.data(),  does.data()};
+                        radii.data(), most.data(), gives.data(), shoulders.data(), depth,
+                        groups.data(), starts.data(), walls.data(), does.data()};
     Walker walker(rules, agents);
     grid.visit_places<false>(anyone, [&](std::size_t i, const double*, const std::int32_t* hit,
                                          const std::int32_t* end) {
       const std::size_t which = static_cast<std::size_t>(grid.index()[i]);
-      const Vec2 v = agents.does[which] != WALKS ? Vec2() : walker.velocity(which, hit, end);
+      const bool walks = agents.does[which] == WALKS;
+      const Vec2 v = walks ? walker.velocity(which, hit, end) : Vec2();
+      pressed.get()[which] = walks ? walker.pressed() : 0.0;
       moved[which] = vec2(agents.points + 2 * which) + v * step;
     });
     for (std::size_t i = 0; i < count; ++i)
@@ -467,8 +523,8 @@ std::tuple<Out<double, 2>, Out<double, 2>, double> crowd_step(
       speeds.get()[2 * i] = v.x, speeds.get()[2 * i + 1] = v.y;
     }
   }
-  const std::size_t shape[2] = {count, 2};
-  return {out.release(shape), speeds.release(shape), worst};
+  const std::size_t shape[2] = {count, 2}, flat[1] = {count};
+  return {out.release(shape), speeds.release(shape), worst, pressed.release(flat)};
 }
 
 namespace {

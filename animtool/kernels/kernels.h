@@ -151,10 +151,12 @@ Collided collide_particles(ColliderArrays colliders, In<double, 3> before,
 ColliderSamples sample_colliders(ColliderArrays colliders, In<double, 2> points, double share,
                                  double step);
 
-std::tuple<Out<double, 2>, Out<double, 2>, double> crowd_step(
+// points, velocities, overlap, how far shoulders are to be turned
+using CrowdStepped = std::tuple<Out<double, 2>, Out<double, 2>, double, Out<double, 1>>;
+CrowdStepped crowd_step(
     In<double, 2> points, In<double, 2> velocities, In<double, 2> preferred,
-    In<double, 1> radii, In<double, 1> most, In<double, 1> gives, In<std::int32_t, 1> groups,
-    In<std::uint8_t, 1> does, In<std::int32_t, 1> starts, In<double, 2> walls, double sight,
+    In<double, 1> radii, In<double, 1> most, In<double, 1> gives, In<double, 2> shoulders,
+    double depth, In<std::int32_t, 1> groups, In<std::uint8_t, 1> does, In<std::int32_t, 1> starts, In<double, 2> walls, double sight,
     std::int64_t nearest, double horizon, double space, double push, double headway, double side, double step,
     std::int64_t rounds, double enough);
 std::tuple<Out<bool, 1>, Out<double, 3>> fitting_spans(
@@ -177,6 +179,13 @@ std::tuple<Out<double, 2>, Out<std::int32_t, 1>, double> flock_accelerations(
     std::optional<In<std::int32_t, 1>> others, double radius, double cosine,
     std::int64_t nearest, In<double, 1> attraction, In<double, 1> alignment,
     In<double, 1> repulsion, double softening, In<double, 2> period, double most);
+std::tuple<Out<double, 2>, double> flock_braking(In<double, 2> points, In<double, 2> velocities,
+                                                 In<double, 1> least, double seen, double room,
+                                                 In<double, 2> period, double most);
+std::tuple<Out<double, 2>, double, double> flock_apart(In<double, 2> points, In<double, 1> least,
+                                                       std::int64_t rounds, double share,
+                                                       double clear, In<double, 2> period,
+                                                       double most);
 
 std::tuple<Out<double, 2>, Out<double, 1>, Out<double, 1>> gravity(
     In<double, 2> points, In<double, 1> masses, double constant, double softening,

@@ -205,6 +205,28 @@ and a radius. ``period`` is where axes begin and their lengths ``(2, 3)``, 0 for
 Returns ``(accelerations, counts, pairs)``: how many each sees ``(M,)``, and how many pairs
 there were to look at; where these are more than ``most``, nothing is done.)");
 
+  m.def("flock_braking", &flock_braking, "points"_a, "velocities"_a, "least"_a, "seen"_a,
+        "room"_a, "period"_a, "most"_a,
+        R"(What stops N members before they are nearer than they may be ``(N, 3)`` [m/s²].
+
+Two are as far apart as the mean of their ``least`` ``(N,)`` [m], 0 of who keeps none. Within
+``seen`` times that each takes half of the square of their speed over twice what is left of it,
+the more the nearer they are; this is no less than ``room`` of their distance. ``period`` is as
+in `flock_accelerations`.
+
+Returns ``(accelerations, pairs)``: how many pairs there were to look at; where these are more
+than ``most``, not all are done.)");
+
+  m.def("flock_apart", &flock_apart, "points"_a, "least"_a, "rounds"_a, "share"_a, "clear"_a,
+        "period"_a, "most"_a,
+        R"(Move N members apart that are nearer than the mean of their ``least`` ``(N, 3)`` [m].
+
+In each of ``rounds``, at most, they are moved by ``share`` of what lacks and of ``clear`` times
+their distance more. ``period`` is as in `flock_accelerations`.
+
+Returns ``(points, overlap, pairs)``: what is left in each other [m], and how many pairs there
+were to look at; where these are more than ``most``, it stops.)");
+
   m.def("gravity", &gravity, "points"_a, "masses"_a, "constant"_a, "softening"_a, "accuracy"_a,
         R"(Sum what N bodies pull each other by, with Plummer softening.
 
@@ -240,7 +262,7 @@ Returns ``(forces, energies, virial)``: ``(N, 3)``, half the energies of the pai
 ``(N,)``, and the sum of forces times distances. NaN goes through.)");
 
   m.def("crowd_step", &crowd_step, "points"_a, "velocities"_a, "preferred"_a, "radii"_a,
-        "most"_a, "gives"_a, "groups"_a, "does"_a, "starts"_a, "walls"_a, "sight"_a, "nearest"_a,
+        "most"_a, "gives"_a, "shoulders"_a, "depth"_a, "groups"_a, "does"_a, "starts"_a, "walls"_a, "sight"_a, "nearest"_a,
         "horizon"_a, "space"_a, "push"_a, "headway"_a, "side"_a, "step"_a, "rounds"_a, "enough"_a,
         R"(Where N agents are a step [s] later ``(N, 2)`` [m], and their velocities.
 
@@ -256,7 +278,11 @@ from ``starts`` of each agent on: a unit normal, the least velocity along it, an
 place along it. Then agents are moved apart, each by its part of what both ``gives``, in ``rounds`` at most, until the largest overlap
 is ``enough`` [m].
 
-Returns ``(points, velocities, overlap)``.)");
+``shoulders`` ``(N, 2)`` are along the lines of shoulders that are turned: 0 long is a disc, 1
+an ellipse that is ``depth`` times as thick as it is wide.
+
+Returns ``(points, velocities, overlap, pressed)``: how far each is to turn its shoulders, to
+who is on its left, or below 0 on its right, -1 to 1 ``(N,)``.)");
 
   m.def("fitting_spans", &fitting_spans, "turns"_a, "parents"_a, "numbers"_a, "places"_a,
         "before"_a, "rest"_a, "feet"_a, "stands"_a, "begins"_a, "wide"_a, "near"_a,

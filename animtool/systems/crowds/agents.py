@@ -182,8 +182,9 @@ def separated(
     """
     still, radius = np.zeros_like(x), float(agents.radii.max(initial=1.0))
     count = len(x)
-    moved, _, overlap = _kernels.crowd_step(
-        x, still, still, agents.radii, np.zeros(count), agents.gives, agents.groups,
+    moved, _, overlap, _ = _kernels.crowd_step(
+        x, still, still, agents.radii, np.zeros(count), agents.gives,
+        np.zeros((count, 2)), 1.0, agents.groups,
         np.zeros(count, np.uint8), starts, walls, radius, 0, 1.0, 0.0, 0.0, 0.0, 0.0,
         1.0, ROUNDS, ENOUGH * radius,
     )  # fmt: skip

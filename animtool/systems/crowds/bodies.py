@@ -20,6 +20,7 @@ from animtool.systems.crowds.gaits import (
 )
 from animtool.systems.crowds.ground import turned, wrapped
 from animtool.systems.crowds.reach import MAX_RATE, Reach, Stances, hurried
+from animtool.systems.crowds.shoulders import Trunk
 
 # Slower than this part of the slowest gait agents stand, but for a foot off its place.
 STANDS = 0.1
@@ -43,6 +44,8 @@ PASSING, LONG = 0.09, 0.35
 LAST = 0.95
 # Who is turned faster than its pace by more than this does not hurry for it [rad/s].
 JERK = 0.6
+# Steps get quicker no faster [cycles/s²]: legs that did would jerk.
+QUICKENS = 12.0
 # How fast hips rise that legs had lowered, over the length of a leg [1/s].
 RISES = 0.6
 # From this part of a swing on it is settled where its foot lands.
@@ -79,6 +82,7 @@ class BodyState:
     # How fast they go ahead [m/s], turn [rad/s] and go to their left, smoothed (N, 3).
     paces: FloatArray
     reacts: FloatArray  # since when they react, -1 for who does not (N,) [s]
+    shoulders: FloatArray  # how far they are turned (N,) [rad]
 
 
 @dataclass(frozen=True)
@@ -112,7 +116,13 @@ class Bodies:
         tables = [one.turns for one in (*gaits.moving, gaits.idle, *gaits.reactions)]
         moved = [(np.abs(one - rest) > 1e-9).any(axis=(0, 2)) for one in tables]
         legs = [joint for leg in gaits.walker.legs for joint in leg[:3]]
+        legs += self.trunk.joints.tolist()
         return np.union1d(np.flatnonzero(np.any(moved, axis=0)), legs)
+
+    @cached_property
+    def trunk(self) -> Trunk:
+        """Return what turns shoulders."""
+        return Trunk.of(self.gaits.walker.person)
 
     @cached_property
     def tables(self) -> tuple[list[FloatArray], FloatArray]:
@@ -139,6 +149,7 @@ class Bodies:
             chances * self.gaits.idle.period,
             paces,
             -np.ones(count),
+            np.zeros(count),
         )
 
     def blend(self, paces: FloatArray) -> Blend:
@@ -208,6 +219,7 @@ class Bodies:
         # Who hurried slows down again as its pace does.
         slower = state.rates + (blend.rate - state.rates) * -np.expm1(-dt / PACING)
         rates = np.maximum(rates, slower)
+        rates = np.minimum(rates, np.maximum(slower, state.rates + QUICKENS * dt))
         change = np.where(goes, rates * dt, 0.0)
         places, swings = state.places.copy(), state.swings.copy()
         aims = state.aims.copy()

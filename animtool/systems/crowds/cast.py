@@ -167,6 +167,7 @@ class Casting:
             roots.append(made.roots)
         order = self.order
         only = (state.still >= 1) & ~going.velocities.any(axis=1) & (state.reacts < 0)
+        only &= state.shoulders == 0
         only[list(fallen)] = False
         # Feet that are about to land, or just lifted, are as near the ground.
         near = (state.swings < LIFTED) | (state.swings > LANDING)

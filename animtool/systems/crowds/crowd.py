@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,6 +11,9 @@ import numpy as np
 from animtool import _kernels
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, ToleranceError, counted, refuse
+from animtool._types import BoolArray, FloatArray
+from animtool.errors import Fault, ToleranceError, counted, refuse
+from animtool.frames import CharactersFrame, MeshFrame, PointsFrame, TransformsFrame
 from animtool.maths import so3
 from animtool.maths.faces import triangulated
 from animtool.motion.frames import (
@@ -29,6 +32,7 @@ from animtool.systems.crowds.agents import (
 )
 from animtool.systems.crowds.ground import Frame, Ground, about_up
 from animtool.systems.crowds.obstacles import Obstacles, Walls, grids, lost
+from animtool.systems.crowds.shoulders import DEPTH, lines, turned_shoulders
 from animtool.systems.crowds.spec import CrowdsModel
 from animtool.systems.crowds.steering import GONE, Progress, Steering
 from animtool.systems.simulation import Diagnostics, SimContext
@@ -269,8 +273,10 @@ class Crowd:
         if not all(np.isfinite(each).all() for each in (x, v, relaxed, walls.rows)):
             message = f"agents blew up at {t:g} s"
             raise ToleranceError(Fault("SIM102", message, hint="take shorter steps"))
-        points, velocities, overlap = _kernels.crowd_step(
-            x, v, relaxed, agents.radii, agents.most, agents.gives, agents.groups,
+        shoulders = self._shoulders(state, down)
+        points, velocities, overlap, pressed = _kernels.crowd_step(
+            x, v, relaxed, agents.radii, agents.most, agents.gives,
+            lines(state.headings, shoulders), DEPTH, agents.groups,
             does, walls.starts,
             walls.rows, rules.sight, rules.nearest, rules.horizon, rules.space,
             rules.push, rules.headway, SIDES[rules.side], dt, APART,
@@ -285,6 +291,8 @@ class Crowd:
             speeds = self._struck(walls, dt)
             hit = speeds > self._spec.impact.stagger
             bodies = self._casting.next(bodies, before, after, dt, hit)
+            turned = turned_shoulders(shoulders, np.where(hit, 0.0, pressed), dt)
+            bodies = replace(bodies, shoulders=turned)
             if self._falling is not None and falls is not None:
                 fell = np.flatnonzero((speeds > self._spec.impact.fall) & ~down)
                 if len(fell):
@@ -301,6 +309,15 @@ class Crowd:
         return CrowdState(
             points, velocities, headings, progress, overlap, bodies, falls
         )
+
+    def _shoulders(self, state: CrowdState, down: BoolArray) -> FloatArray:
+        """Return how far shoulders of agents are turned ``(N,)`` [rad].
+
+        Those who are shown as points or meshes have none, and who fell keeps its room.
+        """
+        if state.bodies is None:
+            return np.zeros(len(self._agents))
+        return np.where(down, 0.0, state.bodies.shoulders)
 
     def _struck(self, walls: Walls, dt: float) -> FloatArray:
         """Return how fast what touches each in a step comes to it ``(N,)`` [m/s]."""

@@ -54,6 +54,7 @@ def poses_of(bodies: Bodies, state: BodyState, going: Going) -> Poses:
     played, roots = _played(bodies, state, blend)
     turns = np.repeat(rig.rest_rotations[None], len(played), axis=0)
     turns[:, bodies.moves] = played
+    bodies.trunk.turn(rig.parents, turns, state.shoulders)
     feet, normals, away = bodies.feet(state, going)
     goals, soles = _ankles(bodies, state, blend, feet, normals, away)
     # Hips are over the middle of both feet's ground.

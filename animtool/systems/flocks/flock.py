@@ -143,8 +143,6 @@ class FlockForces(SecondOrder):
         members = self.members
         made = flocking(self.rules, self.domain, x, v)
         made += own_ways(members, t, x, v)
-        if self.spacing is not None:
-            made += self.spacing.braking(x, v)
         if self.colliders.rigid:
             made += avoidance(members, self.colliders, t, x, v)
         made = steered(members, v, made)
@@ -158,14 +156,26 @@ class FlockForces(SecondOrder):
         self, t: float, h: float, before: FloatArray, after: FloatArray
     ) -> FloatArray:
         """Return where speeds, other members and colliders let a step end."""
-        x, v = after[0], kept_speeds(self.members, after[1])
+        x, v = after[0], after[1]
         if self.spacing is not None:
+            v = self._braked(h, before[1], x, v)
             x, _ = self.spacing.moved_apart(x)
+        v = kept_speeds(self.members, v)
         if self.colliders.active:
             radii = self.members.radii
             done = collide(x, v, before, self.colliders, t - h, t, radii)
             x, v = done.points, done.velocities
         return after if x is after[0] and v is after[1] else np.stack([x, v])
+
+    def _braked(
+        self, h: float, before: FloatArray, x: FloatArray, v: FloatArray
+    ) -> FloatArray:
+        """Return velocities of who brakes for others, as fast as it may ``(N, 3)``."""
+        assert self.spacing is not None
+        brakes = self.spacing.braking(x, v)
+        whole = steered(self.members, before, (v - before) / h + brakes)
+        acts = (brakes != 0).any(axis=1, keepdims=True)
+        return np.where(acts, before + h * whole, v)
 
 
 class Flock:

@@ -100,6 +100,20 @@ def _some(members: Members, numbers: Sequence[int]) -> Indices | None:
     return np.concatenate(every).astype(np.int32)
 
 
+def wrapping(domain: DomainModel | None) -> FloatArray:
+    """Return where axes begin and how long they are ``(2, 3)`` [m]; 0 have no end."""
+    period = np.zeros((2, 3))
+    if domain is not None and domain.wrap:
+        period[1] = domain.size
+        period[0] = np.subtract(domain.at, period[1] / 2)
+    return period
+
+
+def max_pairs(count: int) -> float:
+    """Return how many pairs of so many members are looked at."""
+    return float(max(MAX_PAIRS_EACH * count, MAX_PAIRS))
+
+
 def flocking(
     rules: Sequence[Rule], domain: DomainModel | None, x: FloatArray, v: FloatArray
 ) -> FloatArray:
@@ -111,18 +125,15 @@ def flocking(
         ToleranceError: They are so many at one place that a step would take minutes
             (SIM107).
     """
-    period = np.zeros((2, 3))
-    if domain is not None and domain.wrap:
-        period[1] = domain.size
-        period[0] = np.subtract(domain.at, period[1] / 2)
+    period = wrapping(domain)
     total = np.zeros_like(x)
     for rule in rules:
         size = len(x) if rule.members is None else len(rule.members)
-        most = max(MAX_PAIRS_EACH * size, MAX_PAIRS)
+        most = max_pairs(size)
         found, _, looked = _kernels.flock_accelerations(
             x, v, rule.members, rule.others, rule.radius, rule.cosine, rule.nearest,
             np.array(rule.attraction), np.array(rule.alignment),
-            np.array(rule.repulsion), rule.softening, period, float(most),
+            np.array(rule.repulsion), rule.softening, period, most,
         )  # fmt: skip
         if looked > most:
             message = f"{size} members are so close that each is near thousands"

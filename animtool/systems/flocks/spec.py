@@ -64,8 +64,8 @@ class RepulsionModel(PullModel):
     )
     least: NotNegative | None = key(
         "No two are nearer to each other [m]; of two species, the mean of both; 0 is "
-        "any distance. Not given: twice the `radius` that is given, and any without "
-        "one or if the weight is 0.",
+        "any distance. Not given: twice the `radius` where that or `shows` is given "
+        "and the weight is not 0, else any.",
         0.5,
         default=None,
     )

@@ -32,6 +32,8 @@ def _crowd(rng: Rng) -> dict[str, Any]:
         "radii": rng.uniform(0.1, 0.4, count),
         "most": rng.uniform(0, 2, count),
         "gives": rng.uniform(0.1, 1, count),
+        "shoulders": rng.uniform(-0.7, 0.7, (count, 2)) * float(rng.integers(0, 2)),
+        "depth": 0.6,
         "groups": rng.integers(-1, 3, count, dtype=np.int32),
         "does": rng.integers(0, 3, count, dtype=np.uint8),
         "starts": _starts(rng, rows, count),

@@ -44,5 +44,30 @@ def _flock(rng: Rng) -> dict[str, Any]:
     }
 
 
-CALLS: dict[str, Maker] = {"flock_accelerations": _flock}
+def _spaced(rng: Rng) -> dict[str, Any]:
+    made = _flock(rng)
+    return {
+        "points": made["points"],
+        "least": np.maximum(rng.uniform(-0.2, 0.8, len(made["points"])), 0.0),
+        "period": made["period"],
+        "most": made["most"],
+    }
+
+
+def _braking(rng: Rng) -> dict[str, Any]:
+    made = _spaced(rng)
+    speeds = rng.normal(size=made["points"].shape)
+    return {**made, "velocities": speeds, "seen": 2.0, "room": 0.1}
+
+
+def _apart(rng: Rng) -> dict[str, Any]:
+    rounds = int(rng.integers(0, 12))
+    return {**_spaced(rng), "rounds": rounds, "share": 0.6, "clear": 1e-4}
+
+
+CALLS: dict[str, Maker] = {
+    "flock_accelerations": _flock,
+    "flock_apart": _apart,
+    "flock_braking": _braking,
+}
 UNBOUNDED: frozenset[str] = frozenset()

@@ -18,6 +18,8 @@ from animtool.maths import so3
 from animtool.motion.frames import TransformsFrame
 from animtool.scene.systems.run import SystemRun
 from animtool.scene.systems.simulation import open_systems
+from animtool.systems.flocks.spacing import least_distance
+from animtool.systems.flocks.spec import SpeciesModel
 from animtool.systems.run import Reached, SimulationRun
 
 FRAMES = (np.arange(24) / 24).tolist()
@@ -410,3 +412,13 @@ def test_who_flies_one_way_is_in_order_however_fast(simulator: Simulator) -> Non
     found = run.diagnostics.values
     assert found["order"] == pytest.approx(1)
     assert found["speed"] == pytest.approx(5)
+
+
+def test_members_that_show_a_shape_keep_a_distance_without_a_radius() -> None:
+    bird = {"file": "bird.usda", "prim": "/bird/body"}
+    plain = {"name": "birds"}
+    assert least_distance(SpeciesModel.model_validate(plain)) == 0
+    shown = SpeciesModel.model_validate({**plain, "shows": bird})
+    assert least_distance(shown) == pytest.approx(2 * shown.radius)
+    free = {**plain, "shows": bird, "repulsion": {"weight": 0}}
+    assert least_distance(SpeciesModel.model_validate(free)) == 0
