@@ -9,11 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from animtool import _kernels
-from animtool.core.array_types import FloatArray
+from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.errors import Fault, ToleranceError, counted, refuse
-from animtool._types import BoolArray, FloatArray
-from animtool.errors import Fault, ToleranceError, counted, refuse
-from animtool.frames import CharactersFrame, MeshFrame, PointsFrame, TransformsFrame
 from animtool.maths import so3
 from animtool.maths.faces import triangulated
 from animtool.motion.frames import (

@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from animtool._types import FloatArray, IntArray
+from animtool.core.array_types import FloatArray, IntArray
 from animtool.maths import so3
 from animtool.systems.crowds.ground import about_up
 
 if TYPE_CHECKING:
-    from animtool.mocap.retarget.person import Person
+    from animtool.retarget.person import Person
 
 # They are turned no farther [rad].
 MOST = 0.9
