@@ -164,6 +164,10 @@ class Fluid:
             found = force.potential(state.motion[0], particles)
             known &= found is not None
             total += 0.0 if found is None else float(found.sum())
+        if self._spec.tension:
+            points = np.ascontiguousarray(state.motion[0])
+            area = _kernels.fluid_area(points, self._spec.spacing)
+            total += self._spec.tension * area
         return total, kinetic, known
 
     def _pressed(
@@ -238,7 +242,7 @@ class Fluid:
                 self._spec.spacing,
                 self._spec.density,
                 self._spec.viscosity,
-                self._substeps.cohesion,
+                self._spec.tension,
                 sound,
                 each,
                 -(-parts // pieces),
