@@ -306,7 +306,7 @@ class Steps {
       place_colliders(share, poses_);
       if (!listed_ || stale()) list();
       look();
-      draw(h);
+      draw(h, k, parts);
       press(h);
       settle(h);
       slow(h, k, parts);
@@ -479,11 +479,16 @@ class Steps {
     compression_ = count_ ? sum / static_cast<double>(count_) : 0.0;
   }
 
-  // Surface tension.
-  void draw(double h) {
+  // Surface tension. That of one part stands for as many as the shortest ripples leave.
+  void draw(double h, std::size_t part, std::size_t parts) {
     if (!(rule_.tension > 0)) return;
+    const double period = std::sqrt(rule_.mass() / rule_.tension);
+    const double longest = std::min(RIPPLED * period / h, static_cast<double>(parts));
+    const std::size_t together = std::max<std::size_t>(static_cast<std::size_t>(longest), 1);
+    if (part % together != 0) return;
+    const double lasts = h * static_cast<double>(std::min(together, parts - part));
     film_.measure(&place_.data()->x, count_);
-    film_.pull(&place_.data()->x, count_, -rule_.tension * h * h / rule_.mass(),
+    film_.pull(&place_.data()->x, count_, -rule_.tension * h * lasts / rule_.mass(),
                &moved_.data()->x);
   }
 
@@ -656,6 +661,8 @@ class Steps {
   static constexpr double NOWHERE = 1e30;
   // Of squares of spacings over the viscosity.
   static constexpr double STICKY = 0.1;
+  // Of the square root of mass over tension.
+  static constexpr double RIPPLED = 0.5;
 
   const FluidFunctions& loops_ =
       fluid_in_quads() ? *fluid_in_quads() : FluidLoops<PlainRows>::functions;

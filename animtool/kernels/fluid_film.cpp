@@ -6,6 +6,8 @@
 
 namespace animtool::fluid {
 
+using collide::Vec;
+
 namespace {
 
 // Sides of the cells, in spacings: particles at rest are even to them, within a thousandth.
@@ -17,6 +19,8 @@ constexpr double SOFT = 1e-3;
 constexpr double FAR = 1e9;
 // Cells that a particle may go to before blocks are found again.
 constexpr std::int64_t ROOM = 1;
+// Share of the moments of inertia that is added to them.
+constexpr double THIN = 1e-9;
 
 std::int64_t below(std::int64_t node, std::int64_t side) {
   return (node >= 0 ? node : node - side + 1) / side;
@@ -94,6 +98,7 @@ void Film::list(const double* rows, std::size_t count) {
     for (int k = 0; k < 8; ++k)
       after_[8 * b + static_cast<std::size_t>(k)] =
           block_at(blocks_[b][0] + (k >> 2), blocks_[b][1] + (k >> 1 & 1), blocks_[b][2] + (k & 1));
+  part_drops();
   colour_.resize(NODES * size), rising_.resize(NODES * size), slopes_.resize(NODES * size);
 }
 
@@ -204,28 +209,110 @@ double Film::steepen(std::size_t block) {
   return sum;
 }
 
-void Film::pull(const double* rows, std::size_t count, double scale, double* moved) const {
-  Spot spot;
+Vec Film::slope_at(const Spot& spot) const {
+  Vec sum;
   std::size_t at[4];
+  for (int x = 0; x < 4; ++x)
+    for (int y = 0; y < 4; ++y) {
+      row_of(spot.blocks, spot.node, x, y, at);
+      double along = 0, rising = 0;
+      for (int z = 0; z < 4; ++z) {
+        along += slopes_[at[z]] * spot.weights[2][z];
+        rising += slopes_[at[z]] * spot.slopes[2][z];
+      }
+      sum.x += spot.slopes[0][x] * spot.weights[1][y] * along;
+      sum.y += spot.weights[0][x] * spot.slopes[1][y] * along;
+      sum.z += spot.weights[0][x] * spot.weights[1][y] * rising;
+    }
+  return sum;
+}
+
+void Film::pull(const double* rows, std::size_t count, double scale, double* moved) {
+  Spot spot;
   // The volume of a cell, by how far it is to the next and by what a particle adds to it.
   const double each = scale * cell_ * cell_ * share_;
+  pulls_.assign(count, {}), drop_of_.assign(count, 0);
   for (std::size_t i = 0; i < count; ++i) {
     if (!find(rows + 4 * i, spot)) continue;
-    double sx = 0, sy = 0, sz = 0;
-    for (int x = 0; x < 4; ++x)
-      for (int y = 0; y < 4; ++y) {
-        row_of(spot.blocks, spot.node, x, y, at);
-        double along = 0, rising = 0;
-        for (int z = 0; z < 4; ++z) {
-          along += slopes_[at[z]] * spot.weights[2][z];
-          rising += slopes_[at[z]] * spot.slopes[2][z];
-        }
-        sx += spot.slopes[0][x] * spot.weights[1][y] * along;
-        sy += spot.weights[0][x] * spot.slopes[1][y] * along;
-        sz += spot.weights[0][x] * spot.weights[1][y] * rising;
-      }
+    pulls_[i] = slope_at(spot) * each;
+    drop_of_[i] = drop_of_block_[static_cast<std::size_t>(spot.blocks[0])];
+  }
+  balance(rows);
+  for (std::size_t i = 0; i < count; ++i) {
     double* out = moved + 4 * i;
-    out[0] += each * sx, out[1] += each * sy, out[2] += each * sz;
+    out[0] += pulls_[i].x, out[1] += pulls_[i].y, out[2] += pulls_[i].z;
+  }
+}
+
+// Which drop each block is of: those that touch are of one.
+void Film::part_drops() {
+  const std::size_t size = blocks_.size();
+  std::vector<std::int32_t> first(size);
+  for (std::size_t b = 0; b < size; ++b) first[b] = static_cast<std::int32_t>(b);
+  const auto found = [&](std::int32_t b) {
+    while (first[static_cast<std::size_t>(b)] != b)
+      b = first[static_cast<std::size_t>(b)] =
+          first[static_cast<std::size_t>(first[static_cast<std::size_t>(b)])];
+    return b;
+  };
+  for (std::size_t b = 1; b < size; ++b)
+    for (const std::size_t k : {1, 2, 4})
+      if (const std::int32_t next = after_[8 * b + k]) {
+        const std::int32_t one = found(static_cast<std::int32_t>(b)), other = found(next);
+        first[static_cast<std::size_t>(std::max(one, other))] = std::min(one, other);
+      }
+  drop_of_block_.assign(size, 0);
+  std::int32_t drops = 0;
+  for (std::size_t b = 1; b < size; ++b) {
+    const std::size_t from = static_cast<std::size_t>(found(static_cast<std::int32_t>(b)));
+    drop_of_block_[b] = from == b ? ++drops : drop_of_block_[from];
+  }
+  drops_.resize(static_cast<std::size_t>(drops) + 1);
+}
+
+// Takes from each drop what the grid pushes and turns it by as a whole.
+void Film::balance(const double* rows) {
+  std::fill(drops_.begin(), drops_.end(), Drop());
+  const auto drop_of = [&](std::size_t i) -> Drop& {
+    return drops_[static_cast<std::size_t>(drop_of_[i])];
+  };
+  for (std::size_t i = 0; i < pulls_.size(); ++i) {
+    Drop& drop = drop_of(i);
+    if (!drop_of_[i]) continue;
+    drop.count += 1;
+    drop.centre = drop.centre + collide::load(rows + 4 * i), drop.push = drop.push + pulls_[i];
+  }
+  for (Drop& drop : drops_)
+    if (drop.count > 0)
+      drop.centre = drop.centre * (1 / drop.count), drop.push = drop.push * (1 / drop.count);
+  for (std::size_t i = 0; i < pulls_.size(); ++i) {
+    Drop& drop = drop_of(i);
+    if (!drop_of_[i]) continue;
+    const Vec off = collide::load(rows + 4 * i) - drop.centre;
+    drop.moment = drop.moment + collide::cross(off, pulls_[i]);
+    double* m = drop.turning;
+    m[0] += off.y * off.y + off.z * off.z, m[1] += off.x * off.x + off.z * off.z;
+    m[2] += off.x * off.x + off.y * off.y;
+    m[3] -= off.x * off.y, m[4] -= off.x * off.z, m[5] -= off.y * off.z;
+  }
+  for (Drop& drop : drops_) {
+    double* m = drop.turning;
+    // What lies on a line has nothing to turn about it.
+    const double least = THIN * (m[0] + m[1] + m[2]);
+    const double a = m[0] + least, b = m[1] + least, c = m[2] + least;
+    const double d = m[3], e = m[4], f = m[5];
+    const double aa = b * c - f * f, bb = a * c - e * e, cc = a * b - d * d;
+    const double ab = e * f - d * c, ac = d * f - e * b, bc = d * e - a * f;
+    const double whole = a * aa + d * ab + e * ac;
+    const Vec by = drop.moment * (whole > 0 ? 1 / whole : 0.0);
+    drop.moment = {aa * by.x + ab * by.y + ac * by.z, ab * by.x + bb * by.y + bc * by.z,
+                   ac * by.x + bc * by.y + cc * by.z};
+  }
+  for (std::size_t i = 0; i < pulls_.size(); ++i) {
+    const Drop& drop = drop_of(i);
+    if (!drop_of_[i]) continue;
+    const Vec off = collide::load(rows + 4 * i) - drop.centre;
+    pulls_[i] = pulls_[i] - drop.push - collide::cross(drop.moment, off);
   }
 }
 

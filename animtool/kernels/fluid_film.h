@@ -12,6 +12,8 @@
 #include <cstdint>
 #include <vector>
 
+#include "collide.h"
+
 namespace animtool::fluid {
 
 class Film {
@@ -26,8 +28,8 @@ class Film {
   double measure(const double* rows, std::size_t count);
 
   // Adds to displacements, four numbers each, the slopes of the area times a scale; the area
-  // was measured at the same places.
-  void pull(const double* rows, std::size_t count, double scale, double* moved) const;
+  // was measured at the same places. Momentum and spin of each drop stay.
+  void pull(const double* rows, std::size_t count, double scale, double* moved);
 
  private:
   // Nodes along the sides of a block, in all of it, and of it with those after it.
@@ -40,7 +42,17 @@ class Film {
     double weights[3][4], slopes[3][4];
   };
 
+  // Fluid that no other is near.
+  struct Drop {
+    double count = 0;
+    collide::Vec centre, push, moment;
+    double turning[6] = {};  // moments of inertia: xx, yy, zz, xy, xz, yz
+  };
+
   bool find(const double* row, Spot& spot) const;
+  collide::Vec slope_at(const Spot& spot) const;
+  void part_drops();
+  void balance(const double* rows);
   std::int32_t block_at(std::int64_t x, std::int64_t y, std::int64_t z) const;
   void add_block(std::int64_t x, std::int64_t y, std::int64_t z);
   void grow();
@@ -51,6 +63,9 @@ class Film {
   std::vector<std::array<std::int64_t, 3>> blocks_;
   std::vector<std::int32_t> table_;
   std::vector<std::int32_t> after_;  // the eight from each block on
+  std::vector<std::int32_t> drop_of_block_, drop_of_;
+  std::vector<Drop> drops_;
+  std::vector<collide::Vec> pulls_;
   std::vector<double> colour_, rising_, slopes_;
 };
 

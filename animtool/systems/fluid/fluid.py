@@ -22,7 +22,7 @@ from animtool.sim.colliders.bodies import (
 )
 from animtool.sim.system import Energy
 from animtool.systems.colours import Colouring, Quantities
-from animtool.systems.fluid.filling import Nozzle, filled, has_room
+from animtool.systems.fluid.filling import Nozzle, coarse_drops, filled, has_room
 from animtool.systems.fluid.spec import FluidModel
 from animtool.systems.fluid.substeps import Substeps
 from animtool.systems.particles.state import ParticleState
@@ -90,6 +90,7 @@ class Fluid:
         ]
         self._substeps = Substeps(spec)
         self._notices: list[Fault] = self._colliders.notices()
+        self._notices += coarse_drops(spec, parts.get("fills", ()))
         self._said: set[str] = set()
         self._trying = False  # whether a step is looked for that works
         self._colouring = None if spec.colour is None else Colouring.of(spec.colour, {})
