@@ -23,7 +23,7 @@ TENSION, DENSITY, STEPS, SWINGS = 0.072, 1000.0, 24, 2
 PUSHED = 0.05  # of the radius in a radian
 # Within a tenth, from five spacings in radius on.
 RESOLVED, TENTH = 5, 0.1
-PERIOD, PRESSURE = "period over Rayleigh's is off by", "pressure over Laplace's is off by"
+PERIOD, PRESSURE = "period over Rayleigh's", "pressure over Laplace's"
 FADES, DRIFTS = "fades in a period by a factor of", "momentum drifts by"
 TURNS, GAINS = "spin drifts by", "energy gains in a step"
 
@@ -113,10 +113,12 @@ class Drop:
         fine = self.radius > (RESOLVED - 0.5) * self.spacing
         near = Bound(at_least=False, bound=TENTH) if fine else None
         small = Bound(at_least=False, bound=1e-9)
-        half = pressures[len(pressures) // 2 :]
+        pressed = float(np.mean(pressures[len(pressures) // 2 :])) / laplace
         figures = [
-            (PERIOD, 1 / rate - 1, near),
-            (PRESSURE, float(np.mean(half)) / laplace - 1, near),
+            (PERIOD, 1 / rate, None),
+            ("it is off by", abs(1 / rate - 1), near),
+            (PRESSURE, pressed, None),
+            ("that is off by", abs(pressed - 1), near),
             (FADES, math.exp(-2 * math.pi * fades), None),
             (DRIFTS, float(drift) / (self.pulse * self.radius), small),
             (TURNS, float(spin), Bound(at_least=False, bound=1e-3)),
