@@ -458,6 +458,7 @@ def test_a_drop_of_too_few_particles_says_so(radius: float, codes: list[str]) ->
     """With a spacing that is not said to be too large."""
     spec = FluidModel.model_validate(
         {
+            "name": "it",
             "spacing": 0.1,
             "tension": WATER,
             "fills": [{"shape": {"sphere": {"radius": radius}}}],
