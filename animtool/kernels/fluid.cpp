@@ -5,6 +5,7 @@
 #include <array>
 
 #include "checks.h"
+#include "fluid_film.h"
 #include "fluid_lanes.h"
 #include "kernels.h"
 #include "neighbours.h"
@@ -255,7 +256,7 @@ Pose shifted(const Pose& pose, const Body& body, Vec centre) {
 }
 
 struct Rule {
-  double spacing, density, viscosity, cohesion;
+  double spacing, density, viscosity, tension;
   double radius() const { return REACH * spacing; }
   double mass() const { return density * spacing * spacing * spacing; }
 };
@@ -305,7 +306,7 @@ class Steps {
       place_colliders(share, poses_);
       if (!listed_ || stale()) list();
       look();
-      draw(h);
+      draw(h, k, parts);
       press(h);
       settle(h);
       slow(h, k, parts);
@@ -414,6 +415,7 @@ class Steps {
     listed_poses_ = poses_;
     listed_ = true;
     list_colliders();
+    if (rule_.tension > 0) film_.list(&place_.data()->x, count_);
     dense_.resize(count_), virial_.resize(count_);
   }
 
@@ -450,7 +452,6 @@ class Steps {
     return {count_,          first_.data(),    seen_.data(),     &place_.data()->x,
             &velocity_.data()->x, factor_.data(), &sums_.data()->x, &moved_.data()->x,
             squares_.data(), inverse,          steep,            0,
-            0,
             0};
   }
 
@@ -478,11 +479,17 @@ class Steps {
     compression_ = count_ ? sum / static_cast<double>(count_) : 0.0;
   }
 
-  void draw(double h) {
-    if (!(rule_.cohesion > 0)) return;
-    FluidPairs given = pairs();
-    given.cohesion = rule_.cohesion * h * h / rule_.mass();
-    loops_.draw(given);
+  // Surface tension. That of one part stands for as many as the shortest ripples leave.
+  void draw(double h, std::size_t part, std::size_t parts) {
+    if (!(rule_.tension > 0)) return;
+    const double period = std::sqrt(rule_.mass() / rule_.tension);
+    const double longest = std::min(RIPPLED * period / h, static_cast<double>(parts));
+    const std::size_t together = std::max<std::size_t>(static_cast<std::size_t>(longest), 1);
+    if (part % together != 0) return;
+    const double lasts = h * static_cast<double>(std::min(together, parts - part));
+    film_.measure(&place_.data()->x, count_);
+    film_.pull(&place_.data()->x, count_, -rule_.tension * h * lasts / rule_.mass(),
+               &moved_.data()->x);
   }
 
   // What slows velocities comes before the next places are looked at: after that, it and
@@ -513,7 +520,7 @@ class Steps {
   // Takes the noise of particles, in the mean of so many parts at once.
   bool calm(double h, std::size_t part, std::size_t parts) {
     // What viscosity takes by itself is none. Drops that are drawn together would set.
-    if (rule_.cohesion > 0) return false;
+    if (rule_.tension > 0) return false;
     const double left = 1 - rule_.viscosity / (CALM_VISCOSITY * sound_ * rule_.spacing);
     if (part % CALMED != 0 || !(left > 0)) return false;
     const double share = std::min(sound_ * h / rule_.spacing, 1.0);
@@ -654,6 +661,8 @@ class Steps {
   static constexpr double NOWHERE = 1e30;
   // Of squares of spacings over the viscosity.
   static constexpr double STICKY = 0.1;
+  // Of the square root of mass over tension.
+  static constexpr double RIPPLED = 0.5;
 
   const FluidFunctions& loops_ =
       fluid_in_quads() ? *fluid_in_quads() : FluidLoops<PlainRows>::functions;
@@ -667,6 +676,7 @@ class Steps {
   std::size_t count_ = 0;
   bool listed_ = false;
   double compression_ = 0, extent_ = 0;
+  Film film_{rule_.spacing};
   Vec middle_;
   // All in the order of the grid; `order_` says which each is.
   std::vector<std::int32_t> order_, seen_;
@@ -683,12 +693,12 @@ class Steps {
 
 namespace {
 
-fluid::Rule rule_of(double spacing, double density, double viscosity, double cohesion) {
+fluid::Rule rule_of(double spacing, double density, double viscosity, double tension) {
   check::positive("spacing", spacing);
   check::positive("density", density);
   check::not_negative("viscosity", viscosity);
-  check::not_negative("cohesion", cohesion);
-  return {spacing, density, viscosity, cohesion};
+  check::not_negative("tension", tension);
+  return {spacing, density, viscosity, tension};
 }
 
 }  // namespace
@@ -696,7 +706,7 @@ fluid::Rule rule_of(double spacing, double density, double viscosity, double coh
 FluidStepped fluid_steps(ColliderArrays colliders, In<std::int32_t, 1> owners,
                          In<double, 2> bodies, In<double, 3> state,
                          In<double, 2> accelerations, double spacing, double density,
-                         double viscosity, double cohesion, double sound, double step,
+                         double viscosity, double tension, double sound, double step,
                          std::int64_t parts) {
   const std::size_t count = state.shape(1), pushed = bodies.shape(0);
   std::vector<collide::Collider> made = read_colliders(colliders);
@@ -710,7 +720,7 @@ FluidStepped fluid_steps(ColliderArrays colliders, In<std::int32_t, 1> owners,
   check::positive("sound", sound);
   check::positive("step", step);
   check::between("parts", parts, 1, 1 << 24);
-  const fluid::Rule rule = rule_of(spacing, density, viscosity, cohesion);
+  const fluid::Rule rule = rule_of(spacing, density, viscosity, tension);
   std::vector<fluid::Body> moved(pushed);
   for (std::size_t b = 0; b < pushed; ++b) {
     const double* row = bodies.data() + 13 * b;
@@ -755,6 +765,19 @@ Out<double, 1> fluid_densities(ColliderArrays colliders, In<double, 2> points, d
   }
   const std::size_t flat[1] = {count};
   return result.release(flat);
+}
+
+double fluid_area(In<double, 2> points, double spacing) {
+  const std::size_t count = points.shape(0);
+  check::shape("points", points, {check::ANY, 3});
+  check::at_most("points", count, check::MOST_ROWS);
+  check::positive("spacing", spacing);
+  nb::gil_scoped_release release;
+  std::vector<double> rows(4 * count);
+  for (std::size_t i = 0; i < count; ++i) std::copy_n(points.data() + 3 * i, 3, &rows[4 * i]);
+  fluid::Film film(spacing);
+  film.list(rows.data(), count);
+  return film.measure(rows.data(), count);
 }
 
 }  // namespace animtool

@@ -22,22 +22,17 @@ struct FluidPairs {
   double *sums, *moved;   // slopes and weights; displacements and virials
   double* squares;        // of slopes
   double inverse, steep;  // 1 over the radius; the scale of slopes
-  double drag, cohesion;  // of velocities, and of the force between particles
+  double drag;            // of velocities
   double noise;           // speed of particles that is as good as rest
 };
 
 struct FluidFunctions {
   void (*look)(const FluidPairs&);   // fills factors, adds to sums and squares
-  void (*draw)(const FluidPairs&);   // adds to what is moved: cohesion
   void (*drag)(const FluidPairs&);   // adds to what is moved: viscosity
   void (*calm)(const FluidPairs&);   // adds to what is moved: the noise of particles
   void (*press)(const FluidPairs&);  // adds to what is moved: multipliers
 };
 const FluidFunctions* fluid_in_quads();  // null where the processor has no such registers
-
-// Force between two particles by distance over the radius, without its scale: apart where
-// near, together where far, so that it adds no pressure within.
-constexpr double FLUID_BALANCE = 0.47;
 
 template <class W>
 struct FluidLoops {
@@ -97,16 +92,6 @@ struct FluidLoops {
     });
   }
 
-  static void draw(const FluidPairs& pairs) {
-    const D inverse = pairs.inverse, cohesion = pairs.cohesion * pairs.inverse;
-    each(pairs, pairs.moved, [&](std::size_t, std::size_t, const D* off, D* parts) {
-      const D q = root(squares_of(off)) * inverse, left = most(1.0 - q, 0.0);
-      const D along = cohesion * left * left * (FLUID_BALANCE - q);
-      for (std::size_t c = 0; c < 3; ++c) parts[c] = along * off[c];
-      parts[3] = 0.0;
-    });
-  }
-
   // Of how fast pairs part or close in, what is as slow as the noise of particles. Momentum and
   // spin stay.
   static void calm(const FluidPairs& pairs) {
@@ -133,7 +118,7 @@ struct FluidLoops {
     });
   }
 
-  static constexpr FluidFunctions functions{look, draw, drag, calm, press};
+  static constexpr FluidFunctions functions{look, drag, calm, press};
 };
 
 }  // namespace animtool

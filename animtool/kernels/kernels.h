@@ -169,10 +169,11 @@ Out<double, 2> travel_distances(In<bool, 2> free, double cell, In<std::int64_t, 
 FluidStepped fluid_steps(ColliderArrays colliders, In<std::int32_t, 1> owners,
                          In<double, 2> bodies, In<double, 3> state,
                          In<double, 2> accelerations, double spacing, double density,
-                         double viscosity, double cohesion, double sound, double step,
+                         double viscosity, double tension, double sound, double step,
                          std::int64_t parts);
 
 Out<double, 1> fluid_densities(ColliderArrays colliders, In<double, 2> points, double spacing);
+double fluid_area(In<double, 2> points, double spacing);
 
 std::tuple<Out<double, 2>, Out<std::int32_t, 1>, double> flock_accelerations(
     In<double, 2> points, In<double, 2> velocities, std::optional<In<std::int32_t, 1>> members,

@@ -102,10 +102,10 @@ def fluids(rng: np.random.Generator) -> list[np.ndarray]:
     pull, ball = np.tile([0.0, -9.81, 0.0], (len(x), 1)), Collider(Sphere(0.25))
     return [
         array
-        for cohesion in (0.0, 0.4)
+        for tension in (0.0, 0.4)
         for array in _kernels.fluid_steps(
             Colliders([ball]).arrays(0.0, 0.01), np.full(1, -1, np.int32),
-            np.zeros((0, 13)), state, pull, 0.1, 1000.0, 0.01, cohesion, 30.0, 0.01, 5,
+            np.zeros((0, 13)), state, pull, 0.1, 1000.0, 0.01, tension, 30.0, 0.01, 5,
         )[:2]
     ]  # fmt: skip
 

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
-from animtool.core.errors import counted, refuse
+from animtool.core.errors import Fault, Severity, counted, refuse
+from animtool.core.quantities import floored, plain
 from animtool.maths import so3
-from animtool.sim.colliders import Collider, Colliders, Poses
+from animtool.sim.colliders import Capsule, Collider, Colliders, Poses, Sphere
 from animtool.sim.colliders.shapes import bounds
 from animtool.systems.fluid.spec import FillModel, FluidEmitterModel, FluidModel
 
@@ -24,6 +25,10 @@ APART = 0.25
 ROOM = 0.6
 # Share of the radius that a lattice on a wall may lack by rounding.
 ROUNDING = 1e-6
+# Radii of drops whose tension is right within a tenth, in spacings.
+RESOLVED = 5.0
+# Radius of a jet's drops over its own (Rayleigh 1879).
+JET = 1.89
 # Over which the motion of a nozzle is measured [s].
 BRIEF = 1e-4
 
@@ -58,6 +63,31 @@ def filled(
     _check_count(spec, state.shape[1], "fills")
     _check_apart(spec, state[0], np.cumsum([one.shape[1] for one in made[1:]]))
     return state
+
+
+def coarse_drops(
+    spec: FluidModel, parts: Sequence[Mapping[str, Any]]
+) -> Iterator[Fault]:
+    """Yield which drops have too few particles for their surface tension (SIM175)."""
+    if not spec.tension:
+        return
+    radii = [
+        (_named(spec, i), float(np.diff(bounds(own["shape"]), axis=0).min()) / 2)
+        for i, own in enumerate(parts)
+        if isinstance(own.get("shape"), Sphere | Capsule)
+    ]
+    nozzles = [one.radius for one in spec.emitters if one.radius is not None]
+    radii += [(f"a drop of nozzle {i}", JET * r) for i, r in enumerate(nozzles)]
+    for name, radius in radii:
+        count = radius / spec.spacing
+        if count >= RESOLVED * (1 - ROUNDING):
+            continue
+        message = f"{name} has a radius of {radius:.3g} m, {count:.2g} spacings: of "
+        message += f"less than {RESOLVED:g}, tension is off by more than a tenth"
+        hint = f"spacing: {plain(floored(radius / RESOLVED))}"
+        severity = Severity.WARNING
+        yield Fault("SIM175", message, where="spacing", hint=hint, severity=severity)
+        return
 
 
 def _named(spec: FluidModel, i: int) -> str:

@@ -22,7 +22,7 @@ from animtool.sim.colliders.bodies import (
 )
 from animtool.sim.system import Energy
 from animtool.systems.colours import Colouring, Quantities
-from animtool.systems.fluid.filling import Nozzle, filled, has_room
+from animtool.systems.fluid.filling import Nozzle, coarse_drops, filled, has_room
 from animtool.systems.fluid.spec import FluidModel
 from animtool.systems.fluid.substeps import Substeps
 from animtool.systems.particles.state import ParticleState
@@ -90,6 +90,7 @@ class Fluid:
         ]
         self._substeps = Substeps(spec)
         self._notices: list[Fault] = self._colliders.notices()
+        self._notices += coarse_drops(spec, parts.get("fills", ()))
         self._said: set[str] = set()
         self._trying = False  # whether a step is looked for that works
         self._colouring = None if spec.colour is None else Colouring.of(spec.colour, {})
@@ -164,6 +165,10 @@ class Fluid:
             found = force.potential(state.motion[0], particles)
             known &= found is not None
             total += 0.0 if found is None else float(found.sum())
+        if self._spec.tension:
+            points = np.ascontiguousarray(state.motion[0])
+            area = _kernels.fluid_area(points, self._spec.spacing)
+            total += self._spec.tension * area
         return total, kinetic, known
 
     def _pressed(
@@ -238,7 +243,7 @@ class Fluid:
                 self._spec.spacing,
                 self._spec.density,
                 self._spec.viscosity,
-                self._substeps.cohesion,
+                self._spec.tension,
                 sound,
                 each,
                 -(-parts // pieces),

@@ -34,10 +34,8 @@ PIECE, MAX_PIECES = 0.5, 32
 MAX_PARTS = 4096
 # Pressure of this many layers is always reckoned with.
 LAYERS = 2.0
-# Of the force between particles: the tension of drops is of the order of what is given.
-COHESION = 7.0
-# Pressure of a lattice by this force, over its strength by the spacing squared.
-PULLED = 0.059
+# Radius of the smallest drop whose pressure is always reckoned with, in spacings.
+SMALLEST = 5.0
 
 
 class Substeps:
@@ -46,9 +44,8 @@ class Substeps:
     def __init__(self, spec: FluidModel) -> None:
         self.most = MAX_PARTS  # parts that a step may have
         self._spec = spec
-        # Strength of the force between particles [N].
-        self.cohesion = COHESION * spec.tension * spec.spacing
-        self._pulled = PULLED * self.cohesion / (spec.density * spec.spacing**2)
+        # Laplace's pressure of a drop, over the density [m²/s²].
+        self._pulled = 2 * spec.tension / (spec.density * SMALLEST * spec.spacing)
 
     def first_sound(self, points: FloatArray, pull: FloatArray) -> float:
         """Return how fast pressure goes in a fluid that begins [m/s]."""

@@ -29,7 +29,7 @@ def _steps(rng: Rng) -> dict[str, Any]:
         "spacing": float(rng.choice([0.05, 0.1, 1.0])),
         "density": float(rng.uniform(1, 2000)),
         "viscosity": float(rng.choice([0.0, 1e-3])),
-        "cohesion": float(rng.choice([0.0, 1.0])),
+        "tension": float(rng.choice([0.0, 1.0])),
         "sound": float(rng.uniform(1, 40)),
         "step": 0.005,
         "parts": int(rng.integers(1, 5)),
@@ -44,6 +44,13 @@ def _densities(rng: Rng) -> dict[str, Any]:
     }
 
 
-CALLS = {"fluid_steps": _steps, "fluid_densities": _densities}
+def _area(rng: Rng) -> dict[str, Any]:
+    return {
+        "points": rng.normal(scale=0.2, size=(int(rng.choice([0, 1, 2, 20])), 3)),
+        "spacing": float(rng.choice([0.05, 0.1, 1.0])),
+    }
+
+
+CALLS = {"fluid_steps": _steps, "fluid_densities": _densities, "fluid_area": _area}
 # Particles at one place, and beside surfaces of any shape, may be pushed far.
 UNBOUNDED: frozenset[str] = frozenset(CALLS)

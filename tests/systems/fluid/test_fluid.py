@@ -10,13 +10,15 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from pxr import Usd, UsdGeom, Vt
-from support.simulated import Point, Simulator
+from support.simulated import Array, Point, Simulator
 
 from animtool import BakeOptions, _kernels
 from animtool.core.errors import AnimtoolError, ToleranceError
 from animtool.motion.frames import MeshFrame
 from animtool.sim.colliders import Box, Collider, Colliders, Plane, Poses, Sphere
 from animtool.sim.colliders.shapes import bounds
+from animtool.systems.fluid.filling import coarse_drops
+from animtool.systems.fluid.spec import FluidModel
 
 FRAMES = (np.arange(13) / 24).tolist()
 TANK = {
@@ -351,3 +353,120 @@ def test_a_fluid_in_the_open_falls(simulator: Simulator) -> None:
     heights = [np.mean(row.points[:, 1]) for row in rows]
     falls = heights[0] - 0.5 * 9.81 * np.array(FRAMES[:6]) ** 2
     assert_allclose(heights, falls, atol=0.02)
+
+
+WATER = 0.072
+
+
+def ball(radius: float, spacing: float, at: Any = (0, 0, 0)) -> np.ndarray:
+    """Return a lattice within a ball, off the middle of its cells."""
+    axis = (np.arange(-12, 12) + 0.5) * spacing
+    grid = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1)
+    grid = grid.reshape(-1, 3)
+    return grid[np.linalg.norm(grid, axis=1) < radius] + at
+
+
+def drop(points: np.ndarray, velocities: Any = None, **keys: Any) -> Any:
+    fill = {"points": Point(points)}
+    if velocities is not None:
+        fill["velocities"] = Array(velocities)
+    own = {"fills": [fill], "colliders": [], "forces": [], "tension": WATER}
+    return fluid(**{**own, **keys})
+
+
+def stretched(points: np.ndarray) -> float:
+    """Return how much longer it is along z than across, as a quadrupole."""
+    off = points - points.mean(axis=0)
+    return float((off[:, 2] ** 2 - (off[:, 0] ** 2 + off[:, 1] ** 2) / 2).mean())
+
+
+@pytest.mark.parametrize("radius", [0.002, 0.01, 0.05])
+def test_a_drop_swings_as_rayleigh_says_at_any_size(
+    simulator: Simulator, radius: float
+) -> None:
+    """By a least-squares fit of a damped swing; its momentum and spin stay."""
+    from scipy.optimize import curve_fit
+
+    spacing = radius / 6
+    points = ball(radius, spacing)
+    alike = (len(points) * spacing**3 * 0.75 / np.pi) ** (1 / 3)
+    pulse = np.sqrt(8 * WATER / (1000 * alike**3))
+    motion = 0.05 * pulse * points * [-1, -1, 2] + np.array([3 * radius, 0, 0])
+    times = np.linspace(0, 4 * np.pi / pulse, 49)
+    moved = points + np.array([0.1, -0.03, 0.017])
+    own = drop(moved, motion, spacing=spacing)
+    rows = simulator.simulate(own, times.tolist())["it"]
+    turns = times * pulse
+
+    def swing(t: np.ndarray, *of: float) -> np.ndarray:
+        a, b, rate, fades, rest, creep = of
+        wave = a * np.cos(rate * t) + b * np.sin(rate * t)
+        return np.exp(-fades * t) * wave + rest + creep * t
+
+    found = [stretched(row.points) / alike**2 for row in rows]
+    fitted, _ = curve_fit(swing, turns, found, [0, 0.05, 1, 0.1, 0, 0])
+    assert 1 / fitted[2] == pytest.approx(1, rel=0.1)
+    assert fitted[3] < 0.15
+    velocities = rows[-1].velocities
+    assert_allclose(velocities.mean(axis=0), [3 * radius, 0, 0], atol=1e-9)
+    off = rows[-1].points - rows[-1].points.mean(axis=0)
+    spin = np.cross(off, velocities - velocities.mean(axis=0)).mean(axis=0)
+    assert np.abs(spin).max() < 1e-4 * pulse * alike**2
+
+
+def test_a_drop_at_rest_is_round_and_has_the_pressure_of_laplace(
+    simulator: Simulator,
+) -> None:
+    """From a cube, whose energy never grows: it keeps its volume, and none leave it."""
+    axis = (np.arange(10) - 4.5) * 0.001
+    cube = np.stack(np.meshgrid(axis, axis, axis), axis=-1).reshape(-1, 3)
+    own = drop(cube, spacing=0.001, primvars=["pressure"], viscosity=5e-5)
+    rows = simulator.simulate(own, (np.arange(61) / 100).tolist())["it"]
+    energies = [
+        WATER * _kernels.fluid_area(row.points, 0.001)
+        + 0.5e-6 * (row.velocities**2).sum()
+        for row in rows
+    ]
+    assert np.diff(energies).max() < 1e-3 * energies[0]
+    alike = 0.01 * (0.75 / np.pi) ** (1 / 3)
+    points = rows[-1].points
+    sides = np.linalg.eigvalsh(np.cov(points.T))
+    assert sides == pytest.approx(np.full(3, sides.mean()), rel=0.04)
+    assert np.sqrt(5 * sides.mean()) == pytest.approx(alike, rel=0.03)
+    assert _kernels.fluid_area(points, 0.001) == pytest.approx(
+        4 * np.pi * alike**2, rel=0.1
+    )
+    within = np.linalg.norm(points, axis=1) < 0.5 * alike
+    pressures = [row.primvars["pressure"][within].mean() for row in rows[-30:]]
+    assert np.mean(pressures) == pytest.approx(2 * WATER / alike, rel=0.1)
+
+
+def test_the_area_of_a_surface_is_that_of_its_shape() -> None:
+    """But for the steps of a lattice; what is far apart adds up."""
+    for count in (8, 12):
+        points = ball(count * 0.1, 0.1, at=(7.31, -2.05, 0.4))
+        found = _kernels.fluid_area(points, 0.1)
+        assert found == pytest.approx(4 * np.pi * (count * 0.1) ** 2, rel=0.12)
+    pair = np.array([[0.0, 0, 0], [40.0, 0, 0]])
+    assert _kernels.fluid_area(pair, 0.1) == pytest.approx(
+        2 * _kernels.fluid_area(pair[:1], 0.1)
+    )
+
+
+@pytest.mark.parametrize(("radius", "codes"), [(0.35, ["SIM175"]), (0.5, [])])
+def test_a_drop_of_too_few_particles_says_so(radius: float, codes: list[str]) -> None:
+    """With a spacing that is not said to be too large."""
+    spec = FluidModel.model_validate(
+        {
+            "name": "it",
+            "spacing": 0.1,
+            "tension": WATER,
+            "fills": [{"shape": {"sphere": {"radius": radius}}}],
+        }
+    )
+    found = list(coarse_drops(spec, [{"shape": Sphere(radius)}]))
+    assert [fault.code for fault in found] == codes
+    for fault in found:
+        finer = float(str(fault.hint).removeprefix("spacing: "))
+        finely = spec.model_copy(update={"spacing": finer})
+        assert not list(coarse_drops(finely, [{"shape": Sphere(radius)}]))
