@@ -18,6 +18,7 @@ from support.printed import (
     fenced,
     is_apart,
     run_printed,
+    shorten,
 )
 
 from animtool.passes import PASSES, find_pass
@@ -116,13 +117,17 @@ def is_shared(command: str, workplace: Path) -> bool:
 @pytest.mark.parametrize(("document", "title"), section_parameters())
 def test_printed_commands(
     workplace: Path,
-    printed: Printed,
+    tmp_path_factory: pytest.TempPathFactory,
     monkeypatch: pytest.MonkeyPatch,
     document: str,
     title: str,
 ) -> None:
     # How long the methods of a table take is of no interest here.
     monkeypatch.setattr("animtool.sim.trials.measuring.REPEATS", 1)
+    # Each as it stands there, on fewer frames: what the samples look like over all of
+    # theirs, the tests of samples say.
+    shorten(workplace)
+    printed = Printed(tmp_path_factory, short=True)
     for command in needed(document, title) + SECTIONS[document][title]:
         if "--plot" in command and find_spec("matplotlib") is None:
             continue
