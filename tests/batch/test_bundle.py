@@ -13,6 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support.batch import take_files, whole_outputs
 from support.cli import animtool
+from support.faults import raises
 
 from animtool.batch import bundle
 from animtool.batch.bundle import chunk_size, mean_seconds
@@ -71,7 +72,7 @@ def test_a_report_that_is_too_large_is_not_read(
     monkeypatch.setattr(bundle, "MAX_REPORT", 1000)
     path = tmp_path / "costs.json"
     path.write_text('{"items": [' + " " * 1000 + "]}")
-    with pytest.raises(FormatError, match=r"at most 0\.001 MB are read"):
+    with raises(FormatError, "BAT037", match=r"0\.001"):
         mean_seconds(path)
 
 

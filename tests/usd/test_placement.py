@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from pxr import Usd, UsdSkel
 from support.cli import animtool
+from support.faults import raises
 from support.placed import (
     CODES,
     FRAMES,
@@ -305,7 +306,7 @@ def test_a_shear_is_refused_with_its_angle(tmp_path: Path) -> None:
     ops = f"matrix4d xformOp:transform = {rows}\n"
     ops += 'uniform token[] xformOpOrder = ["xformOp:transform"]'
     source.write_text(stage_text("char", ops))
-    with pytest.raises(FormatError, match=r"sheared by 5\.71"):
+    with raises(FormatError, "USD035", match=r"5\.71"):
         open_source(source)
 
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support.faults import raises
 
 from animtool.errors import OptionError
 from animtool.maths import so3
@@ -222,10 +223,10 @@ def test_who_is_hit_plays_the_reaction_once() -> None:
 def test_what_a_library_lacks_is_named() -> None:
     found = library("run")
     assert [fault.code for fault in found.notices] == ["SIM150", "SIM150"]
-    with pytest.raises(OptionError, match="none of the clips walks"):
+    with raises(OptionError, "SIM149", match="none of the clips walks"):
         library("stand")
     stick = Rig("stick", (Joint("a", -1), Joint("b", 0, translation=(0, 1, 0))))
-    with pytest.raises(OptionError, match="has no two legs"):
+    with raises(OptionError, "SIM149", match="has no two legs"):
         gaits_of(stick, [])
 
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
+from support.faults import raises
 from support.simulated import Simulator
 
 from animtool.errors import AnimtoolError
@@ -392,14 +393,14 @@ def test_what_is_odd_is_named_and_mended(simulator: Simulator) -> None:
 def test_what_makes_no_sense_is_refused(
     simulator: Simulator, keys: dict[str, Any], message: str
 ) -> None:
-    with pytest.raises(AnimtoolError, match=message) as error:
+    with raises(AnimtoolError, "SIM145", match=message) as error:
         simulator.simulate(crowd([{"count": 1}], **keys), [0.0])
     assert [fault.code for fault in error.value.faults] == ["SIM145"]
     assert all(fault.lines for fault in error.value.faults)
 
 
 def test_routes_lead_to_known_goals(simulator: Simulator) -> None:
-    with pytest.raises(AnimtoolError, match="no goal is named 'no'"):
+    with raises(AnimtoolError, "SIM145", match="'no'"):
         simulator.simulate(crowd([{"count": 1, "route": ["no"]}]), [0.0])
 
 

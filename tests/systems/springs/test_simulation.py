@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from pxr import Sdf, Usd, UsdGeom
+from support.faults import raises
 
 import animtool
 from animtool import BakeOptions, bake
@@ -400,7 +401,7 @@ def test_folds_keep_apart_where_they_are_to(tmp_path: Path, solver: str) -> None
 
 def test_a_solver_that_keeps_nothing_apart_is_refused(tmp_path: Path) -> None:
     path = written(tmp_path, FOLDED + CONTACT + "    solver: bdf2\n")
-    with pytest.raises(FormatError, match="SIM046") as error:
+    with raises(FormatError, "SIM046") as error:
         load_scene(path)
     (fault,) = error.value.faults
     (line,) = fault.lines
