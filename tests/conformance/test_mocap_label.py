@@ -78,7 +78,6 @@ def test_a_trc_is_read_as_the_c3d_of_it(path: Path) -> None:
     np.testing.assert_allclose(trc.positions, c3d.positions, atol=1e-5)
 
 
-@pytest.mark.slow(seconds=2)
 @pytest.mark.parametrize("truth", clouds())
 def test_points_get_their_names(truth: Path, record_property: Record) -> None:
     path = cloud_of(truth)
@@ -90,7 +89,7 @@ def test_points_get_their_names(truth: Path, record_property: Record) -> None:
     assert min(precision, recall) >= NAMED
 
 
-@pytest.mark.slow(seconds=8)
+@pytest.mark.slow(seconds=5)
 @pytest.mark.parametrize("predictor", PREDICTORS)
 @pytest.mark.parametrize("truth", clouds())
 def test_swaps_spikes_and_gaps(

@@ -39,34 +39,15 @@ SECTIONS = {document: sections_of(text) for document, text in TEXTS.items()}
 DOCUMENTS_WITH = Counter(
     command for text in TEXTS.values() for command in set(commands_in(text))
 )
-# What takes long where a command is run first [s].
-SECONDS = {
-    "bake samples/cape/": 2,
-    "bake samples/drape/": 6,
-    "bake samples/flag/": 3,
-    "bake samples/embers/": 1,
-    "bake samples/fall/": 3,
-    "bake samples/galaxies/": 4,
-    "bake samples/orbits/orbits.scene.yaml --table": 3,
-    "bake samples/sheets/": 2,
-}
 
 
 def section_parameters() -> list[object]:
-    """Return each section with commands, marked with what these may take."""
-    parameters = []
-    for document, sections in SECTIONS.items():
-        for title, commands in sections.items():
-            seconds = sum(
-                SECONDS[start]
-                for command in set(commands)
-                for start in SECONDS
-                if command.startswith(f"animtool {start}")
-            )
-            marks = [pytest.mark.slow(seconds)] if seconds else []
-            name = f"{document}: {title}"
-            parameters.append(pytest.param(document, title, marks=marks, id=name))
-    return parameters
+    """Return each section with commands."""
+    return [
+        pytest.param(document, title, id=f"{document}: {title}")
+        for document, sections in SECTIONS.items()
+        for title in sections
+    ]
 
 
 def output_of(command: str) -> str | None:

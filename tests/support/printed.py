@@ -71,6 +71,7 @@ def shorten(folder: Path) -> None:
         text = path.read_text("utf-8")
         if "\nsystems:" in text:
             text = re.sub(r"(?<=^range: \[)1, (\d+)", _quarter, text, flags=re.M)
+            text = re.sub(r"(preroll): \S+", r"\1: 0.1", text)
         elif re.search("ragdoll|simulate", text):
             # One cycle of the walk, where several are done.
             text = re.sub(r"(repeats): \d", r"\1: 1", text)

@@ -30,7 +30,6 @@ MADE = [
 ]
 
 
-@pytest.mark.slow(seconds=2)
 @pytest.mark.parametrize("seed", MADE)
 def test_points_of_made_people_get_their_names(seed: int) -> None:
     made = cloud(seed)
