@@ -208,7 +208,10 @@ def test_our_kinematics_agree_with_the_witnesses(path: Path) -> None:
                 assert (got[asked] < WITNESS_TOLERANCE * scale).all()
 
 
-CLIPS = data_files("ik", "clip_*.json")
+CLIPS = [
+    pytest.param(*file.values, id=file.id, marks=[*file.marks, pytest.mark.slow])
+    for file in data_files("ik", "clip_*.json")
+]
 
 
 @pytest.fixture(scope="module", params=CLIPS)
