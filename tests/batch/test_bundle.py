@@ -238,6 +238,7 @@ def test_the_output_of_a_batch_file_may_name_shots_of_the_command_line(
     assert "BAT004" in animtool("batch", "open.batch.yaml", cwd=edit).stderr
 
 
+@pytest.mark.slow
 def test_a_job_of_a_cut_list_runs_to_the_same_bytes(edit: Path, tmp_path: Path) -> None:
     pytest.importorskip("openjd.cli", reason="openjd-cli is not installed")
     cut = ("plain.batch.yaml", "--cut", "edit.otio", "--handles", 2)
@@ -262,6 +263,7 @@ def test_a_job_of_a_cut_list_runs_to_the_same_bytes(edit: Path, tmp_path: Path) 
     assert whole_outputs(edit / "named") == made
 
 
+@pytest.mark.slow
 def test_a_job_of_shots_alone_is_the_batch_of_them(edit: Path, tmp_path: Path) -> None:
     """A timeline among the inputs, and no scene."""
     pytest.importorskip("openjd.cli", reason="openjd-cli is not installed")

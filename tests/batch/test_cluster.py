@@ -43,6 +43,7 @@ def test_what_is_no_file_of_a_scheduler(tmp_path: Path, text: str) -> None:
     assert error.value.code == "BAT035"
 
 
+@pytest.mark.slow
 def test_a_crash_or_a_hang_costs_one_item(cluster: str, tmp_path: Path) -> None:
     take_files(tmp_path / "takes", 2)
     trouble_files(tmp_path / "takes", ["crash", "hang"])
@@ -77,6 +78,7 @@ def test_a_worker_that_ends_is_replaced(cluster: str, tmp_path: Path) -> None:
     assert {o.status for o in found} == {Status.DONE}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("whole", [False, True], ids=["workers", "scheduler"])
 def test_a_cluster_that_is_lost_ends_the_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, whole: bool

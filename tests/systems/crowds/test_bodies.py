@@ -124,6 +124,7 @@ def test_clips_are_what_they_show() -> None:
     assert walk.steps[0, 1] == pytest.approx(walk.steps[1, 1], abs=0.03)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ground", [level, bumpy])
 def test_feet_stay_where_they_stand_and_never_cross(ground: Any) -> None:
     bodies = Bodies(
@@ -275,6 +276,7 @@ def _landed(states: list[BodyState], k: int) -> np.ndarray:
     return np.asarray((np.diff(places, axis=0) != 0).any(axis=1))
 
 
+@pytest.mark.slow
 def test_soles_are_off_the_ground_until_they_are_where_they_land() -> None:
     bodies = Bodies(library("walk", "run", "stand"), np.ones(1), level)
     step = 1 / 24
@@ -286,6 +288,7 @@ def test_soles_are_off_the_ground_until_they_are_where_they_land() -> None:
     assert min(state.lowered.min() for state in states) >= 0
 
 
+@pytest.mark.slow
 def test_where_a_foot_lands_is_settled_in_its_swing() -> None:
     """It lands where it was to, whatever its body does last, within reach."""
     bodies = Bodies(library("walk", "stand"), np.ones(1), level)

@@ -160,6 +160,7 @@ def test_who_walks_abreast_keeps_the_speed_of_one_alone(simulator: Simulator) ->
     assert following < 0.9 * alone
 
 
+@pytest.mark.slow
 def test_flow_through_a_door_is_as_published(simulator: Simulator) -> None:
     """From 1.2 to 1.9 persons a metre and second (Seyfried et al., 2009)."""
     width = 1.2
@@ -212,6 +213,7 @@ def test_who_is_crowded_walks_as_slowly_as_people(
     assert speed == pytest.approx(published, rel=0.2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("width", "count", "yaw"), [(3.2, 60, 0.0), (2.8, 40, 0.8)])
 def test_two_streams_in_a_corridor_get_by_each_other(
     simulator: Simulator, width: float, count: int, yaw: float
