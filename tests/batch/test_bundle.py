@@ -138,6 +138,7 @@ def starter(path: Path, more: str = "") -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_openjd_runs_it_to_the_same_bytes(takes: Path, tmp_path: Path) -> None:
     pytest.importorskip("openjd.cli", reason="openjd-cli is not installed")
     animtool("job", "a.batch.yaml", "-o", "a.job", "--chunk", 3, cwd=takes)

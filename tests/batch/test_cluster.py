@@ -55,6 +55,7 @@ def test_a_crash_or_a_hang_costs_one_item(cluster: str, tmp_path: Path) -> None:
     assert [o.status for o in outcomes[2:]] == [Status.DONE, Status.DONE]
 
 
+@pytest.mark.slow
 def test_a_worker_that_ends_is_replaced(cluster: str, tmp_path: Path) -> None:
     """What it was at is begun again by another."""
     from distributed import Client

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from support.suite import some_quick
 
 from animtool.documents.document import read_document
 from animtool.documents.yaml_values import MAX_MARKS
@@ -102,7 +103,7 @@ LOADERS: dict[str, Callable[[Path], object]] = {
 }
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", some_quick(CASES, 3))
 def test_faults_are_bounded_in_number_length_and_time(
     tmp_path: Path, name: str
 ) -> None:

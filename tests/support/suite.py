@@ -97,7 +97,8 @@ def one_of(parameters: Sequence[T], turn: int) -> list[T]:
 def some_quick(values: Iterable[object], one_in: int, turn: int = 0) -> list[Any]:
     """Return parameters, all but one in several of them marked as slow.
 
-    Each is quick by itself, and all of them together are not. Tests over the same
+    Each is quick by itself, and all of them together are not. Several arguments are
+    given as `pytest.param`. Tests over the same
     values take another turn each, so that of all values some test is quick.
     """
     return [

@@ -114,6 +114,7 @@ def played(stage: Usd.Stage, codes: list[float]) -> np.ndarray:
     return np.array(made).swapaxes(0, 1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("options", "unit", "turn"),
     [
@@ -166,6 +167,7 @@ def test_usd_plays_what_was_simulated(
     assert found[0, -1][:, 1].max() > 1.4
 
 
+@pytest.mark.slow
 def test_nothing_is_found_in_the_layer_and_chunks_are_refused(folder: Path) -> None:
     baked(folder, "checked.usdc")
     run = animtool("validate", folder / "checked.usdc", "--format", "json")
@@ -224,6 +226,7 @@ def test_who_left_is_not_seen(folder: Path) -> None:
         assert [word == "inherited" for word in shown] == seen[k]
 
 
+@pytest.mark.slow
 def test_info_is_of_all_characters(folder: Path) -> None:
     baked(folder, "informed.usdc")
     run = animtool("info", folder / "informed.usdc", "--format", "json")

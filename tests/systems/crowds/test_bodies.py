@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from support.faults import raises
+from support.suite import some_quick
 
 from animtool.errors import OptionError
 from animtool.maths import so3
@@ -154,6 +155,7 @@ def test_feet_stay_where_they_stand_and_never_cross(ground: Any) -> None:
     assert speeds.max() < 10
 
 
+@pytest.mark.slow
 def test_a_clip_at_its_own_speed_is_the_clip() -> None:
     """But for legs, whose feet go as the ground has them: within 4 cm in the air."""
     gaits = library("walk", "stand")
@@ -245,7 +247,7 @@ def test_a_sole_is_turned_as_the_ground_is() -> None:
     assert steep[0] > 0
 
 
-@pytest.mark.parametrize("way", [0.0, 0.7, 1.6, 2.4, 3.1])
+@pytest.mark.parametrize("way", some_quick([0.0, 0.7, 1.6, 2.4, 3.1], 3, 1))
 @pytest.mark.parametrize("speed", [0.5, 1.0, 1.5])
 def test_pushed_people_step_and_stay_up(way: float, speed: float) -> None:
     """Who stands and is pushed any way from one second on, for two."""

@@ -186,6 +186,7 @@ def test_flow_through_a_door_is_as_published(simulator: Simulator) -> None:
     assert not inside.any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("density", [1.0, 2.0])
 def test_who_is_crowded_walks_as_slowly_as_people(
     simulator: Simulator, density: float

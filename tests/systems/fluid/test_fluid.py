@@ -276,6 +276,7 @@ def test_a_force_too_strong_for_the_step_says_so(simulator: Simulator) -> None:
     assert "parts" in error.value.faults[-1].message
 
 
+@pytest.mark.slow
 def test_the_step_that_is_proposed_works(simulator: Simulator) -> None:
     keys = {"forces": [{"gravity": {"acceleration": [0, -1e7, 0]}}]}
     with pytest.raises(ToleranceError) as error:

@@ -736,6 +736,7 @@ for scene in sys.argv[1:]:
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="POSIX processes")
 def test_only_what_a_scene_has_is_loaded(walk: Path, tmp_path: Path) -> None:
     (tmp_path / walk.name).write_bytes(walk.read_bytes())
