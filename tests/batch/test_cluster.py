@@ -116,6 +116,7 @@ def test_a_worker_without_animtool_can_be_told_of_items() -> None:
     assert done.stdout.strip() == b"make"
 
 
+@pytest.mark.slow
 def test_other_versions_are_named(
     cluster: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -126,6 +127,7 @@ def test_other_versions_are_named(
     assert "for 0.1" in outcome.faults[0].message
 
 
+@pytest.mark.slow
 def test_the_command_line(cluster: str, tmp_path: Path) -> None:
     take_files(tmp_path / "takes", 3)
     words = ("--executor", f"dask={cluster}", "-o", "out/{stem}.usdc")

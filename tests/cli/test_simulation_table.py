@@ -142,6 +142,7 @@ def test_a_scene_that_is_only_looked_at_saves_no_states(swing: Path) -> None:
     assert states.exists()
 
 
+@pytest.mark.slow
 def test_systems_props_a_source_are_measured_too(swing: Path) -> None:
     rig = swing.with_name("beast.rig.yaml")
     colliders = "colliders: [{joint: body, capsule: {radius: 5, length: 9}}]\n"
@@ -331,6 +332,7 @@ def test_without_matplotlib_nothing_is_measured(
     assert "animtool[preview]" in done.stderr
 
 
+@pytest.mark.slow
 def test_a_sensitive_motion_is_called_so(comets: Path) -> None:
     # What is near goes apart a thousandfold within two of the finest steps.
     text = SCENE[: SCENE.index("- particles:\n    name: drops")]

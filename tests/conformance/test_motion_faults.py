@@ -104,7 +104,7 @@ def _lies(take: Take) -> bool:
 
 
 @pytest.mark.skipif(data_folder("bvh") is None, reason="no $ANIMTOOL_DATA/bvh")
-@pytest.mark.parametrize("name", some_quick(CASES, 3))
+@pytest.mark.parametrize("name", some_quick(CASES, 6, 1))
 def test_faults_in_captures(name: str, record_property: Any) -> None:
     plant, code, share = CASES[name]
     rng = np.random.default_rng(7)

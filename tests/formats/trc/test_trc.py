@@ -182,6 +182,7 @@ def test_rows_that_are_cut_short(
     assert codes(markers) == said
 
 
+@pytest.mark.slow
 def test_opensim_reads_what_is_written(tmp_path: Path) -> None:
     reason = "opensim is not installed: pip install opensim"
     opensim = pytest.importorskip("opensim", reason=reason)

@@ -127,6 +127,7 @@ def test_a_method_that_is_not_for_them_is_left_early(tmp_path: Path) -> None:
     assert done.steps < 1000
 
 
+@pytest.mark.slow
 def test_particles_that_come_and_go_are_compared_by_their_ids(tmp_path: Path) -> None:
     emitter = {"rate": 200, "speed": 2, "spread": math.degrees(0.3)}
     emitter |= {"lifetime": 0.2, "lifetime_spread": 0.1}

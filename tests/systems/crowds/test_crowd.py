@@ -350,6 +350,7 @@ def test_agents_walk_on_a_mesh_and_around_its_holes(simulator: Simulator) -> Non
     assert np.abs(steps[..., 1] - 0.2 * steps[..., 0]).max() < 1e-12
 
 
+@pytest.mark.slow
 def test_what_is_odd_is_named_and_mended(simulator: Simulator) -> None:
     odd = np.array([[0.0, 0, 0], [0.1, 0, 0], [5, 0, 0]])
     systems = crowd(

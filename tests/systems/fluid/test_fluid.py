@@ -192,6 +192,7 @@ def test_fills_end_at_colliders_and_nothing_gets_in(simulator: Simulator) -> Non
         assert (np.abs(row.points - [0.3, 1, 0.3]) <= [0.3, 1, 0.3]).all()
 
 
+@pytest.mark.slow
 def test_a_closed_mesh_that_moves_pushes_it(
     simulator: Simulator, tmp_path: Path
 ) -> None:

@@ -105,6 +105,7 @@ CRATE = box([0.5, 0.3, 0.4], mass=2.0, at=[0, 0.4, 0])
 FALL = {"forces": [{"gravity": None}]}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("step", [1 / 240, 1 / 96, 0.0031])
 def test_frames_do_not_matter(tmp_path: Path, step: float) -> None:
     entries = [
