@@ -145,6 +145,9 @@ def test_setup_commands_are_run_by_ci(root: Path) -> None:
     assert all(len(command.splitlines()) == 1 for command in commands)
     script = (root / ".ci/run").read_text("utf-8")
     assert "README.md" in script
+    # What one leaves out, the other runs.
+    assert commands[1].count("-m 'not slow'") == 1
+    assert "slow=${tests/not slow/slow}" in script
 
 
 def test_every_pass_and_option_is_in_the_guide(root: Path) -> None:
