@@ -118,6 +118,7 @@ def test_a_table_as_json(comets: Path) -> None:
     assert left == {"dop853", "lsoda", "radau"}
 
 
+@pytest.mark.slow
 def test_a_table_in_words(comets: Path) -> None:
     done = animtool("bake", comets, "--table", "--range", "1-3")
     assert done.code == 0, done.stderr
@@ -262,6 +263,7 @@ output: {file: bed.usdc}
 """
 
 
+@pytest.mark.slow
 def test_cloth_begins_again_with_what_runs_into_it(tmp_path: Path) -> None:
     path = tmp_path / "bed.scene.yaml"
     path.write_text(BED, "utf-8")

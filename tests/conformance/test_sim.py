@@ -143,7 +143,7 @@ def test_what_is_said_of_the_error_is_true(
 EXACT = {"stiff_ode": ("radau", 1e-10, 1e-14)}
 
 
-@pytest.mark.parametrize("problem", some_quick(problems(), 3))
+@pytest.mark.parametrize("problem", some_quick(problems(), 6))
 def test_references_are_reached(
     problem: Problem, record_property: Callable[[str, object], None]
 ) -> None:

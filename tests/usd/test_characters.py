@@ -200,6 +200,7 @@ def test_nothing_is_found_in_the_layer_and_chunks_are_refused(folder: Path) -> N
     assert not list(folder.glob("chunked*"))
 
 
+@pytest.mark.slow
 def test_who_left_is_not_seen(folder: Path) -> None:
     """A member that leaves at its goal is invisible from then on, as in each frame."""
     scene = json.loads((folder / "shot.scene.yaml").read_text("utf-8"))

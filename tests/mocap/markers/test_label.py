@@ -38,6 +38,7 @@ def test_points_of_made_people_get_their_names(seed: int) -> None:
     assert min(scores_of(named, points, made.truth["perm"])) >= NAMED
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("markers", MARKER_SETS)
 def test_short_takes_get_their_names(markers: str) -> None:
     made = cloud(200, "rom", markers, 300)

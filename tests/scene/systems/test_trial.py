@@ -103,6 +103,7 @@ def test_energy_is_told_where_nothing_takes_or_brings_it(tmp_path: Path) -> None
         assert done.energies is None
 
 
+@pytest.mark.slow
 def test_a_stiff_spring_blows_up_and_says_which_step_is_stable(tmp_path: Path) -> None:
     # ω is 100 / s: semi-implicit Euler is stable up to 0.02 s.
     setup = orbits(

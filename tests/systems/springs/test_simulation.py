@@ -676,6 +676,7 @@ AWNING = CLOTH.replace("up: [0, 0.6, 0]", "up: [0, 0, -0.6]").replace(
 ).replace("velocity: [4, 0, 1]", "velocity: [0, 0, 0]")  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("order", ["awning first", "rain first"])
 def test_particles_stay_on_cloth(tmp_path: Path, order: str) -> None:
     text = AWNING + RAIN if order == "awning first" else RAIN + AWNING
