@@ -143,7 +143,7 @@ def test_what_exists_is_not_both_replaced_and_kept(
 
 
 @pytest.mark.parametrize("name", QUICK)
-def test_replaced_it_is_what_is_written_anew(
+def test_what_is_replaced_and_what_is_new_are_the_same_bytes(
     project: Path, there: dict[str, Path], name: str
 ) -> None:
     command = COMMANDS[name]
