@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from support.faults import raises
 from support.small_takes import content, small
 
 from animtool.core.errors import OptionError
@@ -62,7 +63,7 @@ def test_other_words_are_refused(name: str) -> None:
 def test_options_of_passes_are_words_too() -> None:
     options: Any = {"mode": "fold"}
     context = PassContext(lambda _: small(), Path())
-    with pytest.raises(OptionError, match="mode is 'fold'"):
+    with raises(OptionError, "SCN025", match="'fold'"):
         apply_pass(
             TakeStream.of(small()),
             find_pass("root_motion"),

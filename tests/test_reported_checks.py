@@ -142,6 +142,7 @@ def test_one_alternative_is_to_hold_whole(
     assert len(unmet(outcome, tuple(accept))) == count
 
 
+@pytest.mark.slow
 def test_rows_run_in_copies_of_their_folders(tmp_path: Path) -> None:
     data = tmp_path / "reported"
     (data / "keys").mkdir(parents=True)

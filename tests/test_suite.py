@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-from support.suite import seconds_of, slow_first
+from support.suite import seconds_of, slow_first, some_quick
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +54,16 @@ def test_every_test_is_run_once(processes: int) -> None:
     ordered = slow_first(ITEMS, processes)
     assert sorted(names(ordered).split()) == sorted(names(ITEMS).split())
     assert names(ordered).startswith("D")
+
+
+def test_all_rows_are_kept_and_some_are_quick() -> None:
+    rows = [1, pytest.param(2, 3, id="b"), 4, 5, 6]
+    for turn, quick in ((0, [0, 3]), (1, [1, 4]), (2, [2])):
+        found = some_quick(rows, 3, turn)
+        assert [one.values for one in found] == [(1,), (2, 3), (4,), (5,), (6,)]
+        assert found[1].id == "b"
+        assert [i for i, one in enumerate(found) if not one.marks] == quick
+    assert {mark.name for mark in some_quick(rows, 2)[1].marks} == {"slow"}
 
 
 def test_files_without_examples_are_not_looked_through(

@@ -43,6 +43,7 @@ def test_what_is_no_file_of_a_scheduler(tmp_path: Path, text: str) -> None:
     assert error.value.code == "BAT035"
 
 
+@pytest.mark.slow
 def test_a_crash_or_a_hang_costs_one_item(cluster: str, tmp_path: Path) -> None:
     take_files(tmp_path / "takes", 2)
     trouble_files(tmp_path / "takes", ["crash", "hang"])
@@ -54,6 +55,7 @@ def test_a_crash_or_a_hang_costs_one_item(cluster: str, tmp_path: Path) -> None:
     assert [o.status for o in outcomes[2:]] == [Status.DONE, Status.DONE]
 
 
+@pytest.mark.slow
 def test_a_worker_that_ends_is_replaced(cluster: str, tmp_path: Path) -> None:
     """What it was at is begun again by another."""
     from distributed import Client
@@ -77,6 +79,7 @@ def test_a_worker_that_ends_is_replaced(cluster: str, tmp_path: Path) -> None:
     assert {o.status for o in found} == {Status.DONE}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("whole", [False, True], ids=["workers", "scheduler"])
 def test_a_cluster_that_is_lost_ends_the_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, whole: bool
@@ -113,6 +116,7 @@ def test_a_worker_without_animtool_can_be_told_of_items() -> None:
     assert done.stdout.strip() == b"make"
 
 
+@pytest.mark.slow
 def test_other_versions_are_named(
     cluster: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -123,6 +127,7 @@ def test_other_versions_are_named(
     assert "for 0.1" in outcome.faults[0].message
 
 
+@pytest.mark.slow
 def test_the_command_line(cluster: str, tmp_path: Path) -> None:
     take_files(tmp_path / "takes", 3)
     words = ("--executor", f"dask={cluster}", "-o", "out/{stem}.usdc")

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from support.batch import take_files
 from support.cli import animtool
+from support.faults import raises
 from support.timelines import span
 
 from animtool.batch.cut_frames import CutOptions
@@ -80,9 +81,8 @@ def test_drop_frame_with_colons_is_that_of_its_header(folder: Path) -> None:
 
 def test_no_rate_is_asked_for(folder: Path) -> None:
     text = HEAD + event(1, "00:00:01:24 00:00:02:00") + NAME
-    with pytest.raises(AnimtoolError, match="above 24 fps") as error:
+    with raises(AnimtoolError, "BAT054", match="above 24 fps") as error:
         read(folder, text, None)
-    assert error.value.code == "BAT054"
     (folder / "animtool.toml").write_text("[timeline]\nfps = 25\n")
     assert shown(read(folder, text, None)) == [("walk", 49, 1, 1)]
     (folder / "animtool.toml").unlink()

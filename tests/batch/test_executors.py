@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from support.batch import take_files
+from support.faults import raises
 from support.workers import serve_and_end, serve_garbage, serve_nothing
 
 from animtool.batch import pool
@@ -121,9 +122,8 @@ def test_processes_that_do_not_begin_end_the_run(
     monkeypatch.setattr(pool, "serve", serve)
     limit = 0.2 if serve is serve_nothing else 60.0
     monkeypatch.setattr(pool, "LONGEST_START", limit)
-    with pytest.raises(OutputError, match=said) as error:
+    with raises(OutputError, "BAT071", match=said):
         list(find_executor("processes").load()(work(tmp_path, 1, jobs=1)))
-    assert error.value.code == "BAT071"
 
 
 def test_answers_that_make_no_sense_cost_their_items(
@@ -174,6 +174,5 @@ def test_executors_of_plug_ins(
 
 
 def test_one_that_there_is_none_of() -> None:
-    with pytest.raises(OptionError, match="processes") as error:
+    with raises(OptionError, "BAT030"):
         find_executor("proceses")
-    assert error.value.code == "BAT030"

@@ -9,9 +9,8 @@ from fractions import Fraction
 from pathlib import Path
 
 import pytest
-from pxr import Sdf
 from support.bvh import HEADER, random_rows, small_bvh
-from support.cli import animtool, animtool_process
+from support.cli import animtool
 
 from animtool.cli.bake import bake
 from animtool.cli.bake_options import bake_options_record
@@ -86,27 +85,6 @@ def test_output_props_the_source(take: Path) -> None:
     assert take.with_suffix(".usdc").exists()
 
 
-def test_stdout_is_usda(take: Path, tmp_path: Path) -> None:
-    done = animtool_process("bake", take, "-o", "-")
-    assert done.stdout.startswith("#usda 1.0")
-    layer = Sdf.Layer.CreateAnonymous(".usda")
-    assert layer.ImportFromString(done.stdout)
-    assert list(tmp_path.iterdir()) == [take]
-
-
-def test_overwriting(take: Path, tmp_path: Path) -> None:
-    output = tmp_path / "o.usda"
-    output.write_text("mine")
-    refused = animtool("bake", take, "-o", output)
-    assert refused.code == 2
-    assert "--overwrite" in refused.stderr
-    skipped = animtool("bake", take, "-o", output, "--skip-existing")
-    assert skipped.code == 0
-    assert output.read_text() == "mine"
-    assert animtool("bake", take, "-o", output, "--overwrite").code == 0
-    assert output.read_text().startswith("#usda")
-
-
 def test_one_existing_file_of_a_split_stops_all(take: Path, tmp_path: Path) -> None:
     (tmp_path / "o.rig.usda").write_text("mine")
     done = animtool("bake", take, "-o", tmp_path / "o.usda", "--split")
@@ -125,17 +103,6 @@ def test_skipping_wants_every_file_of_a_split(take: Path, tmp_path: Path) -> Non
     (tmp_path / "o.usda").write_text("mine")
     assert animtool(*command).code == 0
     assert (tmp_path / "o.usda").read_text() == "mine"
-
-
-@pytest.mark.parametrize("command", ["bake", "convert"])
-def test_outputs_are_not_both_replaced_and_kept(
-    take: Path, tmp_path: Path, command: str
-) -> None:
-    output = ["-o", tmp_path / "o.usda"] if command == "bake" else [tmp_path / "o.usda"]
-    done = animtool(command, take, *output, "--overwrite", "--skip-existing")
-    assert done.code == 2
-    assert "give one" in done.stderr
-    assert not (tmp_path / "o.usda").exists()
 
 
 @pytest.mark.parametrize(

@@ -27,6 +27,7 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
+@pytest.mark.slow
 def test_validate_reports_the_other_files_too(folder: Path) -> None:
     files = ["brackets.usda", "good.usda", "prims.usda"]
     done = animtool_process("validate", "--format", "json", *files, cwd=folder)

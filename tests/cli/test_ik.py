@@ -389,15 +389,6 @@ def test_smoothing_keeps_the_goals(place: Path) -> None:
     assert json.loads(done.stdout)["jumps"] == []
 
 
-def test_outputs_are_not_replaced_unasked(place: Path) -> None:
-    (place / "there.usda").write_text("mine")
-    given = ("-t", "reach.targets.yaml", "-o", "there.usda")
-    assert run(place, *given).code == 2
-    assert run(place, *given, "--skip-existing").code == 0
-    assert (place / "there.usda").read_text() == "mine"
-    assert run(place, *given, "--overwrite").code == 0
-
-
 def test_the_table(place: Path) -> None:
     done = run(place, "-t", "reach.targets.yaml", "--table", "--format", "json")
     assert done.code == 0, done.stderr
@@ -420,12 +411,6 @@ def test_the_table_is_drawn(place: Path) -> None:
     assert (place / "reach.svg").stat().st_size > 4000
     again = run(place, "-t", "reach.targets.yaml", "--table", "--plot", "reach.svg")
     assert (again.code, "OUT001" in again.stderr) == (2, True)
-
-
-def test_the_same_seed_writes_the_same_bytes(place: Path) -> None:
-    for name in ("one.usdc", "two.usdc"):
-        run(place, "-t", "far.targets.yaml", "-o", name, "--prim-path", "/x")
-    assert (place / "one.usdc").read_bytes() == (place / "two.usdc").read_bytes()
 
 
 def test_defaults_are_those_of_the_record() -> None:

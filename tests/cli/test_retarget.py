@@ -41,6 +41,7 @@ def test_a_report_begins_with_a_verdict(root: Path, tmp_path: Path) -> None:
     assert len(forced["look_at"]) == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", ["usda", "bvh", "clip.yaml"])
 def test_frames_are_those_that_bake_writes_of_the_whole(
     root: Path, tmp_path: Path, suffix: str

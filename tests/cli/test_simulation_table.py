@@ -118,6 +118,7 @@ def test_a_table_as_json(comets: Path) -> None:
     assert left == {"dop853", "lsoda", "radau"}
 
 
+@pytest.mark.slow
 def test_a_table_in_words(comets: Path) -> None:
     done = animtool("bake", comets, "--table", "--range", "1-3")
     assert done.code == 0, done.stderr
@@ -142,6 +143,7 @@ def test_a_scene_that_is_only_looked_at_saves_no_states(swing: Path) -> None:
     assert states.exists()
 
 
+@pytest.mark.slow
 def test_systems_props_a_source_are_measured_too(swing: Path) -> None:
     rig = swing.with_name("beast.rig.yaml")
     colliders = "colliders: [{joint: body, capsule: {radius: 5, length: 9}}]\n"
@@ -261,6 +263,7 @@ output: {file: bed.usdc}
 """
 
 
+@pytest.mark.slow
 def test_cloth_begins_again_with_what_runs_into_it(tmp_path: Path) -> None:
     path = tmp_path / "bed.scene.yaml"
     path.write_text(BED, "utf-8")
@@ -331,6 +334,7 @@ def test_without_matplotlib_nothing_is_measured(
     assert "animtool[preview]" in done.stderr
 
 
+@pytest.mark.slow
 def test_a_sensitive_motion_is_called_so(comets: Path) -> None:
     # What is near goes apart a thousandfold within two of the finest steps.
     text = SCENE[: SCENE.index("- particles:\n    name: drops")]

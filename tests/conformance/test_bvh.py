@@ -10,7 +10,7 @@ import pytest
 from pxr import Sdf, Usd, UsdGeom, UsdSkel
 from support.bvh import beginning, read_reference
 from support.data import data_files
-from support.suite import at_night
+from support.suite import at_night, some_quick
 from support.usd import joint_positions, open_stage, skeleton_query, validation_errors
 
 from animtool.core.rates import rate_from_frame_time
@@ -73,7 +73,7 @@ def compose(report: BakeReport, folder: Path) -> Usd.Stage:
     return Usd.Stage.Open(shot)
 
 
-@pytest.mark.parametrize("path", FILES)
+@pytest.mark.parametrize("path", some_quick(FILES, 3))
 def test_bake(path: Path, tmp_path: Path) -> None:
     reference = read_reference(path)
     count = len(reference.rows)
@@ -127,7 +127,7 @@ def check_sparse(whole: BakeReport, sparse: BakeReport) -> None:
     assert len(query.GetAnimQuery().GetJointOrder()) == sparse.result.joints
 
 
-@pytest.mark.parametrize("path", FILES)
+@pytest.mark.parametrize("path", some_quick(FILES, 3, 1))
 def test_there_and_back(path: Path, tmp_path: Path) -> None:
     first, text, second = (tmp_path / name for name in ("a.usdc", "b.bvh", "c.usdc"))
     path = at_night(path, beginning(path, LONG, tmp_path / path.name))

@@ -17,7 +17,7 @@ from adapters.hard.scenes import SCENES
 from adapters.hard.springs import BY_INTEGRATORS, BY_SOLVERS
 from adapters.hard.subsystem import Subsystem
 from support.data import data_files
-from support.suite import every_other
+from support.suite import every_other, some_quick
 
 SUBSYSTEMS = [
     INTEGRATING,
@@ -68,7 +68,7 @@ def hard_cases() -> list[Any]:
     return found
 
 
-@pytest.mark.parametrize(("system", "case", "way"), hard_cases())
+@pytest.mark.parametrize(("system", "case", "way"), some_quick(hard_cases(), 4))
 def test_hard_cases(system: Subsystem, case: str, way: str) -> None:
     system.cases[case](way)
 

@@ -189,7 +189,7 @@ def test_limbs_are_also_solved_by_damped_steps(path: Path) -> None:
         assert result.poles.max() <= options.angle_tolerance
 
 
-@pytest.mark.parametrize("path", FILES)
+@pytest.mark.parametrize("path", SOLVED)
 def test_our_kinematics_agree_with_the_witnesses(path: Path) -> None:
     for group in read_groups(path):
         known = [r for r in group.records if "q_witness" in r]
@@ -208,7 +208,10 @@ def test_our_kinematics_agree_with_the_witnesses(path: Path) -> None:
                 assert (got[asked] < WITNESS_TOLERANCE * scale).all()
 
 
-CLIPS = data_files("ik", "clip_*.json")
+CLIPS = [
+    pytest.param(*file.values, id=file.id, marks=[*file.marks, pytest.mark.slow])
+    for file in data_files("ik", "clip_*.json")
+]
 
 
 @pytest.fixture(scope="module", params=CLIPS)

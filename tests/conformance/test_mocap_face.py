@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support.data import data_files
+from support.suite import some_quick
 
 from animtool import Rig, open_source
 from animtool.capture.face import fit_face
@@ -26,7 +27,7 @@ def faces() -> list[object]:
     return [p for p in found if ".truth" not in (p.id or "")]
 
 
-@pytest.mark.parametrize("path", faces())
+@pytest.mark.parametrize("path", some_quick(faces(), 3))
 def test_weights_and_poses(path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     capture = read_capture(path)
     assert capture.model is not None

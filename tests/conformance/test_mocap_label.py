@@ -13,7 +13,7 @@ from support.c3d_bytes import read_points
 from support.data import data_files
 from support.mocap_skeleton import rig_of, template_of
 from support.named import scores_of
-from support.suite import is_full
+from support.suite import is_full, some_quick
 
 from animtool.capture.markers.fill import FillReport, fill
 from animtool.capture.markers.label import label
@@ -78,8 +78,7 @@ def test_a_trc_is_read_as_the_c3d_of_it(path: Path) -> None:
     np.testing.assert_allclose(trc.positions, c3d.positions, atol=1e-5)
 
 
-@pytest.mark.slow(seconds=2)
-@pytest.mark.parametrize("truth", clouds())
+@pytest.mark.parametrize("truth", some_quick(clouds(), 6))
 def test_points_get_their_names(truth: Path, record_property: Record) -> None:
     path = cloud_of(truth)
     cloud = open_markers(f"{path}#unlabelled_mm")
@@ -90,7 +89,7 @@ def test_points_get_their_names(truth: Path, record_property: Record) -> None:
     assert min(precision, recall) >= NAMED
 
 
-@pytest.mark.slow(seconds=8)
+@pytest.mark.slow(seconds=5)
 @pytest.mark.parametrize("predictor", PREDICTORS)
 @pytest.mark.parametrize("truth", clouds())
 def test_swaps_spikes_and_gaps(

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from support.data import data_files
 from support.mocap_skeleton import rig_of, template_of
-from support.suite import one_of
+from support.suite import one_of, some_quick
 
 from animtool.capture.solve import calibrate, solve_markers
 from animtool.capture.templates import MarkerTemplate
@@ -76,7 +76,7 @@ def rms(away: FloatArray) -> float:
     return float(np.sqrt((away**2).mean()))
 
 
-@pytest.mark.parametrize("path", CLOUDS)
+@pytest.mark.parametrize("path", some_quick(CLOUDS, 3))
 def test_joints_of_the_true_skeleton(
     path: Path, record_property: Callable[[str, object], None]
 ) -> None:
@@ -88,6 +88,7 @@ def test_joints_of_the_true_skeleton(
     assert np.percentile(away, 99) <= 6.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", one_of(CLOUDS, 2))
 def test_joints_of_a_calibrated_one(
     path: Path, record_property: Callable[[str, object], None]

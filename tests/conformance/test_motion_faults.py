@@ -22,6 +22,7 @@ from support.planted_takes import (
     turned,
     without,
 )
+from support.suite import some_quick
 
 from animtool.core.errors import AnimtoolError, Fault
 from animtool.motion.take import Take
@@ -103,7 +104,7 @@ def _lies(take: Take) -> bool:
 
 
 @pytest.mark.skipif(data_folder("bvh") is None, reason="no $ANIMTOOL_DATA/bvh")
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", some_quick(CASES, 6, 1))
 def test_faults_in_captures(name: str, record_property: Any) -> None:
     plant, code, share = CASES[name]
     rng = np.random.default_rng(7)

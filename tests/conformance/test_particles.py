@@ -29,6 +29,7 @@ def field_of(kind: str, params: dict[str, float]) -> VelocityField:
     return VelocityField(x, y)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", data_files("sim", "vortex_particle*.json"))
 def test_a_particle_in_a_field_goes_where_it_should(path: Path) -> None:
     for case in json.loads(path.read_text("utf-8"))["instances"]:

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from support.bvh import beginning
 from support.data import data_files
-from support.suite import at_night
+from support.suite import at_night, some_quick
 
 from animtool import Rig, open_source
 from animtool.core.array_types import BoolArray, FloatArray
@@ -176,7 +176,7 @@ def test_feet_of_takes_of_any_source_are_held(which: tuple[Path, str]) -> None:
             assert np.abs(places - take.world().positions).max() <= 1e-3
 
 
-@pytest.mark.parametrize("path", data_files("bvh", "*.bvh"))
+@pytest.mark.parametrize("path", some_quick(data_files("bvh", "*.bvh"), 3, 2))
 def test_captures_go_onto_the_biped(
     root: Path,
     path: Path,

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from adapters.sim import Problem, read_problems
 from support.data import data_files
-from support.suite import every_other
+from support.suite import every_other, some_quick
 
 from animtool.sim import (
     INTEGRATORS,
@@ -112,7 +112,7 @@ def error_of(problem: Problem, found: Trajectory) -> float:
     return float(np.abs(found.positions - reference).max())
 
 
-@pytest.mark.parametrize(("problem", "name"), problems_and_integrators())
+@pytest.mark.parametrize(("problem", "name"), some_quick(problems_and_integrators(), 3))
 def test_what_is_said_of_the_error_is_true(
     problem: Problem, name: str, record_property: Callable[[str, object], None]
 ) -> None:
@@ -143,7 +143,7 @@ def test_what_is_said_of_the_error_is_true(
 EXACT = {"stiff_ode": ("radau", 1e-10, 1e-14)}
 
 
-@pytest.mark.parametrize("problem", problems())
+@pytest.mark.parametrize("problem", some_quick(problems(), 6))
 def test_references_are_reached(
     problem: Problem, record_property: Callable[[str, object], None]
 ) -> None:

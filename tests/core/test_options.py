@@ -13,6 +13,7 @@ from typing import get_type_hints
 import click
 import pytest
 from click.testing import CliRunner
+from support.faults import raises
 
 import animtool
 from animtool.cli.bake import bake
@@ -112,11 +113,11 @@ def test_a_text_calls_options_as_arguments() -> None:
 def test_errors_in_python_name_arguments(walk: Path, tmp_path: Path) -> None:
     output = tmp_path / "walk.usda"
     output.touch()
-    with pytest.raises(OptionError, match="overwrite=True replaces it") as caught:
+    with raises(OptionError, "OUT001") as caught:
         animtool.bake(walk, output)
     assert "--overwrite" in str(caught.value.faults[0])
     fps = SourceOptions(fps=24)
-    with pytest.raises(OptionError, match="to_units, to_up and fps convert"):
+    with raises(OptionError, "CLI004", match="to_units.*to_up"):
         animtool.open_source(output, fps)
 
 

@@ -9,6 +9,7 @@ from importlib.metadata import EntryPoint, EntryPoints
 from pathlib import Path
 
 import pytest
+from support.faults import raises
 
 from animtool.core.errors import AnimtoolError, FormatError
 from animtool.core.plugins import load_object
@@ -28,9 +29,8 @@ def test_what_is_no_file_is_called_what_it_is(tmp_path: Path) -> None:
         (".", "is a folder"),
         ("none", "does not exist"),
     ):
-        with pytest.raises(FormatError, match=kind) as caught:
+        with raises(FormatError, "IO001", match=kind):
             find_reader(tmp_path / name)
-        assert caught.value.code == "IO001"
 
 
 @pytest.mark.parametrize("reader", DISTINCT, ids=lambda reader: reader.about)
@@ -106,9 +106,8 @@ def test_a_reader_of_a_plugin(
     assert open_source(path, SourceOptions(fps=24)).fps == 24
     row = listed_readers()[-1]
     assert (row.suffix, row.opens, row.about) == (".marks", ("source",), "marks")
-    with pytest.raises(AnimtoolError, match="no rig") as caught:
+    with raises(AnimtoolError, "IO002"):
         Rig.load(path)
-    assert caught.value.code == "IO002"
 
 
 @pytest.mark.parametrize(
@@ -119,9 +118,8 @@ def test_a_broken_reader_is_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, place: str, why: str
 ) -> None:
     install(monkeypatch, marks=place)
-    with pytest.raises(AnimtoolError, match=why) as caught:
+    with raises(AnimtoolError, "IO003", match=why):
         find_reader(tmp_path / "walk.marks")
-    assert caught.value.code == "IO003"
     row = listed_readers()[-1]
     assert not row.opens
     assert why in row.about
@@ -131,9 +129,8 @@ def test_a_reader_whose_function_is_missing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(READERS, ".marks", Reader("marks", "no_such_module:open_rig"))
-    with pytest.raises(AnimtoolError, match="no_such_module") as caught:
+    with raises(AnimtoolError, "IO003", match="no_such_module"):
         Rig.load(tmp_path / "walk.marks")
-    assert caught.value.code == "IO003"
 
 
 def test_a_plugin_does_not_replace_what_animtool_reads(

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 from support.broken_usd import BROKEN, NEAR
+from support.faults import raises
 from support.planted_layers import LAYERS as PLANTED_LAYERS
 from support.planted_markers import MARKERS as PLANTED_MARKERS
 from support.planted_takes import TAKES
@@ -92,10 +93,9 @@ def test_titles_are_lines() -> None:
 
 
 def test_a_code_that_there_is_none_of() -> None:
-    with pytest.raises(OptionError, match="RIG001") as error:
+    with raises(OptionError, "VAL005", match="RIG001"):
         find_rule("RIG0001")
-    assert error.value.code == "VAL005"
-    with pytest.raises(OptionError, match="did you mean 'RIG025'"):
+    with raises(OptionError, "VAL005", match="'RIG025'"):
         find_rule("rig25")
 
 

@@ -18,6 +18,7 @@ from support.printed import (
     fenced,
     is_apart,
     run_printed,
+    shorten,
 )
 
 from animtool.motion.passes import PASSES, find_pass
@@ -38,34 +39,15 @@ SECTIONS = {document: sections_of(text) for document, text in TEXTS.items()}
 DOCUMENTS_WITH = Counter(
     command for text in TEXTS.values() for command in set(commands_in(text))
 )
-# What takes long where a command is run first [s].
-SECONDS = {
-    "bake samples/cape/": 2,
-    "bake samples/drape/": 6,
-    "bake samples/flag/": 3,
-    "bake samples/embers/": 1,
-    "bake samples/fall/": 3,
-    "bake samples/galaxies/": 4,
-    "bake samples/orbits/orbits.scene.yaml --table": 3,
-    "bake samples/sheets/": 2,
-}
 
 
 def section_parameters() -> list[object]:
-    """Return each section with commands, marked with what these may take."""
-    parameters = []
-    for document, sections in SECTIONS.items():
-        for title, commands in sections.items():
-            seconds = sum(
-                SECONDS[start]
-                for command in set(commands)
-                for start in SECONDS
-                if command.startswith(f"animtool {start}")
-            )
-            marks = [pytest.mark.slow(seconds)] if seconds else []
-            name = f"{document}: {title}"
-            parameters.append(pytest.param(document, title, marks=marks, id=name))
-    return parameters
+    """Return each section with commands."""
+    return [
+        pytest.param(document, title, id=f"{document}: {title}")
+        for document, sections in SECTIONS.items()
+        for title in sections
+    ]
 
 
 def output_of(command: str) -> str | None:
@@ -116,13 +98,17 @@ def is_shared(command: str, workplace: Path) -> bool:
 @pytest.mark.parametrize(("document", "title"), section_parameters())
 def test_printed_commands(
     workplace: Path,
-    printed: Printed,
+    tmp_path_factory: pytest.TempPathFactory,
     monkeypatch: pytest.MonkeyPatch,
     document: str,
     title: str,
 ) -> None:
     # How long the methods of a table take is of no interest here.
     monkeypatch.setattr("animtool.sim.trials.measuring.REPEATS", 1)
+    # Each as it stands there, on fewer frames: what the samples look like over all of
+    # theirs, the tests of samples say.
+    shorten(workplace)
+    printed = Printed(tmp_path_factory, short=True)
     for command in needed(document, title) + SECTIONS[document][title]:
         if "--plot" in command and find_spec("matplotlib") is None:
             continue
@@ -159,6 +145,9 @@ def test_setup_commands_are_run_by_ci(root: Path) -> None:
     assert all(len(command.splitlines()) == 1 for command in commands)
     script = (root / ".ci/run").read_text("utf-8")
     assert "README.md" in script
+    # What one leaves out, the other runs.
+    assert commands[1].count("-m 'not slow'") == 1
+    assert "slow=${tests/not slow/slow}" in script
 
 
 def test_every_pass_and_option_is_in_the_guide(root: Path) -> None:

@@ -121,6 +121,7 @@ def test_an_array_of_slurm(guide: str, farm: Path, commands: dict[str, str]) -> 
     assert set(whole_outputs(farm / "out")) == {"take100.usdc", "take101.usdc"}
 
 
+@pytest.mark.slow
 def test_a_cluster(guide: str, tmp_path: Path) -> None:
     take_files(tmp_path / "takes", 3)
     (tmp_path / "JOB.batch.yaml").write_text(JOB)
@@ -139,6 +140,7 @@ def test_a_cluster_of_slurm_is_python(guide: str) -> None:
     ast.parse(text)
 
 
+@pytest.mark.slow
 def test_cut_lists(guide: str, tmp_path: Path, commands: dict[str, str]) -> None:
     pytest.importorskip("opentimelineio", reason="no OpenTimelineIO (extra: otio)")
     from support.timelines import clip, timeline

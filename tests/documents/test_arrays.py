@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
+from support.faults import raises
 
 from animtool.core.errors import FormatError
 from animtool.documents import archive as archives_module
@@ -352,5 +353,5 @@ def test_an_archive_that_changes_is_found(tmp_path: Path) -> None:
         archives.header(path, "points")
         with path.open("ab") as file:
             file.write(b"x")
-        with pytest.raises(FormatError, match="IO004"):
+        with raises(FormatError, "IO004"):
             archives.load(path, "points")

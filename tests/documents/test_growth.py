@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from support.suite import some_quick
 
 from animtool.core.errors import AnimtoolError
 from animtool.core.similar import distinct, similar
@@ -102,7 +103,7 @@ LOADERS: dict[str, Callable[[Path], object]] = {
 }
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", some_quick(CASES, 3))
 def test_faults_are_bounded_in_number_length_and_time(
     tmp_path: Path, name: str
 ) -> None:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from support.faults import raises
 
 from animtool.core.errors import FormatError
 from animtool.core.names import number, scaled, text, unreadable
@@ -38,5 +38,5 @@ def test_text_reads_back_as_text_or_is_not_written(value: str) -> None:
     if line:
         assert document_of(line, Path("a.yaml")).value == {"a": {"b": value}}
     else:
-        with pytest.raises(FormatError, match="DOC023"):
+        with raises(FormatError, "DOC023"):
             text(value)

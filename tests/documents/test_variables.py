@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import Field
+from support.faults import raises
 
 from animtool.core.errors import FormatError
 from animtool.documents.check import FileModel, validated
@@ -156,7 +157,7 @@ def test_a_quoted_variable_is_a_number_where_no_text_may_be() -> None:
 
 
 def test_what_is_no_variable_between_brackets_asks_for_quotes() -> None:
-    with pytest.raises(FormatError, match="quotes") as caught:
+    with raises(FormatError, "DOC001") as caught:
         resolved("several: [${a b}]\n")
     assert (caught.value.code, caught.value.faults[0].lines) == ("DOC001", (2,))
 

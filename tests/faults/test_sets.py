@@ -354,6 +354,7 @@ def test_a_file_that_appears_meanwhile_stays(disk: Path) -> None:
         assert hidden(folder) == []
 
 
+@pytest.mark.slow
 def test_a_disk_without_hard_links(
     disk: Path,
     monkeypatch: pytest.MonkeyPatch,

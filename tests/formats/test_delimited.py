@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from support.faults import raises
 
 from animtool.core.errors import Fault, FormatError
 from animtool.formats.delimited import gather_rows
@@ -33,7 +34,7 @@ def test_decimals_and_decimal_commas() -> None:
     assert rows.decimals(1) == 3
     assert rows.values(3, fault).tolist() == [[1, 0.25, 1], [2, 0.5, 1.75]]
     mixed = gather_rows([b"1;0.250;1", b"2;0,5;1"], 0, b";")
-    with pytest.raises(FormatError, match="no number") as caught:
+    with raises(FormatError, "TRC002") as caught:
         mixed.values(3, fault)
     assert caught.value.faults[0].lines == (2,)
 
@@ -41,6 +42,6 @@ def test_decimals_and_decimal_commas() -> None:
 def test_one_wide_row_does_not_widen_all(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("animtool.formats.delimited.SMALL_TABLE", 100)
     rows = gather_rows([b"\t".join([b"1"] * 50), *[b"1"] * 200], 0, b"\t")
-    with pytest.raises(FormatError, match="far fewer") as caught:
+    with raises(FormatError, "TRC002") as caught:
         rows.values(50, fault)
     assert caught.value.faults[0].lines == (1,)

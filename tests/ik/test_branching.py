@@ -24,6 +24,7 @@ def nearest(points: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray
     return np.array([np.hypot(x - p[0], y - p[1]).min() for p in points])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("moving", [False, True])
 @pytest.mark.parametrize("seed", [1, 2, 3, 4])
 def test_what_is_out_of_reach_is_at_the_nearest(seed: int, moving: bool) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from support.faults import refused
+from support.faults import raises, refused
 from support.targets import HEAD, legs, tracks_of, write_targets
 
 from animtool.core.clock import Clock
@@ -121,7 +121,7 @@ def test_all_faults_are_said_at_once(folder: Path) -> None:
 
 
 def test_the_nearest_effector_is_named(folder: Path) -> None:
-    with pytest.raises(FormatError, match="did you mean 'leg_l'"):
+    with raises(FormatError, "TGT001", match="'leg_l'"):
         tracks_of(folder, FAULTS["TGT001"])
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from support.faults import raises
 from support.targets import HEAD, legs, point_of, tracks_of, walk_of
 
 from animtool.core.clock import Clock
@@ -183,9 +184,8 @@ def test_a_chain_that_cannot_move_is_refused(tmp_path: Path) -> None:
     (fault,) = caught.value.faults
     assert (fault.code, fault.where) == ("IK003", "goals[0]")
     assert fault.path == str(tracks.path)
-    with pytest.raises(OptionError, match="did you mean 'tail'") as caught:
+    with raises(OptionError, "TGT001", match="'tail'") as caught:
         solve_take(take, tracks, TakeOptions(joints=("tale",)))
-    assert caught.value.code == "TGT001"
 
 
 def test_limits_that_are_reversed_are_refused(tmp_path: Path) -> None:
@@ -358,9 +358,8 @@ def test_scaled_joints_are_refused(tmp_path: Path) -> None:
     assert held(tmp_path, replace(take, motion=tail)).misses.max() < 2e-6
     scales[:, 0] = 2.0
     hips = replace(take.motion, scales=Channel.from_dense(scales))
-    with pytest.raises(OptionError, match="'hips', which is scaled") as caught:
+    with raises(OptionError, "TGT016", match="'hips'"):
         held(tmp_path, replace(take, motion=hips))
-    assert caught.value.code == "TGT016"
 
 
 def test_joints_that_follow_are_taken_along(tmp_path: Path) -> None:

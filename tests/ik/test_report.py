@@ -22,8 +22,8 @@ from animtool.ik.report import (
 from animtool.ik.take_run import Smoothing, TakeIk
 
 
-@pytest.fixture
-def solved(tmp_path: Path) -> TakeIk:
+@pytest.fixture(scope="module")
+def solved(tmp_path_factory: pytest.TempPathFactory) -> TakeIk:
     """Return a take whose left foot is out of reach in the middle."""
     keys = ", ".join(f"{{t: {t}, v: [0.2, {y}, 0.1]}}" for t, y in
                      ((1, 0.2), (10, 0.2), (12, 4), (20, 4), (22, 0.2)))  # fmt: skip
@@ -32,7 +32,8 @@ def solved(tmp_path: Path) -> TakeIk:
         "- {effector: leg_r, hold: [[4, 8]], ease: 0}\n"
     )
     take = walk_of(legs())
-    return solve_take(take, tracks_of(tmp_path, goals, take.rig, HEAD))
+    folder = tmp_path_factory.mktemp("targets")
+    return solve_take(take, tracks_of(folder, goals, take.rig, HEAD))
 
 
 def test_figures_are_over_the_frames_that_ask(solved: TakeIk) -> None:

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
+from support.faults import raises
 from support.small_takes import small, with_tracks
 
 from animtool.core.errors import OptionError
@@ -71,6 +72,5 @@ def test_a_pass_that_loses_tracks_is_refused(scope: Scope) -> None:
 
     loser = Pass("loser", "Loses tracks", NoOptions, scope, run)
     stream = TakeStream.of(with_tracks(small()))
-    with pytest.raises(OptionError, match="loser") as error:
+    with raises(OptionError, "SCN045"):
         apply_pass(stream, loser, NoOptions(), CONTEXT).collect()
-    assert error.value.code == "SCN045"

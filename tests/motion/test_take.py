@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from support.faults import raises
 
 from animtool.core.array_types import FloatArray
 from animtool.core.clock import Clock
@@ -140,7 +141,7 @@ def test_a_still_joint_with_no_rotation_is_refused() -> None:
     clock = Clock(Fraction(24), Fraction(1), Fraction(1), 3)
     still = np.zeros((3, 2, 4))
     motion = Motion(Channel.from_dense(np.zeros((3, 2, 3))), Channel.from_dense(still))
-    with pytest.raises(OptionError, match="joint 'a' is"):
+    with raises(OptionError, "TAKE005", match="'a'"):
         Take(rig, clock, motion)
 
 

@@ -160,6 +160,7 @@ def test_pre_commit_knows_the_hooks_and_the_recipe(
     assert {hook["id"] for hook in repo["hooks"]} <= known
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("text", "code", "word"),
     [(WARNED, 0, "Passed"), (WRONG, 1, "DOC022")],
@@ -174,6 +175,7 @@ def test_a_commit_is_checked(
     assert "notes.yaml" not in ended.said
 
 
+@pytest.mark.slow
 def test_a_commit_is_mended(committing: Repository) -> None:
     committing.write({"a.rig.yaml": MENDABLE, "b.rig.yaml": RIGHT})
     first = pre_commit(committing, "run", "animtool-fix", "--all-files")
@@ -262,6 +264,7 @@ def test_inputs_of_the_action(
     assert not (repository.folder / "x").exists()
 
 
+@pytest.mark.slow
 def test_the_action_writes_sarif(root: Path, repository: Repository) -> None:
     repository.write({"a.rig.yaml": WRONG})
     ended = run_action(root, repository, sarif="out.sarif")
@@ -289,6 +292,7 @@ def commands(root: Path, name: str) -> list[str]:
     return [*job["before_script"], *job["script"]]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "text", "code"), [("gitlab-ci.yml", RIGHT, 0), ("Jenkinsfile", WARNED, 1)]
 )
@@ -308,6 +312,7 @@ def test_recipes_with_junit(
     assert len(tree.findall(".//testcase")) == 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("files", "code", "word"),
     [

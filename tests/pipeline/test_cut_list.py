@@ -145,7 +145,6 @@ def test_a_shot_baked_alone_is_that_of_the_batch(tmp_path: Path) -> None:
     assert made == (tmp_path / "out/sh020.usdc").read_bytes()
 
 
-@pytest.mark.slow
 def test_shots_become_layers_over_a_rig(tmp_path: Path) -> None:
     edit(tmp_path, 24, own=True)
     one = ["bake", "sh010_take.bvh", "-o", "rig.usda", "--split", "--start", 1]

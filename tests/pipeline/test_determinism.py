@@ -75,6 +75,7 @@ def folders(
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("form", FORMS)
 def test_the_same_bytes_in_every_process(
     folders: dict[str, tuple[Path, str]], form: str

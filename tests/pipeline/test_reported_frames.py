@@ -157,6 +157,7 @@ goals:
 """
 
 
+@pytest.mark.slow
 def test_ik_says_the_frames_that_it_writes(workplace: Path) -> None:
     """It said those of the clip, and wrote those of the rig layer."""
     biped, stride = "rigs/biped/biped.rig.yaml", "samples/stride/stride.clip.yaml"

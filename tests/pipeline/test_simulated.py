@@ -164,6 +164,7 @@ def test_point_caches_have_what_is_simulated(walker: Path) -> None:
     assert_array_equal(points(out, "body"), body)
 
 
+@pytest.mark.slow
 def test_frames_of_the_output_do_not_change_the_motion(walker: Path) -> None:
     out = walker.parent / "out.usdc"
     assert animtool("bake", walker, "--velocities").code == 0

@@ -192,6 +192,7 @@ for chunk in json.loads(sys.argv[3]):
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="peaks from a moment on")
 @pytest.mark.skipif(SANITIZED, reason="sanitizers keep memory")
 def test_memory_stays_the_same(tmp_path: Path) -> None:

@@ -41,6 +41,7 @@ PANEL = Panel(
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", SUFFIXES)
 def test_a_picture_is_drawn_and_the_same_each_time(tmp_path: Path, suffix: str) -> None:
     pytest.importorskip("matplotlib", reason="no matplotlib (extra: preview)")

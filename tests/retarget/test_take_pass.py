@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from support.faults import raises
 
 from animtool import Channel, Motion, Rig, Take, open_source
 from animtool.core.errors import OptionError
@@ -67,5 +68,5 @@ def test_offsets_that_are_not_the_rest_pose(root: Path) -> None:
 @pytest.mark.parametrize("key", ["preset", "target_preset"])
 def test_a_convention_of_either_skeleton_can_be_said(root: Path, key: str) -> None:
     walk = open_source(root / "samples/walk/walk.bvh").collect()
-    with pytest.raises(OptionError, match="mixamoo"):
+    with raises(OptionError, "MAP003"):
         onto_rig(TakeStream.of(walk), walk.rig, RetargetOptions(**{key: "mixamoo"}))

@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from support.cli import animtool
-from support.faults import document_faults, refused
+from support.faults import document_faults, raises, refused
 from support.suite import examples
 
 from animtool.core.errors import Fault, FormatError
@@ -706,9 +706,8 @@ def test_a_fault_of_a_sidecar(
 
 def test_a_base_that_cannot_be_read(yard: Path) -> None:
     (yard / "hero.usda").write_text("nothing")
-    with pytest.raises(FormatError, match="USD001") as caught:
+    with raises(FormatError, "RIG023", match="USD001"):
         sidecar(yard, SIDECAR)
-    assert caught.value.code == "RIG023"
 
 
 def chain(folder: Path, *names: str) -> Path:
@@ -827,5 +826,5 @@ def test_cloth_of_a_base_goes_with_its_mesh(tmp_path: Path) -> None:
 
 def test_too_many_sidecars(tmp_path: Path) -> None:
     path = chain(tmp_path, *"abcdefghijklmnopqrstuvwxyz")
-    with pytest.raises(FormatError, match="RIG030"):
+    with raises(FormatError, "RIG023", match="RIG030"):
         Rig.load(path)

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import pytest
+from support.faults import raises
 
 from animtool.core.errors import FormatError, OptionError
 from animtool.rig import skeleton
@@ -36,7 +37,7 @@ def test_a_name_stands_once() -> None:
 
 @pytest.mark.parametrize("parent", [1, 2, -2])
 def test_parents_come_first(parent: int) -> None:
-    with pytest.raises(OptionError, match="precede"):
+    with raises(OptionError, "RIG003"):
         Rig("late", (Joint("a", -1), Joint("b", parent)))
 
 

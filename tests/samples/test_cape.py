@@ -16,6 +16,8 @@ from animtool.rig.file import load_rig
 from animtool.rig.surfaces import surfaces_of
 from animtool.scene.file.read import load_scene
 
+pytestmark = pytest.mark.slow(seconds=3)
+
 ROOT = Path(__file__).parents[2]
 SCENE = ROOT / "samples/cape/cape.scene.yaml"
 COMMAND = "animtool bake samples/cape/cape.scene.yaml"
@@ -43,7 +45,6 @@ def baked(printed: Printed) -> dict[str, np.ndarray]:
     }
 
 
-@pytest.mark.slow(3)
 @pytest.mark.parametrize("name", ["cape", "hair"])
 def test_the_cycle_comes_round(baked: dict[str, np.ndarray], name: str) -> None:
     points = baked[name]

@@ -29,6 +29,7 @@ def test_the_script_makes_the_files(
         np.testing.assert_array_equal(made["uv8"], kept["uv8"])
 
 
+@pytest.mark.slow
 def test_a_giant_walks_as_the_cameras_saw(tmp_path: Path) -> None:
     scene = FOLDER / "giant.scene.yaml"
     done = animtool("bake", scene, "-o", tmp_path / "giant.usdc", "--strict")
@@ -52,6 +53,7 @@ def test_the_walk_comes_back(printed: Printed) -> None:
         assert np.linalg.norm(away, axis=1).max() < 0.005, joint
 
 
+@pytest.mark.slow
 def test_it_goes_step_by_step(tmp_path: Path) -> None:
     markers = tmp_path / "markers.npz"
     cameras = FOLDER / "stage.cameras.yaml"

@@ -72,6 +72,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["wave", "touch", "both"])
 def test_drivers_act_on_every_motion(made: Path, name: str) -> None:
     check_driven(open_source(made / f"{name}.usdc").collect())

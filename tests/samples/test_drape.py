@@ -32,11 +32,13 @@ def points(baked: Path) -> np.ndarray:
     return np.array(rows, np.float64)
 
 
+@pytest.mark.slow(seconds=6)
 def test_it_is_valid(baked: Path) -> None:
     files = [baked, FOLDER / "drape.scene.yaml", FOLDER / "vase.usda"]
     assert list(validate(files)) == []
 
 
+@pytest.mark.slow(seconds=6)
 def test_it_stays_outside_the_vase(points: np.ndarray) -> None:
     stage = Usd.Stage.Open(str(FOLDER / "vase.usda"))
     vase = UsdGeom.Mesh(stage.GetPrimAtPath("/vase/body"))
@@ -49,6 +51,7 @@ def test_it_stays_outside_the_vase(points: np.ndarray) -> None:
     assert (seen.sample(points[-1], 0.0).distances < 0.007).sum() > 50
 
 
+@pytest.mark.slow(seconds=6)
 def test_it_comes_to_rest_on_it(points: np.ndarray) -> None:
     assert points[-1, :, 1].max() == pytest.approx(0.635 + 0.006, abs=1e-3)
     top = points[-1, :, 1] > 0.6

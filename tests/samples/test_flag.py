@@ -11,6 +11,8 @@ from support.printed import Printed
 
 from animtool.validation.run import validate
 
+pytestmark = pytest.mark.slow(seconds=4)
+
 FOLDER = Path(__file__).parents[2] / "samples/flag"
 COLUMNS, ROWS, FRAMES = 34, 23, 48
 

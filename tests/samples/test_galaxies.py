@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 from pxr import Usd, UsdGeom
 from support.printed import Printed
 
@@ -13,6 +14,7 @@ from animtool.validation.run import validate
 FOLDER = Path(__file__).parents[2] / "samples/galaxies"
 
 
+@pytest.mark.slow(seconds=5)
 def test_two_galaxies_meet_and_draw_out_tails(printed: Printed) -> None:
     command = "animtool bake samples/galaxies/galaxies.scene.yaml -o galaxies.usdc"
     output = printed(command) / "galaxies.usdc"

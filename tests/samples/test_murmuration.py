@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 from pxr import Usd, UsdGeom
 from support.printed import Printed
 
@@ -13,6 +14,7 @@ from animtool.validation.run import validate
 FOLDER = Path(__file__).parents[2] / "samples/murmuration"
 
 
+@pytest.mark.slow(seconds=2)
 def test_starlings_flee_the_hawk_around_the_tower(printed: Printed) -> None:
     command = "animtool bake samples/murmuration/murmuration.scene.yaml"
     output = printed(f"{command} -o murmuration.usdc") / "murmuration.usdc"

@@ -60,6 +60,7 @@ FOLDERS = sorted(
 )
 
 
+@pytest.mark.slow
 def test_nothing_is_found_in_any() -> None:
     names = at_night(FOLDERS, [name for name in FOLDERS if name not in LONG])
     folders = [ROOT / "samples" / name for name in names]

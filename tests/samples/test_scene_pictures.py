@@ -19,6 +19,15 @@ NAMES = ["flag", "drape", "sheets", "embers", "rope", "murmuration", "fall"]
 # Atoms that collide are elsewhere after a few hundred steps where another processor
 # rounds one number another way: only how much of what is drawn is the same.
 CHAOTIC = {"argon"}
+# What takes long where a scene is baked first [s].
+SECONDS = {
+    "flag": 4,
+    "drape": 6,
+    "sheets": 2,
+    "murmuration": 2,
+    "fall": 3,
+    "galaxies": 5,
+}
 # One script draws them.
 SIMULATED = ["wingnut", "dominoes", "wrecking_ball", "galaxies", "argon"]
 
@@ -45,7 +54,15 @@ def pixels(path: Path) -> np.ndarray:
         return np.asarray(opened.convert("RGB"), np.float64)
 
 
-@pytest.mark.parametrize("name", [*NAMES, *SIMULATED])
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=pytest.mark.slow(SECONDS[name]))
+        if name in SECONDS
+        else name
+        for name in (*NAMES, *SIMULATED)
+    ],
+)
 def test_the_committed_picture_is_what_is_drawn(
     printed: Printed, simulated: dict[str, Any], tmp_path: Path, name: str
 ) -> None:

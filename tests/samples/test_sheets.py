@@ -11,6 +11,8 @@ from support.printed import Printed
 
 from animtool.validation.run import validate
 
+pytestmark = pytest.mark.slow(seconds=2)
+
 FOLDER = Path(__file__).parents[2] / "samples/sheets"
 KINDS = ("hung", "draped")
 SIDE = 1 / 24

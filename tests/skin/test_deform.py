@@ -3,6 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from support.faults import raises
 from support.skins import Array, random_case
 
 from animtool.core.errors import FormatError
@@ -161,7 +162,7 @@ def test_parts_that_do_not_fit_are_refused() -> None:
 
 
 def test_normals_of_vertices_that_are_not_there_are_refused() -> None:
-    with pytest.raises(FormatError, match="SKIN002"):
+    with raises(FormatError, "SKIN002"):
         DeformedMesh(np.eye(3), normals=np.eye(3)[:1], normal_vertices=np.array([3]))
 
 

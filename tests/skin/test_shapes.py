@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
+from support.faults import raises
 from support.skins import Array
 
 from animtool.core.errors import FormatError
@@ -209,9 +210,8 @@ ROW = [[0.0, 0.0, 0.0]]
     ],
 )
 def test_a_fault_is_named(shape: ShapeDeltas, code: str) -> None:
-    with pytest.raises(FormatError, match="'s'") as caught:
+    with raises(FormatError, code, match="'s'"):
         prepare_shapes([shape], np.zeros((2, 3)))
-    assert caught.value.code == code
 
 
 def test_the_faults_of_all_shapes_are_told_at_once() -> None:

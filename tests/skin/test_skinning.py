@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from pxr import Gf, UsdSkel, Vt
+from support.faults import raises
 from support.skins import (
     Array,
     Case,
@@ -345,5 +346,5 @@ def test_a_singular_bind_of_a_joint_that_nothing_follows_is_no_fault() -> None:
 def test_a_joint_that_is_not_finite_is_named(method: SkinMethod) -> None:
     case = random_case(0).with_method(method)
     case.world.linear[2, 3, 0, 0] = np.nan
-    with pytest.raises(FormatError, match="SKIN003 joint 3 is not finite in frame 2"):
+    with raises(FormatError, "SKIN003", match="joint 3 is not finite in frame 2"):
         skinned(case)

@@ -7,10 +7,28 @@ from contextlib import contextmanager
 
 import pytest
 
-from animtool.core.errors import FormatError
+from animtool.core.errors import AnimtoolError, FormatError
 
 # Text to find, text to put there, code, line.
 Planted = tuple[str, str, str, int]
+
+
+@contextmanager
+def raises(
+    kind: type[AnimtoolError] | tuple[type[Exception], ...],
+    *codes: str,
+    match: str | None = None,
+) -> Iterator[pytest.ExceptionInfo[AnimtoolError]]:
+    """Check that an error is raised for faults of some codes alone.
+
+    Args:
+        kind: Of the error.
+        codes: Of its faults, in their order.
+        match: What the message has besides, such as a name or a number.
+    """
+    with pytest.raises(kind, match=match) as caught:
+        yield caught
+    assert tuple(fault.code for fault in caught.value.faults) == codes
 
 
 @contextmanager

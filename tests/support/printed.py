@@ -9,6 +9,7 @@ import shlex
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 from filelock import FileLock
 
@@ -34,6 +35,12 @@ DOCUMENTS = [
 ]
 
 
+# What is recorded of markers and landmarks, and the array that has a row a frame.
+RECORDINGS = {
+    "samples/capture/take.npz": "uv8",
+    "samples/face/helmet.npz": "landmarks_px",
+    "samples/face/speech.npz": "landmarks_mm",
+}
 # What no command reads.
 NO_INPUT = shutil.ignore_patterns("*.png", "*.py", "*.md", "__pycache__")
 
@@ -58,6 +65,30 @@ def make_project(folder: Path) -> None:
     (folder / "animtool.toml").touch()
 
 
+def shorten(folder: Path) -> None:
+    """Leave a project a quarter of the frames that are simulated or solved for."""
+    for path in sorted(folder.glob("samples/*/*.scene.yaml")):
+        text = path.read_text("utf-8")
+        if "\nsystems:" in text:
+            text = re.sub(r"(?<=^range: \[)1, (\d+)", _quarter, text, flags=re.M)
+            text = re.sub(r"(preroll): \S+", r"\1: 0.1", text)
+        elif re.search("ragdoll|simulate", text):
+            # One cycle of the walk, where several are done.
+            text = re.sub(r"(repeats): \d", r"\1: 1", text)
+        path.write_text(text, "utf-8")
+    for name, key in RECORDINGS.items():
+        path = folder / name
+        with np.load(path) as held:
+            arrays = dict(held)
+        arrays[key] = arrays[key][: len(arrays[key]) // 4]
+        np.savez(path, **arrays)
+
+
+def _quarter(found: re.Match[str]) -> str:
+    last = int(found[1])
+    return f"1, {max(last // 4, min(last, 12))}"
+
+
 def run_printed(command: str, folder: Path) -> Done:
     """Run a command as a document has it, which is to succeed."""
     done = animtool(*shlex.split(command)[1:], cwd=folder)
@@ -69,12 +100,17 @@ class Printed:
     """What commands make of a project that nothing else was run in.
 
     The processes that tests run in share it.
+
+    Args:
+        factory: Of temporary folders.
+        short: Whether the project is one of few frames.
     """
 
-    def __init__(self, factory: pytest.TempPathFactory) -> None:
+    def __init__(self, factory: pytest.TempPathFactory, *, short: bool = False) -> None:
         base = factory.getbasetemp()
         among = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
-        self._folder = among / "printed"
+        self._short = short
+        self._folder = among / ("printed-short" if short else "printed")
         self._folder.mkdir(exist_ok=True)
 
     def __call__(self, command: str) -> Path:
@@ -85,6 +121,8 @@ class Printed:
             if not made.exists():
                 shutil.rmtree(project, ignore_errors=True)
                 make_project(project)
+                if self._short:
+                    shorten(project)
                 given = files_in(project)
                 done = run_printed(command, project)
                 self._stderr(name).write_text(done.stderr, "utf-8")

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import gc
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import pytest
 from _pytest.doctest import DoctestModule
+from _pytest.mark import ParameterSet
 from hypothesis import settings
 
 T = TypeVar("T")
@@ -19,6 +20,8 @@ F = TypeVar("F", bound=Callable[..., None])
 FAST = 30
 # Of a test that is marked as slow without a number [s].
 SLOW = 2.0
+# Of one of many that are slow together [s].
+SOME = 0.2
 
 
 class Collecting:
@@ -89,6 +92,22 @@ def one_of(parameters: Sequence[T], turn: int) -> list[T]:
     if is_full() or len(parameters) < 2:
         return [*parameters]
     return [parameters[turn % len(parameters)]]
+
+
+def some_quick(values: Iterable[object], one_in: int, turn: int = 0) -> list[Any]:
+    """Return parameters, all but one in several of them marked as slow.
+
+    Each is quick by itself, and all of them together are not. Several arguments are
+    given as `pytest.param`. Tests over the same
+    values take another turn each, so that of all values some test is quick.
+    """
+    return [
+        pytest.param(*one.values, id=one.id, marks=[*one.marks, pytest.mark.slow(SOME)])
+        if (i - turn) % one_in
+        else one
+        for i, value in enumerate(values)
+        for one in [value if isinstance(value, ParameterSet) else pytest.param(value)]
+    ]
 
 
 def seconds_of(item: pytest.Item) -> float:

@@ -28,6 +28,7 @@ sys.exit(run(["bake", sys.argv[3], "-o", sys.argv[4]]))
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("module", "number"),
     [

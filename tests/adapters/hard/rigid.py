@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from adapters.hard.subsystem import Subsystem, resting_seconds
 from numpy.testing import assert_array_equal
+from support.faults import raises
 from support.rigid import FLOOR, Rigid, ball, box
 
 from animtool.core.errors import AnimtoolError, FormatError, OptionError
@@ -38,7 +39,7 @@ def _coincident(method: str) -> None:
 
 def _zero_mass(method: str) -> None:
     for mass in (0, -1, float("nan")):
-        with pytest.raises((FormatError, ValueError), match="mass"):
+        with raises((FormatError, ValueError), "DOC022", match="mass"):
             _bodies(ball(0.1, mass=mass), method=method)
 
 
@@ -52,7 +53,7 @@ def _dt_zero(method: str) -> None:
 def _dt_negative(method: str) -> None:
     found = _bodies(ball(0.1), method=method)
     found.to(1.0)
-    with pytest.raises(OptionError, match="SIM002"):
+    with raises(OptionError, "SIM002"):
         found.to(0.5)
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from support.faults import raises
 
 from animtool.capture.face import FaceModel, fit_face, transfer_weights
 from animtool.capture.face import solve as solving
@@ -105,7 +106,7 @@ def test_one_camera_that_goes_with_the_head() -> None:
     fit = fit_face(model, pixels, 60, camera=camera)
     assert np.abs(fit.weights - weights).max() < 0.02
     assert fit.rms < 0.05
-    with pytest.raises(OptionError, match="FAC010"):
+    with raises(OptionError, "FAC010"):
         fit_face(model, np.full_like(pixels, 5.0), 60, camera=camera)
 
 
@@ -130,17 +131,17 @@ def test_landmarks_that_do_not_fit() -> None:
         (seen * 1000, "FAC006"),
         (seen / 1000, "FAC006"),
     ):
-        with pytest.raises(OptionError, match=code):
+        with raises(OptionError, code):
             fit_face(model, wrong, 60)
     still = replace(model, deltas=model.deltas * 0)
-    with pytest.raises(OptionError, match="FAC007"):
+    with raises(OptionError, "FAC007"):
         fit_face(still, seen, 60)
     one = FaceModel(("a",), ("s",), np.zeros((1, 3)), np.ones((1, 1, 3)))
-    with pytest.raises(OptionError, match="FAC004"):
+    with raises(OptionError, "FAC004"):
         fit_face(one, np.zeros((5, 1, 3)), 60)
-    with pytest.raises(OptionError, match="FAC003"):
+    with raises(OptionError, "FAC003"):
         replace(model, neutral=model.neutral[:4])
-    with pytest.raises(OptionError, match="FAC003"):
+    with raises(OptionError, "FAC003"):
         replace(model, deltas=model.deltas * np.nan)
     # A landmark somewhere else counts for little, and is named.
     astray = placed(model.points(made_weights()))
@@ -198,10 +199,10 @@ def test_files_of_landmarks(tmp_path: Path) -> None:
             **{"delta_mm": np.zeros((2, 4, 3)), "shape_names": np.array(["a", "b"])},
         },
     ):
-        with pytest.raises(FormatError, match="FAC003"):
+        with raises(FormatError, "FAC003"):
             read_capture(saved(**arrays))
     path.write_bytes(b"no archive")
-    with pytest.raises(FormatError, match="FAC003"):
+    with raises(FormatError, "FAC003"):
         read_capture(path)
 
 
@@ -214,9 +215,9 @@ def test_landmarks_are_found_by_name() -> None:
     assert np.isnan(found[0, 0]).all()
     assert found[0, 1].tolist() == points[0, LANDMARKS - 2].tolist()
     assert [n.code for n in notices] == ["FAC107", "FAC107"]
-    with pytest.raises(OptionError, match="FAC004"):
+    with raises(OptionError, "FAC004"):
         in_order(FaceCapture(Path("x"), ("q",), clock, points[:, :1]), model)
-    with pytest.raises(OptionError, match="FAC004"):
+    with raises(OptionError, "FAC004"):
         in_order(FaceCapture(Path("x"), None, clock, points[:, :3]), model)
 
 
@@ -244,7 +245,7 @@ def test_landmarks_files_that_do_not_fit(tmp_path: Path, points: str) -> None:
     path = tmp_path / "x.landmarks.yaml"
     path.write_text(f"landmarks: animtool/1\npoints: {points}\n", "utf-8")
     rig = Rig.load(ROOT / "rigs/head/head.rig.yaml")
-    with pytest.raises(FormatError, match="FAC008"):
+    with raises(FormatError, "FAC008"):
         face_model(load_landmarks(path), rig)
 
 
@@ -265,13 +266,13 @@ def test_remap_files(tmp_path: Path) -> None:
         (2, 1, 1.0),
     ]
     assert (links.lost, links.resting) == (("brow",), ())
-    with pytest.raises(FormatError, match="FAC001"):
+    with raises(FormatError, "FAC001"):
         link_shapes(["a"], ["b"], load_remap(written("[{source: a, target: c}]")))
     for wrong in (
         "[{source: a, target: b}, {source: a, target: b}]",
         "[{source: a, target: b, clamp: [1, 0]}]",
     ):
-        with pytest.raises(FormatError, match="FAC002"):
+        with raises(FormatError, "FAC002"):
             load_remap(written(wrong))
 
 
@@ -293,7 +294,7 @@ def test_weights_from_one_face_to_another() -> None:
     )
     moved = target.points(made.weights) - 2 * source.points(weights)
     assert np.sqrt((moved**2).mean()) < 0.002
-    with pytest.raises(OptionError, match="FAC009"):
+    with raises(OptionError, "FAC009"):
         transfer_weights(weights, source.shapes, target.shapes)
     named = transfer_weights(weights[:, :2], ["JawOpen", "q"], ["jaw_open"])
     assert_array_equal(named.weights[:, 0], weights[:, 0])

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from support.clouds import MARKER_SETS, cloud
+from support.faults import raises
 from support.named import scores_of
 from support.suite import is_full
 
@@ -29,7 +30,6 @@ MADE = [
 ]
 
 
-@pytest.mark.slow(seconds=2)
 @pytest.mark.parametrize("seed", MADE)
 def test_points_of_made_people_get_their_names(seed: int) -> None:
     made = cloud(seed)
@@ -38,6 +38,7 @@ def test_points_of_made_people_get_their_names(seed: int) -> None:
     assert min(scores_of(named, points, made.truth["perm"])) >= NAMED
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("markers", MARKER_SETS)
 def test_short_takes_get_their_names(markers: str) -> None:
     made = cloud(200, "rom", markers, 300)
@@ -51,7 +52,7 @@ def test_another_subject_is_refused() -> None:
     made = cloud(200, "rom", "body41", 300)
     static = made.markers("static_mm")
     giant = replace(static, positions=3.7 * static.positions)
-    with pytest.raises(OptionError, match="MKR021"):
+    with raises(OptionError, "MKR021"):
         label(made.markers("unlabelled_mm"), giant)
 
 

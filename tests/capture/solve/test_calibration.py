@@ -68,6 +68,7 @@ def test_gaps_spikes_and_skin_do_not_matter_much() -> None:
     assert (np.abs(found.scales - SCALES) <= 2 * TOLERANCES).all()
 
 
+@pytest.mark.slow
 def test_markers_at_an_end_go_with_the_bone_that_leads_there() -> None:
     """Of a person whose head hardly moves on the neck, in a walk."""
     made = cloud(1008)

@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from support.faults import raises
 
 from animtool.core.errors import AnimtoolError, OptionError, OutputError
 from animtool.core.files.leftovers import (
@@ -56,7 +57,7 @@ def test_many_outputs_that_exist_are_one_fault(tmp_path: Path) -> None:
     outputs = [tmp_path / f"a.{k:03d}.usdc" for k in range(5)]
     for path in outputs:
         path.touch()
-    with pytest.raises(OptionError, match="and so do 4 other outputs") as caught:
+    with raises(OptionError, "OUT001", match="and so do 4 other outputs") as caught:
         check_outputs(outputs, [], overwrite=False)
     (fault,) = caught.value.faults
     assert (fault.code, fault.path) == ("OUT001", str(outputs[0]))

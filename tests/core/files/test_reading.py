@@ -7,6 +7,7 @@ import socket
 from pathlib import Path
 
 import pytest
+from support.faults import raises
 
 from animtool.batch.item import read_rules
 from animtool.cli.main import run
@@ -161,7 +162,7 @@ def test_no_command_waits_for_what_is_no_file(
 def test_standard_input_is_no_file() -> None:
     reader, writer = os.pipe()
     try:
-        with pytest.raises(FormatError, match="is a pipe"):
+        with raises(FormatError, "IO001"):
             open_input(Path(f"/dev/fd/{reader}"))
     finally:
         os.close(reader)
@@ -184,7 +185,7 @@ def test_a_file_over_the_limit_is_not_read(tmp_path: Path) -> None:
     assert error.value.code == "IO010"
     with path.open("wb") as file:
         file.truncate(files.MAX_INPUT_BYTES + 1)
-    with pytest.raises(FormatError, match="IO010"):
+    with raises(FormatError, "IO010"):
         read_input(path)
 
 
@@ -192,7 +193,7 @@ def test_a_file_over_the_limit_is_not_read(tmp_path: Path) -> None:
 def test_settings_are_not_read_without_end(tmp_path: Path, name: str) -> None:
     with (tmp_path / name).open("wb") as file:
         file.truncate(files.MAX_TEXT_BYTES + 1)
-    with pytest.raises(AnimtoolError, match="CFG001"):
+    with raises(AnimtoolError, "CFG001"):
         find_config(tmp_path / "a.bvh")
 
 
@@ -200,7 +201,7 @@ def test_rules_of_paths_are_not_read_without_end(tmp_path: Path) -> None:
     path = tmp_path / "rules.json"
     with path.open("wb") as file:
         file.truncate(files.MAX_TEXT_BYTES + 1)
-    with pytest.raises(FormatError, match="BAT038"):
+    with raises(FormatError, "BAT038"):
         read_rules(path)
 
 
@@ -211,7 +212,7 @@ def test_a_file_that_grows_is_read_as_long_as_it_was(tmp_path: Path) -> None:
         more.write(b"67")
         more.flush()
         assert file.readall() == b"12345"
-        with pytest.raises(FormatError, match="IO004"):
+        with raises(FormatError, "IO004"):
             file.check()
 
 
@@ -225,7 +226,7 @@ def test_what_is_read_is_what_was_noted(tmp_path: Path) -> None:
         read_input(path)
         # It is the first one again: what was read in between was not.
         kept.replace(path)
-    with pytest.raises(FormatError, match="IO004"):
+    with raises(FormatError, "IO004"):
         inputs.check()
 
 
@@ -234,7 +235,7 @@ def test_rows_are_those_of_the_header(walk: Path, tmp_path: Path) -> None:
     path.write_bytes(walk.read_bytes())
     stream = read_bvh(path)
     path.write_bytes(walk.read_bytes() + b"\n")
-    with pytest.raises(FormatError, match="IO004"):
+    with raises(FormatError, "IO004"):
         next(stream.blocks)
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from support.faults import raises
 
 from animtool.core.errors import FormatError, OptionError
 from animtool.formats.livelink import read_livelink, write_livelink
@@ -62,7 +63,7 @@ def test_dropped_frames(write: Write) -> None:
     assert codes == ["LLF107", "LLF101"]
     assert blinks(take_of(path, dropped="hold")[0]) == [0.01, *[0.02] * 3, 0.05, 0.06]
     assert blinks(take_of(path, dropped="close")[0]) == [0.01, 0.02, 0.05, 0.06]
-    with pytest.raises(OptionError, match="SCN022"):
+    with raises(OptionError, "SCN022"):
         read_livelink(path, dropped="guess")  # type: ignore[arg-type]
 
 
@@ -241,7 +242,7 @@ def test_on_a_rig(write: Write, tmp_path: Path) -> None:
     assert abs(abs(float(world @ expected)) - 1) < 1e-12
     bare = tmp_path / "bare.rig.yaml"
     bare.write_text(rig_text(Rig("bare", (Joint("a", -1),))), "utf-8")
-    with pytest.raises(OptionError, match="LLF007"):
+    with raises(OptionError, "LLF007"):
         read_livelink(write(rows(1)), rig=bare)
     remap = tmp_path / "hero.remap.yaml"
     remap.write_text(
@@ -264,8 +265,8 @@ def test_what_a_recording_does_not_hold(write: Write, tmp_path: Path) -> None:
     (notice,) = write_livelink(odd, tmp_path / "odd.csv")
     assert notice.code == "LLF111"
     none = replace(take, rig=replace(take.rig, shapes=(Shape("a"), Shape("b"))))
-    with pytest.raises(OptionError, match="LLF008"):
+    with raises(OptionError, "LLF008"):
         write_livelink(none, tmp_path / "none.csv")
     slow = replace(take, clock=replace(take.clock, fps=Fraction(47, 2)))
-    with pytest.raises(OptionError, match="LLF009"):
+    with raises(OptionError, "LLF009"):
         write_livelink(slow, tmp_path / "slow.csv")

@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.cli import animtool
+from support.faults import raises
 
 from animtool.core.clock import Clock
 from animtool.core.errors import AnimtoolError
@@ -192,9 +193,8 @@ def test_cells_of_several_numbers_are_refused(
     write: Callable[[str], Path], kind: str, cell: str, named: str
 ) -> None:
     rows = f"0\t{cell}\t{cell}\n0.01\t{cell}\t{cell}\n"
-    with pytest.raises(AnimtoolError, match=named) as error:
+    with raises(AnimtoolError, "MOF009", match=named):
         read_mot(write(f"{kind}endheader\ntime\ta\tb\n{rows}"))
-    assert error.value.code == "MOF009"
 
 
 @pytest.mark.parametrize(
@@ -234,9 +234,8 @@ def test_broken_files(
 
 def test_a_coordinate_given_twice(write: Callable[[str], Path], rig_file: Path) -> None:
     table = ROWS.replace("lift", "knee.angle")
-    with pytest.raises(AnimtoolError, match="the same coordinate") as error:
+    with raises(AnimtoolError, "MOF004"):
         read_mot(write(HEAD + table), rig=rig_file)
-    assert error.value.code == "MOF004"
 
 
 def test_a_rig_with_none_of_the_columns(

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support.faults import raises
 
 from animtool.core.clock import Clock
 from animtool.core.errors import FormatError
@@ -139,9 +140,8 @@ def test_separators_and_decimal_commas(
         text = text.replace("\t\t\t", " ").replace("\tm\n", "\tm \n")
     text = text.replace("\t", separator)
     if comma and separator == ",":
-        with pytest.raises(FormatError, match=r"values") as caught:
+        with raises(FormatError, "TRC002"):
             read(tmp_path, text)
-        assert caught.value.code == "TRC002"
         return
     markers = read(tmp_path, text)
     assert codes(markers) == (["TRC108"] if comma else [])
@@ -182,6 +182,7 @@ def test_rows_that_are_cut_short(
     assert codes(markers) == said
 
 
+@pytest.mark.slow
 def test_opensim_reads_what_is_written(tmp_path: Path) -> None:
     reason = "opensim is not installed: pip install opensim"
     opensim = pytest.importorskip("opensim", reason=reason)

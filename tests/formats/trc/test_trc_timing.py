@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support.faults import raises
 
 from animtool.core.errors import FormatError
 from animtool.formats.trc import read_trc, write_trc
@@ -144,9 +145,8 @@ def test_a_rate_takes_rows_by_their_numbers(
 def test_times_that_do_not_grow_are_refused(
     tmp_path: Path, numbers: list[int], times: list[str], line: int | None, words: str
 ) -> None:
-    with pytest.raises(FormatError, match=words) as caught:
+    with raises(FormatError, "TRC003", match=words) as caught:
         read(tmp_path, text(numbers, times, 10))
-    assert caught.value.code == "TRC003"
     assert caught.value.faults[0].lines == (() if line is None else (line,))
 
 

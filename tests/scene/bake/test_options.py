@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from support.faults import raises
 
 from animtool.core.errors import OptionError
 from animtool.core.rates import FractionLike
@@ -76,7 +77,7 @@ def test_what_goes_together(given: dict[str, Any]) -> None:
 )
 def test_what_stdout_cannot_hold(given: dict[str, Any]) -> None:
     check_options(BakeOptions(**given), to_stdout=False)
-    with pytest.raises(OptionError, match=r"stdout|-o -"):
+    with raises(OptionError, "CLI002"):
         check_options(BakeOptions(**given), to_stdout=True)
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support.cli import animtool
-from support.faults import refused
+from support.faults import raises, refused
 
 from animtool import bake, open_source
 from animtool.core.errors import FormatError
@@ -314,7 +314,7 @@ def test_a_file_that_a_variable_names_may_be_anywhere(
     shot.write_text(GOOD.replace("walk.bvh", '"${input}"'), "utf-8")
     assert load_scene(shot, {"input": str(away)}).sources[0].path == away.resolve()
     outside = {"input": "../" + away.parent.name + "/far.bvh"}
-    with pytest.raises(FormatError, match="DOC014"):
+    with raises(FormatError, "DOC014"):
         load_scene(shot, outside)
 
 

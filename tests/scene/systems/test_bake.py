@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from pxr import Sdf, Usd, UsdGeom
+from support.faults import raises
 
 from animtool import BakeOptions, bake
 from animtool.cli.summary import bake_json, bake_text
@@ -274,7 +275,7 @@ def test_frames_before_a_stop_are_kept_on_request(
     tmp_path: Path, chunk: int | None
 ) -> None:
     scene, output = written(tmp_path, STOPS), tmp_path / "o.usdc"
-    with pytest.raises(ToleranceError, match=r"blew up.*, before frame 5"):
+    with raises(ToleranceError, "SIM101", "SIM102", match="blew up.*, before frame 5"):
         bake(scene, output, BakeOptions(chunk=chunk))
     assert not list(tmp_path.glob("*.usd*"))
     report = bake(scene, output, BakeOptions(chunk=chunk, keep_stopped=True))
@@ -291,13 +292,13 @@ def test_frames_before_a_stop_are_kept_on_request(
 def test_a_stop_before_the_first_frame_keeps_nothing(tmp_path: Path) -> None:
     early = STOPS.replace("step:", "preroll: 1\n    step:").replace("[[0,", "[[-1,")
     scene = written(tmp_path, early)
-    with pytest.raises(ToleranceError, match="before frame 1"):
+    with raises(ToleranceError, "SIM101", "SIM102", match="before frame 1"):
         bake(scene, tmp_path / "o.usdc", BakeOptions(keep_stopped=True))
     assert not list(tmp_path.glob("*.usd*"))
 
 
 def test_kept_frames_of_no_simulation_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(OptionError, match="goes with a scene that has systems"):
+    with raises(OptionError, "CLI002"):
         bake(tmp_path / "x.bvh", tmp_path / "o.usdc", BakeOptions(keep_stopped=True))
 
 

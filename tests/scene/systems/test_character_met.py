@@ -87,6 +87,7 @@ def test_a_skin_goes_straight_between_frames(stride: CharacterMotion) -> None:
     assert motion.triangles(0.0).max() < len(first)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("closed", [True, False])
 def test_a_character_walks_into_a_rope(
     root: Path, clip: Path, stride: CharacterMotion, tmp_path: Path, closed: bool
@@ -144,6 +145,7 @@ def test_a_character_wades_through_a_fluid(
     assert np.linalg.norm(frame.velocities, axis=1).max() > 0.5
 
 
+@pytest.mark.slow
 def test_a_mesh_of_the_scenes_own_character(root: Path, tmp_path: Path) -> None:
     clip = root / "samples/stride/stride.clip.yaml"
     text = ROPE.replace("HEIGHT", "1.9").replace("DEPTH", "0")

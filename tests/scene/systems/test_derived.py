@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from support.faults import raises
 from support.swing import Spec
 
 from animtool.cli.simulation_summary import simulation_table_text
@@ -83,7 +84,7 @@ def test_a_run_is_resumed_from_a_state(tmp_path: Path) -> None:
         "steps": 100,
         "radius": pytest.approx(1, abs=1e-5),
     }
-    with pytest.raises(OptionError, match="SIM002"):
+    with raises(OptionError, "SIM002"):
         whole.at(0.5)
 
 
@@ -191,7 +192,7 @@ def test_a_file_with_a_method_is_simulated_by_it(tmp_path: Path) -> None:
 def test_what_blows_up_is_stopped(tmp_path: Path) -> None:
     with (
         np.errstate(all="ignore"),
-        pytest.raises(ToleranceError, match=r"SIM102.*it blew up.*point 0"),
+        raises(ToleranceError, "SIM102", match="it blew up.*point 0"),
     ):
         run(tmp_path, speed=1e18).at(1.0)
 
@@ -226,7 +227,7 @@ def test_copies_that_turn_are_shown_and_stopped(tmp_path: Path, speed: float) ->
         return
     with (
         np.errstate(all="ignore"),
-        pytest.raises(ToleranceError, match=r"SIM102.*it blew up.*point 0"),
+        raises(ToleranceError, "SIM102", match="it blew up.*point 0"),
     ):
         opened.at(1.0)
 

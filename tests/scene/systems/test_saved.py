@@ -10,6 +10,7 @@ import pytest
 from numpy.testing import assert_array_equal
 from pxr import Usd, UsdGeom
 from support.cli import animtool
+from support.faults import raises
 from support.simulated import Simulator
 
 from animtool.core.errors import FormatError
@@ -216,7 +217,7 @@ def test_a_state_that_fits_no_particles_is_refused(tmp_path: Path, case: str) ->
     with np.load(path) as found:
         names = [name.removeprefix("state/") for name in found if "/" in name]
     other(path, state=np.array(", ".join(sorted(names))))
-    with pytest.raises(FormatError, match="SIM035") as error:
+    with raises(FormatError, "SIM035") as error:
         opened(tmp_path, **keys, resume="half.npz")
     assert word in error.value.faults[0].message
 

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from pxr import Gf, Usd, UsdGeom, Vt
+from support.faults import raises
 
 from animtool import bake
 from animtool.core.errors import AnimtoolError, FormatError
@@ -134,9 +135,8 @@ def test_a_mesh_is_somewhere(tmp_path: Path, stage: Usd.Stage) -> None:
     sheet.AddScaleOp(opSuffix="none").Set((float("nan"), 1, 1))
     stage.Save()
     mesh = MovingMeshModel(file=str(tmp_path / "set.usda"), prim="/sheet")
-    with pytest.raises(AnimtoolError, match="at no finite place") as error:
+    with raises(AnimtoolError, "SIM051"):
         moving_sheet(mesh)
-    assert error.value.code == "SIM051"
 
 
 def test_a_mesh_keeps_its_points(tmp_path: Path, stage: Usd.Stage) -> None:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
+from support.faults import raises
 from support.simulated import Simulator
 
 from animtool.core.errors import AnimtoolError
@@ -159,6 +160,7 @@ def test_who_walks_abreast_keeps_the_speed_of_one_alone(simulator: Simulator) ->
     assert following < 0.9 * alone
 
 
+@pytest.mark.slow
 def test_flow_through_a_door_is_as_published(simulator: Simulator) -> None:
     """From 1.2 to 1.9 persons a metre and second (Seyfried et al., 2009)."""
     width = 1.2
@@ -184,6 +186,7 @@ def test_flow_through_a_door_is_as_published(simulator: Simulator) -> None:
     assert not inside.any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("density", [1.0, 2.0])
 def test_who_is_crowded_walks_as_slowly_as_people(
     simulator: Simulator, density: float
@@ -211,6 +214,7 @@ def test_who_is_crowded_walks_as_slowly_as_people(
     assert speed == pytest.approx(published, rel=0.2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("width", "count", "yaw"), [(3.2, 60, 0.0), (2.8, 40, 0.8)])
 def test_two_streams_in_a_corridor_get_by_each_other(
     simulator: Simulator, width: float, count: int, yaw: float
@@ -346,6 +350,7 @@ def test_agents_walk_on_a_mesh_and_around_its_holes(simulator: Simulator) -> Non
     assert np.abs(steps[..., 1] - 0.2 * steps[..., 0]).max() < 1e-12
 
 
+@pytest.mark.slow
 def test_what_is_odd_is_named_and_mended(simulator: Simulator) -> None:
     odd = np.array([[0.0, 0, 0], [0.1, 0, 0], [5, 0, 0]])
     systems = crowd(
@@ -392,14 +397,14 @@ def test_what_is_odd_is_named_and_mended(simulator: Simulator) -> None:
 def test_what_makes_no_sense_is_refused(
     simulator: Simulator, keys: dict[str, Any], message: str
 ) -> None:
-    with pytest.raises(AnimtoolError, match=message) as error:
+    with raises(AnimtoolError, "SIM145", match=message) as error:
         simulator.simulate(crowd([{"count": 1}], **keys), [0.0])
     assert [fault.code for fault in error.value.faults] == ["SIM145"]
     assert all(fault.lines for fault in error.value.faults)
 
 
 def test_routes_lead_to_known_goals(simulator: Simulator) -> None:
-    with pytest.raises(AnimtoolError, match="no goal is named 'no'"):
+    with raises(AnimtoolError, "SIM145", match="'no'"):
         simulator.simulate(crowd([{"count": 1, "route": ["no"]}]), [0.0])
 
 

@@ -194,6 +194,7 @@ def test_fills_end_at_colliders_and_nothing_gets_in(simulator: Simulator) -> Non
         assert (np.abs(row.points - [0.3, 1, 0.3]) <= [0.3, 1, 0.3]).all()
 
 
+@pytest.mark.slow
 def test_a_closed_mesh_that_moves_pushes_it(
     simulator: Simulator, tmp_path: Path
 ) -> None:
@@ -278,6 +279,7 @@ def test_a_force_too_strong_for_the_step_says_so(simulator: Simulator) -> None:
     assert "parts" in error.value.faults[-1].message
 
 
+@pytest.mark.slow
 def test_the_step_that_is_proposed_works(simulator: Simulator) -> None:
     keys = {"forces": [{"gravity": {"acceleration": [0, -1e7, 0]}}]}
     with pytest.raises(ToleranceError) as error:

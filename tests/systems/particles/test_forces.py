@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from support.faults import raises
 
 from animtool import _kernels
 from animtool.core.array_types import ArrayLike, FloatArray
@@ -175,7 +176,7 @@ def test_turbulence_has_no_sources() -> None:
 
 
 def test_unknown_forces_are_refused_with_the_nearest() -> None:
-    with pytest.raises(OptionError, match="did you mean 'gravity'"):
+    with raises(OptionError, "SIM023", match="'gravity'"):
         find_force("gravty")
 
 

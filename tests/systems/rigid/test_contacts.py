@@ -29,6 +29,7 @@ def stack(count: int) -> dict[str, Any]:
     return box(CUBE, at=[0, 0.5, 0], grid=grid, density=500)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("keys", [{}, AWAKE])
 def test_ten_boxes_stand(tmp_path: Path, keys: dict[str, Any]) -> None:
     found = Rigid(tmp_path, stack(10), colliders=[FLOOR], **keys)
@@ -82,6 +83,7 @@ def card_house(levels: int) -> list[dict[str, Any]]:
     return cards
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("keys", [{}, AWAKE])
 def test_a_house_of_cards_stands(tmp_path: Path, keys: dict[str, Any]) -> None:
     levels, last = (5, STANDING) if not keys else (3, 10.0)
@@ -103,6 +105,7 @@ SHAPES = {
 }
 
 
+@pytest.mark.slow
 def test_shapes_of_all_kinds_come_to_rest_in_a_container(tmp_path: Path) -> None:
     random = np.random.default_rng(3)
     points = random.normal(size=(30, 3)) * 0.06

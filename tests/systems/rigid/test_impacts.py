@@ -139,6 +139,7 @@ def test_friction_acts_in_an_impact(
     assert_allclose(found.spins()[0], [0, 0, -spin], atol=1e-2)
 
 
+@pytest.mark.slow
 def test_bounces_of_a_crowd_settle(tmp_path: Path) -> None:
     rng = np.random.default_rng(8)
     turns = rng.normal(size=(24, 4))

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from pxr import Sdf, Usd, UsdGeom, UsdPhysics
+from support.faults import raises
 from support.rigid import FLOOR, Rigid, ball, box
 from support.simulated import Simulator
 
@@ -223,7 +224,7 @@ def test_stages_that_make_no_sense_are_refused(
     tmp_path: Path, text: str, message: str
 ) -> None:
     file = stage_of(tmp_path, text)
-    with pytest.raises(FormatError, match=rf"SIM051 .*stages\[0\].*{message}"):
+    with raises(FormatError, "SIM051", match=rf"stages\[0\].*{message}"):
         Rigid(tmp_path, stages=[{"file": file, "prim": "/Yard"}])
 
 
@@ -265,7 +266,7 @@ def test_a_state_that_no_body_can_be_in_is_refused(tmp_path: Path, column: int) 
     motion = found.state.motion.copy()
     motion[1, column] = 1e110
     state = dataclasses.replace(found.state, motion=motion)
-    with pytest.raises(ToleranceError, match=r"SIM102.* blew up at 0\.01 s"):
+    with raises(ToleranceError, "SIM102", match=r"0\.01"):
         found.simulation.step(state, 0.0, 0.01)
 
 
@@ -277,5 +278,5 @@ def test_keys_that_make_no_sense_together(
     tmp_path: Path, keys: dict[str, Any], message: str
 ) -> None:
     entry = {"name": "it", "bodies": BODIES[:1], **keys}
-    with pytest.raises(FormatError, match=rf"SIM061.*{message}"):
+    with raises(FormatError, "SIM061", match=message):
         Simulator(tmp_path).scene([{"rigid": entry}])

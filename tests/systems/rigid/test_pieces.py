@@ -82,6 +82,7 @@ def test_it_weighs_what_the_mesh_does(tmp_path: Path) -> None:
     assert len(own.meshes[0].counts) == len(np.asarray(bracket().triangles))
 
 
+@pytest.mark.slow
 def test_a_cup_holds_a_ball(tmp_path: Path) -> None:
     held = ball(0.2, at=[0.05, 0.8, 0.02], density=100)
     found = Rigid(tmp_path, body(tmp_path, cup()), held, colliders=[FLOOR])

@@ -110,6 +110,7 @@ def test_what_swings_too_fast_is_refused_with_a_step_that_works(tmp_path: Path) 
     assert swung(float(step)) == pytest.approx(math.cos(1e5 * float(step)), abs=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("restitution", [0.0, 0.5])
 @pytest.mark.parametrize("stiff", [0.1, 5.0, 50.0])
 def test_wind_presses_a_leaf_to_a_wall(
@@ -127,6 +128,7 @@ def test_wind_presses_a_leaf_to_a_wall(
     assert force[0] == pytest.approx(3 * drag, rel=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stiff", [0.01, 0.3, 2.0, 50.0])
 def test_drag_on_what_slides_down(tmp_path: Path, stiff: float) -> None:
     rate, slope = stiff / STEP, math.radians(25)
@@ -143,6 +145,7 @@ def test_drag_on_what_slides_down(tmp_path: Path, stiff: float) -> None:
     assert down == pytest.approx(speed, rel=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stiff", [0.1, 1.0, 20.0])
 def test_a_canopy_slows_what_hangs_on_it(tmp_path: Path, stiff: float) -> None:
     """Drag on a light body is borne by the heavy one that is joined to it."""
@@ -187,6 +190,7 @@ def test_what_hangs_under_a_pull_swings_as_a_pendulum(
     assert max(spins) < math.sqrt(2 * pull * arm / moment) * 1.05
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pull", [5.0, 500.0, 5e4])
 @pytest.mark.parametrize("name", ["friction", "propulsion"])
 def test_what_brakes_stops(tmp_path: Path, name: str, pull: float) -> None:

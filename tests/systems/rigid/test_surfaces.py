@@ -47,6 +47,7 @@ def test_particles_land_on_a_body_that_tumbles(tmp_path: Path) -> None:
     assert above[-1] > 20
 
 
+@pytest.mark.slow
 def test_who_is_run_into_moves_as_if_alone(tmp_path: Path) -> None:
     """Whoever looks, however often: steps of the body are its own."""
     alone = Simulator(tmp_path).simulate([YARD], FRAMES)["yard"]

@@ -169,6 +169,7 @@ def test_among_colliders_a_motion_in_parts_is_the_whole(solver: Solver) -> None:
         assert whole.states.tobytes() == parts.tobytes()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("solver", [Solver.AUTO, Solver.BDF2, Solver.IMPLICIT_EULER])
 def test_stiff_ropes_that_fall_on_a_floor_come_to_lie(solver: Solver) -> None:
     line = rope([0, 0, 0], [0.3, 0.1, -0.9], 151, Family(3e8, ratio=0.1), mass=6e-4)

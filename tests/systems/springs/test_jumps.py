@@ -61,6 +61,7 @@ def taken(system: SpringSystem, way: str, times: FloatArray) -> Trajectory:
     return simulate_springs(system, times, SpringOptions(name))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("way", WAYS)
 def test_what_hangs_on_a_pin_goes_along(way: str) -> None:
     far = np.array([100.0, -20.0, 3.0])

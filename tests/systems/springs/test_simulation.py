@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from pxr import Sdf, Usd, UsdGeom
+from support.faults import raises
 
 import animtool
 from animtool import BakeOptions, bake
@@ -400,7 +401,7 @@ def test_folds_keep_apart_where_they_are_to(tmp_path: Path, solver: str) -> None
 
 def test_a_solver_that_keeps_nothing_apart_is_refused(tmp_path: Path) -> None:
     path = written(tmp_path, FOLDED + CONTACT + "    solver: bdf2\n")
-    with pytest.raises(FormatError, match="SIM046") as error:
+    with raises(FormatError, "SIM046") as error:
         load_scene(path)
     (fault,) = error.value.faults
     (line,) = fault.lines
@@ -675,6 +676,7 @@ AWNING = CLOTH.replace("up: [0, 0.6, 0]", "up: [0, 0, -0.6]").replace(
 ).replace("velocity: [4, 0, 1]", "velocity: [0, 0, 0]")  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("order", ["awning first", "rain first"])
 def test_particles_stay_on_cloth(tmp_path: Path, order: str) -> None:
     text = AWNING + RAIN if order == "awning first" else RAIN + AWNING
@@ -735,6 +737,7 @@ for scene in sys.argv[1:]:
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="POSIX processes")
 def test_only_what_a_scene_has_is_loaded(walk: Path, tmp_path: Path) -> None:
     (tmp_path / walk.name).write_bytes(walk.read_bytes())

@@ -15,6 +15,7 @@ from support.placed import (
     over,
     stage_text,
 )
+from support.suite import some_quick
 
 from animtool.scene.bake.bake import bake
 from animtool.scene.bake.options import BakeOptions
@@ -87,7 +88,7 @@ PROP_CASES = list(
 )
 
 
-@pytest.mark.parametrize("case", PROP_CASES)
+@pytest.mark.parametrize("case", some_quick(PROP_CASES, 3))
 def test_props_of_a_source_keep_their_distance_to_its_character(
     tmp_path: Path, case: tuple[tuple[str, bool], tuple[str, str]]
 ) -> None:

@@ -25,6 +25,7 @@ from support.planted_takes import (
     under_a_root,
     without,
 )
+from support.suite import some_quick
 
 from animtool.edit.resample import resampled
 from animtool.motion.take import Take
@@ -122,7 +123,7 @@ def recall(plant: Plant, code: str, seed: int) -> tuple[int, int]:
     return sum(found), len(found)
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", some_quick(CASES, 4))
 def test_faults_at_random_are_found(name: str, record_property: Any) -> None:
     plant, code = CASES[name]
     hits, many = recall(plant, code, seed=20)
