@@ -49,7 +49,7 @@ from animtool.leftovers import new_temporary
 
 # A scheduler that has not answered by then is not there: with the start of a command,
 # it is reported within 10 s [s].
-TIMEOUT = 7.0
+TIMEOUT = 6.5
 # How often workers are counted where nothing ends [s].
 POLL_INTERVAL = 1.0
 # A nanny restarts a lost worker within seconds, and clusters that grow by demand start
@@ -127,7 +127,7 @@ def _client(address: str) -> Any:
     # Its own timeout does not count what a server that is no scheduler answers.
     Thread(target=connect, daemon=True).start()
     try:
-        client = made.get(timeout=TIMEOUT + POLL_INTERVAL)
+        client = made.get(timeout=TIMEOUT)
     except Empty:
         client = TimeoutError(f"no answer within {TIMEOUT:g} s")
     if isinstance(client, Exception):
@@ -137,6 +137,8 @@ def _client(address: str) -> Any:
 
 def _unreachable(about: str, error: Exception) -> OutputError:
     why = f"{type(error).__name__}: {excerpt(str(error), 200)}"
+    if not isinstance(error, OSError | ValueError):
+        why = f"what answers there is no scheduler of this version ({why})"
     hint = "is the scheduler running, of the same distributed, and this its address?"
     return _unusable(about, why, hint)
 
