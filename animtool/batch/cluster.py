@@ -11,6 +11,7 @@ import os
 import pickle
 import re
 import time
+import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
@@ -125,11 +126,14 @@ def _client(address: str) -> Any:
             made.put(error)
 
     # Its own timeout does not count what a server that is no scheduler answers.
-    Thread(target=connect, daemon=True).start()
-    try:
-        client = made.get(timeout=TIMEOUT)
-    except Empty:
-        client = TimeoutError(f"no answer within {TIMEOUT:g} s")
+    with warnings.catch_warnings():
+        # Versions of workers are compared before the first item.
+        warnings.simplefilter("ignore")
+        Thread(target=connect, daemon=True).start()
+        try:
+            client = made.get(timeout=TIMEOUT)
+        except Empty:
+            client = TimeoutError(f"no answer within {TIMEOUT:g} s")
     if isinstance(client, Exception):
         raise _unreachable(address, client) from client
     return client

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
+import socket
 import subprocess
 import sys
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,10 +19,11 @@ from animtool.batch import cluster_worker
 from animtool.batch.cluster import _address, _asking, dask
 from animtool.batch.discover import find_batch
 from animtool.batch.executors import Work
+from animtool.batch.item import Item
 from animtool.batch.spec import BatchSpec, Limits
 from animtool.batch.work import ItemBuilder, Outcome, Status
 from animtool.batch.worker_process import WorkerProcess, WorkerTask
-from animtool.errors import OptionError, OutputError
+from animtool.errors import Fault, OptionError, OutputError
 
 
 def work(folder: Path, argument: str, limits: Limits | None = None) -> Work:
@@ -200,3 +203,48 @@ def test_a_worker_that_ends_is_an_error(
     with pytest.raises((ConnectionError, BrokenPipeError)):
         process.make(next(given.items))
     process.end()
+
+
+def test_something_else_answers(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("distributed", reason="distributed is not installed (farm)")
+    take_files(tmp_path / "takes", 1)
+    monkeypatch.setattr("animtool.batch.cluster.TIMEOUT", 0.5)
+    with socket.create_server(("127.0.0.1", 0)) as mute:
+        argument = f"tcp://127.0.0.1:{mute.getsockname()[1]}"
+        with pytest.raises(OutputError) as error:
+            list(dask(work(tmp_path, argument)))
+    assert error.value.code == "BAT035"
+
+
+def test_a_cluster_without_workers_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    take_files(tmp_path / "takes", 1)
+    monkeypatch.setattr("animtool.batch.cluster.WORKERLESS", 0.1)
+    monkeypatch.setattr("animtool.batch.cluster.POLL_INTERVAL", 0.1)
+    with small_cluster(workers=0) as empty:
+        outcomes = dask(work(tmp_path, empty.scheduler_address))
+        notice = next(outcomes)
+        assert isinstance(notice, Fault)
+        assert notice.code == "BAT076"
+        with pytest.raises(OutputError) as error:
+            list(outcomes)
+    assert error.value.code == "BAT035"
+
+
+def test_a_run_that_stops_at_failures_sends_nothing_ahead(
+    cluster: str, tmp_path: Path
+) -> None:
+    take_files(tmp_path / "takes", 8)
+    given, taken = work(tmp_path, cluster), []
+
+    def counted(items: Iterator[Item]) -> Iterator[Item]:
+        for item in items:
+            taken.append(item.number)
+            yield item
+
+    careful = replace(given, items=counted(given.items), asked=2, ahead=False)
+    for ended, _ in enumerate(dask(careful), 1):
+        assert len(taken) <= ended + 1
