@@ -46,12 +46,16 @@ class WorkerCheck:
     tokens: Mapping[str, str]
 
 
-@cache
 def builder_versions() -> dict[str, str]:
     """Return the versions that decide results, and a digest of animtool's own code.
 
     A checkout has the same version before and after a change.
     """
+    return {**made_by(), "animtool code": _code_digest()}
+
+
+@cache
+def _code_digest() -> str:
     digest = hashlib.sha256()
     folder = Path(animtool.__file__).parent
     for path in sorted(folder.rglob("*.py")):
@@ -59,7 +63,7 @@ def builder_versions() -> dict[str, str]:
         text = path.read_bytes().replace(b"\r\n", b"\n")
         digest.update(f"{path.relative_to(folder).as_posix()}\0{len(text)}\0".encode())
         digest.update(text)
-    return {**made_by(), "animtool code": digest.hexdigest()[:12]}
+    return digest.hexdigest()[:12]
 
 
 def differences(expected: Mapping[str, str], actual: Mapping[str, str]) -> str:
