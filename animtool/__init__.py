@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import _signal
+import _signal  # type: ignore[import-not-found]  # it has no stub
 import sys
 
 # An interrupt while the command is loaded ends it without a traceback; in other

@@ -26,7 +26,8 @@ KINDS: dict[str, dict[str, Any]] = {
     "rope": {"from": [0.0, 2.0, 0.0], "to": [1.0, 2.0, 0.0], "count": 5, "mass": 0.1,
              "springs": {"structural": {"stiffness": 1000.0}}},
     "rigid": {"bodies": [{"name": "b", "shape": {"box": {"size": [1.0, 1.0, 1.0]}}}]},
-    "nbody": {"galaxies": [{"name": "d", "disc": {"count": 8, "mass": 1}}]},
+    "nbody": {"galaxies": [
+        {"name": "d", "disc": {"count": 8, "mass": 1, "radius": 1}}]},
 }  # fmt: skip
 FPS, SAVED, LAST = 24, 3, 5
 
@@ -64,7 +65,7 @@ def _scene(
         "scene": "animtool/1",
         "fps": FPS,
         "range": list(frames),
-        "systems": [{kind: {**KINDS[kind], **more}}],
+        "systems": [{kind: {"name": "s", **KINDS[kind], **more}}],
         "output": {"file": f"{kind}.usda"},
     }
     path.write_text(json.dumps(scene), "utf-8")
