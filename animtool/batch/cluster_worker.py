@@ -22,6 +22,7 @@ from animtool.batch.spec import made_by
 from animtool.batch.work import Outcome
 from animtool.batch.worker_process import WorkerProcess, WorkerTask
 from animtool.errors import AnimtoolError, Fault, excerpt, listed
+from animtool.files import read_input
 
 # Codes of why a worker is left out.
 VERSIONS, INPUTS, DISK = "BAT036", "BAT074", "BAT075"
@@ -60,7 +61,7 @@ def _code_digest() -> str:
     folder = Path(animtool.__file__).parent
     for path in sorted(folder.rglob("*.py")):
         # Line ends differ between a checkout and a wheel on some systems.
-        text = path.read_bytes().replace(b"\r\n", b"\n")
+        text = read_input(path, recorded=False).replace(b"\r\n", b"\n")
         digest.update(f"{path.relative_to(folder).as_posix()}\0{len(text)}\0".encode())
         digest.update(text)
     return digest.hexdigest()[:12]
@@ -113,8 +114,8 @@ def _reasons(check: WorkerCheck) -> Iterator[tuple[str, str]]:
     for path, text in check.tokens.items():
         folder = Path(path).parent
         try:
-            same = Path(path).read_text("utf-8") == text
-        except OSError:
+            same = read_input(Path(path), recorded=False) == text.encode()
+        except AnimtoolError:
             same = False
         if not same:
             yield DISK, f"its {str(folder)!r} is not this machine's"
