@@ -91,7 +91,10 @@ def _arrays(rng: np.random.Generator, data: bytes) -> bytes:
         if rng.random() < 0.1:
             arrays.pop(name, None)
         elif name in arrays and arrays[name].dtype.kind in "fiu":
-            arrays[name] = spoiled(rng, arrays[name], ())
+            # The ways to spoil are for lists of numbers, which are not empty.
+            value = arrays[name].reshape(arrays[name].shape or (1,))
+            made = spoiled(rng, value, ()) if value.size else value
+            arrays[name] = made.reshape(()) if made.shape == (1,) else made
     found = io.BytesIO()
     with zipfile.ZipFile(found, "w") as archive_file:
         for name, array in arrays.items():
