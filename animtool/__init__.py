@@ -2,6 +2,17 @@
 
 from __future__ import annotations
 
+import _signal  # type: ignore[import-not-found]  # it has no stub
+import sys
+
+# An interrupt while the command is loaded ends it without a traceback; in other
+# programs it is theirs. `_signal` is built in: nothing else has to be loaded for it.
+if _signal.getsignal(_signal.SIGINT) is _signal.default_int_handler and (
+    "".join(sys.argv[:1]).removesuffix(".exe").endswith(("/animtool", "\\animtool"))
+    or sys.orig_argv[-len(sys.argv) - 1 :][:2] == ["-m", "animtool"]
+):
+    _signal.signal(_signal.SIGINT, _signal.SIG_DFL)
+
 from typing import TYPE_CHECKING
 
 from animtool.core.errors import NAMING

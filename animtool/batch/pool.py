@@ -61,8 +61,11 @@ LONGEST_START = 900.0
 MAX_FAILED_STARTS = 3
 TIMEOUT = 5.0
 # What may have happened to a process, by how it ended.
-_MEMORY = "the system may have no memory left: -j makes fewer at a time"
-_HINTS = {-9: _MEMORY, -6: _MEMORY}
+_RESUME = "finished items are recorded, and the same command resumes with the rest"
+_HINTS = {
+    -9: f"lower -j or give it more memory or time; {_RESUME}",
+    -6: f"the system may have no memory left: lower -j; {_RESUME}",
+}
 
 
 @dataclass(slots=True, eq=False)
@@ -182,13 +185,14 @@ class _Pool:
         else:
             worker.process.join(TIMEOUT)
             code = worker.process.exitcode or 0
-            if worker.path and -code in CRASHES:
+            # Who is killed from outside was not ended by the file that it read.
+            if worker.path and -code in CRASHES and code != -9:
                 yield self._lost(worker, crash_fault(worker.path, -code))
                 return
             message = f"the process that made it {_how_it_ended(worker.process)}"
             hint = _HINTS.get(code)
             if self.limits.memory is not None:
-                hint = hint and "its limit of memory may be too small"
+                hint = hint and f"raise --memory-limit; {_RESUME}"
             yield self._lost(worker, Fault("BAT020", message, hint=hint))
 
     def _failed_to_start(self, worker: _Worker) -> None:
@@ -356,6 +360,8 @@ def _how_it_ended(process: BaseProcess) -> str:
         return "does not answer"
     if code >= 0:
         return f"ended with {code}"
+    if code == -9:
+        return "was killed from outside (SIGKILL): out of memory or a time limit"
     try:
         return f"was ended by {signal.Signals(-code).name}"
     except ValueError:

@@ -56,7 +56,13 @@ class RunOptions:
 
 
 class Listener:
-    """Whom a run tells what happens; this one does nothing about it."""
+    """Whom a run tells what happens; this one does nothing about it.
+
+    Attributes:
+        shown: Warnings that were shown at once.
+    """
+
+    shown: tuple[Fault, ...] = ()
 
     def planned(self, due: int, total: int) -> None:
         """Take how many of how many items are to be made."""
@@ -66,6 +72,9 @@ class Listener:
 
     def ended(self, report: ItemReport) -> None:
         """Take what became of an item."""
+
+    def warned(self, notice: Fault) -> None:
+        """Take a warning about what builds the items."""
 
 
 def run_batch(
@@ -106,8 +115,9 @@ def run_batch(
         run.plan(items)
         run.make()
         ledger.settle(run.keeps)
-    seconds, damaged = time.perf_counter() - began, tuple(ledger.history.damaged)
-    return BatchReport(batch, tuple(run.reports()), seconds, damaged)
+    seconds = time.perf_counter() - began
+    notices = (*ledger.history.damaged, *run.notices)
+    return BatchReport(batch, tuple(run.reports()), seconds, notices)
 
 
 def _chosen(batch: Batch, options: RunOptions) -> Sequence[Item]:
@@ -159,6 +169,7 @@ class _Run:
         self.ended: dict[int, ItemReport] = {}
         self.begun: set[int] = set()
         self.failures = 0
+        self.notices: list[Fault] = []  # warnings about what builds the items
 
     def plan(self, items: Sequence[Item]) -> None:
         """Decide what is to be made, and check that it may be."""
@@ -205,7 +216,17 @@ class _Run:
         asked = self.options.jobs or self.batch.jobs
         jobs = min(asked or _processors(), len(due))
         items = self._begun(due)
-        work = Work(builder, items, self.batch.limits, jobs, argument, asked)
+        work = Work(
+            builder,
+            items,
+            self.batch.limits,
+            jobs,
+            argument,
+            asked,
+            (*self.batch.named, *(item.file.path for item in due)),
+            (self.batch.records, *dict.fromkeys(f for i in due for f in i.folders)),
+            self.options.max_failures is None,
+        )
         outcomes = execute(work)
         close: Callable[[], None] = getattr(outcomes, "close", lambda: None)
         try:
@@ -213,6 +234,9 @@ class _Run:
                 # Executors of plug-ins may yield anything.
                 if isinstance(outcome, Outcome):
                     self._ended(outcome)
+                elif isinstance(outcome, Fault):
+                    self.notices.append(outcome)
+                    self.listener.warned(outcome)
         finally:
             close()
         for number in sorted(self.begun - self.ended.keys()):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shlex
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -27,7 +28,7 @@ from animtool.cli.options import (
     listed_paths,
     set_option,
 )
-from animtool.core.errors import Severity, listed
+from animtool.core.errors import Fault, Severity, listed
 from animtool.core.names import is_named
 from animtool.core.process.signals import TerminatedError
 
@@ -273,7 +274,8 @@ def batch(console: Console, /, inputs: tuple[str, ...], **params: Any) -> None:
     except (KeyboardInterrupt, TerminatedError):
         console.say("what was made is recorded; the same command goes on with the rest")
         raise
-    _tell(console, report, params, _Repeat(inputs, params))
+    unshown = [notice for notice in report.notices if notice not in listener.shown]
+    _tell(console, report, params, _Repeat(inputs, params), unshown)
     if params["junit"] is not None:
         from animtool.batch.report import junit_report
         from animtool.core.files.output import check_outputs, write_parts
@@ -365,7 +367,11 @@ class _Repeat:
 
 
 def _tell(
-    console: Console, report: BatchReport, params: dict[str, Any], repeat: _Repeat
+    console: Console,
+    report: BatchReport,
+    params: dict[str, Any],
+    repeat: _Repeat,
+    notices: Sequence[Fault],
 ) -> None:
     from animtool.cli.batch_progress import (
         batch_text,
@@ -385,7 +391,7 @@ def _tell(
     elif params["dry_run"]:
         for line in planned_text(report):
             console.result(line)
-    console.faults(report.notices)
+    console.faults(notices)
     _tell_notices(console, report)
     for line in batch_text(report, dry=params["dry_run"]):
         console.say(line)

@@ -13,7 +13,7 @@ from animtool.batch.report import BatchReport, ItemReport
 from animtool.batch.run import Listener
 from animtool.batch.work import Status
 from animtool.cli.console import Console, columns
-from animtool.core.errors import AnimtoolError, counted
+from animtool.core.errors import AnimtoolError, Fault, counted
 from animtool.core.quantities import escaped, json_printed, length_text
 
 if TYPE_CHECKING:
@@ -122,6 +122,10 @@ def openjd_lines(other: Listener) -> Listener:
             _say("status", f"{count}: {report.status} {output}")
             other.ended(report)
 
+        def warned(self, notice: Fault) -> None:
+            """Tell the other."""
+            other.warned(notice)
+
     return Lines()
 
 
@@ -181,6 +185,11 @@ def _lines(console: Console, *, lines: bool) -> Listener:
             else:
                 console.say(ended_text(report, self.ended_items, self.due))
 
+        def warned(self, notice: Fault) -> None:
+            """Show a warning when it comes."""
+            self.shown = (*self.shown, notice)
+            console.faults([notice])
+
     return Lines()
 
 
@@ -197,6 +206,7 @@ def _table(*, lines: bool) -> tuple[Listener, Callable[[], RenderableType]]:
 
         def __init__(self) -> None:
             self.running: dict[int, tuple[str, float]] = {}
+            self.warning = ""
 
         def planned(self, due: int, total: int) -> None:
             """Take how many are to be made."""
@@ -212,8 +222,13 @@ def _table(*, lines: bool) -> tuple[Listener, Callable[[], RenderableType]]:
             self.running.pop(report.item.number, None)
             self.ended_items += 1
             self.failed += bool(report.faults)
+            self.warning = ""
             if lines:
                 _write(report)
+
+        def warned(self, notice: Fault) -> None:
+            """Take a warning, which is shown until an item ends, and at the end."""
+            self.warning = str(notice)
 
     shown = ProgressListener()
 
@@ -230,7 +245,7 @@ def _table(*, lines: bool) -> tuple[Listener, Callable[[], RenderableType]]:
             rows.add_row(
                 Text(f"{time.perf_counter() - began:6.1f} s"), Text(escaped(name))
             )
-        return Group(head, rows)
+        return Group(head, rows, Text(shown.warning))
 
     return shown, drawn
 

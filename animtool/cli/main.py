@@ -11,7 +11,14 @@ import click
 
 from animtool.cli.console import Console
 from animtool.cli.groups import LazyGroup
-from animtool.core.errors import AnimtoolError, ExitCode, FormatError, StrictError
+from animtool.cli.memory import crash_reason, is_out_of_memory, memory_fault
+from animtool.core.errors import (
+    AnimtoolError,
+    ExitCode,
+    FormatError,
+    OutputError,
+    StrictError,
+)
 from animtool.core.process.signals import (
     TerminatedError,
     ending,
@@ -129,7 +136,10 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
 
     def refuse(crash: Crash) -> int:
         error: AnimtoolError | _CrashError = _CrashError(crash.name)
-        if crash.path:
+        reason = crash_reason(crash.name, crash.path)
+        if reason is not None:
+            error = OutputError(reason)
+        elif crash.path:
             error = FormatError(crash_fault(crash.path, crash.number))
         return _report(Console(json_log=_logs_json(given)), error)
 
@@ -221,12 +231,12 @@ def _report(console: Console, error: BaseException) -> int:
             # flush at exit complain.
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             code = int(ExitCode.OK)
+        case _ if is_out_of_memory(error):
+            console.faults([memory_fault(error)], fatal=True)
+            code = int(ExitCode.MALFORMED)
         case OSError():
             console.error(f"cannot be read or written: {error.strerror or error}")
             code = int(ExitCode.MALFORMED)
-        case MemoryError():
-            console.error("not enough memory")
-            code = int(ExitCode.INTERNAL)
         case _:
             console.error(
                 f"internal error: {type(error).__name__}: {error}",

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
+import socket
 import subprocess
 import sys
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,19 +15,38 @@ from support.batch import take_files, trouble_files
 from support.cli import animtool
 from support.cluster import small_cluster
 
+from animtool.batch import cluster_worker
+from animtool.batch.cluster import _address, _asking, dask
 from animtool.batch.discover import find_batch
-from animtool.batch.executors import Work, _address, _sent, dask
+from animtool.batch.executors import Work
+from animtool.batch.item import Item
 from animtool.batch.spec import BatchSpec, Limits
-from animtool.batch.work import ItemBuilder, Status
+from animtool.batch.work import ItemBuilder, Outcome, Status
 from animtool.batch.worker_process import WorkerProcess, WorkerTask
-from animtool.core.errors import OptionError, OutputError
+from animtool.core.errors import Fault, OptionError, OutputError
 
 
 def work(folder: Path, argument: str, limits: Limits | None = None) -> Work:
     spec = BatchSpec(("takes/*",), folder, output="out/{stem}.usdc")
     batch = find_batch(spec)
     builder = ItemBuilder(batch.item_task, batch.root)
-    return Work(builder, iter(batch.items), limits or Limits(), 2, argument)
+    items = tuple(batch.items)
+    inputs = tuple(item.file.path for item in items)
+    folders = (batch.records, *dict.fromkeys(f for i in items for f in i.folders))
+    return Work(
+        builder,
+        iter(items),
+        limits or Limits(),
+        2,
+        argument,
+        inputs=inputs,
+        folders=folders,
+    )
+
+
+def built(made: Work) -> list[Outcome]:
+    """Return the outcomes, without warnings."""
+    return [o for o in dask(made) if isinstance(o, Outcome)]
 
 
 @pytest.mark.parametrize(
@@ -48,7 +69,7 @@ def test_a_crash_or_a_hang_costs_one_item(cluster: str, tmp_path: Path) -> None:
     take_files(tmp_path / "takes", 2)
     trouble_files(tmp_path / "takes", ["crash", "hang"])
     outcomes = sorted(
-        dask(work(tmp_path, cluster, Limits(1.5))), key=lambda o: o.number
+        built(work(tmp_path, cluster, Limits(1.5))), key=lambda o: o.number
     )
     codes = [o.faults[0].code for o in outcomes if o.status is Status.FAILED]
     assert codes == ["BAT020", "BAT021"]
@@ -75,6 +96,7 @@ def test_a_worker_that_ends_is_replaced(cluster: str, tmp_path: Path) -> None:
         ended = client.submit(ends, pure=False)
         found += list(outcomes)
         ended.result()
+    found = [o for o in found if isinstance(o, Outcome)]
     assert sorted(o.number for o in found) == [1, 2, 3, 4, 5, 6]
     assert {o.status for o in found} == {Status.DONE}
 
@@ -90,8 +112,8 @@ def test_a_cluster_that_is_lost_ends_the_run(
 
         outcomes = dask(work(tmp_path, lost.scheduler_address))
         next(outcomes)
-        monkeypatch.setattr("animtool.batch.executors.WORKERLESS", 0.2)
-        monkeypatch.setattr("animtool.batch.executors.TIMEOUT", 0.5)
+        monkeypatch.setattr("animtool.batch.cluster.WORKERLESS", 0.2)
+        monkeypatch.setattr("animtool.batch.cluster.TIMEOUT", 0.5)
         if whole:
             lost.close()
         else:
@@ -102,7 +124,7 @@ def test_a_cluster_that_is_lost_ends_the_run(
         with pytest.raises(OutputError) as error:
             list(outcomes)
     assert error.value.code == "BAT035"
-    assert "goes on with the rest" in str(error.value.faults[0].hint)
+    assert "resumes with the rest" in str(error.value.faults[0].hint)
 
 
 def test_a_worker_without_animtool_can_be_told_of_items() -> None:
@@ -110,10 +132,10 @@ def test_a_worker_without_animtool_can_be_told_of_items() -> None:
     pickle = pytest.importorskip("cloudpickle")
     read = "import pickle, sys; sys.modules['animtool'] = None; "
     read += "print(pickle.load(sys.stdin.buffer).__name__)"
-    sent = pickle.dumps(_sent("name"))
+    sent = pickle.dumps(_asking("name", {"animtool": "1"}))
     command = [sys.executable, "-c", read]
     done = subprocess.run(command, input=sent, capture_output=True, check=True)
-    assert done.stdout.strip() == b"make"
+    assert done.stdout.strip() == b"ask"
 
 
 @pytest.mark.slow
@@ -121,10 +143,16 @@ def test_other_versions_are_named(
     cluster: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     take_files(tmp_path / "takes", 1)
-    monkeypatch.setattr("animtool.batch.executors.made_by", lambda: {"numpy": "0.1"})
-    (outcome,) = dask(work(tmp_path, cluster))
-    assert outcome.faults[0].code == "BAT036"
-    assert "for 0.1" in outcome.faults[0].message
+    versions = {**cluster_worker.builder_versions(), "numpy": "0.1"}
+    monkeypatch.setattr("animtool.batch.cluster.builder_versions", lambda: versions)
+    outcomes = dask(work(tmp_path, cluster))
+    found = [next(outcomes), next(outcomes)]
+    assert [fault.code for fault in found] == ["BAT036", "BAT036"]  # type: ignore[union-attr]
+    with pytest.raises(OutputError) as error:
+        next(outcomes)
+    assert error.value.code == "BAT035"
+    assert all("instead of 0.1" in fault.message for fault in found)  # type: ignore[union-attr]
+    assert not (tmp_path / "out/take000.usdc").exists()
 
 
 @pytest.mark.slow
@@ -140,7 +168,7 @@ def test_the_command_line(cluster: str, tmp_path: Path) -> None:
 def test_no_cluster_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("distributed", reason="distributed is not installed (farm)")
     take_files(tmp_path / "takes", 1)
-    monkeypatch.setattr("animtool.batch.executors.TIMEOUT", 0.2)
+    monkeypatch.setattr("animtool.batch.cluster.TIMEOUT", 0.2)
     for argument in ("tcp://127.0.0.1:1", str(tmp_path / "none.json")):
         with pytest.raises(OutputError) as error:
             list(dask(work(tmp_path, argument)))
@@ -180,3 +208,48 @@ def test_a_worker_that_ends_is_an_error(
     with pytest.raises((ConnectionError, BrokenPipeError)):
         process.make(next(given.items))
     process.end()
+
+
+def test_something_else_answers(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("distributed", reason="distributed is not installed (farm)")
+    take_files(tmp_path / "takes", 1)
+    monkeypatch.setattr("animtool.batch.cluster.TIMEOUT", 0.5)
+    with socket.create_server(("127.0.0.1", 0)) as mute:
+        argument = f"tcp://127.0.0.1:{mute.getsockname()[1]}"
+        with pytest.raises(OutputError) as error:
+            list(dask(work(tmp_path, argument)))
+    assert error.value.code == "BAT035"
+
+
+def test_a_cluster_without_workers_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    take_files(tmp_path / "takes", 1)
+    monkeypatch.setattr("animtool.batch.cluster.WORKERLESS", 0.1)
+    monkeypatch.setattr("animtool.batch.cluster.POLL_INTERVAL", 0.1)
+    with small_cluster(workers=0) as empty:
+        outcomes = dask(work(tmp_path, empty.scheduler_address))
+        notice = next(outcomes)
+        assert isinstance(notice, Fault)
+        assert notice.code == "BAT076"
+        with pytest.raises(OutputError) as error:
+            list(outcomes)
+    assert error.value.code == "BAT035"
+
+
+def test_a_run_that_stops_at_failures_sends_nothing_ahead(
+    cluster: str, tmp_path: Path
+) -> None:
+    take_files(tmp_path / "takes", 8)
+    given, taken = work(tmp_path, cluster), []
+
+    def counted(items: Iterator[Item]) -> Iterator[Item]:
+        for item in items:
+            taken.append(item.number)
+            yield item
+
+    careful = replace(given, items=counted(given.items), asked=2, ahead=False)
+    for ended, _ in enumerate(dask(careful), 1):
+        assert len(taken) <= ended + 1

@@ -226,3 +226,18 @@ def test_a_folder_that_may_not_be_written_to(
     assert done.code == 3
     assert "OUT002" in done.stderr
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.skipif(os.name == "nt", reason="POSIX signals")
+def test_an_item_killed_from_outside_says_how_to_go_on(
+    tmp_path: Path, plug_in: dict[str, str]
+) -> None:
+    trouble_files(tmp_path / "takes", [f"once {tmp_path / 'flag'}"])
+    done = run(tmp_path, "--format", "json", environment=plug_in)
+    assert done.code == 1, done.stderr
+    ((entry,),) = [list(reported(done).values())]
+    (fault,) = entry["faults"]  # type: ignore[misc]
+    assert fault["code"] == "BAT020"  # type: ignore[index]
+    assert "out of memory or a time limit" in fault["message"]  # type: ignore[index]
+    assert "resumes" in fault["hint"]  # type: ignore[index]
+    assert run(tmp_path, environment=plug_in).code == 0

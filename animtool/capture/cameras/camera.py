@@ -129,11 +129,16 @@ def project(camera: Camera, points: FloatArray) -> FloatArray:
     >>> project(camera, np.array([0.1, 0.0, 1.0])).tolist()
     [60.0, 40.0]
     """
-    seen = points @ camera.rotation.T + camera.translation
-    depth = np.where(seen[..., 2] > 0, seen[..., 2], np.nan)
-    x, y = np.moveaxis(distorted(camera, seen[..., :2] / depth[..., None]), -1, 0)
-    across = camera.focal[0] * x + camera.skew * y + camera.centre[0]
-    return np.stack([across, camera.focal[1] * y + camera.centre[1]], axis=-1)
+    # What overflows is on no image.
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        seen = points @ camera.rotation.T + camera.translation
+        depth = np.where(seen[..., 2] > 0, seen[..., 2], np.nan)
+        x, y = np.moveaxis(distorted(camera, seen[..., :2] / depth[..., None]), -1, 0)
+        across = camera.focal[0] * x + camera.skew * y + camera.centre[0]
+        down = camera.focal[1] * y + camera.centre[1]
+    pixels = np.stack([across, down], axis=-1)
+    pixels[~np.isfinite(pixels).all(axis=-1)] = np.nan
+    return pixels
 
 
 def rays(camera: Camera, pixels: FloatArray) -> FloatArray:
@@ -141,6 +146,15 @@ def rays(camera: Camera, pixels: FloatArray) -> FloatArray:
 
     NaN where no direction near a pixel leads to it.
     """
+    # What overflows leads nowhere, and is NaN below.
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        found = _undistorted(camera, pixels)
+    found[~np.isfinite(found).all(axis=-1)] = np.nan
+    return found
+
+
+def _undistorted(camera: Camera, pixels: FloatArray) -> FloatArray:
+    """Return places at depth 1 that a lens shows at pixels, by Newton's steps."""
     y = (pixels[..., 1] - camera.centre[1]) / camera.focal[1]
     x = (pixels[..., 0] - camera.centre[0] - camera.skew * y) / camera.focal[0]
     wanted = np.stack([x, y], axis=-1)

@@ -62,9 +62,6 @@ def crash_fault(path: str, number: int) -> Fault:
     name = signal.Signals(number).name
     message = f"USD crashes while it reads this file or one that it refers to ({name})"
     hint = "export it again; do not open it in other programs"
-    if name == "SIGKILL":
-        message = "the process was killed (SIGKILL) while it read this file"
-        hint = "the system may have no memory left"
     return Fault("USD160", message, path, (), hint)
 
 

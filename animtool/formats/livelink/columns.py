@@ -55,6 +55,8 @@ MAX_COLUMNS = 4096
 MAX_BYTES = 1_000_000_000
 MAX_FAULTS = 100
 MAX_NAMED = 12
+# Weights are about 1, and angles a few radians: what is beyond is no value.
+MAX_VALUE = 1e18
 _DELIMITERS = ",;\t"
 _ANGLES = {name.lower(): name for name in ANGLES}
 
@@ -229,7 +231,7 @@ class _Table:
                 break
         if faults:
             raise FormatError(faults[:MAX_FAULTS])
-        made[np.isinf(made)] = np.nan
+        made[~(np.abs(made) <= MAX_VALUE)] = np.nan
         return made
 
     def _count_notice(self, values: FloatArray, lines: IntArray) -> list[Fault]:

@@ -182,7 +182,8 @@ class Nbody(Interacting[NbodyState, Pulls]):
         """Return how many parts of a step follow the closest pair, a power of two."""
         if not self._fixed or not len(rates):
             return 1
-        phase = dt * math.sqrt(float(rates.max())) / self._phase
+        # A state that somebody else wrote may hold any rates.
+        phase = dt * math.sqrt(max(float(rates.max()), 0.0)) / self._phase
         if not phase < self._spec.substeps:
             return 2 * int(self._spec.substeps)
         return 1 << max(math.ceil(math.log2(phase)), 0) if phase > 1 else 1

@@ -166,6 +166,12 @@ class RigidSimulation:
             awake=len(self.bodies.dynamic),
         )
 
+    def misfit(self, state: RigidState, t: float) -> str:
+        """Return why a state of a file cannot be resumed from; empty where it can."""
+        del t
+        sizes = np.linalg.norm(np.clip(state.motion[:, 3:7], -2, 2), axis=1)
+        return "" if (sizes > 0.5).all() else "the attitude of a body is no rotation"
+
     def step(self, state: RigidState, t: float, dt: float) -> RigidState:
         """Return where bodies are a step [s] later.
 

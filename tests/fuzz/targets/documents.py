@@ -41,6 +41,11 @@ REMAP = (
     "remap: animtool/1\nothers: none\nshapes:\n- {source: A, target: smile, gain: 2}\n"
     "- {source: B, target: jaw, offset: -0.1, clamp: [0, 1]}\n"
 )
+MAP = (
+    "map: animtool/1\nothers: auto\njoints:\n"
+    "- {source: 'mixamorig:Hips', target: hips}\n"
+    "- {source: RightHand, target: hand_r}\nignored: {source: [Head], target: [neck]}\n"
+)
 # Longer ones take more than some milliseconds, and say no more.
 LONGEST = 3000
 # What no line of a message may hold.
@@ -66,9 +71,11 @@ class Seed:
     value: Any
 
 
-def make(folder: Path) -> Callable[[np.random.Generator], str]:
-    """Return what runs a case in a folder."""
-    seeds = list(_seeds(folder))
+def make(
+    folder: Path, kinds: tuple[str, ...] = KINDS
+) -> Callable[[np.random.Generator], str]:
+    """Return what runs a case in a folder, of some kinds of files."""
+    seeds = [seed for seed in _seeds(folder) if seed.kind in kinds]
     rigs: dict[Path, Rig] = {}
     words = sorted({key for seed in seeds for key in _keys(seed.value)})
 
@@ -111,6 +118,7 @@ def _seeds(folder: Path) -> Iterator[Seed]:
         shutil.copytree(ROOT / name, folder / name)
     (folder / "animtool.toml").write_text("", "utf-8")
     (folder / "hero.remap.yaml").write_text(REMAP, "utf-8")
+    (folder / "hero.map.yaml").write_text(MAP, "utf-8")
     for path in sorted(folder.rglob("*.yaml")):
         kind = path.name.split(".")[-2]
         if kind in KINDS and path.stat().st_size <= LONGEST:

@@ -12,8 +12,8 @@ import numpy as np
 from support.bvh import random_rows, small_bvh
 
 from animtool.batch.bundle import chunk_size, mean_seconds
+from animtool.batch.cluster import _address
 from animtool.batch.discover import find_batch
-from animtool.batch.executors import _address
 from animtool.batch.file import load_batch
 from animtool.batch.item import mapped_path, read_rules
 from animtool.batch.ledger import _Files, _owner, held_ledger, read_history

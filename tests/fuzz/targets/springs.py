@@ -197,13 +197,18 @@ _RARE: dict[str, list[Any]] = {
 }
 
 
-def make(folder: Path) -> Callable[[np.random.Generator], str]:
-    """Return what runs a case in a folder."""
-    path = folder / "shot.scene.yaml"
+def strands(folder: Path) -> None:
+    """Write the strands that scenes name."""
     points = np.zeros((2, 4, 3))
     points[:, 1:, 1] = -0.05 * np.arange(1, 4)
     points[1, :, 0] = 0.1
     np.savez(folder / "hair.npz", points=points)
+
+
+def make(folder: Path) -> Callable[[np.random.Generator], str]:
+    """Return what runs a case in a folder."""
+    path = folder / "shot.scene.yaml"
+    strands(folder)
     kinds = sorted(_SYSTEMS)
 
     def run(rng: np.random.Generator) -> str:
@@ -218,7 +223,7 @@ def make(folder: Path) -> Callable[[np.random.Generator], str]:
         }
         path.write_text(json.dumps(scene), "utf-8")
         try:
-            return _simulated(path, kind)
+            return simulated(path, kind)
         except AnimtoolError as error:
             return error.code
 
@@ -264,7 +269,8 @@ def _found(value: Any, path: tuple[int | str, ...]) -> Any:
     return value
 
 
-def _simulated(path: Path, kind: str) -> str:
+def simulated(path: Path, kind: str) -> str:
+    """Simulate the systems of a scene for some frames; return their kind."""
     systems = load_scene(path).systems
     opened = open_systems(systems, (FRAMES - 1) / FPS)
     for frame in range(FRAMES):

@@ -1,0 +1,534 @@
+"""The executor of a dask cluster: which workers are fit, and which builds what.
+
+A worker is checked before it is sent an item, and an item is done when this machine
+sees its files with the content that the worker wrote.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import pickle
+import re
+import time
+import warnings
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from queue import Empty, SimpleQueue
+from threading import Thread
+from typing import Any
+from uuid import uuid4
+
+from animtool.batch.cluster_worker import (
+    DISK,
+    INPUTS,
+    InputCheck,
+    WorkerCheck,
+    builder_versions,
+)
+from animtool.batch.delivery import Delivery
+from animtool.batch.executors import Work
+from animtool.batch.item import Item
+from animtool.batch.manifest import file_digest
+from animtool.batch.records import RecordError, json_of_file, text_in
+from animtool.batch.work import Outcome, Status
+from animtool.batch.worker_process import WorkerTask
+from animtool.core.errors import (
+    AnimtoolError,
+    Fault,
+    OptionError,
+    OutputError,
+    Severity,
+    counted,
+    excerpt,
+    listed,
+)
+from animtool.core.files.leftovers import new_temporary
+from animtool.core.files.reading import FileState, changed_error
+
+# A scheduler that has not answered by then is not there: with the start of a command,
+# it is reported within 10 s [s].
+TIMEOUT = 6.5
+# How often workers are counted where nothing ends [s].
+POLL_INTERVAL = 1.0
+# A nanny restarts a lost worker within seconds, and clusters that grow by demand start
+# machines within minutes; what takes longer may never come [s].
+WORKERLESS = 300.0
+# A network disk may remember for a minute that a file was missing [s].
+UNSEEN = 90.0
+# How often an item is sent again whose workers were lost while they built it.
+MAX_LOSSES = 3
+# More inputs than these are not looked up one by one: every n-th is.
+MAX_INPUTS = 10_000
+# Content of larger inputs is not compared before the first item [bytes].
+MAX_COMPARED = 10_000_000
+MAX_TOKENS = 50
+# A scheduler writes a kilobyte about itself, and some for each worker.
+MAX_SCHEDULER = 16_000_000
+ADDRESS = re.compile(r"([a-z]+://.+)|(.+:[0-9]+)")
+RESUME = "finished items are recorded; the same command resumes with the rest"
+
+
+def dask(work: Work) -> Iterator[Outcome | Fault]:
+    """Yield outcomes of items that the workers of a dask cluster build.
+
+    Each thread of a worker has a subprocess that builds one item after another: limits,
+    and what a crash costs, are those of `run_processes`. As many items are begun as the
+    fit workers have threads, or as were asked for. Inputs and outputs must be the same
+    disks under the same names: workers that see others, or have other versions, are
+    left out and named.
+    """
+    about = work.argument
+    file = about.endswith(".json")
+    if not (file or ADDRESS.fullmatch(about)):
+        message = f"{excerpt(about)} is no address of a dask scheduler"
+        hint = "such as dask=tcp://host:8786, or dask=scheduler.json"
+        raise OptionError(Fault("BAT031", message, hint=hint))
+    if importlib.util.find_spec("distributed") is None:
+        message = "the executor dask needs the package distributed"
+        hint = "pip install 'animtool[farm]'"
+        raise OptionError(Fault("IO005", message, hint=hint))
+    return _outcomes(work, _address(Path(about)) if file else about)
+
+
+def _address(path: Path) -> str:
+    """Return the address that a scheduler has written to a file."""
+    try:
+        address = text_in(json_of_file(path, MAX_SCHEDULER), "address", 1000)
+    except RecordError as error:
+        raise _unreachable(str(path), error) from error
+    if not ADDRESS.fullmatch(address):
+        raise _unreachable(str(path), RecordError(f"{excerpt(address)} is no address"))
+    return address
+
+
+def _outcomes(work: Work, address: str) -> Iterator[Outcome | Fault]:
+    client = _client(address)
+    name = f"animtool-{uuid4().hex}"
+    try:
+        with _tokens(work.folders) as tokens:
+            yield from _Farm(client, name, work, tokens).outcomes()
+    finally:
+        _leave(client, name)
+
+
+def _client(address: str) -> Any:
+    from distributed import Client
+
+    made: SimpleQueue[Any] = SimpleQueue()
+
+    def connect() -> None:
+        try:
+            made.put(Client(address, timeout=TIMEOUT, set_as_default=False))
+        except Exception as error:
+            made.put(error)
+
+    # Its own timeout does not count what a server that is no scheduler answers.
+    with warnings.catch_warnings():
+        # Versions of workers are compared before the first item.
+        warnings.simplefilter("ignore")
+        Thread(target=connect, daemon=True).start()
+        try:
+            client = made.get(timeout=TIMEOUT)
+        except Empty:
+            client = TimeoutError(f"no answer within {TIMEOUT:g} s")
+    if isinstance(client, Exception):
+        raise _unreachable(address, client) from client
+    return client
+
+
+def _unreachable(about: str, error: Exception) -> OutputError:
+    why = f"{type(error).__name__}: {excerpt(str(error), 200)}"
+    if not isinstance(error, OSError | ValueError):
+        why = f"what answers there is no scheduler of this version ({why})"
+    hint = "is the scheduler running, of the same distributed, and this its address?"
+    return _unusable(about, why, hint)
+
+
+def _unusable(about: str, why: str, hint: str) -> OutputError:
+    message = f"the dask cluster at {about} cannot be used: {why}"
+    return OutputError(Fault("BAT035", message, hint=hint))
+
+
+def _leave(client: Any, name: str) -> None:
+    """End what this run has on workers, and leave them.
+
+    A scheduler that does not answer is not waited for.
+    """
+
+    def release(dask_worker: Any) -> None:
+        from animtool.batch.cluster_worker import release
+
+        release(dask_worker, name)
+
+    def leave() -> None:
+        with suppress(Exception):
+            client.run(release, on_error="ignore")
+
+    leaving = Thread(target=leave, daemon=True)
+    leaving.start()
+    leaving.join(TIMEOUT)
+    with suppress(TimeoutError):
+        client.close(TIMEOUT)
+
+
+@contextmanager
+def _tokens(folders: tuple[Path, ...]) -> Iterator[Mapping[str, str]]:
+    """Give files in the folders of outputs by which workers tell them from others."""
+    texts: dict[str, str] = {}
+    try:
+        for folder in folders[:MAX_TOKENS]:
+            path = new_temporary(folder.absolute() / "token")
+            with suppress(OSError):
+                path.parent.mkdir(parents=True, exist_ok=True)
+                texts[str(path)] = text = uuid4().hex
+                path.write_text(text, "utf-8")
+        yield texts
+    finally:
+        for name in texts:
+            Path(name).unlink(missing_ok=True)
+
+
+def _inputs(work: Work, delivery: Delivery) -> Iterator[InputCheck]:
+    """Yield the inputs that a worker must see; of many every n-th."""
+    paths = list(dict.fromkeys(path.absolute() for path in work.inputs))
+    for path in paths[:: -(-len(paths) // MAX_INPUTS) or 1]:
+        state = delivery.note(path)
+        if state is not None and path.is_file():
+            small = state.size <= MAX_COMPARED and len(paths) <= MAX_INPUTS
+            with suppress(AnimtoolError, OSError):
+                yield InputCheck(
+                    str(path), state.size, file_digest(path) if small else ""
+                )
+
+
+def _asking(
+    name: str, versions: Mapping[str, str]
+) -> Callable[[bytes], tuple[str, str, str]]:
+    """Return what checks a worker, on it: its host, and code and reason if unfit.
+
+    A worker drops out of its cluster where it cannot import what a message to it names.
+    So this is sent by its code, and what it needs of animtool as bytes.
+    """
+
+    def ask(pickled: bytes) -> tuple[str, str, str]:
+        import platform
+
+        from distributed import get_worker
+
+        host = platform.node()
+        try:
+            from animtool.batch.cluster_worker import admit
+
+            return (host, *admit(get_worker(), name, versions, pickled))
+        except Exception as error:
+            from importlib.metadata import PackageNotFoundError, version
+
+            try:
+                actual = f"animtool {version('animtool')}"
+            except PackageNotFoundError:
+                actual = "no animtool"
+            why = f"it has {actual}, instead of {versions['animtool']}: "
+            return host, "BAT036", f"{why}{type(error).__name__}: {error}"
+
+    return ask
+
+
+def _building(name: str) -> Callable[[bytes], Outcome | None]:
+    """Return what builds an item, on a worker that was checked; sent by its code."""
+
+    def build(pickled: bytes) -> Outcome | None:
+        import pickle
+
+        from distributed import get_worker
+
+        from animtool.batch.cluster_worker import build_on
+
+        return build_on(get_worker(), name, pickle.loads(pickled))
+
+    return build
+
+
+@dataclass(slots=True, eq=False)
+class _Worker:
+    """A worker of the cluster, as far as it is known."""
+
+    address: str  # of the worker
+    threads: int  # how many it has
+    fit: bool | None = None  # whether it builds items; None is not known yet
+    host: str = ""  # its machine
+    going: int = 0  # items that it has now
+    built: int = 0  # items that it built
+
+    def has_room(self, *, ahead: bool) -> bool:
+        """Return whether it can be sent an item; ``ahead`` of its threads too."""
+        return self.going < self.threads + (ahead and self.built > 0)
+
+    def __str__(self) -> str:
+        return f"{self.address} ({self.host})" if self.host else self.address
+
+
+@dataclass(slots=True)
+class _Sent:
+    """A task that is on its way: an item, or without one the check of a worker."""
+
+    worker: _Worker  # to whom
+    item: Item | None = None
+
+
+@dataclass(slots=True)
+class _Farm:
+    """One run on a cluster."""
+
+    client: Any  # the way to the cluster
+    name: str  # of the run
+    work: Work  # what it is given
+    tokens: Mapping[str, str]  # files by which workers know the disks of outputs
+    workers: dict[str, _Worker] = field(default_factory=dict)  # those that live
+    sent: dict[Any, _Sent] = field(default_factory=dict)  # by future
+    ended: SimpleQueue[Any] = field(default_factory=SimpleQueue)
+    again: list[Item] = field(default_factory=list)  # to be sent to another worker
+    losses: dict[int, int] = field(default_factory=dict)  # by item number
+    # Outcomes whose files are not seen yet, and until when they are waited for.
+    unseen: list[tuple[float, Item, _Worker, Outcome]] = field(default_factory=list)
+    said: list[Fault] = field(default_factory=list)  # warnings that are due
+    delivery: Delivery = field(init=False)
+    check: bytes = field(init=False)
+    build: Callable[[bytes], Outcome | None] = field(init=False)
+    _had_workers: float = field(default_factory=time.monotonic)
+    _waits: bool = False  # whether it was said that there is no worker
+
+    def __post_init__(self) -> None:
+        self.delivery = Delivery(self.work.builder.root)
+        self.build = _building(self.name)  # one object is pickled once
+        task = WorkerTask(self.work.builder, self.work.limits, str(Path.cwd()))
+        inputs = tuple(_inputs(self.work, self.delivery))
+        self.check = pickle.dumps(WorkerCheck(task, inputs, self.tokens))
+
+    def outcomes(self) -> Iterator[Outcome | Fault]:
+        """Yield outcomes and warnings until all items are built."""
+        counted_at = -POLL_INTERVAL
+        while True:
+            if time.monotonic() - counted_at >= POLL_INTERVAL:
+                yield from self._lost(self._addresses())
+                counted_at = time.monotonic()
+            more = self._send()
+            yield from self._said()
+            if more and not self.unseen:
+                self._refuse_unfit()
+            if not (more or self.unseen or any(s.item for s in self.sent.values())):
+                return
+            with suppress(Empty):
+                future, value = self.ended.get(timeout=POLL_INTERVAL)
+                if future in self.sent:
+                    yield from self._heard(self.sent.pop(future), value)
+            yield from self._seen()
+
+    def _said(self) -> Iterator[Fault]:
+        while self.said:
+            yield self.said.pop(0)
+
+    def _addresses(self) -> Mapping[str, int]:
+        """Return the workers of now, and how many threads each has."""
+        if self.client.status in {"closing", "closed"}:
+            raise _unusable(self.work.argument, "its scheduler is gone", RESUME)
+        try:
+            threads: Mapping[str, int] = self.client.nthreads(callback_timeout=TIMEOUT)
+        except (OSError, RuntimeError):
+            # The client looks for its scheduler again, and closes where it is gone.
+            threads = {}
+        now = time.monotonic()
+        if threads:
+            self._had_workers, self._waits = now, False
+            return threads
+        if now - self._had_workers > WORKERLESS:
+            why = f"it has had no worker for {WORKERLESS:g} s"
+            raise _unusable(self.work.argument, why, RESUME)
+        if not self._waits:
+            self._waits = True
+            message = f"the cluster at {self.work.argument} has no worker now: "
+            message += f"waiting up to {WORKERLESS:g} s for one"
+            hint = "start workers: dask worker ADDRESS"
+            self.said.append(Fault("BAT076", message, None, (), hint, Severity.WARNING))
+        return threads
+
+    def _lost(self, addresses: Mapping[str, int]) -> Iterator[Outcome]:
+        """Take back what lost workers had, and begin to check new ones."""
+        for address in self.workers.keys() - addresses.keys():
+            worker = self.workers.pop(address)
+            for future in [f for f, sent in self.sent.items() if sent.worker is worker]:
+                future.cancel()
+                yield from self._loss(self.sent.pop(future), "it is gone")
+        for address in addresses.keys() - self.workers.keys():
+            self.workers[address] = _Worker(address, addresses[address])
+            self._ask(self.workers[address])
+
+    def _loss(self, sent: _Sent, why: str) -> Iterator[Outcome]:
+        """Send the item of a lost worker again, unless that happens each time."""
+        sent.worker.going -= sent.item is not None
+        if sent.item is None:
+            return
+        number = sent.item.number
+        self.losses[number] = self.losses.get(number, 0) + 1
+        if self.losses[number] < MAX_LOSSES:
+            self.again.append(sent.item)
+            return
+        message = f"{MAX_LOSSES} workers were lost while they built it: the last, "
+        message += f"{sent.worker}: {why}"
+        hint = "out of memory or a time limit of the cluster; its workers' logs tell"
+        fault = Fault("BAT020", message, str(sent.item.file.path), (), hint)
+        yield Outcome.failed(sent.item, fault)
+
+    def _ask(self, worker: _Worker) -> None:
+        self._submit(
+            _asking(self.name, builder_versions()), self.check, _Sent(worker, None)
+        )
+
+    def _submit(self, function: Any, argument: bytes, sent: _Sent) -> None:
+        future = self.client.submit(
+            function, argument, pure=False, workers=[sent.worker.address]
+        )
+        self.sent[future] = sent
+        future.add_done_callback(self._end)
+
+    def _end(self, future: Any) -> None:
+        """Fetch a result: in the thread of callbacks, while others are being sent."""
+        try:
+            value = future.result()
+        except BaseException as error:
+            value = error
+        self.ended.put((future, value))
+
+    def _send(self) -> bool:
+        """Send items while threads of fit workers are free; return if more are left."""
+        fit = [worker for worker in self.workers.values() if worker.fit]
+        going = sum(worker.going for worker in fit)
+        asked, threads = self.work.asked, sum(worker.threads for worker in fit)
+        # Where every thread is used, the next item waits at its worker for the one
+        # before it: its way there takes no time then.
+        ahead = self.work.ahead and (asked is None or asked >= threads)
+        while ahead or asked is None or going < asked:
+            free = [worker for worker in fit if worker.has_room(ahead=ahead)]
+            if not free:
+                return True
+            item = self.again.pop(0) if self.again else next(self.work.items, None)
+            if item is None:
+                return False
+            worker = min(free, key=lambda one: one.going / one.threads)
+            worker.going += 1
+            going += 1
+            self._submit(self.build, pickle.dumps(item), _Sent(worker, item))
+        return True
+
+    def _refuse_unfit(self) -> None:
+        """Raise where every worker was checked and none is fit."""
+        if not self.workers or any(w.fit is not False for w in self.workers.values()):
+            return
+        count = counted(len(self.workers), "worker")
+        why = f"{count}, all left out: the warnings say why"
+        raise _unusable(self.work.argument, why, RESUME)
+
+    def _heard(self, sent: _Sent, value: object) -> Iterator[Outcome | Fault]:
+        """Take the answer of a worker: of its check, or the outcome of an item."""
+        worker, item = sent.worker, sent.item
+        if item is None:
+            yield from self._checked(worker, value)
+            return
+        if isinstance(value, BaseException):
+            # Where the worker is lost, the next count says so.
+            yield from self._loss(sent, f"{type(value).__name__}: {value}")
+            return
+        worker.going -= 1
+        if value is None:
+            # Another process has its address now.
+            worker.fit = None
+            self.again.append(item)
+            self._ask(worker)
+        elif not (isinstance(value, Outcome) and value.number == item.number):
+            message = f"worker {worker} returned something else than its outcome"
+            fault = Fault("BAT020", message, str(item.file.path))
+            yield Outcome.failed(item, fault)
+        elif value.status is Status.DONE:
+            yield from self._built(worker, item, value)
+        else:
+            yield from self._failed(worker, item, value)
+
+    def _checked(self, worker: _Worker, value: object) -> Iterator[Fault]:
+        if isinstance(value, tuple):
+            worker.host, code, why = value
+            worker.fit = not code
+        elif worker.address not in self._addresses():
+            return
+        else:
+            worker.fit, code = False, INPUTS
+            why = f"it cannot be checked: {type(value).__name__}: {value}"
+        if not worker.fit:
+            yield from self._leave_out(worker, code, why)
+
+    def _leave_out(self, worker: _Worker, code: str, why: str) -> Iterator[Fault]:
+        """Give a worker no more items, and say so once."""
+        worker.fit = False
+        message = f"worker {worker} is left out: {excerpt(why, 400)[1:-1]}"
+        yield Fault(code, message, None, (), _HINTS[code], Severity.WARNING)
+
+    def _built(
+        self, worker: _Worker, item: Item, outcome: Outcome
+    ) -> Iterator[Outcome | Fault]:
+        """Take an outcome whose inputs are those of this machine; wait for its files.
+
+        Where inputs are others, another worker builds the item.
+        """
+        other = self.delivery.other_inputs(outcome)
+        changed = self.delivery.changed(other)
+        if changed:
+            yield Outcome.failed(item, *changed_error(*changed).faults)
+        elif other:
+            why = f"it has other files of the same names: {listed(other, 2)}"
+            yield from self._leave_out(worker, INPUTS, why)
+            self.again.append(item)
+        else:
+            until = time.monotonic() + UNSEEN
+            self.unseen.append((until, item, worker, outcome))
+
+    def _seen(self) -> Iterator[Outcome | Fault]:
+        """Yield the outcomes whose files are seen here, with the content written."""
+        now, waiting = time.monotonic(), self.unseen
+        self.unseen = []
+        for until, item, worker, outcome in waiting:
+            seen = self.delivery.seen(outcome)
+            if seen is not None:
+                worker.built += 1
+                yield seen
+            elif now < until and worker.fit:
+                self.unseen.append((until, item, worker, outcome))
+            else:
+                self.again.append(item)
+                if worker.fit:
+                    why = f"its {str(item.output.parent)!r} is not this machine's"
+                    yield from self._leave_out(worker, DISK, why)
+
+    def _failed(
+        self, worker: _Worker, item: Item, outcome: Outcome
+    ) -> Iterator[Outcome | Fault]:
+        """Take a failure, unless another worker can do what this one cannot."""
+        unread = [
+            fault.path
+            for fault in outcome.faults
+            if fault.code == "IO001" and fault.path and os.access(fault.path, os.R_OK)
+        ]
+        if not unread or FileState.of(Path(unread[0])) is None:
+            yield outcome
+            return
+        self.again.append(item)
+        if worker.fit:
+            why = f"it cannot read {listed(unread, 2)}"
+            yield from self._leave_out(worker, INPUTS, why)
+
+
+_HINTS = {
+    "BAT036": "the same versions on every machine give the same bytes",
+    INPUTS: "mount the folders of inputs under the same names on every machine",
+    DISK: "mount the folders of outputs under the same names on every machine",
+}

@@ -1,0 +1,177 @@
+"""What runs on the workers of a cluster: a check before the first item, and items.
+
+Nothing of dask is imported: a worker is any object with ``plugins``, whose
+``teardown`` it calls when it ends.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import pickle
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import animtool
+from animtool.batch.item import Item
+from animtool.batch.manifest import file_digest
+from animtool.batch.spec import made_by
+from animtool.batch.work import Outcome
+from animtool.batch.worker_process import WorkerProcess, WorkerTask
+from animtool.core.errors import AnimtoolError, Fault, excerpt, listed
+from animtool.core.files.reading import read_input
+
+# Codes of why a worker is left out.
+VERSIONS, INPUTS, DISK = "BAT036", "BAT074", "BAT075"
+
+
+@dataclass(frozen=True, slots=True)
+class InputCheck:
+    """An input, as the machine that runs the batch has it."""
+
+    path: str  # absolute
+    size: int  # [bytes]
+    sha256: str = ""  # of its content; empty is not compared
+
+
+@dataclass(frozen=True, slots=True)
+class WorkerCheck:
+    """What a worker must have before it is sent an item."""
+
+    task: WorkerTask  # how it builds items
+    inputs: tuple[InputCheck, ...]  # files that it must see
+    # By path, what is in files in the output folders, which the run wrote just now.
+    tokens: Mapping[str, str]
+
+
+def builder_versions() -> dict[str, str]:
+    """Return the versions that decide results, and a digest of animtool's own code.
+
+    A checkout has the same version before and after a change.
+    """
+    return {**made_by(), "animtool code": _code_digest()}
+
+
+@cache
+def _code_digest() -> str:
+    digest = hashlib.sha256()
+    folder = Path(animtool.__file__).parent
+    for path in sorted(folder.rglob("*.py")):
+        # Line ends differ between a checkout and a wheel on some systems.
+        text = read_input(path, recorded=False).replace(b"\r\n", b"\n")
+        digest.update(f"{path.relative_to(folder).as_posix()}\0{len(text)}\0".encode())
+        digest.update(text)
+    return digest.hexdigest()[:12]
+
+
+def differences(expected: Mapping[str, str], actual: Mapping[str, str]) -> str:
+    """Return which versions differ, in words; empty where none does.
+
+    >>> differences({"numpy": "2.1", "scipy": "1"}, {"numpy": "1.9", "scipy": "1"})
+    'numpy 1.9 instead of 2.1'
+    """
+    return ", ".join(
+        f"{name} {actual.get(name) or 'none'} instead of {expected.get(name) or 'none'}"
+        for name in sorted({*expected, *actual})
+        if expected.get(name) != actual.get(name)
+    )
+
+
+def admit(
+    worker: Any, name: str, versions: Mapping[str, str], pickled: bytes
+) -> tuple[str, str]:
+    """Prepare a worker for a run; return the code and reason where it is unfit.
+
+    Args:
+        worker: The worker, which keeps what is prepared among its ``plugins``.
+        name: Name of the run.
+        versions: What `builder_versions` is where the run is.
+        pickled: A `WorkerCheck`, read only where the versions are the same.
+    """
+    other = differences(versions, builder_versions())
+    if other:
+        return VERSIONS, f"it has {other}"
+    check: WorkerCheck = pickle.loads(pickled)
+    for code, reason in _reasons(check):
+        return code, reason
+    worker.plugins[name] = WorkerProcesses(check.task)
+    return "", ""
+
+
+def _reasons(check: WorkerCheck) -> Iterator[tuple[str, str]]:
+    if not Path(check.task.folder).is_dir():
+        yield INPUTS, f"it has no folder {excerpt(check.task.folder, 200)}"
+    missing = [one.path for one in check.inputs if not os.access(one.path, os.R_OK)]
+    if missing:
+        count, total = len(missing), len(check.inputs)
+        yield INPUTS, f"it cannot read {count} of {total} inputs: {listed(missing, 2)}"
+    other = [one.path for one in check.inputs if not _is_same(one)]
+    if other:
+        yield INPUTS, f"it has other files of the same names: {listed(other, 2)}"
+    for path, text in check.tokens.items():
+        folder = Path(path).parent
+        try:
+            same = read_input(Path(path), recorded=False) == text.encode()
+        except AnimtoolError:
+            same = False
+        if not same:
+            yield DISK, f"its {str(folder)!r} is not this machine's"
+        elif not os.access(folder, os.W_OK | os.X_OK):
+            yield DISK, f"it may not write to {str(folder)!r}"
+
+
+def _is_same(one: InputCheck) -> bool:
+    try:
+        path = Path(one.path)
+        if path.stat().st_size != one.size:
+            return False
+        return not one.sha256 or file_digest(path) == one.sha256
+    except (OSError, AnimtoolError):
+        return False
+
+
+def build_on(worker: Any, name: str, item: Item) -> Outcome | None:
+    """Return the outcome of an item; None where the worker is not prepared."""
+    processes: WorkerProcesses | None = worker.plugins.get(name)
+    return None if processes is None else processes.build(item)
+
+
+def release(worker: Any, name: str) -> None:
+    """End what a run has on a worker."""
+    processes: WorkerProcesses | None = worker.plugins.pop(name, None)
+    if processes is not None:
+        processes.teardown(worker)
+
+
+@dataclass(slots=True)
+class WorkerProcesses:
+    """The subprocesses of a worker that build items: one for each busy thread."""
+
+    task: WorkerTask  # how they build items
+    _idle: list[WorkerProcess] = field(default_factory=list)
+    _busy: list[WorkerProcess] = field(default_factory=list)
+
+    def build(self, item: Item) -> Outcome:
+        """Return the outcome of an item."""
+        # Both are atomic among threads.
+        process = self._idle.pop() if self._idle else WorkerProcess(self.task)
+        self._busy.append(process)
+        try:
+            outcome = process.make(item)
+        except OSError as error:
+            self._busy.remove(process)
+            process.end()
+            message = f"cannot be built there: {error}"
+            return Outcome.failed(item, Fault("BAT020", message, str(item.file.path)))
+        self._busy.remove(process)
+        self._idle.append(process)
+        return outcome
+
+    def teardown(self, worker: object) -> None:
+        """End the subprocesses, and what they are at."""
+        del worker
+        for process in [*self._idle, *self._busy]:
+            process.end()
