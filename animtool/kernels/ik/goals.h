@@ -1,0 +1,236 @@
+// What is asked of the chain: residuals, their Jacobian, and their curvature.
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include "ik/kinds.h"
+
+namespace animtool::ik {
+
+struct Goal {
+  int node;
+  double offset[3];  // of its point, in the node's frame: what stretches with the limb,
+  double bone[3], tool[3];  // and what does not
+  double aim_axis[3];
+  double weights[PARTS];  // 0 is not asked for
+  double stretched = 1;
+  int level = 0;      // 0 is hard; higher ones give way to those below
+  int root = -1, middle = -1;  // of the limb that has a pole
+  int row = 0;
+  std::vector<int> path;  // nodes that move it, from the root
+};
+
+inline double weight_of(const Goal& goal, const double* target, int part) {
+  return goal.weights[part] * target[WEIGHTS + part];
+}
+
+struct Task {
+  Chain chain;
+  std::vector<Goal> goals;
+  int rows = 0;
+  int levels = 1;
+  double rest_weight = 0;
+};
+
+inline int rows_of(const Goal& goal) {
+  int count = 0;
+  each_kind([&]<class Kind>(int part) { count += Kind::ROWS * (goal.weights[part] > 0); });
+  return count;
+}
+
+inline int rows_asked(const Task& task, const double* targets) {
+  int count = 0;
+  for (std::size_t e = 0; e < task.goals.size(); ++e)
+    each_kind([&]<class Kind>(int part) {
+      count += Kind::ROWS * (weight_of(task.goals[e], targets + TARGET_WIDTH * e, part) > 0);
+    });
+  return count;
+}
+
+// A pose of the chain and how far it is from the goals.
+struct State {
+  std::vector<double> q;
+  Frames frames;
+  std::vector<double> residuals;  // (M,), weighted
+  std::vector<double> points;     // (E, 3)
+  std::vector<double> misses;     // (E, K), not weighted: lengths and angles
+  std::vector<double> weights;    // (E, K), with those of the targets
+  double cost = 0;                // of the goals, and of the rest preference:
+  double drawn = 0;               // its part
+
+  explicit State(const Task& task)
+      : q(task.chain.coordinates), frames(task.chain), residuals(task.rows),
+        points(3 * task.goals.size()), misses(PARTS * task.goals.size()),
+        weights(PARTS * task.goals.size()) {}
+};
+
+// Once its point is known.
+inline View view_of(const Goal& goal, const State& state, const double* point) {
+  View view{&state.frames.rotations[9 * goal.node], point, goal.aim_axis, goal.root, goal.middle,
+            nullptr, nullptr};
+  if (goal.middle < 0) return view;
+  view.origin = &state.frames.origins[3 * goal.root];
+  view.joint = &state.frames.origins[3 * goal.middle];
+  return view;
+}
+
+// `shift` (M,) is added to the residuals, or null.
+inline void measure(const Task& task, const double* targets, State& state,
+                    const double* shift = nullptr) {
+  std::fill(state.residuals.begin(), state.residuals.end(), 0.0);
+  std::fill(state.misses.begin(), state.misses.end(), 0.0);
+  for (std::size_t e = 0; e < task.goals.size(); ++e) {
+    const Goal& goal = task.goals[e];
+    const double* target = targets + TARGET_WIDTH * e;
+    const double* rotation = &state.frames.rotations[9 * goal.node];
+    double* point = &state.points[3 * e];
+    double* miss = &state.misses[PARTS * e];
+    double* weights = &state.weights[PARTS * e];
+    double* r = state.residuals.data() + goal.row;
+    for (int part = 0; part < PARTS; ++part) weights[part] = weight_of(goal, target, part);
+    rotate(rotation, goal.offset, point);
+    for (int i = 0; i < 3; ++i) point[i] += state.frames.origins[3 * goal.node + i];
+    const View view = view_of(goal, state, point);
+    each_kind([&]<class Kind>(int part) {
+      if (weights[part] > 0)
+        miss[part] = Kind::measure(weights[part], view, target + COLUMNS[part], r);
+      r += Kind::ROWS * (goal.weights[part] > 0);
+    });
+  }
+  if (shift)
+    for (int i = 0; i < task.rows; ++i) state.residuals[i] += shift[i];
+  state.cost = 0;
+  for (const double x : state.residuals) state.cost += x * x;
+  state.cost /= 2;
+}
+
+// What the slopes of all kinds are made of.
+template <class... Kind>
+std::tuple<typename Kind::Slopes...> slopes_of(const std::tuple<Kind...>&);
+using Slopes = decltype(slopes_of(Kinds{}));
+
+// Columns of the Jacobian (D, M), a row of memory for each degree of freedom.
+inline void differentiate(const Task& task, const double* targets, const State& state,
+                          std::vector<double>& columns) {
+  std::fill(columns.begin(), columns.end(), 0.0);
+  for (std::size_t e = 0; e < task.goals.size(); ++e) {
+    const Goal& goal = task.goals[e];
+    const double* target = targets + TARGET_WIDTH * e;
+    const double* point = &state.points[3 * e];
+    const double* weights = &state.weights[PARTS * e];
+    if (std::all_of(weights, weights + PARTS, [](double w) { return !(w > 0); })) continue;
+    const View view = view_of(goal, state, point);
+    Slopes slopes;
+    double shares[PARTS];
+    int rows[PARTS], next = 0;
+    each_kind([&]<class Kind>(int part) {
+      shares[part] = weights[part];
+      rows[part] = next;
+      next += Kind::ROWS * (goal.weights[part] > 0);
+      if (weights[part] > 0)
+        std::get<typename Kind::Slopes>(slopes).look(view, target + COLUMNS[part]);
+    });
+    for (const int n : goal.path) {
+      const Node& node = task.chain.nodes[n];
+      const double* origin = &state.frames.origins[3 * n];
+      each_slope(task.chain, node, state.frames, [&](int k, int dof, double gain) {
+        double* column = columns.data() + static_cast<std::size_t>(dof) * task.rows + goal.row;
+        Motion motion{node, n, &state.frames.axes[9 * n + 3 * k], origin, {}, {}};
+        velocity(node, motion.axis, origin, point, motion.linear, motion.angular);
+        each_kind([&]<class Kind>(int part) {
+          if (shares[part] > 0)
+            std::get<typename Kind::Slopes>(slopes).add(motion, gain * shares[part],
+                                                        column + rows[part]);
+        });
+      });
+    }
+  }
+}
+
+// Adds to `out` (D,) what the second derivatives of positions and rotations make of a
+// direction: (Hessian of the cost - J^T J) times `along`. All other kinds are left out.
+//
+// Along a path, joint i before joint j: d2p/didj = a_i x (a_j x (p - p_j)), and rotation
+// vectors obey exp(x) exp(y) = exp(x + y + x cross y / 2 + ...). Sums over the joints before
+// and behind make it linear in their number.
+class Curvature {
+ public:
+  explicit Curvature(const Task& task) : behind_(6 * task.chain.nodes.size()) {}
+
+  void add(const Task& task, const State& state, const double* along, double* out) {
+    for (std::size_t e = 0; e < task.goals.size(); ++e) add(task, state, e, along, out);
+  }
+
+ private:
+  void add(const Task& task, const State& state, std::size_t e, const double* along,
+           double* out) {
+    const Goal& goal = task.goals[e];
+    const double* point = &state.points[3 * e];
+    const double* residual = state.residuals.data() + goal.row;
+    const double* weights = &state.weights[PARTS * e];
+    double force[3] = {0, 0, 0}, torque[3] = {0, 0, 0}, shrink = 0, axis[3] = {0, 0, 0};
+    constexpr int position = part_of<Position>(), orientation = part_of<Orientation>();
+    static_assert(position == 0 && orientation == 1);
+    if (goal.weights[position] > 0) {
+      for (int i = 0; i < 3; ++i) force[i] = weights[position] * residual[i];
+      residual += Position::ROWS;
+    }
+    if (weights[orientation] > 0) {
+      const double w = weights[orientation], angle = length(residual) / w;
+      for (int i = 0; i < 3; ++i) {
+        torque[i] = w * residual[i];
+        axis[i] = angle > 1e-9 ? residual[i] / (w * angle) : 0;
+      }
+      // Across the residual, turning changes its length by angle/2 cot(angle/2) only.
+      if (angle > 1e-9) shrink = w * w * (angle / 2 / std::tan(angle / 2) - 1);
+    }
+    // What the joints behind each one do to the point and to the frame.
+    double linear[3] = {0, 0, 0}, angular[3] = {0, 0, 0};
+    for (std::size_t at = goal.path.size(); at-- > 0;) {
+      double* behind = &behind_[6 * at];
+      std::copy(linear, linear + 3, behind);
+      std::copy(angular, angular + 3, behind + 3);
+      accumulate(task, state, goal.path[at], point, along, linear, angular);
+    }
+    double across_axis[3];
+    for (int i = 0; i < 3; ++i)
+      across_axis[i] = shrink * (angular[i] - dot(axis, angular) * axis[i]);
+    double before[3] = {0, 0, 0};
+    for (std::size_t at = 0; at < goal.path.size(); ++at) {
+      const int n = goal.path[at];
+      const Node& node = task.chain.nodes[n];
+      const double* behind = &behind_[6 * at];
+      const double* origin = &state.frames.origins[3 * n];
+      double own_linear[3] = {0, 0, 0}, own_angular[3] = {0, 0, 0};
+      accumulate(task, state, n, point, along, own_linear, own_angular);
+      each_slope(task.chain, node, state.frames, [&](int k, int dof, double gain) {
+        double lin[3], ang[3];
+        velocity(node, &state.frames.axes[9 * n + 3 * k], origin, point, lin, ang);
+        double sum = -triple(force, ang, behind) - triple(force, before, lin);
+        // The joint with itself: half of either order.
+        sum -= (triple(force, ang, own_linear) + triple(force, own_angular, lin)) / 2;
+        sum -= (triple(torque, ang, behind + 3) + triple(torque, before, ang)) / 2;
+        sum += dot(ang, across_axis);
+        out[dof] += gain * sum;
+      });
+      for (int i = 0; i < 3; ++i) before[i] += own_angular[i];
+    }
+  }
+
+  static void accumulate(const Task& task, const State& state, int n, const double* point,
+                         const double* along, double* linear, double* angular) {
+    const Node& node = task.chain.nodes[n];
+    each_slope(task.chain, node, state.frames, [&](int k, int dof, double gain) {
+      double lin[3], ang[3];
+      velocity(node, &state.frames.axes[9 * n + 3 * k], &state.frames.origins[3 * n], point,
+               lin, ang);
+      const double amount = gain * along[dof];
+      for (int i = 0; i < 3; ++i) linear[i] += amount * lin[i], angular[i] += amount * ang[i];
+    });
+  }
+
+  std::vector<double> behind_;
+};
+
+}  // namespace animtool::ik
