@@ -11,7 +11,7 @@
 #include <vector>
 
 #include "base/checks.h"
-#include "bindings/kernels.h"
+#include "capture/capture.h"
 
 namespace animtool {
 
@@ -534,61 +534,56 @@ FittedFace fit_face(In<double, 3> neutral, In<double, 3> deltas, In<double, 3> o
     check::positive("camera", camera->data()[0]);
     check::positive("camera", camera->data()[1]);
   }
-  Buffer<double> found(frames * shapes + 1), placed(frames * 7 + 1), lengths(frames * landmarks + 1),
-      shares(frames * landmarks + 1);
+  Out<double, 2> found(frames, shapes), placed(frames, 7), lengths(frames, landmarks), shares(frames, landmarks);
   int round = 0;
   double change = 0;
-  {
-    nb::gil_scoped_release release;
-    Face face{landmarks, shapes, neutral.data(), deltas.data(),
-              camera ? camera->data() : nullptr, {}, {}};
-    face.prepare();
-    Linear linear(face);
-    Quadratics problem(frames, shapes, smooth);
-    std::copy(weights.data(), weights.data() + frames * shapes, found.get());
-    std::copy(poses.data(), poses.data() + frames * 7, placed.get());
-    std::vector<double> before(frames * shapes), kept(frames * Linear::kept(shapes));
-    double* w = found.get();
-    for (std::size_t i = 0; i < frames * shapes; ++i) w[i] = std::clamp(w[i], 0.0, 1.0);
-    const std::size_t each = neutral.shape(0) == 1 ? 0 : 3 * landmarks;
-    const auto look = [&](std::size_t f, double limit, double power) {
-      face.neutral = neutral.data() + f * each;
-      linear.residuals(observed.data() + f * landmarks * width, w + f * shapes,
-                       placed.get() + 7 * f, limit, power, lengths.get() + f * landmarks,
-                       shares.get() + f * landmarks);
-    };
-    for (; round < rounds; ++round) {
-      std::copy(w, w + frames * shapes, before.begin());
-      // The loss of Huber first, which has one minimum; then one that outliers do not pull.
-      const bool early = !warm && round < 3;
-      const double power = early ? 1 : 2;
-      const double limit = early && round == 0 ? HUGE_VAL : threshold;
-      for (std::size_t f = 0; f < frames; ++f) {
-        look(f, limit, power);
-        double* h = problem.h.data() + f * shapes * shapes;
-        linear.linearize(observed.data() + f * landmarks * width, w + f * shapes,
-                         placed.get() + 7 * f, shares.get() + f * landmarks, h,
-                         problem.g.data() + f * shapes);
-        linear.keep(kept.data() + f * Linear::kept(shapes));
-        for (std::size_t s = 0; s < shapes; ++s) h[s * shapes + s] += rest;
-      }
-      problem.solve(w, early ? std::max(enough, 1e-3) : enough);
-      for (std::size_t f = 0; f < frames; ++f) {
-        linear.restore(kept.data() + f * Linear::kept(shapes));
-        linear.follow(w + f * shapes, placed.get() + 7 * f);
-      }
-      change = 0;
-      for (std::size_t i = 0; i < frames * shapes; ++i)
-        change = std::max(change, std::fabs(w[i] - before[i]));
-      if (round >= (warm ? 1 : 4) && change < 10 * enough) {
-        ++round;
-        break;
-      }
+  Face face{landmarks, shapes, neutral.data(), deltas.data(),
+            camera ? camera->data() : nullptr, {}, {}};
+  face.prepare();
+  Linear linear(face);
+  Quadratics problem(frames, shapes, smooth);
+  std::copy(weights.data(), weights.data() + frames * shapes, found.get());
+  std::copy(poses.data(), poses.data() + frames * 7, placed.get());
+  std::vector<double> before(frames * shapes), kept(frames * Linear::kept(shapes));
+  double* w = found.get();
+  for (std::size_t i = 0; i < frames * shapes; ++i) w[i] = std::clamp(w[i], 0.0, 1.0);
+  const std::size_t each = neutral.shape(0) == 1 ? 0 : 3 * landmarks;
+  const auto look = [&](std::size_t f, double limit, double power) {
+    face.neutral = neutral.data() + f * each;
+    linear.residuals(observed.data() + f * landmarks * width, w + f * shapes,
+                     placed.get() + 7 * f, limit, power, lengths.get() + f * landmarks,
+                     shares.get() + f * landmarks);
+  };
+  for (; round < rounds; ++round) {
+    std::copy(w, w + frames * shapes, before.begin());
+    // The loss of Huber first, which has one minimum; then one that outliers do not pull.
+    const bool early = !warm && round < 3;
+    const double power = early ? 1 : 2;
+    const double limit = early && round == 0 ? HUGE_VAL : threshold;
+    for (std::size_t f = 0; f < frames; ++f) {
+      look(f, limit, power);
+      double* h = problem.h.data() + f * shapes * shapes;
+      linear.linearize(observed.data() + f * landmarks * width, w + f * shapes,
+                       placed.get() + 7 * f, shares.get() + f * landmarks, h,
+                       problem.g.data() + f * shapes);
+      linear.keep(kept.data() + f * Linear::kept(shapes));
+      for (std::size_t s = 0; s < shapes; ++s) h[s * shapes + s] += rest;
     }
-    for (std::size_t f = 0; f < frames; ++f) look(f, threshold, 2);
+    problem.solve(w, early ? std::max(enough, 1e-3) : enough);
+    for (std::size_t f = 0; f < frames; ++f) {
+      linear.restore(kept.data() + f * Linear::kept(shapes));
+      linear.follow(w + f * shapes, placed.get() + 7 * f);
+    }
+    change = 0;
+    for (std::size_t i = 0; i < frames * shapes; ++i)
+      change = std::max(change, std::fabs(w[i] - before[i]));
+    if (round >= (warm ? 1 : 4) && change < 10 * enough) {
+      ++round;
+      break;
+    }
   }
-  const std::size_t ws[2] = {frames, shapes}, ps[2] = {frames, 7}, ls[2] = {frames, landmarks};
-  return {found.release(ws), placed.release(ps), lengths.release(ls), shares.release(ls), round,
+  for (std::size_t f = 0; f < frames; ++f) look(f, threshold, 2);
+  return {std::move(found), std::move(placed), std::move(lengths), std::move(shares), round,
           change};
 }
 

@@ -11,7 +11,7 @@
 #include <vector>
 
 #include "base/checks.h"
-#include "bindings/kernels.h"
+#include "capture/capture.h"
 
 namespace animtool {
 
@@ -448,126 +448,118 @@ Triangulated triangulate_points(In<double, 4> pixels, std::optional<In<double, 3
   check::positive("condition", condition);
   const double* trust = confidences ? confidences->data() : nullptr;
 
-  const std::size_t each = detailed ? F * C * M : 0;
-  Buffer<double> points(F * M * 3), numbers(F * M * POINT_NUMBERS), tallies(F * C * TALLIES);
-  Buffer<float> residuals(each * 2);
-  Buffer<std::uint8_t> states(each);
-  {
-    nb::gil_scoped_release free;
-    const std::vector<Camera> views = read_cameras(cameras, noise.data());
-    std::fill_n(residuals.get(), each * 2, std::numeric_limits<float>::quiet_NaN());
-    std::fill_n(tallies.get(), F * C * TALLIES, 0.0);
-    Point point;
-    point.gate = gate * gate;
-    std::array<std::uint8_t, 256> state;
-    for (std::size_t f = 0; f < F; ++f)
-      for (std::size_t m = 0; m < M; ++m) {
-        double* const sums = tallies.get() + f * C * TALLIES;
-        const auto pixel = [&](std::size_t c) {
-          return pixels.data() + 2 * ((f * C + c) * M + m);
-        };
-        point.count = 0;
-        std::size_t seen = 0;
-        for (std::size_t c = 0; c < C; ++c) {
-          const double u = pixel(c)[0], v = pixel(c)[1];
-          const double confidence = trust ? trust[(f * C + c) * M + m] : 1;
-          state[c] = UNSEEN;
-          if (!(std::isfinite(u) && std::isfinite(v) && confidence > 0 &&
-                std::isfinite(confidence)))
-            continue;
-          Seen& s = point.seen[point.count];
-          sums[c * TALLIES] += 1, sums[c * TALLIES + 7] += views[c].outside(u, v);
-          if (!views[c].ray(u, v, s.x, s.y)) {
-            state[c] = NO_RAY, sums[c * TALLIES + 4] += 1;
-            continue;
-          }
-          ++seen;
-          if (!active.data()[f * C + c]) {
-            state[c] = INACTIVE;
-            continue;
-          }
-          state[c] = UNRESOLVED;
-          s.camera = &views[c], s.number = c, s.u = u, s.v = v, s.used = true;
-          s.weight = views[c].information * confidence;
-          ++point.count;
-        }
-        Found found = point.count < 2 ? Found{} : point.robust();
-        const std::size_t used = found.good ? point.used() : 0;
-        const double trace = found.good ? found.factor.trace() : 0;
-        // Rays too flat have no depth.
-        if (used < 2 || !(trace * found.trace <= condition)) found = Found{};
-
-        double* to = points.get() + (f * M + m) * 3;
-        double* more = numbers.get() + (f * M + m) * POINT_NUMBERS;
-        to[0] = found.point.x, to[1] = found.point.y, to[2] = found.point.z;
-        more[0] = more[1] = more[2] = NOT;
-        more[3] = found.good ? static_cast<double>(used) : 0, more[4] = static_cast<double>(seen);
-        if (found.good) {
-          double pixel_squares = 0, squares = 0;
-          const auto judge = [&](Seen& s, bool known, std::uint8_t as) {
-            double* const sum = sums + s.number * TALLIES;
-            state[s.number] = as, sum[2] += 1;
-            if (detailed && known) {
-              float* at = residuals.get() + 2 * ((f * C + s.number) * M + m);
-              at[0] = static_cast<float>(s.ru), at[1] = static_cast<float>(s.rv);
-            }
-            if (as != USED) {
-              sum[3] += as == REJECTED || !known || s.squared() > point.gate;
-              return;
-            }
-            const double scale = 2 * s.depth / (s.camera->fx + s.camera->fy);
-            const double square = s.ru * s.ru + s.rv * s.rv, metric = square * scale * scale;
-            sum[1] += 1, sum[5] += square, sum[6] += metric;
-            pixel_squares += square, squares += metric;
-          };
-          for (std::size_t i = 0; i < point.count; ++i) {
-            Seen& s = point.seen[i];
-            const bool known = s.used || s.look(found.point);
-            judge(s, known, s.used ? USED : REJECTED);
-          }
-          for (std::size_t c = 0; seen > point.count && c < C; ++c) {
-            if (state[c] != INACTIVE) continue;
-            Seen s{};
-            s.camera = &views[c], s.number = c, s.u = pixel(c)[0], s.v = pixel(c)[1];
-            s.weight = views[c].information;
-            judge(s, s.look(found.point), INACTIVE);
-          }
-          more[0] = std::sqrt(pixel_squares / more[3]), more[1] = std::sqrt(squares / more[3]);
-          more[2] = std::sqrt(trace);
-        }
-        for (std::size_t c = 0; detailed && c < C; ++c)
-          states.get()[(f * C + c) * M + m] = state[c];
-      }
-  }
   const std::size_t kept = detailed ? F : 0;
-  return {points.release<3>({F, M, 3}), numbers.release<3>({F, M, POINT_NUMBERS}),
-          tallies.release<3>({F, C, TALLIES}), residuals.release<4>({kept, C, M, 2}),
-          states.release<3>({kept, C, M})};
+  Out<double, 3> points(F, M, 3), numbers(F, M, POINT_NUMBERS), tallies(F, C, TALLIES);
+  Out<float, 4> residuals(kept, C, M, 2);
+  Out<std::uint8_t, 3> states(kept, C, M);
+  const std::vector<Camera> views = read_cameras(cameras, noise.data());
+  std::fill_n(residuals.get(), kept * C * M * 2, std::numeric_limits<float>::quiet_NaN());
+  std::fill_n(tallies.get(), F * C * TALLIES, 0.0);
+  Point point;
+  point.gate = gate * gate;
+  std::array<std::uint8_t, 256> state;
+  for (std::size_t f = 0; f < F; ++f)
+    for (std::size_t m = 0; m < M; ++m) {
+      double* const sums = tallies.get() + f * C * TALLIES;
+      const auto pixel = [&](std::size_t c) {
+        return pixels.data() + 2 * ((f * C + c) * M + m);
+      };
+      point.count = 0;
+      std::size_t seen = 0;
+      for (std::size_t c = 0; c < C; ++c) {
+        const double u = pixel(c)[0], v = pixel(c)[1];
+        const double confidence = trust ? trust[(f * C + c) * M + m] : 1;
+        state[c] = UNSEEN;
+        if (!(std::isfinite(u) && std::isfinite(v) && confidence > 0 &&
+              std::isfinite(confidence)))
+          continue;
+        Seen& s = point.seen[point.count];
+        sums[c * TALLIES] += 1, sums[c * TALLIES + 7] += views[c].outside(u, v);
+        if (!views[c].ray(u, v, s.x, s.y)) {
+          state[c] = NO_RAY, sums[c * TALLIES + 4] += 1;
+          continue;
+        }
+        ++seen;
+        if (!active.data()[f * C + c]) {
+          state[c] = INACTIVE;
+          continue;
+        }
+        state[c] = UNRESOLVED;
+        s.camera = &views[c], s.number = c, s.u = u, s.v = v, s.used = true;
+        s.weight = views[c].information * confidence;
+        ++point.count;
+      }
+      Found found = point.count < 2 ? Found{} : point.robust();
+      const std::size_t used = found.good ? point.used() : 0;
+      const double trace = found.good ? found.factor.trace() : 0;
+      // Rays too flat have no depth.
+      if (used < 2 || !(trace * found.trace <= condition)) found = Found{};
+
+      double* to = points.get() + (f * M + m) * 3;
+      double* more = numbers.get() + (f * M + m) * POINT_NUMBERS;
+      to[0] = found.point.x, to[1] = found.point.y, to[2] = found.point.z;
+      more[0] = more[1] = more[2] = NOT;
+      more[3] = found.good ? static_cast<double>(used) : 0, more[4] = static_cast<double>(seen);
+      if (found.good) {
+        double pixel_squares = 0, squares = 0;
+        const auto judge = [&](Seen& s, bool known, std::uint8_t as) {
+          double* const sum = sums + s.number * TALLIES;
+          state[s.number] = as, sum[2] += 1;
+          if (detailed && known) {
+            float* at = residuals.get() + 2 * ((f * C + s.number) * M + m);
+            at[0] = static_cast<float>(s.ru), at[1] = static_cast<float>(s.rv);
+          }
+          if (as != USED) {
+            sum[3] += as == REJECTED || !known || s.squared() > point.gate;
+            return;
+          }
+          const double scale = 2 * s.depth / (s.camera->fx + s.camera->fy);
+          const double square = s.ru * s.ru + s.rv * s.rv, metric = square * scale * scale;
+          sum[1] += 1, sum[5] += square, sum[6] += metric;
+          pixel_squares += square, squares += metric;
+        };
+        for (std::size_t i = 0; i < point.count; ++i) {
+          Seen& s = point.seen[i];
+          const bool known = s.used || s.look(found.point);
+          judge(s, known, s.used ? USED : REJECTED);
+        }
+        for (std::size_t c = 0; seen > point.count && c < C; ++c) {
+          if (state[c] != INACTIVE) continue;
+          Seen s{};
+          s.camera = &views[c], s.number = c, s.u = pixel(c)[0], s.v = pixel(c)[1];
+          s.weight = views[c].information;
+          judge(s, s.look(found.point), INACTIVE);
+        }
+        more[0] = std::sqrt(pixel_squares / more[3]), more[1] = std::sqrt(squares / more[3]);
+        more[2] = std::sqrt(trace);
+      }
+      for (std::size_t c = 0; detailed && c < C; ++c)
+        states.get()[(f * C + c) * M + m] = state[c];
+    }
+  return {std::move(points), std::move(numbers), std::move(tallies), std::move(residuals),
+          std::move(states)};
 }
 
 Out<double, 2> least_median_residuals(In<double, 4> pixels, In<double, 2> cameras) {
   check_views(pixels, cameras);
   const std::size_t F = pixels.shape(0), C = pixels.shape(1), M = pixels.shape(2);
-  Buffer<double> medians(F * M);
-  {
-    nb::gil_scoped_release free;
-    const std::vector<Camera> views = read_cameras(cameras, nullptr);
-    Point point;
-    for (std::size_t f = 0; f < F; ++f)
-      for (std::size_t m = 0; m < M; ++m) {
-        point.count = 0;
-        for (std::size_t c = 0; c < C; ++c) {
-          const double* at = pixels.data() + 2 * ((f * C + c) * M + m);
-          Seen& s = point.seen[point.count];
-          if (!(std::isfinite(at[0]) && std::isfinite(at[1]))) continue;
-          if (!views[c].ray(at[0], at[1], s.x, s.y)) continue;
-          s.camera = &views[c], s.u = at[0], s.v = at[1], s.weight = 1, s.used = true;
-          ++point.count;
-        }
-        medians.get()[f * M + m] = point.count < 2 ? NOT : std::sqrt(point.least_median());
+  Out<double, 2> medians(F, M);
+  const std::vector<Camera> views = read_cameras(cameras, nullptr);
+  Point point;
+  for (std::size_t f = 0; f < F; ++f)
+    for (std::size_t m = 0; m < M; ++m) {
+      point.count = 0;
+      for (std::size_t c = 0; c < C; ++c) {
+        const double* at = pixels.data() + 2 * ((f * C + c) * M + m);
+        Seen& s = point.seen[point.count];
+        if (!(std::isfinite(at[0]) && std::isfinite(at[1]))) continue;
+        if (!views[c].ray(at[0], at[1], s.x, s.y)) continue;
+        s.camera = &views[c], s.u = at[0], s.v = at[1], s.weight = 1, s.used = true;
+        ++point.count;
       }
-  }
-  return medians.release<2>({F, M});
+      medians.get()[f * M + m] = point.count < 2 ? NOT : std::sqrt(point.least_median());
+    }
+  return medians;
 }
 
 }  // namespace animtool

@@ -5,7 +5,7 @@
 #include <vector>
 
 #include "base/checks.h"
-#include "bindings/kernels.h"
+#include "colliders/arrays.h"
 #include "springs/contacts.h"
 
 namespace animtool {
@@ -117,27 +117,24 @@ Collided collide_particles(ColliderArrays colliders, In<double, 3> before,
   check::shape("begins", begins, {count});
   check::not_negative("step", step);
   const std::vector<Collider> made = colliders_of(colliders);
-  Buffer<double> state(6 * count), normals(3 * count);
-  Buffer<std::int64_t> touches(2 * count);
-  {
-    nb::gil_scoped_release release;
-    const double *from = before.data(), *to = after.data();
-    for (std::size_t i = 0; i < count; ++i) {
-      const std::size_t x = 3 * i, v = 3 * (count + i);
-      const collide::Particle start{load(from + x), load(from + v)};
-      collide::Particle end{load(to + x), load(to + v)};
-      collide::Settling settling(made.data(), made.size(), step, radii.data()[i],
-                                 begins.data()[i]);
-      const collide::Contact contact = settling.settle(start, end);
-      store(end.position, state.get() + x);
-      store(end.velocity, state.get() + v);
-      store(contact.normal, normals.get() + x);
-      touches.get()[2 * i] = contact.collider;
-      touches.get()[2 * i + 1] = static_cast<std::int64_t>(contact.touch);
-    }
+  Out<double, 3> state(2, count, 3);
+  Out<double, 2> normals(count, 3);
+  Out<std::int64_t, 2> touches(count, 2);
+  const double *from = before.data(), *to = after.data();
+  for (std::size_t i = 0; i < count; ++i) {
+    const std::size_t x = 3 * i, v = 3 * (count + i);
+    const collide::Particle start{load(from + x), load(from + v)};
+    collide::Particle end{load(to + x), load(to + v)};
+    collide::Settling settling(made.data(), made.size(), step, radii.data()[i],
+                               begins.data()[i]);
+    const collide::Contact contact = settling.settle(start, end);
+    store(end.position, state.get() + x);
+    store(end.velocity, state.get() + v);
+    store(contact.normal, normals.get() + x);
+    touches.get()[2 * i] = contact.collider;
+    touches.get()[2 * i + 1] = static_cast<std::int64_t>(contact.touch);
   }
-  const std::size_t states[3] = {2, count, 3}, rows[2] = {count, 3}, pairs[2] = {count, 2};
-  return {state.release(states), touches.release(pairs), normals.release(rows)};
+  return {std::move(state), std::move(touches), std::move(normals)};
 }
 
 ColliderSamples sample_colliders(ColliderArrays colliders, In<double, 2> points,
@@ -147,24 +144,20 @@ ColliderSamples sample_colliders(ColliderArrays colliders, In<double, 2> points,
   check::between("share", share, 0, 1);
   check::not_negative("step", step);
   const std::vector<Collider> made = colliders_of(colliders);
-  const std::size_t rows = made.size() * count;
-  Buffer<double> distances(rows), normals(3 * rows), velocities(3 * rows);
-  {
-    nb::gil_scoped_release release;
-    const double rate = step > 0 ? 1 / step : 0.0;
-    for (std::size_t c = 0, row = 0; c < made.size(); ++c) {
-      const collide::Pose pose = made[c].motion.at(share);
-      for (std::size_t i = 0; i < count; ++i, ++row) {
-        const Vec point = load(points.data() + 3 * i);
-        const auto found = collide::sample(made[c], pose, point, 0, collide::FAR);
-        distances.get()[row] = found.distance;
-        store(found.normal, normals.get() + 3 * row);
-        store(made[c].motion.displacement(point, pose) * rate, velocities.get() + 3 * row);
-      }
+  Out<double, 2> distances(made.size(), count);
+  Out<double, 3> normals(made.size(), count, 3), velocities(made.size(), count, 3);
+  const double rate = step > 0 ? 1 / step : 0.0;
+  for (std::size_t c = 0, row = 0; c < made.size(); ++c) {
+    const collide::Pose pose = made[c].motion.at(share);
+    for (std::size_t i = 0; i < count; ++i, ++row) {
+      const Vec point = load(points.data() + 3 * i);
+      const auto found = collide::sample(made[c], pose, point, 0, collide::FAR);
+      distances.get()[row] = found.distance;
+      store(found.normal, normals.get() + 3 * row);
+      store(made[c].motion.displacement(point, pose) * rate, velocities.get() + 3 * row);
     }
   }
-  const std::size_t flat[2] = {made.size(), count}, deep[3] = {made.size(), count, 3};
-  return {distances.release(flat), normals.release(deep), velocities.release(deep)};
+  return {std::move(distances), std::move(normals), std::move(velocities)};
 }
 
 std::vector<Collider> read_colliders(const ColliderArrays& arrays) {

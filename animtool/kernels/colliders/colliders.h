@@ -6,6 +6,7 @@
 #include <cstdint>
 #include <limits>
 
+#include "colliders/arrays.h"
 #include "colliders/mesh.h"
 
 namespace animtool::collide {
@@ -378,3 +379,9 @@ class Settling {
 };
 
 }  // namespace animtool::collide
+
+namespace animtool {
+
+std::vector<collide::Collider> read_colliders(const ColliderArrays& arrays);
+
+}  // namespace animtool

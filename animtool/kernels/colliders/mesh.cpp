@@ -5,7 +5,7 @@
 #include <vector>
 
 #include "base/checks.h"
-#include "bindings/kernels.h"
+#include "colliders/arrays.h"
 #include "colliders/surface.h"
 
 namespace animtool {
@@ -161,7 +161,6 @@ MeshSurface::MeshSurface(In<double, 2> points, In<std::int32_t, 2> triangles)
     : points_(points.shape(0)), triangles_(3 * triangles.shape(0)) {
   check_triangles(points, triangles);
   const auto count = static_cast<std::int32_t>(triangles.shape(0));
-  nb::gil_scoped_release release;
   Tree made(points.data(), triangles.data(), count);
   for (std::int32_t k = 0; k < count; ++k)
     std::copy_n(triangles.data() + 3 * made.order()[k], 3, triangles_.data() + 3 * k);
@@ -204,11 +203,11 @@ void MeshSurface::fit(const double* begin, const double* end,
 MeshTree build_mesh_tree(In<double, 2> points, In<std::int32_t, 2> triangles) {
   check_triangles(points, triangles);
   const std::size_t point_count = points.shape(0), count = triangles.shape(0);
-  Buffer<std::int32_t> sorted(3 * count);
-  Buffer<double> corner_normals(3 * point_count), edge_normals(9 * count);
+  Out<std::int32_t, 2> sorted(count, 3);
+  Out<double, 2> corner_normals(point_count, 3);
+  Out<double, 3> edge_normals(count, 3, 3);
   const std::int32_t rows = static_cast<std::int32_t>(count);
   const auto tree = [&] {
-    nb::gil_scoped_release release;
     Tree made(points.data(), triangles.data(), rows);
     for (std::int32_t k = 0; k < rows; ++k)
       std::copy_n(triangles.data() + 3 * made.order()[k], 3, sorted.get() + 3 * k);
@@ -222,15 +221,12 @@ MeshTree build_mesh_tree(In<double, 2> points, In<std::int32_t, 2> triangles) {
         store(edge_normal(mesh, sides, t, side), edge_normals.get() + 9 * t + 3 * side);
     return made;
   }();
-  Buffer<double> bounds(tree.bounds.size());
-  Buffer<std::int32_t> nodes(tree.nodes.size());
+  Out<double, 2> bounds(tree.bounds.size() / 6, 6);
+  Out<std::int32_t, 2> nodes(tree.nodes.size() / 2, 2);
   std::copy(tree.bounds.begin(), tree.bounds.end(), bounds.get());
   std::copy(tree.nodes.begin(), tree.nodes.end(), nodes.get());
-  const std::size_t by_point[2] = {point_count, 3}, by_triangle[2] = {count, 3},
-                    by_edge[3] = {count, 3, 3}, by_bound[2] = {tree.bounds.size() / 6, 6},
-                    by_node[2] = {tree.nodes.size() / 2, 2};
-  return {sorted.release(by_triangle), corner_normals.release(by_point),
-          edge_normals.release(by_edge), bounds.release(by_bound), nodes.release(by_node)};
+  return {std::move(sorted), std::move(corner_normals),
+          std::move(edge_normals), std::move(bounds), std::move(nodes)};
 }
 
 }  // namespace animtool

@@ -11,7 +11,7 @@
 #include <vector>
 
 #include "base/checks.h"
-#include "bindings/kernels.h"
+#include "crowds/crowds.h"
 #include "particles/neighbours.h"
 
 namespace animtool {
@@ -417,58 +417,54 @@ std::tuple<Out<double, 2>, Out<double, 2>, double> crowd_step(
   check::positive("step", step);
   check::between("rounds", rounds, 0, 10000);
   check::not_negative("enough", enough);
-  Buffer<double> out(2 * count), speeds(2 * count);
+  Out<double, 2> out(count, 2), speeds(count, 2);
   double worst = 0;
-  {
-    nb::gil_scoped_release release;
-    const double open[3] = {0, 0, 0};
-    const Block<double> flat = block<double>(3 * count);
-    double widest = 0;
-    for (std::size_t i = 0; i < count; ++i) {
-      flat[3 * i] = points.data()[2 * i];
-      flat[3 * i + 1] = 0;
-      flat[3 * i + 2] = points.data()[2 * i + 1];
-      widest = std::max(widest, radii.data()[i]);
-    }
-    const double anyone = std::numeric_limits<double>::infinity();
-    const Block<Vec2> moved = block<Vec2>(count);
-    const Rules rules{sight, horizon, space, push, headway, side, step,
-                      static_cast<std::size_t>(nearest)};
-    const Neighbours grid(flat.get(), nullptr, count, sight, open, open);
-    const Agents agents{grid,          points.data(), velocities.data(), preferred.data(),
-                        radii.data(),  most.data(), gives.data(), groups.data(),     starts.data(),
-                        walls.data(),  does.data()};
-    Walker walker(rules, agents);
-    grid.visit_places<false>(anyone, [&](std::size_t i, const double*, const std::int32_t* hit,
-                                         const std::int32_t* end) {
-      const std::size_t which = static_cast<std::size_t>(grid.index()[i]);
-      const Vec2 v = agents.does[which] != WALKS ? Vec2() : walker.velocity(which, hit, end);
-      moved[which] = vec2(agents.points + 2 * which) + v * step;
-    });
-    for (std::size_t i = 0; i < count; ++i)
-      flat[3 * i] = moved[i].x, flat[3 * i + 2] = moved[i].y;
-    // Who is pushed meets others that were near.
-    const double near = 2 * widest * 1.25;
-    std::vector<Pair> pairs;
-    if (near > 0) {
-      const Neighbours close(flat.get(), nullptr, count, near, open, open);
-      close.visit_places<true>(anyone, [&](std::size_t i, const double*, const std::int32_t* hit,
-                                           const std::int32_t* end) {
-        const std::int32_t* index = close.index();
-        if (does.data()[index[i]] == GONE) return;
-        for (; hit < end; ++hit)
-          if (does.data()[index[*hit]] != GONE) pairs.push_back({index[i], index[*hit]});
-      });
-    }
-    worst = separate(agents, moved.get(), pairs, count, rounds, enough);
-    for (std::size_t i = 0; i < count; ++i) {
-      const Vec2 v = (moved[i] - vec2(agents.points + 2 * i)) * (1 / step);
-      out.get()[2 * i] = moved[i].x, out.get()[2 * i + 1] = moved[i].y;
-      speeds.get()[2 * i] = v.x, speeds.get()[2 * i + 1] = v.y;
-    }
+  const double open[3] = {0, 0, 0};
+  const Block<double> flat = block<double>(3 * count);
+  double widest = 0;
+  for (std::size_t i = 0; i < count; ++i) {
+    flat[3 * i] = points.data()[2 * i];
+    flat[3 * i + 1] = 0;
+    flat[3 * i + 2] = points.data()[2 * i + 1];
+    widest = std::max(widest, radii.data()[i]);
   }
-  const std::size_t shape[2] = {count, 2};
-  return {out.release(shape), speeds.release(shape), worst};
+  const double anyone = std::numeric_limits<double>::infinity();
+  const Block<Vec2> moved = block<Vec2>(count);
+  const Rules rules{sight, horizon, space, push, headway, side, step,
+                    static_cast<std::size_t>(nearest)};
+  const Neighbours grid(flat.get(), nullptr, count, sight, open, open);
+  const Agents agents{grid,          points.data(), velocities.data(), preferred.data(),
+                      radii.data(),  most.data(), gives.data(), groups.data(),     starts.data(),
+                      walls.data(),  does.data()};
+  Walker walker(rules, agents);
+  grid.visit_places<false>(anyone, [&](std::size_t i, const double*, const std::int32_t* hit,
+                                       const std::int32_t* end) {
+    const std::size_t which = static_cast<std::size_t>(grid.index()[i]);
+    const Vec2 v = agents.does[which] != WALKS ? Vec2() : walker.velocity(which, hit, end);
+    moved[which] = vec2(agents.points + 2 * which) + v * step;
+  });
+  for (std::size_t i = 0; i < count; ++i)
+    flat[3 * i] = moved[i].x, flat[3 * i + 2] = moved[i].y;
+  // Who is pushed meets others that were near.
+  const double near = 2 * widest * 1.25;
+  std::vector<Pair> pairs;
+  if (near > 0) {
+    const Neighbours close(flat.get(), nullptr, count, near, open, open);
+    close.visit_places<true>(anyone, [&](std::size_t i, const double*, const std::int32_t* hit,
+                                         const std::int32_t* end) {
+      const std::int32_t* index = close.index();
+      if (does.data()[index[i]] == GONE) return;
+      for (; hit < end; ++hit)
+        if (does.data()[index[*hit]] != GONE) pairs.push_back({index[i], index[*hit]});
+    });
+  }
+  worst = separate(agents, moved.get(), pairs, count, rounds, enough);
+  for (std::size_t i = 0; i < count; ++i) {
+    const Vec2 v = (moved[i] - vec2(agents.points + 2 * i)) * (1 / step);
+    out.get()[2 * i] = moved[i].x, out.get()[2 * i + 1] = moved[i].y;
+    speeds.get()[2 * i] = v.x, speeds.get()[2 * i + 1] = v.y;
+  }
+  return {std::move(out), std::move(speeds), worst};
 }
 
 namespace {
@@ -494,48 +490,44 @@ Out<double, 2> travel_distances(In<bool, 2> free, double cell, In<std::int64_t, 
   check::indices("seeds", seeds, 0, static_cast<std::int64_t>(count));
   check::shape("starts", starts, {seeds.shape(0)});
   check::finite("starts", starts);
-  Buffer<double> out(count);
-  {
-    nb::gil_scoped_release release;
-    constexpr double never = std::numeric_limits<double>::infinity();
-    double* distances = out.get();
-    std::fill_n(distances, count, never);
-    std::vector<std::uint8_t> done(count, 0);
-    std::vector<Reached> heap;
-    const auto reach = [&](std::size_t node, double distance) {
-      if (!free.data()[node] || done[node] || distance >= distances[node]) return;
-      distances[node] = distance;
-      heap.push_back({distance, static_cast<std::int64_t>(node)});
-      std::push_heap(heap.begin(), heap.end(), std::greater<>());
-    };
-    for (std::size_t k = 0; k < seeds.shape(0); ++k)
-      reach(static_cast<std::size_t>(seeds.data()[k]), starts.data()[k]);
-    const auto at = [&](std::size_t row, std::size_t column, int down, int right) {
-      const std::size_t r = row + static_cast<std::size_t>(down), c = column + static_cast<std::size_t>(right);
-      return r < rows && c < columns && done[r * columns + c] ? distances[r * columns + c] : never;
-    };
-    // From the nearer neighbour of each axis: |grad d| = 1.
-    const auto solve = [&](std::size_t row, std::size_t column) {
-      const double a = std::min(at(row, column, -1, 0), at(row, column, 1, 0));
-      const double b = std::min(at(row, column, 0, -1), at(row, column, 0, 1));
-      if (std::fabs(a - b) >= cell || a == never || b == never) return std::min(a, b) + cell;
-      return (a + b + std::sqrt(2 * cell * cell - (a - b) * (a - b))) / 2;
-    };
-    while (!heap.empty()) {
-      const std::size_t node = static_cast<std::size_t>(heap.front().node);
-      std::pop_heap(heap.begin(), heap.end(), std::greater<>());
-      heap.pop_back();
-      if (done[node]) continue;
-      done[node] = 1;
-      const std::size_t row = node / columns, column = node % columns;
-      if (row > 0) reach(node - columns, solve(row - 1, column));
-      if (row + 1 < rows) reach(node + columns, solve(row + 1, column));
-      if (column > 0) reach(node - 1, solve(row, column - 1));
-      if (column + 1 < columns) reach(node + 1, solve(row, column + 1));
-    }
+  Out<double, 2> out(rows, columns);
+  constexpr double never = std::numeric_limits<double>::infinity();
+  double* distances = out.get();
+  std::fill_n(distances, count, never);
+  std::vector<std::uint8_t> done(count, 0);
+  std::vector<Reached> heap;
+  const auto reach = [&](std::size_t node, double distance) {
+    if (!free.data()[node] || done[node] || distance >= distances[node]) return;
+    distances[node] = distance;
+    heap.push_back({distance, static_cast<std::int64_t>(node)});
+    std::push_heap(heap.begin(), heap.end(), std::greater<>());
+  };
+  for (std::size_t k = 0; k < seeds.shape(0); ++k)
+    reach(static_cast<std::size_t>(seeds.data()[k]), starts.data()[k]);
+  const auto at = [&](std::size_t row, std::size_t column, int down, int right) {
+    const std::size_t r = row + static_cast<std::size_t>(down), c = column + static_cast<std::size_t>(right);
+    return r < rows && c < columns && done[r * columns + c] ? distances[r * columns + c] : never;
+  };
+  // From the nearer neighbour of each axis: |grad d| = 1.
+  const auto solve = [&](std::size_t row, std::size_t column) {
+    const double a = std::min(at(row, column, -1, 0), at(row, column, 1, 0));
+    const double b = std::min(at(row, column, 0, -1), at(row, column, 0, 1));
+    if (std::fabs(a - b) >= cell || a == never || b == never) return std::min(a, b) + cell;
+    return (a + b + std::sqrt(2 * cell * cell - (a - b) * (a - b))) / 2;
+  };
+  while (!heap.empty()) {
+    const std::size_t node = static_cast<std::size_t>(heap.front().node);
+    std::pop_heap(heap.begin(), heap.end(), std::greater<>());
+    heap.pop_back();
+    if (done[node]) continue;
+    done[node] = 1;
+    const std::size_t row = node / columns, column = node % columns;
+    if (row > 0) reach(node - columns, solve(row - 1, column));
+    if (row + 1 < rows) reach(node + columns, solve(row + 1, column));
+    if (column > 0) reach(node - 1, solve(row, column - 1));
+    if (column + 1 < columns) reach(node + 1, solve(row, column + 1));
   }
-  const std::size_t shape[2] = {rows, columns};
-  return out.release(shape);
+  return out;
 }
 
 }  // namespace animtool

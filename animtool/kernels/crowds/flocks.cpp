@@ -2,7 +2,7 @@
 #include <cmath>
 
 #include "base/checks.h"
-#include "bindings/kernels.h"
+#include "crowds/crowds.h"
 #include "particles/neighbours.h"
 
 namespace animtool {
@@ -186,45 +186,41 @@ std::tuple<Out<double, 2>, Out<std::int32_t, 1>, double> flock_accelerations(In<
                   pull("repulsion", repulsion),
                   softening};
   const std::size_t size = members ? members->shape(0) : count;
-  Buffer<double> result(3 * size);
-  Buffer<std::int32_t> counts(size);
+  Out<double, 2> result(size, 3);
+  Out<std::int32_t, 1> counts(size);
   double looked = 0;
-  {
-    nb::gil_scoped_release release;
-    std::fill_n(result.get(), 3 * size, 0.0);
-    std::fill_n(counts.get(), size, 0);
-    const Neighbours grid(points.data(), others ? others->data() : nullptr,
-                          others ? others->shape(0) : count, radius, period.data(), periods);
-    const Block<Vec> sorted = block<Vec>(grid.size());
-    for (std::size_t i = 0; i < grid.size(); ++i)
-      sorted[i] = vec(velocities.data() + 3 * static_cast<std::size_t>(grid.index()[i]));
-    const bool open = periods[0] == 0 && periods[1] == 0 && periods[2] == 0;
-    const bool all = open && !members && !others;
-    Seer seer(rule, grid, sorted.get());
-    const auto add = [&](std::size_t number, std::size_t which, const Vec& at, const Vec& velocity,
-                         const std::int32_t* hit, const std::int32_t* end) {
-      const std::size_t seen = seer.add(which, at, velocity, hit, end, result.get() + 3 * number);
-      counts.get()[number] = static_cast<std::int32_t>(seen);
-    };
-    if (all && rule.mutual())
-      looked = together(rule, grid, sorted.get(), most, result.get(), counts.get());
-    else if (all)
-      looked = grid.visit_places<false>(most, [&](std::size_t i, const double* at,
-                                                  const std::int32_t* hit,
-                                                  const std::int32_t* end) {
-        const std::size_t which = static_cast<std::size_t>(grid.index()[i]);
-        add(which, which, vec(at), sorted[i], hit, end);
-      });
-    else
-      looked = grid.visit(points.data(), members ? members->data() : nullptr, size, most,
-                          [&](std::size_t number, std::size_t which, const double* at,
-                              const std::int32_t* hit, const std::int32_t* end) {
-                            add(number, which, vec(at), vec(velocities.data() + 3 * which), hit,
-                                end);
-                          });
-  }
-  const std::size_t shape[2] = {size, 3}, flat[1] = {size};
-  return {result.release(shape), counts.release(flat), looked};
+  std::fill_n(result.get(), 3 * size, 0.0);
+  std::fill_n(counts.get(), size, 0);
+  const Neighbours grid(points.data(), others ? others->data() : nullptr,
+                        others ? others->shape(0) : count, radius, period.data(), periods);
+  const Block<Vec> sorted = block<Vec>(grid.size());
+  for (std::size_t i = 0; i < grid.size(); ++i)
+    sorted[i] = vec(velocities.data() + 3 * static_cast<std::size_t>(grid.index()[i]));
+  const bool open = periods[0] == 0 && periods[1] == 0 && periods[2] == 0;
+  const bool all = open && !members && !others;
+  Seer seer(rule, grid, sorted.get());
+  const auto add = [&](std::size_t number, std::size_t which, const Vec& at, const Vec& velocity,
+                       const std::int32_t* hit, const std::int32_t* end) {
+    const std::size_t seen = seer.add(which, at, velocity, hit, end, result.get() + 3 * number);
+    counts.get()[number] = static_cast<std::int32_t>(seen);
+  };
+  if (all && rule.mutual())
+    looked = together(rule, grid, sorted.get(), most, result.get(), counts.get());
+  else if (all)
+    looked = grid.visit_places<false>(most, [&](std::size_t i, const double* at,
+                                                const std::int32_t* hit,
+                                                const std::int32_t* end) {
+      const std::size_t which = static_cast<std::size_t>(grid.index()[i]);
+      add(which, which, vec(at), sorted[i], hit, end);
+    });
+  else
+    looked = grid.visit(points.data(), members ? members->data() : nullptr, size, most,
+                        [&](std::size_t number, std::size_t which, const double* at,
+                            const std::int32_t* hit, const std::int32_t* end) {
+                          add(number, which, vec(at), vec(velocities.data() + 3 * which), hit,
+                              end);
+                        });
+  return {std::move(result), std::move(counts), looked};
 }
 
 }  // namespace animtool

@@ -3,7 +3,7 @@
 #include <cmath>
 
 #include "base/checks.h"
-#include "bindings/kernels.h"
+#include "curves/curves.h"
 
 namespace animtool {
 
@@ -241,16 +241,12 @@ Out<double, 2> evaluate_curves(In<std::int64_t, 1> first, In<double, 1> times,
   check::shape("at", at, {rows == 1 ? 1 : curves, check::ANY});
   const Keys keys{times.data(), values.data(), kinds.data(), ins.data(), outs.data()};
   check_keys(keys, first.data(), curves, count);
-  Buffer<double> result(curves * frames);
-  {
-    nb::gil_scoped_release release;
-    for (std::size_t c = 0; c < curves; ++c)
-      evaluate_curve(keys, static_cast<std::size_t>(first.data()[c]),
-                     static_cast<std::size_t>(first.data()[c + 1]),
-                     at.data() + (rows == 1 ? 0 : c * frames), result.get() + c * frames, frames);
-  }
-  const std::size_t shape[2] = {curves, frames};
-  return result.release(shape);
+  Out<double, 2> result(curves, frames);
+  for (std::size_t c = 0; c < curves; ++c)
+    evaluate_curve(keys, static_cast<std::size_t>(first.data()[c]),
+                   static_cast<std::size_t>(first.data()[c + 1]),
+                   at.data() + (rows == 1 ? 0 : c * frames), result.get() + c * frames, frames);
+  return result;
 }
 
 }  // namespace animtool

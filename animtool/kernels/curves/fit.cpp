@@ -5,7 +5,7 @@
 #include <vector>
 
 #include "base/checks.h"
-#include "bindings/kernels.h"
+#include "curves/curves.h"
 
 namespace animtool {
 
@@ -339,34 +339,31 @@ FittedCubics fit_cubics(In<double, 2> values, In<double, 1> bounds,
   std::vector<Segment> segments;
   std::vector<char> smooth;
   bool rests;
-  {
-    nb::gil_scoped_release release;
-    Fitter fitter(values.data(), bounds.data(), low.data(), high.data(), counts, width);
-    rests = fitter.rests(frames);
-    if (!rests) {
-      std::size_t a = 0;
-      for (std::size_t k = 0; k <= anchors.shape(0); ++k) {
-        const std::size_t end =
-            k < anchors.shape(0) ? static_cast<std::size_t>(anchor[k]) : frames - 1;
-        Segment whole;
-        if (fitter.fit(a, end, whole)) {
-          segments.push_back(std::move(whole));
-          a = end;
-        }
-        while (a < end) {
-          segments.emplace_back();
-          fitter.longest(a, end, segments.back());
-          a = segments.back().b;
-        }
+  Fitter fitter(values.data(), bounds.data(), low.data(), high.data(), counts, width);
+  rests = fitter.rests(frames);
+  if (!rests) {
+    std::size_t a = 0;
+    for (std::size_t k = 0; k <= anchors.shape(0); ++k) {
+      const std::size_t end =
+          k < anchors.shape(0) ? static_cast<std::size_t>(anchor[k]) : frames - 1;
+      Segment whole;
+      if (fitter.fit(a, end, whole)) {
+        segments.push_back(std::move(whole));
+        a = end;
       }
-      smooth.assign(segments.size() + 1, 0);
-      for (std::size_t k = 1; k < segments.size(); ++k)
-        smooth[k] = fitter.join(segments[k - 1], smooth[k - 1], segments[k]);
+      while (a < end) {
+        segments.emplace_back();
+        fitter.longest(a, end, segments.back());
+        a = segments.back().b;
+      }
     }
+    smooth.assign(segments.size() + 1, 0);
+    for (std::size_t k = 1; k < segments.size(); ++k)
+      smooth[k] = fitter.join(segments[k - 1], smooth[k - 1], segments[k]);
   }
   const std::size_t keys = rests ? 1 : segments.size() + 1;
-  Buffer<std::int64_t> at(keys);
-  Buffer<double> ins(keys * width), outs(keys * width);
+  Out<std::int64_t, 1> at(keys);
+  Out<double, 2> ins(keys, width), outs(keys, width);
   std::fill_n(ins.get(), keys * width, 0.0);
   std::fill_n(outs.get(), keys * width, 0.0);
   at.get()[0] = 0;
@@ -379,8 +376,7 @@ FittedCubics fit_cubics(In<double, 2> values, In<double, 1> bounds,
       ins.get()[(k + 1) * width + d] = s.second[d] - (to[d] - from[d]);
     }
   }
-  const std::size_t list[1] = {keys}, table[2] = {keys, width};
-  return {at.release(list), ins.release(table), outs.release(table)};
+  return {std::move(at), std::move(ins), std::move(outs)};
 }
 
 }  // namespace animtool

@@ -4,7 +4,7 @@
 #include <vector>
 
 #include "base/checks.h"
-#include "bindings/kernels.h"
+#include "curves/curves.h"
 
 namespace animtool {
 
@@ -126,58 +126,54 @@ std::tuple<Out<bool, 1>, Out<double, 3>> fitting_spans(
   check::between("wide", wide, 2, static_cast<std::int64_t>(std::max<std::size_t>(frames, 3)) - 1);
   check::indices("begins", begins, 0, static_cast<std::int64_t>(frames) - wide);
   const std::size_t spans = begins.shape(0), inside = static_cast<std::size_t>(wide) - 1;
-  Buffer<bool> fits(spans);
-  Buffer<double> back(3 * spans * inside + 1);
-  {
-    nb::gil_scoped_release release;
-    const Chain chain{count,
-                      moving,
-                      parents.data(),
-                      numbers.data(),
-                      reinterpret_cast<const Point*>(places.data()),
-                      reinterpret_cast<const Quat*>(before.data()),
-                      reinterpret_cast<const Quat*>(rest.data())};
-    const Quat* poses = reinterpret_cast<const Quat*>(turns.data());
-    std::vector<Quat> world(count), pose(moving);
-    std::vector<Point> exact(frames * count), made(count);
-    for (std::size_t f = 0; f < frames; ++f)
-      chain.places_of(poses + f * moving, world.data(), exact.data() + f * count);
-    const std::size_t foot[2] = {static_cast<std::size_t>(feet.data()[0]),
-                                 static_cast<std::size_t>(feet.data()[1])};
-    Between between;
-    for (std::size_t s = 0; s < spans; ++s) {
-      const std::size_t first = static_cast<std::size_t>(begins.data()[s]);
-      between.set(poses + first * moving, poses + (first + inside + 1) * moving, moving);
-      bool good = true;
-      // The middle is off most: what does not fit is mostly found there.
-      for (std::size_t k = 0; good && k < inside; ++k) {
-        const std::size_t half = inside / 2;
-        const std::size_t at = k == 0 ? half : k <= half ? k - 1 : k;
-        const std::size_t frame = first + 1 + at;
-        const double share = static_cast<double>(at + 1) / static_cast<double>(inside + 1);
-        between.at(share, pose.data());
-        chain.places_of(pose.data(), world.data(), made.data());
-        const Point* wanted = exact.data() + frame * count;
-        const bool* down = stands.data() + 2 * frame;
-        Point off{0, 0, 0};
-        for (std::size_t side = 0; side < 2; ++side)
-          if (down[side]) off = off + (wanted[foot[side]] - made[foot[side]]);
-        if (down[0] && down[1]) off = {off.x / 2, off.y / 2, off.z / 2};
-        double* kept = back.get() + 3 * (s * inside + at);
-        kept[0] = off.x, kept[1] = off.y, kept[2] = off.z;
-        good = off.squared() <= hips * hips;
-        for (std::size_t side = 0; good && side < 2; ++side)
-          good = !down[side] ||
-                 (wanted[foot[side]] - made[foot[side]] - off).squared() <= standing * standing;
-        for (std::size_t j = 0; good && j < count; ++j)
-          good = (wanted[j] - made[j] - off).squared() <= near * near;
-      }
-      fits.get()[s] = good;
-      if (!good) std::fill_n(back.get() + 3 * s * inside, 3 * inside, 0.0);
+  Out<bool, 1> fits(spans);
+  Out<double, 3> back(spans, inside, 3);
+  const Chain chain{count,
+                    moving,
+                    parents.data(),
+                    numbers.data(),
+                    reinterpret_cast<const Point*>(places.data()),
+                    reinterpret_cast<const Quat*>(before.data()),
+                    reinterpret_cast<const Quat*>(rest.data())};
+  const Quat* poses = reinterpret_cast<const Quat*>(turns.data());
+  std::vector<Quat> world(count), pose(moving);
+  std::vector<Point> exact(frames * count), made(count);
+  for (std::size_t f = 0; f < frames; ++f)
+    chain.places_of(poses + f * moving, world.data(), exact.data() + f * count);
+  const std::size_t foot[2] = {static_cast<std::size_t>(feet.data()[0]),
+                               static_cast<std::size_t>(feet.data()[1])};
+  Between between;
+  for (std::size_t s = 0; s < spans; ++s) {
+    const std::size_t first = static_cast<std::size_t>(begins.data()[s]);
+    between.set(poses + first * moving, poses + (first + inside + 1) * moving, moving);
+    bool good = true;
+    // The middle is off most: what does not fit is mostly found there.
+    for (std::size_t k = 0; good && k < inside; ++k) {
+      const std::size_t half = inside / 2;
+      const std::size_t at = k == 0 ? half : k <= half ? k - 1 : k;
+      const std::size_t frame = first + 1 + at;
+      const double share = static_cast<double>(at + 1) / static_cast<double>(inside + 1);
+      between.at(share, pose.data());
+      chain.places_of(pose.data(), world.data(), made.data());
+      const Point* wanted = exact.data() + frame * count;
+      const bool* down = stands.data() + 2 * frame;
+      Point off{0, 0, 0};
+      for (std::size_t side = 0; side < 2; ++side)
+        if (down[side]) off = off + (wanted[foot[side]] - made[foot[side]]);
+      if (down[0] && down[1]) off = {off.x / 2, off.y / 2, off.z / 2};
+      double* kept = back.get() + 3 * (s * inside + at);
+      kept[0] = off.x, kept[1] = off.y, kept[2] = off.z;
+      good = off.squared() <= hips * hips;
+      for (std::size_t side = 0; good && side < 2; ++side)
+        good = !down[side] ||
+               (wanted[foot[side]] - made[foot[side]] - off).squared() <= standing * standing;
+      for (std::size_t j = 0; good && j < count; ++j)
+        good = (wanted[j] - made[j] - off).squared() <= near * near;
     }
+    fits.get()[s] = good;
+    if (!good) std::fill_n(back.get() + 3 * s * inside, 3 * inside, 0.0);
   }
-  const std::size_t flat[1] = {spans}, shape[3] = {spans, inside, 3};
-  return {fits.release(flat), back.release(shape)};
+  return {std::move(fits), std::move(back)};
 }
 
 }  // namespace animtool

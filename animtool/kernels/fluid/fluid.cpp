@@ -5,8 +5,8 @@
 #include <array>
 
 #include "base/checks.h"
-#include "bindings/kernels.h"
 #include "fluid/lanes.h"
+#include "fluid/steps.h"
 #include "particles/neighbours.h"
 #include "springs/contacts.h"
 
@@ -718,23 +718,20 @@ FluidStepped fluid_steps(ColliderArrays colliders, In<std::int32_t, 1> owners,
     std::copy_n(row + 1, 6, moved[b].turning);
     moved[b].begin = collide::load(row + 7), moved[b].end = collide::load(row + 10);
   }
-  Buffer<double> result(6 * count), pressures(count), wrenches(12 * pushed);
+  Out<double, 3> result(2, count, 3), wrenches(2, pushed, 6);
+  Out<double, 1> pressures(count);
   double compression = 0;
-  {
-    nb::gil_scoped_release release;
-    fluid::Steps steps(rule, std::move(made), {owners.data(), owners.data() + owners.size()},
-                       std::move(moved), step, sound);
-    steps.begin(state.data(), accelerations.data(), count);
-    steps.run(static_cast<std::size_t>(parts));
-    steps.store_state(result.get(), pressures.get());
-    compression = steps.compression();
-    for (std::size_t b = 0; b < pushed; ++b) {
-      std::copy_n(steps.bodies()[b].now, 6, wrenches.get() + 6 * b);
-      std::copy_n(steps.bodies()[b].moved, 6, wrenches.get() + 6 * (pushed + b));
-    }
+  fluid::Steps steps(rule, std::move(made), {owners.data(), owners.data() + owners.size()},
+                     std::move(moved), step, sound);
+  steps.begin(state.data(), accelerations.data(), count);
+  steps.run(static_cast<std::size_t>(parts));
+  steps.store_state(result.get(), pressures.get());
+  compression = steps.compression();
+  for (std::size_t b = 0; b < pushed; ++b) {
+    std::copy_n(steps.bodies()[b].now, 6, wrenches.get() + 6 * b);
+    std::copy_n(steps.bodies()[b].moved, 6, wrenches.get() + 6 * (pushed + b));
   }
-  const std::size_t states[3] = {2, count, 3}, flat[1] = {count}, pushes[3] = {2, pushed, 6};
-  return {result.release(states), pressures.release(flat), wrenches.release(pushes), compression};
+  return {std::move(result), std::move(pressures), std::move(wrenches), compression};
 }
 
 Out<double, 1> fluid_densities(ColliderArrays colliders, In<double, 2> points, double spacing) {
@@ -743,18 +740,14 @@ Out<double, 1> fluid_densities(ColliderArrays colliders, In<double, 2> points, d
   check::shape("points", points, {check::ANY, 3});
   check::at_most("points", count, check::MOST_ROWS);
   const fluid::Rule rule = rule_of(spacing, 1, 0, 0);
-  Buffer<double> result(count);
-  {
-    nb::gil_scoped_release release;
-    const std::vector<std::int32_t> owners(made.size(), -1);
-    fluid::Steps steps(rule, std::move(made), owners, {}, 1, 1);
-    std::vector<double> state(6 * count, 0.0), none(3 * count, 0.0);
-    std::copy_n(points.data(), 3 * count, state.data());
-    steps.begin(state.data(), none.data(), count);
-    steps.densities(result.get());
-  }
-  const std::size_t flat[1] = {count};
-  return result.release(flat);
+  Out<double, 1> result(count);
+  const std::vector<std::int32_t> owners(made.size(), -1);
+  fluid::Steps steps(rule, std::move(made), owners, {}, 1, 1);
+  std::vector<double> state(6 * count, 0.0), none(3 * count, 0.0);
+  std::copy_n(points.data(), 3 * count, state.data());
+  steps.begin(state.data(), none.data(), count);
+  steps.densities(result.get());
+  return result;
 }
 
 }  // namespace animtool

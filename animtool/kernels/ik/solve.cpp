@@ -4,7 +4,6 @@
 #include <memory>
 
 #include "base/checks.h"
-#include "bindings/kernels.h"
 #include "ik/ccd.h"
 #include "ik/fabrik.h"
 #include "ik/fit.h"
@@ -12,6 +11,7 @@
 #include "ik/path.h"
 #include "ik/slopes.h"
 #include "ik/smooth.h"
+#include "ik/solve.h"
 #include "ik/stretch.h"
 
 namespace animtool {
@@ -300,12 +300,12 @@ void place_ik_targets(Filled<double, 3> targets, In<double, 2> frames, double le
   }
 }
 
-nb::tuple ik_goal_kinds() {
-  nb::list kinds;
+std::vector<IkGoalKind> ik_goal_kinds() {
+  std::vector<IkGoalKind> kinds;
   each_kind([&]<class Kind>(int) {
-    kinds.append(nb::make_tuple(Kind::NAME, Kind::ROWS, Kind::WIDTH, Kind::METRIC, Pulling<Kind>));
+    kinds.emplace_back(Kind::NAME, Kind::ROWS, Kind::WIDTH, Kind::METRIC, Pulling<Kind>);
   });
-  return nb::tuple(kinds);
+  return kinds;
 }
 
 IkSolved solve_ik(In<std::int64_t, 2> nodes, In<double, 2> numbers, In<std::int64_t, 2> goals,
@@ -331,37 +331,34 @@ IkSolved solve_ik(In<std::int64_t, 2> nodes, In<double, 2> numbers, In<std::int6
   const Settings settings{length_tolerance, angle_tolerance, damping, iterations,
                           restarts,         seed,            seconds,
                           ordered && !warm};
-  Buffer<double> solved(batch * width), misses(batch * e * PARTS), taken(batch);
-  Buffer<std::int64_t> reports(batch * 3);
-  {
-    nb::gil_scoped_release release;
-    const std::unique_ptr<Solver> solver = make_solver(method, task, settings);
-    for (std::size_t b = 0; b < batch; ++b) {
-      const auto began = std::chrono::steady_clock::now();
-      const std::size_t at = b * e * TARGET_WIDTH;
-      const bool next = (ordered || warm) && b > 0;
-      const double* start = warm && b > 0 ? solved.get() + (b - 1) * width : starts.data() + b * width;
-      const double* given = targets.data() + at;
-      stretch(plain, stretches.data() + b * e, task);
-      const Outcome outcome =
-          solver->run(start, sought.data() + at, rests.data() + b * width, next);
-      if (!std::equal(given, given + e * TARGET_WIDTH, sought.data() + at)) solver->review(given);
-      const std::chrono::duration<double> spent = std::chrono::steady_clock::now() - began;
-      taken.get()[b] = spent.count();
-      const State& best = solver->best();
-      const double* q = outcome.status == Status::BROKEN ? start : best.q.data();
-      std::copy(q, q + width, solved.get() + b * width);
-      std::copy(best.misses.begin(), best.misses.end(), misses.get() + b * e * PARTS);
-      std::int64_t* report = reports.get() + 3 * b;
-      report[0] = static_cast<std::int64_t>(outcome.status);
-      report[1] = outcome.iterations;
-      report[2] = outcome.descents;
-    }
+  Out<double, 2> solved(batch, width);
+  Out<double, 3> misses(batch, e, PARTS);
+  Out<double, 1> taken(batch);
+  Out<std::int64_t, 2> reports(batch, 3);
+  const std::unique_ptr<Solver> solver = make_solver(method, task, settings);
+  for (std::size_t b = 0; b < batch; ++b) {
+    const auto began = std::chrono::steady_clock::now();
+    const std::size_t at = b * e * TARGET_WIDTH;
+    const bool next = (ordered || warm) && b > 0;
+    const double* start = warm && b > 0 ? solved.get() + (b - 1) * width : starts.data() + b * width;
+    const double* given = targets.data() + at;
+    stretch(plain, stretches.data() + b * e, task);
+    const Outcome outcome =
+        solver->run(start, sought.data() + at, rests.data() + b * width, next);
+    if (!std::equal(given, given + e * TARGET_WIDTH, sought.data() + at)) solver->review(given);
+    const std::chrono::duration<double> spent = std::chrono::steady_clock::now() - began;
+    taken.get()[b] = spent.count();
+    const State& best = solver->best();
+    const double* q = outcome.status == Status::BROKEN ? start : best.q.data();
+    std::copy(q, q + width, solved.get() + b * width);
+    std::copy(best.misses.begin(), best.misses.end(), misses.get() + b * e * PARTS);
+    std::int64_t* report = reports.get() + 3 * b;
+    report[0] = static_cast<std::int64_t>(outcome.status);
+    report[1] = outcome.iterations;
+    report[2] = outcome.descents;
   }
-  const std::size_t by_coordinate[2] = {batch, width}, by_goal[3] = {batch, e, PARTS};
-  const std::size_t by_report[2] = {batch, 3}, by_problem[1] = {batch};
-  return {solved.release(by_coordinate), misses.release(by_goal), reports.release(by_report),
-          taken.release(by_problem)};
+  return {std::move(solved), std::move(misses), std::move(reports),
+          std::move(taken)};
 }
 
 IkLinearized linearize_ik(In<std::int64_t, 2> nodes, In<double, 2> numbers,
@@ -373,32 +370,27 @@ IkLinearized linearize_ik(In<std::int64_t, 2> nodes, In<double, 2> numbers,
   check_poses("starts", task, batch, starts);
   check_targets("targets", task, batch, targets);
   check::shape("steps", steps, {batch, d});
-  Buffer<double> moved(batch * width), residuals(batch * m), jacobians(batch * m * d),
-      curvatures(batch * d);
-  {
-    nb::gil_scoped_release release;
-    Stepper stepper(task);
-    State state(task);
-    Linearized linear(task);
-    for (std::size_t b = 0; b < batch; ++b) {
-      const double* step = steps.data() + b * d;
-      stepper.move(starts.data() + b * width, step, moved.get() + b * width);
-      std::copy(moved.get() + b * width, moved.get() + (b + 1) * width, state.q.begin());
-      forward(task.chain, state.q.data(), state.frames);
-      measure(task, targets.data() + b * goals.shape(0) * TARGET_WIDTH, state);
-      linearize(task, targets.data() + b * goals.shape(0) * TARGET_WIDTH, state.q.data(), state,
-                linear);
-      std::copy(state.residuals.begin(), state.residuals.end(), residuals.get() + b * m);
-      for (std::size_t i = 0; i < m; ++i)
-        for (std::size_t j = 0; j < d; ++j)
-          jacobians.get()[(b * m + i) * d + j] = linear.columns[j * m + i];
-      stepper.hessian(state, linear, true, 0.0, step, curvatures.get() + b * d);
-    }
+  Out<double, 2> moved(batch, width), residuals(batch, m), curvatures(batch, d);
+  Out<double, 3> jacobians(batch, m, d);
+  Stepper stepper(task);
+  State state(task);
+  Linearized linear(task);
+  for (std::size_t b = 0; b < batch; ++b) {
+    const double* step = steps.data() + b * d;
+    stepper.move(starts.data() + b * width, step, moved.get() + b * width);
+    std::copy(moved.get() + b * width, moved.get() + (b + 1) * width, state.q.begin());
+    forward(task.chain, state.q.data(), state.frames);
+    measure(task, targets.data() + b * goals.shape(0) * TARGET_WIDTH, state);
+    linearize(task, targets.data() + b * goals.shape(0) * TARGET_WIDTH, state.q.data(), state,
+              linear);
+    std::copy(state.residuals.begin(), state.residuals.end(), residuals.get() + b * m);
+    for (std::size_t i = 0; i < m; ++i)
+      for (std::size_t j = 0; j < d; ++j)
+        jacobians.get()[(b * m + i) * d + j] = linear.columns[j * m + i];
+    stepper.hessian(state, linear, true, 0.0, step, curvatures.get() + b * d);
   }
-  const std::size_t by_coordinate[2] = {batch, width}, by_row[2] = {batch, m};
-  const std::size_t by_entry[3] = {batch, m, d}, by_dof[2] = {batch, d};
-  return {moved.release(by_coordinate), residuals.release(by_row), jacobians.release(by_entry),
-          curvatures.release(by_dof)};
+  return {std::move(moved), std::move(residuals), std::move(jacobians),
+          std::move(curvatures)};
 }
 
 IkSmoothed smooth_ik(In<std::int64_t, 2> nodes, In<double, 2> numbers,
@@ -426,25 +418,22 @@ IkSmoothed smooth_ik(In<std::int64_t, 2> nodes, In<double, 2> numbers,
   const Settings settings{length_tolerance, angle_tolerance, damping, 1, 0, 0, 0, false};
   const PathSettings over{{anchor, speed, acceleration},
                           static_cast<int>(first), static_cast<int>(end), rounds};
-  Buffer<double> smoothed(frames * width), misses(frames * e * PARTS);
+  Out<double, 2> smoothed(frames, width);
+  Out<double, 3> misses(frames, e, PARTS);
   PathOutcome outcome;
-  {
-    nb::gil_scoped_release release;
-    std::copy(path.data(), path.data() + frames * width, smoothed.get());
-    PathSmoother smoother(task, settings, over, static_cast<int>(frames), sought.data(),
-                          stretches.data(), drifts.data());
-    outcome = smoother.run(smoothed.get());
-    State state(task);
-    for (std::size_t t = 0; t < frames; ++t) {
-      std::copy(smoothed.get() + t * width, smoothed.get() + (t + 1) * width, state.q.begin());
-      stretch(plain, stretches.data() + t * e, task);
-      forward(task.chain, state.q.data(), state.frames);
-      measure(task, targets.data() + t * e * TARGET_WIDTH, state);
-      std::copy(state.misses.begin(), state.misses.end(), misses.get() + t * e * PARTS);
-    }
+  std::copy(path.data(), path.data() + frames * width, smoothed.get());
+  PathSmoother smoother(task, settings, over, static_cast<int>(frames), sought.data(),
+                        stretches.data(), drifts.data());
+  outcome = smoother.run(smoothed.get());
+  State state(task);
+  for (std::size_t t = 0; t < frames; ++t) {
+    std::copy(smoothed.get() + t * width, smoothed.get() + (t + 1) * width, state.q.begin());
+    stretch(plain, stretches.data() + t * e, task);
+    forward(task.chain, state.q.data(), state.frames);
+    measure(task, targets.data() + t * e * TARGET_WIDTH, state);
+    std::copy(state.misses.begin(), state.misses.end(), misses.get() + t * e * PARTS);
   }
-  const std::size_t by_coordinate[2] = {frames, width}, by_goal[3] = {frames, e, PARTS};
-  return {smoothed.release(by_coordinate), misses.release(by_goal), outcome.rounds,
+  return {std::move(smoothed), std::move(misses), outcome.rounds,
           outcome.before, outcome.after};
 }
 
@@ -471,28 +460,25 @@ IkFitted fit_ik(In<std::int64_t, 2> nodes, In<double, 2> numbers, In<std::int64_
   const Settings settings{0, 0, FIT_DAMPING, iterations, 0, 0, 0, false};
   const FitSettings over{{anchor, speed, acceleration},   robust, homing, static_cast<int>(first),
                          static_cast<int>(end), rounds, tracked};
-  Buffer<double> fitted(frames * width), misses(frames * e * PARTS);
-  Buffer<std::int64_t> searched(frames), taken(frames * e);
+  Out<double, 2> fitted(frames, width);
+  Out<double, 3> misses(frames, e, PARTS);
+  Out<std::int64_t, 1> searched(frames);
+  Out<std::int64_t, 2> taken(frames, e);
   FitOutcome outcome;
-  {
-    nb::gil_scoped_release release;
-    std::copy(path.data(), path.data() + frames * width, fitted.get());
-    std::fill(searched.get(), searched.get() + frames, 0);
-    PathFit fit(task, settings, over, static_cast<int>(frames), targets.data(), starts.data());
-    for (std::size_t i = 0; i < frames * e; ++i) taken.get()[i] = static_cast<std::int64_t>(i % e);
-    outcome = fit.run(fitted.get(), searched.get(), taken.get());
-    State state(task);
-    for (std::size_t t = 0; t < frames; ++t) {
-      std::copy(fitted.get() + t * width, fitted.get() + (t + 1) * width, state.q.begin());
-      forward(task.chain, state.q.data(), state.frames);
-      measure(task, fit.targets(static_cast<int>(t)), state);
-      std::copy(state.misses.begin(), state.misses.end(), misses.get() + t * e * PARTS);
-    }
+  std::copy(path.data(), path.data() + frames * width, fitted.get());
+  std::fill(searched.get(), searched.get() + frames, 0);
+  PathFit fit(task, settings, over, static_cast<int>(frames), targets.data(), starts.data());
+  for (std::size_t i = 0; i < frames * e; ++i) taken.get()[i] = static_cast<std::int64_t>(i % e);
+  outcome = fit.run(fitted.get(), searched.get(), taken.get());
+  State state(task);
+  for (std::size_t t = 0; t < frames; ++t) {
+    std::copy(fitted.get() + t * width, fitted.get() + (t + 1) * width, state.q.begin());
+    forward(task.chain, state.q.data(), state.frames);
+    measure(task, fit.targets(static_cast<int>(t)), state);
+    std::copy(state.misses.begin(), state.misses.end(), misses.get() + t * e * PARTS);
   }
-  const std::size_t by_coordinate[2] = {frames, width}, by_goal[3] = {frames, e, PARTS};
-  const std::size_t by_frame[1] = {frames}, by_target[2] = {frames, e};
-  return {fitted.release(by_coordinate), misses.release(by_goal), searched.release(by_frame),
-          taken.release(by_target),
+  return {std::move(fitted), std::move(misses), std::move(searched),
+          std::move(taken),
           outcome.rounds, outcome.before, outcome.after};
 }
 
@@ -508,14 +494,10 @@ Out<std::int64_t, 1> cheapest_ik_path(In<std::int64_t, 2> nodes, In<double, 2> n
   check::shape("costs", costs, {count, length});
   check_steps("drifts", drifts, length, chain.dofs);
   check::shape("easy", easy, {std::max<std::size_t>(easy.shape(0), length ? length - 1 : 0)});
-  Buffer<std::int64_t> chosen(length);
-  {
-    nb::gil_scoped_release release;
-    cheapest(chain, paths.data(), costs.data(), drifts.data(), easy.data(), count, length,
-             open, closed, chosen.get());
-  }
-  const std::size_t shape[1] = {length};
-  return chosen.release(shape);
+  Out<std::int64_t, 1> chosen(length);
+  cheapest(chain, paths.data(), costs.data(), drifts.data(), easy.data(), count, length,
+           open, closed, chosen.get());
+  return chosen;
 }
 
 }  // namespace animtool

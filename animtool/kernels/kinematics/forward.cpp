@@ -4,7 +4,7 @@
 #include <vector>
 
 #include "base/checks.h"
-#include "bindings/kernels.h"
+#include "kinematics/kinematics.h"
 
 namespace animtool {
 
@@ -103,7 +103,6 @@ void forward_kinematics(In<std::int64_t, 1> parents, In<double, 3> translations,
   check_motion(EXACT, frames, joints, translations, rotations, scales);
   check::shape("positions", positions, {frames, joints, 3});
   check::shape("linear", linear, {frames, joints, 3, 3});
-  nb::gil_scoped_release release;
   for (std::size_t f = 0; f < frames; ++f) {
     const std::size_t at = f * joints;
     forward_frame<double>(parents.data(), joints, translations.data() + 3 * at,
@@ -123,50 +122,46 @@ RoundingReport measure_rounding(In<std::int64_t, 1> parents, In<double, 3> trans
   check_motion(EXACT, frames, joints, translations, rotations, scales);
   check_motion(WRITTEN, frames, joints, written_translations, written_rotations,
                written_scales);
-  Buffer<double> extents(frames * 6);
+  Out<double, 3> extents(frames, 2, 3);
   double largest = 0;
   std::size_t at_frame = 0, at_joint = 0;
-  {
-    nb::gil_scoped_release release;
-    Scratch exact_frame(joints), written_frame(joints), played_frame(joints);
-    const World exact = exact_frame.world(), written = written_frame.world();
-    const World played = played_frame.world();
-    for (std::size_t f = 0; f < frames; ++f) {
-      const std::size_t v = f * joints * 3, q = f * joints * 4;
-      const float* t = written_translations.data() + v;
-      const float* r = written_rotations.data() + q;
-      const float* s = written_scales ? written_scales->data() + v : nullptr;
-      forward_frame<double>(parents.data(), joints, translations.data() + v,
-                            rotations.data() + q, scales ? scales->data() + v : nullptr,
-                            exact);
-      forward_frame<double>(parents.data(), joints, t, r, s, written);
-      // Extents are compared with UsdSkel's to the last bit.
-      forward_frame<float>(parents.data(), joints, t, r, s, played);
-      double* low = extents.get() + f * 6;
-      double* high = low + 3;
+  Scratch exact_frame(joints), written_frame(joints), played_frame(joints);
+  const World exact = exact_frame.world(), written = written_frame.world();
+  const World played = played_frame.world();
+  for (std::size_t f = 0; f < frames; ++f) {
+    const std::size_t v = f * joints * 3, q = f * joints * 4;
+    const float* t = written_translations.data() + v;
+    const float* r = written_rotations.data() + q;
+    const float* s = written_scales ? written_scales->data() + v : nullptr;
+    forward_frame<double>(parents.data(), joints, translations.data() + v,
+                          rotations.data() + q, scales ? scales->data() + v : nullptr,
+                          exact);
+    forward_frame<double>(parents.data(), joints, t, r, s, written);
+    // Extents are compared with UsdSkel's to the last bit.
+    forward_frame<float>(parents.data(), joints, t, r, s, played);
+    double* low = extents.get() + f * 6;
+    double* high = low + 3;
+    for (int i = 0; i < 3; ++i) {
+      low[i] = std::numeric_limits<double>::infinity();
+      high[i] = -std::numeric_limits<double>::infinity();
+    }
+    for (std::size_t j = 0; j < joints; ++j) {
+      double squared = 0;
       for (int i = 0; i < 3; ++i) {
-        low[i] = std::numeric_limits<double>::infinity();
-        high[i] = -std::numeric_limits<double>::infinity();
+        const double p = played.origins[3 * j + i];
+        if (p < low[i]) low[i] = p;
+        if (p > high[i]) high[i] = p;
+        const double d = written.origins[3 * j + i] - exact.origins[3 * j + i];
+        squared += d * d;
       }
-      for (std::size_t j = 0; j < joints; ++j) {
-        double squared = 0;
-        for (int i = 0; i < 3; ++i) {
-          const double p = played.origins[3 * j + i];
-          if (p < low[i]) low[i] = p;
-          if (p > high[i]) high[i] = p;
-          const double d = written.origins[3 * j + i] - exact.origins[3 * j + i];
-          squared += d * d;
-        }
-        if (squared > largest) {
-          largest = squared;
-          at_frame = f;
-          at_joint = j;
-        }
+      if (squared > largest) {
+        largest = squared;
+        at_frame = f;
+        at_joint = j;
       }
     }
   }
-  const std::size_t shape[3] = {frames, 2, 3};
-  return {extents.release(shape), std::sqrt(largest), at_frame, at_joint};
+  return {std::move(extents), std::sqrt(largest), at_frame, at_joint};
 }
 
 }  // namespace animtool

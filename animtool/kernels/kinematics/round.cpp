@@ -4,7 +4,7 @@
 #include <limits>
 
 #include "base/checks.h"
-#include "bindings/kernels.h"
+#include "kinematics/kinematics.h"
 
 namespace animtool {
 
@@ -59,35 +59,31 @@ RoundedPoints round_points(In<double, 3> points, double unit) {
   const std::size_t frames = points.shape(0), vertices = points.shape(1);
   check::shape("points", points, {check::ANY, check::ANY, 3});
   check::positive("unit", unit);
-  Buffer<float> rounded(frames * vertices * 3);
+  Out<float, 3> rounded(frames, vertices, 3);
   double largest = 0;
   std::size_t at = 0;
-  {
-    nb::gil_scoped_release release;
-    const auto round = unit == 1.0 ? round_strip<false> : round_strip<true>;
-    const std::size_t total = frames * vertices;
-    double squares[STRIP * 3];
-    for (std::size_t v = 0; v < total; v += STRIP) {
-      const double* p = points.data() + 3 * v;
-      float* out = rounded.get() + 3 * v;
-      const std::size_t count = std::min(STRIP, total - v);
-      round(p, count * 3, unit, out, squares);
-      double worst = largest_sum(squares, count);
-      if (worst == UNBOUNDED) {
-        clamp_strip(p, count * 3, unit, out, squares);
-        worst = largest_sum(squares, count);
-      }
-      // Few strips hold a new largest error.
-      if (worst > largest) {
-        largest = worst;
-        const double* s = squares;
-        for (at = v; s[0] + s[1] + s[2] < worst; ++at) s += 3;
-      }
+  const auto round = unit == 1.0 ? round_strip<false> : round_strip<true>;
+  const std::size_t total = frames * vertices;
+  double squares[STRIP * 3];
+  for (std::size_t v = 0; v < total; v += STRIP) {
+    const double* p = points.data() + 3 * v;
+    float* out = rounded.get() + 3 * v;
+    const std::size_t count = std::min(STRIP, total - v);
+    round(p, count * 3, unit, out, squares);
+    double worst = largest_sum(squares, count);
+    if (worst == UNBOUNDED) {
+      clamp_strip(p, count * 3, unit, out, squares);
+      worst = largest_sum(squares, count);
+    }
+    // Few strips hold a new largest error.
+    if (worst > largest) {
+      largest = worst;
+      const double* s = squares;
+      for (at = v; s[0] + s[1] + s[2] < worst; ++at) s += 3;
     }
   }
-  const std::size_t shape[3] = {frames, vertices, 3};
   const std::size_t row = std::max<std::size_t>(vertices, 1);
-  return {rounded.release(shape), std::sqrt(largest) * unit, at / row, at % row};
+  return {std::move(rounded), std::sqrt(largest) * unit, at / row, at % row};
 }
 
 }  // namespace animtool

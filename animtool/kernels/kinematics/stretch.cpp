@@ -2,7 +2,7 @@
 #include <cmath>
 
 #include "base/checks.h"
-#include "bindings/kernels.h"
+#include "kinematics/kinematics.h"
 
 namespace animtool {
 
@@ -95,15 +95,11 @@ void split(const double* a, double* q, double* s) {
 Stretched split_stretch(In<double, 4> linear) {
   const std::size_t frames = linear.shape(0), joints = linear.shape(1);
   check::shape("linear", linear, {check::ANY, check::ANY, 3, 3});
-  Buffer<double> rotations(frames * joints * 4), stretches(frames * joints * 9);
-  {
-    nb::gil_scoped_release release;
-    for (std::size_t i = 0; i < frames * joints; ++i)
-      split(linear.data() + 9 * i, rotations.get() + 4 * i, stretches.get() + 9 * i);
-  }
-  const std::size_t rotation_shape[3] = {frames, joints, 4};
-  const std::size_t stretch_shape[4] = {frames, joints, 3, 3};
-  return {rotations.release(rotation_shape), stretches.release(stretch_shape)};
+  Out<double, 3> rotations(frames, joints, 4);
+  Out<double, 4> stretches(frames, joints, 3, 3);
+  for (std::size_t i = 0; i < frames * joints; ++i)
+    split(linear.data() + 9 * i, rotations.get() + 4 * i, stretches.get() + 9 * i);
+  return {std::move(rotations), std::move(stretches)};
 }
 
 }  // namespace animtool

@@ -13,8 +13,8 @@
 
 #include "base/checks.h"
 #include "base/keys.h"
-#include "bindings/kernels.h"
 #include "particles/gravity_lanes.h"
+#include "particles/particles.h"
 
 namespace animtool {
 
@@ -391,9 +391,9 @@ std::tuple<Out<double, 2>, Out<double, 1>, Out<double, 1>> gravity(
   check::not_negative("constant", constant);
   check::not_negative("softening", softening);
   check::between("accuracy", accuracy, 0, 0.1);
-  Buffer<double> accelerations(3 * count), potentials(count), rates(count);
+  Out<double, 2> accelerations(count, 3);
+  Out<double, 1> potentials(count), rates(count);
   if (count) {
-    nb::gil_scoped_release release;
     const GravityFunctions* quads = gravity_in_quads();
     const GravityFunctions& loops = quads ? *quads : GravityLoops<PlainRows, PlainFloats>::functions;
     Bodies bodies(points.data(), masses.data(), count, softening);
@@ -405,8 +405,8 @@ std::tuple<Out<double, 2>, Out<double, 1>, Out<double, 1>> gravity(
     else
       directly(bodies, points.data(), masses.data(), constant, loops);
   }
-  return {accelerations.release({count, 3}), potentials.release({count}),
-          rates.release({count})};
+  return {std::move(accelerations), std::move(potentials),
+          std::move(rates)};
 }
 
 }  // namespace animtool

@@ -2,7 +2,7 @@
 #include <cmath>
 
 #include "base/checks.h"
-#include "bindings/kernels.h"
+#include "particles/particles.h"
 
 namespace animtool {
 
@@ -65,33 +65,29 @@ Out<double, 2> curl_noise(In<double, 2> points, In<double, 1> times, std::uint64
   const std::size_t count = points.shape(0);
   check::shape("points", points, {check::ANY, 3});
   check::shape("times", times, {count});
-  Buffer<double> result(3 * count);
-  {
-    nb::gil_scoped_release release;
-    for (std::size_t n = 0; n < count; ++n) {
-      std::int64_t cell[3];
-      double inside[3];
-      Fade fades[3];
-      for (int i = 0; i < 3; ++i) {
-        const double at = points.data()[3 * n + i], low = std::floor(at);
-        // Beyond this, a lattice has no places of its own any more.
-        cell[i] = std::fabs(low) < 1e15 ? static_cast<std::int64_t>(low) : 0;
-        inside[i] = at - low;
-        fades[i] = fade(inside[i]);
-      }
-      const double when = times.data()[n], now = std::floor(when);
-      const std::int64_t slice = std::fabs(now) < 1e15 ? static_cast<std::int64_t>(now) : 0;
-      const double share = fade(when - now).weight;
-      // The mean of two unlike fields would be weaker than either.
-      const double size = std::sqrt(share * share + (1 - share) * (1 - share));
-      double* out = result.get() + 3 * n;
-      out[0] = out[1] = out[2] = 0;
-      add_swirls(cell, inside, fades, slice, seed, (1 - share) / size, out);
-      if (share > 0) add_swirls(cell, inside, fades, slice + 1, seed, share / size, out);
+  Out<double, 2> result(count, 3);
+  for (std::size_t n = 0; n < count; ++n) {
+    std::int64_t cell[3];
+    double inside[3];
+    Fade fades[3];
+    for (int i = 0; i < 3; ++i) {
+      const double at = points.data()[3 * n + i], low = std::floor(at);
+      // Beyond this, a lattice has no places of its own any more.
+      cell[i] = std::fabs(low) < 1e15 ? static_cast<std::int64_t>(low) : 0;
+      inside[i] = at - low;
+      fades[i] = fade(inside[i]);
     }
+    const double when = times.data()[n], now = std::floor(when);
+    const std::int64_t slice = std::fabs(now) < 1e15 ? static_cast<std::int64_t>(now) : 0;
+    const double share = fade(when - now).weight;
+    // The mean of two unlike fields would be weaker than either.
+    const double size = std::sqrt(share * share + (1 - share) * (1 - share));
+    double* out = result.get() + 3 * n;
+    out[0] = out[1] = out[2] = 0;
+    add_swirls(cell, inside, fades, slice, seed, (1 - share) / size, out);
+    if (share > 0) add_swirls(cell, inside, fades, slice + 1, seed, share / size, out);
   }
-  const std::size_t shape[2] = {count, 3};
-  return result.release(shape);
+  return result;
 }
 
 }  // namespace animtool

@@ -4,7 +4,7 @@
 #include <algorithm>
 
 #include "base/checks.h"
-#include "bindings/kernels.h"
+#include "colliders/arrays.h"
 
 namespace animtool {
 
@@ -195,19 +195,16 @@ RigidStepped step_rigid(const RigidBodies& bodies, In<double, 2> state, In<std::
     frames[k] = collide::Motion(pose, pose + POSE);
   }
   rigid::Report report;
-  {
-    nb::gil_scoped_release release;
-    std::vector<Vec> pushes(count), twists(count);
-    for (std::size_t i = 0; i < count; ++i) {
-      pushes[i] = load(forces.data() + 6 * i), twists[i] = load(forces.data() + 6 * i + 3);
-    }
-    const rigid::Settings settings{static_cast<rigid::Method>(method), static_cast<int>(substeps),
-                                   static_cast<int>(rounds), tolerance, drowsy, rest};
-    report = rigid::step_world(world, states, kept, impulses, pushes, twists, all, frames,
-                               settings, step);
+  std::vector<Vec> pushes(count), twists(count);
+  for (std::size_t i = 0; i < count; ++i) {
+    pushes[i] = load(forces.data() + 6 * i), twists[i] = load(forces.data() + 6 * i + 3);
   }
-  Buffer<double> moved(STATE * count), touching(CONTACT * kept.size()), holding(rigid::ROWS * joints);
-  Buffer<std::int64_t> touched(2 * kept.size());
+  const rigid::Settings settings{static_cast<rigid::Method>(method), static_cast<int>(substeps),
+                                 static_cast<int>(rounds), tolerance, drowsy, rest};
+  report = rigid::step_world(world, states, kept, impulses, pushes, twists, all, frames,
+                             settings, step);
+  Out<double, 2> moved(count, STATE), touching(kept.size(), CONTACT), holding(joints, rigid::ROWS);
+  Out<std::int64_t, 2> touched(kept.size(), 2);
   for (std::size_t i = 0; i < count; ++i) {
     double* to = moved.get() + STATE * i;
     const rigid::State& s = states[i];
@@ -220,10 +217,8 @@ RigidStepped step_rigid(const RigidBodies& bodies, In<double, 2> state, In<std::
   }
   for (std::size_t k = 0; k < joints; ++k)
     std::copy_n(impulses[k].begin(), rigid::ROWS, holding.get() + rigid::ROWS * k);
-  const std::size_t rows[2] = {count, STATE}, two[2] = {kept.size(), 2};
-  const std::size_t six[2] = {kept.size(), CONTACT}, twelve[2] = {joints, rigid::ROWS};
-  return {moved.release(rows), touched.release(two), touching.release(six),
-          holding.release(twelve), report.deepest, report.residual, report.contacts,
+  return {std::move(moved), std::move(touched), std::move(touching),
+          std::move(holding), report.deepest, report.residual, report.contacts,
           report.rounds, report.awake, report.unsolved, report.first, report.second};
 }
 

@@ -1,7 +1,7 @@
 // Rigid bodies as Python sees them: see `rigid/world.h` for what is done with them.
 #pragma once
 
-#include "bindings/kernels.h"
+#include "colliders/arrays.h"
 #include "rigid/world.h"
 #include "springs/contacts.h"
 

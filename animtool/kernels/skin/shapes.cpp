@@ -5,7 +5,7 @@
 
 #include "base/checks.h"
 #include "base/pair.h"
-#include "bindings/kernels.h"
+#include "skin/skin.h"
 
 namespace animtool {
 
@@ -57,51 +57,44 @@ void add_sparse(In<double, 3> points, In<double, 2> weights, In<std::int64_t, 1>
   const std::size_t frames = weights.shape(0), shapes = weights.shape(1);
   const std::size_t vertices = points.shape(1), row = vertices * 3;
   check::shape("out", out, {frames, vertices, 3});
-  {
-    nb::gil_scoped_release release;
-    const std::size_t stride = points.shape(0) == 1 ? 0 : row;
-    std::vector<Pair> table(shapes * 2);
-    for (std::size_t f = 0; f < frames; f += LANES) {
-      const double *rows[LANES], *from[LANES];
-      double* to[LANES];
-      for (std::size_t l = 0; l < LANES; ++l) {
-        const std::size_t g = std::min(f + l, frames - 1);
-        rows[l] = weights.data() + g * shapes;
-        from[l] = points.data() + g * stride;
-        to[l] = out.data() + g * row;
-      }
-      for (std::size_t c = 0; c < shapes; ++c) {
-        table[2 * c] = Pair{rows[0][c], rows[1][c]};
-        table[2 * c + 1] = Pair{rows[2][c], rows[3][c]};
-      }
-      add_frames(vertices, first.data(), columns.data(), offsets.data(), table.data(), from,
-                 to);
+  const std::size_t stride = points.shape(0) == 1 ? 0 : row;
+  std::vector<Pair> table(shapes * 2);
+  for (std::size_t f = 0; f < frames; f += LANES) {
+    const double *rows[LANES], *from[LANES];
+    double* to[LANES];
+    for (std::size_t l = 0; l < LANES; ++l) {
+      const std::size_t g = std::min(f + l, frames - 1);
+      rows[l] = weights.data() + g * shapes;
+      from[l] = points.data() + g * stride;
+      to[l] = out.data() + g * row;
     }
+    for (std::size_t c = 0; c < shapes; ++c) {
+      table[2 * c] = Pair{rows[0][c], rows[1][c]};
+      table[2 * c + 1] = Pair{rows[2][c], rows[3][c]};
+    }
+    add_frames(vertices, first.data(), columns.data(), offsets.data(), table.data(), from,
+               to);
   }
 }
 
 Out<double, 3> point_extents(In<double, 3> points) {
   const std::size_t frames = points.shape(0), vertices = points.shape(1);
   check::shape("points", points, {check::ANY, check::ANY, 3});
-  Buffer<double> result(frames * 6);
-  {
-    nb::gil_scoped_release release;
-    const double* p = points.data();
-    for (std::size_t f = 0; f < frames; ++f) {
-      constexpr double infinity = std::numeric_limits<double>::infinity();
-      double low[3] = {infinity, infinity, infinity};
-      double high[3] = {-infinity, -infinity, -infinity};
-      for (std::size_t v = 0; v < vertices; ++v, p += 3)
-        for (int i = 0; i < 3; ++i) {
-          low[i] = p[i] < low[i] ? p[i] : low[i];
-          high[i] = p[i] > high[i] ? p[i] : high[i];
-        }
-      std::copy_n(low, 3, result.get() + 6 * f);
-      std::copy_n(high, 3, result.get() + 6 * f + 3);
-    }
+  Out<double, 3> result(frames, 2, 3);
+  const double* p = points.data();
+  for (std::size_t f = 0; f < frames; ++f) {
+    constexpr double infinity = std::numeric_limits<double>::infinity();
+    double low[3] = {infinity, infinity, infinity};
+    double high[3] = {-infinity, -infinity, -infinity};
+    for (std::size_t v = 0; v < vertices; ++v, p += 3)
+      for (int i = 0; i < 3; ++i) {
+        low[i] = p[i] < low[i] ? p[i] : low[i];
+        high[i] = p[i] > high[i] ? p[i] : high[i];
+      }
+    std::copy_n(low, 3, result.get() + 6 * f);
+    std::copy_n(high, 3, result.get() + 6 * f + 3);
   }
-  const std::size_t shape[3] = {frames, 2, 3};
-  return result.release(shape);
+  return result;
 }
 
 }  // namespace animtool

@@ -5,8 +5,8 @@
 
 #include "base/checks.h"
 #include "base/pair.h"
-#include "bindings/kernels.h"
 #include "skin/blend.h"
+#include "skin/skin.h"
 
 namespace animtool {
 
@@ -150,24 +150,21 @@ void skin_linear(In<double, 3> points, In<std::int64_t, 1> first,
   const std::size_t row = in.vertices * 3, width = count * 12;
   check::shape("out", out, {frames, in.vertices, 3});
   double* const result = out.data();
-  {
-    nb::gil_scoped_release release;
-    std::vector<double> palette(FRAMES * width);
-    const BlendFrames blend = widest_blend(points.shape(0) == 1);
-    for (std::size_t f = 0; f < frames; f += FRAMES) {
-      const double *tables[FRAMES], *sources[FRAMES];
-      double* targets[FRAMES];
-      for (std::size_t l = 0; l < FRAMES; ++l) {
-        const std::size_t g = std::min(f + l, frames - 1);
-        tables[l] = transforms.data() + g * width;
-        sources[l] = source.frame(g);
-        targets[l] = result + g * row;
-      }
-      interleave_four(tables, width, palette.data());
-      blend(in, palette.data(), sources, targets);
-      for (std::size_t g = f; normalize && g < std::min(f + FRAMES, frames); ++g)
-        for (std::size_t v = 0; v < in.vertices; ++v) unit(result + g * row + 3 * v);
+  std::vector<double> palette(FRAMES * width);
+  const BlendFrames blend = widest_blend(points.shape(0) == 1);
+  for (std::size_t f = 0; f < frames; f += FRAMES) {
+    const double *tables[FRAMES], *sources[FRAMES];
+    double* targets[FRAMES];
+    for (std::size_t l = 0; l < FRAMES; ++l) {
+      const std::size_t g = std::min(f + l, frames - 1);
+      tables[l] = transforms.data() + g * width;
+      sources[l] = source.frame(g);
+      targets[l] = result + g * row;
     }
+    interleave_four(tables, width, palette.data());
+    blend(in, palette.data(), sources, targets);
+    for (std::size_t g = f; normalize && g < std::min(f + FRAMES, frames); ++g)
+      for (std::size_t v = 0; v < in.vertices; ++v) unit(result + g * row + 3 * v);
   }
 }
 
@@ -186,28 +183,25 @@ void skin_dual_quaternion(In<double, 3> points, In<std::int64_t, 1> first,
   const std::size_t row = in.vertices * 3, width = count * 8;
   check::shape("out", out, {frames, in.vertices, 3});
   double* const result = out.data();
-  {
-    nb::gil_scoped_release release;
-    std::vector<double> duals(2 * width);
-    std::vector<Pair> palette(width), scaling(stretches ? count * 9 : 0);
-    for (std::size_t f = 0; f < frames; f += 2) {
-      const std::size_t g = std::min(f + 1, frames - 1);
-      const std::size_t both_frames[2] = {f, g};
-      for (int i = 0; i < 2; ++i)
-        dual_quaternions(rotations.data() + both_frames[i] * count * 4,
-                         translations.data() + both_frames[i] * count * 3, count,
-                         duals.data() + i * width);
-      interleave(duals.data(), duals.data() + width, width, palette.data());
-      double *out0 = result + f * row, *out1 = result + g * row;
-      if (stretches) {
-        interleave(stretches->data() + f * count * 9, stretches->data() + g * count * 9,
-                   count * 9, scaling.data());
-        dual_frames<true>(in, palette.data(), scaling.data(), source.frame(f),
-                          source.frame(g), out0, out1, normalize);
-      } else {
-        dual_frames<false>(in, palette.data(), nullptr, source.frame(f), source.frame(g),
-                           out0, out1, normalize);
-      }
+  std::vector<double> duals(2 * width);
+  std::vector<Pair> palette(width), scaling(stretches ? count * 9 : 0);
+  for (std::size_t f = 0; f < frames; f += 2) {
+    const std::size_t g = std::min(f + 1, frames - 1);
+    const std::size_t both_frames[2] = {f, g};
+    for (int i = 0; i < 2; ++i)
+      dual_quaternions(rotations.data() + both_frames[i] * count * 4,
+                       translations.data() + both_frames[i] * count * 3, count,
+                       duals.data() + i * width);
+    interleave(duals.data(), duals.data() + width, width, palette.data());
+    double *out0 = result + f * row, *out1 = result + g * row;
+    if (stretches) {
+      interleave(stretches->data() + f * count * 9, stretches->data() + g * count * 9,
+                 count * 9, scaling.data());
+      dual_frames<true>(in, palette.data(), scaling.data(), source.frame(f),
+                        source.frame(g), out0, out1, normalize);
+    } else {
+      dual_frames<false>(in, palette.data(), nullptr, source.frame(f), source.frame(g),
+                         out0, out1, normalize);
     }
   }
 }

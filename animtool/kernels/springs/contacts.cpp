@@ -272,10 +272,9 @@ void SpringContacts::add_surfaces() {
 
 Out<double, 2> SpringContacts::pushes() const {
   const std::vector<double> sum = both(pushed_, pushing_);
-  Buffer<double> rows(sum.size());
+  Out<double, 2> rows(sum.size() / PUSH, PUSH);
   std::copy(sum.begin(), sum.end(), rows.get());
-  const std::size_t shape[2] = {sum.size() / PUSH, PUSH};
-  return rows.release(shape);
+  return rows;
 }
 
 bool SpringContacts::settle(const SpringNetwork& network, int step,

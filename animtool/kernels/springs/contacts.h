@@ -4,7 +4,7 @@
 #include <optional>
 #include <vector>
 
-#include "bindings/kernels.h"
+#include "colliders/arrays.h"
 #include "colliders/colliders.h"
 #include "colliders/wide.h"
 #include "springs/meshes.h"
@@ -18,8 +18,6 @@ namespace animtool {
 using SpringColliders =
     std::tuple<ColliderArrays, In<double, 4>, double, std::optional<In<double, 2>>, double,
                std::vector<SpringSurface>>;
-
-std::vector<collide::Collider> read_colliders(const ColliderArrays& arrays);
 
 // A collider over one step.
 struct StepCollider {

@@ -31,20 +31,18 @@ void check_cells(const Cells& cells, std::int64_t substeps) {
 
 Out<double, 3> ended_state(const SpringRun& run) {
   const std::size_t count = run.network.particles();
-  Buffer<double> result(6 * count);
+  Out<double, 3> result(2, count, 3);
   for (std::size_t n = 0; n < count; ++n) {
     std::copy_n(run.x.data() + ROW * n, 3, result.get() + 3 * n);
     std::copy_n(run.v.data() + ROW * n, 3, result.get() + 3 * (count + n));
   }
-  const std::size_t shape[3] = {2, count, 3};
-  return result.release(shape);
+  return result;
 }
 
 Out<std::uint8_t, 1> ended_torn(const SpringRun& run) {
-  Buffer<std::uint8_t> result(run.torn.size());
+  Out<std::uint8_t, 1> result(run.torn.size());
   std::copy(run.torn.begin(), run.torn.end(), result.get());
-  const std::size_t shape[1] = {run.torn.size()};
-  return result.release(shape);
+  return result;
 }
 
 Out<double, 2> spring_accelerations(const SpringNetwork& network, double t, double h,
@@ -52,17 +50,13 @@ Out<double, 2> spring_accelerations(const SpringNetwork& network, double t, doub
   check::finite("t", t);
   check::positive("h", h);
   SpringRun run = begin_springs(network, state, torn);
-  Buffer<double> result(3 * network.particles());
-  {
-    nb::gil_scoped_release release;
-    std::vector<double> rate(run.size);
-    run.look(t, h);
-    run.accelerate(run.x.data(), run.v.data(), rate.data());
-    for (std::size_t n = 0; n < network.particles(); ++n)
-      std::copy_n(rate.data() + ROW * n, 3, result.get() + 3 * n);
-  }
-  const std::size_t shape[2] = {network.particles(), 3};
-  return result.release(shape);
+  Out<double, 2> result(network.particles(), 3);
+  std::vector<double> rate(run.size);
+  run.look(t, h);
+  run.accelerate(run.x.data(), run.v.data(), rate.data());
+  for (std::size_t n = 0; n < network.particles(); ++n)
+    std::copy_n(rate.data() + ROW * n, 3, result.get() + 3 * n);
+  return result;
 }
 
 Out<std::int64_t, 1> spring_order(In<std::int64_t, 2> ends, std::size_t particles) {
@@ -70,14 +64,10 @@ Out<std::int64_t, 1> spring_order(In<std::int64_t, 2> ends, std::size_t particle
   check::shape("ends", ends, {check::ANY, 2});
   check::at_most("ends", ends.shape(0), check::MOST_ROWS);
   check::indices("ends", ends, 0, static_cast<std::int64_t>(particles));
-  Buffer<std::int64_t> result(ends.shape(0));
-  {
-    nb::gil_scoped_release release;
-    const auto order = order_springs(ends.data(), ends.shape(0), particles);
-    std::copy(order.begin(), order.end(), result.get());
-  }
-  const std::size_t shape[1] = {ends.shape(0)};
-  return result.release(shape);
+  Out<std::int64_t, 1> result(ends.shape(0));
+  const auto order = order_springs(ends.data(), ends.shape(0), particles);
+  std::copy(order.begin(), order.end(), result.get());
+  return result;
 }
 
 std::tuple<double, double> spring_energy(const SpringNetwork& network,
@@ -218,17 +208,14 @@ SpringsStepped step_springs(const SpringNetwork& network, In<double, 3> state,
   check::finite("state", state);
   SpringRun run = begin_springs(network, state, torn);
   SpringContacts contacts(colliders, network.particles(), cells);
-  {
-    nb::gil_scoped_release release;
-    const double h = cell / substeps;
-    Explicit steps(run, contacts);
-    for (std::int64_t i = 0; i < cells; ++i) {
-      contacts.begin_cell(i, substeps, h);
-      steps.cross(grid.start(i), substeps, h);
-      steps.tear();
-    }
-    steps.end();
+  const double h = cell / substeps;
+  Explicit steps(run, contacts);
+  for (std::int64_t i = 0; i < cells; ++i) {
+    contacts.begin_cell(i, substeps, h);
+    steps.cross(grid.start(i), substeps, h);
+    steps.tear();
   }
+  steps.end();
   return {ended_state(run), ended_torn(run), contacts.unresolved,
           contacts.pushes()};
 }

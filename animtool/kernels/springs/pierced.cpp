@@ -86,7 +86,6 @@ std::int64_t pierced_edges(In<double, 2> positions, In<std::int64_t, 2> triangle
   for (std::size_t n = 0; n < count; ++n)
     std::copy_n(positions.data() + 3 * n, 3, x.data() + ROW * n);
   const std::vector<std::int32_t> corners(triangles.data(), triangles.data() + triangles.size());
-  nb::gil_scoped_release release;
   return count_pierced(x, corners);
 }
 

@@ -189,32 +189,29 @@ SpringsProjected project_springs(const SpringNetwork& network, In<double, 3> sta
   SelfContacts self(layers, network, crossed);
   double worst = 0;
   std::int64_t taken = 0;
-  {
-    nb::gil_scoped_release release;
-    Projection projection(run, cell, contacts, self);
-    std::vector<double> x, v;
-    for (std::int64_t i = 0; i < cells; ++i) {
-      x = run.x;
-      v = run.v;
-      double found = projection.cross(i, grid.start(i), substeps);
+  Projection projection(run, cell, contacts, self);
+  std::vector<double> x, v;
+  for (std::int64_t i = 0; i < cells; ++i) {
+    x = run.x;
+    v = run.v;
+    double found = projection.cross(i, grid.start(i), substeps);
+    taken += substeps;
+    while (!(found <= stretch) && substeps < most) {
+      substeps = std::min(2 * substeps, most);
+      calm = 0;
+      run.x = x;
+      run.v = v;
+      found = projection.cross(i, grid.start(i), substeps);
       taken += substeps;
-      while (!(found <= stretch) && substeps < most) {
-        substeps = std::min(2 * substeps, most);
-        calm = 0;
-        run.x = x;
-        run.v = v;
-        found = projection.cross(i, grid.start(i), substeps);
-        taken += substeps;
-      }
-      worst = std::max(worst, found);
-      self.note_through();
-      calm = found <= CALM_SHARE * stretch ? calm + 1 : 0;
-      if (calm >= CALM_CELLS && substeps > least) {
-        substeps = std::max(substeps / 2, least);
-        calm = 0;
-      }
-      if (run.tear()) projection.forget();
     }
+    worst = std::max(worst, found);
+    self.note_through();
+    calm = found <= CALM_SHARE * stretch ? calm + 1 : 0;
+    if (calm >= CALM_CELLS && substeps > least) {
+      substeps = std::max(substeps / 2, least);
+      calm = 0;
+    }
+    if (run.tear()) projection.forget();
   }
   return {ended_state(run), ended_torn(run), substeps, calm, worst, taken,
           contacts.touched, contacts.unresolved, self.ended(), self.through(),

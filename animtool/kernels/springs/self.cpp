@@ -151,7 +151,7 @@ void SelfContacts::look(const std::vector<double>& before, const std::vector<dou
 
 Out<std::int64_t, 2> SelfContacts::ended() const {
   const std::size_t count = corners_.crossed.size() + edges_.crossed.size();
-  Buffer<std::int64_t> result(3 * count);
+  Out<std::int64_t, 2> result(count, 3);
   std::int64_t* to = result.get();
   const auto add = [&](std::int64_t first, std::int64_t second, std::int64_t side) {
     for (const std::int64_t number : {first, second, side}) *to++ = number;
@@ -159,8 +159,7 @@ Out<std::int64_t, 2> SelfContacts::ended() const {
   for (const Passage& one : corners_.crossed) add(one.second, one.first, one.side);
   for (const Passage& one : edges_.crossed)
     add(std::int64_t(layers_->particles()) + one.first, one.second, one.side);
-  const std::size_t shape[2] = {count, 3};
-  return result.release(shape);
+  return result;
 }
 
 void SelfContacts::note_through() {
@@ -183,22 +182,18 @@ Out<double, 3> part_springs(const SpringNetwork& network, const SpringLayers& la
     std::copy_n(before.data() + 3 * n, 3, &from[ROW * n]);
     std::copy_n(after.data() + 3 * n, 3, &x[ROW * n]);
   }
-  Buffer<double> result(6 * count);
-  {
-    nb::gil_scoped_release release;
-    SelfContacts(layers, network).keep_apart(h, from, x);
-    const double *places = after.data(), *speeds = places + 3 * count;
-    for (std::size_t n = 0; n < count; ++n)
-      for (std::size_t k = 0; k < 3; ++k) {
-        const std::size_t row = ROW * n + k, at = 3 * n + k;
-        // What friction and pressing took from the way, they take from the speed.
-        const double taken = (x[row] - places[at]) - (from[row] - before.data()[at]);
-        result.get()[at] = x[row];
-        result.get()[3 * count + at] = speeds[at] + taken / h;
-      }
-  }
-  const std::size_t shape[3] = {2, count, 3};
-  return result.release(shape);
+  Out<double, 3> result(2, count, 3);
+  SelfContacts(layers, network).keep_apart(h, from, x);
+  const double *places = after.data(), *speeds = places + 3 * count;
+  for (std::size_t n = 0; n < count; ++n)
+    for (std::size_t k = 0; k < 3; ++k) {
+      const std::size_t row = ROW * n + k, at = 3 * n + k;
+      // What friction and pressing took from the way, they take from the speed.
+      const double taken = (x[row] - places[at]) - (from[row] - before.data()[at]);
+      result.get()[at] = x[row];
+      result.get()[3 * count + at] = speeds[at] + taken / h;
+    }
+  return result;
 }
 
 }  // namespace animtool

@@ -354,7 +354,6 @@ SpringsSolved solve_springs(const SpringNetwork& network, In<double, 3> state,
   crossing.before = {run.x, run.v};
   std::int64_t lost = 0;
   {
-    nb::gil_scoped_release release;
     if (earlier && two_steps) {
       const std::size_t row = 3 * network.particles();
       const SpringRun back(network, earlier->data(), earlier->data() + row, torn.data());

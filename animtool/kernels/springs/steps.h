@@ -4,10 +4,6 @@
 #include <optional>
 #include <tuple>
 
-#include <nanobind/stl/array.h>
-#include <nanobind/stl/optional.h>
-#include <nanobind/stl/tuple.h>
-#include <nanobind/stl/vector.h>
 
 #include "springs/contacts.h"
 #include "springs/self.h"

@@ -297,33 +297,29 @@ StrandsFollowed follow_strands(const SpringStrands& strands, In<double, 3> targe
   check_cells({0, 0, span / static_cast<double>(cells), static_cast<std::int64_t>(cells)},
               substeps);
   const MovingColliders moving(colliders, count, static_cast<std::int64_t>(cells));
-  Buffer<double> out(6 * count);
+  Out<double, 3> out(2, count, 3);
   std::int64_t touched = 0, inside = 0;
   double stretch = 0;
-  {
-    nb::gil_scoped_release release;
-    StrandSteps plan = strands.plan(cells, static_cast<std::size_t>(substeps), span);
-    const FrameColliders frame(moving, cells, substeps, plan.h, targets.data(), count);
-    frame.put_into(plan);
-    const std::size_t bundles = bundles_of(strands.strands());
-    const std::size_t most = std::max<std::size_t>(1, bundles / FEWEST_BUNDLES);
-    std::vector<Bundles> workers;
-    workers.reserve(std::min(threads, most));
-    while (workers.size() < std::min(threads, most))
-      workers.emplace_back(strands, plan, moving, targets.data(), state.data(), out.get());
-    cross_all(workers, bundles);
-    for (std::size_t step = 0; step < cells * static_cast<std::size_t>(substeps); ++step) {
-      std::int64_t together = 0;
-      for (const Bundles& one : workers) together += one.touched(step);
-      touched = std::max(touched, together);
-    }
-    for (const Bundles& one : workers) {
-      inside += one.inside;
-      stretch = std::max(stretch, one.stretch);
-    }
+  StrandSteps plan = strands.plan(cells, static_cast<std::size_t>(substeps), span);
+  const FrameColliders frame(moving, cells, substeps, plan.h, targets.data(), count);
+  frame.put_into(plan);
+  const std::size_t bundles = bundles_of(strands.strands());
+  const std::size_t most = std::max<std::size_t>(1, bundles / FEWEST_BUNDLES);
+  std::vector<Bundles> workers;
+  workers.reserve(std::min(threads, most));
+  while (workers.size() < std::min(threads, most))
+    workers.emplace_back(strands, plan, moving, targets.data(), state.data(), out.get());
+  cross_all(workers, bundles);
+  for (std::size_t step = 0; step < cells * static_cast<std::size_t>(substeps); ++step) {
+    std::int64_t together = 0;
+    for (const Bundles& one : workers) together += one.touched(step);
+    touched = std::max(touched, together);
   }
-  const std::size_t shape[3] = {2, count, 3};
-  return {out.release(shape), touched, inside, stretch};
+  for (const Bundles& one : workers) {
+    inside += one.inside;
+    stretch = std::max(stretch, one.stretch);
+  }
+  return {std::move(out), touched, inside, stretch};
 }
 
 }  // namespace animtool

@@ -5,8 +5,6 @@
 #include <tuple>
 #include <vector>
 
-#include <nanobind/stl/optional.h>
-#include <nanobind/stl/tuple.h>
 
 #include "springs/bundle.h"
 #include "springs/contacts.h"

@@ -1,0 +1,28 @@
+// Steps of crowds and flocks.
+#pragma once
+
+#include <cstdint>
+#include <optional>
+#include <tuple>
+
+#include "base/arrays.h"
+
+namespace animtool {
+
+std::tuple<Out<double, 2>, Out<double, 2>, double> crowd_step(
+    In<double, 2> points, In<double, 2> velocities, In<double, 2> preferred,
+    In<double, 1> radii, In<double, 1> most, In<double, 1> gives, In<std::int32_t, 1> groups,
+    In<std::uint8_t, 1> does, In<std::int32_t, 1> starts, In<double, 2> walls, double sight,
+    std::int64_t nearest, double horizon, double space, double push, double headway, double side, double step,
+    std::int64_t rounds, double enough);
+
+Out<double, 2> travel_distances(In<bool, 2> free, double cell, In<std::int64_t, 1> seeds,
+                                In<double, 1> starts);
+
+std::tuple<Out<double, 2>, Out<std::int32_t, 1>, double> flock_accelerations(
+    In<double, 2> points, In<double, 2> velocities, std::optional<In<std::int32_t, 1>> members,
+    std::optional<In<std::int32_t, 1>> others, double radius, double cosine,
+    std::int64_t nearest, In<double, 1> attraction, In<double, 1> alignment,
+    In<double, 1> repulsion, double softening, In<double, 2> period, double most);
+
+}  // namespace animtool
