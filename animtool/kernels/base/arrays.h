@@ -21,6 +21,7 @@ class View {
 
   T* data() const { return data_; }
   std::size_t shape(std::size_t axis) const { return shape_[axis]; }
+  const std::size_t* lengths() const { return shape_.data(); }
   std::size_t size() const {
     std::size_t count = 1;
     for (const std::size_t length : shape_) count *= length;
