@@ -2,6 +2,8 @@
 // registers of every baseline processor hold them.
 #pragma once
 
+#include "base/vector.h"
+
 namespace animtool {
 
 #if defined(__GNUC__) || defined(__clang__)
@@ -33,9 +35,7 @@ inline Pair where_below(Pair x, Pair limit, Pair a, Pair b) {
 inline Pair both(double value) { return Pair{value, value}; }
 
 // A vector of each of two frames.
-struct Vector {
-  Pair x, y, z;
-};
+using Vector = Vector3<Pair>;
 
 inline Vector load(const double* a, const double* b) {
   return {Pair{a[0], b[0]}, Pair{a[1], b[1]}, Pair{a[2], b[2]}};

@@ -9,6 +9,7 @@
 #include <type_traits>
 
 #include "base/rows.h"
+#include "base/vector.h"
 
 namespace animtool {
 
@@ -89,38 +90,11 @@ void scatter(const Wide<W>* columns, const std::int32_t* rows, double* to) {
 constexpr std::size_t WIDE_VECTOR = 12;
 
 template <class W>
-struct WideVec {
-  using N = Wide<W>;
-  N x, y, z;
+using WideVec = Vector3<Wide<W>>;
 
-  static WideVec of(const double* from) {
-    return {N::of(from), N::of(from + 4), N::of(from + 8)};
-  }
-  static WideVec spread(const double* from) { return {from[0], from[1], from[2]}; }
-  void store(double* to) const {
-    x.store(to);
-    y.store(to + 4);
-    z.store(to + 8);
-  }
-
-  friend WideVec operator+(const WideVec& a, const WideVec& b) {
-    return {a.x + b.x, a.y + b.y, a.z + b.z};
-  }
-  friend WideVec operator-(const WideVec& a, const WideVec& b) {
-    return {a.x - b.x, a.y - b.y, a.z - b.z};
-  }
-  friend WideVec operator*(const WideVec& a, const N& s) {
-    return {a.x * s, a.y * s, a.z * s};
-  }
-  friend N dot(const WideVec& a, const WideVec& b) {
-    return a.x * b.x + a.y * b.y + a.z * b.z;
-  }
-  friend WideVec cross(const WideVec& a, const WideVec& b) {
-    return {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
-  }
-  friend WideVec chosen(const N& where, const WideVec& a, const WideVec& b) {
-    return {chosen(where, a.x, b.x), chosen(where, a.y, b.y), chosen(where, a.z, b.z)};
-  }
-};
+template <class W>
+WideVec<W> chosen(const Wide<W>& where, const WideVec<W>& a, const WideVec<W>& b) {
+  return {chosen(where, a.x, b.x), chosen(where, a.y, b.y), chosen(where, a.z, b.z)};
+}
 
 }  // namespace animtool

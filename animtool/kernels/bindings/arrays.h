@@ -18,6 +18,17 @@ using namespace nanobind::literals;
 // Kernels run without the lock of the interpreter.
 using Unlocked = nb::call_guard<nb::gil_scoped_release>;
 
+// A kernel that takes a struct, called with the members of it, in order; and what is made of
+// such a struct.
+template <class Given, class... Members, class Result>
+auto gathered(Result (*kernel)(const Given&)) {
+  return [kernel](Members... members) { return kernel(Given{members...}); };
+}
+template <class Made, class Given, class... Members>
+auto made_of() {
+  return [](Made* made, Members... members) { new (made) Made(Given{members...}); };
+}
+
 }  // namespace animtool
 
 namespace nanobind::detail {

@@ -20,7 +20,12 @@ and a radius. ``period`` is where axes begin and their lengths ``(2, 3)``, 0 for
 Returns ``(accelerations, counts, pairs)``: how many each sees ``(M,)``, and how many pairs
 there were to look at; where these are more than ``most``, nothing is done.)");
 
-  m.def("crowd_step", &crowd_step, Unlocked(), "points"_a, "velocities"_a, "preferred"_a,
+  m.def("crowd_step",
+        gathered<CrowdStep, In<double, 2>, In<double, 2>, In<double, 2>, In<double, 1>,
+                 In<double, 1>, In<double, 1>, In<std::int32_t, 1>, In<std::uint8_t, 1>,
+                 In<std::int32_t, 1>, In<double, 2>, double, std::int64_t, double, double,
+                 double, double, double, double, std::int64_t, double>(&crowd_step),
+        Unlocked(), "points"_a, "velocities"_a, "preferred"_a,
         "radii"_a, "most"_a, "gives"_a, "groups"_a, "does"_a, "starts"_a, "walls"_a, "sight"_a,
         "nearest"_a, "horizon"_a, "space"_a, "push"_a, "headway"_a, "side"_a, "step"_a,
         "rounds"_a, "enough"_a,

@@ -16,7 +16,12 @@ void bind_ik(nb::module_& m) {
 Lengths are divided by ``length``, rotations brought to length 1, one without length to
 the identity, and seen from the nodes: ``frames`` ``(E, 4)`` are node_from_joint.)");
 
-  m.def("solve_ik", &solve_ik, Unlocked(), "nodes"_a, "numbers"_a, "goals"_a, "goal_numbers"_a,
+  m.def("solve_ik",
+        gathered<IkProblems, In<std::int64_t, 2>, In<double, 2>, In<std::int64_t, 2>,
+                 In<double, 2>, In<double, 2>, In<double, 3>, In<double, 3>, In<double, 2>,
+                 In<double, 2>, double, double, double, double, int, int, std::uint64_t, double,
+                 bool, bool, int>(&solve_ik),
+        Unlocked(), "nodes"_a, "numbers"_a, "goals"_a, "goal_numbers"_a,
         "starts"_a, "targets"_a, "sought"_a, "stretches"_a, "rests"_a, "rest_weight"_a,
         "length_tolerance"_a, "angle_tolerance"_a, "damping"_a, "iterations"_a, "restarts"_a,
         "seed"_a, "seconds"_a, "ordered"_a, "warm"_a, "method"_a,

@@ -16,11 +16,12 @@ which they tear. ``air_drag`` and ``air_lift`` of the air on ``triangles`` ``(T,
 the area and the square of the speed. Over the times of ``knots`` ``(K,)``: where ``held``
 particles are ``(K or 1, P, 3)``; the points ``(K or 1, A, 3)`` that ``anchors`` are drawn to;
 the wind ``(K or 1, 1, 3)``.)")
-      .def(nb::init<In<double, 1>, In<double, 1>, In<std::int64_t, 2>, In<double, 1>,
-                    In<double, 1>, In<double, 1>, In<double, 1>, In<std::int64_t, 2>,
-                    In<double, 1>, double, double, In<double, 1>, In<std::int64_t, 1>,
-                    In<double, 3>, In<std::int64_t, 1>, In<double, 1>, In<double, 1>,
-                    In<double, 3>, In<double, 3>>(),
+      .def("__init__",
+           made_of<SpringNetwork, SpringArrays, In<double, 1>, In<double, 1>,
+                   In<std::int64_t, 2>, In<double, 1>, In<double, 1>, In<double, 1>,
+                   In<double, 1>, In<std::int64_t, 2>, In<double, 1>, double, double,
+                   In<double, 1>, In<std::int64_t, 1>, In<double, 3>, In<std::int64_t, 1>,
+                   In<double, 1>, In<double, 1>, In<double, 3>, In<double, 3>>(),
            "inverse_masses"_a, "drags"_a, "ends"_a, "rest"_a, "stiffness"_a, "damping"_a,
            "limit"_a, "triangles"_a, "gravity"_a, "air_drag"_a, "air_lift"_a, "knots"_a,
            "held"_a, "held_path"_a, "anchors"_a, "anchor_stiffness"_a, "anchor_damping"_a,

@@ -11,6 +11,7 @@
 #include <vector>
 
 #include "base/checks.h"
+#include "base/vector.h"
 #include "capture/capture.h"
 
 namespace animtool {
@@ -42,10 +43,6 @@ enum State : std::uint8_t {
   UNRESOLVED = 5
 };
 
-struct Vec3 {
-  double x, y, z;
-};
-
 // A symmetric matrix and its right-hand side.
 struct Normal {
   double xx = 0, xy = 0, xz = 0, yy = 0, yz = 0, zz = 0, x = 0, y = 0, z = 0;
@@ -75,20 +72,20 @@ struct Factor {
   }
 
   // The rows of the inverse of the factor, times a vector.
-  Vec3 half(double x, double y, double z) const {
+  Vec half(double x, double y, double z) const {
     const double p = x * a, q = (y - b * p) * d;
     return {p, q, (z - c * p - e * q) * f};
   }
 
-  Vec3 solve(double x, double y, double z) const {
-    const Vec3 h = half(x, y, z);
+  Vec solve(double x, double y, double z) const {
+    const Vec h = half(x, y, z);
     const double r = h.z * f, q = (h.y - e * r) * d;
     return {(h.x - b * q - c * r) * a, q, r};
   }
 
   // The trace of the inverse of the matrix.
   double trace() const {
-    const Vec3 p = half(1, 0, 0), q = half(0, 1, 0), r = half(0, 0, 1);
+    const Vec p = half(1, 0, 0), q = half(0, 1, 0), r = half(0, 0, 1);
     return p.x * p.x + p.y * p.y + p.z * p.z + q.y * q.y + q.z * q.z + r.z * r.z;
   }
 };
@@ -166,7 +163,7 @@ struct Seen {
 
   double squared() const { return weight * (ru * ru + rv * rv); }
 
-  bool look(const Vec3& p) {
+  bool look(const Vec& p) {
     const auto& r = camera->r;
     const auto& t = camera->t;
     const double z = r[6] * p.x + r[7] * p.y + r[8] * p.z + t[2];
@@ -203,13 +200,13 @@ struct Seen {
 };
 
 struct Found {
-  Vec3 point{NOT, NOT, NOT};
+  Vec point{NOT, NOT, NOT};
   Factor factor{};
   double trace = 0;  // of the matrix
   bool good = false;
 };
 
-bool finite(const Vec3& p) {
+bool finite(const Vec& p) {
   return std::isfinite(p.x) && std::isfinite(p.y) && std::isfinite(p.z);
 }
 
@@ -226,7 +223,7 @@ class Point {
     return n;
   }
 
-  bool linear(Vec3& p) const {
+  bool linear(Vec& p) const {
     Normal n;
     for (std::size_t i = 0; i < count; ++i)
       if (seen[i].used) seen[i].add_ray(n, 1);
@@ -237,7 +234,7 @@ class Point {
   }
 
   // Least squares of the weighted reprojection, from a start.
-  Found refine(Vec3 p) {
+  Found refine(Vec p) {
     Found found;
     for (int step = 0; step < MOST_STEPS; ++step) {
       Normal n;
@@ -249,7 +246,7 @@ class Point {
         n.add(s.av, s.bv, s.cv, s.rv, s.weight);
       }
       if (!found.factor.of(n)) return found;
-      const Vec3 d = found.factor.solve(n.x, n.y, n.z);
+      const Vec d = found.factor.solve(n.x, n.y, n.z);
       p.x -= d.x, p.y -= d.y, p.z -= d.z;
       if (!(n.x * d.x + n.y * d.y + n.z * d.z > SMALL_STEP)) {
         for (std::size_t i = 0; i < count; ++i) {
@@ -266,7 +263,7 @@ class Point {
   }
 
   Found solve() {
-    Vec3 p{};
+    Vec p{};
     return linear(p) ? refine(p) : Found{};
   }
 
@@ -274,7 +271,7 @@ class Point {
   double studentised(const Seen& s, const Found& found) const {
     if (!s.used) return s.squared();
     const double w = s.weight;
-    const Vec3 u = found.factor.half(s.au, s.bu, s.cu), v = found.factor.half(s.av, s.bv, s.cv);
+    const Vec u = found.factor.half(s.au, s.bu, s.cu), v = found.factor.half(s.av, s.bv, s.cv);
     const double a = 1 - w * (u.x * u.x + u.y * u.y + u.z * u.z),
                  b = -w * (u.x * v.x + u.y * v.y + u.z * v.z),
                  c = 1 - w * (v.x * v.x + v.y * v.y + v.z * v.z);
@@ -284,7 +281,7 @@ class Point {
     return w * (c * s.ru * s.ru - 2 * b * s.ru * s.rv + a * s.rv * s.rv) / det;
   }
 
-  void look_all(const Vec3& p) {
+  void look_all(const Vec& p) {
     for (std::size_t i = 0; i < count; ++i)
       if (!seen[i].look(p)) seen[i].ru = seen[i].rv = std::numeric_limits<double>::max();
   }
@@ -337,7 +334,7 @@ class Point {
   }
 
   // The cost of a point: residuals as far as the gate.
-  double cost(const Vec3& p, std::size_t& agree) {
+  double cost(const Vec& p, std::size_t& agree) {
     double sum = 0;
     agree = 0;
     for (std::size_t i = 0; i < count; ++i) {
@@ -348,7 +345,7 @@ class Point {
     return sum;
   }
 
-  bool pair(std::size_t i, std::size_t j, Vec3& p) const {
+  bool pair(std::size_t i, std::size_t j, Vec& p) const {
     Normal n;
     seen[i].add_ray(n, 1), seen[j].add_ray(n, 1);
     Factor f;
@@ -363,10 +360,10 @@ class Point {
     const std::size_t most = std::min(count, MOST_PAIRED);
     double best = std::numeric_limits<double>::max();
     std::size_t agreed = 0, ties = 0;
-    Vec3 at{};
+    Vec at{};
     for (std::size_t i = 0; i + 1 < most; ++i)
       for (std::size_t j = i + 1; j < most; ++j) {
-        Vec3 p{};
+        Vec p{};
         std::size_t agree = 0;
         if (!pair(i, j, p)) continue;
         const double sum = cost(p, agree);
@@ -402,7 +399,7 @@ class Point {
     std::vector<double> at(count);
     for (std::size_t i = 0; i + 1 < most; ++i)
       for (std::size_t j = i + 1; j < most; ++j) {
-        Vec3 p{};
+        Vec p{};
         if (!pair(i, j, p)) continue;
         for (std::size_t k = 0; k < count; ++k)
           at[k] = seen[k].look(p) ? seen[k].ru * seen[k].ru + seen[k].rv * seen[k].rv

@@ -4,7 +4,7 @@
 #include <algorithm>
 #include <cmath>
 
-#include "base/vectors.h"
+#include "base/poses.h"
 #include "colliders/limits.h"
 
 namespace animtool::collide {

@@ -384,12 +384,9 @@ double separate(const Agents& agents, Vec2* moved, const std::vector<Pair>& pair
 
 }  // namespace
 
-std::tuple<Out<double, 2>, Out<double, 2>, double> crowd_step(
-    In<double, 2> points, In<double, 2> velocities, In<double, 2> preferred,
-    In<double, 1> radii, In<double, 1> most, In<double, 1> gives, In<std::int32_t, 1> groups,
-    In<std::uint8_t, 1> does, In<std::int32_t, 1> starts, In<double, 2> walls, double sight,
-    std::int64_t nearest, double horizon, double space, double push, double headway, double side, double step,
-    std::int64_t rounds, double enough) {
+std::tuple<Out<double, 2>, Out<double, 2>, double> crowd_step(const CrowdStep& given) {
+  const auto& [points, velocities, preferred, radii, most, gives, groups, does, starts, walls,
+               sight, nearest, horizon, space, push, headway, side, step, rounds, enough] = given;
   const std::size_t count = points.shape(0);
   check::at_most("points", count, check::MOST_ROWS);
   check::shape("points", points, {check::ANY, 2});

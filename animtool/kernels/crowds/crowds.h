@@ -9,12 +9,21 @@
 
 namespace animtool {
 
-std::tuple<Out<double, 2>, Out<double, 2>, double> crowd_step(
-    In<double, 2> points, In<double, 2> velocities, In<double, 2> preferred,
-    In<double, 1> radii, In<double, 1> most, In<double, 1> gives, In<std::int32_t, 1> groups,
-    In<std::uint8_t, 1> does, In<std::int32_t, 1> starts, In<double, 2> walls, double sight,
-    std::int64_t nearest, double horizon, double space, double push, double headway, double side, double step,
-    std::int64_t rounds, double enough);
+// Agents, what is around them, and how they walk.
+struct CrowdStep {
+  In<double, 2> points, velocities, preferred;
+  In<double, 1> radii, most, gives;
+  In<std::int32_t, 1> groups;
+  In<std::uint8_t, 1> does;
+  In<std::int32_t, 1> starts;
+  In<double, 2> walls;
+  double sight;
+  std::int64_t nearest;
+  double horizon, space, push, headway, side, step;
+  std::int64_t rounds;
+  double enough;
+};
+std::tuple<Out<double, 2>, Out<double, 2>, double> crowd_step(const CrowdStep& given);
 
 Out<double, 2> travel_distances(In<bool, 2> free, double cell, In<std::int64_t, 1> seeds,
                                 In<double, 1> starts);

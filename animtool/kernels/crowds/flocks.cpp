@@ -2,6 +2,7 @@
 #include <cmath>
 
 #include "base/checks.h"
+#include "base/vector.h"
 #include "crowds/crowds.h"
 #include "particles/neighbours.h"
 
@@ -26,18 +27,6 @@ struct Rule {
   }
 };
 
-struct Vec {
-  double x = 0, y = 0, z = 0;
-
-  Vec operator-(const Vec& b) const { return {x - b.x, y - b.y, z - b.z}; }
-  Vec operator*(double s) const { return {x * s, y * s, z * s}; }
-  Vec& operator+=(const Vec& b) { return x += b.x, y += b.y, z += b.z, *this; }
-  Vec& operator-=(const Vec& b) { return x -= b.x, y -= b.y, z -= b.z, *this; }
-  double dot(const Vec& b) const { return x * b.x + y * b.y + z * b.z; }
-};
-
-Vec vec(const double* from) { return {from[0], from[1], from[2]}; }
-
 // The way to another over its length squared, where that pushes.
 Vec shove(const Rule& rule, const Vec& off, double squared) {
   const bool pushes = squared <= rule.repulsion.radius * rule.repulsion.radius && squared > 0;
@@ -57,7 +46,7 @@ double together(const Rule& rule, const Neighbours& grid, const Vec* velocities,
   const double *x = grid.x(), *y = grid.y(), *z = grid.z();
   const double looked = grid.visit_places<true>(
       most, [&](std::size_t i, const double* at, const std::int32_t* hit, const std::int32_t* end) {
-        const Vec here = vec(at), velocity = velocities[i];
+        const Vec here = load(at), velocity = velocities[i];
         Sums own;
         seen[i] += static_cast<std::int32_t>(end - hit);
         for (; hit < end; ++hit) {
@@ -65,7 +54,7 @@ double together(const Rule& rule, const Neighbours& grid, const Vec* velocities,
           const Vec off = Vec{x[j], y[j], z[j]} - here;
           Vec pull = off * rule.attraction.weight;
           pull += (velocities[j] - velocity) * rule.alignment.weight;
-          const Vec away = shove(rule, off, off.dot(off));
+          const Vec away = shove(rule, off, dot(off, off));
           own.pull += pull;
           own.away += away;
           sums[j].pull -= pull;
@@ -119,15 +108,15 @@ class Seer {
 
   void look(std::size_t self, const Vec& here, const Vec& velocity, const std::int32_t* hit,
             const std::int32_t* end) {
-    const double behind = rule_.cosine * std::sqrt(velocity.dot(velocity));
+    const double behind = rule_.cosine * std::sqrt(dot(velocity, velocity));
     const std::int32_t* index = grid_.index();
     seen_.clear();
     for (; hit < end; ++hit) {
       const std::size_t j = static_cast<std::size_t>(*hit);
       if (static_cast<std::size_t>(index[j]) == self) continue;
       const Vec off = Vec{grid_.x()[j], grid_.y()[j], grid_.z()[j]} - here;
-      const double squared = off.dot(off);
-      if (rule_.cosine > -1 && off.dot(velocity) < behind * std::sqrt(squared)) continue;
+      const double squared = dot(off, off);
+      if (rule_.cosine > -1 && dot(off, velocity) < behind * std::sqrt(squared)) continue;
       seen_.push_back({off, squared, j});
     }
     if (!rule_.nearest || seen_.size() <= rule_.nearest) return;
@@ -195,7 +184,7 @@ std::tuple<Out<double, 2>, Out<std::int32_t, 1>, double> flock_accelerations(In<
                         others ? others->shape(0) : count, radius, period.data(), periods);
   const Block<Vec> sorted = block<Vec>(grid.size());
   for (std::size_t i = 0; i < grid.size(); ++i)
-    sorted[i] = vec(velocities.data() + 3 * static_cast<std::size_t>(grid.index()[i]));
+    sorted[i] = load(velocities.data() + 3 * static_cast<std::size_t>(grid.index()[i]));
   const bool open = periods[0] == 0 && periods[1] == 0 && periods[2] == 0;
   const bool all = open && !members && !others;
   Seer seer(rule, grid, sorted.get());
@@ -211,13 +200,13 @@ std::tuple<Out<double, 2>, Out<std::int32_t, 1>, double> flock_accelerations(In<
                                                 const std::int32_t* hit,
                                                 const std::int32_t* end) {
       const std::size_t which = static_cast<std::size_t>(grid.index()[i]);
-      add(which, which, vec(at), sorted[i], hit, end);
+      add(which, which, load(at), sorted[i], hit, end);
     });
   else
     looked = grid.visit(points.data(), members ? members->data() : nullptr, size, most,
                         [&](std::size_t number, std::size_t which, const double* at,
                             const std::int32_t* hit, const std::int32_t* end) {
-                          add(number, which, vec(at), vec(velocities.data() + 3 * which), hit,
+                          add(number, which, load(at), load(velocities.data() + 3 * which), hit,
                               end);
                         });
   return {std::move(result), std::move(counts), looked};

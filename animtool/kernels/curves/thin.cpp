@@ -4,6 +4,7 @@
 #include <vector>
 
 #include "base/checks.h"
+#include "base/vector.h"
 #include "curves/curves.h"
 
 namespace animtool {
@@ -14,14 +15,6 @@ struct Quat {
   double x, y, z, w;
 };
 
-struct Point {
-  double x, y, z;
-
-  Point operator+(const Point& b) const { return {x + b.x, y + b.y, z + b.z}; }
-  Point operator-(const Point& b) const { return {x - b.x, y - b.y, z - b.z}; }
-  double squared() const { return x * x + y * y + z * z; }
-};
-
 Quat product(const Quat& a, const Quat& b) {
   return {a.w * b.x + a.x * b.w + a.y * b.z - a.z * b.y,
           a.w * b.y - a.x * b.z + a.y * b.w + a.z * b.x,
@@ -29,7 +22,9 @@ Quat product(const Quat& a, const Quat& b) {
           a.w * b.w - a.x * b.x - a.y * b.y - a.z * b.z};
 }
 
-Point turned(const Quat& q, const Point& p) {
+double squared(const Vec& a) { return dot(a, a); }
+
+Vec turned(const Quat& q, const Vec& p) {
   const double x = 2 * (q.y * p.z - q.z * p.y), y = 2 * (q.z * p.x - q.x * p.z),
                z = 2 * (q.x * p.y - q.y * p.x);
   return {p.x + q.w * x + q.y * z - q.z * y, p.y + q.w * y + q.z * x - q.x * z,
@@ -49,10 +44,10 @@ double part(double a, double t) {
 struct Chain {
   std::size_t count, moving;
   const std::int64_t *parents, *numbers;  // of each its place in a pose, -1 at rest
-  const Point* places;
+  const Vec* places;
   const Quat *before, *rest;
 
-  void places_of(const Quat* pose, Quat* world, Point* made) const {
+  void places_of(const Quat* pose, Quat* world, Vec* made) const {
     for (std::size_t j = 0; j < count; ++j) {
       const Quat own = product(before[j], numbers[j] < 0 ? rest[j] : pose[numbers[j]]);
       if (parents[j] < 0) {
@@ -132,12 +127,12 @@ std::tuple<Out<bool, 1>, Out<double, 3>> fitting_spans(
                     moving,
                     parents.data(),
                     numbers.data(),
-                    reinterpret_cast<const Point*>(places.data()),
+                    reinterpret_cast<const Vec*>(places.data()),
                     reinterpret_cast<const Quat*>(before.data()),
                     reinterpret_cast<const Quat*>(rest.data())};
   const Quat* poses = reinterpret_cast<const Quat*>(turns.data());
   std::vector<Quat> world(count), pose(moving);
-  std::vector<Point> exact(frames * count), made(count);
+  std::vector<Vec> exact(frames * count), made(count);
   for (std::size_t f = 0; f < frames; ++f)
     chain.places_of(poses + f * moving, world.data(), exact.data() + f * count);
   const std::size_t foot[2] = {static_cast<std::size_t>(feet.data()[0]),
@@ -155,20 +150,20 @@ std::tuple<Out<bool, 1>, Out<double, 3>> fitting_spans(
       const double share = static_cast<double>(at + 1) / static_cast<double>(inside + 1);
       between.at(share, pose.data());
       chain.places_of(pose.data(), world.data(), made.data());
-      const Point* wanted = exact.data() + frame * count;
+      const Vec* wanted = exact.data() + frame * count;
       const bool* down = stands.data() + 2 * frame;
-      Point off{0, 0, 0};
+      Vec off{0, 0, 0};
       for (std::size_t side = 0; side < 2; ++side)
         if (down[side]) off = off + (wanted[foot[side]] - made[foot[side]]);
       if (down[0] && down[1]) off = {off.x / 2, off.y / 2, off.z / 2};
       double* kept = back.get() + 3 * (s * inside + at);
       kept[0] = off.x, kept[1] = off.y, kept[2] = off.z;
-      good = off.squared() <= hips * hips;
+      good = squared(off) <= hips * hips;
       for (std::size_t side = 0; good && side < 2; ++side)
         good = !down[side] ||
-               (wanted[foot[side]] - made[foot[side]] - off).squared() <= standing * standing;
+               squared(wanted[foot[side]] - made[foot[side]] - off) <= standing * standing;
       for (std::size_t j = 0; good && j < count; ++j)
-        good = (wanted[j] - made[j] - off).squared() <= near * near;
+        good = squared(wanted[j] - made[j] - off) <= near * near;
     }
     fits.get()[s] = good;
     if (!good) std::fill_n(back.get() + 3 * s * inside, 3 * inside, 0.0);

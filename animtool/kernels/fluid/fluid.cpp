@@ -18,7 +18,6 @@ using collide::Collider;
 using collide::Pose;
 using collide::Sample;
 using collide::Shape;
-using collide::cross;
 using collide::load;
 using collide::store;
 

@@ -1,13 +1,59 @@
-// One problem on its way: poses, what they cost, and when to stop.
+// Random poses inside the limits, the same ones everywhere.
 #pragma once
 
 #include <chrono>
 #include <cstdint>
 
-#include "ik/sample.h"
+#include "ik/goals.h"
+#include "ik/limits.h"
 #include "ik/step.h"
 
 namespace animtool::ik {
+
+// splitmix64 (S. Vigna): small, and the same numbers everywhere.
+class Random {
+ public:
+  explicit Random(std::uint64_t seed) : state_(seed) {}
+
+  // In [low, high).
+  double between(double low, double high) {
+    std::uint64_t z = (state_ += 0x9e3779b97f4a7c15ull);
+    z = (z ^ (z >> 30)) * 0xbf58476d1ce4e5b9ull;
+    z = (z ^ (z >> 27)) * 0x94d049bb133111ebull;
+    z ^= z >> 31;
+    return low + (high - low) * (static_cast<double>(z >> 11) * 0x1.0p-53);
+  }
+
+ private:
+  std::uint64_t state_;
+};
+
+// A random pose; where a joint has no limits near by, about `home`.
+inline void sample(const Chain& chain, const double* home, Random& random, double* q) {
+  for (const Node& node : chain.nodes) {
+    if (node.follows) continue;
+    double* own = q + node.coordinate;
+    const double* l = node.limit;
+    const double middle = home[node.coordinate];
+    if (node.kind == Kind::BALL) {
+      SwingTwist parts;
+      const double reach = std::sqrt(random.between(0, 1));
+      const double angle = random.between(0, TURN);
+      parts.swing[0] = reach * std::min(l[0], TURN / 2) * std::cos(angle);
+      parts.swing[1] = reach * std::min(l[1], TURN / 2) * std::sin(angle);
+      parts.twist = random.between(std::max(l[2], -TURN / 2), std::min(l[3], TURN / 2));
+      join(parts, own);
+      clamp_ball(own, l);
+    } else if (l[1] - l[0] < TURN) {
+      own[0] = random.between(l[0], l[1]);
+    } else {
+      const double half = node.kind == Kind::PIN ? TURN / 2 : 1;
+      own[0] = std::clamp(middle + random.between(-half, half), l[0], l[1]);
+    }
+  }
+}
+
+// One problem on its way: poses, what they cost, and when to stop.
 
 struct Settings {
   double length_tolerance;  // of the chain's length
@@ -139,6 +185,81 @@ class Attempt {
   const double* rest_ = nullptr;
   const double* shift_ = nullptr;  // (M,), added to the residuals
   std::chrono::steady_clock::time_point began_;
+};
+
+// The way downhill from a pose.
+
+class Descent : public Attempt {
+ protected:
+  using Attempt::Attempt;
+
+  enum class End { REACHED, STILL, SLOW, BUDGET };
+
+  // Bounds of the damping of all descents.
+  static constexpr double LEAST_DAMPING = 1e-12, MOST_DAMPING = 1e8;
+  // Over so many steps a descent has to bring the cost down to this share.
+  static constexpr int PATIENCE = 6;
+  static constexpr double PROGRESS = 0.3;
+  // Above this cost the whole Hessian is worth its price: goals are a length away.
+  static constexpr double FAR = 0.5;
+  // A step is taken that brings this share of what it promised, and none is left that
+  // turns by less [rad].
+  static constexpr double LEAST_RATIO = 1e-4, LEAST_TURN = 1e-10;
+  // Nor one that promises this share of the cost: what rounding leaves, unless less will
+  // do.
+  static constexpr double ROUNDED = 1e-15;
+  double still_gain_ = ROUNDED;
+
+  // Moves now_ downhill: Levenberg-Marquardt, and with the whole Hessian in a region of
+  // trust where the goals are far or progress is slow. Not `thorough`, it gives up
+  // there, for another start is then the better use of time.
+  End descend(double damping, bool thorough) {
+    ++outcome_.descents;
+    bool fresh = true;
+    double grow = 2, marked = now_.cost, trusted = LONGEST_TURN;
+    int slow = 0;
+    for (int since = 0;; ++since) {
+      if (!(task_.rest_weight > 0) && reached(now_)) return End::REACHED;
+      if (spent()) return End::BUDGET;
+      if (fresh) linearize(task_, targets_, rest_, now_, linear_);
+      ++outcome_.iterations;
+      const bool curved = thorough && (now_.cost > FAR || slow > 1);
+      const double gain = try_step(curved ? LEAST_DAMPING : damping, curved, trusted);
+      if (std::fabs(gain) <= still_gain_ * now_.cost) return End::STILL;
+      const double ratio = gain > 0 ? (now_.cost - next_.cost) / gain : 0;
+      fresh = ratio > LEAST_RATIO && next_.cost < now_.cost;
+      if (curved)
+        trusted = ratio < 0.25  ? 0.3 * stepper_.turn()
+                  : ratio > 0.5 ? std::min(2.5 * trusted, LONGEST_TURN)
+                                : trusted;
+      else if (fresh)
+        damping = ratio > 0.75   ? std::max(damping * 0.1, LEAST_DAMPING)
+                  : ratio < 0.25 ? damping * 3
+                                 : damping;
+      else
+        damping = std::max(damping, 1e-9) * grow;
+      grow = fresh ? 2 : grow * 2;
+      if (damping > MOST_DAMPING || trusted < LEAST_TURN) return End::STILL;
+      if (fresh) {
+        slow = next_.cost > 0.5 * now_.cost ? slow + 1 : 0;
+        std::swap(now_, next_);
+      }
+      if (since % PATIENCE == PATIENCE - 1) {
+        if (!thorough && now_.cost > PROGRESS * marked) return End::SLOW;
+        marked = now_.cost;
+      }
+    }
+  }
+
+  // What the model promises of the step to next_; less than 0 where there is none.
+  double try_step(double damping, bool curved, double trusted) {
+    if (!stepper_.step(now_, linear_, damping, curved, trusted, delta_.data())) return -1;
+    const double gain = stepper_.predicted(now_, linear_, curved, delta_.data());
+    if (!(gain > 0)) return gain;
+    stepper_.move(now_.q.data(), delta_.data(), next_.q.data());
+    evaluate(next_);
+    return gain;
+  }
 };
 
 }  // namespace animtool::ik

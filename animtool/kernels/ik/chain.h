@@ -88,44 +88,8 @@ inline void turn_about_z(const double* r, double angle, double* out) {
 }
 
 // Of the nodes from `first` to before `end`, those before them being known.
-inline void forward(const Chain& chain, const double* q, std::size_t first, std::size_t end,
-                    Frames& frames) {
-  if (!chain.programs.empty()) Evaluation(chain.programs, q, frames.results).run();
-  for (std::size_t n = first; n < end; ++n) {
-    const Node& node = chain.nodes[n];
-    double still[9];
-    double* origin = &frames.origins[3 * n];
-    double* rotation = &frames.rotations[9 * n];
-    double* axes = &frames.axes[9 * n];
-    if (node.parent < 0) {
-      std::copy(node.rest, node.rest + 9, still);
-      std::copy(node.offset, node.offset + 3, origin);
-    } else {
-      const double* parent = &frames.rotations[9 * node.parent];
-      const double* base = &frames.origins[3 * node.parent];
-      multiply(parent, node.rest, still);
-      rotate(parent, node.offset, origin);
-      for (int i = 0; i < 3; ++i) origin[i] += base[i];
-    }
-    const double* own = q + node.coordinate;
-    if (node.kind == Kind::BALL) {
-      double motion[9];
-      to_matrix(own, motion);
-      multiply(still, motion, rotation);
-      for (int i = 0; i < 9; ++i) axes[3 * (i % 3) + i / 3] = still[i];
-      continue;
-    }
-    const double by = node.program < 0 ? own[0] : frames.results.values[node.program];
-    const double value = node.gain * by + node.shift;
-    for (int i = 0; i < 3; ++i) axes[i] = still[3 * i + 2];
-    if (node.kind == Kind::PIN) {
-      turn_about_z(still, value, rotation);
-    } else {
-      std::copy(still, still + 9, rotation);
-      for (int i = 0; i < 3; ++i) origin[i] += axes[i] * value;
-    }
-  }
-}
+void forward(const Chain& chain, const double* q, std::size_t first, std::size_t end,
+             Frames& frames);
 
 inline void forward(const Chain& chain, const double* q, Frames& frames) {
   forward(chain, q, 0, chain.nodes.size(), frames);
@@ -142,5 +106,64 @@ inline void velocity(const Node& node, const double* axis, const double* origin,
   cross(axis, arm, linear);
   for (int i = 0; i < 3; ++i) angular[i] = axis[i];
 }
+
+// How far poses are apart.
+
+// Tangent vector (D,) that takes one pose to another, balls about their own rest frame.
+void difference(const Chain& chain, const double* from, const double* to, double* out);
+
+// How a rotation vector v = log(b a^-1) changes with b, transposed, on y: the inverse
+// left Jacobian of SO(3) for side 1; with a, negated, for side -1.
+inline void pull_back(const double* v, const double* y, double side, double* out) {
+  double first[3], second[3];
+  cross(v, y, first);
+  cross(v, first, second);
+  const double square = dot(v, v), angle = std::sqrt(square);
+  const double factor =
+      angle < 1e-3 ? 1.0 / 12 : (1 - angle / 2 / std::tan(angle / 2)) / square;
+  for (int i = 0; i < 3; ++i) out[i] = y[i] + side * first[i] / 2 + factor * second[i];
+}
+
+// The turn of one joint that serves its goals best by itself.
+
+// Sums over what a joint turns, for C cos(angle) + S sin(angle) about an axis, which is to
+// be the largest: for a vector that is to turn onto another, their product; for a
+// rotation that is left to make, its trace (C. Welman, Inverse kinematics and geometric
+// constraints for articulated figure manipulation, 1993).
+struct Pull {
+  double moment[9] = {};  // sum of a b^T
+  double torque[3] = {};  // sum of a x b: S = axis . torque
+  double trace = 0;       // sum of a . b: C = trace - axis . moment axis
+
+  void add(double weight, const double* from, const double* to) {
+    double turn[3];
+    cross(from, to, turn);
+    trace += weight * dot(from, to);
+    for (int i = 0; i < 3; ++i) {
+      torque[i] += weight * turn[i];
+      for (int j = 0; j < 3; ++j) moment[3 * i + j] += weight * from[i] * to[j];
+    }
+  }
+
+  // A rotation that is left to make: half of it, for its trace counts an angle twice.
+  void add(double weight, const double* left) {
+    const double half = weight / 2;
+    trace += half * (left[0] + left[4] + left[8]);
+    torque[0] += half * (left[7] - left[5]);
+    torque[1] += half * (left[2] - left[6]);
+    torque[2] += half * (left[3] - left[1]);
+    for (int i = 0; i < 9; ++i) moment[i] += half * left[i];
+  }
+
+  double angle(const double* axis) const {
+    double turned[3];
+    rotate(moment, axis, turned);
+    return std::atan2(dot(axis, torque), trace - dot(axis, turned));
+  }
+};
+
+// Fills in the step of a pin or ball that follows the pull: about its axis, or about that
+// of the torque.
+void follow(const Node& node, const double* axes, const Pull& pull, double* delta);
 
 }  // namespace animtool::ik

@@ -64,8 +64,8 @@ struct BallParts {
   double slopes[3][3];
 };
 
-// In ik_limits.h, which knows how to split a ball's motion.
-inline BallParts ball_parts(const double* q, double middle);
+// In `ik/limits.cpp`, which knows how to split a ball's motion.
+BallParts ball_parts(const double* q, double middle);
 
 class Evaluation {
  public:

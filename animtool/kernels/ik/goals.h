@@ -76,34 +76,8 @@ inline View view_of(const Goal& goal, const State& state, const double* point) {
 }
 
 // `shift` (M,) is added to the residuals, or null.
-inline void measure(const Task& task, const double* targets, State& state,
-                    const double* shift = nullptr) {
-  std::fill(state.residuals.begin(), state.residuals.end(), 0.0);
-  std::fill(state.misses.begin(), state.misses.end(), 0.0);
-  for (std::size_t e = 0; e < task.goals.size(); ++e) {
-    const Goal& goal = task.goals[e];
-    const double* target = targets + TARGET_WIDTH * e;
-    const double* rotation = &state.frames.rotations[9 * goal.node];
-    double* point = &state.points[3 * e];
-    double* miss = &state.misses[PARTS * e];
-    double* weights = &state.weights[PARTS * e];
-    double* r = state.residuals.data() + goal.row;
-    for (int part = 0; part < PARTS; ++part) weights[part] = weight_of(goal, target, part);
-    rotate(rotation, goal.offset, point);
-    for (int i = 0; i < 3; ++i) point[i] += state.frames.origins[3 * goal.node + i];
-    const View view = view_of(goal, state, point);
-    each_kind([&]<class Kind>(int part) {
-      if (weights[part] > 0)
-        miss[part] = Kind::measure(weights[part], view, target + COLUMNS[part], r);
-      r += Kind::ROWS * (goal.weights[part] > 0);
-    });
-  }
-  if (shift)
-    for (int i = 0; i < task.rows; ++i) state.residuals[i] += shift[i];
-  state.cost = 0;
-  for (const double x : state.residuals) state.cost += x * x;
-  state.cost /= 2;
-}
+void measure(const Task& task, const double* targets, State& state,
+             const double* shift = nullptr);
 
 // What the slopes of all kinds are made of.
 template <class... Kind>
@@ -111,42 +85,8 @@ std::tuple<typename Kind::Slopes...> slopes_of(const std::tuple<Kind...>&);
 using Slopes = decltype(slopes_of(Kinds{}));
 
 // Columns of the Jacobian (D, M), a row of memory for each degree of freedom.
-inline void differentiate(const Task& task, const double* targets, const State& state,
-                          std::vector<double>& columns) {
-  std::fill(columns.begin(), columns.end(), 0.0);
-  for (std::size_t e = 0; e < task.goals.size(); ++e) {
-    const Goal& goal = task.goals[e];
-    const double* target = targets + TARGET_WIDTH * e;
-    const double* point = &state.points[3 * e];
-    const double* weights = &state.weights[PARTS * e];
-    if (std::all_of(weights, weights + PARTS, [](double w) { return !(w > 0); })) continue;
-    const View view = view_of(goal, state, point);
-    Slopes slopes;
-    double shares[PARTS];
-    int rows[PARTS], next = 0;
-    each_kind([&]<class Kind>(int part) {
-      shares[part] = weights[part];
-      rows[part] = next;
-      next += Kind::ROWS * (goal.weights[part] > 0);
-      if (weights[part] > 0)
-        std::get<typename Kind::Slopes>(slopes).look(view, target + COLUMNS[part]);
-    });
-    for (const int n : goal.path) {
-      const Node& node = task.chain.nodes[n];
-      const double* origin = &state.frames.origins[3 * n];
-      each_slope(task.chain, node, state.frames, [&](int k, int dof, double gain) {
-        double* column = columns.data() + static_cast<std::size_t>(dof) * task.rows + goal.row;
-        Motion motion{node, n, &state.frames.axes[9 * n + 3 * k], origin, {}, {}};
-        velocity(node, motion.axis, origin, point, motion.linear, motion.angular);
-        each_kind([&]<class Kind>(int part) {
-          if (shares[part] > 0)
-            std::get<typename Kind::Slopes>(slopes).add(motion, gain * shares[part],
-                                                        column + rows[part]);
-        });
-      });
-    }
-  }
-}
+void differentiate(const Task& task, const double* targets, const State& state,
+                   std::vector<double>& columns);
 
 // Adds to `out` (D,) what the second derivatives of positions and rotations make of a
 // direction: (Hessian of the cost - J^T J) times `along`. All other kinds are left out.
@@ -232,5 +172,22 @@ class Curvature {
 
   std::vector<double> behind_;
 };
+
+// How near the goals can come at the very best, from the lengths of the bones alone.
+
+// Least and largest distance of a goal's point from the first joint of its path.
+struct Reach {
+  double inner = 0, outer = 0;
+};
+
+Reach reach_of(const Task& task, const Goal& goal);
+
+// A bound from below on the cost of every pose; 0 where there is none.
+double nearest_cost(const Task& task, const double* targets, const Frames& frames);
+
+// Limbs whose bones stretch.
+
+// Scales the bones on the way to the goals, from their first joint.
+void stretch(const Chain& plain, const double* stretches, Task& task);
 
 }  // namespace animtool::ik

@@ -9,7 +9,7 @@
 #include <tuple>
 #include <utility>
 
-#include "ik/turns.h"
+#include "ik/chain.h"
 
 namespace animtool::ik {
 

@@ -1,3 +1,213 @@
+// Descents from the start and, where they end short of the goals, from elsewhere.
+#pragma once
+
+#include "ik/attempt.h"
+#include "ik/goals.h"
+
+namespace animtool::ik {
+
+class Search : public Descent {
+ public:
+  Search(const Task& task, const Settings& settings)
+      : Descent(task, settings), first_(task), last_(task) {}
+
+  // Finds the best pose; `next` is the frame after the last run.
+  Status run(const double* start, const double* targets, const double* rest, bool next) {
+    short_ = next && outcome_.status == Status::NEAREST;
+    // Frames that go on searching look elsewhere each time.
+    if (!short_) random_ = Random(settings_.seed);
+    if (!open(start, targets, rest)) return outcome_.status = Status::BROKEN;
+    outcome_.status = look();
+    last_cost_ = best_.cost;
+    last_.q = best_.q;
+    return outcome_.status;
+  }
+
+  // Goes on from the best pose to other targets, and stays with what comes of it.
+  void refine(const double* targets, const double* shift, double still_gain) {
+    aim(targets, shift);
+    still_gain_ = std::max(still_gain, ROUNDED);
+    begin(best_);
+    descend(WARM, true);
+    std::swap(now_, best_);
+  }
+
+  // Searches from the start for other targets, and keeps what is better for them.
+  void search(const double* targets) {
+    aim(targets, nullptr);
+    evaluate(best_);
+    State kept = best_;
+    best_.q = first_.q;
+    evaluate(best_);
+    short_ = false;
+    look();
+    if (!(best_.cost < kept.cost * BETTER)) std::swap(best_, kept);
+  }
+
+  // Whether other targets are reached from the best pose, which is kept.
+  bool reaches(const double* targets) {
+    aim(targets, nullptr);
+    begin(best_);
+    descend(COLD, true);
+    return reached(now_);
+  }
+
+  // Measures the best pose by other targets.
+  void review(const double* targets) {
+    aim(targets, nullptr);
+    evaluate(best_);
+  }
+
+ private:
+  // Damping of the first step from a new start, and of one beside the goals.
+  static constexpr double COLD = 1e-3, WARM = 1e-6;
+  // Random poses, of which the best is a new start.
+  static constexpr int SAMPLES = 4;
+  // What a descent may leave, in shares of the cost: where levels follow, and where a
+  // preference for a pose keeps the cost from 0.
+  static constexpr double ROUGH = 1e-6, FINE = 1e-12;
+  // New starts are compared when they have come so near to where they go.
+  static constexpr double COMPARED = 1e-6;
+  // After so many starts the best is followed to its end.
+  static constexpr int POLISHED = 8;
+  // How many other starts must end where the best did before it is taken for the
+  // nearest that can be reached.
+  static constexpr int AGREEING = 16;
+  // A start that ends below this share of the cost is a better one.
+  static constexpr double BETTER = 1 - 1e-3;
+  // So many in a frame whose cost is within a factor of that of the frame before it; it
+  // leaves its branch for one of this share of the cost.
+  static constexpr int RESTARTS_NEXT = 2;
+  static constexpr double JUMP = 0.98;
+  static constexpr double SAME = 1.25;
+  // With so many times more degrees of freedom than rows, a descent that is slow is
+  // worth its end: there are hardly any minima that it could be stuck in.
+  static constexpr int REDUNDANT = 4;
+
+  void aim(const double* targets, const double* shift) {
+    targets_ = targets;
+    shift_ = shift;
+  }
+
+  Status look() {
+    floor_ = nearest_cost(task_, targets_, best_.frames);
+    const bool mixed = task_.rest_weight > 0 || task_.levels > 1;
+    still_gain_ = task_.levels > 1 ? ROUGH : mixed ? FINE : ROUNDED;
+    const bool sure =
+        floor_ > 0 || mixed || task_.chain.dofs >= REDUNDANT * rows_asked(task_, targets_);
+    first_.q = best_.q;
+    begin(best_);
+    const End end = descend(settings_.damping, sure || short_);
+    if (keep()) return Status::REACHED;
+    if (short_ && settings_.own_starts && go_on(sure)) return Status::REACHED;
+    if (same(end)) {
+      const double before = best_.cost;
+      const int restarts = task_.levels > 1 ? 0 : std::min(RESTARTS_NEXT, settings_.restarts);
+      for (int i = 0; i < restarts && !spent() && !settled(); ++i) {
+        scatter(i % 2 ? best_ : first_);
+        descend(COLD, sure);
+        if (now_.cost > before * JUMP && !reached(now_)) continue;
+        if (keep()) return Status::REACHED;
+      }
+      if (best_.cost == before) return Status::NEAREST;
+    }
+    const double exact = still_gain_;
+    const bool found = elsewhere(end == End::STILL, sure);
+    still_gain_ = exact;
+    return found && !mixed ? Status::REACHED : polish();
+  }
+
+  // From where the frame before it ended, if that is nearer to the goals than the end of
+  // the way from the frame's own start; whether they are reached.
+  bool go_on(bool sure) {
+    begin(last_);
+    descend(WARM, sure);
+    return (now_.cost < best_.cost * BETTER || reached(now_)) && keep();
+  }
+
+  // Descents from new starts; whether the goals are reached.
+  bool elsewhere(bool still, bool sure) {
+    const double exact = still_gain_;
+    int agreeing = 0;
+    for (int i = 0; i < settings_.restarts && !spent() && !settled(); ++i) {
+      restart(i, still);
+      still_gain_ = i == POLISHED ? exact : std::max(exact, COMPARED);
+      descend(COLD, sure || i == POLISHED);
+      const double before = best_.cost;
+      if (now_.cost < before * BETTER)
+        agreeing = 0;
+      else if (now_.cost < before * (1 + 1e-2))
+        ++agreeing;
+      if (keep()) return true;
+      if (agreeing >= AGREEING) break;
+    }
+    return false;
+  }
+
+  // Whether the frame is as far from the goals as the one before it, whose search was
+  // in vain: it need not be made again.
+  bool same(End end) const {
+    return short_ && end == End::STILL && best_.cost < SAME * last_cost_ &&
+           last_cost_ < SAME * best_.cost;
+  }
+
+  void restart(int i, bool still) {
+    if (i == 0 && still) {
+      begin(best_);
+      shake();
+    } else if (i == POLISHED) {
+      begin(best_);
+    } else if (i == 1) {
+      straighten();
+    } else {
+      scatter(i % 2 ? best_ : first_);
+    }
+  }
+
+  // Follows the best to its end.
+  Status polish() {
+    if (spent()) return Status::BUDGET;
+    begin(best_);
+    const End end = descend(COLD, true);
+    if (keep()) return Status::REACHED;
+    return end == End::BUDGET ? Status::BUDGET : Status::NEAREST;
+  }
+
+  // Nothing can be nearer, or the goals miss only what the rest preference takes.
+  bool settled() const {
+    if (floor_ > 0 && best_.cost <= floor_ * (1 + 1e-9)) return true;
+    return best_.drawn > 0 && best_.cost <= 2 * best_.drawn;
+  }
+
+  // The pose without motion, or what the limits leave of it.
+  void straighten() {
+    for (const Node& node : task_.chain.nodes) {
+      if (node.program >= 0) continue;
+      double* own = &now_.q[node.coordinate];
+      std::fill(own, own + (node.kind == Kind::BALL ? 4 : 1), 0.0);
+      if (node.kind == Kind::BALL) own[3] = 1;
+    }
+    shake();
+  }
+
+  // The best of some random poses.
+  void scatter(const State& home) {
+    double least = std::numeric_limits<double>::infinity();
+    for (int i = 0; i < SAMPLES; ++i) {
+      sample(task_.chain, home.q.data(), random_, next_.q.data());
+      evaluate(next_);
+      if (!(next_.cost < least)) continue;
+      least = next_.cost;
+      std::swap(now_, next_);
+    }
+  }
+
+  State first_, last_;
+  double floor_ = 0;  // no pose costs less
+  bool short_ = false;  // the frame before ended short of the goals, at this cost:
+  double last_cost_ = 0;
+};
+
 // Goals that give way to others: among the poses that are best for the hard ones, those
 // that are best for the next, and so on.
 //
@@ -6,11 +216,6 @@
 // it, held by the method of multipliers (M. R. Hestenes, Multiplier and gradient methods,
 // 1969; M. J. D. Powell, 1969), which shifts its residuals; one that cannot be reached
 // is held by its weight.
-#pragma once
-
-#include "ik/search.h"
-
-namespace animtool::ik {
 
 class Levels : public Solver {
  public:

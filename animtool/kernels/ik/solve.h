@@ -17,12 +17,21 @@ void place_ik_targets(Filled<double, 3> targets, In<double, 2> frames, double le
 
 // coordinates, misses, reports, seconds
 using IkSolved = std::tuple<Out<double, 2>, Out<double, 3>, Out<std::int64_t, 2>, Out<double, 1>>;
-IkSolved solve_ik(In<std::int64_t, 2> nodes, In<double, 2> numbers, In<std::int64_t, 2> goals,
-                  In<double, 2> goal_numbers, In<double, 2> starts, In<double, 3> targets,
-                  In<double, 3> sought, In<double, 2> stretches, In<double, 2> rests,
-                  double rest_weight, double length_tolerance, double angle_tolerance,
-                  double damping, int iterations, int restarts, std::uint64_t seed,
-                  double seconds, bool ordered, bool warm, int method);
+struct IkProblems {
+  In<std::int64_t, 2> nodes;
+  In<double, 2> numbers;
+  In<std::int64_t, 2> goals;
+  In<double, 2> goal_numbers, starts;
+  In<double, 3> targets, sought;
+  In<double, 2> stretches, rests;
+  double rest_weight, length_tolerance, angle_tolerance, damping;
+  int iterations, restarts;
+  std::uint64_t seed;
+  double seconds;
+  bool ordered, warm;
+  int method;
+};
+IkSolved solve_ik(const IkProblems& given);
 
 // coordinates, residuals, Jacobians, curvatures
 using IkLinearized = std::tuple<Out<double, 2>, Out<double, 2>, Out<double, 3>, Out<double, 2>>;

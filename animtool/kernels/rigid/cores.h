@@ -5,15 +5,13 @@
 #include <limits>
 #include <vector>
 
-#include "base/vectors.h"
+#include "base/poses.h"
 
 namespace animtool::rigid {
 
 using collide::Pose;
 using collide::Vec;
-using collide::cross;
 using collide::direction;
-using collide::dot;
 using collide::length;
 
 struct Edge {

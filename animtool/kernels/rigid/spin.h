@@ -11,13 +11,11 @@
 #include <cmath>
 #include <cstdint>
 
-#include "base/vectors.h"
+#include "base/poses.h"
 
 namespace animtool::rigid {
 
 using collide::Vec;
-using collide::cross;
-using collide::dot;
 using collide::length;
 
 enum class Method : std::int64_t { SPLITTING, RK4, SYMPLECTIC_EULER, EULER };

@@ -37,10 +37,6 @@ class Points {
   std::size_t stride_;
 };
 
-inline Vector cross(const Vector& a, const Vector& b) {
-  return {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
-}
-
 inline void unit(double* v) {
   const double squared = v[0] * v[0] + v[1] * v[1] + v[2] * v[2];
   if (!(squared > 0)) return;

@@ -42,22 +42,21 @@ std::vector<double> finite_column(const char* name, const In<double, 1>& column,
   return {column.data(), column.data() + column.size()};
 }
 
+std::vector<double> listed(const In<double, 1>& column) {
+  return {column.data(), column.data() + column.size()};
+}
+
 }  // namespace
 
-SpringNetwork::SpringNetwork(In<double, 1> masses, In<double, 1> slowing,
-                             In<std::int64_t, 2> ends, In<double, 1> rest,
-                             In<double, 1> stiffness, In<double, 1> damping,
-                             In<double, 1> limit, In<std::int64_t, 2> faces,
-                             In<double, 1> pull, double drag, double lift, In<double, 1> times,
-                             In<std::int64_t, 1> pins, In<double, 3> held_path,
-                             In<std::int64_t, 1> tied, In<double, 1> tied_stiffness,
-                             In<double, 1> tied_damping, In<double, 3> anchor_path,
-                             In<double, 3> winds)
-    : inverse_masses(masses.data(), masses.data() + masses.size()),
-      drags(slowing.data(), slowing.data() + slowing.size()),
-      air_drag(drag),
-      air_lift(lift),
-      knots(times.data(), times.data() + times.size()) {
+SpringNetwork::SpringNetwork(const SpringArrays& given)
+    : inverse_masses(listed(given.inverse_masses)),
+      drags(listed(given.drags)),
+      air_drag(given.air_drag),
+      air_lift(given.air_lift),
+      knots(listed(given.knots)) {
+  const auto& [masses, slowing, ends, rest, stiffness, damping, limit, faces, pull, drag, lift,
+               times, pins, held_path, tied, tied_stiffness, tied_damping, anchor_path, winds] =
+      given;
   const std::size_t count = inverse_masses.size(), springs = ends.shape(0);
   check::shape("inverse_masses", masses, {count});
   check::at_most("inverse_masses", count, check::MOST_ROWS);

@@ -46,15 +46,25 @@ struct Strides {
   std::size_t particle, number;
 };
 
+// What a network is made of.
+struct SpringArrays {
+  In<double, 1> inverse_masses, drags;
+  In<std::int64_t, 2> ends;
+  In<double, 1> rest, stiffness, damping, limit;
+  In<std::int64_t, 2> triangles;
+  In<double, 1> gravity;
+  double air_drag, air_lift;
+  In<double, 1> knots;
+  In<std::int64_t, 1> held;
+  In<double, 3> held_path;
+  In<std::int64_t, 1> anchors;
+  In<double, 1> anchor_stiffness, anchor_damping;
+  In<double, 3> anchor_path, winds;
+};
+
 class SpringNetwork {
  public:
-  SpringNetwork(In<double, 1> inverse_masses, In<double, 1> drags, In<std::int64_t, 2> ends,
-                In<double, 1> rest, In<double, 1> stiffness, In<double, 1> damping,
-                In<double, 1> limit, In<std::int64_t, 2> triangles, In<double, 1> gravity,
-                double air_drag, double air_lift, In<double, 1> knots, In<std::int64_t, 1> held,
-                In<double, 3> held_path, In<std::int64_t, 1> anchors,
-                In<double, 1> anchor_stiffness, In<double, 1> anchor_damping,
-                In<double, 3> anchor_path, In<double, 3> winds);
+  explicit SpringNetwork(const SpringArrays& given);
 
   std::size_t particles() const { return inverse_masses.size(); }
 

@@ -1,27 +1,15 @@
-// Points and directions as values, and poses of rigid things.
+// Directions, and poses of rigid things.
 #pragma once
 
-#include <cmath>
-
 #include "base/quaternions.h"
+#include "base/vector.h"
 
 namespace animtool::collide {
 
-struct Vec {
-  double x = 0, y = 0, z = 0;
-};
-
-inline Vec operator+(Vec a, Vec b) { return {a.x + b.x, a.y + b.y, a.z + b.z}; }
-inline Vec operator-(Vec a, Vec b) { return {a.x - b.x, a.y - b.y, a.z - b.z}; }
-inline Vec operator-(Vec a) { return {-a.x, -a.y, -a.z}; }
-inline Vec operator*(Vec a, double s) { return {a.x * s, a.y * s, a.z * s}; }
-inline double dot(Vec a, Vec b) { return a.x * b.x + a.y * b.y + a.z * b.z; }
-inline double length(Vec a) { return std::sqrt(dot(a, a)); }
-inline Vec cross(Vec a, Vec b) {
-  return {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
-}
-inline Vec load(const double* p) { return {p[0], p[1], p[2]}; }
-inline void store(Vec a, double* p) { p[0] = a.x, p[1] = a.y, p[2] = a.z; }
+using animtool::Vec;
+using animtool::length;
+using animtool::load;
+using animtool::store;
 
 // A unit vector; the fallback where there is no direction.
 inline Vec direction(Vec a, Vec fallback) {

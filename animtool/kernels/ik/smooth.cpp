@@ -7,14 +7,19 @@
 // gradients with Pi P^-1 Pi for a preconditioner, exact where Pi does not change in time
 // (N. Gould, M. Hribar, J. Nocedal, On the solution of equality constrained quadratic
 // programming problems arising in optimization, 2001, algorithm 2.1).
-#pragma once
+#include "ik/solve.h"
 
+#include "ik/goals.h"
+#include "ik/levels.h"
 #include "ik/path_cost.h"
-#include "ik/search.h"
+#include "ik/read.h"
 #include "ik/space.h"
-#include "ik/stretch.h"
 
-namespace animtool::ik {
+namespace animtool {
+
+namespace ik {
+
+namespace {
 
 struct PathSettings {
   PathWeights weights;
@@ -402,4 +407,54 @@ class PathSmoother {
   double damping_ = 0;
 };
 
-}  // namespace animtool::ik
+}  // namespace
+
+}  // namespace ik
+
+using namespace ik;
+
+IkSmoothed smooth_ik(In<std::int64_t, 2> nodes, In<double, 2> numbers,
+                     In<std::int64_t, 2> goals, In<double, 2> goal_numbers, In<double, 2> path,
+                     In<double, 3> targets, In<double, 3> sought, In<double, 2> stretches,
+                     In<double, 2> drifts, double anchor, double speed, double acceleration,
+                     std::size_t first, std::size_t end, double length_tolerance,
+                     double angle_tolerance, double damping, int rounds) {
+  Task task = read_task(nodes, numbers, goals, goal_numbers, 0);
+  const Chain plain = task.chain;
+  const std::size_t frames = path.shape(0), width = path.shape(1), e = goals.shape(0);
+  check_poses("path", task, frames, path);
+  check::at_most("path", frames, check::MOST_ROWS);
+  check_targets("targets", task, frames, targets);
+  check_targets("sought", task, frames, sought);
+  check::shape("stretches", stretches, {frames, e});
+  check_steps("drifts", drifts, frames, task.chain.dofs);
+  check::not_negative("anchor", anchor);
+  check::not_negative("speed", speed);
+  check::not_negative("acceleration", acceleration);
+  check::between("end", end, 0, frames);
+  check::between("first", first, 0, end);
+  check_tolerances(length_tolerance, angle_tolerance, damping);
+  check::between("rounds", rounds, 0, std::numeric_limits<int>::max());
+  const Settings settings{length_tolerance, angle_tolerance, damping, 1, 0, 0, 0, false};
+  const PathSettings over{{anchor, speed, acceleration},
+                          static_cast<int>(first), static_cast<int>(end), rounds};
+  Out<double, 2> smoothed(frames, width);
+  Out<double, 3> misses(frames, e, PARTS);
+  PathOutcome outcome;
+  std::copy(path.data(), path.data() + frames * width, smoothed.get());
+  PathSmoother smoother(task, settings, over, static_cast<int>(frames), sought.data(),
+                        stretches.data(), drifts.data());
+  outcome = smoother.run(smoothed.get());
+  State state(task);
+  for (std::size_t t = 0; t < frames; ++t) {
+    std::copy(smoothed.get() + t * width, smoothed.get() + (t + 1) * width, state.q.begin());
+    stretch(plain, stretches.data() + t * e, task);
+    forward(task.chain, state.q.data(), state.frames);
+    measure(task, targets.data() + t * e * TARGET_WIDTH, state);
+    std::copy(state.misses.begin(), state.misses.end(), misses.get() + t * e * PARTS);
+  }
+  return {std::move(smoothed), std::move(misses), outcome.rounds,
+          outcome.before, outcome.after};
+}
+
+}  // namespace animtool

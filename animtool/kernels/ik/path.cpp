@@ -1,21 +1,26 @@
 // The cheapest way along paths and over from one to another (A. Viterbi, Error bounds for
 // convolutional codes and an asymptotically optimum decoding algorithm, 1967).
-#pragma once
+#include "ik/solve.h"
 
 #include <cstdint>
 #include <limits>
 
+#include "ik/chain.h"
 #include "ik/limits.h"
-#include "ik/tangent.h"
+#include "ik/read.h"
 
-namespace animtool::ik {
+namespace animtool {
+
+namespace ik {
+
+namespace {
 
 // How much more what goes beyond an easy step costs.
 constexpr double STEEP = 100;
 
 // Price of a step (D,): its squared distance from a drift, free pins the short way round,
 // and more where a joint goes farther than is easy.
-inline double price_of(const Chain& chain, const double* step, const double* drift,
+double price_of(const Chain& chain, const double* step, const double* drift,
                        double easy) {
   double sum = 0;
   for (const Node& node : chain.nodes) {
@@ -32,7 +37,7 @@ inline double price_of(const Chain& chain, const double* step, const double* dri
 
 // Which of `count` paths (K, L, C) to be on in each of L frames, to begin on the first, or
 // if `open` on any.
-inline void cheapest(const Chain& chain, const double* paths, const double* costs,
+void cheapest(const Chain& chain, const double* paths, const double* costs,
                      const double* drifts, const double* easy, std::size_t count,
                      std::size_t length, bool open, bool closed, std::int64_t* chosen) {
   const std::size_t width = chain.coordinates;
@@ -68,4 +73,28 @@ inline void cheapest(const Chain& chain, const double* paths, const double* cost
   }
 }
 
-}  // namespace animtool::ik
+}  // namespace
+
+}  // namespace ik
+
+using namespace ik;
+
+Out<std::int64_t, 1> cheapest_ik_path(In<std::int64_t, 2> nodes, In<double, 2> numbers,
+                                      In<double, 3> paths, In<double, 2> costs,
+                                      In<double, 2> drifts, In<double, 1> easy, bool open,
+                                      bool closed) {
+  const Chain chain = read_chain(nodes, numbers);
+  const std::size_t count = paths.shape(0), length = paths.shape(1);
+  const auto width = static_cast<std::size_t>(chain.coordinates);
+  check::shape("paths", paths, {check::ANY, check::ANY, width});
+  if (!count) check::refuse("paths", "the array is empty");
+  check::shape("costs", costs, {count, length});
+  check_steps("drifts", drifts, length, chain.dofs);
+  check::shape("easy", easy, {std::max<std::size_t>(easy.shape(0), length ? length - 1 : 0)});
+  Out<std::int64_t, 1> chosen(length);
+  cheapest(chain, paths.data(), costs.data(), drifts.data(), easy.data(), count, length,
+           open, closed, chosen.get());
+  return chosen;
+}
+
+}  // namespace animtool

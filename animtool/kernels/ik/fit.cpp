@@ -6,13 +6,18 @@
 // tomographic image reconstruction, 1987) for each goal, by reweighted Gauss-Newton. Before,
 // frame after frame starts where those before it lead to, and c comes down from what is missed
 // there (A. Blake, A. Zisserman, Visual reconstruction, 1987).
-#pragma once
+#include "ik/solve.h"
 
+#include "ik/attempt.h"
 #include "ik/blocks.h"
-#include "ik/descent.h"
 #include "ik/path_cost.h"
+#include "ik/read.h"
 
-namespace animtool::ik {
+namespace animtool {
+
+namespace ik {
+
+namespace {
 
 struct FitSettings {
   PathWeights weights;
@@ -482,4 +487,58 @@ class PathFit : public Descent {
   double stiffest_ = 0;
 };
 
-}  // namespace animtool::ik
+// Of the first step of a fit to goals that are never reached.
+constexpr double FIT_DAMPING = 1e-3;
+
+}  // namespace
+
+}  // namespace ik
+
+using namespace ik;
+
+IkFitted fit_ik(In<std::int64_t, 2> nodes, In<double, 2> numbers, In<std::int64_t, 2> goals,
+                In<double, 2> goal_numbers, In<double, 2> path, In<double, 3> targets,
+                In<double, 2> starts, double anchor, double speed, double acceleration,
+                double robust, double rest_weight, double homing, std::size_t first,
+                std::size_t end, int iterations, int rounds, bool tracked) {
+  Task task = read_task(nodes, numbers, goals, goal_numbers, rest_weight);
+  const std::size_t frames = path.shape(0), width = path.shape(1), e = goals.shape(0);
+  check_poses("path", task, frames, path);
+  check_poses("starts", task, frames, starts);
+  check::at_most("path", frames, check::MOST_ROWS);
+  check_targets("targets", task, frames, targets);
+  check::positive("anchor", anchor);
+  check::not_negative("speed", speed);
+  check::not_negative("acceleration", acceleration);
+  check::between("homing", homing, 0, 1);
+  if (!(robust > 0)) check::refuse("robust", check::text(robust) + " is not above 0");
+  check::between("end", end, 0, frames);
+  check::between("first", first, 0, end);
+  check::between("iterations", iterations, 0, std::numeric_limits<int>::max());
+  check::between("rounds", rounds, 0, std::numeric_limits<int>::max());
+  const Settings settings{0, 0, FIT_DAMPING, iterations, 0, 0, 0, false};
+  const FitSettings over{{anchor, speed, acceleration},   robust, homing, static_cast<int>(first),
+                         static_cast<int>(end), rounds, tracked};
+  Out<double, 2> fitted(frames, width);
+  Out<double, 3> misses(frames, e, PARTS);
+  Out<std::int64_t, 1> searched(frames);
+  Out<std::int64_t, 2> taken(frames, e);
+  FitOutcome outcome;
+  std::copy(path.data(), path.data() + frames * width, fitted.get());
+  std::fill(searched.get(), searched.get() + frames, 0);
+  PathFit fit(task, settings, over, static_cast<int>(frames), targets.data(), starts.data());
+  for (std::size_t i = 0; i < frames * e; ++i) taken.get()[i] = static_cast<std::int64_t>(i % e);
+  outcome = fit.run(fitted.get(), searched.get(), taken.get());
+  State state(task);
+  for (std::size_t t = 0; t < frames; ++t) {
+    std::copy(fitted.get() + t * width, fitted.get() + (t + 1) * width, state.q.begin());
+    forward(task.chain, state.q.data(), state.frames);
+    measure(task, fit.targets(static_cast<int>(t)), state);
+    std::copy(state.misses.begin(), state.misses.end(), misses.get() + t * e * PARTS);
+  }
+  return {std::move(fitted), std::move(misses), std::move(searched),
+          std::move(taken),
+          outcome.rounds, outcome.before, outcome.after};
+}
+
+}  // namespace animtool
