@@ -117,4 +117,71 @@ void stretch(const Chain& plain, const double* stretches, Task& task) {
   }
 }
 
+void Curvature::add(const Task& task, const State& state, std::size_t e, const double* along,
+                    double* out) {
+  const Goal& goal = task.goals[e];
+  const double* point = &state.points[3 * e];
+  const double* residual = state.residuals.data() + goal.row;
+  const double* weights = &state.weights[PARTS * e];
+  double force[3] = {0, 0, 0}, torque[3] = {0, 0, 0}, shrink = 0, axis[3] = {0, 0, 0};
+  constexpr int position = part_of<Position>(), orientation = part_of<Orientation>();
+  static_assert(position == 0 && orientation == 1);
+  if (goal.weights[position] > 0) {
+    for (int i = 0; i < 3; ++i) force[i] = weights[position] * residual[i];
+    residual += Position::ROWS;
+  }
+  if (weights[orientation] > 0) {
+    const double w = weights[orientation], angle = length(residual) / w;
+    for (int i = 0; i < 3; ++i) {
+      torque[i] = w * residual[i];
+      axis[i] = angle > 1e-9 ? residual[i] / (w * angle) : 0;
+    }
+    // Across the residual, turning changes its length by angle/2 cot(angle/2) only.
+    if (angle > 1e-9) shrink = w * w * (angle / 2 / std::tan(angle / 2) - 1);
+  }
+  // What the joints behind each one do to the point and to the frame.
+  double linear[3] = {0, 0, 0}, angular[3] = {0, 0, 0};
+  for (std::size_t at = goal.path.size(); at-- > 0;) {
+    double* behind = &behind_[6 * at];
+    std::copy(linear, linear + 3, behind);
+    std::copy(angular, angular + 3, behind + 3);
+    accumulate(task, state, goal.path[at], point, along, linear, angular);
+  }
+  double across_axis[3];
+  for (int i = 0; i < 3; ++i)
+    across_axis[i] = shrink * (angular[i] - dot(axis, angular) * axis[i]);
+  double before[3] = {0, 0, 0};
+  for (std::size_t at = 0; at < goal.path.size(); ++at) {
+    const int n = goal.path[at];
+    const Node& node = task.chain.nodes[n];
+    const double* behind = &behind_[6 * at];
+    const double* origin = &state.frames.origins[3 * n];
+    double own_linear[3] = {0, 0, 0}, own_angular[3] = {0, 0, 0};
+    accumulate(task, state, n, point, along, own_linear, own_angular);
+    each_slope(task.chain, node, state.frames, [&](int k, int dof, double gain) {
+      double lin[3], ang[3];
+      velocity(node, &state.frames.axes[9 * n + 3 * k], origin, point, lin, ang);
+      double sum = -triple(force, ang, behind) - triple(force, before, lin);
+      // The joint with itself: half of either order.
+      sum -= (triple(force, ang, own_linear) + triple(force, own_angular, lin)) / 2;
+      sum -= (triple(torque, ang, behind + 3) + triple(torque, before, ang)) / 2;
+      sum += dot(ang, across_axis);
+      out[dof] += gain * sum;
+    });
+    for (int i = 0; i < 3; ++i) before[i] += own_angular[i];
+  }
+}
+
+void Curvature::accumulate(const Task& task, const State& state, int n, const double* point,
+                           const double* along, double* linear, double* angular) {
+  const Node& node = task.chain.nodes[n];
+  each_slope(task.chain, node, state.frames, [&](int k, int dof, double gain) {
+    double lin[3], ang[3];
+    velocity(node, &state.frames.axes[9 * n + 3 * k], &state.frames.origins[3 * n], point,
+             lin, ang);
+    const double amount = gain * along[dof];
+    for (int i = 0; i < 3; ++i) linear[i] += amount * lin[i], angular[i] += amount * ang[i];
+  });
+}
+
 }  // namespace animtool::ik
