@@ -22,7 +22,7 @@ __all__ = ["Tests", "edits", "packages", "plant", "restore", "size", "valid"]
 
 FOLDER = Path("animtool/kernels")
 # Names, documentation and declarations.
-LEFT_OUT = {"module.cpp", "kernels.h"}
+LEFT_OUT = "bindings"
 SAMPLED = 40
 RECORDINGS = "kernels"
 # Tests that run kernels in other ways than through the commands.
@@ -35,7 +35,7 @@ TESTS = [
 def packages(root: Path) -> dict[str, list[Path]]:
     """Return the one package, and its files."""
     files = source_files(root / FOLDER)
-    return {"kernels": [path for path in files if path.name not in LEFT_OUT]}
+    return {"kernels": [path for path in files if path.parent.name != LEFT_OUT]}
 
 
 def valid(_source: str) -> bool:
@@ -78,7 +78,7 @@ class Tests:
     def __call__(self, mutant: Mutant) -> set[str]:
         """Return the tests that run a mutant's line."""
         text = (self.root / mutant.path).read_text("utf-8")
-        name, line = Path(mutant.path).name, mutant.edit.line
+        name, line = _name(mutant), mutant.edit.line
         found = [one.tests(name, text, line) for one in self.recordings]
         return set().union(*found)
 
@@ -86,7 +86,7 @@ class Tests:
 def plant(copy: Copy, mutant: Mutant, text: str) -> str:
     """Build the kernels of a copy with a mutant; return why they do not build."""
     try:
-        install(copy, build(copy, {Path(mutant.path).name: text}))
+        install(copy, build(copy, {_name(mutant): text}))
     except subprocess.CalledProcessError as error:
         faults = [line for line in error.stdout.splitlines() if " error: " in line]
         return faults[0] if faults else "it does not build"
@@ -109,9 +109,12 @@ def build(
     source, build = folder / "source", folder / "build"
     source.mkdir(parents=True, exist_ok=True)
     # Files are written only if they differ, for ninja goes by their times.
-    for path in sorted((copy.source / FOLDER).iterdir()):
-        text = (changed or {}).get(path.name, path.read_text("utf-8"))
-        target = source / path.name
+    sources = copy.source / FOLDER
+    for path in [sources / "CMakeLists.txt", *source_files(sources)]:
+        name = path.relative_to(sources)
+        text = (changed or {}).get(name.as_posix(), path.read_text("utf-8"))
+        target = source / name
+        target.parent.mkdir(exist_ok=True)
         if not target.exists() or target.read_text("utf-8") != text:
             target.write_text(text, "utf-8")
     if not (build / "build.ninja").exists():
@@ -142,3 +145,8 @@ def _run(*command: str | Path) -> None:
     subprocess.run(
         command, check=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
     )
+
+
+def _name(mutant: Mutant) -> str:
+    """Return the file of a mutant as `folder/file`."""
+    return Path(mutant.path).relative_to(FOLDER).as_posix()

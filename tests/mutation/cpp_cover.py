@@ -63,15 +63,20 @@ def keep(library: Path, sources: Path, parts: Path, folder: Path) -> None:
     )
     rows = [path.read_text("utf-8") for path in sorted(parts.glob("rows.*.jsonl"))]
     (fresh / "rows.jsonl").write_text("".join(rows), "utf-8")
-    texts = {path.name: path.read_text("utf-8") for path in source_files(sources)}
+    texts = {name: (sources / name).read_text("utf-8") for name in names_of(sources)}
     (fresh / "sources.json").write_text(json.dumps(texts))
     shutil.rmtree(folder, ignore_errors=True)
     fresh.rename(folder)
 
 
 def source_files(folder: Path) -> list[Path]:
-    """Return the C++ files of a folder."""
-    return sorted(path for path in folder.iterdir() if path.suffix in {".h", ".cpp"})
+    """Return the C++ files of the folders in a folder."""
+    return sorted(path for path in folder.glob("*/*") if path.suffix in {".h", ".cpp"})
+
+
+def names_of(folder: Path) -> list[str]:
+    """Return the C++ files of the folders in a folder, as `folder/file`."""
+    return [path.relative_to(folder).as_posix() for path in source_files(folder)]
 
 
 class Recording:
@@ -133,17 +138,19 @@ def lines_by_block(library: Path, sources: Path) -> Lines:
     """Return the lines (name of a file, line) of each block of code, by its mark."""
     found = blocks(library)
     starts = [start for start, _ in found]
-    names = {path.name for path in source_files(sources)}
+    names = set(names_of(sources))
     lines: Lines = defaultdict(set)
     rows = "\n".join(_output("objdump", "--dwarf=decodedline", library))
     addresses = "\n".join(sorted(set(ADDRESS.findall(rows))))
     block = -1
     # Each address, and below it its line and those of the calls that are inlined there.
-    for row in _output("addr2line", "-i", "-a", "-s", "-e", library, text=addresses):
+    for row in _output("addr2line", "-i", "-a", "-e", library, text=addresses):
         if row.startswith("0x"):
             block = bisect_right(starts, int(row, 16)) - 1
-        elif block >= 0 and (place := PLACE.match(row)) and place[1] in names:
-            lines[found[block][1]].add((place[1], int(place[2])))
+        elif block >= 0 and (place := PLACE.match(row)):
+            name = "/".join(place[1].split("/")[-2:])
+            if name in names:
+                lines[found[block][1]].add((name, int(place[2])))
     return lines
 
 

@@ -1,0 +1,42 @@
+// Points sorted by keys of the cells that they are in.
+#pragma once
+
+#include <algorithm>
+#include <cstdint>
+
+#include "base/memory.h"
+
+namespace animtool {
+
+struct SortedKeys {
+  explicit SortedKeys(std::size_t room)
+      : keys(block<std::uint64_t>(room)), places(block<std::int32_t>(room)) {}
+
+  Block<std::uint64_t> keys;
+  Block<std::int32_t> places;
+  std::size_t count = 0;
+};
+
+// By counting, from the lowest bits on: equal keys stay in their order. Static, as sources that
+// are built for other processors must not share it.
+[[maybe_unused]] static void sort_keys(SortedKeys& sorted, std::size_t count) {
+  constexpr unsigned BITS = 11;
+  std::uint64_t most = 0;
+  for (std::size_t i = 0; i < count; ++i) most = std::max(most, sorted.keys[i]);
+  SortedKeys other(count);
+  for (unsigned shift = 0; shift < 64 && most >> shift; shift += BITS) {
+    std::size_t starts[(1 << BITS) + 1] = {};
+    const auto digit = [&](std::uint64_t key) { return key >> shift & ((1 << BITS) - 1); };
+    for (std::size_t i = 0; i < count; ++i) ++starts[digit(sorted.keys[i]) + 1];
+    for (std::size_t i = 1; i <= 1 << BITS; ++i) starts[i] += starts[i - 1];
+    for (std::size_t i = 0; i < count; ++i) {
+      const std::size_t to = starts[digit(sorted.keys[i])]++;
+      other.keys[to] = sorted.keys[i];
+      other.places[to] = sorted.places[i];
+    }
+    std::swap(sorted.keys, other.keys);
+    std::swap(sorted.places, other.places);
+  }
+}
+
+}  // namespace animtool

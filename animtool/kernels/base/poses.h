@@ -1,0 +1,119 @@
+// Directions, and poses of rigid things.
+#pragma once
+
+#include "base/quaternions.h"
+#include "base/vector.h"
+
+namespace animtool::collide {
+
+using animtool::Vec;
+using animtool::length;
+using animtool::load;
+using animtool::store;
+
+// A unit vector; the fallback where there is no direction.
+inline Vec direction(Vec a, Vec fallback) {
+  const double n = length(a);
+  return n > 0 ? a * (1 / n) : fallback;
+}
+
+// A unit vector at right angles to a unit one.
+inline Vec across(Vec a) {
+  const double in[3] = {a.x, a.y, a.z};
+  double u[3], v[3];
+  ik::across(in, u, v);
+  return load(u);
+}
+
+// world_from_local of a rigid thing.
+struct Pose {
+  Vec origin;
+  double turn[9] = {1, 0, 0, 0, 1, 0, 0, 0, 1};
+
+  Vec rotated(Vec a) const {
+    return {turn[0] * a.x + turn[1] * a.y + turn[2] * a.z,
+            turn[3] * a.x + turn[4] * a.y + turn[5] * a.z,
+            turn[6] * a.x + turn[7] * a.y + turn[8] * a.z};
+  }
+  Vec unrotated(Vec a) const {
+    return {turn[0] * a.x + turn[3] * a.y + turn[6] * a.z,
+            turn[1] * a.x + turn[4] * a.y + turn[7] * a.z,
+            turn[2] * a.x + turn[5] * a.y + turn[8] * a.z};
+  }
+  Vec to_world(Vec local) const { return origin + rotated(local); }
+  Vec to_local(Vec world) const { return unrotated(world - origin); }
+};
+
+// A pose at both ends of a step: the origin goes straight, the turn is even.
+class Motion {
+ public:
+  Motion() = default;
+
+  // Poses are an origin and a quaternion x y z w, of any length above 0.
+  Motion(const double* start, const double* end) {
+    double first[4], last[4], inverse[4], between[4], turn[3];
+    for (int i = 0; i < 4; ++i) first[i] = start[3 + i], last[i] = end[3 + i];
+    ik::normalize(first);
+    ik::normalize(last);
+    for (int i = 0; i < 4; ++i) inverse[i] = i < 3 ? -first[i] : first[i];
+    ik::product(last, inverse, between);
+    ik::logarithm(between, turn);
+    for (int i = 0; i < 4; ++i) first_[i] = first[i];
+    turn_ = load(turn);
+    origin_ = load(start);
+    travel_ = load(end) - origin_;
+    turns_ = length(turn_) > 0;
+    ik::to_matrix(first, still_.turn);
+    still_.origin = origin_;
+    moves_ = turns_ || length(travel_) > 0;
+  }
+
+  bool moves() const { return moves_; }
+  Vec travel() const { return travel_; }
+  Vec turn() const { return turn_; }
+  double angle() const { return length(turn_); }
+
+  // Where it is at a share of the step from 0 to 1.
+  Pose at(double share) const {
+    if (!moves_) return still_;
+    Pose pose = still_;
+    pose.origin = origin_ + travel_ * share;
+    if (turns_) {
+      const double vector[3] = {turn_.x * share, turn_.y * share, turn_.z * share};
+      double step[4], whole[4];
+      ik::exponential(vector, step);
+      ik::product(step, first_, whole);
+      ik::normalize(whole);
+      ik::to_matrix(whole, pose.turn);
+    }
+    return pose;
+  }
+
+  // How a world point that it carries moves in the step at a share of it.
+  Vec displacement(Vec point, const Pose& pose) const {
+    return travel_ + cross(turn_, point - pose.origin);
+  }
+
+  // The same motion over a part of its step.
+  Motion part(double from, double to) const {
+    Motion result = *this;
+    const Pose pose = at(from);
+    const double vector[3] = {turn_.x * from, turn_.y * from, turn_.z * from};
+    double step[4];
+    ik::exponential(vector, step);
+    ik::product(step, first_, result.first_);
+    result.origin_ = pose.origin;
+    result.travel_ = travel_ * (to - from);
+    result.turn_ = turn_ * (to - from);
+    result.still_ = pose;
+    return result;
+  }
+
+ private:
+  Vec origin_, travel_, turn_;
+  double first_[4] = {0, 0, 0, 1};
+  Pose still_;
+  bool turns_ = false, moves_ = false;
+};
+
+}  // namespace animtool::collide

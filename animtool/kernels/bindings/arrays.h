@@ -1,0 +1,93 @@
+// What kernels take and give, as Python has it: arrays of numpy, and bytes.
+#pragma once
+
+#include <nanobind/nanobind.h>
+#include <nanobind/ndarray.h>
+#include <nanobind/stl/array.h>
+#include <nanobind/stl/optional.h>
+#include <nanobind/stl/tuple.h>
+#include <nanobind/stl/vector.h>
+
+#include "base/arrays.h"
+
+namespace animtool {
+
+namespace nb = nanobind;
+using namespace nanobind::literals;
+
+// Kernels run without the lock of the interpreter.
+using Unlocked = nb::call_guard<nb::gil_scoped_release>;
+
+// A kernel that takes a struct, called with the members of it, in order; and what is made of
+// such a struct.
+template <class Given, class... Members, class Result>
+auto gathered(Result (*kernel)(const Given&)) {
+  return [kernel](Members... members) { return kernel(Given{members...}); };
+}
+template <class Made, class Given, class... Members>
+auto made_of() {
+  return [](Made* made, Members... members) { new (made) Made(Given{members...}); };
+}
+
+}  // namespace animtool
+
+namespace nanobind::detail {
+
+// What is converted for it lives as long as the call, as do the arguments.
+template <typename T, std::size_t N>
+struct type_caster<animtool::View<T, N>> {
+  using Array = ndarray<T, ndim<N>, c_contig, device::cpu>;
+  using Caster = make_caster<Array>;
+  using View = animtool::View<T, N>;
+  NB_TYPE_CASTER(View, Caster::Name)
+
+  bool from_python(handle source, std::uint32_t flags, cleanup_list* cleanup) noexcept {
+    if (!caster_.from_python(source, flags, cleanup)) return false;
+    const Array& array = caster_.value;
+    std::array<std::size_t, N> shape{};
+    for (std::size_t axis = 0; axis < N; ++axis) shape[axis] = array.shape(axis);
+    value = View(array.data(), shape);
+    return true;
+  }
+
+ private:
+  Caster caster_;
+};
+
+template <typename T, std::size_t N>
+struct type_caster<animtool::Out<T, N>> {
+  using Array = ndarray<numpy, T, ndim<N>, c_contig>;
+  using Value = animtool::Out<T, N>;
+  static constexpr auto Name = make_caster<Array>::Name;
+
+  static handle from_cpp(Value&& out, rv_policy policy, cleanup_list* cleanup) noexcept {
+    T* data = out.release();
+    capsule owner(data, [](void* memory) noexcept { animtool::Freed()(memory); });
+    return make_caster<Array>::from_cpp(Array(data, N, out.shape().data(), owner), policy,
+                                        cleanup);
+  }
+};
+
+template <>
+struct type_caster<animtool::Text> {
+  NB_TYPE_CASTER(animtool::Text, const_name("bytes"))
+
+  bool from_python(handle source, std::uint32_t, cleanup_list*) noexcept {
+    if (!isinstance<bytes>(source)) return false;
+    const auto text = borrow<bytes>(source);
+    value.bytes = {text.c_str(), text.size()};
+    return true;
+  }
+};
+
+template <>
+struct type_caster<animtool::Bytes> {
+  using Value = animtool::Bytes;
+  static constexpr auto Name = const_name("bytes");
+
+  static handle from_cpp(const Value& made, rv_policy, cleanup_list*) noexcept {
+    return bytes(made.bytes.data(), made.bytes.size()).release();
+  }
+};
+
+}  // namespace nanobind::detail

@@ -1,0 +1,46 @@
+// Python bindings of colliders.
+#include "bindings/arrays.h"
+#include "bindings/subjects.h"
+#include "colliders/arrays.h"
+#include "colliders/surface.h"
+
+namespace animtool {
+
+void bind_colliders(nb::module_& m) {
+  m.def("build_mesh_tree", &build_mesh_tree, Unlocked(), "points"_a, "triangles"_a,
+        R"(A tree of boxes over triangles ``(T, 3)`` of points ``(P, 3)``, for distances.
+
+Returns ``(triangles, corner_normals, edge_normals, bounds, nodes)``: the triangles in the
+order of the tree, what tells inside from outside at corners ``(P, 3)`` and edges
+``(T, 3, 3)``, zero on the rim of an open mesh, and the nodes: boxes ``(M, 6)``, and two
+children, or ``-1 - first`` and a count of triangles ``(M, 2)``.)");
+
+  nb::class_<MeshSurface>(m, "MeshSurface",
+                          R"(Triangles ``(T, 3)`` whose points move, from where they are ``(P, 3)``.
+
+Its tree is built once, and its boxes are fitted to where the points are.)")
+      .def(nb::init<In<double, 2>, In<std::int32_t, 2>>(), Unlocked(), "points"_a, "triangles"_a);
+
+  m.def("collide_particles", &collide_particles, Unlocked(), "colliders"_a, "before"_a, "after"_a,
+        "radii"_a, "begins"_a, "step"_a,
+        R"(End a step of N particles where colliders let it end.
+
+``colliders``: ``kinds`` ``(C, 3)`` (0 plane, 1 sphere, 2 capsule, 3 box, 4 mesh; whether it
+is a container; a mesh's node), ``sizes`` ``(C, 7)``, ``materials`` ``(C, 4)`` (restitution,
+friction, margin, depenetration speed), ``poses`` ``(C, 2, 7)`` at both ends of the step
+(origin, quaternion), then points and what `build_mesh_tree` gives of all meshes together.
+States ``(2, N, 3)`` are positions and velocities at both ends of the ``step``, or from
+where the particle is there on, ``begins`` ``(N,)`` of the step.
+
+Returns ``(state, touches, normals)``: ``(2, N, 3)``; the last collider touched or -1, and
+how (0 not, 1 bounced, 2 rests, 3 unresolved) ``(N, 2)``; the way out ``(N, 3)``.)");
+
+  m.def("sample_colliders", &sample_colliders, Unlocked(), "colliders"_a, "points"_a, "share"_a,
+        "step"_a,
+        R"(Look at C colliders from N points at a share of a step.
+
+Returns ``(distances, normals, velocities)``: ``(C, N)``, less the margins, negative inside;
+ways out and velocities of the surfaces ``(C, N, 3)``.)");
+}
+
+}  // namespace animtool

@@ -1,0 +1,59 @@
+// Python bindings of kinematics.
+#include "bindings/arrays.h"
+#include "bindings/subjects.h"
+#include "kinematics/kinematics.h"
+
+namespace animtool {
+
+void bind_kinematics(nb::module_& m) {
+  m.def("euler_to_quaternion", &euler_to_quaternion, Unlocked(), "values"_a, "columns"_a,
+        "axes"_a, "previous"_a,
+        R"(Turn Euler angles in degrees into quaternions ``(F, R, 4)``, x y z w.
+
+Rotation r multiplies turns about ``axes[r]`` (0 X, 1 Y, 2 Z) left to right by
+``values[:, columns[r]]``; a column of -1 is no turn. Signs are those nearest to
+the frame before, the first frame's nearest to ``previous`` ``(R, 4)``.)");
+
+  m.def("quaternion_to_euler", &quaternion_to_euler, Unlocked(), "quaternions"_a, "axes"_a,
+        R"(Turn quaternions ``(F, R, 4)`` into Euler angles ``(F, R, 3)`` in degrees.
+
+``axes`` ``(R, 3)`` names X, Y and Z once each. Of the equal solutions, each frame
+takes the one nearest to the frame before; the first, the one nearest to zero.)");
+
+  m.def("forward_kinematics", &forward_kinematics, Unlocked(), "parents"_a, "translations"_a,
+        "rotations"_a, "scales"_a.none(), "positions"_a.noconvert(), "linear"_a.noconvert(),
+        R"(Fill in the world origin ``(F, J, 3)`` and linear part ``(F, J, 3, 3)`` of joints.
+
+``parents[j] < j``, -1 for a root; local transforms are T R S, scale inherited.)");
+
+  m.def("measure_rounding", &measure_rounding, Unlocked(), "parents"_a, "translations"_a,
+        "rotations"_a, "scales"_a.none(), "written_translations"_a, "written_rotations"_a,
+        "written_scales"_a.none(),
+        R"(Bounds of the written joints ``(F, 2, 3)`` and what rounding to float32 moved.
+
+Returns ``(extents, error, frame, joint)``: the largest distance between a joint's
+world position in float64 and in the values written, and where it is.)");
+
+  m.def("point_errors", &point_errors, Unlocked(), "points"_a, "true_positions"_a,
+        "true_linear"_a, "positions"_a, "linear"_a,
+        R"(Largest distance ``(F, J)`` of the points of each joint from where they were.
+
+Points ``(J, P, 3)`` are in the joints' frames; origins ``(F, J, 3)`` and linear
+parts ``(F, J, 3, 3)`` are those of `forward_kinematics`.)");
+
+  m.def("split_stretch", &split_stretch, Unlocked(), "linear"_a,
+        R"(Split linear parts ``(F, J, 3, 3)`` into a rotation after a symmetric stretch.
+
+Returns quaternions ``(F, J, 4)`` and stretches ``(F, J, 3, 3)``, which are negative
+where the linear part mirrors. A determinant below 1e-10 has quaternion zero and no
+stretch.)");
+
+  m.def("round_points", &round_points, Unlocked(), "points"_a, "unit"_a,
+        R"(Points ``(F, V, 3)`` over ``unit``, as float32, and what the rounding moved.
+
+Returns ``(rounded, error, frame, vertex)``: what is beyond float32 is its largest
+number, and NaN stays NaN with an infinite error; the largest distance of a point from where
+it was, times ``unit``, and where.)");
+}
+
+}  // namespace animtool

@@ -1,0 +1,27 @@
+// animtool._kernels: the bindings of all subjects.
+#include "bindings/subjects.h"
+
+using namespace animtool;
+
+NB_MODULE(_kernels, m) {
+  // A command ends without collecting what is left, which is no leak.
+  nanobind::set_leak_warnings(false);
+  m.doc() = R"(Loops that numpy cannot vectorise. C-contiguous arrays in, new arrays out.
+
+Shapes, indices, counts and settings are checked: what is wrong is a ValueError that begins
+with the argument's name. NaN and infinity in coordinates, rotations, weights and values go
+through to the results, but where a function says otherwise: keys' times, samples to fit,
+points of a mesh, and frames and limits of a chain are finite.)";
+
+  bind_capture(m);
+  bind_curves(m);
+  bind_kinematics(m);
+  bind_skin(m);
+  bind_colliders(m);
+  bind_fluid(m);
+  bind_crowds(m);
+  bind_particles(m);
+  bind_ik(m);
+  bind_springs(m);
+  bind_rigid(m);
+}

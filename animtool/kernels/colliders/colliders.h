@@ -1,0 +1,387 @@
+// Particles against fixed and moving shapes: where they touch within a step, and what that
+// does to them. Plain numbers only, so that any loop over particles can call it.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <limits>
+
+#include "colliders/arrays.h"
+#include "colliders/mesh.h"
+
+namespace animtool::collide {
+
+enum class Shape : std::int64_t { PLANE, SPHERE, CAPSULE, BOX, MESH };
+
+// What a particle can run into.
+struct Collider {
+  Shape shape = Shape::PLANE;
+  // Plane: normal, offset. Sphere: centre, radius. Capsule: both ends, radius. Box: half its
+  // sides. In its own frame [m].
+  double size[7] = {0, 1, 0, 0, 0, 0, 0};
+  Mesh mesh = {};
+  std::int32_t root = 0;
+  Motion motion;
+  // Particles are to stay inside, not outside.
+  bool container = false;
+  // A mesh that is met from both sides.
+  bool two_sided = false;
+  // Share of the speed into the surface that comes back, Coulomb's coefficient [1]; distance
+  // kept [m]; how fast a particle that starts inside is moved out [m/s].
+  double restitution = 0, friction = 0, margin = 0, depenetration = 1;
+};
+
+// What happened to a particle in a step, the last of it.
+enum class Touch : std::int64_t { NONE, BOUNCED, RESTS, UNRESOLVED };
+
+struct Contact {
+  std::int64_t collider = -1;
+  Touch touch = Touch::NONE;
+  Vec normal;
+};
+
+struct Particle {
+  Vec position, velocity;
+};
+
+// Contacts of one particle in one step.
+constexpr int MOST_CONTACTS = 8;
+// Looks along a path before steps of a share of it are taken.
+constexpr int LOOKS = 64;
+// Halvings of a share of it in which a surface is passed.
+constexpr int HALVINGS = 24;
+// Colliders that are looked at once where they are far off.
+constexpr std::size_t TOLD_APART = 64;
+// Rounds of moving out of all colliders.
+constexpr int ROUNDS = 4;
+
+constexpr double FAR = std::numeric_limits<double>::infinity();
+
+// How far a particle stays from the surface of a collider [m].
+inline double kept(const Collider& c, double radius) {
+  const double off = c.margin + radius;
+  return c.two_sided ? std::max(off, SHELL) : off;
+}
+
+// Distance from a collider, less its margin and the particle's radius, and the way out; up
+// to a reach.
+inline Sample sample(const Collider& c, const Pose& pose, Vec point, double radius,
+                     double reach) {
+  const Vec p = pose.to_local(point);
+  const double* size = c.size;
+  Sample found{};
+  switch (c.shape) {
+    case Shape::PLANE: found = sample_plane(load(size), size[3], p); break;
+    case Shape::SPHERE: found = sample_sphere(load(size), size[3], p); break;
+    case Shape::CAPSULE:
+      found = sample_capsule(load(size), load(size + 3), size[6], p);
+      break;
+    case Shape::BOX: found = sample_box(load(size), p); break;
+    case Shape::MESH:
+      // Of what is out of reach it is not known whether it is inside.
+      found = sample_mesh(c.mesh, c.root, p, c.container ? FAR : reach + kept(c, radius));
+      if (c.two_sided) found = unsided(found);
+      break;
+  }
+  const Vec out = pose.rotated(found.normal);
+  const double side = c.container ? -1 : 1;
+  if (c.two_sided) return {found.distance - kept(c, radius), out};
+  return {side * found.distance - c.margin - radius, out * side};
+}
+
+// Likewise of what was at a place of the frame of a collider before: what came through a mesh
+// with two sides since is inside of it.
+inline Sample sample_since(const Collider& c, Vec from, const Pose& pose, Vec point,
+                           double radius, double reach) {
+  if (!c.two_sided || !crosses_mesh(c.mesh, c.root, from, pose.to_local(point)))
+    return sample(c, pose, point, radius, reach);
+  const Sample found = sample(c, pose, point, radius, FAR);
+  const double off = kept(c, radius);
+  return {-(found.distance + off) - off, -found.normal};
+}
+
+// Where a particle goes in what is left of a step. Positions may be those of another method
+// than velocities say, so the two are kept apart.
+struct Path {
+  Vec position, heading, velocity, acceleration;
+  // Time of the step that is over, and what is left of it [s].
+  double clock, left;
+
+  Vec at(double s) const { return position + heading * s + acceleration * (s * s / 2); }
+  Vec velocity_at(double s) const { return velocity + acceleration * s; }
+};
+
+// One particle in one step against all colliders.
+class Settling {
+ public:
+  // The particle is there from a time of the step on, 0 where it was before.
+  Settling(const Collider* colliders, std::size_t count, double step, double radius,
+           double begin = 0)
+      : colliders_(colliders), count_(count), step_(step), begin_(begin), radius_(radius) {}
+
+  // Brings the end of a step to where contacts let it be. It stays, bit for bit, where there
+  // are none.
+  Contact settle(const Particle& before, Particle& after) {
+    contact_ = {};
+    if (!(step_ > begin_)) return contact_;
+    path_ = begun(before, after);
+    resting_on_ = -1;
+    far_ = 0;
+    for (std::size_t i = 0; i < std::min(count_, TOLD_APART); ++i)
+      if (out_of_reach(colliders_[i])) far_ |= std::uint64_t{1} << i;
+    for (int i = 0; i < MOST_CONTACTS; ++i) {
+      double time = path_.left;
+      const std::int64_t hit = first_hit(time);
+      if (hit < 0) break;
+      respond(hit, time, i + 1 == MOST_CONTACTS);
+      far_ = 0;
+      after = {path_.at(path_.left), path_.velocity_at(path_.left)};
+    }
+    move_out(before, after);
+    return contact_;
+  }
+
+ private:
+  bool is_far(std::size_t i) const { return i < TOLD_APART && (far_ >> i & 1); }
+
+  // Whether the path as it is cannot meet a collider.
+  bool out_of_reach(const Collider& c) const {
+    const Pose pose = pose_at(c, 0);
+    const double reach = closing_speed(c, pose) * path_.left + 2 * TOUCH;
+    if (c.shape == Shape::MESH && !c.container && beyond_box(c, pose, reach)) return true;
+    return sample(c, pose, path_.position, radius_, FAR).distance >= reach;
+  }
+
+  bool beyond_box(const Collider& c, const Pose& pose, double reach) const {
+    const double whole = reach + kept(c, radius_);
+    const Vec local = pose.to_local(path_.position);
+    return squared_to_box(local, c.mesh.bounds + 6 * c.root) >= whole * whole;
+  }
+
+  Path begun(const Particle& before, const Particle& after) const {
+    const double left = step_ - begin_;
+    const Vec bend = (after.velocity - before.velocity) * (1 / left);
+    const Vec chord = (after.position - before.position) * (1 / left);
+    return {before.position, chord - bend * (left / 2), before.velocity, bend, begin_, left};
+  }
+
+  Pose pose_at(const Collider& c, double s) const {
+    return c.motion.at(std::min((path_.clock + s) / step_, 1.0));
+  }
+
+  Vec surface_velocity(const Collider& c, Vec point, const Pose& pose) const {
+    return c.motion.displacement(point, pose) * (1 / step_);
+  }
+
+  std::int64_t first_hit(double& time) const {
+    std::int64_t hit = -1;
+    for (std::size_t i = 0; i < count_; ++i) {
+      if (static_cast<std::int64_t>(i) == resting_on_ || is_far(i)) continue;
+      const double s = hit_time(colliders_[i], time);
+      if (s >= 0 && (s < time || (hit < 0 && s <= time))) hit = i, time = s;
+    }
+    return hit;
+  }
+
+  // Most speed of the particle as the collider sees it [m/s].
+  double closing_speed(const Collider& c, const Pose& pose) const {
+    const Vec own = c.motion.travel() * (1 / step_);
+    const Vec first = path_.heading - own;
+    const Vec last = first + path_.acceleration * path_.left;
+    const double straight = std::max(length(first), length(last));
+    if (c.motion.angle() == 0) return straight;
+    const double arm = length(path_.position - pose.origin) + straight * path_.left;
+    return straight + c.motion.angle() / step_ * arm;
+  }
+
+  // When the particle first touches a collider on its way in, up to a time; -1 if never.
+  // Steps are as long as no surface can be met in them.
+  double hit_time(const Collider& c, double until) const {
+    Pose pose = pose_at(c, 0);
+    const double speed = closing_speed(c, pose), reach = speed * until + 2 * TOUCH;
+    Sample found = sample(c, pose, path_.position, radius_, reach);
+    if (found.distance > speed * until + TOUCH || found.distance < -INSIDE) return -1;
+    double s = 0;
+    if (found.distance <= TOUCH) {
+      const Vec relative = path_.heading - surface_velocity(c, path_.position, pose);
+      const double out = dot(relative, found.normal);
+      const double bend = dot(path_.acceleration, found.normal);
+      if (out < 0 || (out == 0 && bend < 0)) return 0;
+      // On its way out: it comes back after the top of its path, if at all; but what has two
+      // sides may be met elsewhere.
+      if (!c.two_sided) s = bend < 0 ? -out / bend : until;
+    }
+    for (int look = 0; s < until; ++look) {
+      pose = pose_at(c, s);
+      const Vec point = path_.at(s);
+      found = sample(c, pose, point, radius_, reach);
+      if (found.distance <= TOUCH && approaches(c, point, pose, found.normal, s)) return s;
+      const double least = look < LOOKS ? TOUCH / 2 / speed : path_.left / LOOKS;
+      const double safe = found.distance / speed;
+      if (c.two_sided && least > safe && goes_through(c, s, std::min(s + least, until)))
+        return last_before(c, s, std::min(s + least, until));
+      s += std::max(safe, least);
+    }
+    return ends_inside(c, until) ? until : -1;
+  }
+
+  Vec local_at(const Collider& c, double s) const {
+    return pose_at(c, s).to_local(path_.at(s));
+  }
+
+  bool goes_through(const Collider& c, double from, double to) const {
+    return crosses_mesh(c.mesh, c.root, local_at(c, from), local_at(c, to));
+  }
+
+  // The last time before a path goes through a mesh, of a span in which it does.
+  double last_before(const Collider& c, double from, double to) const {
+    for (int k = 0; k < HALVINGS; ++k) {
+      const double middle = (from + to) / 2;
+      (goes_through(c, from, middle) ? to : from) = middle;
+    }
+    return from;
+  }
+
+  bool approaches(const Collider& c, Vec point, const Pose& pose, Vec normal, double s) const {
+    const Vec moving = path_.heading + path_.acceleration * s;
+    return dot(moving - surface_velocity(c, point, pose), normal) < 0;
+  }
+
+  bool ends_inside(const Collider& c, double s) const {
+    const Pose pose = pose_at(c, s);
+    const Vec point = path_.at(s);
+    const Sample found = sample(c, pose, point, radius_, 2 * TOUCH);
+    return found.distance < 0 && approaches(c, point, pose, found.normal, s);
+  }
+
+  // Goes on from a contact: bounces, or stays on the surface where it would be back on it
+  // within the step.
+  void respond(std::int64_t index, double s, bool last) {
+    const Collider& c = colliders_[index];
+    const Pose pose = pose_at(c, s);
+    Vec point = path_.at(s);
+    const Sample found = sample(c, pose, point, radius_, FAR);
+    if (found.distance < 0) point = point - found.normal * found.distance;
+    const Vec surface = surface_velocity(c, point, pose);
+    const Vec relative = path_.velocity_at(s) - surface;
+    const double into = dot(relative, found.normal);
+    const double bend = dot(path_.acceleration, found.normal), left = path_.left - s;
+    const double out = into < 0 ? -c.restitution * into : into;
+    const bool bounces = !last && out > -bend * left / 2;
+    const double pressed = into < 0 ? (bounces ? out - into : -into) : 0.0;
+    const Vec along = slowed(relative - found.normal * into, c.friction * pressed);
+    contact_ = {index, Touch::BOUNCED, found.normal};
+    if (bounces) {
+      const Vec velocity = surface + along + found.normal * out;
+      path_ = {point, velocity, velocity, path_.acceleration, path_.clock + s, left};
+      resting_on_ = -1;
+      return;
+    }
+    rest(index, pose, point, along, found.normal, s);
+  }
+
+  static Vec slowed(Vec velocity, double by) {
+    const double speed = length(velocity);
+    return speed > by ? velocity * (1 - by / speed) : Vec{};
+  }
+
+  // Stays on a surface to the end of the step, and slides on it against friction.
+  void rest(std::int64_t index, const Pose& pose, Vec point, Vec along, Vec normal, double s) {
+    const Collider& c = colliders_[index];
+    const double left = path_.left - s, bend = dot(path_.acceleration, normal);
+    const Vec pull = path_.acceleration - normal * bend;
+    const Vec free = along + pull * left;
+    const double held = c.friction * std::max(-bend, 0.0) * left;
+    const Vec slid = slowed(free, held);
+    const double speed = length(along), rest = held - length(free);
+    const double share = rest > 0 && speed + rest > 0 ? speed / (speed + rest) : 1.0;
+    const Pose end = pose_at(c, path_.left);
+    const Vec carried = end.to_world(pose.to_local(point));
+    const Vec goal = carried + (along + slid) * (left * share / 2);
+    const Vec velocity = surface_velocity(c, carried, end) + slid;
+    const Vec heading = left > 0 ? (goal - point) * (1 / left) : Vec{};
+    path_ = {point, heading, velocity, {}, path_.clock + s, left};
+    contact_ = {index, Touch::RESTS, normal};
+    resting_on_ = index;
+  }
+
+  // Moves a particle out of what it is in at the end of a step: at once where it began
+  // outside, and otherwise no faster than the collider's depenetration, without adding to
+  // its velocity.
+  void move_out(const Particle& before, Particle& after) {
+    for (int round = 0; round < ROUNDS; ++round) {
+      bool moved = false;
+      for (std::size_t i = 0; i < count_; ++i)
+        moved |= !is_far(i) && move_out_of(i, before, after);
+      if (!moved) return;
+      far_ = 0;
+    }
+    give_up(after);
+  }
+
+  bool move_out_of(std::size_t i, const Particle& before, Particle& after) {
+    const Collider& c = colliders_[i];
+    const Pose end = c.motion.at(1);
+    const Sample found =
+        sample_since(c, seen(i), end, after.position, radius_, reach_inside(c));
+    if (found.distance >= -TOUCH) return false;
+    const Sample start = sample(c, c.motion.at(begin_ / step_), before.position, radius_, reach_inside(c));
+    const double goal = start.distance < -INSIDE
+                            ? std::min(start.distance + c.depenetration * (step_ - begin_), 0.0)
+                            : 0.0;
+    const bool out = goal >= 0;
+    contact_ = {static_cast<std::int64_t>(i), out ? Touch::RESTS : Touch::UNRESOLVED,
+                found.normal};
+    const double into =
+        dot(after.velocity - surface_velocity(c, after.position, end), found.normal);
+    if (into < 0) after.velocity = after.velocity - found.normal * into;
+    if (goal <= found.distance) return false;
+    after.position = after.position + found.normal * (goal - found.distance);
+    return out;
+  }
+
+  // Where in the frame of a collider the particle was last, as far as its path was looked at.
+  Vec seen(std::size_t i) const {
+    const bool slid = static_cast<std::int64_t>(i) == resting_on_;
+    return local_at(colliders_[i], slid ? 0 : path_.left);
+  }
+
+  // Only meshes heed the reach, and inside one any depth counts.
+  static double reach_inside(const Collider& c) {
+    return c.shape == Shape::MESH ? FAR : 2 * TOUCH;
+  }
+
+  // A particle that colliders hold from several sides goes with them.
+  void give_up(Particle& after) {
+    Vec sum;
+    int held = 0;
+    for (std::size_t i = 0; i < count_; ++i) {
+      const Collider& c = colliders_[i];
+      const Pose end = c.motion.at(1);
+      if (sample(c, end, after.position, radius_, reach_inside(c)).distance < INSIDE) {
+        sum = sum + surface_velocity(c, after.position, end);
+        ++held;
+      }
+      if (sample(c, end, after.position, radius_, reach_inside(c)).distance < -INSIDE)
+        contact_.touch = Touch::UNRESOLVED;
+    }
+    if (contact_.touch == Touch::UNRESOLVED && held > 0) after.velocity = sum * (1.0 / held);
+  }
+
+  const Collider* colliders_;
+  std::size_t count_;
+  double step_, begin_, radius_;
+  Path path_{};
+  // A bit for each of the first colliders, of those that the path cannot meet.
+  std::uint64_t far_ = 0;
+  std::int64_t resting_on_ = -1;
+  Contact contact_;
+};
+
+}  // namespace animtool::collide
+
+namespace animtool {
+
+std::vector<collide::Collider> read_colliders(const ColliderArrays& arrays);
+
+}  // namespace animtool

@@ -1,0 +1,232 @@
+// Trees of boxes over the triangles of a mesh.
+#include <algorithm>
+#include <cmath>
+#include <numeric>
+#include <vector>
+
+#include "base/checks.h"
+#include "colliders/arrays.h"
+#include "colliders/surface.h"
+
+namespace animtool {
+
+namespace {
+
+using collide::MeshSides;
+using collide::corner_normal;
+using collide::edge_normal;
+using collide::store;
+
+constexpr std::int32_t LEAF = 4;
+
+struct Box {
+  double low[3], high[3];
+};
+
+class Tree {
+ public:
+  Tree(const double* points, const std::int32_t* corners, std::int32_t count)
+      : order_(count), boxes_(count) {
+    std::iota(order_.begin(), order_.end(), 0);
+    for (std::int32_t t = 0; t < count; ++t) boxes_[t] = box_of(points, corners + 3 * t);
+    nodes.reserve(4 * count);
+    bounds.reserve(12 * count);
+    split(0, count);
+  }
+
+  const std::vector<std::int32_t>& order() const { return order_; }
+
+  std::vector<std::int32_t> nodes;
+  std::vector<double> bounds;
+
+ private:
+  static Box box_of(const double* points, const std::int32_t* corner) {
+    Box box;
+    for (int i = 0; i < 3; ++i) {
+      const double a = points[3 * corner[0] + i], b = points[3 * corner[1] + i],
+                   c = points[3 * corner[2] + i];
+      box.low[i] = std::min({a, b, c});
+      box.high[i] = std::max({a, b, c});
+    }
+    return box;
+  }
+
+  Box around(std::int32_t begin, std::int32_t end) const {
+    Box box = boxes_[order_[begin]];
+    for (std::int32_t k = begin + 1; k < end; ++k)
+      for (int i = 0; i < 3; ++i) {
+        box.low[i] = std::min(box.low[i], boxes_[order_[k]].low[i]);
+        box.high[i] = std::max(box.high[i], boxes_[order_[k]].high[i]);
+      }
+    return box;
+  }
+
+  // Halves the triangles along the longest side, so that the depth is bounded.
+  std::int32_t split(std::int32_t begin, std::int32_t end) {
+    const std::int32_t node = static_cast<std::int32_t>(nodes.size() / 2);
+    const Box box = around(begin, end);
+    nodes.insert(nodes.end(), {-1 - begin, end - begin});
+    bounds.insert(bounds.end(), box.low, box.low + 3);
+    bounds.insert(bounds.end(), box.high, box.high + 3);
+    if (end - begin <= LEAF) return node;
+    int axis = 0;
+    for (int i = 1; i < 3; ++i)
+      if (box.high[i] - box.low[i] > box.high[axis] - box.low[axis]) axis = i;
+    const std::int32_t middle = begin + (end - begin) / 2;
+    const auto key = [&](std::int32_t t) { return boxes_[t].low[axis] + boxes_[t].high[axis]; };
+    std::nth_element(order_.begin() + begin, order_.begin() + middle, order_.begin() + end,
+                     [&](std::int32_t a, std::int32_t b) {
+                       return key(a) < key(b) || (key(a) == key(b) && a < b);
+                     });
+    const std::int32_t left = split(begin, middle), right = split(middle, end);
+    nodes[2 * node] = left;
+    nodes[2 * node + 1] = right;
+    return node;
+  }
+
+  std::vector<std::int32_t> order_;
+  std::vector<Box> boxes_;
+};
+
+struct Edge {
+  std::int32_t low, high, triangle, side;
+};
+
+std::vector<Edge> edges_of(const std::int32_t* corners, std::int32_t count) {
+  std::vector<Edge> edges;
+  edges.reserve(3 * count);
+  for (std::int32_t t = 0; t < count; ++t)
+    for (std::int32_t side = 0; side < 3; ++side) {
+      const std::int32_t a = corners[3 * t + side], b = corners[3 * t + (side + 1) % 3];
+      edges.push_back({std::min(a, b), std::max(a, b), t, side});
+    }
+  std::sort(edges.begin(), edges.end(), [](const Edge& a, const Edge& b) {
+    if (a.low != b.low) return a.low < b.low;
+    if (a.high != b.high) return a.high < b.high;
+    return a.triangle != b.triangle ? a.triangle < b.triangle : a.side < b.side;
+  });
+  return edges;
+}
+
+// Notes edges, and corners that are on the rim.
+void note_edges(const std::int32_t* corners, std::int32_t count, MeshSides& sides) {
+  const std::vector<Edge> edges = edges_of(corners, count);
+  sides.edges.resize(edges.size());
+  for (std::size_t i = 0, end; i < edges.size(); i = end) {
+    const Edge& first = edges[i];
+    const auto number = static_cast<std::int32_t>(sides.edge_starts.size());
+    sides.edge_starts.push_back(static_cast<std::int32_t>(i));
+    for (end = i; end < edges.size() && edges[end].low == first.low &&
+                  edges[end].high == first.high; ++end) {
+      sides.edges[3 * edges[end].triangle + edges[end].side] = number;
+      sides.edge_triangles.push_back(edges[end].triangle);
+    }
+    if (end - i == 1) sides.rim[first.low] = sides.rim[first.high] = true;
+  }
+  sides.edge_starts.push_back(static_cast<std::int32_t>(edges.size()));
+}
+
+void note_corners(const std::int32_t* corners, std::int32_t count, MeshSides& sides) {
+  std::vector<std::int32_t>& starts = sides.corner_starts;
+  for (std::int32_t k = 0; k < 3 * count; ++k) ++starts[corners[k] + 1];
+  std::partial_sum(starts.begin(), starts.end(), starts.begin());
+  std::vector<std::int32_t> next(starts.begin(), starts.end() - 1);
+  sides.corner_sides.resize(3 * count);
+  for (std::int32_t k = 0; k < 3 * count; ++k) sides.corner_sides[next[corners[k]]++] = k;
+}
+
+MeshSides sides_of(const std::int32_t* corners, std::int32_t count, std::size_t points) {
+  MeshSides sides;
+  sides.rim.assign(points, false);
+  sides.corner_starts.assign(points + 1, 0);
+  note_edges(corners, count, sides);
+  note_corners(corners, count, sides);
+  return sides;
+}
+
+void check_triangles(const In<double, 2>& points, const In<std::int32_t, 2>& triangles) {
+  check::shape("points", points, {check::ANY, 3});
+  check::shape("triangles", triangles, {check::ANY, 3});
+  if (!triangles.shape(0)) check::refuse("triangles", "the array is empty");
+  check::at_most("points", points.shape(0), check::MOST_ROWS);
+  check::at_most("triangles", triangles.shape(0), check::MOST_ROWS);
+  check::indices("triangles", triangles, 0, static_cast<std::int64_t>(points.shape(0)));
+  // What is not a number has no place in an order of boxes.
+  check::finite("points", points);
+}
+
+}  // namespace
+
+MeshSurface::MeshSurface(In<double, 2> points, In<std::int32_t, 2> triangles)
+    : points_(points.shape(0)), triangles_(3 * triangles.shape(0)) {
+  check_triangles(points, triangles);
+  const auto count = static_cast<std::int32_t>(triangles.shape(0));
+  Tree made(points.data(), triangles.data(), count);
+  for (std::int32_t k = 0; k < count; ++k)
+    std::copy_n(triangles.data() + 3 * made.order()[k], 3, triangles_.data() + 3 * k);
+  nodes_ = std::move(made.nodes);
+  sides_ = sides_of(triangles_.data(), count, points_);
+}
+
+collide::Mesh MeshSurface::mesh(const double* points, const double* ways,
+                                const double* bounds) const {
+  collide::Mesh made{points, triangles_.data(), nullptr, nullptr, bounds, nodes_.data()};
+  made.ways = ways;
+  made.sides = &sides_;
+  return made;
+}
+
+void MeshSurface::fit(const double* begin, const double* end,
+                      std::vector<double>& bounds) const {
+  bounds.resize(3 * nodes_.size());
+  // Children come behind their parents.
+  for (std::size_t node = nodes_.size() / 2; node-- > 0;) {
+    double* box = bounds.data() + 6 * node;
+    const std::int32_t left = nodes_[2 * node], right = nodes_[2 * node + 1];
+    if (left >= 0) {
+      const double *a = bounds.data() + 6 * left, *b = bounds.data() + 6 * right;
+      for (int k = 0; k < 3; ++k) box[k] = std::min(a[k], b[k]);
+      for (int k = 3; k < 6; ++k) box[k] = std::max(a[k], b[k]);
+      continue;
+    }
+    for (int k = 0; k < 3; ++k) box[k] = HUGE_VAL, box[3 + k] = -HUGE_VAL;
+    for (std::int32_t c = 3 * (-1 - left); c < 3 * (-1 - left + right); ++c)
+      for (const double* places : {begin, end})
+        for (int k = 0; k < 3; ++k) {
+          const double at = places[3 * triangles_[c] + k];
+          box[k] = std::min(box[k], at);
+          box[3 + k] = std::max(box[3 + k], at);
+        }
+  }
+}
+
+MeshTree build_mesh_tree(In<double, 2> points, In<std::int32_t, 2> triangles) {
+  check_triangles(points, triangles);
+  const std::size_t point_count = points.shape(0), count = triangles.shape(0);
+  Out<std::int32_t, 2> sorted(count, 3);
+  Out<double, 2> corner_normals(point_count, 3);
+  Out<double, 3> edge_normals(count, 3, 3);
+  const std::int32_t rows = static_cast<std::int32_t>(count);
+  const auto tree = [&] {
+    Tree made(points.data(), triangles.data(), rows);
+    for (std::int32_t k = 0; k < rows; ++k)
+      std::copy_n(triangles.data() + 3 * made.order()[k], 3, sorted.get() + 3 * k);
+    const MeshSides sides = sides_of(sorted.get(), rows, point_count);
+    const collide::Mesh mesh{points.data(), sorted.get(), nullptr, nullptr, nullptr, nullptr};
+    for (std::size_t p = 0; p < point_count; ++p)
+      store(corner_normal(mesh, sides, static_cast<std::int32_t>(p)),
+            corner_normals.get() + 3 * p);
+    for (std::int32_t t = 0; t < rows; ++t)
+      for (int side = 0; side < 3; ++side)
+        store(edge_normal(mesh, sides, t, side), edge_normals.get() + 9 * t + 3 * side);
+    return made;
+  }();
+  Out<double, 2> bounds(tree.bounds.size() / 6, 6);
+  Out<std::int32_t, 2> nodes(tree.nodes.size() / 2, 2);
+  std::copy(tree.bounds.begin(), tree.bounds.end(), bounds.get());
+  std::copy(tree.nodes.begin(), tree.nodes.end(), nodes.get());
+  return {std::move(sorted), std::move(corner_normals),
+          std::move(edge_normals), std::move(bounds), std::move(nodes)};
+}
+
+}  // namespace animtool

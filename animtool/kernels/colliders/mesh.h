@@ -1,0 +1,273 @@
+// Signed distance to a triangle mesh by a tree of boxes. Inside and outside are told by the
+// normals of faces, edges and corners: Baerentzen and Aanaes (2005), "Signed distance
+// computation using the angle weighted pseudonormal".
+#pragma once
+
+#include <algorithm>
+#include <cstdint>
+#include <limits>
+#include <vector>
+
+#include "colliders/shapes.h"
+
+namespace animtool::collide {
+
+// Which triangles meet at the edges and the corners of a mesh.
+struct MeshSides {
+  std::vector<std::int32_t> edges;           // of each triangle (T, 3), numbered
+  std::vector<std::int32_t> edge_starts;     // where the triangles of each edge begin (E + 1,)
+  std::vector<std::int32_t> edge_triangles;  // (3 T,)
+  std::vector<std::int32_t> corner_starts;   // likewise of each corner (P + 1,)
+  std::vector<std::int32_t> corner_sides;    // 3 times a triangle, and which of its corners
+  std::vector<bool> rim;                     // whether a corner is on the rim (P,)
+};
+
+// Arrays that `build_mesh_tree` makes. A node is an inner one with two children, or a leaf
+// as -1 - first and a count of triangles. Edges and corners of no definite side, as on the
+// rim of an open mesh, have normals of zero.
+struct Mesh {
+  const double* points;
+  const std::int32_t* triangles;
+  const double* corner_normals;
+  const double* edge_normals;
+  const double* bounds;
+  const std::int32_t* nodes;
+  // Of one that changes shape: how far its points go, the share of that which they have
+  // gone, and what tells its normals as it is then.
+  const double* ways = nullptr;
+  double share = 0;
+  const MeshSides* sides = nullptr;
+
+  Vec point(std::int32_t p) const {
+    const Vec at = load(points + 3 * p);
+    return ways ? at + load(ways + 3 * p) * share : at;
+  }
+};
+
+constexpr int DEEPEST = 64;
+
+struct Nearest {
+  double squared = std::numeric_limits<double>::infinity();
+  Vec point;
+  std::int32_t triangle = -1;
+  // Corners 0 to 2, edges 3 to 5 (from corner i to the next), the face 6.
+  int feature = 6;
+};
+
+// The shares that the second and third corner have of the point of a triangle nearest to
+// another: Ericson (2005), Real-Time Collision Detection, 5.1.5.
+struct Shares {
+  double b, c;
+  int feature;  // as of `Nearest`
+};
+
+inline Shares shares_of_triangle(Vec p, Vec a, Vec b, Vec c) {
+  const Vec ab = b - a, ac = c - a, ap = p - a;
+  const double d1 = dot(ab, ap), d2 = dot(ac, ap);
+  if (d1 <= 0 && d2 <= 0) return {0, 0, 0};
+  const Vec bp = p - b;
+  const double d3 = dot(ab, bp), d4 = dot(ac, bp);
+  if (d3 >= 0 && d4 <= d3) return {1, 0, 1};
+  const double vc = d1 * d4 - d3 * d2;
+  // A side without length is passed over: the others lead to the same points.
+  if (vc <= 0 && d1 >= 0 && d3 <= 0 && d1 > d3) return {d1 / (d1 - d3), 0, 3};
+  const Vec cp = p - c;
+  const double d5 = dot(ab, cp), d6 = dot(ac, cp);
+  if (d6 >= 0 && d5 <= d6) return {0, 1, 2};
+  const double vb = d5 * d2 - d1 * d6;
+  if (vb <= 0 && d2 >= 0 && d6 <= 0) return {0, d2 / (d2 - d6), 5};
+  const double va = d3 * d6 - d5 * d4, e = d4 - d3, f = d5 - d6;
+  if (va <= 0 && e >= 0 && f >= 0) return {1 - e / (e + f), e / (e + f), 4};
+  const double scale = 1 / (va + vb + vc);
+  return {vb * scale, vc * scale, 6};
+}
+
+inline Vec nearest_on_triangle(Vec p, Vec a, Vec b, Vec c, int& feature) {
+  const Shares found = shares_of_triangle(p, a, b, c);
+  feature = found.feature;
+  switch (feature) {
+    case 0: return a;
+    case 1: return b;
+    case 2: return c;
+    case 3: return a + (b - a) * found.b;
+    case 4: return b + (c - b) * found.c;
+    case 5: return a + (c - a) * found.c;
+    default: return a + (b - a) * found.b + (c - a) * found.c;
+  }
+}
+
+inline double squared_to_box(Vec p, const double* box) {
+  const double x = std::max({box[0] - p.x, 0.0, p.x - box[3]});
+  const double y = std::max({box[1] - p.y, 0.0, p.y - box[4]});
+  const double z = std::max({box[2] - p.z, 0.0, p.z - box[5]});
+  return x * x + y * y + z * z;
+}
+
+inline Nearest nearest_of_triangle(const Mesh& mesh, std::int32_t triangle, Vec p) {
+  const std::int32_t* corner = mesh.triangles + 3 * triangle;
+  Nearest found;
+  found.triangle = triangle;
+  found.point = nearest_on_triangle(p, mesh.point(corner[0]), mesh.point(corner[1]),
+                                    mesh.point(corner[2]), found.feature);
+  found.squared = dot(p - found.point, p - found.point);
+  return found;
+}
+
+// Of two as near the first triangle, so that the order of looking makes no difference.
+inline bool nearer(const Nearest& one, const Nearest& best) {
+  if (one.squared != best.squared) return one.squared < best.squared;
+  return best.triangle < 0 || one.triangle < best.triangle;
+}
+
+// Calls with the triangles under a node whose boxes are within a squared distance, nearer
+// boxes first. A call returns how far to look from then on.
+template <class Call>
+void visit_triangles(const Mesh& mesh, std::int32_t root, Vec p, double limit, Call call) {
+  std::int32_t stack[DEEPEST];
+  int depth = 0;
+  stack[depth++] = root;
+  while (depth > 0) {
+    const std::int32_t node = stack[--depth];
+    if (squared_to_box(p, mesh.bounds + 6 * node) > limit) continue;
+    const std::int32_t left = mesh.nodes[2 * node], right = mesh.nodes[2 * node + 1];
+    if (left < 0) {
+      for (std::int32_t t = -1 - left; t < -1 - left + right; ++t) limit = call(t);
+      continue;
+    }
+    const bool left_first = squared_to_box(p, mesh.bounds + 6 * left) <=
+                            squared_to_box(p, mesh.bounds + 6 * right);
+    stack[depth++] = left_first ? right : left;
+    stack[depth++] = left_first ? left : right;
+  }
+}
+
+// The nearest point of the triangles under a node; none beyond the squared limit.
+inline Nearest nearest_on_mesh(const Mesh& mesh, std::int32_t root, Vec p, double limit) {
+  Nearest best;
+  best.squared = limit;
+  visit_triangles(mesh, root, p, limit, [&](std::int32_t t) {
+    const Nearest found = nearest_of_triangle(mesh, t, p);
+    if (nearer(found, best)) best = found;
+    return best.squared;
+  });
+  return best;
+}
+
+inline Vec face_normal(const Mesh& mesh, std::int32_t triangle, Vec fallback) {
+  const std::int32_t* corner = mesh.triangles + 3 * triangle;
+  const Vec a = mesh.point(corner[0]);
+  return direction(cross(mesh.point(corner[1]) - a, mesh.point(corner[2]) - a), fallback);
+}
+
+// The normal of the edge of a side; zero on the rim.
+inline Vec edge_normal(const Mesh& mesh, const MeshSides& sides, std::int32_t triangle,
+                       int side) {
+  const std::int32_t edge = sides.edges[3 * triangle + side];
+  const std::int32_t begin = sides.edge_starts[edge], end = sides.edge_starts[edge + 1];
+  if (end - begin == 1) return {};
+  Vec sum;
+  for (std::int32_t k = begin; k < end; ++k)
+    sum = sum + face_normal(mesh, sides.edge_triangles[k], {});
+  return sum;
+}
+
+// The normal of a corner, by the angles of its faces; zero on the rim.
+inline Vec corner_normal(const Mesh& mesh, const MeshSides& sides, std::int32_t point) {
+  Vec sum;
+  if (sides.rim[point]) return sum;
+  const Vec at = mesh.point(point);
+  for (std::int32_t k = sides.corner_starts[point]; k < sides.corner_starts[point + 1]; ++k) {
+    const std::int32_t triangle = sides.corner_sides[k] / 3, side = sides.corner_sides[k] % 3;
+    const std::int32_t* corner = mesh.triangles + 3 * triangle;
+    const Vec a = direction(mesh.point(corner[(side + 1) % 3]) - at, {});
+    const Vec b = direction(mesh.point(corner[(side + 2) % 3]) - at, {});
+    const double angle = std::atan2(length(cross(a, b)), dot(a, b));
+    sum = sum + face_normal(mesh, triangle, {}) * angle;
+  }
+  return sum;
+}
+
+// What tells the side at the nearest point.
+inline Vec side_normal(const Mesh& mesh, const Nearest& near) {
+  const std::int32_t t = near.triangle;
+  if (near.feature < 3) {
+    const std::int32_t point = mesh.triangles[3 * t + near.feature];
+    return mesh.sides ? corner_normal(mesh, *mesh.sides, point)
+                      : load(mesh.corner_normals + 3 * point);
+  }
+  return mesh.sides ? edge_normal(mesh, *mesh.sides, t, near.feature - 3)
+                    : load(mesh.edge_normals + 9 * t + 3 * (near.feature - 3));
+}
+
+// Distance and normal at a point, of the nearest one.
+inline Sample sample_nearest(const Mesh& mesh, const Nearest& near, Vec p) {
+  const Vec face = face_normal(mesh, near.triangle, {0, 1, 0});
+  const Vec side = near.feature < 6 ? side_normal(mesh, near) : face;
+  const Vec off = p - near.point;
+  const double distance = std::sqrt(near.squared);
+  const double sign = dot(off, side) < 0 ? -1 : 1;
+  const Vec flat = direction(side, face);
+  return {sign * distance, distance > TOUCH ? off * (sign / distance) : flat};
+}
+
+// Distance and normal at a point; the reach and no normal where it is farther than that.
+inline Sample sample_mesh(const Mesh& mesh, std::int32_t root, Vec p, double reach) {
+  // Points behind a face are as far off as points before it.
+  const Nearest near = nearest_on_mesh(mesh, root, p, reach * reach);
+  if (near.triangle < 0) return {reach, {0, 1, 0}};
+  return sample_nearest(mesh, near, p);
+}
+
+// Distance and way out of whichever side a point is on.
+inline Sample unsided(const Sample& found) {
+  return found.distance < 0 ? Sample{-found.distance, -found.normal} : found;
+}
+
+// Which side of an edge of a triangle a way is on; of a way through an edge of two triangles
+// one of them has it, whatever rounding does.
+inline bool passes_left(Vec a, Vec b, Vec way, bool ascends) {
+  const double side = dot(cross(a, b), way);
+  return side > 0 || (side == 0 && ascends);
+}
+
+inline bool crosses_triangle(const Mesh& mesh, std::int32_t triangle, Vec from, Vec to) {
+  const std::int32_t* corner = mesh.triangles + 3 * triangle;
+  Vec at[3];
+  for (int k = 0; k < 3; ++k) at[k] = mesh.point(corner[k]) - from;
+  const Vec way = to - from, normal = cross(at[1] - at[0], at[2] - at[0]);
+  const double begin = dot(at[0], normal), end = begin - dot(way, normal);
+  if ((begin > 0) == (end > 0)) return false;
+  bool left[3];
+  for (int k = 0; k < 3; ++k) {
+    const int next = (k + 1) % 3;
+    left[k] = passes_left(at[k], at[next], way, corner[k] < corner[next]);
+  }
+  return left[0] == left[1] && left[1] == left[2];
+}
+
+// Whether a straight way ends on the other side of the triangles under a node.
+inline bool crosses_mesh(const Mesh& mesh, std::int32_t root, Vec from, Vec to) {
+  const Vec low{std::min(from.x, to.x), std::min(from.y, to.y), std::min(from.z, to.z)};
+  const Vec high{std::max(from.x, to.x), std::max(from.y, to.y), std::max(from.z, to.z)};
+  bool odd = false;
+  std::int32_t stack[DEEPEST];
+  int depth = 0;
+  stack[depth++] = root;
+  while (depth > 0) {
+    const std::int32_t node = stack[--depth];
+    const double* box = mesh.bounds + 6 * node;
+    if (box[0] > high.x || box[1] > high.y || box[2] > high.z || box[3] < low.x ||
+        box[4] < low.y || box[5] < low.z)
+      continue;
+    const std::int32_t left = mesh.nodes[2 * node], right = mesh.nodes[2 * node + 1];
+    if (left >= 0) {
+      stack[depth++] = right, stack[depth++] = left;
+      continue;
+    }
+    for (std::int32_t t = -1 - left; t < -1 - left + right; ++t)
+      odd ^= crosses_triangle(mesh, t, from, to);
+  }
+  return odd;
+}
+
+}  // namespace animtool::collide

@@ -1,0 +1,73 @@
+// Contacts of four particles at once, in a step: how far they are from a capsule, and where
+// one lets them end.
+#pragma once
+
+#include "base/wide.h"
+#include "colliders/limits.h"
+
+namespace animtool::collide {
+
+// A capsule over a step, in the world [m].
+struct Rod {
+  struct Axis {
+    double from[3], along[3];
+    double inverse;     // one over the square of its length, 0 of a ball
+    double outward[3];  // the way out from the axis itself
+  };
+  Axis begin, end;
+  double radius;  // with the distances that are kept
+  // How it moves over the step: points p of it by travel + turn × (p - origin).
+  double travel[3], turn[3], origin[3];
+  double friction;
+  // How far what begins too deep comes out.
+  double rise;
+};
+
+template <class W>
+struct WideSample {
+  Wide<W> distance;
+  WideVec<W> normal;
+};
+
+template <class W>
+WideSample<W> sample_rod(const Rod::Axis& axis, double radius, const WideVec<W>& p) {
+  using N = Wide<W>;
+  using V = WideVec<W>;
+  const V off = p - V::spread(axis.from), along = V::spread(axis.along);
+  const N share = least(most(dot(off, along) * axis.inverse, N(0.0)), N(1.0));
+  const V away = off - along * share;
+  const N square = dot(away, away), length = root(square);
+  const V normal = away * inverse(length);
+  return {length - radius, chosen(below(N(0.0), length), normal, V::spread(axis.outward))};
+}
+
+// Where particles are that are too deep at the end of a step: on the surface, but for those
+// that began too deep, and friction takes from their way along it. Being moved out slowly is
+// no speed: of those that began too deep, where they stood still goes along. Returns which are
+// moved.
+template <class W>
+unsigned push_out(const Rod& rod, const WideSample<W>& found, const Wide<W>& begun,
+                  const Wide<W>& depth, const WideVec<W>& from, WideVec<W>& to,
+                  WideVec<W>& still) {
+  using N = Wide<W>;
+  using V = WideVec<W>;
+  const N slow = least(begun + rod.rise, depth);
+  const auto deep = below(begun, depth - INSIDE);
+  const N goal = chosen(deep, slow, depth);
+  const N out = goal - found.distance;
+  const N pushed = below(N(TOUCH), out);
+  const V carried =
+      V::spread(rod.travel) + cross(V::spread(rod.turn), to - V::spread(rod.origin));
+  const V place = to + found.normal * out, way = place - from - carried;
+  const V slip = way - found.normal * dot(way, found.normal);
+  const N most = root(dot(slip, slip)), held = out * rod.friction;
+  // What friction holds does not slip at all.
+  const N share = chosen(below(held, most), held * inverse(most), N(1.0));
+  to = chosen(pushed, place - slip * share, to);
+  const N gained = dot(to - still - carried, found.normal);
+  const V beside = chosen(below(N(0.0), gained), still + found.normal * gained, still);
+  still = chosen(pushed, chosen(deep, beside, still), still);
+  return bits(pushed);
+}
+
+}  // namespace animtool::collide

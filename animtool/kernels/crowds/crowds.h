@@ -1,0 +1,48 @@
+// Steps of crowds and flocks.
+#pragma once
+
+#include <cstdint>
+#include <optional>
+#include <tuple>
+
+#include "base/arrays.h"
+
+namespace animtool {
+
+// Agents, what is around them, and how they walk.
+struct CrowdStep {
+  In<double, 2> points, velocities, preferred;
+  In<double, 1> radii, most, gives;
+  In<double, 2> shoulders;
+  double depth;
+  In<std::int32_t, 1> groups;
+  In<std::uint8_t, 1> does;
+  In<std::int32_t, 1> starts;
+  In<double, 2> walls;
+  double sight;
+  std::int64_t nearest;
+  double horizon, space, push, headway, side, step;
+  std::int64_t rounds;
+  double enough;
+};
+// Points, velocities, overlap, how far shoulders are to be turned.
+using CrowdStepped = std::tuple<Out<double, 2>, Out<double, 2>, double, Out<double, 1>>;
+CrowdStepped crowd_step(const CrowdStep& given);
+
+Out<double, 2> travel_distances(In<bool, 2> free, double cell, In<std::int64_t, 1> seeds,
+                                In<double, 1> starts);
+
+std::tuple<Out<double, 2>, Out<std::int32_t, 1>, double> flock_accelerations(
+    In<double, 2> points, In<double, 2> velocities, std::optional<In<std::int32_t, 1>> members,
+    std::optional<In<std::int32_t, 1>> others, double radius, double cosine,
+    std::int64_t nearest, In<double, 1> attraction, In<double, 1> alignment,
+    In<double, 1> repulsion, double softening, In<double, 2> period, double most);
+std::tuple<Out<double, 2>, double> flock_braking(In<double, 2> points, In<double, 2> velocities,
+                                                 In<double, 1> least, double seen, double room,
+                                                 In<double, 2> period, double most);
+std::tuple<Out<double, 2>, double, double> flock_apart(In<double, 2> points, In<double, 1> least,
+                                                       std::int64_t rounds, double share,
+                                                       double clear, In<double, 2> period,
+                                                       double most);
+
+}  // namespace animtool

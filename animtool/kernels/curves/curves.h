@@ -1,0 +1,27 @@
+// Curves of keys: their values, and curves and poses that are fitted.
+#pragma once
+
+#include <cstdint>
+#include <tuple>
+
+#include "base/arrays.h"
+
+namespace animtool {
+
+Out<double, 2> evaluate_curves(In<std::int64_t, 1> first, In<double, 1> times,
+                               In<double, 1> values, In<std::int64_t, 1> kinds,
+                               In<double, 2> ins, In<double, 2> outs, In<double, 2> at);
+
+// frames, ins, outs
+using FittedCubics = std::tuple<Out<std::int64_t, 1>, Out<double, 2>, Out<double, 2>>;
+FittedCubics fit_cubics(In<double, 2> values, In<double, 1> bounds,
+                        In<std::int64_t, 1> anchors, In<double, 1> low, In<double, 1> high,
+                        In<std::int64_t, 1> straight);
+
+std::tuple<Out<bool, 1>, Out<double, 3>> fitting_spans(
+    In<double, 3> turns, In<std::int64_t, 1> parents, In<std::int64_t, 1> numbers,
+    In<double, 2> places, In<double, 2> before, In<double, 2> rest, In<std::int64_t, 1> feet,
+    In<bool, 2> stands, In<std::int64_t, 1> begins, std::int64_t wide, double near,
+    double standing, double hips);
+
+}  // namespace animtool

@@ -1,0 +1,774 @@
+// Steps of a fluid, and how dense it is.
+#include "fluid/fluid.h"
+
+#include <algorithm>
+#include <array>
+
+#include "base/checks.h"
+#include "fluid/film.h"
+#include "fluid/lanes.h"
+#include "fluid/steps.h"
+#include "particles/neighbours.h"
+#include "springs/contacts.h"
+
+namespace animtool {
+
+namespace fluid {
+
+using collide::Collider;
+using collide::Pose;
+using collide::Sample;
+using collide::Shape;
+using collide::load;
+using collide::store;
+
+namespace {
+
+// Zeros of a Legendre polynomial and their weights, on [0, 1].
+template <int N>
+void gauss(double* at, double* weight) {
+  for (int i = 0; i < N; ++i) {
+    double x = std::cos(3.14159265358979323846 * (i + 0.75) / (N + 0.5)), slope = 1;
+    for (int round = 0; round < 50; ++round) {
+      double p = 1, before = 0;
+      for (int k = 1; k <= N; ++k) {
+        const double next = ((2 * k - 1) * x * p - (k - 1) * before) / k;
+        before = p, p = next;
+      }
+      slope = N * (x * p - before) / (x * x - 1);
+      x -= p / slope;
+    }
+    at[i] = (1 + x) / 2;
+    weight[i] = 1 / ((1 - x * x) * slope * slope);
+  }
+}
+
+// Sum of weights over those places of a lattice whose first coordinates are below 0, as many
+// as are asked for.
+double lattice_beyond(int coordinates) {
+  const int far = static_cast<int>(std::ceil(REACH));
+  double sum = 0;
+  for (int x = -far; x <= far; ++x)
+    for (int y = -far; y <= far; ++y)
+      for (int z = -far; z <= far; ++z) {
+        const double q = std::sqrt(static_cast<double>(x * x + y * y + z * z)) / REACH;
+        const int below = coordinates > 1 ? std::max(x, y) : coordinates > 0 ? x : -1;
+        if (q < 1 && below < 0) sum += Weight::at(q);
+      }
+  return sum;
+}
+
+}  // namespace
+
+double Walls::lattice() { return lattice_beyond(0); }
+
+double Walls::steepness() {
+  const int far = static_cast<int>(std::ceil(REACH));
+  double sum = 0;
+  for (int x = -far; x <= far; ++x)
+    for (int y = -far; y <= far; ++y)
+      for (int z = -far; z <= far; ++z) {
+        const double q = std::sqrt(static_cast<double>(x * x + y * y + z * z)) / REACH;
+        const double slope = q < 1 ? Weight::slope(q) : 0.0;
+        sum += slope * slope;
+      }
+  return sum / (lattice_beyond(0) * lattice_beyond(0));
+}
+
+double Walls::virial() {
+  const int far = static_cast<int>(std::ceil(REACH));
+  double sum = 0;
+  for (int x = -far; x < 0; ++x)
+    for (int y = -far; y <= far; ++y)
+      for (int z = -far; z <= far; ++z) {
+        const double q = std::sqrt(static_cast<double>(x * x + y * y + z * z)) / REACH;
+        if (q < 1) sum -= Weight::slope(q) * q / 3;
+      }
+  return sum / lattice_beyond(1);
+}
+
+Walls::Walls() {
+  gauss<SHELLS>(radii_, weights_);
+  const double wall = lattice_beyond(1), edge = lattice_beyond(2);
+  // Of an edge both walls see the same corner: as much of it as their product says.
+  whole_ = wall * wall / edge;
+  // The wall of a lattice adds what the layers would that it is in place of.
+  double least = 0.5, most = 2, value, slope;
+  for (int round = 0; round < 60; ++round) {
+    scale_ = (least + most) / 2;
+    integral(0.5 / REACH, 0, value, slope);
+    (value > wall / whole_ ? least : most) = scale_;
+  }
+  for (int i = 0; i < KNOTS; ++i)
+    integral(2.0 * i / (KNOTS - 1) - 1, 0, flat_[i][0], flat_[i][1]);
+}
+
+// Over shells about the particle: each is cut by the surface in a circle.
+void Walls::integral(double distance, double curved, double& value, double& slope) const {
+  const double d = std::clamp(distance * scale_, -1.0, 1.0), curvature = curved / scale_, from = std::fabs(d), span = 1 - from;
+  // One over the integral of the weight over the ball.
+  const double norm = 210.0 / 23;
+  value = slope = 0;
+  const double stretch = std::max(1 + curvature * d, 1e-3);
+  for (int i = 0; i < SHELLS; ++i) {
+    const double r = from + span * radii_[i];
+    const double shell = 4 * r * r * Weight::at(r) * weights_[i] * span * norm;
+    const double top = 2 * d + curvature * (d * d + r * r), under = 2 * r * stretch;
+    const double cosine = top / under;
+    if (cosine >= 1) continue;
+    value += shell * (1 - std::max(cosine, -1.0)) / 2;
+    if (cosine > -1)
+      slope -= shell * ((2 + 2 * curvature * d) / under - cosine * curvature / stretch) / 2;
+  }
+  if (d < 0)  // shells that are wholly beyond it
+    for (int i = 0; i < SHELLS; ++i) {
+      const double r = from * radii_[i];
+      value += 4 * r * r * Weight::at(r) * weights_[i] * from * norm;
+    }
+  slope *= scale_;
+}
+
+void Walls::share(double distance, double curvature, double& value, double& slope) const {
+  if (distance >= 1) {
+    value = slope = 0;
+    return;
+  }
+  if (curvature != 0) return integral(distance, curvature, value, slope);
+  const double at = (std::max(distance, -1.0) + 1) * ((KNOTS - 1) / 2);
+  const int knot = std::min(static_cast<int>(at), KNOTS - 2);
+  const double part = at - knot;
+  value = flat_[knot][0] * (1 - part) + flat_[knot + 1][0] * part;
+  slope = flat_[knot][1] * (1 - part) + flat_[knot + 1][1] * part;
+}
+
+namespace {
+
+const Walls& walls() {
+  static const Walls made;
+  return made;
+}
+
+// What a collider adds to the density of a particle, as a share of all that may be there.
+struct Beyond {
+  double share = 0, distance = 0;
+  Vec slope;   // of the share, in the world [1/m]
+  Vec push;    // what of it presses: see `beyond_box`
+  Vec normal;  // the way out of the collider
+};
+
+double curvature(const Collider& c) {
+  double radius = 0;
+  if (c.shape == Shape::SPHERE) radius = c.size[3];
+  // A cylinder is half as curved as a ball.
+  if (c.shape == Shape::CAPSULE) radius = 2 * c.size[6];
+  return radius > 0 ? 1 / (c.container ? -radius : radius) : 0.0;
+}
+
+// Layers of a fluid in motion lie looser than a lattice does: it would keep as much further from
+// a wall, and more from a body that it goes around, in radii.
+double nearer(const Collider& c) {
+  return (c.container || c.shape == Shape::PLANE ? LOOSE : LOOSE_AROUND) / REACH;
+}
+
+// A box presses through the face that a particle is before: what of the share changes along
+// a face would make it wider than it is.
+void beyond_box(const Collider& c, const Pose& pose, Vec point, double radius, Beyond& out) {
+  const Vec local = pose.to_local(point);
+  const double at[3] = {local.x, local.y, local.z};
+  double inside[3], slopes[3];
+  for (int k = 0; k < 3; ++k) {
+    const double half = std::max(
+        c.size[k] + (nearer(c) * radius - c.margin) * (c.container ? 1 : -1), 0.0);
+    double high, low, falls, rises;
+    walls().share((half - at[k]) / radius, 0, high, falls);
+    walls().share((half + at[k]) / radius, 0, low, rises);
+    inside[k] = std::max(1 - high - low, 0.0);
+    slopes[k] = (falls - rises) / radius;
+  }
+  const Vec slope{slopes[0] * inside[1] * inside[2], inside[0] * slopes[1] * inside[2],
+                  inside[0] * inside[1] * slopes[2]};
+  const double product = inside[0] * inside[1] * inside[2];
+  out.share = c.container ? 1 - product : product;
+  out.slope = pose.rotated(c.container ? -slope : slope);
+  const auto before = [&](int k) { return std::fabs(at[k]) > c.size[k] ? 1.0 : 0.0; };
+  const Vec push{slope.x * before(0), slope.y * before(1), slope.z * before(2)};
+  out.push = c.container ? out.slope : pose.rotated(push);
+}
+
+Beyond beyond(const Collider& c, const Pose& pose, Vec point, double radius) {
+  const Sample found = collide::sample(c, pose, point, 0, radius);
+  Beyond out;
+  out.distance = found.distance, out.normal = found.normal;
+  if (!(found.distance < radius)) return out;
+  if (c.shape == Shape::BOX) {
+    beyond_box(c, pose, point, radius, out);
+    return out;
+  }
+  double slope;
+  walls().share(found.distance / radius + nearer(c), curvature(c) * radius, out.share, slope);
+  out.slope = out.push = found.normal * (slope / radius);
+  return out;
+}
+
+struct alignas(32) Row {
+  double x = 0, y = 0, z = 0, w = 0;
+
+  Vec vec() const { return {x, y, z}; }
+};
+
+// A body that the fluid pushes, as far as it came from where it would be without it.
+struct Body {
+  double ease = 0;      // 1 over its mass
+  double turning[6];    // its inverse inertia: xx, yy, zz, xy, xz, yz
+  Vec begin, end;       // its centre of mass
+  Vec shift, turned;    // beyond that, so far
+  Vec velocity, spin;   // likewise
+  double now[6] = {}, moved[6] = {};  // impulses and moments about the origin
+
+  Vec turned_by(Vec moment) const {
+    return {turning[0] * moment.x + turning[3] * moment.y + turning[4] * moment.z,
+            turning[3] * moment.x + turning[1] * moment.y + turning[5] * moment.z,
+            turning[4] * moment.x + turning[5] * moment.y + turning[2] * moment.z};
+  }
+};
+
+Pose shifted(const Pose& pose, const Body& body, Vec centre) {
+  Pose made = pose;
+  const double angle = length(body.turned);
+  if (angle > 0) {
+    const double vector[3] = {body.turned.x, body.turned.y, body.turned.z};
+    double quaternion[4];
+    Pose turn;
+    ik::exponential(vector, quaternion);
+    ik::normalize(quaternion);
+    ik::to_matrix(quaternion, turn.turn);
+    made.origin = centre + turn.rotated(pose.origin - centre);
+    for (int i = 0; i < 3; ++i)
+      for (int j = 0; j < 3; ++j) {
+        made.turn[3 * i + j] = 0;
+        for (int k = 0; k < 3; ++k)
+          made.turn[3 * i + j] += turn.turn[3 * i + k] * pose.turn[3 * k + j];
+      }
+  }
+  made.origin = made.origin + body.shift;
+  return made;
+}
+
+struct Rule {
+  double spacing, density, viscosity, tension;
+  double radius() const { return REACH * spacing; }
+  double mass() const { return density * spacing * spacing * spacing; }
+};
+
+class Steps {
+ public:
+  Steps(const Rule& rule, std::vector<Collider> colliders, std::vector<std::int32_t> owners,
+        std::vector<Body> bodies, double step, double sound)
+      : rule_(rule),
+        sound_(sound),
+        colliders_(std::move(colliders)),
+        owners_(std::move(owners)),
+        bodies_(std::move(bodies)),
+        step_(step),
+        radius_(rule.radius()),
+        lattice_(Walls::lattice()) {}
+
+  void begin(const double* state, const double* accelerations, std::size_t count) {
+    count_ = count;
+    const std::size_t rows = count + 1;
+    order_.assign(rows, static_cast<std::int32_t>(count));
+    place_.assign(rows, {NOWHERE, NOWHERE, NOWHERE, 0});
+    before_ = place_;
+    velocity_.assign(rows, {}), pulled_.assign(rows, {}), pressure_.assign(rows, 0);
+    for (std::size_t i = 0; i < count; ++i) {
+      order_[i] = static_cast<std::int32_t>(i);
+      const double *x = state + 3 * i, *v = state + 3 * (count + i), *a = accelerations + 3 * i;
+      place_[i] = {x[0], x[1], x[2], 0};
+      velocity_[i] = {v[0], v[1], v[2], 0};
+      pulled_[i] = {a[0], a[1], a[2], 0};
+    }
+    poses_.resize(colliders_.size());
+    old_poses_.resize(colliders_.size());
+    place_colliders(0, poses_);
+  }
+
+  // Takes the parts of the step one after the other.
+  void run(std::size_t parts) {
+    const double h = step_ / static_cast<double>(parts);
+    // As stiff in short parts as in long ones, up to what is stable.
+    const double share = std::min(sound_ * h / rule_.spacing, 1.0);
+    relaxed_ = RELAXED * share * share;
+    for (std::size_t k = 0; k < parts; ++k) {
+      const double share = static_cast<double>(k + 1) / static_cast<double>(parts);
+      predict(h);
+      old_poses_ = poses_;
+      place_colliders(share, poses_);
+      if (!listed_ || stale()) list();
+      look();
+      draw(h, k, parts);
+      press(h);
+      settle(h);
+      slow(h, k, parts);
+      push_bodies(h, 1 - share);
+    }
+    for (double& one : pressure_) one /= static_cast<double>(parts);
+  }
+
+  void store_state(double* state, double* pressure) const {
+    for (std::size_t i = 0; i < count_; ++i) {
+      const std::size_t to = static_cast<std::size_t>(order_[i]);
+      store(place_[i].vec(), state + 3 * to);
+      store(velocity_[i].vec(), state + 3 * (count_ + to));
+      pressure[to] = pressure_[i];
+    }
+  }
+
+  // Densities over that at rest, of places that stay.
+  void densities(double* out) {
+    before_ = place_;
+    list();
+    look();
+    for (std::size_t i = 0; i < count_; ++i) out[order_[i]] = 1 + dense_[i];
+  }
+
+  const std::vector<Body>& bodies() const { return bodies_; }
+  double compression() const { return compression_; }
+
+ private:
+  void predict(double h) {
+    for (std::size_t i = 0; i < count_; ++i) {
+      Row& x = place_[i];
+      Row& v = velocity_[i];
+      const Row& a = pulled_[i];
+      before_[i] = x;
+      v.x += h * a.x, v.y += h * a.y, v.z += h * a.z;
+      x.x += h * v.x, x.y += h * v.y, x.z += h * v.z;
+    }
+  }
+
+  void place_colliders(double share, std::vector<Pose>& poses) const {
+    for (std::size_t c = 0; c < colliders_.size(); ++c) {
+      poses[c] = colliders_[c].motion.at(share);
+      if (owners_[c] < 0) continue;
+      const Body& body = bodies_[static_cast<std::size_t>(owners_[c])];
+      poses[c] = shifted(poses[c], body, body.begin + (body.end - body.begin) * share);
+    }
+  }
+
+  // Whether particles or colliders may be near each other that no list has.
+  bool stale() const {
+    double squared = 0;
+    for (std::size_t i = 0; i < count_; ++i) {
+      const double x = place_[i].x - listed_at_[i].x, y = place_[i].y - listed_at_[i].y,
+                   z = place_[i].z - listed_at_[i].z;
+      squared = std::max(squared, x * x + y * y + z * z);
+    }
+    const double room = SKIN * radius_, moved = std::sqrt(squared);
+    if (!(2 * moved <= room)) return true;
+    for (std::size_t c = 0; c < colliders_.size(); ++c) {
+      const Pose &was = listed_poses_[c], &is = poses_[c];
+      double turned = 0;
+      for (int k = 0; k < 9; ++k) turned += std::fabs(is.turn[k] - was.turn[k]);
+      const double far = length(is.origin - middle_) + extent_;
+      if (!(moved + length(is.origin - was.origin) + turned * far <= room)) return true;
+    }
+    return false;
+  }
+
+  template <class T>
+  void reorder(std::vector<T>& values, const std::vector<std::int32_t>& by) {
+    std::vector<T> made(values.size());
+    for (std::size_t i = 0; i < by.size(); ++i) made[i] = values[static_cast<std::size_t>(by[i])];
+    values.swap(made);
+  }
+
+  // Sorts particles by the cells of a grid, and lists who may see whom until it is stale.
+  void list() {
+    std::vector<double> points(3 * count_);
+    for (std::size_t i = 0; i < count_; ++i) store(place_[i].vec(), &points[3 * i]);
+    const double none[3] = {0, 0, 0};
+    const Neighbours grid(points.data(), nullptr, count_, radius_ * (1 + SKIN), none, none);
+    std::vector<std::int32_t> by(grid.index(), grid.index() + grid.size());
+    // What is not finite is near nobody, and comes last.
+    if (by.size() < count_) {
+      std::vector<bool> there(count_);
+      for (const std::int32_t i : by) there[static_cast<std::size_t>(i)] = true;
+      for (std::size_t i = 0; i < count_; ++i)
+        if (!there[i]) by.push_back(static_cast<std::int32_t>(i));
+    }
+    by.push_back(static_cast<std::int32_t>(count_));
+    reorder(order_, by), reorder(place_, by), reorder(before_, by), reorder(velocity_, by);
+    reorder(pulled_, by), reorder(pressure_, by);
+    first_.assign(count_ + 1, 0);
+    seen_.clear();
+    grid.visit_places<true>(std::numeric_limits<double>::infinity(),
+                            [&](std::size_t i, const double*, const std::int32_t* hit,
+                                const std::int32_t* end) {
+                              seen_.insert(seen_.end(), hit, end);
+                              while (seen_.size() % WIDE) seen_.push_back(by.back());
+                              first_[i + 1] = seen_.size();
+                            });
+    for (std::size_t i = grid.size(); i < count_; ++i) first_[i + 1] = seen_.size();
+    factor_.resize(seen_.size());
+    listed_at_ = place_;
+    listed_poses_ = poses_;
+    listed_ = true;
+    list_colliders();
+    if (rule_.tension > 0) film_.list(&place_.data()->x, count_);
+    dense_.resize(count_), virial_.resize(count_);
+  }
+
+  void list_colliders() {
+    Vec low{}, high{};
+    for (std::size_t i = 0; i < count_; ++i) {
+      const Row& x = place_[i];
+      if (!i) low = high = x.vec();
+      low = {std::min(low.x, x.x), std::min(low.y, x.y), std::min(low.z, x.z)};
+      high = {std::max(high.x, x.x), std::max(high.y, x.y), std::max(high.z, x.z)};
+    }
+    middle_ = (low + high) * 0.5;
+    extent_ = length(high - low) / 2 + radius_;
+    near_.clear();
+    near_first_.assign(count_ + 1, 0);
+    const double reach = radius_ * (1 + SKIN);
+    std::vector<std::size_t> close;
+    for (std::size_t c = 0; c < colliders_.size(); ++c)
+      if (collide::sample(colliders_[c], poses_[c], middle_, 0, extent_ + reach).distance <
+          extent_ + reach)
+        close.push_back(c);
+    for (std::size_t i = 0; i < count_; ++i) {
+      for (const std::size_t c : close)
+        if (collide::sample(colliders_[c], poses_[c], place_[i].vec(), 0, reach).distance < reach)
+          near_.push_back({static_cast<std::int32_t>(c), {}});
+      near_first_[i + 1] = near_.size();
+    }
+  }
+
+  FluidPairs pairs() {
+    const double inverse = 1 / radius_;
+    // Of the slope of a weight over the distance, over the distance.
+    const double steep = -3 * inverse * inverse / lattice_;
+    return {count_,          first_.data(),    seen_.data(),     &place_.data()->x,
+            &velocity_.data()->x, factor_.data(), &sums_.data()->x, &moved_.data()->x,
+            squares_.data(), inverse,          steep,            0,
+            0};
+  }
+
+  // How dense it is at each, and which way that rises.
+  void look() {
+    sums_.assign(count_ + 1, {}), moved_.assign(count_ + 1, {}), squares_.assign(count_ + 1, 0);
+    loops_.look(pairs());
+    const double scale = 1 / lattice_, steep = Walls::steepness() / (radius_ * radius_);
+    const double per_wall = Walls::virial();
+    double sum = 0;
+    for (std::size_t i = 0; i < count_; ++i) {
+      Row slope = sums_[i];
+      const double inner = (1 + slope.w) * scale - 1;
+      slope.w = squares_[i];
+      const double beyond = look_at_colliders(i, scale, slope), dense = inner + beyond;
+      dense_[i] = dense;
+      const double over = std::max(dense, 0.0);
+      sum += over;
+      const double steepness =
+          slope.x * slope.x + slope.y * slope.y + slope.z * slope.z + slope.w;
+      place_[i].w = over > 0 ? -relaxed_ * over / std::max(STEEP * steepness, steep) : 0.0;
+      // A wall presses as the layers of a lattice would that it is in place of.
+      virial_[i] = -per_wall * beyond * place_[i].w;
+    }
+    compression_ = count_ ? sum / static_cast<double>(count_) : 0.0;
+  }
+
+  // Surface tension. That of one part stands for as many as the shortest ripples leave.
+  void draw(double h, std::size_t part, std::size_t parts) {
+    if (!(rule_.tension > 0)) return;
+    const double period = std::sqrt(rule_.mass() / rule_.tension);
+    const double longest = std::min(RIPPLED * period / h, static_cast<double>(parts));
+    const std::size_t together = std::max<std::size_t>(static_cast<std::size_t>(longest), 1);
+    if (part % together != 0) return;
+    const double lasts = h * static_cast<double>(std::min(together, parts - part));
+    film_.measure(&place_.data()->x, count_);
+    film_.pull(&place_.data()->x, count_, -rule_.tension * h * lasts / rule_.mass(),
+               &moved_.data()->x);
+  }
+
+  // What slows velocities comes before the next places are looked at: after that, it and
+  // pressure would overshoot together.
+  void slow(double h, std::size_t part, std::size_t parts) {
+    std::fill(moved_.begin(), moved_.end(), Row());
+    const bool dragged = drag(h, part, parts), calmed = calm(h, part, parts);
+    if (!dragged && !calmed) return;
+    for (std::size_t i = 0; i < count_; ++i) {
+      velocity_[i].x += moved_[i].x, velocity_[i].y += moved_[i].y;
+      velocity_[i].z += moved_[i].z;
+    }
+  }
+
+  // Viscosity of one part stands for as many as are stable together.
+  bool drag(double h, std::size_t part, std::size_t parts) {
+    const double longest = STICKY * rule_.spacing * rule_.spacing / (rule_.viscosity * h);
+    const std::size_t together = longest < static_cast<double>(parts)
+                                     ? std::max<std::size_t>(static_cast<std::size_t>(longest), 1)
+                                     : parts;
+    if (!(rule_.viscosity > 0) || part % together != 0) return false;
+    FluidPairs given = pairs();
+    given.drag = -2 * rule_.viscosity * h * static_cast<double>(std::min(together, parts - part));
+    loops_.drag(given);
+    return true;
+  }
+
+  // Takes the noise of particles, in the mean of so many parts at once.
+  bool calm(double h, std::size_t part, std::size_t parts) {
+    // What viscosity takes by itself is none. Drops that are drawn together would set.
+    if (rule_.tension > 0) return false;
+    const double left = 1 - rule_.viscosity / (CALM_VISCOSITY * sound_ * rule_.spacing);
+    if (part % CALMED != 0 || !(left > 0)) return false;
+    const double share = std::min(sound_ * h / rule_.spacing, 1.0);
+    FluidPairs given = pairs();
+    given.noise = NOISE * sound_;
+    given.drag = -CALM * left * share * static_cast<double>(std::min(CALMED, parts - part));
+    loops_.calm(given);
+    return true;
+  }
+
+  double look_at_colliders(std::size_t i, double scale, Row& slope) {
+    const std::size_t first = near_first_[i], last = near_first_[i + 1];
+    if (first == last) return 0;
+    double open = 1;
+    for (std::size_t k = first; k < last; ++k) {
+      const std::size_t c = static_cast<std::size_t>(near_[k].collider);
+      near_[k].found = beyond(colliders_[c], poses_[c], place_[i].vec(), radius_);
+      open *= 1 - near_[k].found.share;
+    }
+    const double whole = walls().whole() * scale;
+    for (std::size_t k = first; k < last; ++k) {
+      double others = whole;
+      for (std::size_t m = first; m < last; ++m)
+        if (m != k) others *= 1 - near_[m].found.share;
+      Vec& own = near_[k].found.slope;
+      own = own * others;
+      near_[k].found.push = near_[k].found.push * others;
+      slope.x += own.x, slope.y += own.y, slope.z += own.z;
+      slope.w += dot(own, own);
+    }
+    return whole * (1 - open);
+  }
+
+  // Moves all apart that are dense.
+  void press(double h) {
+    loops_.press(pairs());
+    const double per = rule_.density / (h * h);
+    for (std::size_t i = 0; i < count_; ++i) {
+      pressure_[i] += (virial_[i] + moved_[i].w) * per;
+      Vec to = place_[i].vec() + moved_[i].vec();
+      for (std::size_t k = near_first_[i]; k < near_first_[i + 1]; ++k) {
+        // The wall presses as what is before it does.
+        const Vec by = near_[k].found.push * place_[i].w;
+        near_[k].pushed = by;
+        to = to + by;
+      }
+      place_[i].x = to.x, place_[i].y = to.y, place_[i].z = to.z;
+    }
+  }
+
+  // How a place that a collider carries moved in the part of the step.
+  Vec carried(std::size_t c, Vec point) const {
+    return point - old_poses_[c].to_world(poses_[c].to_local(point));
+  }
+
+  static constexpr int WALLS = 3;
+
+  // Keeps particles out of colliders, and says how fast they are then.
+  void settle(double h) {
+    const double rate = 1 / h, size = rule_.spacing / 2;
+    for (std::size_t i = 0; i < count_; ++i) {
+      Vec x = place_[i].vec();
+      Vec v = (x - before_[i].vec()) * rate;
+      for (std::size_t k = near_first_[i]; k < near_first_[i + 1]; ++k) {
+        Near& near = near_[k];
+        const std::size_t c = static_cast<std::size_t>(near.collider);
+        const Collider& collider = colliders_[c];
+        const Vec impulse = near.pushed * rate, old = v;
+        double pressed = length(impulse);
+        // Of a container's corner each wall is met in turn.
+        for (int wall = 0; wall < WALLS; ++wall) {
+          const Vec from = poses_[c].to_local(before_[i].vec());
+          const Sample found = collide::sample_since(collider, from, poses_[c], x, size, size);
+          if (!wall) near.point = x - found.normal * (found.distance + size);
+          const bool touches = found.distance < 0;
+          if (!touches && (wall || !(collider.friction > 0 && pressed > 0))) break;
+          const Vec surface = carried(c, x) * rate;
+          const double into = dot(v - surface, found.normal);
+          if (touches) {
+            x = x - found.normal * found.distance;
+            if (into < 0) {
+              v = v - found.normal * ((1 + collider.restitution) * into);
+              pressed -= into;
+            }
+          }
+          if (collider.friction > 0 && pressed > 0) {
+            const Vec relative = v - surface;
+            const Vec along = relative - found.normal * dot(relative, found.normal);
+            const double speed = length(along), taken = collider.friction * pressed;
+            v = v - along * (speed > taken ? taken / speed : 1.0);
+            pressed = 0;
+          }
+          if (!touches || collider.shape != Shape::BOX || !collider.container) break;
+        }
+        near.pushed = impulse + (v - old);
+      }
+      place_[i].x = x.x, place_[i].y = x.y, place_[i].z = x.z;
+      velocity_[i] = {v.x, v.y, v.z, 0};
+    }
+  }
+
+  // Bodies take what they gave to particles.
+  void push_bodies(double h, double left) {
+    if (bodies_.empty()) return;
+    const double share = 1 - left;
+    std::vector<Vec> impulses(bodies_.size()), moments(bodies_.size());
+    const double mass = rule_.mass();
+    for (const Near& near : near_) {
+      const std::int32_t owner = owners_[static_cast<std::size_t>(near.collider)];
+      if (owner < 0) continue;
+      const std::size_t b = static_cast<std::size_t>(owner);
+      const Vec impulse = near.pushed * -mass;
+      impulses[b] = impulses[b] + impulse;
+      moments[b] = moments[b] + cross(near.point, impulse);
+    }
+    for (std::size_t b = 0; b < bodies_.size(); ++b) {
+      Body& body = bodies_[b];
+      const double all[6] = {impulses[b].x, impulses[b].y, impulses[b].z,
+                             moments[b].x,  moments[b].y,  moments[b].z};
+      for (int k = 0; k < 6; ++k)
+        body.now[k] += all[k], body.moved[k] += all[k] * left * step_;
+      const Vec centre = body.begin + (body.end - body.begin) * share + body.shift;
+      body.velocity = body.velocity + impulses[b] * body.ease;
+      body.spin = body.spin + body.turned_by(moments[b] - cross(centre, impulses[b]));
+      body.shift = body.shift + body.velocity * h;
+      body.turned = body.turned + body.spin * h;
+    }
+  }
+
+  struct Near {
+    std::int32_t collider;
+    Beyond found;
+    Vec pushed = {};  // displacement, then change of velocity by it
+    Vec point = {};
+  };
+
+  // Where the one is that fills lists up.
+  static constexpr double NOWHERE = 1e30;
+  // Of squares of spacings over the viscosity.
+  static constexpr double STICKY = 0.1;
+  // Of the square root of mass over tension.
+  static constexpr double RIPPLED = 0.5;
+
+  const FluidFunctions& loops_ =
+      fluid_in_quads() ? *fluid_in_quads() : FluidLoops<PlainRows>::functions;
+  const Rule rule_;
+  const double sound_;
+  double relaxed_ = 0;
+  const std::vector<Collider> colliders_;
+  const std::vector<std::int32_t> owners_;
+  std::vector<Body> bodies_;
+  const double step_, radius_, lattice_;
+  std::size_t count_ = 0;
+  bool listed_ = false;
+  double compression_ = 0, extent_ = 0;
+  Film film_{rule_.spacing};
+  Vec middle_;
+  // All in the order of the grid; `order_` says which each is.
+  std::vector<std::int32_t> order_, seen_;
+  std::vector<std::size_t> first_, near_first_;
+  std::vector<double> factor_, squares_, dense_, pressure_, virial_;
+  std::vector<Row> place_, before_, velocity_, pulled_, moved_, sums_, listed_at_;
+  std::vector<Near> near_;
+  std::vector<Pose> poses_, old_poses_, listed_poses_;
+};
+
+}  // namespace
+
+}  // namespace fluid
+
+namespace {
+
+fluid::Rule rule_of(double spacing, double density, double viscosity, double tension) {
+  check::positive("spacing", spacing);
+  check::positive("density", density);
+  check::not_negative("viscosity", viscosity);
+  check::not_negative("tension", tension);
+  return {spacing, density, viscosity, tension};
+}
+
+}  // namespace
+
+FluidStepped fluid_steps(ColliderArrays colliders, In<std::int32_t, 1> owners,
+                         In<double, 2> bodies, In<double, 3> state,
+                         In<double, 2> accelerations, double spacing, double density,
+                         double viscosity, double tension, double sound, double step,
+                         std::int64_t parts) {
+  const std::size_t count = state.shape(1), pushed = bodies.shape(0);
+  std::vector<collide::Collider> made = read_colliders(colliders);
+  check::shape("owners", owners, {made.size()});
+  check::shape("bodies", bodies, {pushed, 13});
+  check::indices("owners", owners, -1, static_cast<std::int64_t>(pushed));
+  check::finite("bodies", bodies);
+  check::shape("state", state, {2, check::ANY, 3});
+  check::shape("accelerations", accelerations, {count, 3});
+  check::at_most("state", count, check::MOST_ROWS);
+  check::positive("sound", sound);
+  check::positive("step", step);
+  check::between("parts", parts, 1, 1 << 24);
+  const fluid::Rule rule = rule_of(spacing, density, viscosity, tension);
+  std::vector<fluid::Body> moved(pushed);
+  for (std::size_t b = 0; b < pushed; ++b) {
+    const double* row = bodies.data() + 13 * b;
+    moved[b].ease = row[0];
+    std::copy_n(row + 1, 6, moved[b].turning);
+    moved[b].begin = collide::load(row + 7), moved[b].end = collide::load(row + 10);
+  }
+  Out<double, 3> result(2, count, 3), wrenches(2, pushed, 6);
+  Out<double, 1> pressures(count);
+  double compression = 0;
+  fluid::Steps steps(rule, std::move(made), {owners.data(), owners.data() + owners.size()},
+                     std::move(moved), step, sound);
+  steps.begin(state.data(), accelerations.data(), count);
+  steps.run(static_cast<std::size_t>(parts));
+  steps.store_state(result.get(), pressures.get());
+  compression = steps.compression();
+  for (std::size_t b = 0; b < pushed; ++b) {
+    std::copy_n(steps.bodies()[b].now, 6, wrenches.get() + 6 * b);
+    std::copy_n(steps.bodies()[b].moved, 6, wrenches.get() + 6 * (pushed + b));
+  }
+  return {std::move(result), std::move(pressures), std::move(wrenches), compression};
+}
+
+Out<double, 1> fluid_densities(ColliderArrays colliders, In<double, 2> points, double spacing) {
+  const std::size_t count = points.shape(0);
+  std::vector<collide::Collider> made = read_colliders(colliders);
+  check::shape("points", points, {check::ANY, 3});
+  check::at_most("points", count, check::MOST_ROWS);
+  const fluid::Rule rule = rule_of(spacing, 1, 0, 0);
+  Out<double, 1> result(count);
+  const std::vector<std::int32_t> owners(made.size(), -1);
+  fluid::Steps steps(rule, std::move(made), owners, {}, 1, 1);
+  std::vector<double> state(6 * count, 0.0), none(3 * count, 0.0);
+  std::copy_n(points.data(), 3 * count, state.data());
+  steps.begin(state.data(), none.data(), count);
+  steps.densities(result.get());
+  return result;
+}
+
+double fluid_area(In<double, 2> points, double spacing) {
+  const std::size_t count = points.shape(0);
+  check::shape("points", points, {check::ANY, 3});
+  check::at_most("points", count, check::MOST_ROWS);
+  check::positive("spacing", spacing);
+  std::vector<double> rows(4 * count);
+  for (std::size_t i = 0; i < count; ++i) std::copy_n(points.data() + 3 * i, 3, &rows[4 * i]);
+  fluid::Film film(spacing);
+  film.list(rows.data(), count);
+  return film.measure(rows.data(), count);
+}
+
+}  // namespace animtool

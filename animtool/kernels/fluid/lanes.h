@@ -1,0 +1,124 @@
+// What neighbours in a fluid do to each other, whichever way a processor holds four numbers.
+//
+// Nothing here is shared between source files, which are built for other processors: W is
+// another type in each.
+#pragma once
+
+#include <cstdint>
+
+#include "base/rows.h"
+#include "base/wide.h"
+
+namespace animtool {
+
+// Rows of four numbers, those of one more who is too far off to be near anybody. Each pair is
+// with one of its two; the partners of one are a multiple of four, filled up with who is far off.
+struct FluidPairs {
+  std::size_t count;
+  const std::size_t* starts;
+  const std::int32_t* partners;
+  const double *places, *velocities;  // places with multipliers
+  double* factors;        // of each pair: the slope of its weight over the distance
+  double *sums, *moved;   // slopes and weights; displacements and virials
+  double* squares;        // of slopes
+  double inverse, steep;  // 1 over the radius; the scale of slopes
+  double drag;            // of velocities
+  double noise;           // speed of particles that is as good as rest
+};
+
+struct FluidFunctions {
+  void (*look)(const FluidPairs&);   // fills factors, adds to sums and squares
+  void (*drag)(const FluidPairs&);   // adds to what is moved: viscosity
+  void (*calm)(const FluidPairs&);   // adds to what is moved: the noise of particles
+  void (*press)(const FluidPairs&);  // adds to what is moved: multipliers
+};
+const FluidFunctions* fluid_in_quads();  // null where the processor has no such registers
+
+template <class W>
+struct FluidLoops {
+  using D = Wide<W>;
+
+  // Calls with each particle's partners, four at a time: the place of the first, the rows
+  // from them to it, and what it takes from them; they take the same but of the
+  // other sign, besides the fourth.
+  template <class Do>
+  static void each(const FluidPairs& pairs, double* out, Do act) {
+    for (std::size_t i = 0; i < pairs.count; ++i) {
+      const double* at = pairs.places + 4 * i;
+      const D here[4] = {at[0], at[1], at[2], at[3]};
+      D sum[4] = {0.0, 0.0, 0.0, 0.0};
+      for (std::size_t k = pairs.starts[i]; k < pairs.starts[i + 1]; k += WIDE) {
+        D off[4], parts[4];
+        gather(pairs.places, pairs.partners + k, off);
+        for (std::size_t c = 0; c < 3; ++c) off[c] = here[c] - off[c];
+        off[3] = here[3] + off[3];
+        act(i, k, off, parts);
+        for (std::size_t c = 0; c < 4; ++c) sum[c] = sum[c] + parts[c];
+        scatter(parts, pairs.partners + k, out);
+      }
+      sum[3] = 0.0 - sum[3];
+      (D::of(out + 4 * i) + totals(sum)).store(out + 4 * i);
+    }
+  }
+
+  static D squares_of(const D* off) { return off[0] * off[0] + off[1] * off[1] + off[2] * off[2]; }
+
+  static void look(const FluidPairs& pairs) {
+    const D inverse = pairs.inverse, steep = pairs.steep;
+    each(pairs, pairs.sums, [&](std::size_t i, std::size_t k, const D* off, D* parts) {
+      const D squared = squares_of(off), q = root(squared) * inverse;
+      const D left = most(1.0 - q, 0.0), square = left * left;
+      const D factor = steep * square * (6.0 - 5.0 * q);
+      factor.store(pairs.factors + k);
+      for (std::size_t c = 0; c < 3; ++c) parts[c] = factor * off[c];
+      parts[3] = 0.0 - square * left * (1.0 + 3.0 * q * left);
+      double squares[WIDE];
+      (factor * factor * squared).store(squares);
+      for (std::size_t c = 0; c < WIDE; ++c) pairs.squares[pairs.partners[k + c]] += squares[c];
+      pairs.squares[i] += (squares[0] + squares[1]) + (squares[2] + squares[3]);
+    });
+  }
+
+  // Brookshaw's Laplacian, of velocities.
+  static void drag(const FluidPairs& pairs) {
+    const D viscous = pairs.drag;
+    each(pairs, pairs.moved, [&](std::size_t i, std::size_t k, const D*, D* parts) {
+      D there[4];
+      gather(pairs.velocities, pairs.partners + k, there);
+      const D across = viscous * D::of(pairs.factors + k);
+      for (std::size_t c = 0; c < 3; ++c)
+        parts[c] = across * (there[c] - pairs.velocities[4 * i + c]);
+      parts[3] = 0.0;
+    });
+  }
+
+  // Of how fast pairs part or close in, what is as slow as the noise of particles. Momentum and
+  // spin stay.
+  static void calm(const FluidPairs& pairs) {
+    const D scale = pairs.drag, noise = pairs.noise * pairs.noise, none = 1e-300;
+    each(pairs, pairs.moved, [&](std::size_t i, std::size_t k, const D* off, D* parts) {
+      D there[4];
+      gather(pairs.velocities, pairs.partners + k, there);
+      D along = 0.0;
+      for (std::size_t c = 0; c < 3; ++c)
+        along = along + off[c] * (there[c] - pairs.velocities[4 * i + c]);
+      const D slow = squares_of(off) * noise;
+      along = scale * D::of(pairs.factors + k) * along * slow / (slow + along * along + none);
+      for (std::size_t c = 0; c < 3; ++c) parts[c] = along * off[c];
+      parts[3] = 0.0;
+    });
+  }
+
+  // Half of what a pair presses, by the way between them, is the virial of each.
+  static void press(const FluidPairs& pairs) {
+    each(pairs, pairs.moved, [&](std::size_t, std::size_t k, const D* off, D* parts) {
+      const D push = off[3] * D::of(pairs.factors + k);
+      for (std::size_t c = 0; c < 3; ++c) parts[c] = push * off[c];
+      parts[3] = 0.0 - push * squares_of(off) * (0.5 / 3);
+    });
+  }
+
+  static constexpr FluidFunctions functions{look, drag, calm, press};
+};
+
+}  // namespace animtool

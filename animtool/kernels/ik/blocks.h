@@ -1,0 +1,167 @@
+// Systems over time: a full block (D, D) a frame, multiples of the identity one and two frames
+// off the diagonal.
+#pragma once
+
+#include <cstddef>
+#include <vector>
+
+#include "ik/linear.h"
+
+namespace animtool::ik {
+
+// The Cholesky factor of such a matrix. With L its blocks: U = L(t, t)^-T is kept, and
+// N = L(t, t-1); L(t, t-2) is a multiple of U(t-2).
+class BlockBand {
+ public:
+  explicit BlockBand(int width)
+      : width_(width), square_(static_cast<std::size_t>(width) * width), factor_(square_),
+        cross_(square_), lower_(square_), column_(width), part_(width) {}
+
+  // Room for the blocks of so many frames; of each, the lower triangle is read by `factor`.
+  void resize(int count) {
+    count_ = count;
+    diagonal_.resize(count * square_), inverse_.resize(count * square_), near_.resize(count * square_);
+    off_.assign(2 * static_cast<std::size_t>(count), 0.0);
+  }
+  double* block(int t) { return diagonal_.data() + t * square_; }
+  // What couples a frame to the one before it, and to the one before that.
+  void couple(int t, double one, double two) { off_[2 * t] = one, off_[2 * t + 1] = two; }
+
+  // False where the matrix is not positive definite.
+  bool factor() {
+    for (int t = 0; t < count_; ++t) {
+      std::copy(block(t), block(t) + square_, factor_.begin());
+      if (t > 1) take_square(inverse(t - 2), off_[2 * t + 1]);
+      if (t > 0) {
+        link(t);
+        take_products(near(t));
+      }
+      if (!factor_cholesky(factor_.data(), column_.data(), width_)) return false;
+      invert(inverse(t));
+    }
+    return true;
+  }
+
+  // Solves in place for `width` numbers a frame.
+  void solve(double* x) {
+    for (int t = 0; t < count_; ++t) {
+      double* own = x + static_cast<std::size_t>(t) * width_;
+      if (t > 0) subtract(near(t), own - width_, own);
+      if (t > 1) subtract_upper(inverse(t - 2), off_[2 * t + 1], own - 2 * width_, own);
+      std::copy(own, own + width_, part_.begin());
+      upper_transposed(inverse(t), 1, part_.data(), own, true);
+    }
+    for (int t = count_; t-- > 0;) {
+      double* own = x + static_cast<std::size_t>(t) * width_;
+      if (t + 1 < count_) subtract_transposed(near(t + 1), own + width_, own);
+      if (t + 2 < count_)
+        upper_transposed(inverse(t), -off_[2 * (t + 2) + 1], own + 2 * width_, own, false);
+      std::copy(own, own + width_, part_.begin());
+      std::fill(own, own + width_, 0.0);
+      subtract_upper(inverse(t), -1, part_.data(), own);
+    }
+  }
+
+ private:
+  double* inverse(int t) { return inverse_.data() + t * square_; }
+  double* near(int t) { return near_.data() + t * square_; }
+
+  // In sums that the processor adds side by side.
+  static double inner(const double* a, const double* b, int first, int last) {
+    double sums[4] = {0, 0, 0, 0};
+    int i = first;
+    for (; i + 4 <= last; i += 4)
+      for (int n = 0; n < 4; ++n) sums[n] += a[i + n] * b[i + n];
+    for (; i < last; ++i) sums[0] += a[i] * b[i];
+    return (sums[0] + sums[1]) + (sums[2] + sums[3]);
+  }
+
+  // factor_ -= scale^2 U U^T
+  void take_square(const double* u, double scale) {
+    for (int i = 0; i < width_; ++i)
+      for (int j = 0; j <= i; ++j)
+        factor_[i * width_ + j] -=
+            scale * scale * inner(u + i * width_, u + j * width_, i, width_);
+  }
+
+  // factor_ -= N N^T
+  void take_products(const double* n) {
+    for (int i = 0; i < width_; ++i)
+      for (int j = 0; j <= i; ++j)
+        factor_[i * width_ + j] -= inner(n + i * width_, n + j * width_, 0, width_);
+  }
+
+  // N(t) = (one - two U(t-2) N(t-1)^T) U(t-1)
+  void link(int t) {
+    std::fill(cross_.begin(), cross_.end(), 0.0);
+    for (int i = 0; i < width_; ++i) cross_[i * width_ + i] = off_[2 * t];
+    if (t > 1) {
+      const double *u = inverse(t - 2), *n = near(t - 1);
+      const double two = off_[2 * t + 1];
+      for (int i = 0; i < width_; ++i)
+        for (int j = 0; j < width_; ++j)
+          cross_[i * width_ + j] -= two * inner(u + i * width_, n + j * width_, i, width_);
+    }
+    const double* u = inverse(t - 1);
+    double* out = near(t);
+    std::fill(out, out + square_, 0.0);
+    for (int i = 0; i < width_; ++i) {
+      double* row = out + i * width_;
+      for (int k = 0; k < width_; ++k) {
+        const double by = cross_[i * width_ + k];
+        if (by == 0) continue;
+        const double* from = u + k * width_;
+        for (int j = k; j < width_; ++j) row[j] += by * from[j];
+      }
+    }
+  }
+
+  // u <- L^-T of the factor, whose diagonal holds its inverse.
+  void invert(double* u) {
+    for (int i = 0; i < width_; ++i) {
+      double* row = lower_.data() + i * width_;
+      std::fill(row, row + width_, 0.0);
+      row[i] = 1;
+      for (int k = 0; k < i; ++k) {
+        const double by = factor_[i * width_ + k];
+        const double* other = lower_.data() + k * width_;
+        for (int j = 0; j <= k; ++j) row[j] -= by * other[j];
+      }
+      for (int j = 0; j <= i; ++j) row[j] *= factor_[i * width_ + i];
+    }
+    for (int i = 0; i < width_; ++i)
+      for (int j = 0; j < width_; ++j) u[i * width_ + j] = lower_[j * width_ + i];
+  }
+
+  // out -= A v
+  void subtract(const double* a, const double* v, double* out) const {
+    for (int i = 0; i < width_; ++i) out[i] -= inner(a + i * width_, v, 0, width_);
+  }
+
+  // out -= A^T v
+  void subtract_transposed(const double* a, const double* v, double* out) const {
+    for (int k = 0; k < width_; ++k)
+      for (int j = 0; j < width_; ++j) out[j] -= v[k] * a[k * width_ + j];
+  }
+
+  // out -= scale U v
+  void subtract_upper(const double* u, double scale, const double* v, double* out) const {
+    for (int i = 0; i < width_; ++i) out[i] -= scale * inner(u + i * width_, v, i, width_);
+  }
+
+  // out += scale U^T v, or that alone.
+  void upper_transposed(const double* u, double scale, const double* v, double* out,
+                        bool alone) const {
+    if (alone) std::fill(out, out + width_, 0.0);
+    for (int k = 0; k < width_; ++k)
+      for (int j = k; j < width_; ++j) out[j] += scale * v[k] * u[k * width_ + j];
+  }
+
+  const int width_;
+  const std::size_t square_;
+  int count_ = 0;
+  std::vector<double> diagonal_, inverse_, near_, off_;
+  std::vector<double> factor_, cross_, lower_, column_, part_;
+};
+
+}  // namespace animtool::ik

@@ -1,0 +1,169 @@
+// The joints that move a goal, and where they stand.
+#pragma once
+
+#include <vector>
+
+#include "ik/driver.h"
+
+namespace animtool::ik {
+
+enum class Kind { PIN = 0, SLIDE = 1, BALL = 2 };
+
+// A moving joint. A pin turns about its own z, a slide goes along it, and z is the
+// twist axis of a ball; whoever builds the chain turns the frames so. Several
+// nodes may follow one coordinate: value = gain * coordinate + shift.
+struct Node {
+  Kind kind;
+  int parent;         // -1 for one that hangs on the world
+  double rest[9];     // parent_from_node
+  double offset[3];   // of its origin, in the parent's frame
+  double gain, shift;  // of pins and slides
+  bool follows;       // the coordinate belongs to an earlier node, or a program is followed
+  double limit[4];    // low, high; of a ball swing about x, swing about y, twist low, high
+  double quick[5];    // of the limits of a ball, see prepare
+  int coordinate;     // first of 1 or 4
+  int dof;            // first of 1 or 3
+  int program;        // that gives the value in place of a coordinate, or -1
+
+  int width() const { return kind == Kind::BALL ? 3 : 1; }
+};
+
+struct Chain {
+  std::vector<Node> nodes;
+  std::vector<Program> programs;  // each behind those whose results it reads
+  int coordinates = 0;
+  int dofs = 0;
+};
+
+// World frames of the nodes after their own motion, and the axes that they move about.
+struct Frames {
+  std::vector<double> rotations;  // (N, 3, 3)
+  std::vector<double> origins;    // (N, 3)
+  std::vector<double> axes;       // (N, 3, 3), one a row; the first only of pins and slides
+  Results results;                // of the chain's programs
+
+  explicit Frames(const Chain& chain)
+      : rotations(9 * chain.nodes.size()), origins(3 * chain.nodes.size()),
+        axes(9 * chain.nodes.size()) {
+    std::size_t room = 0, slopes = 0;
+    for (const Program& program : chain.programs) {
+      room = std::max(room, program.depth * (1 + program.dofs.size()));
+      slopes += program.dofs.size();
+    }
+    results.values.resize(chain.programs.size());
+    results.slopes.resize(slopes);
+    results.stack.resize(room);
+  }
+};
+
+// Calls `use(k, dof, gain)` for each axis k of a node and what moves it: `gain` times the
+// degree of freedom, to first order.
+template <class Use>
+void each_slope(const Chain& chain, const Node& node, const Frames& frames, Use&& use) {
+  if (node.program < 0) {
+    for (int k = 0; k < node.width(); ++k) use(k, node.dof + k, node.gain);
+    return;
+  }
+  const Program& program = chain.programs[node.program];
+  for (std::size_t s = 0; s < program.dofs.size(); ++s)
+    use(0, program.dofs[s], node.gain * frames.results.slopes[program.first + s]);
+}
+
+// Calls `use(dof)` for what moves a node.
+template <class Use>
+void each_dof(const Chain& chain, const Node& node, Use&& use) {
+  if (node.program < 0)
+    for (int d = node.dof; d < node.dof + node.width(); ++d) use(d);
+  else
+    for (const int d : chain.programs[node.program].dofs) use(d);
+}
+
+inline void turn_about_z(const double* r, double angle, double* out) {
+  const double c = std::cos(angle), s = std::sin(angle);
+  for (int i = 0; i < 9; i += 3) {
+    out[i] = c * r[i] + s * r[i + 1];
+    out[i + 1] = c * r[i + 1] - s * r[i];
+    out[i + 2] = r[i + 2];
+  }
+}
+
+// Of the nodes from `first` to before `end`, those before them being known.
+void forward(const Chain& chain, const double* q, std::size_t first, std::size_t end,
+             Frames& frames);
+
+inline void forward(const Chain& chain, const double* q, Frames& frames) {
+  forward(chain, q, 0, chain.nodes.size(), frames);
+}
+
+// How a point and a frame carried by a node move with one of its axes.
+inline void velocity(const Node& node, const double* axis, const double* origin,
+                     const double* point, double* linear, double* angular) {
+  if (node.kind == Kind::SLIDE) {
+    for (int i = 0; i < 3; ++i) linear[i] = axis[i], angular[i] = 0;
+    return;
+  }
+  const double arm[3] = {point[0] - origin[0], point[1] - origin[1], point[2] - origin[2]};
+  cross(axis, arm, linear);
+  for (int i = 0; i < 3; ++i) angular[i] = axis[i];
+}
+
+// How far poses are apart.
+
+// Tangent vector (D,) that takes one pose to another, balls about their own rest frame.
+void difference(const Chain& chain, const double* from, const double* to, double* out);
+
+// How a rotation vector v = log(b a^-1) changes with b, transposed, on y: the inverse
+// left Jacobian of SO(3) for side 1; with a, negated, for side -1.
+inline void pull_back(const double* v, const double* y, double side, double* out) {
+  double first[3], second[3];
+  cross(v, y, first);
+  cross(v, first, second);
+  const double square = dot(v, v), angle = std::sqrt(square);
+  const double factor =
+      angle < 1e-3 ? 1.0 / 12 : (1 - angle / 2 / std::tan(angle / 2)) / square;
+  for (int i = 0; i < 3; ++i) out[i] = y[i] + side * first[i] / 2 + factor * second[i];
+}
+
+// The turn of one joint that serves its goals best by itself.
+
+// Sums over what a joint turns, for C cos(angle) + S sin(angle) about an axis, which is to
+// be the largest: for a vector that is to turn onto another, their product; for a
+// rotation that is left to make, its trace (C. Welman, Inverse kinematics and geometric
+// constraints for articulated figure manipulation, 1993).
+struct Pull {
+  double moment[9] = {};  // sum of a b^T
+  double torque[3] = {};  // sum of a x b: S = axis . torque
+  double trace = 0;       // sum of a . b: C = trace - axis . moment axis
+
+  void add(double weight, const double* from, const double* to) {
+    double turn[3];
+    cross(from, to, turn);
+    trace += weight * dot(from, to);
+    for (int i = 0; i < 3; ++i) {
+      torque[i] += weight * turn[i];
+      for (int j = 0; j < 3; ++j) moment[3 * i + j] += weight * from[i] * to[j];
+    }
+  }
+
+  // A rotation that is left to make: half of it, for its trace counts an angle twice.
+  void add(double weight, const double* left) {
+    const double half = weight / 2;
+    trace += half * (left[0] + left[4] + left[8]);
+    torque[0] += half * (left[7] - left[5]);
+    torque[1] += half * (left[2] - left[6]);
+    torque[2] += half * (left[3] - left[1]);
+    for (int i = 0; i < 9; ++i) moment[i] += half * left[i];
+  }
+
+  double angle(const double* axis) const {
+    double turned[3];
+    rotate(moment, axis, turned);
+    return std::atan2(dot(axis, torque), trace - dot(axis, turned));
+  }
+};
+
+// Fills in the step of a pin or ball that follows the pull: about its axis, or about that
+// of the torque.
+void follow(const Node& node, const double* axes, const Pull& pull, double* delta);
+
+}  // namespace animtool::ik

@@ -1,0 +1,353 @@
+// The kinds of goals: what is missing of each, its slopes, and how solvers heed it.
+//
+// A residual r is what is missing, so that r(q + d) = r(q) - J d to first order, and
+// the gradient of the cost |r|^2 / 2 is -J^T r, exactly: rotations are compared by
+// their rotation vector in the world, apart from positions.
+#pragma once
+
+#include <array>
+#include <tuple>
+#include <utility>
+
+#include "ik/chain.h"
+
+namespace animtool::ik {
+
+// What a kind of goal sees of the pose of the chain.
+struct View {
+  const double* rotation;  // of the goal's node
+  const double* point;
+  const double* aim_axis;           // in the node's frame
+  int root, middle;                 // nodes of the limb, or -1
+  const double *origin, *joint;     // of its root and middle; null without a limb
+};
+
+// How one axis of a node moves the point and the frame of a goal.
+struct Motion {
+  const Node& node;
+  int index;
+  const double *axis, *origin;
+  double linear[3], angular[3];
+
+  // And another point that the node carries.
+  double along(const double* direction, const double* point) const {
+    double moved[3], turned[3];
+    velocity(node, axis, origin, point, moved, turned);
+    return dot(direction, moved);
+  }
+};
+
+// What a target is.
+struct PointTarget {
+  static constexpr int WIDTH = 3;
+
+  // Brings it to the scale of the chain.
+  static void place(double* target, const double*, double length) {
+    for (int i = 0; i < 3; ++i) target[i] /= length;
+  }
+};
+
+struct RotationTarget {
+  static constexpr int WIDTH = 4;
+
+  // Brings it to length 1 and to the frame of the node, node_from_joint being `frame`.
+  // Scaled first, so that neither tiny nor huge numbers leave the range.
+  static void place(double* q, const double* frame, double) {
+    const double back[4] = {-frame[0], -frame[1], -frame[2], frame[3]};
+    const double most =
+        std::max({std::fabs(q[0]), std::fabs(q[1]), std::fabs(q[2]), std::fabs(q[3])});
+    if (most > 0) {
+      for (int i = 0; i < 4; ++i) q[i] /= most;
+      normalize(q);
+    } else {
+      q[0] = q[1] = q[2] = 0, q[3] = 1;
+    }
+    product(q, back, q);
+  }
+};
+
+// Each kind has, besides its name as in Python:
+//   ROWS     residuals
+//   METRIC   what it misses is a length, else an angle
+//   LIMB     it needs the nodes of a limb
+//   measure  writes the weighted residuals and returns what is missed
+//   keep     writes the target that is met as the chain is
+//   Slopes   made once for a pose; `add` adds to a column of the Jacobian what a motion
+//            does, `scale` being its weight and gain
+//   pull     of cyclic coordinate descent, if that heeds it: adds what the goal draws a
+//            joint at `origin` to
+struct Position : PointTarget {
+  static constexpr const char* NAME = "position";
+  static constexpr int ROWS = 3;
+  static constexpr bool METRIC = true, LIMB = false;
+
+  static double measure(double weight, const View& view, const double* target, double* r) {
+    for (int i = 0; i < 3; ++i) r[i] = target[i] - view.point[i];
+    const double miss = length(r);
+    for (int i = 0; i < 3; ++i) r[i] *= weight;
+    return miss;
+  }
+
+  static void keep(const View& view, double* target) {
+    std::copy(view.point, view.point + 3, target);
+  }
+
+  struct Slopes {
+    void look(const View&, const double*) {}
+    void add(const Motion& motion, double scale, double* column) const {
+      for (int i = 0; i < 3; ++i) column[i] += scale * motion.linear[i];
+    }
+  };
+
+  static void pull(double weight, const View& view, const double* target, const double* origin,
+                   Pull& sum) {
+    double from[3], to[3];
+    for (int i = 0; i < 3; ++i)
+      from[i] = view.point[i] - origin[i], to[i] = target[i] - origin[i];
+    sum.add(weight, from, to);
+  }
+};
+
+struct Orientation : RotationTarget {
+  static constexpr const char* NAME = "orientation";
+  static constexpr int ROWS = 3;
+  static constexpr bool METRIC = false, LIMB = false;
+
+  // The rotation that is left to make.
+  static void left(const View& view, const double* target, double* out) {
+    double wanted[9], transposed[9];
+    to_matrix(target, wanted);
+    for (int i = 0; i < 9; ++i) transposed[i] = view.rotation[3 * (i % 3) + i / 3];
+    multiply(wanted, transposed, out);
+  }
+
+  static double measure(double weight, const View& view, const double* target, double* r) {
+    double turn[9];
+    left(view, target, turn);
+    logarithm_of_matrix(turn, r);
+    const double miss = length(r);
+    for (int i = 0; i < 3; ++i) r[i] *= weight;
+    return miss;
+  }
+
+  static void keep(const View& view, double* target) {
+    double turn[3];
+    logarithm_of_matrix(view.rotation, turn);
+    exponential(turn, target);
+  }
+
+  struct Slopes {
+    void look(const View&, const double*) {}
+    void add(const Motion& motion, double scale, double* column) const {
+      for (int i = 0; i < 3; ++i) column[i] += scale * motion.angular[i];
+    }
+  };
+
+  static void pull(double weight, const View& view, const double* target, const double*,
+                   Pull& sum) {
+    double turn[9];
+    left(view, target, turn);
+    sum.add(weight, turn);
+  }
+};
+
+struct Aim : PointTarget {
+  static constexpr const char* NAME = "aim";
+  static constexpr int ROWS = 2;
+  static constexpr bool METRIC = false, LIMB = false;
+
+  // The turn that takes the aim axis to its target: angle about a unit axis.
+  struct Turn {
+    double direction[3], wanted[3], axis[3];
+    double distance, angle;
+  };
+
+  static Turn look_at(const View& view, const double* target) {
+    Turn aim;
+    rotate(view.rotation, view.aim_axis, aim.direction);
+    for (int i = 0; i < 3; ++i) aim.wanted[i] = target[i] - view.point[i];
+    aim.distance = length(aim.wanted);
+    if (aim.distance < 1e-12) {
+      std::copy(aim.direction, aim.direction + 3, aim.wanted);
+      aim.distance = 1;
+    } else {
+      for (double& x : aim.wanted) x /= aim.distance;
+    }
+    cross(aim.direction, aim.wanted, aim.axis);
+    const double sine = length(aim.axis);
+    aim.angle = std::atan2(sine, dot(aim.direction, aim.wanted));
+    double other[3];
+    if (sine < 1e-12)
+      across(aim.direction, aim.axis, other);
+    else
+      for (double& x : aim.axis) x /= sine;
+    return aim;
+  }
+
+  static double measure(double weight, const View& view, const double* target, double* r) {
+    const Turn aim = look_at(view, target);
+    double u[3], v[3];
+    across(aim.direction, u, v);
+    r[0] = weight * aim.angle * dot(aim.axis, u);
+    r[1] = weight * aim.angle * dot(aim.axis, v);
+    return aim.angle;
+  }
+
+  static void keep(const View& view, double* target) {
+    double direction[3];
+    rotate(view.rotation, view.aim_axis, direction);
+    for (int i = 0; i < 3; ++i) target[i] = view.point[i] + direction[i];
+  }
+
+  struct Slopes {
+    Turn aim;
+    double u[3], v[3];
+
+    void look(const View& view, const double* target) {
+      aim = look_at(view, target);
+      across(aim.direction, u, v);
+    }
+    void add(const Motion& motion, double scale, double* column) const {
+      double turned[3];
+      cross(aim.wanted, motion.linear, turned);
+      for (int i = 0; i < 3; ++i) turned[i] = motion.angular[i] + turned[i] / aim.distance;
+      column[0] += scale * dot(turned, u);
+      column[1] += scale * dot(turned, v);
+    }
+  };
+
+  static void pull(double weight, const View& view, const double* target, const double*,
+                   Pull& sum) {
+    const Turn aim = look_at(view, target);
+    sum.add(weight, aim.direction, aim.wanted);
+  }
+};
+
+struct Pole : PointTarget {
+  static constexpr const char* NAME = "pole";
+  static constexpr int ROWS = 1;
+  static constexpr bool METRIC = false, LIMB = true;
+
+  // The half plane of a limb and that of its pole, seen along the limb.
+  struct Bend {
+    double axis[3], middle[3], pole[3];  // the last two at right angles to the axis
+    double span, middle_along, pole_along, angle;
+    bool known;
+  };
+
+  static Bend look_along(const View& view, const double* target) {
+    Bend limb;
+    for (int i = 0; i < 3; ++i) {
+      limb.axis[i] = view.point[i] - view.origin[i];
+      limb.middle[i] = view.joint[i] - view.origin[i];
+      limb.pole[i] = target[i] - view.origin[i];
+    }
+    limb.span = length(limb.axis);
+    limb.known = limb.span > 1e-9;
+    if (!limb.known) return limb;
+    for (double& x : limb.axis) x /= limb.span;
+    limb.middle_along = dot(limb.axis, limb.middle);
+    limb.pole_along = dot(limb.axis, limb.pole);
+    for (int i = 0; i < 3; ++i) {
+      limb.middle[i] -= limb.middle_along * limb.axis[i];
+      limb.pole[i] -= limb.pole_along * limb.axis[i];
+    }
+    limb.known = length(limb.middle) > 1e-9 && length(limb.pole) > 1e-9;
+    limb.angle =
+        std::atan2(triple(limb.axis, limb.middle, limb.pole), dot(limb.middle, limb.pole));
+    return limb;
+  }
+
+  static double measure(double weight, const View& view, const double* target, double* r) {
+    const Bend limb = look_along(view, target);
+    r[0] = limb.known ? weight * limb.angle : 0;
+    return limb.known ? std::fabs(limb.angle) : 0;
+  }
+
+  static void keep(const View& view, double* target) {
+    std::copy(view.joint, view.joint + 3, target);
+  }
+
+  // How the points of a limb turn its half plane: derivatives of Bend::angle.
+  struct Slopes {
+    View view;
+    bool known;
+    double root[3], middle[3], tip[3];
+
+    void look(const View& seen, const double* target) {
+      view = seen;
+      const Bend limb = look_along(view, target);
+      known = limb.known;
+      if (!known) return;
+      double by_middle[3], by_pole[3];
+      cross(limb.axis, limb.middle, by_middle);
+      cross(limb.axis, limb.pole, by_pole);
+      const double m = dot(limb.middle, limb.middle), p = dot(limb.pole, limb.pole);
+      const double at_middle = limb.middle_along / limb.span;
+      const double at_pole = limb.pole_along / limb.span;
+      for (int i = 0; i < 3; ++i) {
+        const double a = by_middle[i] / m, b = by_pole[i] / p;
+        middle[i] = -a;
+        tip[i] = at_middle * a - at_pole * b;
+        root[i] = (1 - at_middle) * a - (1 - at_pole) * b;
+      }
+    }
+    void add(const Motion& motion, double scale, double* column) const {
+      if (!known) return;
+      double rate = dot(tip, motion.linear);
+      if (motion.index <= view.middle) rate += motion.along(middle, view.joint);
+      if (motion.index <= view.root) rate += motion.along(root, view.origin);
+      column[0] -= scale * rate;
+    }
+  };
+};
+
+// In the order of rows, weights and misses, as Python's table has them.
+using Kinds = std::tuple<Position, Orientation, Aim, Pole>;
+constexpr int PARTS = std::tuple_size_v<Kinds>;
+
+// Calls f<Kind>(number) for each kind.
+template <class F>
+constexpr void each_kind(F&& f) {
+  [&]<std::size_t... K>(std::index_sequence<K...>) {
+    (f.template operator()<std::tuple_element_t<K, Kinds>>(K), ...);
+  }(std::make_index_sequence<PARTS>{});
+}
+
+template <class Kind>
+constexpr int part_of() {
+  int found = -1;
+  each_kind([&]<class Other>(int part) {
+    if (std::is_same_v<Kind, Other>) found = part;
+  });
+  return found;
+}
+
+template <class F>
+constexpr std::array<int, PARTS + 1> sums(F&& count) {
+  std::array<int, PARTS + 1> ends{};
+  each_kind([&]<class Kind>(int part) {
+    ends[part + 1] = ends[part] + count.template operator()<Kind>();
+  });
+  return ends;
+}
+
+// Where the target of each kind begins in a row of targets; behind them is what weights are
+// multiplied by: where that is 0, the rows are there but ask for nothing.
+constexpr std::array<int, PARTS + 1> COLUMNS = sums([]<class Kind>() { return Kind::WIDTH; });
+constexpr int WEIGHTS = COLUMNS[PARTS];
+constexpr int TARGET_WIDTH = WEIGHTS + PARTS;
+// Rows of a goal that asks for everything.
+constexpr int MOST_GOAL_ROWS = sums([]<class Kind>() { return Kind::ROWS; })[PARTS];
+constexpr std::array<bool, PARTS> METRIC = [] {
+  std::array<bool, PARTS> metric{};
+  each_kind([&]<class Kind>(int part) { metric[part] = Kind::METRIC; });
+  return metric;
+}();
+
+template <class Kind>
+concept Pulling = requires(const View& view, const double* at, Pull& sum) {
+  Kind::pull(1.0, view, at, at, sum);
+};
+
+}  // namespace animtool::ik

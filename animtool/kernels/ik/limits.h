@@ -1,0 +1,103 @@
+// How far joints go: boxes, and the cone and twist of balls.
+//
+// A ball's motion is swing * twist about z. Its swing vector (x, y) lies in the
+// ellipse of the half-angles limit[0], limit[1]; its twist in limit[2], limit[3].
+#pragma once
+
+#include <limits>
+
+#include "ik/chain.h"
+
+namespace animtool::ik {
+
+// A range or cone that is narrower is shut [rad].
+constexpr double SHUT = 1e-9;
+// What rounding alone puts outside [rad] or lengths of the chain.
+constexpr double ROUNDING = 1e-13;
+// Nearer to a limit than this, it is looked at in full [1].
+constexpr double SURE = 1e-9;
+constexpr double TURN = 6.283185307179586476925;
+
+struct SwingTwist {
+  double swing[2];
+  double twist;
+};
+
+SwingTwist split(const double* q, const double* limit);
+
+inline void join(const SwingTwist& parts, double* q) {
+  const double vector[3] = {parts.swing[0], parts.swing[1], 0};
+  double swing[4];
+  exponential(vector, swing);
+  const double twist[4] = {0, 0, std::sin(parts.twist / 2), std::cos(parts.twist / 2)};
+  product(swing, twist, q);
+}
+
+inline double reach(const SwingTwist& parts, const double* limit) {
+  const double a = parts.swing[0] / std::max(limit[0], SHUT);
+  const double b = parts.swing[1] / std::max(limit[1], SHUT);
+  return std::hypot(a, b);
+}
+
+inline bool limited(const Node& node) {
+  const double* l = node.limit;
+  if (node.kind != Kind::BALL) return l[0] > -1e300 || l[1] < 1e300;
+  return l[0] < 1e300 || l[1] < 1e300 || l[2] > -1e300 || l[3] < 1e300;
+}
+
+// Whether a ball's motion is inside for sure, told without inverse functions: most
+// are, most of the time.
+inline bool well_inside(const Node& node, const double* q) {
+  const double* quick = node.quick;
+  if (q[0] * q[0] + q[1] * q[1] > quick[0]) return false;
+  const double sign = q[3] < 0 ? -1 : 1;
+  const double sine = sign * q[2], cosine = sign * q[3];
+  // sin(half twist - half low) and sin(half high - half twist)
+  return sine * quick[2] - cosine * quick[1] > SURE &&
+         cosine * quick[3] - sine * quick[4] > SURE;
+}
+
+// What `well_inside` compares with: sines and cosines of half the limits. Unlimited
+// and narrow or reaching past half a turn, nothing is for sure.
+inline void prepare(Node& node) {
+  const double* l = node.limit;
+  const double least = std::min(l[0], l[1]);
+  const double sine = least < TURN / 2 ? std::sin(least / 2) : 1;
+  const double low = std::max(l[2], -TURN / 2), high = std::min(l[3], TURN / 2);
+  const bool known = (l[2] >= -TURN / 2 && l[3] <= TURN / 2) || (l[2] < -1e300 && l[3] > 1e300);
+  node.quick[0] = known ? sine * sine * (1 - SURE) : -1;
+  node.quick[1] = std::sin(low / 2), node.quick[2] = std::cos(low / 2);
+  node.quick[3] = std::sin(high / 2), node.quick[4] = std::cos(high / 2);
+}
+
+// Which of the limits a motion exceeds.
+struct Beyond {
+  bool swing, twist;
+};
+
+inline Beyond beyond(const SwingTwist& parts, const double* limit) {
+  return {reach(parts, limit) > 1 + ROUNDING,
+          parts.twist < limit[2] - ROUNDING || parts.twist > limit[3] + ROUNDING};
+}
+
+// Bring a ball's motion inside, the swing along its own direction.
+void clamp_ball(double* q, const double* limit);
+
+// Gradients of the swing vector and the twist over q <- exp(d) q.
+struct SwingTwistGradients {
+  double swing[2][3];
+  double twist[3];
+};
+
+SwingTwistGradients gradients(const double* q, const SwingTwist& parts);
+
+// A direction of the degrees of freedom that a step may not choose: its unit vector
+// on `width` of them from `dof`, and the part of the step along it.
+struct Fixed {
+  int dof, width;
+  double direction[3];
+  double value;
+  int node;
+};
+
+}  // namespace animtool::ik

@@ -1,0 +1,57 @@
+// The cost around a pose, to second order of what the goals miss, and systems of such.
+#pragma once
+
+#include <vector>
+
+#include "ik/goals.h"
+
+namespace animtool::ik {
+
+// Factors a symmetric positive definite A (m, m) in place, of which the lower triangle is
+// read and overwritten; the inverse of the diagonal is kept. False where it is not. By
+// columns, so that every inner loop adds to what lies side by side; `column` holds m.
+bool factor_cholesky(double* a, double* column, int m);
+
+// Solves A x = b in place with the factor of A.
+void solve_factored(const double* a, double* b, int m);
+
+// The cost around a pose: columns of the Jacobian, the smaller of the two matrices made of
+// them, the gradient.
+struct Linearized {
+  // More residuals than degrees of freedom: systems are as large as the chain.
+  const bool primal;
+  std::vector<double> columns;   // (D, M)
+  std::vector<double> gram;      // (M, M), lower triangle: J J^T; unless primal
+  std::vector<double> normal;    // (D, D), lower triangle: J^T J; if primal
+  std::vector<double> downhill;  // (D,): minus the gradient, rest preference included
+  std::vector<double> pull;      // (D,): the part of the rest preference
+  std::vector<int> first, last;  // (D,): rows that a degree of freedom moves
+
+  explicit Linearized(const Task& task)
+      : primal(task.rows > task.chain.dofs),
+        columns(static_cast<std::size_t>(task.chain.dofs) * task.rows),
+        gram(primal ? 0 : static_cast<std::size_t>(task.rows) * task.rows),
+        normal(primal ? static_cast<std::size_t>(task.chain.dofs) * task.chain.dofs : 0),
+        downhill(task.chain.dofs),
+        pull(task.chain.dofs), first(task.chain.dofs, task.rows), last(task.chain.dofs, 0) {
+    for (const Goal& goal : task.goals)
+      for (const int n : goal.path) {
+        each_dof(task.chain, task.chain.nodes[n], [&](int d) {
+          first[d] = std::min(first[d], goal.row);
+          last[d] = std::max(last[d], goal.row + rows_of(goal));
+        });
+      }
+  }
+};
+
+// Where a preference for another pose draws each degree of freedom, and its cost.
+double rest_pull(const Task& task, const double* q, const double* rest, double weight,
+                 double* pull);
+
+// The lower triangle of J^T J (D, D).
+void multiply_columns(const Task& task, const Linearized& linear, double* normal);
+
+void linearize(const Task& task, const double* targets, const double* rest,
+               const State& state, Linearized& out);
+
+}  // namespace animtool::ik

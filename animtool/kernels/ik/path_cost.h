@@ -1,0 +1,185 @@
+// The matrix of what a path costs over time, the same for each degree of freedom.
+#pragma once
+
+#include <algorithm>
+#include <cstddef>
+#include <initializer_list>
+#include <vector>
+
+#include "ik/chain.h"
+
+namespace animtool::ik {
+
+struct PathWeights {
+  double anchor, speed, acceleration;
+};
+
+// The matrix of the weights over time, factored: L D L^T with two diagonals below.
+class TimeBand {
+ public:
+  TimeBand(int frames, int first, int end, const PathWeights& weights)
+      : first_(first), count_(std::max(end - first, 0)), rows_(5 * std::max(frames, 1)),
+        pivots_(count_), below_(2 * count_) {
+    for (int t = 0; t < frames; ++t) row(t)[2] += weights.anchor;
+    for (int t = 0; t + 1 < frames; ++t) add(t, {-1, 1}, weights.speed);
+    for (int t = 0; t + 2 < frames; ++t) add(t, {1, -2, 1}, weights.acceleration);
+    damp(0);
+  }
+
+  // Adds a multiple of the identity, in place of that before.
+  void damp(double damping) {
+    for (int t = 0; t < static_cast<int>(rows_.size()) / 5; ++t) row(t)[2] += damping - damping_;
+    damping_ = damping;
+    for (int i = 0; i < count_; ++i) {
+      const double* own = row(first_ + i);
+      double far = i > 1 ? own[0] : 0, near = i > 0 ? own[1] : 0, pivot = own[2];
+      if (i > 1) {
+        near -= far * below_[2 * (i - 1)];
+        pivot -= far * far / pivots_[i - 2];
+        far /= pivots_[i - 2];
+      }
+      if (i > 0) {
+        pivot -= near * near / pivots_[i - 1];
+        near /= pivots_[i - 1];
+      }
+      below_[2 * i] = near, below_[2 * i + 1] = far;
+      pivots_[i] = pivot;
+    }
+  }
+
+  // Of the matrix: row t, and the column that is so many frames off, at most two.
+  double entry(int t, int off) const { return rows_[5 * t + 2 + off]; }
+
+  // out = P x for frames of `width` numbers, all of them.
+  void multiply(const std::vector<double>& x, int width, std::vector<double>& out) const {
+    const int frames = static_cast<int>(x.size()) / std::max(width, 1);
+    for (int i = 0; i < count_; ++i) {
+      const int t = first_ + i;
+      double* o = out.data() + static_cast<std::size_t>(t) * width;
+      std::fill(o, o + width, 0.0);
+      for (int k = std::max(t - 2, 0); k <= std::min(t + 2, frames - 1); ++k) {
+        const double factor = rows_[5 * t + 2 + k - t];
+        const double* from = x.data() + static_cast<std::size_t>(k) * width;
+        for (int d = 0; d < width; ++d) o[d] += factor * from[d];
+      }
+    }
+  }
+
+  // Solves P x = b in place over the frames that may move.
+  void solve(std::vector<double>& x, int width) const {
+    const auto at = [&](int i) { return x.data() + static_cast<std::size_t>(first_ + i) * width; };
+    for (int i = 1; i < count_; ++i)
+      for (int k = 1; k <= std::min(i, 2); ++k) {
+        const double factor = below_[2 * i + k - 1];
+        double *own = at(i), *other = at(i - k);
+        for (int d = 0; d < width; ++d) own[d] -= factor * other[d];
+      }
+    for (int i = count_; i-- > 0;) {
+      double* own = at(i);
+      for (int d = 0; d < width; ++d) own[d] /= pivots_[i];
+      for (int k = 1; k <= std::min(count_ - 1 - i, 2); ++k) {
+        const double factor = below_[2 * (i + k) + k - 1];
+        const double* other = at(i + k);
+        for (int d = 0; d < width; ++d) own[d] -= factor * other[d];
+      }
+    }
+  }
+
+ private:
+  double* row(int t) { return &rows_[5 * t]; }
+
+  void add(int t, std::initializer_list<double> stencil, double weight) {
+    int i = 0;
+    for (const double a : stencil) {
+      int j = 0;
+      for (const double b : stencil) row(t + i)[2 + j - i] += weight * a * b, ++j;
+      ++i;
+    }
+  }
+
+  int first_, count_;
+  double damping_ = 0;
+  std::vector<double> rows_, pivots_, below_;
+};
+
+// What a path of poses costs: its distance from another, its speed and its acceleration.
+
+// Sums anchor |q - anchor|^2 + speed |v|^2 + acceleration |a|^2, halved, over the frames. Of
+// balls, differences are rotation vectors.
+class PathCost {
+ public:
+  // What the acceleration at each frame costs.
+  std::vector<double> bends;
+
+  // `drifts` (F - 1, D) is the motion from frame to frame that costs nothing; null is none.
+  PathCost(const Chain& chain, int frames, const PathWeights& weights, const double* drifts)
+      : chain_(chain), frames_(frames), width_(chain.dofs), weights_(weights), drifts_(drifts),
+        away_(chain.dofs), still_(chain.dofs, 0.0) {}
+
+  // Of a path (F, Q), and its gradient (F, D) where one is asked for.
+  double evaluate(const double* anchors, const double* q, std::vector<double>* slope = nullptr) {
+    const std::size_t size = static_cast<std::size_t>(frames_) * width_;
+    speeds_.resize(size), forces_.resize(size);
+    if (slope) slope->assign(size, 0.0);
+    double cost = 0;
+    for (int t = 0; t < frames_ && weights_.anchor > 0; ++t) {
+      difference(chain_, anchors + at(t), q + at(t), away_.data());
+      for (int d = 0; d < width_; ++d) {
+        cost += weights_.anchor * away_[d] * away_[d] / 2;
+        if (slope) (*slope)[row(t) + d] += weights_.anchor * away_[d];
+      }
+    }
+    std::fill(forces_.begin(), forces_.end(), 0.0);
+    bends.assign(frames_, 0.0);
+    for (int t = 0; t + 1 < frames_; ++t) {
+      double *speed = speeds_.data() + row(t), *force = forces_.data() + row(t);
+      difference(chain_, q + at(t), q + at(t + 1), speed);
+      const double* drift = drift_of(t);
+      const double* before = t > 0 ? drift_of(t - 1) : nullptr;
+      for (int d = 0; d < width_; ++d) {
+        const double u = speed[d] - drift[d];
+        cost += weights_.speed * u * u / 2;
+        force[d] += weights_.speed * u;
+        if (t == 0) continue;
+        const double a = u - (speed[d - width_] - before[d]);
+        bends[t] += weights_.acceleration * a * a / 2;
+        force[d] += weights_.acceleration * a;
+        force[d - width_] -= weights_.acceleration * a;
+      }
+    }
+    for (const double bend : bends) cost += bend;
+    if (slope)
+      for (int t = 0; t + 1 < frames_; ++t) spread(t, *slope);
+    return cost;
+  }
+
+ private:
+  std::size_t at(int t) const { return static_cast<std::size_t>(t) * chain_.coordinates; }
+  std::size_t row(int t) const { return static_cast<std::size_t>(t) * width_; }
+  const double* drift_of(int t) const { return drifts_ ? drifts_ + row(t) : still_.data(); }
+
+  // What pulls at the motion from one frame to the next pulls at both poses.
+  void spread(int t, std::vector<double>& slope) const {
+    const double *speed = speeds_.data() + row(t), *force = forces_.data() + row(t);
+    double *now = slope.data() + row(t), *next = slope.data() + row(t + 1);
+    for (const Node& node : chain_.nodes) {
+      if (node.follows) continue;
+      const int d = node.dof;
+      double back[3] = {-force[d]}, on[3] = {force[d]};
+      if (node.kind == Kind::BALL) {
+        pull_back(speed + d, force + d, 1, on);
+        pull_back(speed + d, force + d, -1, back);
+        for (double& x : back) x = -x;
+      }
+      for (int k = 0; k < node.width(); ++k) now[d + k] += back[k], next[d + k] += on[k];
+    }
+  }
+
+  const Chain& chain_;
+  const int frames_, width_;
+  const PathWeights weights_;
+  const double* drifts_;
+  std::vector<double> speeds_, forces_, away_, still_;
+};
+
+}  // namespace animtool::ik

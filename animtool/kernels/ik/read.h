@@ -1,0 +1,30 @@
+// The arrays of a problem, read and checked.
+#pragma once
+
+#include "base/checks.h"
+#include "ik/goals.h"
+#include "ik/solve.h"
+
+namespace animtool::ik {
+
+Chain read_chain(const In<std::int64_t, 2>& nodes, const In<double, 2>& numbers);
+
+Task read_task(const In<std::int64_t, 2>& nodes, const In<double, 2>& numbers,
+               const In<std::int64_t, 2>& goals, const In<double, 2>& goal_numbers,
+               double rest_weight);
+
+// Poses (B, Q) may be of any numbers: what comes to none is an outcome, as it is of targets.
+void check_poses(const char* name, const Task& task, std::size_t batch,
+                 const In<double, 2>& poses);
+
+// What weights of goals are multiplied by is no sign: rows that a goal has not would be
+// written.
+void check_targets(const char* name, const Task& task, std::size_t batch,
+                   const In<double, 3>& targets);
+
+void check_tolerances(double length, double angle, double damping);
+
+// (F - 1, D) or more.
+void check_steps(const char* name, const In<double, 2>& steps, std::size_t frames, int dofs);
+
+}  // namespace animtool::ik

@@ -1,0 +1,460 @@
+// A path of poses made smoother, while its goals stay where they are and limits kept.
+//
+// Over all frames at once: min sum |q - anchor|^2 + speed |v|^2 + acceleration |a|^2 by
+// Gauss-Newton, its steps in the null space of the goals' Jacobians. Of balls, differences
+// are rotation vectors. With the goals' projections Pi and the same scalar matrix P of
+// five diagonals for every degree of freedom, Pi P Pi x = Pi b is solved by conjugate
+// gradients with Pi P^-1 Pi for a preconditioner, exact where Pi does not change in time
+// (N. Gould, M. Hribar, J. Nocedal, On the solution of equality constrained quadratic
+// programming problems arising in optimization, 2001, algorithm 2.1).
+#include "ik/solve.h"
+
+#include "ik/goals.h"
+#include "ik/levels.h"
+#include "ik/path_cost.h"
+#include "ik/read.h"
+#include "ik/space.h"
+
+namespace animtool {
+
+namespace ik {
+
+namespace {
+
+struct PathSettings {
+  PathWeights weights;
+  int first, end;  // frames that may move
+  int rounds;      // of Gauss-Newton
+};
+
+struct PathOutcome {
+  int rounds = 0;
+  double before = 0, after = 0;
+};
+
+class PathSmoother {
+ public:
+  // `stretches` (F, E) are what the bones of limbs are multiplied by; `drifts` (F - 1, D)
+  // is the motion from frame to frame that costs nothing.
+  PathSmoother(const Task& task, const Settings& settings, const PathSettings& path, int frames,
+               const double* targets, const double* stretches, const double* drifts)
+      : task_(of_goals_alone(task)), plain_(task_.chain), settings_(settings),
+        tight_(tightened(settings)), path_(path), frames_(frames), width_(task.chain.dofs),
+        coordinates_(task.chain.coordinates), first_(path.first), end_(path.end),
+        targets_(targets, targets + frames * task.goals.size() * TARGET_WIDTH),
+        stretches_(stretches), cost_(task_.chain, frames, path.weights, drifts),
+        band_(frames, path.first, path.end, path.weights), search_(task_, tight_),
+        stepper_(task_), state_(task_), linear_(task_), spaces_(frames), held_(frames, 0), away_(width_) {}
+
+  // Improves a path (F, Q) in place.
+  PathOutcome run(double* path) {
+    now_.assign(path, path + static_cast<std::size_t>(frames_) * coordinates_);
+    anchors_ = now_;
+    for (int t = 0; t < frames_; ++t) keep_what_is_missed(t);
+    PathOutcome outcome;
+    outcome.before = evaluate(now_);
+    std::vector<char> looked(frames_, 0);
+    improve_all(outcome, outcome.before);
+    if (path_.weights.acceleration > 0 && path_.rounds > 0)
+      for (int i = 0; i < CORNERS && narrow(looked); ++i) {
+        improve_all(outcome, local_cost());
+        cross_elsewhere(outcome);
+      }
+    outcome.after = evaluate(now_);
+    std::copy(now_.begin(), now_.end(), path);
+    return outcome;
+  }
+
+ private:
+  // Goals are brought back to this share of their tolerance, in this many steps.
+  static constexpr double TIGHT = 1e-2;
+  static constexpr int STEPS = 30;
+  // A round that gains less than this share is the last one.
+  static constexpr double ENOUGH = 1e-2;
+  // Corners that are looked at by themselves.
+  static constexpr int CORNERS = 8;
+  // A corner stands out that costs so many times what half of the frames about it do.
+  // Passing it is tried this much earlier or later at a time [frames], so many times.
+  static constexpr double SHARP = 10, SHIFT = 0.5;
+  static constexpr int SHIFTS = 8;
+  // How often a step is tried, each so many times stiffer than the one before.
+  static constexpr int TRIES = 8;
+  static constexpr double STIFFER = 4;
+  // Passes over the limits, steps of conjugate gradients and where these end.
+  static constexpr int PASSES = 4, MOST_ROUNDS = 60;
+  static constexpr double LOOSE = 1e-2;
+
+  // What goals come to is kept, whoever gave way, and for whatever preference.
+  static Task of_goals_alone(Task task) {
+    task.rest_weight = 0;
+    task.levels = 1;
+    return task;
+  }
+
+  static Settings tightened(Settings settings) {
+    settings.length_tolerance *= TIGHT;
+    settings.angle_tolerance *= TIGHT;
+    settings.iterations = STEPS;
+    settings.restarts = 0;
+    return settings;
+  }
+
+  double* target(int t) {
+    return targets_.data() + static_cast<std::size_t>(t) * task_.goals.size() * TARGET_WIDTH;
+  }
+
+  double* frame(std::vector<double>& of, int t) {
+    return of.data() + static_cast<std::size_t>(t) * width_;
+  }
+
+  double* pose(std::vector<double>& of, int t) {
+    return of.data() + static_cast<std::size_t>(t) * coordinates_;
+  }
+
+  void stretch_limbs(int t) { stretch(plain_, stretches_ + t * task_.goals.size(), task_); }
+
+  // Brings a pose to the goals of a frame.
+  bool bring(int t, const double* start) {
+    stretch_limbs(t);
+    if (search_.run(start, target(t), start, false) == Status::BROKEN) return false;
+    const State& best = search_.best();
+    std::copy(best.q.begin(), best.q.end(), pose(next_, t));
+    return reached(best);
+  }
+
+  void look(int t) {
+    stretch_limbs(t);
+    const double* q = pose(now_, t);
+    std::copy(q, q + coordinates_, state_.q.begin());
+    forward(task_.chain, state_.q.data(), state_.frames);
+    measure(task_, target(t), state_);
+    // However little a goal weighs, what it asks is to stay.
+    for (double& weight : state_.weights) weight = weight > 0 ? 1 : 0;
+  }
+
+  bool reached(const State& state) const {
+    for (std::size_t i = 0; i < state.misses.size(); ++i)
+      if (!(state.misses[i] <= settings_.tolerance(static_cast<int>(i % PARTS)))) return false;
+    return true;
+  }
+
+  // Where a frame misses a goal, what it comes to is what is to be kept.
+  void keep_what_is_missed(int t) {
+    look(t);
+    if (reached(state_)) return;
+    for (std::size_t e = 0; e < task_.goals.size(); ++e) {
+      const Goal& goal = task_.goals[e];
+      double* wanted = target(t) + TARGET_WIDTH * e;
+      const View view = view_of(goal, state_, &state_.points[3 * e]);
+      each_kind([&]<class Kind>(int part) {
+        if (!Kind::LIMB || goal.middle >= 0) Kind::keep(view, wanted + COLUMNS[part]);
+      });
+    }
+  }
+
+  // Rounds over the frames from first_ to end_, until they gain too little of `scale`.
+  void improve_all(PathOutcome& outcome, double scale) {
+    damping_ = 0;
+    double cost = evaluate(now_);
+    for (int round = 0; round < path_.rounds; ++round) {
+      const double next = improve(cost);
+      if (!(next < cost)) return;
+      ++outcome.rounds;
+      const bool enough = cost - next < ENOUGH * scale;
+      cost = next;
+      if (enough) return;
+    }
+  }
+
+  // Lets only the frames about the sharpest corner move that was not looked at: the rest
+  // has come to its end, and is not to say how far these may go at a time.
+  bool narrow(std::vector<char>& looked) {
+    evaluate(now_);
+    int sharpest = -1;
+    for (int t = path_.first; t < path_.end; ++t)
+      if (!looked[t] && (sharpest < 0 || cost_.bends[t] > cost_.bends[sharpest])) sharpest = t;
+    if (sharpest < 0) return false;
+    const double time = std::sqrt(std::sqrt(path_.weights.acceleration));
+    const int reach = static_cast<int>(std::clamp(2 * time, 8.0, 60.0));
+    first_ = std::max(sharpest - reach, path_.first);
+    end_ = std::min(sharpest + reach + 1, path_.end);
+    std::fill(looked.begin() + std::max(sharpest - reach / 2, 0),
+              looked.begin() + std::min(sharpest + reach / 2 + 1, frames_), 1);
+    std::fill(held_.begin(), held_.end(), 0);
+    band_ = TimeBand(frames_, first_, end_, path_.weights);
+    return true;
+  }
+
+  // Where a path passes close by a singular pose, it turns a corner that no small change
+  // takes away: it is smooth only if it passes at one moment. So others are tried.
+  void cross_elsewhere(PathOutcome& outcome) {
+    for (const double wide : {1.0, 0.5})
+      for (int tried = 0; tried < 2 * SHIFTS; ++tried) {
+        if (!sharp()) return;
+        const double by = (tried / 2 + 1) * SHIFT * (tried % 2 ? -1 : 1);
+        const double cost = evaluate(now_);
+        const std::vector<double> before = now_;
+        if (shift(by, wide)) improve_all(outcome, local_cost());
+        if (!(evaluate(now_) < cost)) now_ = before;
+      }
+    evaluate(now_);
+  }
+
+  // Whether a corner stands out.
+  bool sharp() {
+    evaluate(now_);
+    const auto worst = std::max_element(cost_.bends.begin() + first_, cost_.bends.begin() + end_);
+    std::vector<double> others(cost_.bends.begin() + first_, cost_.bends.begin() + end_);
+    std::nth_element(others.begin(), others.begin() + others.size() / 2, others.end());
+    return *worst > SHARP * others[others.size() / 2];
+  }
+
+  // Runs the frames that move ahead by so many, most in their middle; now_ <- the path
+  // brought back to the goals. False where a frame does not come back.
+  bool shift(double by, double wide) {
+    const double middle = (first_ + end_ - 1) / 2.0, reach = wide * (end_ - first_ + 1) / 2.0;
+    next_ = now_;
+    step_.resize(slope_.size());
+    for (int t = first_; t < end_; ++t) {
+      const double away = std::fabs(t - middle) / reach;
+      if (away >= 1) continue;
+      const double eased = std::cos(away * TURN / 4);
+      const double at = std::clamp(t + by * eased * eased, 0.0, frames_ - 1.0);
+      const int from = std::min(static_cast<int>(at), frames_ - 2);
+      difference(task_.chain, pose(now_, from), pose(now_, from + 1), away_.data());
+      for (double& x : away_) x *= at - from;
+      moved_.resize(coordinates_);
+      stepper_.move(pose(now_, from), away_.data(), moved_.data());
+      if (!bring(t, moved_.data())) return false;
+    }
+    now_.swap(next_);
+    return true;
+  }
+
+  double local_cost() const {
+    double cost = 0;
+    for (int t = first_; t < end_; ++t) cost += cost_.bends[t];
+    return cost;
+  }
+
+  double evaluate(const std::vector<double>& q, std::vector<double>* slope = nullptr) {
+    return cost_.evaluate(anchors_.data(), q.data(), slope);
+  }
+
+  // One round; the cost after it. A step that is too long is taken with more damping:
+  // such that what was asked for becomes some times stiffer.
+  double improve(double cost) {
+    evaluate(now_, &slope_);
+    for (int i = 0; i < TRIES; ++i) {
+      const double stiffness = attempt();
+      if (longest() < LONGEST_TURN && take(i + 1 < TRIES)) {
+        const double next = evaluate(next_);
+        if (next < cost) {
+          now_.swap(next_);
+          damping_ /= STIFFER;
+          return next;
+        }
+      }
+      damping_ = STIFFER * std::max(damping_, stiffness);
+    }
+    return cost;
+  }
+
+  // step_ <- the best one within the limits; how stiff the path is against it.
+  double attempt() {
+    band_.damp(damping_);
+    step_.assign(slope_.size(), 0.0);
+    for (int t = first_; t < end_; ++t) open(t);
+    for (int pass = 0; pass < PASSES; ++pass) {
+      solve();
+      if (!fix_violations()) break;
+    }
+    band_.multiply(step_, width_, image_);
+    double bend = 0, size = 1e-300;
+    for (std::size_t i = begin(); i < end(); ++i)
+      bend += step_[i] * image_[i], size += step_[i] * step_[i];
+    return bend / size;
+  }
+
+  double longest() const {
+    double most = 0;
+    for (const double x : step_) most = std::max(most, std::fabs(x));
+    return most;
+  }
+
+  // Limits that have no width, and the goals' space, at the present pose.
+  void open(int t) {
+    look(t);
+    stepper_.shut(state_, spaces_[t].fixed, spaces_[t].pinned);
+    span(t);
+  }
+
+  void span(int t) {
+    differentiate(task_, target(t), state_, linear_.columns);
+    spaces_[t].span(task_.rows, width_, linear_.columns, work_);
+  }
+
+  // Takes out of x what goals and limits feel, frame by frame.
+  void project(std::vector<double>& x) {
+    for (int t = first_; t < end_; ++t) {
+      double* own = frame(x, t);
+      if (held_[t])
+        std::fill(own, own + width_, 0.0);
+      else
+        spaces_[t].project(own, work_);
+    }
+  }
+
+  // step_ <- the best one that goals and fixed limits leave, from that before.
+  void solve() {
+    const std::size_t size = slope_.size();
+    project(step_);
+    for (int t = first_; t < end_; ++t) {
+      if (held_[t]) continue;
+      double* own = frame(step_, t);
+      for (int d = 0; d < width_; ++d) own[d] += spaces_[t].step[d];
+    }
+    image_.assign(size, 0.0);
+    band_.multiply(step_, width_, image_);
+    rest_.assign(size, 0.0);
+    conditioned_.assign(size, 0.0);
+    // What the slope alone comes to says what is small.
+    for (std::size_t i = begin(); i < end(); ++i) rest_[i] = -slope_[i];
+    project(rest_);
+    const double small = precondition() * LOOSE * LOOSE;
+    for (std::size_t i = begin(); i < end(); ++i) rest_[i] = -slope_[i] - image_[i];
+    project(rest_);
+    double size_now = precondition();
+    along_ = conditioned_;
+    for (int round = 0; round < MOST_ROUNDS && size_now > small && size_now > 0; ++round) {
+      band_.multiply(along_, width_, image_);
+      double bend = 0;
+      for (std::size_t i = begin(); i < end(); ++i) bend += along_[i] * image_[i];
+      if (!(bend > 0)) return;
+      const double amount = size_now / bend;
+      for (std::size_t i = begin(); i < end(); ++i) {
+        step_[i] += amount * along_[i];
+        rest_[i] -= amount * image_[i];
+      }
+      project(rest_);
+      const double next = precondition();
+      for (std::size_t i = begin(); i < end(); ++i)
+        along_[i] = conditioned_[i] + next / size_now * along_[i];
+      size_now = next;
+    }
+  }
+
+  double precondition() {
+    conditioned_ = rest_;
+    band_.solve(conditioned_, width_);
+    project(conditioned_);
+    double sum = 0;
+    for (std::size_t i = begin(); i < end(); ++i) sum += conditioned_[i] * rest_[i];
+    return sum;
+  }
+
+  std::size_t begin() const { return static_cast<std::size_t>(first_) * width_; }
+  std::size_t end() const { return static_cast<std::size_t>(end_) * width_; }
+
+  bool fix_violations() {
+    bool found = false;
+    for (int t = first_; t < end_; ++t) {
+      GoalSpace& space = spaces_[t];
+      std::copy(pose(now_, t), pose(now_, t) + coordinates_, state_.q.begin());
+      if (!stepper_.fix_violations(state_, frame(step_, t), space.fixed, space.pinned)) continue;
+      look(t);
+      span(t);
+      found = true;
+    }
+    return found;
+  }
+
+  // next_ <- the path after the step, brought back to the goals. False where a frame does
+  // not come back; without `again`, such a frame stays where it is from now on.
+  bool take(bool again) {
+    next_ = now_;
+    moved_.resize(coordinates_);
+    bool good = true;
+    for (int t = first_; t < end_; ++t) {
+      if (held_[t]) continue;
+      stepper_.move(pose(now_, t), frame(step_, t), moved_.data());
+      if (bring(t, moved_.data())) continue;
+      good = false;
+      held_[t] = !again;
+    }
+    return good;
+  }
+
+  Task task_;
+  const Chain plain_;
+  const Settings settings_, tight_;
+  const PathSettings path_;
+  const int frames_, width_, coordinates_;
+  int first_, end_;  // frames that move at present
+  std::vector<double> targets_;
+  const double* stretches_;
+  PathCost cost_;
+  TimeBand band_;
+  Search search_;
+  Stepper stepper_;
+  State state_;
+  Linearized linear_;
+  std::vector<GoalSpace> spaces_;
+  GoalSpace::Work work_;
+  std::vector<char> held_;
+  std::vector<double> now_, next_, anchors_, away_, slope_, step_, image_;
+  std::vector<double> rest_, along_, conditioned_, moved_;
+  double damping_ = 0;
+};
+
+}  // namespace
+
+}  // namespace ik
+
+using namespace ik;
+
+IkSmoothed smooth_ik(In<std::int64_t, 2> nodes, In<double, 2> numbers,
+                     In<std::int64_t, 2> goals, In<double, 2> goal_numbers, In<double, 2> path,
+                     In<double, 3> targets, In<double, 3> sought, In<double, 2> stretches,
+                     In<double, 2> drifts, double anchor, double speed, double acceleration,
+                     std::size_t first, std::size_t end, double length_tolerance,
+                     double angle_tolerance, double damping, int rounds) {
+  Task task = read_task(nodes, numbers, goals, goal_numbers, 0);
+  const Chain plain = task.chain;
+  const std::size_t frames = path.shape(0), width = path.shape(1), e = goals.shape(0);
+  check_poses("path", task, frames, path);
+  check::at_most("path", frames, check::MOST_ROWS);
+  check_targets("targets", task, frames, targets);
+  check_targets("sought", task, frames, sought);
+  check::shape("stretches", stretches, {frames, e});
+  check_steps("drifts", drifts, frames, task.chain.dofs);
+  check::not_negative("anchor", anchor);
+  check::not_negative("speed", speed);
+  check::not_negative("acceleration", acceleration);
+  check::between("end", end, 0, frames);
+  check::between("first", first, 0, end);
+  check_tolerances(length_tolerance, angle_tolerance, damping);
+  check::between("rounds", rounds, 0, std::numeric_limits<int>::max());
+  const Settings settings{length_tolerance, angle_tolerance, damping, 1, 0, 0, 0, false};
+  const PathSettings over{{anchor, speed, acceleration},
+                          static_cast<int>(first), static_cast<int>(end), rounds};
+  Out<double, 2> smoothed(frames, width);
+  Out<double, 3> misses(frames, e, PARTS);
+  PathOutcome outcome;
+  std::copy(path.data(), path.data() + frames * width, smoothed.get());
+  PathSmoother smoother(task, settings, over, static_cast<int>(frames), sought.data(),
+                        stretches.data(), drifts.data());
+  outcome = smoother.run(smoothed.get());
+  State state(task);
+  for (std::size_t t = 0; t < frames; ++t) {
+    std::copy(smoothed.get() + t * width, smoothed.get() + (t + 1) * width, state.q.begin());
+    stretch(plain, stretches.data() + t * e, task);
+    forward(task.chain, state.q.data(), state.frames);
+    measure(task, targets.data() + t * e * TARGET_WIDTH, state);
+    std::copy(state.misses.begin(), state.misses.end(), misses.get() + t * e * PARTS);
+  }
+  return {std::move(smoothed), std::move(misses), outcome.rounds,
+          outcome.before, outcome.after};
+}
+
+}  // namespace animtool

@@ -1,0 +1,117 @@
+// Of one frame of a path: the directions that its goals and fixed limits leave free.
+#pragma once
+
+#include <cmath>
+#include <vector>
+
+#include "ik/step.h"
+
+namespace animtool::ik {
+
+class GoalSpace {
+ public:
+  // Room for what is reckoned on the way, for one frame at a time.
+  struct Work {
+    std::vector<double> gram, missing, felt;
+  };
+
+  // Directions that limits fix, and the least step that serves these.
+  std::vector<Fixed> fixed;
+  std::vector<Stepper::Pinned> pinned;
+  std::vector<double> step;
+
+  // From the goals' Jacobian by columns (D, M), which is changed.
+  void span(int rows_asked, int width, std::vector<double>& jacobian, Work& work) {
+    const int m = rows_ = rows_asked;
+    width_ = width;
+    work.gram.assign(static_cast<std::size_t>(m) * m, 0.0);
+    work.missing.assign(m, 0.0);
+    step.assign(width_, 0.0);
+    for (const Fixed& one : fixed) {
+      double* columns = jacobian.data() + static_cast<std::size_t>(one.dof) * m;
+      for (int i = 0; i < m; ++i) {
+        double along = 0;
+        for (int k = 0; k < one.width; ++k) along += columns[k * m + i] * one.direction[k];
+        for (int k = 0; k < one.width; ++k) columns[k * m + i] -= along * one.direction[k];
+        work.missing[i] -= along * one.value;
+      }
+      for (int k = 0; k < one.width; ++k)
+        step[one.dof + k] += one.value * one.direction[k];
+    }
+    basis_.resize(static_cast<std::size_t>(m) * width_);
+    for (int d = 0; d < width_; ++d) {
+      const double* column = jacobian.data() + static_cast<std::size_t>(d) * m;
+      for (int i = 0; i < m; ++i) {
+        basis_[static_cast<std::size_t>(i) * width_ + d] = column[i];
+        if (column[i] == 0) continue;
+        double* row = &work.gram[static_cast<std::size_t>(i) * m];
+        for (int j = 0; j <= i; ++j) row[j] += column[i] * column[j];
+      }
+    }
+    orthonormalize(work);
+  }
+
+  // Takes out of x (D,) what goals and limits feel.
+  void project(double* x, Work& work) const {
+    for (const Fixed& one : fixed) {
+      double along = 0;
+      for (int k = 0; k < one.width; ++k) along += x[one.dof + k] * one.direction[k];
+      for (int k = 0; k < one.width; ++k) x[one.dof + k] -= along * one.direction[k];
+    }
+    const double* rows = basis_.data();
+    work.felt.resize(rows_);
+    for (int i = 0; i < rows_; ++i) work.felt[i] = inner(rows + i * width_, x, width_);
+    for (int i = 0; i < rows_; ++i) {
+      const double* row = rows + i * width_;
+      const double along = work.felt[i];
+      for (int d = 0; d < width_; ++d) x[d] -= along * row[d];
+    }
+  }
+
+ private:
+  // What the Gram matrix of the goals is damped by: rows of length 1 lose as much.
+  static constexpr double DAMPING = 1e-10;
+
+  // basis_ <- L^-1 basis_, where L L^T is the damped Gram matrix.
+  void orthonormalize(Work& work) {
+    const int m = rows_;
+    for (int i = 0; i < m; ++i) {
+      double* own = &work.gram[static_cast<std::size_t>(i) * m];
+      double* row = basis_.data() + static_cast<std::size_t>(i) * width_;
+      for (int j = 0; j < i; ++j) {
+        const double* other = &work.gram[static_cast<std::size_t>(j) * m];
+        for (int k = 0; k < j; ++k) own[j] -= own[k] * other[k];
+        own[j] *= other[j];
+        const double* done = basis_.data() + static_cast<std::size_t>(j) * width_;
+        for (int d = 0; d < width_; ++d) row[d] -= own[j] * done[d];
+        work.missing[i] -= own[j] * work.missing[j];
+      }
+      double pivot = own[i] + DAMPING;
+      for (int k = 0; k < i; ++k) pivot -= own[k] * own[k];
+      // The diagonal holds its inverse.
+      own[i] = pivot > DAMPING / 2 ? 1 / std::sqrt(pivot) : 0;
+      for (int d = 0; d < width_; ++d) row[d] *= own[i];
+      work.missing[i] *= own[i];
+    }
+    for (int i = 0; i < m; ++i) {
+      const double* row = basis_.data() + static_cast<std::size_t>(i) * width_;
+      for (int d = 0; d < width_; ++d) step[d] += work.missing[i] * row[d];
+    }
+  }
+
+  // In four sums, that the processor adds side by side.
+  static double inner(const double* a, const double* b, int count) {
+    double sums[4] = {0, 0, 0, 0};
+    int i = 0;
+    for (; i + 4 <= count; i += 4)
+      for (int k = 0; k < 4; ++k) sums[k] += a[i + k] * b[i + k];
+    for (; i < count; ++i) sums[0] += a[i] * b[i];
+    return (sums[0] + sums[1]) + (sums[2] + sums[3]);
+  }
+
+  int rows_ = 0, width_ = 0;
+  // Orthonormal, of what the goals feel of the directions that are not fixed (M, D).
+  std::vector<double> basis_;
+};
+
+}  // namespace animtool::ik

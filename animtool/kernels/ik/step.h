@@ -1,0 +1,166 @@
+// One damped step that keeps the limits.
+//
+// min |r - J d|^2 / 2 + damping |d|^2 / 2 over steps inside the limits, by fixing what
+// would go beyond at the limit and solving again for the rest.
+#pragma once
+
+#include <vector>
+
+#include "ik/limits.h"
+#include "ik/linear.h"
+
+namespace animtool::ik {
+
+// Most that a joint turns in one step [rad].
+constexpr double LONGEST_TURN = 1.0;
+
+class Stepper {
+ public:
+  explicit Stepper(const Task& task)
+      : task_(task), curvature_(task), side_(std::min(task.rows, task.chain.dofs)),
+        matrix_(static_cast<std::size_t>(side_) * side_), right_(side_),
+        image_(std::max(task.rows, side_)), felt_(task.chain.dofs), free_(task.chain.dofs),
+        search_(task.chain.dofs), rest_(task.chain.dofs), product_(task.chain.dofs) {
+    fixed_.reserve(2 * task.chain.nodes.size() + 8);
+    pinned_.resize(task.chain.nodes.size());
+    turned_.resize(3 * task.chain.nodes.size());
+  }
+
+  // Which limits of a node a step is fixed at.
+  struct Pinned {
+    bool swing = false, twist = false, box = false;
+  };
+
+  // As those of a step, for a caller that keeps what is fixed: directions that limits
+  // of no width leave no room for, and those that a step of its own violates.
+  void shut(const State& state, std::vector<Fixed>& fixed, std::vector<Pinned>& pinned) {
+    shut(state);
+    fixed = fixed_, pinned = pinned_;
+  }
+
+  bool fix_violations(const State& state, const double* step, std::vector<Fixed>& fixed,
+                      std::vector<Pinned>& pinned);
+
+  // Fills in the step; `curved` uses the whole Hessian in place of J^T J. False where
+  // the damping is too small for it.
+  bool step(const State& state, const Linearized& linear, double damping, bool curved,
+            double longest, double* out);
+
+  // How far the last step turns a joint or, curved, anything in the world [rad].
+  double turn() const { return turn_; }
+
+  // What the model says the step gains, without the damping.
+  double predicted(const State& state, const Linearized& linear, bool curved,
+                   const double* step);
+
+  void hessian(const State& state, const Linearized& linear, bool curved, double damping,
+               const double* v, double* out);
+
+  // Takes a step, limits kept to the last bit.
+  void move(const double* q, const double* step, double* out) const {
+    for (const Node& node : task_.chain.nodes)
+      if (!node.follows) move(node, q + node.coordinate, step + node.dof, out + node.coordinate);
+  }
+
+  static void move(const Node& node, const double* now, const double* by, double* next);
+
+ private:
+  static constexpr int MOST_PASSES = 12;
+  static constexpr int MOST_ROUNDS = 300;
+  static constexpr double LOOSE = 1e-2;
+  static constexpr double LEAST_FLOOR = 1e-9;
+
+  // image_ = J v
+  void map(const Linearized& linear, const double* v);
+
+  // Directions that limits of no width leave no room for.
+  void shut(const State& state);
+
+  // Fixes the part of a ball's step along a direction, less what is fixed already.
+  void fix(int n, const double* normal, double value);
+
+  bool fix_violations(const State& state, const double* step);
+
+  bool fix_ball(int n, const double* q, const double* step);
+
+  // Joints turn by no more than a bound; where second derivatives are trusted, what
+  // turns in the world does not either, for these are far off once it has.
+  void shorten(const State& state, bool curved, double most, double* step) {
+    const double longest = curved ? turning(state, step) : turning(step);
+    turn_ = std::min(longest, most);
+    if (longest <= most) return;
+    for (int d = 0; d < task_.chain.dofs; ++d) step[d] *= most / longest;
+  }
+
+  double turning(const double* step) const;
+
+  double turning(const State& state, const double* step);
+
+  static double along(const Fixed& fixed, const double* v) {
+    double sum = 0;
+    for (int k = 0; k < fixed.width; ++k) sum += fixed.direction[k] * v[fixed.dof + k];
+    return sum;
+  }
+
+  static void add(const Fixed& fixed, double amount, double* v) {
+    for (int k = 0; k < fixed.width; ++k) v[fixed.dof + k] += amount * fixed.direction[k];
+  }
+
+  void project(double* v) const {
+    for (const Fixed& fixed : fixed_) add(fixed, -along(fixed, v), v);
+  }
+
+  // (J^T J + D) d = J^T r + c: as large as the chain, not as the residual.
+  bool solve_primal(const Linearized& linear, double damping, double* out);
+
+  void prepare_normal(const Linearized& linear, double diagonal) {
+    std::copy(linear.normal.begin(), linear.normal.end(), matrix_.begin());
+    for (int d = 0; d < side_; ++d) matrix_[static_cast<std::size_t>(d) * side_ + d] += diagonal;
+  }
+
+  double& entry(int i, int j) {
+    return matrix_[static_cast<std::size_t>(std::max(i, j)) * side_ + std::min(i, j)];
+  }
+
+  // out = A v of the symmetric matrix.
+  void times_matrix(const double* v, double* out) {
+    for (int i = 0; i < side_; ++i) {
+      out[i] = 0;
+      for (int j = 0; j < side_; ++j) out[i] += entry(i, j) * v[j];
+    }
+  }
+
+  // A <- P A P + c c^T, P = 1 - c c^T: nothing moves along c, and nothing feels it.
+  void shut(const Fixed& fixed);
+
+  // (J J^T + D) z = r - J c / D, d = J^T z + c / D: as large as the residual, not as
+  // the chain.
+  bool solve_dual(const State& state, const Linearized& linear, double damping, double* out);
+
+  void take_out(const Fixed& fixed, const Linearized& linear);
+
+  // Conjugate gradients, stopped where the cost bends downwards (T. Steihaug, The
+  // conjugate gradient method and trust regions in large scale optimization, 1983), in the
+  // measure of J^T J and about what second derivatives add to it.
+  bool solve_curved(const State& state, const Linearized& linear, double damping, double most,
+                    double* out);
+
+  // How much second derivatives may bend the cost: forces and torques on the goals.
+  double bending(const State& state) const;
+
+  // The factor of J J^T + floor or J^T J + floor, what is fixed taken out.
+  bool prepare_measure(const Linearized& linear, double floor);
+
+  // free_ = (J^T J + floor)^-1 rest_
+  void measure_rest(const Linearized& linear, double floor);
+
+  const Task& task_;
+  Curvature curvature_;
+  const int side_;  // of the matrix
+  std::vector<double> matrix_, right_, image_, felt_, free_, search_, rest_, product_, turned_;
+  double turn_ = 0;
+  std::vector<Fixed> fixed_;
+  std::vector<Pinned> pinned_;
+};
+
+}  // namespace animtool::ik

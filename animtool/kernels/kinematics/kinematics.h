@@ -1,0 +1,41 @@
+// Joints and what they carry.
+#pragma once
+
+#include <cstdint>
+#include <optional>
+#include <tuple>
+
+#include "base/arrays.h"
+
+namespace animtool {
+
+Out<double, 3> euler_to_quaternion(In<double, 2> values, In<std::int32_t, 2> columns,
+                                   In<std::int32_t, 2> axes, In<double, 2> previous);
+
+Out<double, 3> quaternion_to_euler(In<double, 3> quaternions, In<std::int32_t, 2> axes);
+
+void forward_kinematics(In<std::int64_t, 1> parents, In<double, 3> translations,
+                        In<double, 3> rotations, std::optional<In<double, 3>> scales,
+                        Filled<double, 3> positions, Filled<double, 4> linear);
+
+// extents, error, frame, joint
+using RoundingReport = std::tuple<Out<double, 3>, double, std::size_t, std::size_t>;
+RoundingReport measure_rounding(In<std::int64_t, 1> parents, In<double, 3> translations,
+                                In<double, 3> rotations, std::optional<In<double, 3>> scales,
+                                In<float, 3> written_translations,
+                                In<float, 3> written_rotations,
+                                std::optional<In<float, 3>> written_scales);
+
+// rounded, error, frame, vertex
+using RoundedPoints = std::tuple<Out<float, 3>, double, std::size_t, std::size_t>;
+RoundedPoints round_points(In<double, 3> points, double unit);
+
+Out<double, 2> point_errors(In<double, 3> points, In<double, 3> true_positions,
+                            In<double, 4> true_linear, In<double, 3> positions,
+                            In<double, 4> linear);
+
+// rotations, stretches
+using Stretched = std::tuple<Out<double, 3>, Out<double, 4>>;
+Stretched split_stretch(In<double, 4> linear);
+
+}  // namespace animtool

@@ -1,0 +1,136 @@
+// Forces between molecules, whichever way a processor holds four numbers.
+//
+// Nothing here is shared between source files, which are built for other processors: W is
+// another type in each.
+#pragma once
+
+#include <cmath>
+
+#include "base/rows.h"
+#include "base/wide.h"
+#include "particles/molecules.h"
+
+namespace animtool {
+
+// Added to a number and taken away again, this leaves the nearest whole number.
+constexpr double MOLECULE_ROUND = 6755399441055744.0;
+constexpr double ROOT_PI = 1.7724538509055160273;
+
+template <class W>
+struct MoleculeLoops {
+  using D = Wide<W>;
+
+  // What is the same for all pairs.
+  struct Law {
+    D cutoff, from, width, box[3], over[3];
+    double shift, slope, damping, end;
+
+    explicit Law(const MoleculeSystem& system)
+        : cutoff(system.cutoff), from(system.from) {
+      const double gap = system.cutoff - system.from;
+      width = gap > 0 ? 1 / (gap * gap * gap) : 0.0;
+      for (std::size_t k = 0; k < 3; ++k) box[k] = system.box[k], over[k] = 1 / system.box[k];
+      damping = system.damping;
+      end = std::sqrt(system.cutoff);
+      shift = std::erfc(damping * end) / end;
+      slope = shift / end +
+              2 * damping / ROOT_PI * std::exp(-damping * damping * system.cutoff) / end;
+    }
+  };
+
+  // Energy of two charges of 1, and force over distance: damped, shifted to 0 at the cut-off
+  // with the force. C. J. Fennell, J. D. Gezelter, Journal of Chemical Physics 124, 2006.
+  static void coulomb(const Law& law, double squared, double& energy, double& force) {
+    const double r = std::sqrt(squared), decay = std::erfc(law.damping * r) / r;
+    const double bend =
+        2 * law.damping / ROOT_PI * std::exp(-law.damping * law.damping * squared);
+    energy = decay - law.shift + law.slope * (r - law.end);
+    force = (decay / r + bend / r - law.slope) / r;
+  }
+
+  template <bool switched, bool several, bool charged>
+  static double all(const MoleculeSystem& system, double* out) {
+    const Law law(system);
+    const D round = MOLECULE_ROUND;
+    D virial = 0.0;
+    D c12 = system.forces[0].twelve, c6 = system.forces[0].six;
+    for (std::size_t i = 0; i < system.count; ++i) {
+      const double* at = system.rows + 4 * i;
+      const D here[3] = {at[0], at[1], at[2]};
+      D sum[4] = {0.0, 0.0, 0.0, 0.0};
+      const MoleculeForce* forces =
+          several ? system.forces + static_cast<std::size_t>(system.kind[i]) * system.kinds
+                  : system.forces;
+      const std::int32_t* end = system.partners + system.starts[i + 1];
+      for (const std::int32_t* j = system.partners + system.starts[i]; j < end; j += WIDE) {
+        D off[4];
+        gather(system.rows, j, off);
+        D squared = 0.0;
+        for (std::size_t k = 0; k < 3; ++k) {
+          const D way = here[k] - off[k];
+          off[k] = way - law.box[k] * ((way * law.over[k] + round) - round);
+          squared = squared + off[k] * off[k];
+        }
+        const D within = below(squared, law.cutoff);
+        if (!bits(within)) continue;
+        if constexpr (several) {
+          double twelves[WIDE], sixes[WIDE];
+          for (std::size_t k = 0; k < WIDE; ++k) {
+            const MoleculeForce& force = forces[system.kind[j[k]]];
+            twelves[k] = force.twelve, sixes[k] = force.six;
+          }
+          c12 = D::of(twelves), c6 = D::of(sixes);
+        }
+        const D inverse = 1.0 / squared, third = inverse * inverse * inverse;
+        const D repels = c12 * third * third, attracts = c6 * third;
+        D energy = repels - attracts;
+        D force = 6.0 * inverse * (repels + energy);
+        if constexpr (switched) {
+          const D far = most(squared, law.from), left = law.cutoff - far;
+          const D share = left * left * (law.cutoff + 2.0 * far - 3.0 * law.from) * law.width;
+          const D bend = 12.0 * left * (far - law.from) * law.width;
+          force = share * force + bend * energy;
+          energy = share * energy;
+        }
+        if constexpr (charged) {
+          double squares[WIDE], energies[WIDE], pulls[WIDE];
+          squared.store(squares);
+          for (std::size_t k = 0; k < WIDE; ++k) {
+            energies[k] = pulls[k] = 0;
+            const double both = system.charges[i] * system.charges[j[k]];
+            if (both == 0 || !(squares[k] < system.cutoff)) continue;
+            coulomb(law, squares[k], energies[k], pulls[k]);
+            energies[k] *= both, pulls[k] *= both;
+          }
+          energy = energy + D::of(energies);
+          force = force + D::of(pulls);
+        }
+        force = kept(within, force);
+        energy = kept(within, 0.5 * energy);
+        virial = virial + kept(within, force * squared);
+        D parts[4] = {force * kept(within, off[0]), force * kept(within, off[1]),
+                      force * kept(within, off[2]), 0.0 - energy};
+        for (std::size_t k = 0; k < 4; ++k) sum[k] = sum[k] + parts[k];
+        scatter(parts, j, out);
+      }
+      for (std::size_t k = 0; k < 4; ++k)
+        out[4 * i + k] += k < 3 ? total(sum[k]) : -total(sum[k]);
+    }
+    return total(virial);
+  }
+
+  template <bool switched>
+  static double of_kinds(const MoleculeSystem& system, double* out) {
+    if (system.charges)
+      return all<switched, true, true>(system, out);
+    return system.kinds > 1 ? all<switched, true, false>(system, out)
+                            : all<switched, false, false>(system, out);
+  }
+
+  static double run(const MoleculeSystem& system, double* out) {
+    return system.from < system.cutoff ? of_kinds<true>(system, out)
+                                       : of_kinds<false>(system, out);
+  }
+};
+
+}  // namespace animtool

@@ -1,0 +1,226 @@
+// Rigid bodies as Python sees them.
+#include "rigid/bodies.h"
+
+#include <algorithm>
+
+#include "base/checks.h"
+#include "colliders/arrays.h"
+
+namespace animtool {
+
+namespace {
+
+using collide::load;
+using collide::store;
+using rigid::Turn;
+using rigid::Vec;
+
+constexpr std::size_t STATE = 14, JOINT = 27, CONTACT = 6, POSE = 7;
+
+Turn turn(const double* p) { return rigid::unit({p[0], p[1], p[2], p[3]}); }
+
+void check_turn(const char* name, const double* p) {
+  if (!(p[0] * p[0] + p[1] * p[1] + p[2] * p[2] + p[3] * p[3] > 1e-20))
+    check::refuse(name, "a rotation has no direction");
+}
+
+// Numbers that ascend from 0 to an end.
+void check_starts(const char* name, const In<std::int64_t, 1>& starts, std::size_t count,
+                  std::size_t end) {
+  check::shape(name, starts, {count + 1});
+  const std::int64_t* at = starts.data();
+  for (std::size_t i = 0; i < count; ++i)
+    if (at[i] > at[i + 1]) check::refuse(name, "they do not ascend");
+  if (at[0] != 0 || at[count] != static_cast<std::int64_t>(end))
+    check::refuse(name, "they are not from 0 to " + check::text(static_cast<std::int64_t>(end)));
+}
+
+}  // namespace
+
+RigidBodies::RigidBodies(In<double, 2> inertias, In<std::int64_t, 1> bodies,
+                         In<double, 2> numbers, In<double, 2> points,
+                         In<std::int64_t, 1> point_starts, In<std::int64_t, 1> face_starts,
+                         In<std::int64_t, 1> corner_starts, In<std::int64_t, 1> corners,
+                         In<std::int64_t, 2> joints, In<double, 2> joint_numbers,
+                         In<std::int64_t, 2> apart) {
+  const std::size_t count = inertias.shape(0), shapes = bodies.shape(0);
+  check::shape("inertias", inertias, {check::ANY, 4});
+  check::finite("inertias", inertias);
+  check::at_most("inertias", count, check::MOST_ROWS);
+  check::at_most("bodies", shapes, check::MOST_ROWS);
+  check::indices("bodies", bodies, 0, static_cast<std::int64_t>(count));
+  check::shape("numbers", numbers, {shapes, 3});
+  check::finite("numbers", numbers);
+  check::shape("points", points, {check::ANY, 3});
+  check::finite("points", points);
+  check_starts("point_starts", point_starts, shapes, points.shape(0));
+  const std::size_t faces = corner_starts.shape(0) ? corner_starts.shape(0) - 1 : 0;
+  check_starts("face_starts", face_starts, shapes, faces);
+  check_starts("corner_starts", corner_starts, faces, corners.shape(0));
+  world_.bodies.resize(count);
+  for (std::size_t i = 0; i < count; ++i) {
+    const double* in = inertias.data() + 4 * i;
+    check::positive("inertias", in[0]);
+    world_.bodies[i].ease = 1 / in[0];
+    for (int k = 0; k < 3; ++k) {
+      check::not_negative("inertias", in[k + 1]);
+      world_.bodies[i].turning.of[k] = in[k + 1] > 0 ? 1 / in[k + 1] : 0;
+    }
+  }
+  world_.shapes.resize(shapes);
+  for (std::size_t s = 0; s < shapes; ++s) {
+    rigid::Shape& shape = world_.shapes[s];
+    shape.body = static_cast<std::size_t>(bodies.data()[s]);
+    if (s && shape.body < world_.shapes[s - 1].body)
+      check::refuse("bodies", "they do not ascend");
+    const double* n = numbers.data() + 3 * s;
+    check::not_negative("numbers", n[0]);
+    check::between("numbers", n[1], 0, 1);
+    check::not_negative("numbers", n[2]);
+    shape.core.radius = n[0], shape.material = {n[1], n[2]};
+    const std::int64_t from = point_starts.data()[s], to = point_starts.data()[s + 1];
+    if (from == to) check::refuse("point_starts", "a shape has no points");
+    for (std::int64_t p = from; p < to; ++p) shape.core.points.push_back(load(points.data() + 3 * p));
+    for (std::int64_t f = face_starts.data()[s]; f < face_starts.data()[s + 1]; ++f) {
+      const std::int64_t a = corner_starts.data()[f], b = corner_starts.data()[f + 1];
+      if (b - a < 3) check::refuse("corner_starts", "a face has fewer than 3 corners");
+      check::indices("corners", corners.data() + a, static_cast<std::size_t>(b - a), 0, to - from);
+      for (std::int64_t k = a; k < b; ++k)
+        shape.core.loops.push_back(static_cast<int>(corners.data()[k]));
+      shape.core.starts.push_back(static_cast<int>(shape.core.loops.size()));
+    }
+    if (shape.core.starts.size() == 1 && to - from > 2)
+      check::refuse("face_starts", "a shape of more than two points has no faces");
+    shape.core.finish();
+    rigid::Body& body = world_.bodies[shape.body];
+    body.reach = std::max(body.reach, shape.core.reach);
+  }
+  read_joints(joints, joint_numbers);
+  check::shape("apart", apart, {check::ANY, 2});
+  check::at_most("apart", apart.shape(0), check::MOST_ROWS);
+  for (std::size_t k = 0; k < apart.shape(0); ++k) {
+    check::between("apart", apart.data()[2 * k], 0, static_cast<std::int64_t>(count) - 1);
+    check::between("apart", apart.data()[2 * k + 1], 0,
+                   static_cast<std::int64_t>(count + check::MOST_ROWS));
+  }
+  for (std::size_t k = 0; k < apart.shape(0); ++k)
+    keep_apart(apart.data()[2 * k], apart.data()[2 * k + 1]);
+  std::sort(world_.apart.begin(), world_.apart.end());
+}
+
+void RigidBodies::read_joints(const In<std::int64_t, 2>& joints, const In<double, 2>& numbers) {
+  const std::size_t count = joints.shape(0);
+  check::shape("joints", joints, {check::ANY, 3});
+  check::shape("joint_numbers", numbers, {count, JOINT});
+  check::finite("joint_numbers", numbers);
+  const auto bodies = static_cast<std::int64_t>(world_.bodies.size());
+  for (std::size_t k = 0; k < count; ++k) {
+    const std::int64_t* in = joints.data() + 3 * k;
+    const double* n = numbers.data() + JOINT * k;
+    check::between("joints", in[0], 0, 3);
+    check::between("joints", in[1], -1, bodies - 1);
+    check::between("joints", in[2], 0, bodies - 1);
+    if (in[1] == in[2]) check::refuse("joints", "a body is joined to itself");
+    for (const int at : {3, 10, 19}) check_turn("joint_numbers", n + at);
+    rigid::Joint joint;
+    joint.kind = static_cast<rigid::Joined>(in[0]);
+    joint.a = in[1], joint.b = static_cast<std::size_t>(in[2]);
+    joint.on_a = {load(n), turn(n + 3)}, joint.on_b = {load(n + 7), turn(n + 10)};
+    joint.low = n[14], joint.high = n[15], joint.swing[0] = n[16], joint.swing[1] = n[17];
+    joint.target = n[18], joint.goal = turn(n + 19);
+    check::not_negative("joint_numbers", n[23]);
+    check::not_negative("joint_numbers", n[24]);
+    joint.stiffness = n[23], joint.damping = n[24], joint.most = n[25];
+    joint.speed = n[26];
+    world_.joints.push_back(joint);
+  }
+}
+
+void RigidBodies::keep_apart(std::int64_t one, std::int64_t other) {
+  const auto a = static_cast<std::uint64_t>(one), b = static_cast<std::uint64_t>(other);
+  world_.apart.push_back(std::min(a, b) << 32 | std::max(a, b));
+}
+
+RigidStepped step_rigid(const RigidBodies& bodies, In<double, 2> state, In<std::int64_t, 2> pairs,
+                        In<double, 2> contacts, In<double, 2> held, In<double, 2> forces,
+                        ColliderArrays colliders, In<double, 3> anchors, double step,
+                        std::int64_t method, std::int64_t substeps, std::int64_t rounds,
+                        double tolerance, double drowsy, double rest) {
+  const rigid::World& world = bodies.world();
+  const std::size_t count = world.bodies.size(), joints = world.joints.size();
+  const std::size_t kept_count = pairs.shape(0);
+  check::shape("state", state, {count, STATE});
+  check::finite("state", state);
+  check::shape("pairs", pairs, {check::ANY, 2});
+  check::shape("contacts", contacts, {kept_count, CONTACT});
+  check::finite("contacts", contacts);
+  check::shape("held", held, {joints, rigid::ROWS});
+  check::finite("held", held);
+  check::shape("forces", forces, {count, 6});
+  check::finite("forces", forces);
+  check::shape("anchors", anchors, {joints, 2, POSE});
+  check::finite("anchors", anchors);
+  check::positive("step", step);
+  check::between("method", method, 0, 3);
+  check::between("substeps", substeps, 1, 1000);
+  check::between("rounds", rounds, 1, 100000);
+  check::not_negative("tolerance", tolerance);
+  check::not_negative("drowsy", drowsy);
+  check::not_negative("rest", rest);
+  const std::vector<collide::Collider> all = read_colliders(colliders);
+  const auto shapes = static_cast<std::int64_t>(world.shapes.size());
+  std::vector<rigid::State> states(count);
+  for (std::size_t i = 0; i < count; ++i) {
+    const double* in = state.data() + STATE * i;
+    check_turn("state", in + 3);
+    states[i] = {load(in), load(in + 7), load(in + 10), turn(in + 3), in[13]};
+  }
+  std::vector<rigid::Kept> kept(kept_count);
+  for (std::size_t i = 0; i < kept_count; ++i) {
+    const std::int64_t* pair = pairs.data() + 2 * i;
+    check::between("pairs", pair[0], 0, shapes - 1);
+    check::between("pairs", pair[1], 0, shapes + static_cast<std::int64_t>(all.size()) - 1);
+    kept[i] = {pair[0], pair[1], load(contacts.data() + CONTACT * i),
+               load(contacts.data() + CONTACT * i + 3)};
+    if (i && (kept[i].first != kept[i - 1].first ? kept[i].first < kept[i - 1].first
+                                                 : kept[i].second < kept[i - 1].second))
+      check::refuse("pairs", "they do not ascend");
+  }
+  std::vector<std::array<double, rigid::ROWS>> impulses(joints);
+  std::vector<collide::Motion> frames(joints);
+  for (std::size_t k = 0; k < joints; ++k) {
+    std::copy_n(held.data() + rigid::ROWS * k, rigid::ROWS, impulses[k].begin());
+    const double* pose = anchors.data() + 2 * POSE * k;
+    check_turn("anchors", pose + 3), check_turn("anchors", pose + POSE + 3);
+    frames[k] = collide::Motion(pose, pose + POSE);
+  }
+  rigid::Report report;
+  std::vector<Vec> pushes(count), twists(count);
+  for (std::size_t i = 0; i < count; ++i) {
+    pushes[i] = load(forces.data() + 6 * i), twists[i] = load(forces.data() + 6 * i + 3);
+  }
+  const rigid::Settings settings{static_cast<rigid::Method>(method), static_cast<int>(substeps),
+                                 static_cast<int>(rounds), tolerance, drowsy, rest};
+  report = rigid::step_world(world, states, kept, impulses, pushes, twists, all, frames,
+                             settings, step);
+  Out<double, 2> moved(count, STATE), touching(kept.size(), CONTACT), holding(joints, rigid::ROWS);
+  Out<std::int64_t, 2> touched(kept.size(), 2);
+  for (std::size_t i = 0; i < count; ++i) {
+    double* to = moved.get() + STATE * i;
+    const rigid::State& s = states[i];
+    store(s.at, to), store(s.velocity, to + 7), store(s.momentum, to + 10);
+    to[3] = s.turn.x, to[4] = s.turn.y, to[5] = s.turn.z, to[6] = s.turn.w, to[13] = s.idle;
+  }
+  for (std::size_t i = 0; i < kept.size(); ++i) {
+    touched.get()[2 * i] = kept[i].first, touched.get()[2 * i + 1] = kept[i].second;
+    store(kept[i].at, touching.get() + CONTACT * i), store(kept[i].force, touching.get() + CONTACT * i + 3);
+  }
+  for (std::size_t k = 0; k < joints; ++k)
+    std::copy_n(impulses[k].begin(), rigid::ROWS, holding.get() + rigid::ROWS * k);
+  return {std::move(moved), std::move(touched), std::move(touching),
+          std::move(holding), report.deepest, report.residual, report.contacts,
+          report.rounds, report.awake, report.unsolved, report.first, report.second,
+          report.follows, report.drive};
+}
+
+}  // namespace animtool

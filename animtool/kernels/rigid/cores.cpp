@@ -1,0 +1,492 @@
+// Where convex bodies touch: the axis that parts two most (Gottschalk 1996, "Separating axis
+// theorem for oriented bounding boxes"; edges by Gauss maps as of Gregorius 2013, "The separating
+// axis test between convex polyhedra"), and points by clipping one face against another.
+#include "rigid/cores.h"
+
+#include <algorithm>
+#include <cmath>
+#include <map>
+#include <utility>
+
+namespace animtool::rigid {
+
+namespace {
+
+constexpr double FAR = std::numeric_limits<double>::infinity();
+// Of axes that part alike, faces go before edges, and those of the first body before those of
+// the second: by this share of the sizes, so that rounding does not change the points.
+constexpr double PREFER = 1e-3;
+// And of those that overlap, this share of the depth: an edge that leans but little from a face
+// has one point, and would let go of the others.
+constexpr double PREFER_DEEP = 0.1;
+// The square of a sine below which two edges are parallel.
+constexpr double PARALLEL = 1e-12;
+// How exactly the faces of a box are at right angles.
+constexpr double EXACT = 1e-12;
+// The sine below which a segment lies on a face.
+constexpr double LIES = 1e-2;
+
+struct Segment {
+  Vec from, to;
+};
+
+// The nearest points of two segments: Ericson (2005), Real-Time Collision Detection, 5.1.9.
+std::pair<Vec, Vec> nearest(const Segment& p, const Segment& q) {
+  const Vec d = p.to - p.from, e = q.to - q.from, r = p.from - q.from;
+  const double a = dot(d, d), b = dot(e, e), f = dot(e, r);
+  double s = 0, t = 0;
+  if (a > 0 && b > 0) {
+    const double c = dot(d, r), m = dot(d, e), whole = a * b - m * m;
+    s = whole > PARALLEL * a * b ? std::clamp((m * f - c * b) / whole, 0.0, 1.0) : 0.0;
+    t = (m * s + f) / b;
+    if (t < 0 || t > 1) {
+      t = std::clamp(t, 0.0, 1.0);
+      s = std::clamp((m * t - c) / a, 0.0, 1.0);
+    }
+  } else if (a > 0) {
+    s = std::clamp(-dot(d, r) / a, 0.0, 1.0);
+  } else if (b > 0) {
+    t = std::clamp(f / b, 0.0, 1.0);
+  }
+  return {p.from + d * s, q.from + e * t};
+}
+
+Vec corner(const Placed& p, std::size_t face, int k) {
+  return p.points[p.core->loops[static_cast<std::size_t>(p.core->starts[face] + k)]];
+}
+
+int corners(const Placed& p, std::size_t face) {
+  return p.core->starts[face + 1] - p.core->starts[face];
+}
+
+Vec along(const Placed& p, const Edge& e) { return p.points[e.to] - p.points[e.from]; }
+
+// The point of a face that is nearest to another point.
+Vec nearest_on_face(const Placed& p, std::size_t face, Vec at) {
+  const Vec n = p.normals[face];
+  const int count = corners(p, face);
+  bool within = true;
+  Vec best;
+  double least = FAR;
+  for (int k = 0; k < count; ++k) {
+    const Vec a = corner(p, face, k), b = corner(p, face, (k + 1) % count), side = b - a;
+    if (dot(cross(side, at - a), n) >= 0) continue;
+    within = false;
+    const double share = std::clamp(dot(at - a, side) / dot(side, side), 0.0, 1.0);
+    const Vec on = a + side * share;
+    const double squared = dot(at - on, at - on);
+    if (squared < least) least = squared, best = on;
+  }
+  return within ? at - n * (dot(n, at) - p.offset(face)) : best;
+}
+
+// Adds points where a segment, or a face, that is clipped to the sides of another lies near it.
+void clip(const Placed& ref, std::size_t face, std::vector<Vec>& loop, std::vector<Vec>& spare) {
+  const Vec n = ref.normals[face];
+  const int count = corners(ref, face);
+  for (int k = 0; k < count && !loop.empty(); ++k) {
+    const Vec a = corner(ref, face, k), out = cross(corner(ref, face, (k + 1) % count) - a, n);
+    spare.clear();
+    const std::size_t size = loop.size();
+    for (std::size_t i = 0; i < size; ++i) {
+      const Vec p = loop[i], q = loop[(i + 1) % size];
+      const double u = dot(out, p - a), v = dot(out, q - a);
+      if (u <= 0) spare.push_back(p);
+      if ((u < 0 && v > 0) || (u > 0 && v < 0)) spare.push_back(p + (q - p) * (u / (u - v)));
+    }
+    loop.swap(spare);
+  }
+}
+
+// Points of a face of the reference against what is clipped to it. The normal is that face's.
+void face_points(const Placed& ref, std::size_t face, const std::vector<Vec>& loop, double skin,
+                 double ref_radius, double reach, std::vector<Touching>& found) {
+  const Vec n = ref.normals[face];
+  const double offset = ref.offset(face);
+  for (Vec p : loop) {
+    const double height = dot(n, p) - offset, gap = height - skin;
+    if (gap > reach) continue;
+    found.push_back({p - n * (height - ref_radius - gap / 2), gap});
+  }
+}
+
+int facing(const Placed& p, Vec n) {
+  int best = 0;
+  double least = FAR;
+  for (std::size_t i = 0; i < p.core->faces(); ++i) {
+    const double d = dot(p.normals[i], n);
+    if (d < least) least = d, best = static_cast<int>(i);
+  }
+  return best;
+}
+
+struct Scratch {
+  std::vector<Vec> loop, spare;
+  std::vector<Touching> found;
+};
+
+Scratch& scratch() {
+  thread_local Scratch room;
+  return room;
+}
+
+Manifold of_face(const Placed& ref, const Placed& other, int face, bool turned, double reach) {
+  Scratch& room = scratch();
+  room.loop.clear(), room.found.clear();
+  const Vec n = ref.normals[static_cast<std::size_t>(face)];
+  const Core& core = *other.core;
+  if (core.faces()) {
+    const auto against = static_cast<std::size_t>(facing(other, n));
+    for (int k = 0; k < corners(other, against); ++k) room.loop.push_back(corner(other, against, k));
+  } else {
+    room.loop.assign(other.points, other.points + core.points.size());
+  }
+  clip(ref, static_cast<std::size_t>(face), room.loop, room.spare);
+  const double skin = ref.core->radius + core.radius;
+  face_points(ref, static_cast<std::size_t>(face), room.loop, skin, ref.core->radius, reach,
+              room.found);
+  Manifold made;
+  made.normal = turned ? -n : n;
+  keep_four(room.found, n, made);
+  return made;
+}
+
+Manifold of_points(Vec a, Vec b, Vec normal, double radius_a, double radius_b) {
+  Manifold made;
+  made.normal = normal;
+  const double gap = dot(b - a, normal) - radius_a - radius_b;
+  made.points[0] = {a + normal * (radius_a + gap / 2), gap};
+  made.count = 1;
+  return made;
+}
+
+// Two of which neither has faces: balls and capsules.
+Manifold meet_round(const Placed& a, const Placed& b, double reach) {
+  const auto segment = [](const Placed& p) {
+    return Segment{p.points[0], p.points[p.core->points.size() - 1]};
+  };
+  const Segment p = segment(a), q = segment(b);
+  const auto [on_a, on_b] = nearest(p, q);
+  const Vec off = on_b - on_a;
+  const Vec d = p.to - p.from, e = q.to - q.from;
+  const Vec crossed = cross(d, e);
+  const double sized = dot(d, d) * dot(e, e);
+  Vec aside = direction(crossed, {0, 1, 0});
+  if (!(dot(crossed, crossed) > PARALLEL * sized) && dot(d, d) > 0)
+    aside = collide::across(direction(d, {1, 0, 0}));
+  const Vec normal = length(off) > 0 ? off * (1 / length(off)) : aside;
+  const double ra = a.core->radius, rb = b.core->radius;
+  Manifold made = of_points(on_a, on_b, normal, ra, rb);
+  if (made.points[0].gap > reach) made.count = 0;
+  // Two that are parallel touch along a line.
+  if (!made.count || !(sized > 0) || dot(crossed, crossed) > LIES * LIES * sized) return made;
+  const double size = dot(d, d);
+  double low = dot(q.from - p.from, d) / size, high = dot(q.to - p.from, d) / size;
+  if (low > high) std::swap(low, high);
+  low = std::max(low, 0.0), high = std::min(high, 1.0);
+  if (!(low < high)) return made;
+  Scratch& room = scratch();
+  room.found.clear();
+  for (const double s : {low, high}) {
+    const Vec at = p.from + d * s;
+    const double t = std::clamp(dot(at - q.from, e) / dot(e, e), 0.0, 1.0);
+    const double gap = dot(q.from + e * t - at, normal) - ra - rb;
+    if (gap <= reach) room.found.push_back({at + normal * (ra + gap / 2), gap});
+  }
+  keep_four(room.found, normal, made);
+  return made;
+}
+
+// The points of a core with faces and of a round one that are nearest to each other, where they
+// do not overlap.
+std::pair<Vec, Vec> nearest_of(const Placed& solid, const Placed& round) {
+  std::pair<Vec, Vec> best;
+  double least = FAR;
+  const auto look = [&](Vec on, Vec off) {
+    const double squared = dot(off - on, off - on);
+    if (squared < least) least = squared, best = {on, off};
+  };
+  const std::size_t ends = round.core->points.size();
+  for (std::size_t i = 0; i < ends; ++i) {
+    const Vec at = round.points[i];
+    for (std::size_t f = 0; f < solid.core->faces(); ++f)
+      if (dot(solid.normals[f], at) > solid.offset(f)) look(nearest_on_face(solid, f, at), at);
+  }
+  if (ends > 1)
+    for (const Edge& e : solid.core->edges) {
+      const auto [on, off] = nearest({solid.points[e.from], solid.points[e.to]},
+                                     {round.points[0], round.points[1]});
+      look(on, off);
+    }
+  return best;
+}
+
+Manifold meet_solid(const Placed& solid, const Placed& round, double reach) {
+  const double skin = solid.core->radius + round.core->radius;
+  const Axis axis = parting_axis(solid, round, reach + skin);
+  if (axis.gap > reach + skin) return {};
+  Vec normal = axis.normal;
+  Vec on, off;
+  if (axis.gap > 0) {
+    std::tie(on, off) = nearest_of(solid, round);
+    normal = direction(off - on, axis.normal);
+    if (dot(off - on, normal) > reach + skin) return {};
+  }
+  const int face = axis.kind == Axis::FIRST ? axis.first : -1;
+  const bool flush = face >= 0 && dot(normal, solid.normals[face]) > 1 - LIES * LIES / 2;
+  if (round.core->points.size() > 1 && flush) {
+    const Vec d = round.points[1] - round.points[0];
+    const double tilt = dot(d, solid.normals[face]);
+    if (tilt * tilt <= LIES * dot(d, d)) {
+      const Manifold made = of_face(solid, round, face, false, reach);
+      if (made.count > 1) return made;
+    }
+  }
+  if (axis.gap > 0) return of_points(on, off, normal, solid.core->radius, round.core->radius);
+  if (axis.kind == Axis::EDGES) {
+    const auto [p, q] = nearest({axis.edge_a[0], axis.edge_a[1]}, {axis.edge_b[0], axis.edge_b[1]});
+    return of_points(p, q, normal, solid.core->radius, round.core->radius);
+  }
+  // Overlapping at a face: the deepest point of the round one.
+  Vec deepest = round.points[0];
+  for (std::size_t i = 1; i < round.core->points.size(); ++i)
+    if (dot(normal, round.points[i]) < dot(normal, deepest)) deepest = round.points[i];
+  const Vec below = deepest - normal * axis.gap;
+  return of_points(below, deepest, normal, solid.core->radius, round.core->radius);
+}
+
+Manifold turned(Manifold made) {
+  made.normal = -made.normal;
+  return made;
+}
+
+// Whether two edges make a face of the Minkowski difference.
+bool arcs_cross(Vec a, Vec b, Vec c, Vec d) {
+  const Vec ba = cross(b, a), dc = cross(d, c);
+  const double cba = dot(c, ba), dba = dot(d, ba), adc = dot(a, dc), bdc = dot(b, dc);
+  return cba * dba < 0 && adc * bdc < 0 && cba * bdc > 0;
+}
+
+void look_at_faces(const Placed& a, const Placed& b, bool first, double slack, double reach,
+                   Axis& best) {
+  for (std::size_t f = 0; f < a.core->faces(); ++f) {
+    const Vec n = a.normals[f];
+    const double gap = b.lowest(n) - a.offset(f);
+    if (gap > best.gap + slack) {
+      best.gap = gap, best.normal = first ? n : -n;
+      best.kind = first ? Axis::FIRST : Axis::SECOND;
+      (first ? best.first : best.second) = static_cast<int>(f);
+    }
+    if (gap > reach) return;
+  }
+}
+
+// The axis of two boxes: of 15 that can part them, by half their sides.
+Axis parting_boxes(const Placed& a, const Placed& b, double reach, double slack) {
+  const Vec off = b.centre - a.centre;
+  Vec own[3], far[3];
+  double half[3], other[3], turn[3][3], size[3][3], at[3], seen[3];
+  for (int i = 0; i < 3; ++i) {
+    const auto face = static_cast<std::size_t>(2 * i);
+    own[i] = a.normals[face], far[i] = b.normals[face];
+    half[i] = a.core->half[i], other[i] = b.core->half[i];
+    at[i] = dot(off, own[i]), seen[i] = dot(off, far[i]);
+  }
+  Axis best;
+  const auto try_face = [&](double gap, double along, Vec n, bool first, int i) {
+    if (!(gap > best.gap + (first || best.kind == Axis::NONE ? 0 : slack))) return;
+    // Faces of the first look to the second, and the other way round.
+    best.gap = gap, best.normal = along < 0 ? -n : n;
+    best.kind = first ? Axis::FIRST : Axis::SECOND;
+    (first ? best.first : best.second) = 2 * i + (first ? along < 0 : along > 0);
+  };
+  for (int i = 0; i < 3; ++i) {
+    double wide = half[i];
+    for (int j = 0; j < 3; ++j) {
+      turn[i][j] = dot(own[i], far[j]);
+      size[i][j] = std::fabs(turn[i][j]);
+      wide += other[j] * size[i][j];
+    }
+    try_face(std::fabs(at[i]) - wide, at[i], own[i], true, i);
+    if (best.gap > reach) return best;
+  }
+  for (int j = 0; j < 3; ++j) {
+    const double wide = other[j] + half[0] * size[0][j] + half[1] * size[1][j] + half[2] * size[2][j];
+    try_face(std::fabs(seen[j]) - wide, seen[j], far[j], false, j);
+    if (best.gap > reach) return best;
+  }
+  int edge_i = -1, edge_j = -1;
+  for (int i = 0; i < 3; ++i) {
+    const int i1 = (i + 1) % 3, i2 = (i + 2) % 3;
+    for (int j = 0; j < 3; ++j) {
+      const double squared = 1 - turn[i][j] * turn[i][j];
+      if (squared <= PARALLEL) continue;
+      const int j1 = (j + 1) % 3, j2 = (j + 2) % 3;
+      const double wide = half[i1] * size[i2][j] + half[i2] * size[i1][j] +
+                          other[j1] * size[i][j2] + other[j2] * size[i][j1];
+      const double along = at[i2] * turn[i1][j] - at[i1] * turn[i2][j];
+      const double gap = (std::fabs(along) - wide) / std::sqrt(squared);
+      if (gap <= best.gap + slack + PREFER_DEEP * std::max(-best.gap, 0.0)) continue;
+      best.gap = gap, best.kind = Axis::EDGES, edge_i = i, edge_j = j;
+      const Vec n = direction(cross(own[i], far[j]), {0, 1, 0});
+      best.normal = dot(n, off) < 0 ? -n : n;
+      if (gap > reach) return best;
+    }
+  }
+  if (best.kind != Axis::EDGES) return best;
+  Vec p = a.centre, q = b.centre;
+  for (int k = 0; k < 3; ++k) {
+    if (k != edge_i) p = p + own[k] * std::copysign(half[k], dot(own[k], best.normal));
+    if (k != edge_j) q = q - far[k] * std::copysign(other[k], dot(far[k], best.normal));
+  }
+  const Vec u = own[edge_i] * half[edge_i], v = far[edge_j] * other[edge_j];
+  best.edge_a[0] = p - u, best.edge_a[1] = p + u;
+  best.edge_b[0] = q - v, best.edge_b[1] = q + v;
+  return best;
+}
+
+}  // namespace
+
+void Core::finish() {
+  normals.clear(), offsets.clear(), edges.clear();
+  centre = {};
+  for (Vec p : points) centre = centre + p * (1.0 / static_cast<double>(points.size()));
+  std::map<std::pair<int, int>, int> sides;
+  for (std::size_t f = 0; f + 1 < starts.size(); ++f) {
+    Vec sum;
+    const int begin = starts[f], end = starts[f + 1];
+    const Vec base = points[static_cast<std::size_t>(loops[static_cast<std::size_t>(begin)])];
+    const auto at = [&](int k) { return points[static_cast<std::size_t>(loops[static_cast<std::size_t>(k)])]; };
+    for (int k = begin + 1; k + 1 < end; ++k) sum = sum + cross(at(k) - base, at(k + 1) - base);
+    const Vec n = direction(sum, {0, 1, 0});
+    double offset = -FAR;
+    for (int k = begin; k < end; ++k) {
+      offset = std::max(offset, dot(n, at(k)));
+      const int from = loops[static_cast<std::size_t>(k)];
+      const int to = loops[static_cast<std::size_t>(k + 1 < end ? k + 1 : begin)];
+      const auto other = sides.find({to, from});
+      if (other == sides.end()) {
+        sides[{from, to}] = static_cast<int>(f);
+      } else {
+        edges.push_back({to, from, other->second, static_cast<int>(f)});
+      }
+    }
+    normals.push_back(n), offsets.push_back(offset);
+  }
+  reach = 0;
+  for (Vec p : points) reach = std::max(reach, length(p));
+  reach += radius;
+  find_box();
+}
+
+// Six faces, each pair opposite and at right angles to the others.
+void Core::find_box() {
+  box = false;
+  if (normals.size() != 6 || points.size() != 8) return;
+  for (std::size_t i = 0; i < 3; ++i) {
+    const Vec n = normals[2 * i];
+    if (dot(n, normals[2 * i + 1]) > EXACT - 1) return;
+    if (std::fabs(dot(n, normals[(2 * i + 2) % 6])) > EXACT) return;
+    half[i] = (offsets[2 * i] + offsets[2 * i + 1]) / 2;
+  }
+  box = true;
+}
+
+Axis parting_axis(const Placed& a, const Placed& b, double reach) {
+  const double size = std::min(a.core->reach, b.core->reach);
+  const double slack = PREFER * size;
+  if (a.core->box && b.core->box) return parting_boxes(a, b, reach, slack);
+  Axis best;
+  look_at_faces(a, b, true, 0, reach, best);
+  if (best.gap > reach) return best;
+  look_at_faces(b, a, false, best.kind == Axis::NONE ? 0 : slack, reach, best);
+  if (best.gap > reach) return best;
+  const bool whole = a.core->faces() > 2 && b.core->faces() > 2;
+  const auto try_edges = [&](Vec normal, double gap, Vec a0, Vec a1, Vec b0, Vec b1) {
+    if (gap > best.gap + slack + PREFER_DEEP * std::max(-best.gap, 0.0))
+      best = {gap, normal, Axis::EDGES, -1, -1, {a0, a1}, {b0, b1}};
+  };
+  if (whole) {
+    for (std::size_t i = 0; i < a.core->edges.size(); ++i) {
+      const Edge& e = a.core->edges[i];
+      const Vec na = a.normals[e.left], nb = a.normals[e.right], u = along(a, e);
+      for (std::size_t j = 0; j < b.core->edges.size(); ++j) {
+        const Edge& f = b.core->edges[j];
+        if (!arcs_cross(na, nb, -b.normals[f.left], -b.normals[f.right])) continue;
+        const Vec v = along(b, f);
+        Vec n = cross(u, v);
+        const double squared = dot(n, n);
+        if (squared <= PARALLEL * dot(u, u) * dot(v, v)) continue;
+        n = n * (1 / std::sqrt(squared));
+        if (dot(n, a.points[e.from] - a.centre) < 0) n = -n;
+        try_edges(n, dot(n, b.points[f.from] - a.points[e.from]), a.points[e.from],
+                  a.points[e.to], b.points[f.from], b.points[f.to]);
+        if (best.gap > reach) return best;
+      }
+    }
+    return best;
+  }
+  // Of a triangle or a segment every pair of edges counts.
+  const auto edge_count = [](const Placed& p) {
+    return p.core->faces() ? p.core->edges.size() : p.core->points.size() - 1;
+  };
+  const auto edge_of = [](const Placed& p, std::size_t i) -> Segment {
+    if (!p.core->faces()) return {p.points[0], p.points[1]};
+    return {p.points[p.core->edges[i].from], p.points[p.core->edges[i].to]};
+  };
+  for (std::size_t i = 0; i < edge_count(a); ++i)
+    for (std::size_t j = 0; j < edge_count(b); ++j) {
+      const Segment e = edge_of(a, i), f = edge_of(b, j);
+      const Vec u = e.to - e.from, v = f.to - f.from;
+      Vec n = cross(u, v);
+      const double squared = dot(n, n);
+      if (squared <= PARALLEL * dot(u, u) * dot(v, v)) continue;
+      n = n * (1 / std::sqrt(squared));
+      if (dot(n, b.centre - a.centre) < 0) n = -n;
+      try_edges(n, b.lowest(n) + a.lowest(-n), e.from, e.to, f.from, f.to);
+      if (best.gap > reach) return best;
+    }
+  return best;
+}
+
+Manifold meet(const Placed& a, const Placed& b, double reach) {
+  if (!a.core->faces()) return b.core->faces() ? turned(meet_solid(b, a, reach))
+                                               : meet_round(a, b, reach);
+  if (!b.core->faces()) return meet_solid(a, b, reach);
+  const double skin = a.core->radius + b.core->radius;
+  const Axis axis = parting_axis(a, b, reach + skin);
+  if (axis.gap > reach + skin) return {};
+  if (axis.kind == Axis::FIRST) return of_face(a, b, axis.first, false, reach);
+  if (axis.kind == Axis::SECOND) return of_face(b, a, axis.second, true, reach);
+  const auto [p, q] = nearest({axis.edge_a[0], axis.edge_a[1]}, {axis.edge_b[0], axis.edge_b[1]});
+  return of_points(p, q, axis.normal, a.core->radius, b.core->radius);
+}
+
+void keep_four(std::vector<Touching>& points, Vec normal, Manifold& into) {
+  into.count = 0;
+  if (points.size() <= MOST_POINTS) {
+    for (const Touching& p : points) into.points[static_cast<std::size_t>(into.count++)] = p;
+    return;
+  }
+  const auto take = [&](auto score) {
+    std::size_t best = 0;
+    double most = -FAR;
+    for (std::size_t i = 0; i < points.size(); ++i) {
+      const double s = score(points[i]);
+      if (s > most) most = s, best = i;
+    }
+    const Touching found = points[best];
+    points.erase(points.begin() + static_cast<std::ptrdiff_t>(best));
+    into.points[static_cast<std::size_t>(into.count++)] = found;
+    return found.at;
+  };
+  const Vec a = take([](const Touching& p) { return -p.gap; });
+  const Vec b = take([&](const Touching& p) { return dot(p.at - a, p.at - a); });
+  const Vec side = cross(b - a, normal);
+  const auto away = [&](const Touching& p) { return dot(side, p.at - a); };
+  const Vec c = take([&](const Touching& p) { return std::fabs(away(p)); });
+  const double sign = dot(side, c - a) < 0 ? -1 : 1;
+  take([&](const Touching& p) { return -sign * away(p); });
+}
+
+}  // namespace animtool::rigid

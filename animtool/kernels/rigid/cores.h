@@ -1,0 +1,111 @@
+// Convex bodies as rigid bodies meet them: a core of points, and a radius about it.
+#pragma once
+
+#include <array>
+#include <limits>
+#include <vector>
+
+#include "base/poses.h"
+
+namespace animtool::rigid {
+
+using collide::Pose;
+using collide::Vec;
+using collide::direction;
+using collide::length;
+
+struct Edge {
+  int from, to;     // points
+  int left, right;  // faces on both sides
+};
+
+// A ball has one point, a capsule two, and both have no faces; a triangle has two faces.
+struct Core {
+  std::vector<Vec> points;
+  std::vector<int> starts{0}, loops;  // corners of each face, counter-clockwise from outside
+  std::vector<Vec> normals;
+  std::vector<double> offsets;
+  std::vector<Edge> edges;
+  double radius = 0;
+  bool box = false;  // faces are those of a box, in pairs along axes at right angles
+  double half[3] = {0, 0, 0};  // of its sides
+  double reach = 0;  // of the farthest point from the origin, with the radius
+  Vec centre;
+
+  std::size_t faces() const { return normals.size(); }
+  bool flat() const { return normals.size() == 2; }
+  void finish();
+
+ private:
+  void find_box();
+};
+
+// Where a core is: its points and the normals of its faces in the world.
+struct Placed {
+  const Core* core = nullptr;
+  const Vec* points = nullptr;
+  const Vec* normals = nullptr;
+  Vec centre;
+
+  double offset(std::size_t face) const {
+    return dot(normals[face], points[core->loops[static_cast<std::size_t>(core->starts[face])]]);
+  }
+  double lowest(Vec n) const {
+    double least = std::numeric_limits<double>::infinity();
+    for (std::size_t i = 0; i < core->points.size(); ++i)
+      least = std::min(least, dot(n, points[i]));
+    return least;
+  }
+};
+
+// A core placed by a pose, with memory of its own.
+class Placing {
+ public:
+  void place(const Core& core, const Pose& pose) {
+    const std::size_t points = core.points.size(), faces = core.faces();
+    room_.resize(points + faces);
+    for (std::size_t i = 0; i < points; ++i) room_[i] = pose.to_world(core.points[i]);
+    for (std::size_t i = 0; i < faces; ++i) room_[points + i] = pose.rotated(core.normals[i]);
+    placed_ = {&core, room_.data(), room_.data() + points, pose.to_world(core.centre)};
+  }
+  const Placed& get() const { return placed_; }
+
+ private:
+  std::vector<Vec> room_;
+  Placed placed_;
+};
+
+// A point of contact, halfway between both surfaces, and how far these are apart there.
+struct Touching {
+  Vec at;
+  double gap;
+};
+
+constexpr int MOST_POINTS = 4;
+
+// Where two bodies touch: the normal is from the first to the second.
+struct Manifold {
+  Vec normal;
+  int count = 0;
+  std::array<Touching, MOST_POINTS> points{};
+};
+
+// How far two are apart along the axis that parts them most, negative where they overlap; it
+// is no more than their distance. Stops early, with infinity, where that is beyond a reach.
+struct Axis {
+  double gap = -std::numeric_limits<double>::infinity();
+  Vec normal;                                // from the first to the second
+  enum { NONE, FIRST, SECOND, EDGES } kind = NONE;
+  int first = -1, second = -1;               // faces
+  Vec edge_a[2], edge_b[2];                  // ends of edges
+};
+
+Axis parting_axis(const Placed& a, const Placed& b, double reach);
+
+// How two touch where they are no farther apart than a reach; no points where they are.
+Manifold meet(const Placed& a, const Placed& b, double reach);
+
+// The nearest to the deepest four of some points of contact.
+void keep_four(std::vector<Touching>& points, Vec normal, Manifold& into);
+
+}  // namespace animtool::rigid

@@ -1,0 +1,65 @@
+// Impacts: bodies that meet fast enough to bounce. The points of a pair are solved together from
+// the velocities before, with the joints of both bodies (Newton's law of restitution, Coulomb's
+// friction). Pairs that approach because of it are solved next, with their new velocities, until
+// none approaches (sequential impacts, as in Newton's cradle); pairs that approach equally fast
+// are solved together. Where friction would add kinetic energy, the impulses are scaled down.
+#pragma once
+
+#include <functional>
+#include <vector>
+
+#include "rigid/points.h"
+
+namespace animtool::rigid {
+
+// Points nearer than this share of the size touch.
+constexpr double TOUCHING = 1e-4;
+
+class Impacts {
+ public:
+  // Of an island: its patches and points, and the rows of its joints. What approaches slower
+  // than a tolerance [m/s] does not meet; who arrives as soon as this [s] is there.
+  Impacts(const World& world, const std::vector<Patch>& patches, const std::vector<Point>& points,
+          const std::vector<std::size_t>& joints, const std::vector<Rows>& rows,
+          std::vector<Speed>& speeds, double tolerance, double soon);
+
+  // Changes velocities, and marks whom it has pushed. `rests` is the speed below which a patch
+  // does not bounce.
+  void run(const std::function<double(const Patch&)>& rests, std::vector<char>& pushed);
+
+ private:
+  struct Pull {  // one equation of an impact
+    std::size_t a, b;
+    Vec line, arm_a, arm_b, turn_a, turn_b;
+    double mass, given;
+    double target = 0;      // speed after it
+    double impulse = 0;
+    bool one_sided = false, joint = false;
+    int across = 0;         // of friction, 1 or 2; the normal's is before both
+    double friction = 0;
+  };
+
+  void list_patches();
+  double closing(const Patch& patch) const;
+  bool meets(const Patch& patch, const Point& p) const;
+  void gather(const Patch& patch, double rest);
+  void gather_joints();
+  void solve(double speed);
+  void bound_energy();
+  double speed_of(const Pull& pull) const;
+  void add(Pull& pull, double impulse);
+
+  const World& world_;
+  const std::vector<Patch>& patches_;
+  const std::vector<Point>& points_;
+  const std::vector<std::size_t>& joints_;
+  const std::vector<Rows>& rows_;
+  std::vector<Speed>& speeds_;
+  double tolerance_, soon_;
+  std::vector<std::size_t> starts_, listed_;  // patches of each body
+  std::vector<Pull> pulls_;
+  std::vector<std::size_t> bodies_;  // of an impact, ascending
+  std::vector<Speed> before_;        // theirs
+};
+
+}  // namespace animtool::rigid

@@ -1,0 +1,571 @@
+// Who may touch whom within a step: a tree of boxes, made anew each step along a space-filling
+// curve (Karras 2012, "Maximizing parallelism in the construction of BVHs", its order alone), so
+// that the work grows as n log n; and how, at the time when they first touch.
+#include <algorithm>
+#include <cmath>
+#include <memory>
+#include <utility>
+
+#include "rigid/world.h"
+
+namespace animtool::rigid {
+
+namespace {
+
+using collide::Collider;
+using collide::load;
+using collide::Shape;
+
+// Distance up to which points of two bodies count as touching, over the smaller of both.
+constexpr double SKIN = 0.02;
+// Looks for the time when two first touch, and how near that is, over the smaller size.
+constexpr int LOOKS = 48;
+constexpr double NEAR = 1e-3;
+
+struct Box {
+  Vec low, high;
+};
+
+Box joined(const Box& a, const Box& b) {
+  return {{std::min(a.low.x, b.low.x), std::min(a.low.y, b.low.y), std::min(a.low.z, b.low.z)},
+          {std::max(a.high.x, b.high.x), std::max(a.high.y, b.high.y),
+           std::max(a.high.z, b.high.z)}};
+}
+
+bool overlap(const Box& a, const Box& b) {
+  return a.low.x <= b.high.x && b.low.x <= a.high.x && a.low.y <= b.high.y &&
+         b.low.y <= a.high.y && a.low.z <= b.high.z && b.low.z <= a.high.z;
+}
+
+Box box_of(const Placed& p, Vec way, double slack) {
+  Box box{p.points[0], p.points[0]};
+  for (std::size_t i = 1; i < p.core->points.size(); ++i)
+    box = joined(box, {p.points[i], p.points[i]});
+  const double r = p.core->radius + slack;
+  box.low = box.low - Vec{r, r, r}, box.high = box.high + Vec{r, r, r};
+  return joined(box, {box.low + way, box.high + way});
+}
+
+std::uint32_t spread(std::uint32_t v) {
+  v = (v | v << 16) & 0x030000FFu;
+  v = (v | v << 8) & 0x0300F00Fu;
+  v = (v | v << 4) & 0x030C30C3u;
+  return (v | v << 2) & 0x09249249u;
+}
+
+// Boxes in the order of a curve, halved and halved again.
+class Tree {
+ public:
+  explicit Tree(const std::vector<Box>& boxes) : boxes_(boxes), order_(boxes.size()) {
+    if (boxes.empty()) return;
+    Box all = {mid(0), mid(0)};
+    for (std::size_t i = 1; i < boxes.size(); ++i) all = joined(all, {mid(i), mid(i)});
+    const Vec size = all.high - all.low;
+    std::vector<std::uint64_t> keys(boxes.size());
+    const auto cell = [](double at, double whole) {
+      const double share = whole > 0 ? at / whole * 1023 : 0;
+      return static_cast<std::uint32_t>(share > 0 ? std::min(share, 1023.0) : 0);
+    };
+    for (std::size_t i = 0; i < boxes.size(); ++i) {
+      const Vec at = mid(i) - all.low;
+      const std::uint64_t code = spread(cell(at.x, size.x)) | spread(cell(at.y, size.y)) << 1 |
+                                 spread(cell(at.z, size.z)) << 2;
+      keys[i] = code << 32 | i;
+    }
+    std::sort(keys.begin(), keys.end());
+    for (std::size_t i = 0; i < keys.size(); ++i) order_[i] = keys[i] & 0xFFFFFFFFu;
+    nodes_.reserve(2 * boxes.size());
+    build(0, boxes.size());
+  }
+
+  // Calls with each pair of boxes that overlap, once.
+  template <class Call>
+  void pairs(Call call) const {
+    for (std::size_t i = 0; i < order_.size(); ++i) visit(0, 0, order_.size(), i, call);
+  }
+
+ private:
+  Vec mid(std::size_t i) const { return (boxes_[i].low + boxes_[i].high) * 0.5; }
+
+  std::size_t build(std::size_t from, std::size_t to) {
+    const std::size_t self = nodes_.size();
+    nodes_.push_back({boxes_[order_[from]], 0});
+    if (to - from > 1) {
+      const std::size_t half = from + (to - from) / 2;
+      build(from, half);
+      const std::size_t right = build(half, to);
+      nodes_[self] = {joined(nodes_[self + 1].box, nodes_[right].box), right};
+    }
+    return self;
+  }
+
+  // Leaves behind the one in the order.
+  template <class Call>
+  void visit(std::size_t node, std::size_t from, std::size_t to, std::size_t i,
+             Call& call) const {
+    if (to <= i + 1 || !overlap(nodes_[node].box, boxes_[order_[i]])) return;
+    if (to - from == 1) return call(order_[i], order_[from]);
+    const std::size_t half = from + (to - from) / 2;
+    visit(node + 1, from, half, i, call);
+    visit(nodes_[node].right, half, to, i, call);
+  }
+
+  struct Node {
+    Box box;
+    std::size_t right;
+  };
+  const std::vector<Box>& boxes_;
+  std::vector<std::size_t> order_;
+  std::vector<Node> nodes_;
+};
+
+bool convex(const Collider& c) {
+  return !c.container && (c.shape == Shape::SPHERE || c.shape == Shape::CAPSULE ||
+                          c.shape == Shape::BOX);
+}
+
+// A box about the origin of its frame.
+Core box_core(Vec half) {
+  Core core;
+  for (int i = 0; i < 8; ++i)
+    core.points.push_back(
+        {i & 1 ? half.x : -half.x, i & 2 ? half.y : -half.y, i & 4 ? half.z : -half.z});
+  core.loops = {1, 3, 7, 5, 0, 4, 6, 2, 2, 6, 7, 3, 0, 1, 5, 4, 4, 5, 7, 6, 0, 2, 3, 1};
+  core.starts = {0, 4, 8, 12, 16, 20, 24};
+  core.finish();
+  return core;
+}
+
+Core core_of(const Collider& c) {
+  if (c.shape == Shape::BOX) {
+    Core core = box_core(load(c.size));
+    core.radius = c.margin;
+    core.finish();
+    return core;
+  }
+  Core core;
+  core.points.push_back(collide::load(c.size));
+  if (c.shape == Shape::CAPSULE) core.points.push_back(collide::load(c.size + 3));
+  core.radius = c.size[c.shape == Shape::CAPSULE ? 6 : 3] + c.margin;
+  core.finish();
+  return core;
+}
+
+// How bodies go within a step, where nothing stops them.
+struct Going {
+  State begin;
+  Vec velocity, spin;
+
+  Pose at(double t) const {
+    State s = begin;
+    s.at = s.at + velocity * t;
+    s.turn = unit(turn_of(spin * t) * s.turn);
+    return pose_of(s);
+  }
+};
+
+class Finder {
+ public:
+  Finder(const World& world, const std::vector<State>& states,
+         const std::vector<Collider>& colliders, const Settings& settings, double step)
+      : world_(world), colliders_(colliders), settings_(settings), step_(step) {
+    going_.reserve(states.size());
+    for (std::size_t i = 0; i < states.size(); ++i)
+      going_.push_back({states[i], states[i].velocity, spin_of(world.bodies[i], states[i])});
+  }
+
+  std::vector<Contact> find() {
+    place();
+    const Tree tree(boxes_);
+    std::vector<std::pair<std::size_t, std::size_t>> pairs;
+    tree.pairs([&](std::size_t i, std::size_t j) {
+      if (i > j) std::swap(i, j);
+      if (may_meet(i, j)) pairs.emplace_back(i, j);
+    });
+    std::sort(pairs.begin(), pairs.end());
+    for (const auto& [i, j] : pairs) meet_pair(i, j);
+    for (std::size_t s = 0; s < world_.shapes.size(); ++s) {
+      for (std::size_t c = 0; c < colliders_.size(); ++c) {
+        if (convex(colliders_[c]) || (sleeps(s) && !colliders_[c].motion.moves())) continue;
+        if (apart_from(s, c)) continue;
+        if (colliders_[c].shape == Shape::MESH) {
+          meet_mesh(s, c);
+        } else {
+          meet_field(s, c);
+        }
+      }
+    }
+    std::stable_sort(found_.begin(), found_.end(), [](const Contact& a, const Contact& b) {
+      return a.first != b.first ? a.first < b.first : a.second < b.second;
+    });
+    return std::move(found_);
+  }
+
+ private:
+  bool sleeps(std::size_t s) const {
+    return asleep(going_[world_.shapes[s].body].begin, settings_);
+  }
+
+  std::size_t shapes() const { return world_.shapes.size(); }
+
+  void place() {
+    const std::size_t count = shapes();
+    poses_.resize(going_.size());
+    for (std::size_t i = 0; i < going_.size(); ++i) poses_[i] = pose_of(going_[i].begin);
+    std::size_t points = 0;
+    for (const auto& shape : world_.shapes) points += shape.core.points.size() + shape.core.faces();
+    placings_.resize(count);
+    for (std::size_t s = 0; s < count; ++s) {
+      const auto& shape = world_.shapes[s];
+      placings_[s].place(shape.core, poses_[shape.body]);
+      const Going& g = going_[shape.body];
+      const double swept = length(g.spin) * step_ * world_.bodies[shape.body].reach;
+      boxes_.push_back(box_of(placings_[s].get(), g.velocity * step_,
+                              swept + SKIN * shape.core.reach));
+      owners_.push_back(s);
+    }
+    for (std::size_t c = 0; c < colliders_.size(); ++c) {
+      if (!convex(colliders_[c])) continue;
+      const collide::Motion& m = colliders_[c].motion;
+      cores_.push_back(std::make_unique<Core>(core_of(colliders_[c])));
+      placings_.emplace_back();
+      placings_.back().place(*cores_.back(), m.at(0));
+      const double swept = m.angle() * cores_.back()->reach;
+      boxes_.push_back(box_of(placings_.back().get(), m.travel(), swept));
+      owners_.push_back(count + c);
+    }
+  }
+
+  // Of two bodies, or of a body and a collider, which come behind the bodies.
+  bool apart(std::size_t a, std::size_t b) const {
+    if (world_.apart.empty()) return false;
+    const std::uint64_t key = static_cast<std::uint64_t>(std::min(a, b)) << 32 | std::max(a, b);
+    return std::binary_search(world_.apart.begin(), world_.apart.end(), key);
+  }
+
+  bool apart_from(std::size_t s, std::size_t c) const {
+    return apart(world_.shapes[s].body, world_.bodies.size() + c);
+  }
+
+  // Shapes come before colliders.
+  bool may_meet(std::size_t i, std::size_t j) const {
+    if (i >= shapes()) return false;
+    if (j >= shapes()) {
+      const Collider& c = colliders_[owners_[j] - shapes()];
+      return (!sleeps(i) || c.motion.moves()) && !apart_from(i, owners_[j] - shapes());
+    }
+    const std::size_t a = world_.shapes[i].body, b = world_.shapes[j].body;
+    return a != b && !(sleeps(i) && sleeps(j)) && !apart(a, b);
+  }
+
+  // The speed with which the points of two come nearer along a direction, at most.
+  static double closing(Vec way, double swing, Vec normal) {
+    return std::max(-dot(way, normal), 0.0) + swing;
+  }
+
+  void meet_pair(std::size_t i, std::size_t j) {
+    const Placed& p = placings_[i].get();
+    const Placed& q = placings_[j].get();
+    const std::size_t a = world_.shapes[i].body;
+    const bool fixed = j >= shapes();
+    const std::size_t b = fixed ? 0 : world_.shapes[j].body;
+    const double size = std::min(p.core->reach, q.core->reach), skin = SKIN * size;
+    const collide::Motion* motion = fixed ? &colliders_[owners_[j] - shapes()].motion : nullptr;
+    const Vec other = fixed ? motion->travel() * (1 / step_) : going_[b].velocity;
+    const Vec way = (other - going_[a].velocity) * step_;
+    const double spin = fixed ? motion->angle() : length(going_[b].spin) * step_;
+    const double swing = length(going_[a].spin) * step_ * p.core->reach + spin * q.core->reach;
+    const double most = length(way) + swing;
+    const Axis axis = parting_axis(p, q, most + skin + p.core->radius + q.core->radius);
+    const double gap = axis.gap - p.core->radius - q.core->radius;
+    if (gap > most + skin) return;
+    Contact made;
+    made.motion = motion;
+    made.radius = p.core->radius, made.other_radius = q.core->radius;
+    // Who is near, or slow, is met where it is; who comes from afar where it arrives.
+    if (gap <= skin + std::min(most, size * NEAR)) {
+      const Manifold manifold = meet(p, q, skin + most);
+      made.take(manifold, poses_[a], fixed ? motion->at(0) : poses_[b]);
+    } else {
+      arrive(p, q, a, b, motion, made, gap, axis, way, swing, size, most);
+    }
+    if (!made.count) return;
+    made.first = i, made.second = static_cast<std::int64_t>(owners_[j]);
+    made.a = a, made.b = fixed ? -1 : static_cast<std::ptrdiff_t>(b);
+    Material other_material;
+    if (fixed) {
+      const Collider& c = colliders_[owners_[j] - shapes()];
+      other_material = {c.restitution, c.friction}, made.depenetration = c.depenetration;
+    } else {
+      other_material = world_.shapes[j].material;
+    }
+    made.material = mixed(world_.shapes[i].material, other_material);
+    found_.push_back(made);
+  }
+
+  static Material mixed(const Material& a, const Material& b) {
+    return {std::max(a.restitution, b.restitution), std::max(a.friction, b.friction)};
+  }
+
+  // Goes to the time when two first touch by steps in which they cannot, and takes how they
+  // touch then; conservative advancement of Mirtich (1996), "Impulse-based dynamic simulation".
+  void arrive(const Placed& p, const Placed& q, std::size_t a, std::size_t b,
+              const collide::Motion* motion, Contact& made, double gap, Axis axis, Vec way,
+              double swing, double size, double most) {
+    const double near = NEAR * size, skin = p.core->radius + q.core->radius;
+    Pose pose_a, pose_b;
+    double share = 0;
+    for (int look = 0; look < LOOKS; ++look) {
+      const double speed = closing(way, swing, axis.normal);
+      if (!(speed > 0)) return;
+      share += std::max(gap - near / 2, near / 2) / speed;
+      if (share > 1) return;
+      pose_a = going_[a].at(share * step_);
+      pose_b = motion ? motion->at(share) : going_[b].at(share * step_);
+      moved_a_.place(*p.core, pose_a);
+      moved_b_.place(*q.core, pose_b);
+      axis = parting_axis(moved_a_.get(), moved_b_.get(), collide::FAR);
+      gap = axis.gap - skin;
+      if (gap <= near) break;
+    }
+    const double reach = std::max(gap, 0.0) + SKIN * size + most * (1 - share);
+    made.take(meet(moved_a_.get(), moved_b_.get(), reach), pose_a, pose_b);
+  }
+
+  void add(std::size_t s, std::size_t c, const Manifold& manifold) {
+    Contact made;
+    const Collider& collider = colliders_[c];
+    made.first = s, made.second = static_cast<std::int64_t>(shapes() + c);
+    made.a = world_.shapes[s].body, made.b = -1;
+    made.radius = world_.shapes[s].core.radius;
+    made.take(manifold, poses_[made.a], collider.motion.at(0));
+    made.motion = &collider.motion;
+    made.depenetration = collider.depenetration;
+    made.material = mixed(world_.shapes[s].material, {collider.restitution, collider.friction});
+    found_.push_back(made);
+  }
+
+  // One of the six walls of a container, seen from inside.
+  static collide::Sample from_wall(const Collider& c, const Pose& pose, Vec point, double radius,
+                                   int wall) {
+    const Vec local = pose.to_local(point);
+    const double at[3] = {local.x, local.y, local.z}, sign = wall % 2 ? -1 : 1;
+    double inward[3] = {0, 0, 0};
+    inward[wall / 2] = -sign;
+    return {c.size[wall / 2] - sign * at[wall / 2] - c.margin - radius,
+            pose.rotated(load(inward))};
+  }
+
+  // Planes and what bodies are to stay in: their points are looked at, each with the normal
+  // that it has there.
+  void meet_field(std::size_t s, std::size_t c) {
+    const Placed& p = placings_[s].get();
+    const Collider& collider = colliders_[c];
+    const Going& g = going_[world_.shapes[s].body];
+    const double reach = SKIN * p.core->reach + length(g.spin) * step_ * p.core->reach +
+                         length(g.velocity * step_ - collider.motion.travel()) +
+                         collider.motion.angle() * length(p.centre);
+    const Pose pose = collider.motion.at(0);
+    const double away = length(p.centre - poses_[world_.shapes[s].body].origin) + p.core->reach;
+    if (collide::sample(collider, pose, p.centre, away, reach).distance > reach) return;
+    fields_.clear();
+    const int sides = collider.shape == Shape::BOX ? 6 : 1;
+    for (std::size_t i = 0; i < sides * p.core->points.size(); ++i) {
+      const Vec point = p.points[i / static_cast<std::size_t>(sides)];
+      const auto found = sides == 1
+                             ? collide::sample(collider, pose, point, p.core->radius, reach)
+                             : from_wall(collider, pose, point, p.core->radius,
+                                         static_cast<int>(i) % sides);
+      if (found.distance > reach) continue;
+      const Vec n = -found.normal;
+      const Touching touching{point + n * (p.core->radius + found.distance / 2),
+                              found.distance};
+      auto same = std::find_if(fields_.begin(), fields_.end(), [&](const auto& one) {
+        return dot(one.first, n) > 1 - 1e-9;
+      });
+      if (same == fields_.end()) same = fields_.insert(fields_.end(), {n, {}});
+      same->second.push_back(touching);
+    }
+    for (auto& [n, points] : fields_) {
+      Manifold made;
+      made.normal = n;
+      keep_four(points, n, made);
+      add(s, c, made);
+    }
+  }
+
+  void meet_mesh(std::size_t s, std::size_t c) {
+    const Placed& p = placings_[s].get();
+    const Collider& collider = colliders_[c];
+    const Pose pose = collider.motion.at(0);
+    const collide::Mesh& mesh = collider.mesh;
+    const Going& g = going_[world_.shapes[s].body];
+    const Vec way = g.velocity * step_ - collider.motion.travel();
+    const double swing = length(g.spin) * step_ * p.core->reach +
+                         collider.motion.angle() * length(p.centre - pose.origin);
+    const double reach = SKIN * p.core->reach + length(way) + swing + collider.margin;
+    Box local{pose.to_local(p.points[0]), pose.to_local(p.points[0])};
+    for (std::size_t i = 1; i < p.core->points.size(); ++i) {
+      const Vec at = pose.to_local(p.points[i]);
+      local = joined(local, {at, at});
+    }
+    const double r = p.core->radius + reach;
+    const Box wide{local.low - Vec{r, r, r}, local.high + Vec{r, r, r}};
+    const std::size_t before = found_.size();
+    bool behind = false;
+    std::int32_t stack[collide::DEEPEST];
+    int depth = 0;
+    stack[depth++] = collider.root;
+    while (depth > 0) {
+      const std::int32_t node = stack[--depth];
+      const double* bounds = mesh.bounds + 6 * node;
+      if (!overlap({load(bounds), load(bounds + 3)}, wide)) continue;
+      const std::int32_t left = mesh.nodes[2 * node], right = mesh.nodes[2 * node + 1];
+      if (left >= 0) {
+        stack[depth++] = right, stack[depth++] = left;
+        continue;
+      }
+      for (std::int32_t t = -1 - left; t < -1 - left + right; ++t)
+        behind |= !meet_triangle(s, c, t, pose, reach);
+    }
+    if (behind && found_.size() == before) meet_inside(s, c, pose, reach);
+  }
+
+  // Who is in a mesh as far as his centre is on the way out to the nearest of it.
+  void meet_inside(std::size_t s, std::size_t c, const Pose& pose, double reach) {
+    const Placed& p = placings_[s].get();
+    const auto out = collide::sample(colliders_[c], pose, p.centre, 0, p.core->reach + reach);
+    if (!(out.distance < 0)) return;
+    std::vector<Touching> points;
+    for (std::size_t i = 0; i < p.core->points.size(); ++i) {
+      const Vec at = p.points[i];
+      const double gap = out.distance + dot(out.normal, at - p.centre) - p.core->radius;
+      if (gap <= reach) points.push_back({at - out.normal * (p.core->radius + gap / 2), gap});
+    }
+    Manifold made;
+    made.normal = -out.normal;
+    keep_four(points, made.normal, made);
+    add(s, c, made);
+  }
+
+  // Whether a point of the world is behind a triangle of a mesh.
+  static bool behind(const collide::Mesh& mesh, std::int32_t t, const Pose& pose, Vec point) {
+    const std::int32_t* corner = mesh.triangles + 3 * t;
+    const Vec a = mesh.point(corner[0]), at = pose.to_local(point);
+    return dot(cross(mesh.point(corner[1]) - a, mesh.point(corner[2]) - a), at - a) < 0;
+  }
+
+  // Returns whether a body is in front of a triangle.
+  bool meet_triangle(std::size_t s, std::size_t c, std::int32_t t, const Pose& pose,
+                     double reach) {
+    const Placed& p = placings_[s].get();
+    const collide::Mesh& mesh = colliders_[c].mesh;
+    Core core;
+    // A container is met from behind, and what has two sides from that of the body.
+    const bool two_sided = colliders_[c].two_sided;
+    const bool turned = colliders_[c].container || (two_sided && behind(mesh, t, pose, p.centre));
+    for (int k = 0; k < 3; ++k)
+      core.points.push_back(mesh.point(mesh.triangles[3 * t + (turned ? (3 - k) % 3 : k)]));
+    core.loops = {0, 1, 2, 0, 2, 1};
+    core.starts = {0, 3, 6};
+    core.radius = colliders_[c].margin;
+    core.finish();
+    moved_b_.place(core, pose);
+    const Placed& q = moved_b_.get();
+    const Vec face = q.normals[0];
+    // What is behind a face is met by those on the other side, or as a whole.
+    if (!two_sided && dot(p.centre - q.points[0], face) < 0) return false;
+    Manifold made = meet(q, p, reach);
+    if (!made.count) return true;
+    if (!faces_out(mesh, t, turned, pose, made, q)) made = on_face(q, p, reach, two_sided);
+    if (!made.count) return true;
+    made.normal = -made.normal;
+    add(s, c, made);
+    return true;
+  }
+
+  // Whether a normal is one that the surface has there: at an edge between the normals of its
+  // two faces, so that a body that slides over inner edges does not stumble.
+  static bool faces_out(const collide::Mesh& mesh, std::int32_t t, bool turned,
+                        const Pose& pose, const Manifold& manifold, const Placed& q) {
+    const Vec n = manifold.normal, face = q.normals[0];
+    const double lean = dot(n, face);
+    if (lean > 1 - 1e-6) return true;
+    if (lean <= 0) return false;
+    const Vec at = manifold.points[0].at;
+    int side = 0;
+    double least = collide::FAR;
+    for (int k = 0; k < 3; ++k) {
+      const Vec a = q.points[k], b = q.points[(k + 1) % 3], along = b - a;
+      const double share = std::clamp(dot(at - a, along) / dot(along, along), 0.0, 1.0);
+      const Vec off = at - a - along * share;
+      if (dot(off, off) < least) least = dot(off, off), side = k;
+    }
+    const Vec out_there =
+        pose.rotated(load(mesh.edge_normals + 9 * t + 3 * (turned ? 2 - side : side)));
+    const Vec sum = turned ? -out_there : out_there;
+    if (dot(sum, sum) == 0) return true;  // a rim
+    const Vec other = direction(direction(sum, face) * (2 * dot(direction(sum, face), face)) - face, face);
+    const Vec along = q.points[(side + 1) % 3] - q.points[side];
+    const Vec out = cross(along, face);
+    if (dot(other, out) <= 1e-6) return false;  // flat, or hollow
+    return lean >= dot(other, face) - 1e-3;
+  }
+
+  // Whether a straight way goes through a triangle.
+  static bool through(const Placed& q, Vec from, Vec to) {
+    const Vec n = q.normals[0], way = to - from;
+    const double begin = dot(n, from - q.points[0]), end = dot(n, to - q.points[0]);
+    if ((begin > 0) == (end > 0)) return false;
+    const Vec at = from + way * (begin / (begin - end));
+    for (int k = 0; k < 3; ++k)
+      if (dot(cross(q.points[(k + 1) % 3] - q.points[k], at - q.points[k]), n) < 0) return false;
+    return true;
+  }
+
+  // Points of a core against the front of a triangle.
+  static Manifold on_face(const Placed& q, const Placed& p, double reach, bool two_sided) {
+    const Vec n = q.normals[0];
+    std::vector<Touching> points;
+    for (std::size_t i = 0; i < p.core->points.size(); ++i) {
+      const Vec at = p.points[i];
+      const double height = dot(n, at - q.points[0]);
+      const double gap = height - p.core->radius - q.core->radius;
+      if (gap > reach) continue;
+      bool within = true;
+      for (int k = 0; k < 3; ++k)
+        within &= dot(cross(q.points[(k + 1) % 3] - q.points[k], at - q.points[k]), n) >= 0;
+      // Behind a triangle with two sides is what is there through it, not around its rim.
+      if (within && two_sided && height < 0) within = through(q, p.centre, at);
+      if (within) points.push_back({at - n * (height - q.core->radius - gap / 2), gap});
+    }
+    Manifold made;
+    made.normal = n;
+    keep_four(points, n, made);
+    return made;
+  }
+
+  const World& world_;
+  const std::vector<Collider>& colliders_;
+  const Settings& settings_;
+  double step_;
+  std::vector<Going> going_;
+  std::vector<Pose> poses_;
+  std::vector<Placing> placings_;
+  std::vector<Box> boxes_;
+  std::vector<std::size_t> owners_;  // of each box a shape, or the shapes and a collider
+  std::vector<std::unique_ptr<Core>> cores_;
+  std::vector<std::pair<Vec, std::vector<Touching>>> fields_;
+  Placing moved_a_, moved_b_;
+  std::vector<Contact> found_;
+};
+
+}  // namespace
+
+std::vector<Contact> find_contacts(const World& world, const std::vector<State>& states,
+                                   const std::vector<Collider>& colliders,
+                                   const Settings& settings, double step) {
+  return Finder(world, states, colliders, settings, step).find();
+}
+
+}  // namespace animtool::rigid

@@ -1,0 +1,154 @@
+// Rigid bodies as a step sees them: what never changes, their state, and what they touch.
+#pragma once
+
+#include <array>
+#include <cstddef>
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include "colliders/colliders.h"
+#include "rigid/cores.h"
+#include "rigid/joints.h"
+#include "rigid/spin.h"
+
+namespace animtool::rigid {
+
+struct Material {
+  double restitution = 0, friction = 0;
+};
+
+struct Body {
+  double ease = 0;  // 1 / mass
+  Ease turning{};   // 1 / moments of inertia, of principal axes
+  double reach = 0;
+};
+
+struct Shape {
+  std::size_t body = 0;
+  Core core;
+  Material material;
+};
+
+struct World {
+  std::vector<Body> bodies;
+  std::vector<Shape> shapes;  // of one body after the other
+  std::vector<Joint> joints;
+  // Pairs of bodies that do not meet, or of a body and a collider, which come behind the
+  // bodies; ascending.
+  std::vector<std::uint64_t> apart;
+};
+
+struct Settings {
+  Method method = Method::SPLITTING;
+  int substeps = 8;
+  int rounds = 64;           // most corrections of a substep
+  double tolerance = 1e-3;   // of velocities that a correction changes [m/s]
+  double drowsy = 0.02;      // speed below which bodies fall asleep [m/s]; 0 is never
+  double rest = 0.5;         // and how long they are so before [s]
+};
+
+// A body in the world. Spins and momenta are those of the world.
+struct State {
+  Vec at, velocity, momentum;
+  Turn turn;
+  double idle = 0;  // how long it has been slow [s]; asleep from the rest on
+};
+
+// What is kept of a point of contact from step to step: its place on the first of both, and
+// the force along the normal and across it.
+struct Kept {
+  std::int64_t first, second;  // shapes; colliders come behind the shapes
+  Vec at, force;
+};
+
+struct Report {
+  double deepest = 0;    // [m]
+  std::int64_t first = -1, second = -1;  // shapes of it; colliders come behind the shapes
+  double residual = 0;   // velocity that the last corrections changed [m/s]
+  std::int64_t contacts = 0, rounds = 0, awake = 0, unsolved = 0;
+  double follows = 0;       // the step that follows the drive that swings fastest [s], if none did
+  std::int64_t drive = -1;  // its joint
+
+  void note_drive(double step, std::size_t joint) {
+    if (drive < 0 || step < follows) follows = step, drive = static_cast<std::int64_t>(joint);
+  }
+
+  // Goes on with what came after.
+  void add(const Report& later) {
+    if (later.deepest > deepest)
+      deepest = later.deepest, first = later.first, second = later.second;
+    if (later.drive >= 0) note_drive(later.follows, static_cast<std::size_t>(later.drive));
+    residual = std::max(residual, later.residual);
+    contacts = later.contacts, awake = later.awake;
+    rounds += later.rounds, unsolved += later.unsolved;
+  }
+};
+
+// A pair that may touch, and how: the second may be a collider.
+struct Contact {
+  std::size_t first = 0;        // shape
+  std::int64_t second = 0;      // shape, or number of shapes and a collider
+  std::size_t a = 0;            // body
+  std::ptrdiff_t b = -1;        // body; -1 is a collider
+  Material material;
+  double depenetration = 0;     // of colliders, how fast they push out [m/s]; 0 is any
+  const collide::Motion* motion = nullptr;  // of a collider
+  Vec normal;                   // from the first to the second
+  int count = 0;
+  // Where both have each point, in their frames, and how far they are apart there. What rolls
+  // touches with another point at once: of the first these are points of its core, and the
+  // surface is a radius ahead.
+  std::array<Vec, MOST_POINTS> own, other;
+  std::array<double, MOST_POINTS> gaps;
+  double radius = 0, other_radius = 0;
+
+  void take(const Manifold& manifold, const Pose& pose_a, const Pose& pose_b) {
+    normal = manifold.normal, count = manifold.count;
+    for (std::size_t k = 0; k < static_cast<std::size_t>(count); ++k) {
+      const Vec at = manifold.points[k].at;
+      own[k] = pose_a.to_local(at - normal * radius);
+      other[k] = pose_b.to_local(at + normal * other_radius);
+      gaps[k] = manifold.points[k].gap;
+    }
+  }
+};
+
+inline Pose pose_of(const State& s) {
+  Pose pose;
+  pose.origin = s.at;
+  const Turn& q = s.turn;
+  const double xx = q.x * q.x, yy = q.y * q.y, zz = q.z * q.z;
+  pose.turn[0] = 1 - 2 * (yy + zz), pose.turn[1] = 2 * (q.x * q.y - q.z * q.w);
+  pose.turn[2] = 2 * (q.x * q.z + q.y * q.w), pose.turn[3] = 2 * (q.x * q.y + q.z * q.w);
+  pose.turn[4] = 1 - 2 * (xx + zz), pose.turn[5] = 2 * (q.y * q.z - q.x * q.w);
+  pose.turn[6] = 2 * (q.x * q.z - q.y * q.w), pose.turn[7] = 2 * (q.y * q.z + q.x * q.w);
+  pose.turn[8] = 1 - 2 * (xx + yy);
+  return pose;
+}
+
+inline Vec spin_of(const Body& body, const State& s) {
+  const Vec p = unrotate(s.turn, s.momentum);
+  return rotate(s.turn, {p.x * body.turning.of[0], p.y * body.turning.of[1],
+                         p.z * body.turning.of[2]});
+}
+
+inline bool asleep(const State& s, const Settings& settings) {
+  return settings.drowsy > 0 && s.idle >= settings.rest;
+}
+
+// What may touch within a step, in an order that does not depend on where bodies are. Bodies
+// that sleep are left out but where something awake or moving meets them.
+std::vector<Contact> find_contacts(const World& world, const std::vector<State>& states,
+                                   const std::vector<collide::Collider>& colliders,
+                                   const Settings& settings, double step);
+
+// Takes a step; contacts and impulses of joints are brought up to date.
+Report step_world(const World& world, std::vector<State>& states, std::vector<Kept>& kept,
+                  std::vector<std::array<double, ROWS>>& held, const std::vector<Vec>& forces,
+                  const std::vector<Vec>& torques,
+                  const std::vector<collide::Collider>& colliders,
+                  const std::vector<collide::Motion>& anchors, const Settings& settings,
+                  double step);
+
+}  // namespace animtool::rigid

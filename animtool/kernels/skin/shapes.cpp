@@ -1,0 +1,100 @@
+// Sums of sparse blend shapes over frames, and the bounds of points.
+#include <algorithm>
+#include <limits>
+#include <vector>
+
+#include "base/checks.h"
+#include "base/pair.h"
+#include "skin/skin.h"
+
+namespace animtool {
+
+namespace {
+
+// Frames worked on at once: what keeps the sums of a vertex in registers.
+constexpr std::size_t LANES = 4;
+
+void check_offsets(const In<double, 3>& points, const In<double, 2>& weights,
+                   const In<std::int64_t, 1>& first, const In<std::int32_t, 1>& columns,
+                   const In<double, 2>& offsets) {
+  const std::size_t frames = weights.shape(0), count = columns.shape(0);
+  check::shape("weights", weights, {check::ANY, check::ANY});
+  check::shape("points", points, {points.shape(0) == 1 ? 1 : frames, check::ANY, 3});
+  check::shape("first", first, {points.shape(1) + 1});
+  check::shape("columns", columns, {check::ANY});
+  check::shape("offsets", offsets, {count, 3});
+  check::starts("first", first, count);
+  check::at_most("weights", weights.shape(1), check::MOST_ROWS);
+  check::indices("columns", columns, 0, static_cast<std::int64_t>(weights.shape(1)));
+}
+
+void add_frames(std::size_t vertices, const std::int64_t* first, const std::int32_t* columns,
+                const double* offsets, const Pair* weights,
+                const double* const (&from)[LANES], double* const (&to)[LANES]) {
+  for (std::size_t v = 0; v < vertices; ++v) {
+    // All frames are read before any is written: the last may stand here twice.
+    Vector p[2] = {load(from[0] + 3 * v, from[1] + 3 * v),
+                   load(from[2] + 3 * v, from[3] + 3 * v)};
+    for (std::int64_t k = first[v]; k < first[v + 1]; ++k) {
+      const Pair* w = weights + 2 * columns[k];
+      const double* d = offsets + 3 * k;
+      for (int h = 0; h < 2; ++h) {
+        p[h].x += w[h] * both(d[0]);
+        p[h].y += w[h] * both(d[1]);
+        p[h].z += w[h] * both(d[2]);
+      }
+    }
+    for (int h = 0; h < 2; ++h) store(p[h], to[2 * h] + 3 * v, to[2 * h + 1] + 3 * v);
+  }
+}
+
+}  // namespace
+
+void add_sparse(In<double, 3> points, In<double, 2> weights, In<std::int64_t, 1> first,
+                In<std::int32_t, 1> columns, In<double, 2> offsets,
+                Filled<double, 3> out) {
+  check_offsets(points, weights, first, columns, offsets);
+  const std::size_t frames = weights.shape(0), shapes = weights.shape(1);
+  const std::size_t vertices = points.shape(1), row = vertices * 3;
+  check::shape("out", out, {frames, vertices, 3});
+  const std::size_t stride = points.shape(0) == 1 ? 0 : row;
+  std::vector<Pair> table(shapes * 2);
+  for (std::size_t f = 0; f < frames; f += LANES) {
+    const double *rows[LANES], *from[LANES];
+    double* to[LANES];
+    for (std::size_t l = 0; l < LANES; ++l) {
+      const std::size_t g = std::min(f + l, frames - 1);
+      rows[l] = weights.data() + g * shapes;
+      from[l] = points.data() + g * stride;
+      to[l] = out.data() + g * row;
+    }
+    for (std::size_t c = 0; c < shapes; ++c) {
+      table[2 * c] = Pair{rows[0][c], rows[1][c]};
+      table[2 * c + 1] = Pair{rows[2][c], rows[3][c]};
+    }
+    add_frames(vertices, first.data(), columns.data(), offsets.data(), table.data(), from,
+               to);
+  }
+}
+
+Out<double, 3> point_extents(In<double, 3> points) {
+  const std::size_t frames = points.shape(0), vertices = points.shape(1);
+  check::shape("points", points, {check::ANY, check::ANY, 3});
+  Out<double, 3> result(frames, 2, 3);
+  const double* p = points.data();
+  for (std::size_t f = 0; f < frames; ++f) {
+    constexpr double infinity = std::numeric_limits<double>::infinity();
+    double low[3] = {infinity, infinity, infinity};
+    double high[3] = {-infinity, -infinity, -infinity};
+    for (std::size_t v = 0; v < vertices; ++v, p += 3)
+      for (int i = 0; i < 3; ++i) {
+        low[i] = p[i] < low[i] ? p[i] : low[i];
+        high[i] = p[i] > high[i] ? p[i] : high[i];
+      }
+    std::copy_n(low, 3, result.get() + 6 * f);
+    std::copy_n(high, 3, result.get() + 6 * f + 3);
+  }
+  return result;
+}
+
+}  // namespace animtool

@@ -1,0 +1,205 @@
+// Skinning: linear blend and dual quaternions, several frames at a time.
+#include <algorithm>
+#include <cmath>
+#include <vector>
+
+#include "base/checks.h"
+#include "base/pair.h"
+#include "skin/blend.h"
+#include "skin/skin.h"
+
+namespace animtool {
+
+namespace {
+
+Influences influences_of(const In<std::int64_t, 1>& first, const In<std::int32_t, 1>& joints,
+                         const In<double, 1>& weights, std::size_t joint_count) {
+  const std::size_t count = joints.shape(0);
+  check::shape("first", first, {check::ANY});
+  check::shape("joints", joints, {check::ANY});
+  check::shape("weights", weights, {count});
+  check::starts("first", first, count);
+  check::indices("joints", joints, 0, static_cast<std::int64_t>(joint_count));
+  return {first.shape(0) - 1, first.data(), joints.data(), weights.data()};
+}
+
+// Points that stand still, or points of each frame.
+class Points {
+ public:
+  Points(const In<double, 3>& points, std::size_t frames, std::size_t vertices)
+      : data_(points.data()), stride_(points.shape(0) == 1 ? 0 : vertices * 3) {
+    check::shape("points", points, {points.shape(0) == 1 ? 1 : frames, vertices, 3});
+  }
+  const double* frame(std::size_t f) const { return data_ + f * stride_; }
+
+ private:
+  const double* data_;
+  std::size_t stride_;
+};
+
+inline void unit(double* v) {
+  const double squared = v[0] * v[0] + v[1] * v[1] + v[2] * v[2];
+  if (!(squared > 0)) return;
+  const double length = std::sqrt(squared);
+  for (int i = 0; i < 3; ++i) v[i] /= length;
+}
+
+inline void store(const Vector& p, double* a, double* b, bool normalize) {
+  store(p, a, b);
+  if (!normalize) return;
+  unit(a);
+  if (b != a) unit(b);
+}
+
+// Two frames of a table (F, rows, width), side by side.
+void interleave(const double* a, const double* b, std::size_t count, Pair* out) {
+  for (std::size_t i = 0; i < count; ++i) out[i] = Pair{a[i], b[i]};
+}
+
+// The transforms of four frames, (U, 12) each, the frames of a number together.
+void interleave_four(const double* const (&tables)[FRAMES], std::size_t count, double* out) {
+  for (std::size_t i = 0; i < count; ++i)
+    for (std::size_t l = 0; l < FRAMES; ++l) *out++ = tables[l][i];
+}
+
+// What every processor has.
+struct Pairs {
+  using Lanes = Pair;
+
+  static Pair spread(double value) { return both(value); }
+  static Pair fetch(const double* from) { return Pair{from[0], from[1]}; }
+  static Pair gather(const double* const* rows, std::size_t at) {
+    return Pair{rows[0][at], rows[1][at]};
+  }
+};
+
+BlendFrames widest_blend(bool still) {
+  if (const BlendFrames quads = blend_in_quads(still)) return quads;
+  return still ? blend_frames<Pairs, true> : blend_frames<Pairs, false>;
+}
+
+// Rotation x y z w, then the dual part x y z w, of each joint.
+void dual_quaternions(const double* q, const double* t, std::size_t joints, double* out) {
+  for (std::size_t j = 0; j < joints; ++j, q += 4, t += 3, out += 8) {
+    std::copy_n(q, 4, out);
+    out[4] = 0.5 * (q[3] * t[0] + t[1] * q[2] - t[2] * q[1]);
+    out[5] = 0.5 * (q[3] * t[1] + t[2] * q[0] - t[0] * q[2]);
+    out[6] = 0.5 * (q[3] * t[2] + t[0] * q[1] - t[1] * q[0]);
+    out[7] = -0.5 * (t[0] * q[0] + t[1] * q[1] + t[2] * q[2]);
+  }
+}
+
+// A blend shorter than this turns nothing, as in UsdSkel.
+constexpr double SHORTEST = 1e-10;
+
+template <bool Stretched>
+void dual_frames(const Influences& in, const Pair* palette, const Pair* stretches,
+                 const double* p0, const double* p1, double* out0, double* out1,
+                 bool normalize) {
+  for (std::size_t v = 0; v < in.vertices; ++v) {
+    const std::int64_t begin = in.first[v], end = in.first[v + 1];
+    Pair d[8] = {}, s[6] = {};
+    for (std::int64_t k = begin; k < end; ++k) {
+      const Pair* a = palette + 8 * in.joints[k];
+      Pair w = both(in.weights[k]);
+      if constexpr (Stretched) {
+        const Pair* stretch = stretches + 9 * in.joints[k];
+        for (int i = 0, from[6] = {0, 1, 2, 4, 5, 8}; i < 6; ++i) s[i] += w * stretch[from[i]];
+      }
+      if (k > begin) {
+        const Pair* pivot = palette + 8 * in.joints[begin];
+        const Pair dot =
+            a[0] * pivot[0] + a[1] * pivot[1] + a[2] * pivot[2] + a[3] * pivot[3];
+        w = where_below(dot, both(0), -w, w);
+      }
+      for (int i = 0; i < 8; ++i) d[i] += w * a[i];
+    }
+    Vector p = load(p0 + 3 * v, p1 + 3 * v);
+    if constexpr (Stretched)
+      p = {s[0] * p.x + s[1] * p.y + s[2] * p.z, s[1] * p.x + s[3] * p.y + s[4] * p.z,
+           s[2] * p.x + s[4] * p.y + s[5] * p.z};
+    const Pair squared = d[0] * d[0] + d[1] * d[1] + d[2] * d[2] + d[3] * d[3];
+    const Pair f =
+        where_below(squared, both(SHORTEST * SHORTEST), both(0), both(2) / squared);
+    const Vector axis = {d[0], d[1], d[2]};
+    const Vector across = cross(axis, p);
+    const Vector turned = cross(
+        axis, {across.x + d[3] * p.x + d[4], across.y + d[3] * p.y + d[5],
+               across.z + d[3] * p.z + d[6]});
+    const Vector moved = {p.x + f * (turned.x + d[3] * d[4] - d[7] * d[0]),
+                          p.y + f * (turned.y + d[3] * d[5] - d[7] * d[1]),
+                          p.z + f * (turned.z + d[3] * d[6] - d[7] * d[2])};
+    store(moved, out0 + 3 * v, out1 + 3 * v, normalize);
+  }
+}
+
+}  // namespace
+
+void skin_linear(In<double, 3> points, In<std::int64_t, 1> first,
+                 In<std::int32_t, 1> joints, In<double, 1> weights,
+                 In<double, 4> transforms, bool normalize, Filled<double, 3> out) {
+  const std::size_t frames = transforms.shape(0), count = transforms.shape(1);
+  check::shape("transforms", transforms, {check::ANY, check::ANY, 3, 4});
+  check::at_most("transforms", count, check::MOST_ROWS);
+  const Influences in = influences_of(first, joints, weights, count);
+  const Points source(points, frames, in.vertices);
+  const std::size_t row = in.vertices * 3, width = count * 12;
+  check::shape("out", out, {frames, in.vertices, 3});
+  double* const result = out.data();
+  std::vector<double> palette(FRAMES * width);
+  const BlendFrames blend = widest_blend(points.shape(0) == 1);
+  for (std::size_t f = 0; f < frames; f += FRAMES) {
+    const double *tables[FRAMES], *sources[FRAMES];
+    double* targets[FRAMES];
+    for (std::size_t l = 0; l < FRAMES; ++l) {
+      const std::size_t g = std::min(f + l, frames - 1);
+      tables[l] = transforms.data() + g * width;
+      sources[l] = source.frame(g);
+      targets[l] = result + g * row;
+    }
+    interleave_four(tables, width, palette.data());
+    blend(in, palette.data(), sources, targets);
+    for (std::size_t g = f; normalize && g < std::min(f + FRAMES, frames); ++g)
+      for (std::size_t v = 0; v < in.vertices; ++v) unit(result + g * row + 3 * v);
+  }
+}
+
+void skin_dual_quaternion(In<double, 3> points, In<std::int64_t, 1> first,
+                          In<std::int32_t, 1> joints, In<double, 1> weights,
+                          In<double, 3> rotations, In<double, 3> translations,
+                          std::optional<In<double, 4>> stretches, bool normalize,
+                          Filled<double, 3> out) {
+  const std::size_t frames = rotations.shape(0), count = rotations.shape(1);
+  check::shape("rotations", rotations, {check::ANY, check::ANY, 4});
+  check::at_most("rotations", count, check::MOST_ROWS);
+  check::shape("translations", translations, {frames, count, 3});
+  if (stretches) check::shape("stretches", *stretches, {frames, count, 3, 3});
+  const Influences in = influences_of(first, joints, weights, count);
+  const Points source(points, frames, in.vertices);
+  const std::size_t row = in.vertices * 3, width = count * 8;
+  check::shape("out", out, {frames, in.vertices, 3});
+  double* const result = out.data();
+  std::vector<double> duals(2 * width);
+  std::vector<Pair> palette(width), scaling(stretches ? count * 9 : 0);
+  for (std::size_t f = 0; f < frames; f += 2) {
+    const std::size_t g = std::min(f + 1, frames - 1);
+    const std::size_t both_frames[2] = {f, g};
+    for (int i = 0; i < 2; ++i)
+      dual_quaternions(rotations.data() + both_frames[i] * count * 4,
+                       translations.data() + both_frames[i] * count * 3, count,
+                       duals.data() + i * width);
+    interleave(duals.data(), duals.data() + width, width, palette.data());
+    double *out0 = result + f * row, *out1 = result + g * row;
+    if (stretches) {
+      interleave(stretches->data() + f * count * 9, stretches->data() + g * count * 9,
+                 count * 9, scaling.data());
+      dual_frames<true>(in, palette.data(), scaling.data(), source.frame(f),
+                        source.frame(g), out0, out1, normalize);
+    } else {
+      dual_frames<false>(in, palette.data(), nullptr, source.frame(f), source.frame(g),
+                         out0, out1, normalize);
+    }
+  }
+}
+
+}  // namespace animtool

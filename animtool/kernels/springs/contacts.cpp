@@ -1,0 +1,477 @@
+// Particles of springs against colliders.
+#include "springs/contacts.h"
+
+#include <algorithm>
+
+#include "base/checks.h"
+
+namespace animtool {
+
+namespace {
+
+using collide::Collider;
+using collide::Mesh;
+using collide::Motion;
+using collide::Pose;
+using collide::Rod;
+using collide::Sample;
+using collide::Shape;
+using collide::Vec;
+using collide::load;
+using collide::store;
+
+// Steps of weight whose speed into a surface is taken for resting on it.
+constexpr double RESTING = 2;
+// Rounds of moving out of all colliders.
+constexpr int TRIES = 3;
+// Impulse, moment, mass.
+constexpr std::size_t PUSH = 7;
+// Of the size of a mesh, how far what is near a particle serves at first.
+constexpr double FINE = 1e-3;
+
+// One particle by itself, for what is written for several.
+struct OneRow {
+  using Row = double;
+
+  static double spread(double value) { return value; }
+  static double add(double a, double b) { return a + b; }
+  static double subtract(double a, double b) { return a - b; }
+  static double multiply(double a, double b) { return a * b; }
+  static double divide(double a, double b) { return a / b; }
+  static double inverse(double a) { return a > 0 ? 1 / a : 0; }
+  static double root(double a) { return std::sqrt(a); }
+  static double least(double a, double b) { return a < b ? a : b; }
+  static double most(double a, double b) { return a > b ? a : b; }
+  static double below(double a, double b) { return a < b; }
+  static double chosen(double where, double a, double b) { return where != 0 ? a : b; }
+  static double either(double a, double b) { return a != 0 || b != 0; }
+  static unsigned bits(double where) { return where != 0; }
+};
+
+using One = Wide<OneRow>;
+using OneVec = WideVec<OneRow>;
+
+OneVec one(Vec a) { return {a.x, a.y, a.z}; }
+Vec vec(const OneVec& a) { return {a.x.row, a.y.row, a.z.row}; }
+
+double thickness_of(const Collider& c, double radius) {
+  if (c.container) return collide::FAR;
+  switch (c.shape) {
+    case Shape::PLANE: return collide::FAR;
+    case Shape::SPHERE: return c.size[3];
+    case Shape::CAPSULE: return c.size[6];
+    case Shape::BOX: return std::min({c.size[0], c.size[1], c.size[2]});
+    // Up to there a particle comes to no more than its surface.
+    case Shape::MESH: return collide::kept(c, radius);
+  }
+  return 0;
+}
+
+// Pushes of one span of time, and of another.
+std::vector<double> both(const std::vector<double>& first, const std::vector<double>& second) {
+  std::vector<double> sum(first);
+  for (std::size_t k = 0; k < sum.size(); ++k)
+    sum[k] = k % PUSH == PUSH - 1 ? std::max(sum[k], second[k]) : sum[k] + second[k];
+  return sum;
+}
+
+Rod::Axis axis_between(Vec a, Vec b) {
+  Rod::Axis axis;
+  const Vec along = b - a;
+  const double squared = dot(along, along);
+  store(a, axis.from);
+  store(along, axis.along);
+  axis.inverse = squared > 0 ? 1 / squared : 0;
+  const Vec out =
+      squared > 0 ? collide::across(along * (1 / std::sqrt(squared))) : Vec{0, 1, 0};
+  store(out, axis.outward);
+  return axis;
+}
+
+Sample sampled(const StepCollider& c, const Rod::Axis& axis, const Pose& pose, Vec point,
+               double radius) {
+  if (!c.is_rod) return sample(c.collider, pose, point, radius, collide::FAR);
+  const auto found = collide::sample_rod<OneRow>(axis, c.rod.radius, one(point));
+  return {found.distance.row, vec(found.normal)};
+}
+
+}  // namespace
+
+Sample StepCollider::before(Vec point, double radius) const {
+  return sampled(*this, rod.begin, begin, point, radius);
+}
+
+Sample StepCollider::after(Vec point, double radius) const {
+  return sampled(*this, rod.end, end, point, radius);
+}
+
+double StepCollider::travel(Vec drift) const {
+  if (surface >= 0) return way + length(drift);
+  if (!is_rod) return length(collider.motion.travel() - drift);
+  // The axis goes no farther than its ends.
+  const Vec first = load(rod.end.from) - load(rod.begin.from) - drift;
+  const Vec last = first + (load(rod.end.along) - load(rod.begin.along));
+  return std::max(length(first), length(last));
+}
+
+double StepCollider::thickness(double radius) const {
+  return thickness_of(collider, radius);
+}
+
+bool StepCollider::sweep(double h, double radius, Vec from, Vec& to, double* v) const {
+  if (!(length(to - from) > thickness(radius))) return false;
+  // What begins inside comes out at its own pace.
+  if (before(from, radius).distance < -collide::INSIDE) return false;
+  const Vec speed = (to - from) * (1 / h);
+  collide::Particle last{to, speed};
+  collide::Settling settling(&collider, 1, h, radius);
+  if (settling.settle({from, speed}, last).collider < 0) return false;
+  to = last.position;
+  if (v) store(last.velocity, v);
+  return true;
+}
+
+MovingColliders::MovingColliders(const std::optional<SpringColliders>& colliders,
+                                 std::size_t particles, std::int64_t cells)
+    : particles_(particles) {
+  if (!colliders) return;
+  const auto& [arrays, poses, radius, depths, tolerance, surfaces] = *colliders;
+  colliders_ = read_colliders(arrays);
+  check::shape("colliders.poses", poses, {static_cast<std::size_t>(cells), colliders_.size(), 2, 7});
+  check::finite("colliders.poses", poses);
+  check::not_negative("colliders.radius", radius);
+  check::not_negative("colliders.tolerance", tolerance);
+  if (depths) {
+    check::shape("colliders.depths", *depths, {colliders_.size(), particles});
+    check::finite("colliders.depths", *depths);
+  }
+  poses_ = poses.data();
+  radius_ = radius;
+  if (depths) depths_ = depths->data();
+  tolerance_ = tolerance;
+}
+
+bool MovingColliders::goes_on(std::int64_t cell) const {
+  const std::size_t row = 14 * colliders_.size();
+  const double* pose = poses(cell);
+  for (std::size_t c = 0; c < row; c += 14)
+    if (!std::equal(pose + c, pose + c + 7, pose + c + 7 - row)) return false;
+  return true;
+}
+
+void MovingColliders::steps(std::int64_t cell, int substeps, double h,
+                            std::vector<StepCollider>& out) const {
+  std::vector<Motion> whole;
+  for (std::size_t c = 0; c < colliders_.size(); ++c) {
+    const double* pose = poses(cell) + 14 * c;
+    whole.emplace_back(pose, pose + 7);
+  }
+  for (int step = 0; step < substeps; ++step)
+    for (std::size_t c = 0; c < colliders_.size(); ++c)
+      out.push_back(over(colliders_[c],
+                         whole[c].part(double(step) / substeps, double(step + 1) / substeps),
+                         h));
+}
+
+StepCollider MovingColliders::over(const Collider& c, const Motion& motion, double h) const {
+  StepCollider made{};
+  made.collider = c;
+  made.collider.motion = motion;
+  made.begin = motion.at(0);
+  made.end = motion.at(1);
+  made.is_rod = !c.container && (c.shape == Shape::CAPSULE || c.shape == Shape::SPHERE);
+  Rod& rod = made.rod;
+  store(motion.travel(), rod.travel);
+  store(motion.turn(), rod.turn);
+  store(made.end.origin, rod.origin);
+  rod.friction = c.friction;
+  rod.rise = c.depenetration * h;
+  if (!made.is_rod) return made;
+  const bool ball = c.shape == Shape::SPHERE;
+  const Vec a = load(c.size), b = ball ? a : load(c.size + 3);
+  const Vec a0 = made.begin.to_world(a), b0 = made.begin.to_world(b);
+  const Vec a1 = made.end.to_world(a), b1 = made.end.to_world(b);
+  rod.begin = axis_between(a0, b0);
+  rod.end = axis_between(a1, b1);
+  rod.radius = c.size[ball ? 3 : 6] + c.margin + radius_;
+  return made;
+}
+
+SpringContacts::SpringContacts(const std::optional<SpringColliders>& colliders,
+                               std::size_t particles, std::int64_t cells)
+    : colliders_(colliders, particles, cells), count_(colliders_.size()), cells_(cells) {
+  if (!colliders) return;
+  for (const SpringSurface& one : std::get<5>(*colliders)) surfaces_.emplace_back(one, cells);
+  count_ += surfaces_.size();
+  make_patches(particles);
+  pushed_.assign(PUSH * colliders_.size(), 0.0);
+  pushing_ = pushed_;
+  clear_.assign(particles, 0.0);
+  arm_.assign(particles, 0.0);
+}
+
+void SpringContacts::make_patches(std::size_t particles) {
+  for (std::size_t c = 0; c < count_; ++c) {
+    const bool rigid = c < colliders_.size();
+    const double kept = colliders_.radius() + (rigid ? colliders_[c].margin : 0);
+    const double* box = nullptr;
+    if (!rigid)
+      box = surfaces_[c - colliders_.size()].box();
+    else if (colliders_[c].shape == Shape::MESH)
+      box = colliders_[c].mesh.bounds + 6 * colliders_[c].root;
+    patched_.push_back(box ? static_cast<std::int32_t>(patches_.size()) : -1);
+    if (box)
+      patches_.emplace_back(particles, std::max(kept, FINE * length(load(box + 3) - load(box))));
+  }
+}
+
+void SpringContacts::begin_cell(std::int64_t cell, int substeps, double h) {
+  if (!any()) return;
+  substeps_ = substeps;
+  h_ = h;
+  if (cell != last_) pushed_ = both(pushed_, pushing_);
+  std::fill(pushing_.begin(), pushing_.end(), 0.0);
+  rigid_.clear();
+  colliders_.steps(cell, substeps, h, rigid_);
+  // Where a cell is crossed again, or a collider is put elsewhere, nothing is known.
+  bool known = cell == last_ + 1 && (last_ < 0 || colliders_.goes_on(cell));
+  enter_surfaces(cell, known);
+  add_surfaces();
+  if (!known) std::fill(clear_.begin(), clear_.end(), 0.0);
+  last_ = cell;
+}
+
+void SpringContacts::enter_surfaces(std::int64_t cell, bool& known) {
+  for (std::size_t s = 0; s < surfaces_.size(); ++s) {
+    if (surfaces_[s].enter(cell, h_ * substeps_)) continue;
+    known = false;
+    patches_[static_cast<std::size_t>(patched_[colliders_.size() + s])].forget();
+  }
+}
+
+void SpringContacts::add_surfaces() {
+  cell_.clear();
+  for (int step = 0; step < substeps_; ++step) {
+    const auto first = rigid_.begin() + step * static_cast<std::ptrdiff_t>(colliders_.size());
+    cell_.insert(cell_.end(), first, first + static_cast<std::ptrdiff_t>(colliders_.size()));
+    for (std::size_t s = 0; s < surfaces_.size(); ++s) {
+      StepCollider made{};
+      const double begun = surfaces_[s].gone(double(step) / substeps_);
+      const double ended = surfaces_[s].gone(double(step + 1) / substeps_);
+      made.collider = surfaces_[s].collider(ended);
+      made.surface = static_cast<std::int32_t>(s);
+      made.begun = begun;
+      made.lasts = ended - begun;
+      made.way = surfaces_[s].travel() * made.lasts;
+      made.rod.friction = made.collider.friction;
+      made.rod.rise = made.collider.depenetration * h_;
+      cell_.push_back(made);
+    }
+  }
+}
+
+Out<double, 2> SpringContacts::pushes() const {
+  const std::vector<double> sum = both(pushed_, pushing_);
+  Out<double, 2> rows(sum.size() / PUSH, PUSH);
+  std::copy(sum.begin(), sum.end(), rows.get());
+  return rows;
+}
+
+bool SpringContacts::settle(const SpringNetwork& network, int step,
+                            std::vector<double>& before, std::vector<double>& x,
+                            std::vector<double>* v) {
+  if (!any()) return false;
+  now_ = cell_.data() + static_cast<std::size_t>(step) * count_;
+  double travel = 0, angle = 0;
+  for (std::size_t c = 0; c < count_; ++c) {
+    travel = std::max(travel, now_[c].travel({}));
+    angle = std::max(angle, now_[c].turn());
+  }
+  masses_.assign(colliders_.size(), 0.0);
+  least_blow_ = RESTING * h_ * std::sqrt(dot3(network.gravity, network.gravity));
+  std::int64_t moved = 0, inside = 0;
+  for (std::size_t n = 0; n < network.particles(); ++n) {
+    if (network.inverse_masses[n] == 0) continue;
+    double *at = x.data() + ROW * n, way = travel + angle * arm_[n];
+    double* from = before.data() + ROW * n;
+    for (std::size_t k = 0; k < 3; ++k) way += std::abs(at[k] - from[k]);
+    clear_[n] -= way;
+    if (clear_[n] > 0) continue;
+    const double mass = 1 / network.inverse_masses[n];
+    moved += settle_one(n, mass, from, at, v ? v->data() + ROW * n : nullptr);
+    inside += nearest_ < -colliders_.tolerance();
+  }
+  for (std::size_t c = 0; c < masses_.size(); ++c) {
+    double& most = pushing_[PUSH * c + PUSH - 1];
+    most = std::max(most, masses_[c]);
+  }
+  touched = std::max(touched, moved);
+  if (last_ + 1 == cells_ && step + 1 == substeps_) unresolved = inside;
+  return moved > 0;
+}
+
+double SpringContacts::clearance(std::size_t n, Vec x) {
+  double clear = collide::FAR;
+  for (std::size_t c = 0; c < count_; ++c)
+    clear = std::min(clear, look(c, n, true, x).sample.distance - colliders_.depth(c, n));
+  return clear;
+}
+
+void SpringContacts::note(std::size_t n, Vec x, double clear) {
+  double arm = 0;
+  for (std::size_t c = 0; c < count_; ++c) arm = std::max(arm, length(x - now_[c].end.origin));
+  clear_[n] = std::max(clear, 0.0);
+  arm_[n] = arm + 2 * clear_[n];
+}
+
+Mesh SpringContacts::mesh_at(const StepCollider& c, bool end) const {
+  Mesh mesh = c.collider.mesh;
+  if (!end) mesh.share = c.begun;
+  return mesh;
+}
+
+SpringContacts::Found SpringContacts::look(std::size_t index, std::size_t n, bool end,
+                                           Vec point) {
+  const StepCollider& c = now_[index];
+  const double radius = colliders_.radius();
+  if (!c.is_mesh()) return {end ? c.after(point, radius) : c.before(point, radius), -1};
+  const Mesh mesh = mesh_at(c, end);
+  const Pose& pose = end ? c.end : c.begin;
+  const double kept = collide::kept(c.collider, radius), side = c.collider.container ? -1 : 1;
+  const MeshWay gone =
+      c.surface < 0 ? MeshWay{} : surfaces_[static_cast<std::size_t>(c.surface)].way_until(mesh.share);
+  auto& patches = patches_[static_cast<std::size_t>(patched_[index])];
+  Found found = patches.look(mesh, c.collider.root, n, pose.to_local(point), gone, kept,
+                             !c.collider.container);
+  if (c.collider.two_sided) found.sample = collide::unsided(found.sample);
+  const Vec out = pose.rotated(found.sample.normal) * side;
+  return {{side * found.sample.distance - kept, out}, found.triangle};
+}
+
+Vec SpringContacts::carried(const StepCollider& c, const Found& found, bool end,
+                            Vec point) const {
+  if (c.surface < 0)
+    return c.collider.motion.displacement(point, end ? c.end : c.begin);
+  if (found.triangle < 0) return {};
+  const auto& surface = surfaces_[static_cast<std::size_t>(c.surface)];
+  return surface.way(mesh_at(c, end), found.triangle, point) * c.lasts;
+}
+
+void SpringContacts::note_push(std::size_t c, double mass, Vec point, Vec change) {
+  if (c >= colliders_.size() || dot(change, change) == 0) return;
+  const Vec impulse = change * -mass, moment = cross(point, impulse);
+  double* row = pushing_.data() + PUSH * c;
+  const double values[PUSH - 1] = {impulse.x, impulse.y, impulse.z,
+                                   moment.x,  moment.y,  moment.z};
+  for (std::size_t k = 0; k < PUSH - 1; ++k) row[k] += values[k];
+  masses_[c] += mass;
+}
+
+bool SpringContacts::settle_one(std::size_t n, double mass, double* before, double* x,
+                                double* v) {
+  const Vec from = load(before);
+  Vec to = load(x), still = from;
+  bool moved = false, pushed = true;
+  // Where a solver has no velocities, it takes them from the way of the step.
+  auto speed = [&] { return v ? load(v) : (to - still) * (1 / h_); };
+  Vec last = speed();
+  auto note_change = [&](std::size_t c) {
+    const Vec now = speed();
+    note_push(c, mass, to, now - last);
+    last = now;
+  };
+  for (std::size_t c = 0; c < count_; ++c) {
+    moved |= sweep(c, n, from, to, v);
+    note_change(c);
+  }
+  for (int i = 0; i < TRIES && pushed; ++i) {
+    pushed = false;
+    nearest_ = collide::FAR;
+    for (std::size_t c = 0; c < count_; ++c) {
+      pushed |= push(c, n, from, to, still, v);
+      note_change(c);
+    }
+    moved |= pushed;
+  }
+  if (pushed) nearest_ = clearance(n, to);
+  note(n, to, nearest_);
+  if (moved) {
+    store(to, x);
+    store(still, before);
+  }
+  return moved;
+}
+
+bool SpringContacts::sweep(std::size_t c, std::size_t n, Vec from, Vec& to, double* v) {
+  if (now_[c].is_mesh()) return sweep_mesh(c, n, from, to, v);
+  return now_[c].sweep(h_, colliders_.radius(), from, to, v);
+}
+
+bool SpringContacts::sweep_mesh(std::size_t index, std::size_t n, Vec from, Vec& to,
+                                double* v) {
+  const StepCollider& c = now_[index];
+  const double arm = length(from - c.begin.origin);
+  const double most = length(to - from) + c.travel({}) + c.turn() * arm;
+  const double radius = colliders_.radius();
+  if (!(most > c.thickness(radius))) return false;
+  const Found found = look(index, n, false, from);
+  // What begins inside comes out at its own pace.
+  if (found.sample.distance > most || found.sample.distance < -collide::INSIDE) return false;
+  const Vec gone = carried(c, found, false, from);
+  if (!(length(to - from - gone) > c.thickness(radius))) return false;
+  if (c.surface < 0) return c.sweep(h_, radius, from, to, v);
+  // It is seen from what of the surface is nearest: the rest of that stands as at the end.
+  const Vec start = from + gone, speed = (to - start) * (1 / h_);
+  collide::Particle last{to, speed};
+  collide::Settling settling(&c.collider, 1, h_, radius);
+  if (settling.settle({start, speed}, last).collider < 0) return false;
+  to = last.position;
+  if (v) store(last.velocity + gone * (1 / h_), v);
+  return true;
+}
+
+// What came through a surface with two sides in a step is inside of it.
+void SpringContacts::turn_back(const StepCollider& c, Vec from, Vec to, Sample& found) const {
+  const double off = collide::kept(c.collider, colliders_.radius());
+  const Vec before = c.begin.to_local(from), after = c.end.to_local(to);
+  if (found.distance + off > length(after - before)) return;
+  if (!collide::crosses_mesh(c.collider.mesh, c.collider.root, before, after)) return;
+  found = {-(found.distance + off) - off, -found.normal};
+}
+
+bool SpringContacts::push(std::size_t index, std::size_t n, Vec from, Vec& to,
+                          Vec& still, double* v) {
+  const StepCollider& c = now_[index];
+  const double depth = colliders_.depth(index, n);
+  Found seen = look(index, n, true, to);
+  if (c.collider.two_sided) turn_back(c, from, to, seen.sample);
+  const Sample& found = seen.sample;
+  nearest_ = std::min(nearest_, found.distance - depth);
+  if (!(found.distance < depth - collide::TOUCH)) return false;
+  const Vec way = carried(c, seen, true, to);
+  if (v) {
+    const Vec surface = way * (1 / h_), speed = load(v) - surface;
+    const double into = dot(speed, found.normal);
+    if (into < 0) {
+      const double restitution = c.collider.restitution;
+      const double held = c.collider.friction * -into * (1 + restitution);
+      Vec along = speed - found.normal * into;
+      const double most = length(along);
+      along = along * (most > held ? 1 - held / most : 0.0);
+      // What a step of its weight brings is no blow: it rests.
+      const double back = -into > least_blow_ ? restitution * into : 0.0;
+      store(surface + along - found.normal * back, v);
+    }
+  }
+  const double begun = look(index, n, false, from).sample.distance;
+  Rod rod = c.rod;
+  if (c.surface >= 0) store(way, rod.travel);
+  OneVec place = one(to), stood = one(still);
+  const bool out = collide::push_out<OneRow>(rod, {found.distance, one(found.normal)}, begun,
+                                             depth, one(from), place, stood);
+  to = vec(place);
+  still = vec(stood);
+  return out;
+}
+
+}  // namespace animtool

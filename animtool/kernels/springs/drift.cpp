@@ -1,0 +1,82 @@
+// How far near particles moved over each other.
+#include "springs/drift.h"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <limits>
+#include <map>
+
+namespace animtool {
+
+namespace {
+
+// Cells are counted to this in each direction; what is beyond is in the last.
+constexpr double MOST_CELLS = 1e6;
+// What is lost in rounding [1].
+constexpr double ROUNDING = 1 + 1e-9;
+
+using Cell = std::array<std::int32_t, 3>;
+
+}  // namespace
+
+void NearMotion::build(const std::vector<double>& x, double width) {
+  width_ = width;
+  double low[3] = {x[0], x[1], x[2]};
+  for (std::size_t n = 0; n < x.size(); n += ROW)
+    for (std::size_t k = 0; k < 3; ++k) low[k] = std::min(low[k], x[n + k]);
+  std::map<Cell, std::uint32_t> numbers;
+  cells_.clear();
+  for (std::size_t n = 0; n < x.size(); n += ROW) {
+    Cell at;
+    for (std::size_t k = 0; k < 3; ++k) {
+      const double cell = (x[n + k] - low[k]) / width;
+      at[k] = static_cast<std::int32_t>(cell < MOST_CELLS ? cell : MOST_CELLS);
+    }
+    const auto number = static_cast<std::uint32_t>(numbers.size());
+    cells_.push_back(numbers.insert({at, number}).first->second);
+  }
+  ranges_.resize(numbers.size());
+  beside_.clear();
+  for (const auto& [at, number] : numbers)
+    for (std::int32_t k = 0; k < 27; ++k) {
+      const auto other = numbers.find({at[0] + k % 3 - 1, at[1] + k / 3 % 3 - 1, at[2] + k / 9 - 1});
+      if (other != numbers.end() && other->second > number)
+        beside_.push_back({number, other->second});
+    }
+}
+
+double NearMotion::spread(const Range& one, const Range& other) {
+  double along[3];
+  for (std::size_t k = 0; k < 3; ++k)
+    along[k] = std::max(one.high[k], other.high[k]) - std::min(one.low[k], other.low[k]);
+  return std::sqrt(along[0] * along[0] + along[1] * along[1] + along[2] * along[2]) * ROUNDING;
+}
+
+Drift NearMotion::between(const std::vector<double>& from, const std::vector<double>& to) {
+  constexpr double FAR = std::numeric_limits<double>::infinity();
+  std::fill(ranges_.begin(), ranges_.end(), Range{{FAR, FAR, FAR}, {-FAR, -FAR, -FAR}});
+  for (std::size_t n = 0; n < cells_.size(); ++n) {
+    Range& range = ranges_[cells_[n]];
+    for (std::size_t k = 0; k < 3; ++k) {
+      const double way = to[ROW * n + k] - from[ROW * n + k];
+      range.low[k] = std::min(range.low[k], way);
+      range.high[k] = std::max(range.high[k], way);
+    }
+  }
+  Drift drift;
+  Range all = ranges_[0];
+  for (const Range& range : ranges_) {
+    drift.near = std::max(drift.near, spread(range, range));
+    for (std::size_t k = 0; k < 3; ++k) {
+      all.low[k] = std::min(all.low[k], range.low[k]);
+      all.high[k] = std::max(all.high[k], range.high[k]);
+    }
+  }
+  for (const auto& [c, d] : beside_)
+    drift.near = std::max(drift.near, spread(ranges_[c], ranges_[d]));
+  drift.all = spread(all, all);
+  return drift;
+}
+
+}  // namespace animtool

@@ -1,0 +1,223 @@
+// Semi-implicit Euler steps of networks of springs.
+#include <algorithm>
+
+#include "base/checks.h"
+#include "springs/steps.h"
+
+namespace animtool {
+
+SpringRun begin_springs(const SpringNetwork& network, const In<double, 3>& state,
+                        const In<std::uint8_t, 1>& torn) {
+  const std::size_t count = network.particles();
+  check::shape("state", state, {2, count, 3});
+  check::shape("torn", torn, {network.lines.springs.size()});
+  check::indices("torn", torn, 0, 2);
+  return {network, state.data(), state.data() + 3 * count, torn.data()};
+}
+
+void check_cells(const Cells& cells, std::int64_t substeps) {
+  check::finite("origin", cells.origin);
+  check::between("first", cells.first, -FARTHEST_CELL, FARTHEST_CELL);
+  check::positive("cell", cells.cell);
+  check::between("substeps", substeps, 1, MOST_SUBSTEPS);
+  check::between("cells", cells.count, 0, MOST_STEPS / substeps);
+  // Speeds are ways over the length of a step.
+  const double h = cells.cell / static_cast<double>(substeps);
+  if (!std::isfinite(1 / h) || !std::isfinite(cells.start(0)) ||
+      !std::isfinite(cells.start(cells.count)))
+    check::refuse("cell", check::text(cells.cell) + " in " + check::text(substeps) +
+                              " steps is beyond what numbers can tell apart");
+}
+
+Out<double, 3> ended_state(const SpringRun& run) {
+  const std::size_t count = run.network.particles();
+  Out<double, 3> result(2, count, 3);
+  for (std::size_t n = 0; n < count; ++n) {
+    std::copy_n(run.x.data() + ROW * n, 3, result.get() + 3 * n);
+    std::copy_n(run.v.data() + ROW * n, 3, result.get() + 3 * (count + n));
+  }
+  return result;
+}
+
+Out<std::uint8_t, 1> ended_torn(const SpringRun& run) {
+  Out<std::uint8_t, 1> result(run.torn.size());
+  std::copy(run.torn.begin(), run.torn.end(), result.get());
+  return result;
+}
+
+Out<double, 2> spring_accelerations(const SpringNetwork& network, double t, double h,
+                                    In<double, 3> state, In<std::uint8_t, 1> torn) {
+  check::finite("t", t);
+  check::positive("h", h);
+  SpringRun run = begin_springs(network, state, torn);
+  Out<double, 2> result(network.particles(), 3);
+  std::vector<double> rate(run.size);
+  run.look(t, h);
+  run.accelerate(run.x.data(), run.v.data(), rate.data());
+  for (std::size_t n = 0; n < network.particles(); ++n)
+    std::copy_n(rate.data() + ROW * n, 3, result.get() + 3 * n);
+  return result;
+}
+
+Out<std::int64_t, 1> spring_order(In<std::int64_t, 2> ends, std::size_t particles) {
+  check::between("particles", particles, 0, check::MOST_ROWS);
+  check::shape("ends", ends, {check::ANY, 2});
+  check::at_most("ends", ends.shape(0), check::MOST_ROWS);
+  check::indices("ends", ends, 0, static_cast<std::int64_t>(particles));
+  Out<std::int64_t, 1> result(ends.shape(0));
+  const auto order = order_springs(ends.data(), ends.shape(0), particles);
+  std::copy(order.begin(), order.end(), result.get());
+  return result;
+}
+
+std::tuple<double, double> spring_energy(const SpringNetwork& network,
+                                         In<double, 2> positions) {
+  check::shape("positions", positions, {network.particles(), 3});
+  double energy = 0, longest = 0;
+  for (const Spring& spring : network.lines.springs) {
+    const double* p = positions.data() + 3 * static_cast<std::size_t>(spring.i);
+    const double* q = positions.data() + 3 * static_cast<std::size_t>(spring.j);
+    const double d[3] = {q[0] - p[0], q[1] - p[1], q[2] - p[2]};
+    const double length = std::sqrt(dot3(d, d)), longer = length - spring.rest;
+    energy += 0.5 * spring.stiffness * longer * longer;
+    if (spring.rest > 0 && !(length <= longest * spring.rest)) longest = length / spring.rest;
+  }
+  return {energy, longest};
+}
+
+namespace {
+
+class Explicit {
+ public:
+  Explicit(SpringRun& run, SpringContacts& contacts)
+      : run_(run), contacts_(contacts), rate_(run.size), before_(run.size) {
+    const SpringNetwork& network = run.network;
+    const std::size_t height = plane_height(network.particles());
+    const auto column = [&](std::vector<double> numbers) {
+      numbers.resize(height);
+      return numbers;
+    };
+    inverse_masses_ = column(network.inverse_masses);
+    drags_ = column(network.drags);
+    strides_ = {1, height};
+  }
+
+  // A cell from a time on, in steps of h.
+  void cross(double start, int substeps, double h) {
+    if (run_.lines().pulls.banded()) return cross_in_columns(start, substeps, h);
+    for (int j = 0; j < substeps; ++j) step_rows(start + j * h, h, j);
+  }
+
+  // Take out what is stretched beyond its limit.
+  void tear() {
+    if (!run_.lines().tear) return;
+    end();
+    run_.tear();
+  }
+
+  // Have rows as they are to be.
+  void end() {
+    if (in_columns_ && !in_rows_) write();
+    in_columns_ = false;
+  }
+
+ private:
+  void step_rows(double t, double h, int j) {
+    static const AdvanceRows quads = advance_rows_in_quads();
+    const SpringNetwork& network = run_.network;
+    run_.look(t, h);
+    run_.accelerate(run_.x.data(), run_.v.data(), rate_.data());
+    keep_rows();
+    (quads ? quads : advance_rows<PlainRows>)(network.particles(), h, rate_.data(),
+                                              run_.x.data(), run_.v.data());
+    network.place_held(t + h, h, before_.data(), run_.x.data(), run_.v.data());
+    contacts_.settle(network, j, before_, run_.x, &run_.v);
+  }
+
+  // Where particles are, of all or of those that are held.
+  void keep_rows() {
+    if (contacts_.any()) {
+      before_ = run_.x;
+      return;
+    }
+    for (const std::int32_t particle : run_.network.held) {
+      const std::size_t at = ROW * static_cast<std::size_t>(particle);
+      std::copy_n(run_.x.data() + at, ROW, before_.data() + at);
+    }
+  }
+
+  // Particles are in columns; in rows too where something else than bands asks for them.
+  void cross_in_columns(double start, int substeps, double h) {
+    const SpringNetwork& network = run_.network;
+    const SpringPulls& pulls = run_.lines().pulls;
+    const bool pulled = run_.pulled_otherwise(), met = contacts_.any();
+    in_rows_ = pulled || met;
+    if (!in_columns_) begin();
+    const PlaneSteps steps{inverse_masses_.data(), drags_.data(),
+                           {network.gravity[0], network.gravity[1], network.gravity[2]}, h};
+    for (int j = 0; j < substeps; ++j) {
+      const double t = start + j * h;
+      run_.look(t, h);
+      if (pulled) {
+        run_.pull_otherwise(run_.x.data(), run_.v.data(), rate_.data());
+        pulls.read(rate_.data(), room_.f);
+      }
+      pulls.step(steps, room_);
+      network.place_held(t + h, h, room_.x.data(), room_.x.data(), room_.v.data(), strides_);
+      if (met) before_ = run_.x;
+      if (in_rows_) write();
+      if (!met) continue;
+      contacts_.settle(network, j, before_, run_.x, &run_.v);
+      read();
+    }
+  }
+
+  void begin() {
+    run_.lines().pulls.make(room_);
+    read();
+    in_columns_ = true;
+  }
+
+  void read() {
+    run_.lines().pulls.read(run_.x.data(), room_.x);
+    run_.lines().pulls.read(run_.v.data(), room_.v);
+  }
+
+  void write() {
+    run_.lines().pulls.write(room_.x, run_.x.data());
+    run_.lines().pulls.write(room_.v, run_.v.data());
+  }
+
+  SpringRun& run_;
+  SpringContacts& contacts_;
+  std::vector<double> rate_, before_;
+  PullRoom room_;
+  std::vector<double> inverse_masses_, drags_;  // columns
+  Strides strides_;
+  bool in_columns_ = false, in_rows_ = false;
+};
+
+}  // namespace
+
+SpringsStepped step_springs(const SpringNetwork& network, In<double, 3> state,
+                            In<std::uint8_t, 1> torn, double origin, std::int64_t first,
+                            double cell, std::int64_t cells, int substeps,
+                            const std::optional<SpringColliders>& colliders) {
+  const Cells grid{origin, first, cell, cells};
+  check_cells(grid, substeps);
+  check::finite("state", state);
+  SpringRun run = begin_springs(network, state, torn);
+  SpringContacts contacts(colliders, network.particles(), cells);
+  const double h = cell / substeps;
+  Explicit steps(run, contacts);
+  for (std::int64_t i = 0; i < cells; ++i) {
+    contacts.begin_cell(i, substeps, h);
+    steps.cross(grid.start(i), substeps, h);
+    steps.tear();
+  }
+  steps.end();
+  return {ended_state(run), ended_torn(run), contacts.unresolved,
+          contacts.pushes()};
+}
+
+}  // namespace animtool

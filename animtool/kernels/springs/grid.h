@@ -1,0 +1,72 @@
+// Points in cells of a grid, found by their cell's hash.
+#pragma once
+
+#include <algorithm>
+#include <cstdint>
+#include <vector>
+
+#include "springs/rows.h"
+
+namespace animtool {
+
+// Points by number; those of a cell ascend.
+class PointGrid {
+ public:
+  // Rows: of points, with the cell's size.
+  void build(const double* rows, std::size_t count, double cell);
+
+  // Calls with each point that may lie in a box, and its place.
+  template <class Function>
+  void visit(const double* low, const double* high, Function function) const;
+
+ private:
+  std::uint64_t key(const std::int64_t* cell) const {
+    return static_cast<std::uint64_t>(cell[0]) | static_cast<std::uint64_t>(cell[1]) << 20 |
+           static_cast<std::uint64_t>(cell[2]) << 40;
+  }
+  std::size_t bucket(std::uint64_t key) const {
+    return static_cast<std::size_t>((key * 0x9e3779b97f4a7c15u) >> 32) & mask_;
+  }
+  std::int64_t cell_of(double place, std::size_t axis) const {
+    // What is no number is in the first.
+    const double cell = (place - low_[axis]) * over_;
+    return cell > 0 ? static_cast<std::int64_t>(std::min(cell, double(MOST_CELLS))) : 0;
+  }
+
+  // Cells are counted to this from the first in each direction.
+  static constexpr std::int64_t MOST_CELLS = (1 << 20) - 1;
+
+  std::size_t count_ = 0, mask_ = 0;
+  double low_[3] = {0, 0, 0}, over_ = 1;
+  std::vector<std::uint32_t> starts_;
+  std::vector<std::uint64_t> keys_;
+  std::vector<std::int32_t> points_;
+  std::vector<double> places_;  // as the rows, sorted
+};
+
+template <class Function>
+void PointGrid::visit(const double* low, const double* high, Function function) const {
+  std::int64_t first[3], last[3];
+  double cells = 1;
+  for (std::size_t k = 0; k < 3; ++k) {
+    first[k] = cell_of(low[k], k);
+    last[k] = cell_of(high[k], k);
+    cells *= static_cast<double>(last[k] - first[k] + 1);
+  }
+  // A box of more cells than there are points is looked through faster without them.
+  if (cells > static_cast<double>(count_)) {
+    for (std::size_t i = 0; i < count_; ++i) function(points_[i], &places_[ROW * i]);
+    return;
+  }
+  std::int64_t at[3];
+  for (at[2] = first[2]; at[2] <= last[2]; ++at[2])
+    for (at[1] = first[1]; at[1] <= last[1]; ++at[1])
+      for (at[0] = first[0]; at[0] <= last[0]; ++at[0]) {
+        const std::uint64_t wanted = key(at);
+        const std::size_t b = bucket(wanted);
+        for (std::size_t i = starts_[b]; i < starts_[b + 1]; ++i)
+          if (keys_[i] == wanted) function(points_[i], &places_[ROW * i]);
+      }
+}
+
+}  // namespace animtool

@@ -1,0 +1,165 @@
+// How far parts of a surface keep from each other.
+#include "springs/layers.h"
+
+#include <algorithm>
+#include <limits>
+#include <queue>
+
+#include "base/checks.h"
+#include "springs/shapes.h"
+
+namespace animtool {
+
+namespace {
+
+using collide::Vec;
+using shapes::row_of;
+
+// At rest along the surface, over the distance that is kept [1].
+constexpr double NEIGHBOURS = 1.5;
+// Ways along edges are so much longer than straight ones, at most.
+constexpr double DETOUR = 2;
+// Of the thickness, what edges keep: layers that lie on each other are held by their
+// particles alone, and edges meet only where ridges would cut into each other.
+constexpr double EDGES = 0.75;
+constexpr double INFINITE = std::numeric_limits<double>::infinity();
+
+// Neighbours of particles along edges and springs, with the length of the way.
+class Ways {
+ public:
+  Ways(const SpringNetwork& network, const std::vector<double>& rest)
+      : beside_(network.particles()),
+        longest_(network.particles(), 0),
+        away_(network.particles(), INFINITE) {
+    const auto join = [&](std::int32_t i, std::int32_t j, bool edge) {
+      const double way = length(row_of(rest.data(), i) - row_of(rest.data(), j));
+      for (const auto& [from, to] : {std::pair(i, j), std::pair(j, i)}) {
+        const std::size_t n = static_cast<std::size_t>(from);
+        beside_[n].push_back({to, way});
+        if (edge) longest_[n] = std::max(longest_[n], way);
+      }
+    };
+    const auto& corners = network.triangles;
+    for (std::size_t t = 0; t < corners.size(); t += 3)
+      for (std::size_t k = 0; k < 3; ++k) join(corners[t + k], corners[t + (k + 1) % 3], true);
+    for (const Spring& spring : network.lines.springs) join(spring.i, spring.j, false);
+  }
+
+  // Particles no farther from one than this, beside its longest edge; they ascend.
+  const std::vector<std::int32_t>& around(std::int32_t from, double farthest) {
+    for (const std::int32_t n : found_) away(n) = INFINITE;
+    found_.clear();
+    farthest += longest_[static_cast<std::size_t>(from)];
+    using Way = std::pair<double, std::int32_t>;
+    std::priority_queue<Way, std::vector<Way>, std::greater<Way>> waiting;
+    const auto reach = [&](std::int32_t n, double way) {
+      if (way > farthest || way >= away(n)) return;
+      if (away(n) == INFINITE) found_.push_back(n);
+      away(n) = way;
+      waiting.push({way, n});
+    };
+    reach(from, 0);
+    while (!waiting.empty()) {
+      const auto [way, n] = waiting.top();
+      waiting.pop();
+      if (way > away(n)) continue;
+      for (const auto& [next, step] : beside_[static_cast<std::size_t>(n)])
+        reach(next, way + step);
+    }
+    std::sort(found_.begin(), found_.end());
+    return found_;
+  }
+
+ private:
+  double& away(std::int32_t n) { return away_[static_cast<std::size_t>(n)]; }
+
+  std::vector<std::vector<std::pair<std::int32_t, double>>> beside_;
+  std::vector<double> longest_, away_;
+  std::vector<std::int32_t> found_;
+};
+
+}  // namespace
+
+SpringLayers::SpringLayers(const SpringNetwork& network, In<double, 2> rest,
+                           double thickness0, double friction0, double speed0)
+    : thickness(thickness0),
+      friction(friction0),
+      speed(speed0),
+      particles_(network.particles()),
+      corners_(network.triangles),
+      beside_starts_{0} {
+  check::shape("rest", rest, {particles_, 3});
+  check::finite("rest", rest);
+  check::positive("thickness", thickness);
+  check::not_negative("friction", friction);
+  check::not_negative("speed", speed);
+  rest_.resize(ROW * particles_);
+  for (std::size_t n = 0; n < particles_; ++n)
+    std::copy_n(rest.data() + 3 * n, 3, rest_.data() + ROW * n);
+  note_edges();
+  note_beside(network);
+}
+
+void SpringLayers::note_edges() {
+  std::vector<std::pair<std::int32_t, std::int32_t>> found;
+  for (std::size_t t = 0; t < corners_.size(); t += 3)
+    for (std::size_t k = 0; k < 3; ++k)
+      found.push_back(std::minmax({corners_[t + k], corners_[t + (k + 1) % 3]}));
+  std::sort(found.begin(), found.end());
+  found.erase(std::unique(found.begin(), found.end()), found.end());
+  for (const auto& [i, j] : found) ends_.insert(ends_.end(), {i, j});
+}
+
+void SpringLayers::note_beside(const SpringNetwork& network) {
+  Ways ways(network, rest_);
+  for (std::size_t n = 0; n < particles_; ++n) {
+    const auto& found = ways.around(static_cast<std::int32_t>(n), DETOUR * NEIGHBOURS * thickness);
+    beside_.insert(beside_.end(), found.begin(), found.end());
+    beside_starts_.push_back(beside_.size());
+  }
+}
+
+bool SpringLayers::joined(std::int32_t i, std::int32_t j) const {
+  const auto from = static_cast<std::size_t>(i);
+  return std::binary_search(beside_.begin() + static_cast<std::ptrdiff_t>(beside_starts_[from]),
+                            beside_.begin() + static_cast<std::ptrdiff_t>(beside_starts_[from + 1]),
+                            j);
+}
+
+double SpringLayers::kept(double at_rest, bool joined) const {
+  return std::min(thickness, joined ? at_rest / NEIGHBOURS : at_rest);
+}
+
+double SpringLayers::least(std::size_t triangle, std::int32_t particle) const {
+  const std::int32_t* of = corners(triangle);
+  if (std::find(of, of + 3, particle) != of + 3) return 0;
+  const double apart = shapes::Triangle(of, rest_.data()).distance(row_of(rest_.data(), particle));
+  if (!(apart < NEIGHBOURS * thickness)) return thickness;
+  return kept(apart, std::any_of(of, of + 3, [&](std::int32_t n) { return joined(n, particle); }));
+}
+
+double SpringLayers::checked_least(std::int64_t triangle, std::int64_t particle) const {
+  check::indices("triangle", &triangle, 1, 0, static_cast<std::int64_t>(triangles()));
+  check::indices("particle", &particle, 1, 0, static_cast<std::int64_t>(particles_));
+  return least(static_cast<std::size_t>(triangle), static_cast<std::int32_t>(particle));
+}
+
+double SpringLayers::checked_least_of_edges(std::int64_t first, std::int64_t second) const {
+  check::indices("first", &first, 1, 0, static_cast<std::int64_t>(edges()));
+  check::indices("second", &second, 1, 0, static_cast<std::int64_t>(edges()));
+  return least_of_edges(static_cast<std::size_t>(first), static_cast<std::size_t>(second));
+}
+
+double SpringLayers::most_of_edges() const { return EDGES * thickness; }
+
+double SpringLayers::least_of_edges(std::size_t first, std::size_t second) const {
+  const std::int32_t *one = ends(first), *other = ends(second);
+  const std::int32_t who[4] = {one[0], one[1], other[0], other[1]};
+  if (who[0] == who[2] || who[0] == who[3] || who[1] == who[2] || who[1] == who[3]) return 0;
+  const double apart = length(shapes::EdgePair(who, rest_.data()).nearest().off);
+  if (!(apart < NEIGHBOURS * thickness)) return most_of_edges();
+  const auto beside = [&](std::int32_t n) { return joined(n, who[2]) || joined(n, who[3]); };
+  return EDGES * kept(apart, beside(who[0]) || beside(who[1]));
+}
+
+}  // namespace animtool

@@ -1,0 +1,52 @@
+// What of a surface that keeps apart from itself does not change: how far who keeps from whom.
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include "springs/network.h"
+
+namespace animtool {
+
+// Corners are kept from triangles, and edges from edges; what shares a particle is not. All
+// keep the thickness, but what is nearer at rest keeps no more than that distance; along the
+// surface, where springs hold it, less, so that it bends and shortens before it touches.
+class SpringLayers {
+ public:
+  // Rest: where particles are at rest (N, 3). Speed: with which what is nearer than it may
+  // be at the start comes apart.
+  SpringLayers(const SpringNetwork& network, In<double, 2> rest, double thickness,
+               double friction, double speed);
+
+  std::size_t particles() const { return particles_; }
+  std::size_t triangles() const { return corners_.size() / 3; }
+  std::size_t edges() const { return ends_.size() / 2; }
+  const std::int32_t* corners(std::size_t triangle) const { return &corners_[3 * triangle]; }
+  const std::int32_t* ends(std::size_t edge) const { return &ends_[2 * edge]; }
+  // Distance that a particle keeps from a triangle, and an edge from another; 0 of those that
+  // are not kept apart.
+  double least(std::size_t triangle, std::int32_t particle) const;
+  double least_of_edges(std::size_t first, std::size_t second) const;
+  double most_of_edges() const;
+  // The same for callers who may name what there is not.
+  double checked_least(std::int64_t triangle, std::int64_t particle) const;
+  double checked_least_of_edges(std::int64_t first, std::int64_t second) const;
+
+  const double thickness, friction, speed;
+
+ private:
+  void note_edges();
+  void note_beside(const SpringNetwork& network);
+  // Whether the surface joins two particles by a short way.
+  bool joined(std::int32_t i, std::int32_t j) const;
+  double kept(double at_rest, bool joined) const;
+
+  std::size_t particles_;
+  std::vector<std::int32_t> corners_, ends_;
+  std::vector<double> rest_;  // rows
+  // Of each particle, those that are near along the surface; they ascend.
+  std::vector<std::size_t> beside_starts_;
+  std::vector<std::int32_t> beside_;
+};
+
+}  // namespace animtool

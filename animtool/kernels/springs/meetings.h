@@ -1,0 +1,153 @@
+// Pairs of one kind that meet, over the steps of a run.
+#pragma once
+
+#include <algorithm>
+#include <cstdint>
+#include <vector>
+
+#include "springs/parting.h"
+
+namespace animtool {
+
+// What went through another, and the side of it (1 or -1) that it came from.
+struct Passage {
+  std::int32_t first, second, side;
+
+  bool operator<(const Passage& other) const {
+    return std::pair(first, second) < std::pair(other.first, other.second);
+  }
+};
+
+// Kind: TrianglesAndCorners or EdgesAndEdges. Lists of pairs only save time: what is found in
+// a step does not depend on when they were made.
+template <class Kind>
+class Meetings {
+ public:
+  using Shape = typename Kind::Shape;
+
+  std::vector<Passage> crossed;
+
+  // All pairs this near; and of these, those that are nearer now.
+  void list(const SpringLayers& layers, const std::vector<double>& x, double reach) {
+    listed_ = Kind::near(layers, x, reach);
+  }
+  void pick(const SpringLayers& layers, const std::vector<double>& x, double reach);
+
+  // Finds who is near in a step. Most: of ways over each other in it, what is looked at;
+  // more: how much farther those are that only come back.
+  void find(const SpringLayers& layers, const std::vector<double>& before,
+            const std::vector<double>& x, double most, double more);
+  void forget() { hits_.clear(); }
+  bool any() const { return !hits_.empty(); }
+  void part(const SpringLayers& layers, Parting& parting) const;
+  // Notes who is on another side than when the step began.
+  void look(const std::vector<double>& before, const std::vector<double>& x);
+
+ private:
+  // How far the parts moved over each other, at most.
+  static double way_over(const FourParticles& who, const std::vector<double>& before,
+                         const std::vector<double>& x);
+  std::int32_t side_of(const LayerHit& hit, const std::vector<double>& before,
+                       const std::vector<double>& x) const;
+  bool came_round(const SpringLayers& layers, const LayerHit& hit) const;
+
+  std::vector<LayerPair> listed_, picked_;
+  std::vector<LayerHit> hits_;
+  Through through_;
+};
+
+template <class Kind>
+void Meetings<Kind>::pick(const SpringLayers& layers, const std::vector<double>& x,
+                          double reach) {
+  picked_.clear();
+  for (const LayerPair& one : listed_) {
+    const FourParticles who = Kind::who(layers, one.first, one.second);
+    if (length(Shape(who.data(), x.data()).nearest().off) - one.least <= reach)
+      picked_.push_back(one);
+  }
+}
+
+template <class Kind>
+void Meetings<Kind>::find(const SpringLayers& layers, const std::vector<double>& before,
+                          const std::vector<double>& x, double most, double more) {
+  hits_.clear();
+  through_.clear();
+  for (const LayerPair& one : picked_) {
+    const FourParticles who = Kind::who(layers, one.first, one.second);
+    const shapes::Nearest near = Shape(who.data(), x.data()).nearest();
+    const double apart = length(near.off);
+    if (!(apart < one.least + most + more)) continue;
+    const double travel = way_over(who, before, x);
+    if (!(apart < one.least + travel + more)) continue;
+    LayerHit hit{one.first, one.second, 0, who, apart, travel, one.least};
+    hit.side = side_of(hit, before, x);
+    if (!hit.side && !near.inside) continue;
+    hits_.push_back(hit);
+    if (hit.side) Kind::note(through_, hit.first, hit.second);
+  }
+  std::sort(through_.begin(), through_.end());
+}
+
+template <class Kind>
+double Meetings<Kind>::way_over(const FourParticles& who, const std::vector<double>& before,
+                                const std::vector<double>& x) {
+  collide::Vec ways[4];
+  for (std::size_t k = 0; k < 4; ++k)
+    ways[k] = shapes::row_of(x.data(), who[k]) - shapes::row_of(before.data(), who[k]);
+  double most = 0;
+  for (std::size_t i = 0; i < Kind::FIRST; ++i)
+    for (std::size_t j = Kind::FIRST; j < 4; ++j) {
+      const collide::Vec over = ways[i] - ways[j];
+      most = std::max(most, dot(over, over));
+    }
+  return std::sqrt(most);
+}
+
+template <class Kind>
+std::int32_t Meetings<Kind>::side_of(const LayerHit& hit, const std::vector<double>& before,
+                                     const std::vector<double>& x) const {
+  const auto known = std::lower_bound(crossed.begin(), crossed.end(),
+                                      Passage{hit.first, hit.second, 0});
+  if (known != crossed.end() && known->first == hit.first && known->second == hit.second)
+    return known->side;
+  if (hit.apart > hit.travel) return 0;
+  return shapes::crossed_from(Shape(hit.who.data(), before.data()),
+                              Shape(hit.who.data(), x.data()));
+}
+
+// Whether one of them is on the wrong side of what touches the other: the side that it is on
+// of this one says nothing.
+template <class Kind>
+bool Meetings<Kind>::came_round(const SpringLayers& layers, const LayerHit& hit) const {
+  const auto is_through = [&](std::int32_t who, const auto& touches) {
+    auto one = std::lower_bound(through_.begin(), through_.end(), std::pair(who, -1));
+    for (; one != through_.end() && one->first == who; ++one)
+      if (touches(one->second)) return true;
+    return false;
+  };
+  return Kind::came_round(layers, hit.first, hit.second, is_through);
+}
+
+template <class Kind>
+void Meetings<Kind>::part(const SpringLayers& layers, Parting& parting) const {
+  for (const LayerHit& hit : hits_)
+    if (hit.side || through_.empty() || !came_round(layers, hit)) parting.part<Shape>(hit);
+}
+
+template <class Kind>
+void Meetings<Kind>::look(const std::vector<double>& before, const std::vector<double>& x) {
+  crossed.clear();
+  for (const LayerHit& hit : hits_) {
+    if (!hit.side && hit.apart > 2 * hit.travel) continue;
+    const Shape now(hit.who.data(), x.data());
+    std::int32_t side = hit.side;
+    if (side) {
+      if (!(side * now.height() < 0) || !now.nearest().inside) side = 0;
+    } else {
+      side = shapes::crossed_from(Shape(hit.who.data(), before.data()), now);
+    }
+    if (side) crossed.push_back({hit.first, hit.second, side});
+  }
+}
+
+}  // namespace animtool

@@ -1,0 +1,354 @@
+// Forces of springs, anchors and air.
+#include "springs/network.h"
+
+#include <algorithm>
+#include <array>
+#include <utility>
+
+#include "base/checks.h"
+
+namespace animtool {
+
+namespace {
+
+std::vector<std::int32_t> particles_of(const char* name, const std::int64_t* values,
+                                       std::size_t size, std::size_t particles) {
+  check::indices(name, values, size, 0, static_cast<std::int64_t>(particles));
+  return {values, values + size};
+}
+
+Track track_of(const char* name, const In<double, 3>& path, std::size_t points,
+               std::size_t knots) {
+  check::shape(name, path, {path.shape(0) == 1 ? 1 : knots, points, 3});
+  check::finite(name, path);
+  return {{path.data(), path.data() + path.size()}, points, path.shape(0) == 1};
+}
+
+// One number a spring, 0 or more.
+void check_column(const char* name, const In<double, 1>& column, std::size_t springs,
+                  bool finite = true) {
+  check::shape(name, column, {springs});
+  for (std::size_t s = 0; s < springs; ++s) {
+    const double value = column.data()[s];
+    if (finite) check::not_negative(name, value);
+    if (!(value >= 0)) check::refuse(name, check::text(value) + " is not 0 or more");
+  }
+}
+
+std::vector<double> finite_column(const char* name, const In<double, 1>& column,
+                                  std::size_t size) {
+  check::shape(name, column, {size});
+  check::finite(name, column);
+  return {column.data(), column.data() + column.size()};
+}
+
+std::vector<double> listed(const In<double, 1>& column) {
+  return {column.data(), column.data() + column.size()};
+}
+
+}  // namespace
+
+SpringNetwork::SpringNetwork(const SpringArrays& given)
+    : inverse_masses(listed(given.inverse_masses)),
+      drags(listed(given.drags)),
+      air_drag(given.air_drag),
+      air_lift(given.air_lift),
+      knots(listed(given.knots)) {
+  const auto& [masses, slowing, ends, rest, stiffness, damping, limit, faces, pull, drag, lift,
+               times, pins, held_path, tied, tied_stiffness, tied_damping, anchor_path, winds] =
+      given;
+  const std::size_t count = inverse_masses.size(), springs = ends.shape(0);
+  check::shape("inverse_masses", masses, {count});
+  check::at_most("inverse_masses", count, check::MOST_ROWS);
+  for (const double inverse : inverse_masses) check::not_negative("inverse_masses", inverse);
+  check::shape("drags", slowing, {count});
+  check::finite("drags", slowing);
+  check::shape("ends", ends, {check::ANY, 2});
+  check::at_most("ends", springs, check::MOST_ROWS);
+  check::indices("ends", ends, 0, static_cast<std::int64_t>(count));
+  check_column("rest", rest, springs);
+  check_column("stiffness", stiffness, springs);
+  check_column("damping", damping, springs);
+  check_column("limit", limit, springs, false);
+  check::shape("triangles", faces, {check::ANY, 3});
+  check::at_most("triangles", faces.shape(0), check::MOST_ROWS);
+  check::shape("gravity", pull, {3});
+  check::finite("gravity", pull);
+  check::finite("air_drag", drag);
+  check::finite("air_lift", lift);
+  check::shape("knots", times, {check::ANY});
+  if (knots.empty()) check::refuse("knots", "there is none");
+  check::finite("knots", times);
+  check::ascending("knots", knots.data(), knots.size());
+  check::shape("held", pins, {check::ANY});
+  check::shape("anchors", tied, {check::ANY});
+  anchor_stiffness = finite_column("anchor_stiffness", tied_stiffness, tied.shape(0));
+  anchor_damping = finite_column("anchor_damping", tied_damping, tied.shape(0));
+  for (std::size_t s = 0; s < springs; ++s) {
+    const std::int64_t* pair = ends.data() + 2 * s;
+    lines.springs.push_back({static_cast<std::int32_t>(pair[0]),
+                             static_cast<std::int32_t>(pair[1]), rest.data()[s],
+                             stiffness.data()[s], damping.data()[s], limit.data()[s]});
+    lines.numbers.push_back(static_cast<std::int32_t>(s));
+  }
+  lines.line_up(count);
+  triangles = particles_of("triangles", faces.data(), faces.size(), count);
+  std::copy_n(pull.data(), 3, gravity);
+  held = particles_of("held", pins.data(), pins.size(), count);
+  held_track = track_of("held_path", held_path, held.size(), knots.size());
+  anchors = particles_of("anchors", tied.data(), tied.size(), count);
+  anchor_track = track_of("anchor_path", anchor_path, anchors.size(), knots.size());
+  wind_track = track_of("winds", winds, 1, knots.size());
+}
+
+void SpringNetwork::lead(In<double, 3> held_path, In<double, 3> anchor_path) {
+  Track holds = track_of("held_path", held_path, held.size(), knots.size());
+  anchor_track = track_of("anchor_path", anchor_path, anchors.size(), knots.size());
+  held_track = std::move(holds);
+}
+
+Spot spot_of(const std::vector<double>& knots, double t) {
+  if (knots.size() == 1 || t <= knots.front()) return {0, 0.0};
+  if (t >= knots.back()) return {knots.size() - 1, 0.0};
+  const auto after = std::upper_bound(knots.begin(), knots.end(), t);
+  const std::size_t row = static_cast<std::size_t>(after - knots.begin()) - 1;
+  return {row, (t - knots[row]) / (knots[row + 1] - knots[row])};
+}
+
+void SpringNetwork::follow(const Track& track, const Spot& spot, double* out) {
+  const std::size_t width = 3 * track.points;
+  const double* a = track.rows.data() + (track.still ? 0 : spot.row * width);
+  if (track.still || spot.share == 0) {
+    std::copy_n(a, width, out);
+    return;
+  }
+  for (std::size_t k = 0; k < width; ++k) out[k] = a[k] + (a[width + k] - a[k]) * spot.share;
+}
+
+void SpringNetwork::add_anchor_forces(const double* points, const double* speeds,
+                                      const double* x, const double* v, double* forces) const {
+  for (std::size_t a = 0; a < anchors.size(); ++a) {
+    const std::size_t at = ROW * static_cast<std::size_t>(anchors[a]);
+    for (std::size_t k = 0; k < 3; ++k)
+      forces[at + k] += anchor_stiffness[a] * (points[3 * a + k] - x[at + k]) +
+                        anchor_damping[a] * (speeds[3 * a + k] - v[at + k]);
+  }
+}
+
+void SpringNetwork::add_air_forces(const double* wind, const double* x, const double* v,
+                                   double* forces) const {
+  if (air_drag == 0 && air_lift == 0) return;
+  for (std::size_t t = 0; t < triangles.size(); t += 3) {
+    const std::size_t corners[3] = {ROW * static_cast<std::size_t>(triangles[t]),
+                                    ROW * static_cast<std::size_t>(triangles[t + 1]),
+                                    ROW * static_cast<std::size_t>(triangles[t + 2])};
+    double a[3], b[3], flow[3];
+    for (std::size_t k = 0; k < 3; ++k) {
+      a[k] = x[corners[1] + k] - x[corners[0] + k];
+      b[k] = x[corners[2] + k] - x[corners[0] + k];
+      flow[k] = wind[k] - (v[corners[0] + k] + v[corners[1] + k] + v[corners[2] + k]) / 3;
+    }
+    // Twice the area, along the normal.
+    const double n[3] = {a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2],
+                         a[0] * b[1] - a[1] * b[0]};
+    const double area = std::sqrt(dot3(n, n)), speed = std::sqrt(dot3(flow, flow));
+    if (!(area > 0) || !(speed > 0)) continue;
+    const double through = dot3(flow, n) / area;
+    const double along = air_drag * std::abs(through) - air_lift * through * through / speed;
+    const double across = air_lift * through * speed / area;
+    for (std::size_t k = 0; k < 3; ++k) {
+      // Half of it is the area, and each corner bears a third.
+      const double force = (along * flow[k] + across * n[k]) * (area / 6);
+      for (const std::size_t corner : corners) forces[corner + k] += force;
+    }
+  }
+}
+
+void SpringNetwork::place_held(double t, double h, const double* before, double* x, double* v,
+                               const Strides& strides) const {
+  if (held.empty()) return;
+  const Spot now = spot(t);
+  const std::size_t width = 3 * held.size();
+  const double* a = held_track.rows.data() + (held_track.still ? 0 : now.row * width);
+  const bool between = !held_track.still && now.share != 0;
+  for (std::size_t p = 0; p < held.size(); ++p)
+    for (std::size_t k = 0; k < 3; ++k) {
+      const std::size_t at =
+          strides.particle * static_cast<std::size_t>(held[p]) + strides.number * k;
+      double here = a[3 * p + k];
+      if (between) here += (a[width + 3 * p + k] - here) * now.share;
+      v[at] = (here - before[at]) / h;
+      x[at] = here;
+    }
+}
+
+SpringRun::SpringRun(const SpringNetwork& network, const double* x0, const double* v0,
+                     const std::uint8_t* torn0)
+    : network(network),
+      size(ROW * network.particles()),
+      x(size),
+      v(size),
+      torn(torn0, torn0 + network.lines.springs.size()),
+      points(3 * network.anchors.size()),
+      points_before(3 * network.anchors.size()),
+      speeds(3 * network.anchors.size()) {
+  for (std::size_t n = 0; n < network.particles(); ++n) {
+    std::copy_n(x0 + 3 * n, 3, x.data() + ROW * n);
+    std::copy_n(v0 + 3 * n, 3, v.data() + ROW * n);
+  }
+  if (std::find(torn.begin(), torn.end(), 1) != torn.end()) leave_out_torn();
+}
+
+bool SpringRun::tear() {
+  if (!lines().tear) return false;
+  bool found = false;
+  const SpringLines& now = lines();
+  for (std::size_t s = 0; s < now.springs.size(); ++s) {
+    const Spring& spring = now.springs[s];
+    const double* p = x.data() + ROW * static_cast<std::size_t>(spring.i);
+    const double* q = x.data() + ROW * static_cast<std::size_t>(spring.j);
+    const double d[3] = {q[0] - p[0], q[1] - p[1], q[2] - p[2]};
+    if (!(dot3(d, d) > spring.limit * spring.limit)) continue;
+    torn[static_cast<std::size_t>(now.numbers[s])] = 1;
+    found = true;
+  }
+  if (found) leave_out_torn();
+  return found;
+}
+
+void SpringRun::leave_out_torn() {
+  SpringLines left;
+  for (std::size_t s = 0; s < torn.size(); ++s) {
+    if (torn[s]) continue;
+    left.springs.push_back(network.lines.springs[s]);
+    left.numbers.push_back(static_cast<std::int32_t>(s));
+  }
+  left.line_up(network.particles());
+  own_ = std::move(left);
+}
+
+void SpringLines::line_up(std::size_t particles) {
+  pulls = SpringPulls(springs, particles);
+  const std::size_t count = springs.size();
+  for (const Spring& spring : springs) {
+    ends.push_back(spring.i);
+    ends.push_back(spring.j);
+    rest.push_back(spring.rest);
+    tear = tear || std::isfinite(spring.limit);
+  }
+  const auto apart = [&](std::size_t s) {
+    if (s + WIDE > count) return false;
+    for (std::size_t a = 2 * s; a < 2 * (s + WIDE); ++a)
+      for (std::size_t b = 2 * s; b < a; ++b)
+        if (ends[a] == ends[b]) return false;
+    return true;
+  };
+  for (std::size_t s = 0; s < count;) {
+    SpringRunLength run{s, 0, 0};
+    for (; apart(s); s += WIDE) ++run.fours;
+    for (; s < count && !apart(s); ++s) ++run.ones;
+    runs.push_back(run);
+  }
+}
+
+void SpringRun::look(double t, double h) {
+  const Spot now = network.spot(t);
+  SpringNetwork::follow(network.wind_track, now, wind);
+  if (network.anchors.empty()) return;
+  SpringNetwork::follow(network.anchor_track, now, points.data());
+  if (network.anchor_track.still) {
+    points_before = points;
+    return;
+  }
+  SpringNetwork::follow(network.anchor_track, network.spot(t - h), points_before.data());
+  for (std::size_t k = 0; k < points.size(); ++k)
+    speeds[k] = (points[k] - points_before[k]) / h;
+}
+
+bool SpringRun::pulled_otherwise() const {
+  const bool windy = network.air_drag != 0 || network.air_lift != 0;
+  return lines().pulls.loose() || !network.anchors.empty() || windy;
+}
+
+void SpringRun::pull_otherwise(const double* at, const double* going, double* forces) const {
+  std::fill_n(forces, size, 0.0);
+  lines().pulls.add_loose(at, going, forces);
+  network.add_anchor_forces(points.data(), speeds.data(), at, going, forces);
+  network.add_air_forces(wind, at, going, forces);
+}
+
+void SpringRun::accelerate(const double* at, const double* going, double* out) {
+  lines().pulls.set(at, going, room_, out);
+  network.add_anchor_forces(points.data(), speeds.data(), at, going, out);
+  network.add_air_forces(wind, at, going, out);
+  static const AccelerateRows quads = accelerate_rows_in_quads();
+  const double fall[ROW] = {network.gravity[0], network.gravity[1], network.gravity[2], 0};
+  const ParticleColumns particles{network.inverse_masses.data(), network.drags.data()};
+  (quads ? quads : accelerate_rows<PlainRows>)(particles, network.particles(), fall, going, out);
+}
+
+namespace {
+
+// Springs of a block of components, at least, and of a block, at most: what is near in time
+// is to be near in memory.
+constexpr std::int64_t BLOCK = 512, LARGEST_BLOCK = 8192;
+
+std::vector<std::int64_t> components(const std::int64_t* ends, std::size_t springs,
+                                     std::size_t particles) {
+  std::vector<std::int64_t> root(particles);
+  for (std::size_t n = 0; n < particles; ++n) root[n] = static_cast<std::int64_t>(n);
+  const auto find = [&](std::int64_t n) {
+    const auto at = [&](std::int64_t m) -> std::int64_t& {
+      return root[static_cast<std::size_t>(m)];
+    };
+    while (at(n) != n) n = at(n) = at(at(n));
+    return n;
+  };
+  for (std::size_t s = 0; s < springs; ++s) {
+    const std::int64_t a = find(ends[2 * s]), b = find(ends[2 * s + 1]);
+    root[static_cast<std::size_t>(std::max(a, b))] = std::min(a, b);
+  }
+  for (std::size_t n = 0; n < particles; ++n) root[n] = find(static_cast<std::int64_t>(n));
+  return root;
+}
+
+}  // namespace
+
+std::vector<std::int64_t> order_springs(const std::int64_t* ends, std::size_t springs,
+                                        std::size_t particles) {
+  const std::vector<std::int64_t> component = components(ends, springs, particles);
+  const auto low = [&](std::int64_t s) { return std::min(ends[2 * s], ends[2 * s + 1]); };
+  const auto high = [&](std::int64_t s) { return std::max(ends[2 * s], ends[2 * s + 1]); };
+  std::vector<std::int64_t> order(springs), level(springs), block(springs);
+  for (std::size_t s = 0; s < springs; ++s) order[s] = static_cast<std::int64_t>(s);
+  std::sort(order.begin(), order.end(), [&](std::int64_t a, std::int64_t b) {
+    const auto key = [&](std::int64_t s) {
+      return std::array<std::int64_t, 4>{component[static_cast<std::size_t>(low(s))], low(s),
+                                         high(s), s};
+    };
+    return key(a) < key(b);
+  });
+  // A spring waits for those before it that it shares a particle with.
+  std::vector<std::int64_t> waits(particles, 0);
+  std::int64_t whole = 0, filled = 0, last = -1;
+  for (const std::int64_t s : order) {
+    const std::int64_t from = component[static_cast<std::size_t>(low(s))];
+    if ((from != last && filled >= BLOCK) || filled >= LARGEST_BLOCK) ++whole, filled = 0;
+    last = from;
+    ++filled;
+    std::int64_t& a = waits[static_cast<std::size_t>(low(s))];
+    std::int64_t& b = waits[static_cast<std::size_t>(high(s))];
+    level[static_cast<std::size_t>(s)] = std::max(a, b);
+    block[static_cast<std::size_t>(s)] = whole;
+    a = b = std::max(a, b) + 1;
+  }
+  std::stable_sort(order.begin(), order.end(), [&](std::int64_t a, std::int64_t b) {
+    const auto key = [&](std::int64_t s) {
+      return std::pair(block[static_cast<std::size_t>(s)], level[static_cast<std::size_t>(s)]);
+    };
+    return key(a) < key(b);
+  });
+  return order;
+}
+
+}  // namespace animtool

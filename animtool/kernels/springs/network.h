@@ -1,0 +1,153 @@
+// A network of springs between particles, and what acts on them.
+#pragma once
+
+#include <cmath>
+#include <cstddef>
+#include <cstdint>
+#include <optional>
+#include <vector>
+
+#include "base/arrays.h"
+#include "springs/pulls.h"
+#include "springs/rows.h"
+
+namespace animtool {
+
+// Springs in the order in which they are gone through, and in columns.
+struct SpringLines {
+  std::vector<Spring> springs;
+  std::vector<std::int32_t> numbers;  // theirs in the network
+  std::vector<std::int32_t> ends;
+  std::vector<double> rest;
+  std::vector<SpringRunLength> runs;  // those that share no end in fours
+  SpringPulls pulls;
+  bool tear = false;  // whether any can
+
+  void line_up(std::size_t particles);
+};
+
+// Points over the times of knots, straight between two, held outside them.
+struct Track {
+  std::vector<double> rows;  // (K or 1, P, 3)
+  std::size_t points = 0;
+  bool still = true;
+};
+
+// Where a time lies between knots.
+struct Spot {
+  std::size_t row;
+  double share;
+};
+
+Spot spot_of(const std::vector<double>& knots, double t);
+
+// From one particle to the next, and from one of its numbers to the next.
+struct Strides {
+  std::size_t particle, number;
+};
+
+// What a network is made of.
+struct SpringArrays {
+  In<double, 1> inverse_masses, drags;
+  In<std::int64_t, 2> ends;
+  In<double, 1> rest, stiffness, damping, limit;
+  In<std::int64_t, 2> triangles;
+  In<double, 1> gravity;
+  double air_drag, air_lift;
+  In<double, 1> knots;
+  In<std::int64_t, 1> held;
+  In<double, 3> held_path;
+  In<std::int64_t, 1> anchors;
+  In<double, 1> anchor_stiffness, anchor_damping;
+  In<double, 3> anchor_path, winds;
+};
+
+class SpringNetwork {
+ public:
+  explicit SpringNetwork(const SpringArrays& given);
+
+  std::size_t particles() const { return inverse_masses.size(); }
+
+  // Other paths over the same knots.
+  void lead(In<double, 3> held_path, In<double, 3> anchor_path);
+
+  Spot spot(double t) const { return spot_of(knots, t); }
+  // Points of a track at a spot, into (P, 3).
+  static void follow(const Track& track, const Spot& spot, double* out);
+
+  // Forces [N] of anchors and air, added to rows of particles. Where anchors are and how
+  // they move is given, and so is the wind.
+  void add_anchor_forces(const double* points, const double* speeds, const double* x,
+                         const double* v, double* forces) const;
+  void add_air_forces(const double* wind, const double* x, const double* v,
+                      double* forces) const;
+
+  // Put held particles where their track is at a time, their velocity that of the way from
+  // where they were before: that may be the same place in memory.
+  void place_held(double t, double h, const double* before, double* x, double* v) const {
+    place_held(t, h, before, x, v, {ROW, 1});
+  }
+  void place_held(double t, double h, const double* before, double* x, double* v,
+                  const Strides& strides) const;
+
+  std::vector<double> inverse_masses, drags;
+  SpringLines lines;
+  std::vector<std::int32_t> triangles;
+  double gravity[3];
+  double air_drag, air_lift;
+  std::vector<double> knots;
+  std::vector<std::int32_t> held;
+  Track held_track;
+  std::vector<std::int32_t> anchors;
+  std::vector<double> anchor_stiffness, anchor_damping;
+  Track anchor_track;
+  Track wind_track;
+};
+
+// Steps of a network under way: where it stands, and room to work in.
+class SpringRun {
+ public:
+  SpringRun(const SpringNetwork& network, const double* x, const double* v,
+            const std::uint8_t* torn);
+
+  // Take out what is stretched beyond its limit, and return whether anything was.
+  bool tear();
+
+  const SpringNetwork& network;
+  std::size_t size;  // of rows
+  std::vector<double> x, v;           // in rows
+  std::vector<std::uint8_t> torn;
+
+  // Springs that are not torn.
+  const SpringLines& lines() const { return own_ ? *own_ : network.lines; }
+
+  // Anchors and wind at a time; speeds are those of the h before it.
+  void look(double t, double h);
+  std::vector<double> points, points_before, speeds;
+  double wind[3] = {0, 0, 0};
+
+  // Whether forces come of other things than bands of springs; rows of these [N].
+  bool pulled_otherwise() const;
+  void pull_otherwise(const double* x, const double* v, double* forces) const;
+
+  // Accelerations in rows at a state: held particles have none.
+  void accelerate(const double* x, const double* v, double* out);
+
+ private:
+  void leave_out_torn();
+
+  // Where some are torn, the others.
+  std::optional<SpringLines> own_;
+  PullRoom room_;
+};
+
+// The order in which springs are gone through: as by their particles, but with those that do
+// not wait for each other next to each other.
+std::vector<std::int64_t> order_springs(const std::int64_t* ends, std::size_t springs,
+                                        std::size_t particles);
+
+inline double dot3(const double* a, const double* b) {
+  return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+}
+
+}  // namespace animtool

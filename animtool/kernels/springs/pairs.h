@@ -1,0 +1,84 @@
+// Which parts of a surface may come near each other.
+#pragma once
+
+#include <algorithm>
+#include <array>
+#include <cstdint>
+#include <utility>
+#include <vector>
+
+#include "springs/layers.h"
+#include "springs/shapes.h"
+
+namespace animtool {
+
+// A triangle and a corner, or two edges, by number, and the distance that they keep.
+struct LayerPair {
+  std::int32_t first, second;
+  double least;
+};
+
+using FourParticles = std::array<std::int32_t, 4>;
+// Parts, and what they are through.
+using Through = std::vector<std::pair<std::int32_t, std::int32_t>>;
+
+// Triangles, and corners of others.
+struct TrianglesAndCorners {
+  using Shape = shapes::CornerPair;
+  static constexpr std::size_t FIRST = 1;  // of the four particles, how many are of one part
+
+  static FourParticles who(const SpringLayers& layers, std::int32_t triangle,
+                           std::int32_t particle) {
+    const std::int32_t* of = layers.corners(static_cast<std::size_t>(triangle));
+    return {particle, of[0], of[1], of[2]};
+  }
+  // Adds who is through what, and asks whether a pair is beside such.
+  static void note(Through& through, std::int32_t triangle, std::int32_t particle) {
+    through.push_back({particle, triangle});
+  }
+  template <class IsThrough>
+  static bool came_round(const SpringLayers& layers, std::int32_t triangle,
+                         std::int32_t particle, IsThrough is_through) {
+    return is_through(particle, [&](std::int32_t other) {
+      const std::int32_t *one = layers.corners(static_cast<std::size_t>(triangle)),
+                         *two = layers.corners(static_cast<std::size_t>(other));
+      return std::find_first_of(one, one + 3, two, two + 3) != one + 3;
+    });
+  }
+  // Pairs no farther than this beyond what they keep, ascending.
+  static std::vector<LayerPair> near(const SpringLayers& layers, const std::vector<double>& x,
+                                     double reach);
+};
+
+// Edges, and edges of a higher number.
+struct EdgesAndEdges {
+  using Shape = shapes::EdgePair;
+  static constexpr std::size_t FIRST = 2;
+
+  static FourParticles who(const SpringLayers& layers, std::int32_t first,
+                           std::int32_t second) {
+    const std::int32_t *one = layers.ends(static_cast<std::size_t>(first)),
+                       *other = layers.ends(static_cast<std::size_t>(second));
+    return {one[0], one[1], other[0], other[1]};
+  }
+  static void note(Through& through, std::int32_t first, std::int32_t second) {
+    through.push_back({first, second});
+    through.push_back({second, first});
+  }
+  template <class IsThrough>
+  static bool came_round(const SpringLayers& layers, std::int32_t first, std::int32_t second,
+                         IsThrough is_through) {
+    const auto beside = [&](std::int32_t edge) {
+      return [&layers, edge](std::int32_t other) {
+        const std::int32_t *one = layers.ends(static_cast<std::size_t>(edge)),
+                           *two = layers.ends(static_cast<std::size_t>(other));
+        return std::find_first_of(one, one + 2, two, two + 2) != one + 2;
+      };
+    };
+    return is_through(first, beside(second)) || is_through(second, beside(first));
+  }
+  static std::vector<LayerPair> near(const SpringLayers& layers, const std::vector<double>& x,
+                                     double reach);
+};
+
+}  // namespace animtool

@@ -1,0 +1,108 @@
+// How two parts of a surface that came too near are moved apart in a step.
+#pragma once
+
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+#include <vector>
+
+#include "springs/pairs.h"
+
+namespace animtool {
+
+// No particle goes more than this many times the way that two parts come apart: where all
+// but one are held, and that one hardly counts where they are near, it would be thrown off.
+constexpr double FARTHEST = 10;
+// Who counts for less than a hundredth moves by less, the less it counts.
+constexpr double LEAST = 1e-3;
+
+// Two parts that are near, and from which side the first went through the second (1 or -1),
+// 0 where it did not.
+struct LayerHit {
+  std::int32_t first, second, side;
+  FourParticles who;
+  double apart, travel, least;
+};
+
+// One step of length h. What one gains in momentum the other loses; where they only come
+// back to the distance that they are to keep, what they were before moves too, so that it
+// gives no speed.
+class Parting {
+ public:
+  Parting(const SpringLayers& layers, const SpringNetwork& network, double h,
+          std::vector<double>& before, std::vector<double>& x)
+      : layers_(layers), network_(network), h_(h), before_(before), x_(x) {}
+
+  template <class Shape>
+  void part(const LayerHit& hit);
+  // Nothing more is to come.
+  void end() {
+    if (shifts_) before_ = std::move(shifted_);
+  }
+
+ private:
+  // Moves four particles by their shares: pressed as a contact, back without speed.
+  void move(const LayerHit& hit, const double* share, collide::Vec out, double pressed,
+            double back);
+
+  const SpringLayers& layers_;
+  const SpringNetwork& network_;
+  double h_;
+  std::vector<double>&before_, &x_;
+  std::vector<double> shifted_;  // before, with what gives no speed, once there is such
+  bool shifts_ = false;
+};
+
+template <class Shape>
+void Parting::part(const LayerHit& hit) {
+  const Shape now(hit.who.data(), x_.data());
+  const shapes::Nearest near = now.nearest();
+  if (!near.inside) return;
+  double apart = length(near.off);
+  const double height = hit.side ? hit.side * now.height() : apart;
+  if (!(std::min(height, apart) < hit.least)) return;
+  const bool through = height < 0;
+  collide::Vec out = near.off * (1 / apart);
+  if (through || !(apart > 0)) out = collide::direction(now.normal(), {0, 0, 1});
+  if (through) out = out * hit.side, apart = height;
+  const auto distance = [&](const std::vector<double>& rows) {
+    const Shape was(hit.who.data(), rows.data());
+    return through ? hit.side * was.height() : length(was.nearest().off);
+  };
+  const double first = distance(before_);
+  const double goal = std::min(hit.least, first + layers_.speed * h_);
+  const double begun = std::min(hit.least, shifts_ ? distance(shifted_) : first);
+  const double pressed = std::max(0.0, begun - apart);
+  move(hit, near.share, out, pressed, std::max(0.0, goal - std::max(apart, begun)));
+}
+
+inline void Parting::move(const LayerHit& hit, const double* share, collide::Vec out,
+                          double pressed, double back) {
+  if (back > 0 && !shifts_) shifted_ = before_, shifts_ = true;
+  std::vector<double>& was = shifts_ ? shifted_ : before_;
+  double weights[4], whole = 0, farthest = 0, lightest = 0;
+  double *to[4], *from[4];
+  collide::Vec along;
+  for (std::size_t k = 0; k < 4; ++k) {
+    const auto particle = static_cast<std::size_t>(hit.who[k]);
+    to[k] = &x_[ROW * particle], from[k] = &was[ROW * particle];
+    weights[k] = network_.inverse_masses[particle] * share[k];
+    whole += weights[k] * share[k];
+    farthest = std::max(farthest, std::abs(weights[k]));
+    lightest = std::max(lightest, network_.inverse_masses[particle]);
+    along = along + (collide::load(to[k]) - collide::load(from[k])) * share[k];
+  }
+  whole = std::max({whole, farthest / FARTHEST, lightest * LEAST});
+  if (!(whole > 0)) return;
+  along = along - out * dot(along, out);
+  const double slid = length(along), held = layers_.friction * pressed;
+  const double stop = slid > held ? held / slid : 1;
+  const collide::Vec back_by = out * (back / whole);
+  const collide::Vec by = out * (pressed / whole) - along * (stop / whole) + back_by;
+  for (std::size_t k = 0; k < 4; ++k) {
+    collide::store(collide::load(to[k]) + by * weights[k], to[k]);
+    if (back > 0) collide::store(collide::load(from[k]) + back_by * weights[k], from[k]);
+  }
+}
+
+}  // namespace animtool

@@ -1,0 +1,221 @@
+// Extended position based dynamics in small steps: each spring once a step, in order.
+//
+// M. Macklin, M. Müller, N. Chentanez, XPBD, 2016; M. Macklin et al., Small Steps in
+// Physics Simulation, 2019.
+#include <algorithm>
+#include <limits>
+
+#include "base/checks.h"
+#include "springs/self.h"
+#include "springs/steps.h"
+
+namespace animtool {
+
+namespace {
+
+// Cells without need of as many steps after which half as many are tried.
+constexpr int CALM_CELLS = 120;
+// Stretch, over what is allowed, below which a cell has no need.
+constexpr double CALM_SHARE = 0.125;
+// Of a stretch, over what is beyond the spring's own give, from where on it is its own.
+constexpr double OWN = 2;
+
+// What of a spring a step of length h moves: by its length beyond rest, by the change of it.
+struct Give {
+  double length, change;
+};
+
+Give give(double stiffness, double damping, double weight, double h) {
+  const double k = stiffness * h * h, c = damping * h;
+  const double whole = (k + c) * weight + 1;
+  return {k / whole, c / whole};
+}
+
+class Projection {
+ public:
+  Projection(SpringRun& run, double cell, SpringContacts& contacts, SelfContacts& self)
+      : run_(run),
+        contacts_(contacts),
+        self_(self),
+        cell_(cell),
+        before_(run.size),
+        project_all_(project_all_in_quads()) {
+    if (!project_all_) project_all_ = project_all<PlainRows>;
+  }
+
+  // One cell in a number of steps; returns the largest stretch of a spring that is not for
+  // the most part what its own stiffness gives under what it bears.
+  double cross(std::int64_t index, double start, int substeps) {
+    prepare(substeps);
+    const double h = cell_ / substeps;
+    contacts_.begin_cell(index, substeps, h);
+    self_.begin_cell(index);
+    for (int j = 0; j < substeps; ++j) {
+      const double t = start + j * h;
+      run_.look(t + h, h);
+      predict(h);
+      run_.network.place_held(t + h, h, before_.data(), run_.x.data(), run_.v.data());
+      project(j + 1 < substeps ? nullptr : gives_.data());
+      pull_anchors();
+      self_.keep_apart(h, before_, run_.x);
+      contacts_.settle(run_.network, j, before_, run_.x, nullptr);
+      self_.look(before_, run_.x);
+      const double rate = 1 / h;
+      for (std::size_t k = 0; k < run_.size; ++k) run_.v[k] = (run_.x[k] - before_[k]) * rate;
+    }
+    return stretch();
+  }
+
+  void forget() { prepared_ = 0; }
+
+ private:
+  void prepare(int substeps) {
+    if (prepared_ == substeps) return;
+    prepared_ = substeps;
+    const double h = cell_ / substeps;
+    const auto& masses = run_.network.inverse_masses;
+    lengths_.clear();
+    changes_.clear();
+    weights_.clear();
+    for (const Spring& spring : run_.lines().springs) {
+      weights_.push_back(masses[static_cast<std::size_t>(spring.i)]);
+      weights_.push_back(masses[static_cast<std::size_t>(spring.j)]);
+      const double both = *(weights_.end() - 2) + weights_.back();
+      const Give own = give(spring.stiffness, spring.damping, both, h);
+      lengths_.push_back(own.length);
+      changes_.push_back(own.change);
+    }
+    anchor_gives_.clear();
+    for (std::size_t a = 0; a < run_.network.anchors.size(); ++a)
+      anchor_gives_.push_back(
+          give(run_.network.anchor_stiffness[a], run_.network.anchor_damping[a],
+               masses[static_cast<std::size_t>(run_.network.anchors[a])], h));
+    gives_.assign(run_.lines().springs.size(), 0.0);
+  }
+
+  void predict(double h) {
+    const SpringNetwork& network = run_.network;
+    before_ = run_.x;
+    const bool windy = (network.air_drag != 0 || network.air_lift != 0) &&
+                       !network.triangles.empty();
+    if (windy) {
+      forces_.assign(run_.size, 0.0);
+      network.add_air_forces(run_.wind, run_.x.data(), run_.v.data(), forces_.data());
+    }
+    const double fall[3] = {h * network.gravity[0], h * network.gravity[1],
+                            h * network.gravity[2]};
+    double *x = run_.x.data(), *v = run_.v.data();
+    for (std::size_t n = 0; n < network.particles(); ++n) {
+      const double inverse = network.inverse_masses[n];
+      if (inverse == 0) continue;
+      const double slowed = 1 / (1 + h * network.drags[n]);
+      for (std::size_t k = 0; k < 3; ++k) {
+        double speed = v[ROW * n + k] + fall[k];
+        if (windy) speed += h * inverse * forces_[ROW * n + k];
+        x[ROW * n + k] += h * (speed * slowed);
+      }
+    }
+  }
+
+  void project(double* kept) {
+    const SpringLines& lines = run_.lines();
+    const GiveColumns columns{lines.ends.data(), lines.rest.data(), lengths_.data(),
+                              changes_.data(), weights_.data()};
+    project_all_(columns, lines.runs.data(), lines.runs.size(), run_.x.data(), before_.data(),
+                 kept);
+  }
+
+  void pull_anchors() {
+    const SpringNetwork& network = run_.network;
+    for (std::size_t a = 0; a < network.anchors.size(); ++a) {
+      const std::size_t at = ROW * static_cast<std::size_t>(network.anchors[a]);
+      const double inverse = network.inverse_masses[at / ROW];
+      for (std::size_t k = 0; k < 3; ++k) {
+        const double off = run_.points[3 * a + k] - run_.x[at + k];
+        const double went = off - (run_.points_before[3 * a + k] - before_[at + k]);
+        run_.x[at + k] += inverse * (anchor_gives_[a].length * off +
+                                     anchor_gives_[a].change * went);
+      }
+    }
+  }
+
+  double stretch() const {
+    double most = 0;
+    for (std::size_t s = 0; s < run_.lines().springs.size(); ++s) {
+      const Spring& spring = run_.lines().springs[s];
+      if (!(spring.rest > 0) || !(spring.stiffness > 0)) continue;
+      const double* p = run_.x.data() + ROW * static_cast<std::size_t>(spring.i);
+      const double* q = run_.x.data() + ROW * static_cast<std::size_t>(spring.j);
+      const double d[3] = {q[0] - p[0], q[1] - p[1], q[2] - p[2]};
+      const double square = dot3(d, d), bound = spring.rest * (1 + most);
+      if (square <= bound * bound) continue;
+      const double beyond = std::sqrt(square) - spring.rest;
+      const double own = std::max(0.0, gives_[s]);
+      most = std::max(most, std::min(beyond, OWN * (beyond - own)) / spring.rest);
+      if (square != square) return std::numeric_limits<double>::infinity();
+    }
+    return most;
+  }
+
+  SpringRun& run_;
+  SpringContacts& contacts_;
+  SelfContacts& self_;
+  double cell_;
+  int prepared_ = 0;
+  std::vector<double> before_, forces_, lengths_, changes_, weights_;
+  std::vector<double> gives_;  // by how much springs are longer right after their own turn
+  std::vector<Give> anchor_gives_;
+  ProjectAll project_all_;
+};
+
+}  // namespace
+
+SpringsProjected project_springs(const SpringNetwork& network, In<double, 3> state,
+                                 In<std::uint8_t, 1> torn, double origin, std::int64_t first,
+                                 double cell, std::int64_t cells, int substeps, int calm,
+                                 int least, int most, double stretch,
+                                 const std::optional<SpringColliders>& colliders,
+                                 const SpringLayers* layers, In<std::int64_t, 2> crossed) {
+  const Cells grid{origin, first, cell, cells};
+  check::between("most", most, 1, static_cast<int>(MOST_SUBSTEPS));
+  check::between("least", least, 1, static_cast<int>(MOST_SUBSTEPS));
+  check_cells(grid, substeps);
+  check_cells(grid, std::max(substeps, most));
+  check::between("calm", calm, 0, std::numeric_limits<int>::max() / 2);
+  if (!(stretch >= 0)) check::refuse("stretch", check::text(stretch) + " is not 0 or more");
+  check::finite("state", state);
+  SpringRun run = begin_springs(network, state, torn);
+  SpringContacts contacts(colliders, network.particles(), cells);
+  SelfContacts self(layers, network, crossed);
+  double worst = 0;
+  std::int64_t taken = 0;
+  Projection projection(run, cell, contacts, self);
+  std::vector<double> x, v;
+  for (std::int64_t i = 0; i < cells; ++i) {
+    x = run.x;
+    v = run.v;
+    double found = projection.cross(i, grid.start(i), substeps);
+    taken += substeps;
+    while (!(found <= stretch) && substeps < most) {
+      substeps = std::min(2 * substeps, most);
+      calm = 0;
+      run.x = x;
+      run.v = v;
+      found = projection.cross(i, grid.start(i), substeps);
+      taken += substeps;
+    }
+    worst = std::max(worst, found);
+    self.note_through();
+    calm = found <= CALM_SHARE * stretch ? calm + 1 : 0;
+    if (calm >= CALM_CELLS && substeps > least) {
+      substeps = std::max(substeps / 2, least);
+      calm = 0;
+    }
+    if (run.tear()) projection.forget();
+  }
+  return {ended_state(run), ended_torn(run), substeps, calm, worst, taken,
+          contacts.touched, contacts.unresolved, self.ended(), self.through(),
+          contacts.pushes()};
+}
+
+}  // namespace animtool

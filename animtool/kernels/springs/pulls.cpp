@@ -1,0 +1,185 @@
+#include "springs/pulls.h"
+
+#include <algorithm>
+#include <array>
+#include <numeric>
+#include <utility>
+
+namespace animtool {
+
+namespace {
+
+// A band has as many springs, at least half of its places, and no gap of more places.
+constexpr std::size_t LEAST = 4 * WIDE, GAP = 4 * WIDE;
+
+std::size_t low(const Spring& spring) {
+  return static_cast<std::size_t>(std::min(spring.i, spring.j));
+}
+
+std::size_t offset(const Spring& spring) {
+  return static_cast<std::size_t>(std::max(spring.i, spring.j)) - low(spring);
+}
+
+// Numbers of springs, by their offsets and then by where they begin.
+std::vector<std::size_t> by_offset(const std::vector<Spring>& springs) {
+  std::vector<std::size_t> order(springs.size());
+  std::iota(order.begin(), order.end(), std::size_t{0});
+  std::sort(order.begin(), order.end(), [&](std::size_t a, std::size_t b) {
+    const auto key = [&](std::size_t s) {
+      return std::array{offset(springs[s]), low(springs[s]), s};
+    };
+    return key(a) < key(b);
+  });
+  return order;
+}
+
+const PlaneLoops& loops() {
+  static const PlaneLoops here = plane_loops_here();
+  return here;
+}
+
+}  // namespace
+
+void SpringPulls::Numbers::add(double length, double stiff, double damps) {
+  rest.push_back(length);
+  stiffness.push_back(stiff);
+  damping.push_back(damps);
+}
+
+SpringPulls::SpringPulls(const std::vector<Spring>& springs, std::size_t particles)
+    : particles_(particles) {
+  std::vector<std::size_t> banded;
+  std::vector<Band> bands = lay_bands(springs, banded);
+  // What bands cost besides is by particle.
+  if (2 * banded.size() < particles) banded.clear();
+  if (!banded.empty()) lay_pieces(std::move(bands));
+  std::vector<bool> laid(springs.size());
+  for (const std::size_t s : banded) laid[s] = true;
+  for (std::size_t s = 0; s < springs.size(); ++s) {
+    if (laid[s]) continue;
+    const Spring& spring = springs[s];
+    loose_ends_.push_back(spring.i);
+    loose_ends_.push_back(spring.j);
+    loose_.add(spring.rest, spring.stiffness, spring.damping);
+  }
+}
+
+std::vector<SpringPulls::Band> SpringPulls::lay_bands(const std::vector<Spring>& springs,
+                                                      std::vector<std::size_t>& banded) const {
+  const std::vector<std::size_t> order = by_offset(springs);
+  std::vector<Band> bands;
+  for (std::size_t k = 0; k < order.size();) {
+    std::vector<std::size_t> chosen{order[k]};
+    const Spring& first = springs[order[k]];
+    for (++k; k < order.size(); ++k) {
+      const Spring &last = springs[chosen.back()], &next = springs[order[k]];
+      if (offset(next) != offset(first) || low(next) > low(last) + GAP) break;
+      // Of several springs between two particles one is in a band.
+      if (low(next) != low(last)) chosen.push_back(order[k]);
+    }
+    const std::size_t places = low(springs[chosen.back()]) - low(first) + 1;
+    if (chosen.size() < LEAST || 2 * chosen.size() < places) continue;
+    bands.push_back(band_of(springs, chosen));
+    banded.insert(banded.end(), chosen.begin(), chosen.end());
+  }
+  return bands;
+}
+
+SpringPulls::Band SpringPulls::band_of(const std::vector<Spring>& springs,
+                                       const std::vector<std::size_t>& chosen) {
+  const std::size_t first = low(springs[chosen.front()]) / WIDE * WIDE;
+  const std::size_t last = (low(springs[chosen.back()]) / WIDE + 1) * WIDE;
+  Band band{offset(springs[chosen.front()]), first, last, {}};
+  for (std::size_t n = first, c = 0; n < last; ++n) {
+    if (c == chosen.size() || low(springs[chosen[c]]) != n) {
+      band.numbers.add(0, 0, 0);
+      continue;
+    }
+    const Spring& spring = springs[chosen[c++]];
+    band.numbers.add(spring.rest, spring.stiffness, spring.damping);
+  }
+  return band;
+}
+
+void SpringPulls::lay_pieces(std::vector<Band> bands) {
+  std::stable_sort(bands.begin(), bands.end(),
+                   [](const Band& a, const Band& b) { return a.first < b.first; });
+  const std::size_t whole = plane_height(particles_) - WIDE;
+  std::vector<const Band*> here;
+  for (std::size_t begin = 0, next = 0, end; begin < whole; begin = end) {
+    std::erase_if(here, [&](const Band* band) { return band->last <= begin; });
+    for (; next < bands.size() && bands[next].first == begin; ++next)
+      here.push_back(&bands[next]);
+    end = std::min(whole, begin + BAND_PIECE);
+    if (next < bands.size()) end = std::min(end, bands[next].first);
+    for (const Band* band : here) end = std::min(end, band->last);
+    lay_piece(begin, end, here);
+  }
+}
+
+void SpringPulls::lay_piece(std::size_t begin, std::size_t end, std::vector<const Band*> bands) {
+  std::sort(bands.begin(), bands.end(),
+            [](const Band* a, const Band* b) { return a->offset < b->offset; });
+  pieces_.push_back({begin, end, offsets_.size(), bands.size(), numbers_.size()});
+  most_offsets_ = std::max(most_offsets_, bands.size());
+  for (const Band* band : bands) offsets_.push_back(band->offset);
+  for (std::size_t n = begin; n < end; n += WIDE)
+    for (const Band* band : bands) {
+      const Numbers& own = band->numbers;
+      for (const std::vector<double>* column : {&own.rest, &own.stiffness, &own.damping})
+        for (std::size_t l = 0; l < WIDE; ++l)
+          numbers_.push_back((*column)[n - band->first + l]);
+    }
+}
+
+BandPieces SpringPulls::pieces() const {
+  return {pieces_.data(), pieces_.size(), offsets_.data(), numbers_.data()};
+}
+
+BandPlanes SpringPulls::planes(PullRoom& room) const {
+  return {plane_height(particles_), room.x.data(), room.v.data(), room.f.data(),
+          room.kept.data()};
+}
+
+void SpringPulls::make(PullRoom& room) const {
+  const std::size_t size = 3 * plane_height(particles_);
+  room.x.resize(size);
+  room.v.resize(size);
+  room.f.assign(size, 0.0);
+  room.kept.resize(3 * most_offsets_ * KEPT);
+}
+
+void SpringPulls::read(const double* rows, std::vector<double>& columns) const {
+  loops().read(rows, particles_, plane_height(particles_), columns.data());
+}
+
+void SpringPulls::write(const std::vector<double>& columns, double* rows) const {
+  loops().write(columns.data(), particles_, plane_height(particles_), rows);
+}
+
+void SpringPulls::set(const double* x, const double* v, PullRoom& room,
+                      double* forces) const {
+  if (!banded()) {
+    std::fill_n(forces, ROW * particles_, 0.0);
+  } else {
+    make(room);
+    read(x, room.x);
+    read(v, room.v);
+    loops().pull(pieces(), planes(room));
+    write(room.f, forces);
+  }
+  add_loose(x, v, forces);
+}
+
+void SpringPulls::add_loose(const double* x, const double* v, double* forces) const {
+  static const AddPulls quads = add_pulls_in_quads();
+  const SpringColumns columns{loose_ends_.data(), loose_.rest.data(), loose_.stiffness.data(),
+                              loose_.damping.data()};
+  (quads ? quads : add_pulls<PlainRows>)(columns, loose_.rest.size(), x, v, forces);
+}
+
+void SpringPulls::step(const PlaneSteps& steps, PullRoom& room) const {
+  loops().step(pieces(), steps, planes(room));
+}
+
+}  // namespace animtool

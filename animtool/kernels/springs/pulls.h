@@ -1,0 +1,77 @@
+// The forces of springs on particles.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <vector>
+
+#include "springs/bands.h"
+#include "springs/rows.h"
+
+namespace animtool {
+
+struct Spring {
+  std::int32_t i, j;
+  double rest, stiffness, damping, limit;  // limit: the length at which it tears
+};
+
+// Columns of particles, and room for the forces between them.
+struct PullRoom {
+  std::vector<double> x, v, f, kept;
+};
+
+// What forces need to know of springs: in bands where many lie alike, the others in fours.
+class SpringPulls {
+ public:
+  SpringPulls() = default;
+  SpringPulls(const std::vector<Spring>& springs, std::size_t particles);
+
+  // Whether some lie in bands, and whether some do not.
+  bool banded() const { return !pieces_.empty(); }
+  bool loose() const { return !loose_.rest.empty(); }
+
+  // Set rows of particles to the forces [N] on them.
+  void set(const double* x, const double* v, PullRoom& room, double* forces) const;
+
+  // Add those of springs that are in no band.
+  void add_loose(const double* x, const double* v, double* forces) const;
+
+  // Take columns of particles on by a step, with the forces that stand there already and those
+  // of bands; then there are none.
+  void step(const PlaneSteps& steps, PullRoom& room) const;
+
+  // Make room, in which there are no forces; rows to its columns, and back.
+  void make(PullRoom& room) const;
+  void read(const double* rows, std::vector<double>& columns) const;
+  void write(const std::vector<double>& columns, double* rows) const;
+
+ private:
+  struct Numbers {
+    std::vector<double> rest, stiffness, damping;
+
+    void add(double length, double stiff, double damps);
+  };
+  // From some particles to those an offset on, whole fours of them.
+  struct Band {
+    std::size_t offset, first, last;
+    Numbers numbers;
+  };
+
+  static Band band_of(const std::vector<Spring>& springs, const std::vector<std::size_t>& chosen);
+  std::vector<Band> lay_bands(const std::vector<Spring>& springs,
+                              std::vector<std::size_t>& banded) const;
+  void lay_pieces(std::vector<Band> bands);
+  void lay_piece(std::size_t begin, std::size_t end, std::vector<const Band*> bands);
+  BandPieces pieces() const;
+  BandPlanes planes(PullRoom& room) const;
+
+  std::size_t particles_ = 0;
+  std::vector<BandPiece> pieces_;
+  std::size_t most_offsets_ = 0;  // of a piece
+  std::vector<std::size_t> offsets_;
+  std::vector<double> numbers_;
+  Numbers loose_;
+  std::vector<std::int32_t> loose_ends_;
+};
+
+}  // namespace animtool

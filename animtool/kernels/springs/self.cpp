@@ -1,0 +1,199 @@
+// Contacts of a surface of springs with itself.
+#include "springs/self.h"
+
+#include <algorithm>
+#include <cmath>
+#include <numeric>
+
+#include "base/checks.h"
+#include "springs/steps.h"
+
+namespace animtool {
+
+namespace {
+
+using collide::Vec;
+using collide::load;
+
+// Of a way in a step, over that of all, what is looked at for crossings [thickness].
+constexpr double FASTEST = 4;
+// How much farther pairs are listed than they come in a step [thickness].
+constexpr double LISTED = 0.6;
+// Steps that those which are near are picked from them for, and bounds of that [thickness].
+constexpr double PICK_AHEAD = 6, LEAST_PICK = 0.03, MOST_PICK = 0.5;
+// Width of cells that hold what may come near [longest edge, thickness].
+constexpr double CELL_EDGES = 4, CELL = 8;
+
+void check_layers(const SpringLayers& layers, const SpringNetwork& network) {
+  if (layers.particles() == network.particles()) return;
+  check::refuse("layers", check::text(layers.particles()) + " particles are not the " +
+                              check::text(network.particles()) + " of the network");
+}
+
+}  // namespace
+
+SelfContacts::SelfContacts(const SpringLayers& layers, const SpringNetwork& network)
+    : layers_(&layers), network_(network) {}
+
+SelfContacts::SelfContacts(const SpringLayers* layers, const SpringNetwork& network,
+                           const In<std::int64_t, 2>& crossed)
+    : layers_(layers), network_(network) {
+  if (layers_) check_layers(*layers_, network);
+  check::shape("crossed", crossed, {check::ANY, 3});
+  read(crossed);
+}
+
+void SelfContacts::read(const In<std::int64_t, 2>& crossed) {
+  const auto within = [](std::int64_t n, std::size_t count) {
+    return n >= 0 && n < static_cast<std::int64_t>(count);
+  };
+  for (std::size_t c = 0; c < crossed.size(); c += 3) {
+    const std::int64_t* one = crossed.data() + c;
+    const bool corner = layers_ && within(one[0], layers_->particles()) &&
+                        within(one[1], layers_->triangles());
+    const std::int64_t edge =
+        layers_ && one[0] >= 0 ? one[0] - std::int64_t(layers_->particles()) : -1;
+    const bool edges = layers_ && within(edge, layers_->edges()) && edge < one[1] &&
+                       within(one[1], layers_->edges());
+    if (!(edges || corner) || (one[2] != 1 && one[2] != -1))
+      check::refuse("crossed", "row " + check::text(c / 3) + " is no passage of the layers");
+    const auto second = static_cast<std::int32_t>(one[1]), side = static_cast<std::int32_t>(one[2]);
+    if (edges)
+      edges_.crossed.push_back({static_cast<std::int32_t>(edge), second, side});
+    else
+      corners_.crossed.push_back({second, static_cast<std::int32_t>(one[0]), side});
+  }
+  std::sort(corners_.crossed.begin(), corners_.crossed.end());
+  std::sort(edges_.crossed.begin(), edges_.crossed.end());
+}
+
+void SelfContacts::begin_cell(std::int64_t cell) {
+  if (cell == cell_) {
+    corners_.crossed = begun_corners_;
+    edges_.crossed = begun_edges_;
+  } else {
+    begun_corners_ = corners_.crossed;
+    begun_edges_ = edges_.crossed;
+  }
+  cell_ = cell;
+}
+
+void SelfContacts::look_around(double h, const std::vector<double>& before,
+                               const std::vector<double>& x) {
+  longest_ = 0;
+  for (std::size_t e = 0; e < layers_->edges(); ++e)
+    longest_ = std::max(longest_, length(shapes::Segment(layers_->ends(e), x.data()).way()));
+  const double back = layers_->speed * h;
+  motion_.build(x, CELL_EDGES * longest_ + CELL * layers_->thickness + 2 * back);
+  listed_.reach = picked_.reach = -1;
+  measure(h, before, x);
+}
+
+void SelfContacts::measure(double h, const std::vector<double>& before,
+                           const std::vector<double>& x) {
+  travel_ = motion_.between(before, x).near;
+  most_ = std::min(travel_, FASTEST * layers_->thickness);
+  need_ = most_ + layers_->speed * h;
+  far_ = 0;
+  if (listed_.reach < 0) return;
+  const Drift drift = motion_.between(listed_.at, x);
+  listed_.drift = drift.near, far_ = drift.all;
+  picked_.drift = motion_.between(picked_.at, x).near;
+}
+
+bool SelfContacts::cells_cover() const {
+  return far_ + need_ + layers_->thickness + 2 * longest_ <= motion_.width();
+}
+
+void SelfContacts::list(double h, const std::vector<double>& before,
+                        const std::vector<double>& x) {
+  if (cells_cover() && picked_.covers(need_)) return;
+  const double d = layers_->thickness;
+  if (!cells_cover() || !listed_.covers(need_)) {
+    look_around(h, before, x);
+    listed_.begin(x, need_ + LISTED * d);
+    corners_.list(*layers_, x, listed_.reach);
+    edges_.list(*layers_, x, listed_.reach);
+  }
+  const double reach = need_ + std::clamp(PICK_AHEAD * travel_, LEAST_PICK * d, MOST_PICK * d);
+  picked_.begin(x, std::min(reach, listed_.reach - listed_.drift));
+  corners_.pick(*layers_, x, picked_.reach);
+  edges_.pick(*layers_, x, picked_.reach);
+}
+
+void SelfContacts::keep_apart(double h, std::vector<double>& before, std::vector<double>& x) {
+  if (!layers_ || x.empty()) return;
+  corners_.forget();
+  edges_.forget();
+  // Of what has blown up nothing is known any more.
+  if (!std::isfinite(std::accumulate(x.begin(), x.end(), 0.0))) return;
+  if (listed_.reach < 0)
+    look_around(h, before, x);
+  else
+    measure(h, before, x);
+  list(h, before, x);
+  const double most = FASTEST * layers_->thickness, more = layers_->speed * h;
+  if (travel_ > most) rate_wanted_ = std::max(rate_wanted_, travel_ / (most * h));
+  corners_.find(*layers_, before, x, most_, more);
+  edges_.find(*layers_, before, x, most_, more);
+  if (!corners_.any() && !edges_.any()) return;
+  Parting parting(*layers_, network_, h, before, x);
+  corners_.part(*layers_, parting);
+  edges_.part(*layers_, parting);
+  parting.end();
+}
+
+void SelfContacts::look(const std::vector<double>& before, const std::vector<double>& x) {
+  if (!layers_) return;
+  corners_.look(before, x);
+  edges_.look(before, x);
+}
+
+Out<std::int64_t, 2> SelfContacts::ended() const {
+  const std::size_t count = corners_.crossed.size() + edges_.crossed.size();
+  Out<std::int64_t, 2> result(count, 3);
+  std::int64_t* to = result.get();
+  const auto add = [&](std::int64_t first, std::int64_t second, std::int64_t side) {
+    for (const std::int64_t number : {first, second, side}) *to++ = number;
+  };
+  for (const Passage& one : corners_.crossed) add(one.second, one.first, one.side);
+  for (const Passage& one : edges_.crossed)
+    add(std::int64_t(layers_->particles()) + one.first, one.second, one.side);
+  return result;
+}
+
+void SelfContacts::note_through() {
+  std::vector<std::int32_t> who;
+  for (const Passage& one : corners_.crossed) who.push_back(one.second);
+  std::sort(who.begin(), who.end());
+  passed_ = std::max<std::int64_t>(passed_, std::unique(who.begin(), who.end()) - who.begin());
+  cut_ = std::max(cut_, static_cast<std::int64_t>(edges_.crossed.size()));
+}
+
+Out<double, 3> part_springs(const SpringNetwork& network, const SpringLayers& layers,
+                            In<double, 2> before, In<double, 3> after, double h) {
+  const std::size_t count = network.particles();
+  check_layers(layers, network);
+  check::shape("before", before, {count, 3});
+  check::shape("after", after, {2, count, 3});
+  check::positive("h", h);
+  std::vector<double> from(ROW * count), x(ROW * count);
+  for (std::size_t n = 0; n < count; ++n) {
+    std::copy_n(before.data() + 3 * n, 3, &from[ROW * n]);
+    std::copy_n(after.data() + 3 * n, 3, &x[ROW * n]);
+  }
+  Out<double, 3> result(2, count, 3);
+  SelfContacts(layers, network).keep_apart(h, from, x);
+  const double *places = after.data(), *speeds = places + 3 * count;
+  for (std::size_t n = 0; n < count; ++n)
+    for (std::size_t k = 0; k < 3; ++k) {
+      const std::size_t row = ROW * n + k, at = 3 * n + k;
+      // What friction and pressing took from the way, they take from the speed.
+      const double taken = (x[row] - places[at]) - (from[row] - before.data()[at]);
+      result.get()[at] = x[row];
+      result.get()[3 * count + at] = speeds[at] + taken / h;
+    }
+  return result;
+}
+
+}  // namespace animtool

@@ -1,0 +1,81 @@
+// Surfaces of springs that keep apart from themselves.
+//
+// M. Müller et al., Position Based Dynamics, 2007, 3.5 and 4.4 (particles against triangles,
+// each on the side that it was); R. Bridson et al., Robust Treatment of Collisions, Contact
+// and Friction for Cloth Animation, 2002, 6 and 7 (edges, thickness and friction).
+#pragma once
+
+#include <cstdint>
+#include <tuple>
+#include <vector>
+
+#include "springs/drift.h"
+#include "springs/meetings.h"
+
+namespace animtool {
+
+// Particles and pairs of edges that went through, and the steps a second that what goes farther
+// in one than is looked at would take; 0 where nothing does.
+using SelfThrough = std::tuple<std::int64_t, std::int64_t, double>;
+
+// The contacts of a surface with itself, over the steps of a run: particles with triangles,
+// and after these edges with edges, where nothing else is as near as points along both.
+class SelfContacts {
+ public:
+  SelfContacts(const SpringLayers& layers, const SpringNetwork& network);
+  // Without layers nothing is done. Crossed: passages to go on with (C, 3), as `ended` returns them.
+  SelfContacts(const SpringLayers* layers, const SpringNetwork& network,
+               const In<std::int64_t, 2>& crossed);
+
+  // A cell of time begins; one that began before is crossed again.
+  void begin_cell(std::int64_t cell);
+  // Moves parts apart at the end of a step; where they only come back to the distance
+  // that they are to keep, what they were before moves too, so that it gives no speed.
+  void keep_apart(double h, std::vector<double>& before, std::vector<double>& x);
+  // Notes who is on another side than at the begin of the step.
+  void look(const std::vector<double>& before, const std::vector<double>& x);
+
+  // Particle, triangle and side of each passage that is left (C, 3); of edges, numbered after
+  // the particles, edge, edge and side.
+  Out<std::int64_t, 2> ended() const;
+  // What is through, at most at the end of any cell that was noted.
+  void note_through();
+  SelfThrough through() const { return {passed_, cut_, rate_wanted_}; }
+
+ private:
+  // Where particles were when pairs were looked for, and how far these may have come since.
+  struct Listing {
+    std::vector<double> at;
+    double reach = -1, drift = 0;
+
+    bool covers(double need) const { return need + drift <= reach; }
+    void begin(const std::vector<double>& x, double reach0) {
+      at = x, reach = reach0, drift = 0;
+    }
+  };
+
+  void read(const In<std::int64_t, 2>& crossed);
+  // Looks how far near parts go over each other in a step; with cells that are new.
+  void measure(double h, const std::vector<double>& before, const std::vector<double>& x);
+  void look_around(double h, const std::vector<double>& before, const std::vector<double>& x);
+  // Whether all that may come near in the step was in cells beside each other.
+  bool cells_cover() const;
+  void list(double h, const std::vector<double>& before, const std::vector<double>& x);
+
+  const SpringLayers* layers_;
+  const SpringNetwork& network_;
+  Meetings<TrianglesAndCorners> corners_;
+  Meetings<EdgesAndEdges> edges_;
+  std::vector<Passage> begun_corners_, begun_edges_;
+  std::int64_t cell_ = -1, passed_ = 0, cut_ = 0;
+
+  Listing listed_, picked_;
+  NearMotion motion_;
+  double longest_ = 0;  // edge, when cells were made
+  // Of parts that are near, how far they go over each other in a step, and what of that is
+  // looked at.
+  double travel_ = 0, most_ = 0, need_ = 0, rate_wanted_ = 0;
+  double far_ = 0;  // how far all moved over each other since
+};
+
+}  // namespace animtool

@@ -1,0 +1,492 @@
+// Implicit Euler and BDF2 steps of networks of springs: Newton's method, whose equations
+// are solved by conjugate gradients without a matrix; those of chains directly.
+//
+// D. Baraff, A. Witkin, Large Steps in Cloth Simulation, 1998; K.-J. Choi, H.-S. Ko,
+// Stable but Responsive Cloth, 2002 (what a pressed spring takes from the stiffness across
+// it is left out, so that the matrix stays positive).
+#include <algorithm>
+#include <tuple>
+#include <utility>
+
+#include "base/checks.h"
+#include "springs/chain.h"
+#include "springs/steps.h"
+
+namespace animtool {
+
+namespace {
+
+constexpr int MOST_CORRECTIONS = 40, MOST_HALVINGS = 8, MOST_SPLITS = 6;
+constexpr int MOST_PRODUCTS = 400;
+// What conjugate gradients leave of a residual: the next correction takes that.
+constexpr double LEFT = 1e-3;
+
+// The stiffness of a spring in a step: `across` in every direction, `along` beside it.
+struct Link {
+  std::int32_t i, j;
+  double across, along, u[3];
+};
+
+class Implicit {
+ public:
+  Implicit(SpringRun& run, double tolerance)
+      : run_(run),
+        tolerance_(tolerance),
+        residual_(run.size),
+        step_(run.size),
+        r_(run.size),
+        z_(run.size),
+        p_(run.size),
+        q_(run.size),
+        blocks_(9 * run.network.particles()),
+        trial_x_(run.size),
+        trial_v_(run.size) {}
+
+  // The v with m (bv - v) + s F(bx + s v, v) = 0, from a guess in run.v; whether found.
+  bool solve(const std::vector<double>& bx, const std::vector<double>& bv, double s, double t) {
+    place(bx, s, t, run_.v);
+    move(bx, s, run_.v, run_.x);
+    double size = measure(bv, s, run_.x, run_.v);
+    for (int i = 0; i < MOST_CORRECTIONS; ++i) {
+      ++corrections;
+      stiffen(s);
+      const double largest = correct();
+      double share = 1, after = 0;
+      for (int halving = 0; halving < MOST_HALVINGS; ++halving, share /= 2) {
+        for (std::size_t k = 0; k < run_.size; ++k) trial_v_[k] = run_.v[k] + share * step_[k];
+        move(bx, s, trial_v_, trial_x_);
+        after = measure(bv, s, trial_x_, trial_v_);
+        if (after <= 4 * size || size == 0) break;
+      }
+      run_.v.swap(trial_v_);
+      run_.x.swap(trial_x_);
+      size = after;
+      if (!(largest < HUGE_VAL)) return false;
+      if (share == 1 && largest * s <= tolerance_) return true;
+    }
+    return false;
+  }
+
+  std::int64_t corrections = 0;
+
+ private:
+  // Held particles go where their track is.
+  void place(const std::vector<double>& bx, double s, double t, std::vector<double>& v) {
+    run_.network.place_held(t, s, bx.data(), trial_x_.data(), v.data());
+  }
+
+  void move(const std::vector<double>& bx, double s, const std::vector<double>& v,
+            std::vector<double>& x) const {
+    for (std::size_t k = 0; k < run_.size; ++k) x[k] = bx[k] + s * v[k];
+  }
+
+  // Fill in the residual, and return its square over the masses.
+  double measure(const std::vector<double>& bv, double s, const std::vector<double>& x,
+                 const std::vector<double>& v) {
+    run_.accelerate(x.data(), v.data(), residual_.data());
+    double sum = 0;
+    for (std::size_t n = 0; n < run_.network.particles(); ++n) {
+      const double inverse = run_.network.inverse_masses[n];
+      for (std::size_t k = ROW * n; k < ROW * n + 3; ++k) {
+        if (inverse == 0) {
+          residual_[k] = 0;
+          continue;
+        }
+        const double off = bv[k] - v[k] + s * residual_[k];
+        residual_[k] = off / inverse;
+        sum += off * residual_[k];
+      }
+    }
+    return sum;
+  }
+
+  void stiffen(double s) {
+    const SpringNetwork& network = run_.network;
+    links_.clear();
+    for (std::size_t n = 0; n < network.particles(); ++n) {
+      double* block = blocks_.data() + 9 * n;
+      std::fill_n(block, 9, 0.0);
+      const double inverse = network.inverse_masses[n];
+      const double own = inverse > 0 ? (1 + s * network.drags[n]) / inverse : 1;
+      for (int k = 0; k < 3; ++k) block[4 * k] = own;
+    }
+    for (std::size_t a = 0; a < network.anchors.size(); ++a) {
+      double* block = blocks_.data() + 9 * static_cast<std::size_t>(network.anchors[a]);
+      for (int k = 0; k < 3; ++k)
+        block[4 * k] += s * s * network.anchor_stiffness[a] + s * network.anchor_damping[a];
+    }
+    stiffen_air(s);
+    diagonal_.resize(network.particles());
+    for (std::size_t n = 0; n < network.particles(); ++n) diagonal_[n] = blocks_[9 * n];
+    for (const Spring& spring : run_.lines().springs) stiffen_spring(spring, s);
+    reach_ = 0;
+    for (const Link& link : links_)
+      reach_ = std::max(reach_, static_cast<std::size_t>(std::abs(link.i - link.j)));
+    if (is_chain()) return factor_chain();
+    for (std::size_t n = 0; n < network.particles(); ++n) invert(blocks_.data() + 9 * n);
+  }
+
+  bool is_chain() const { return reach_ <= WIDEST_CHAIN; }
+
+  void factor_chain() {
+    const SpringNetwork& network = run_.network;
+    chain_.begin(network.particles(), reach_);
+    for (std::size_t n = 0; n < network.particles(); ++n)
+      for (std::size_t row = 0; row < 3; ++row)
+        for (std::size_t c = 0; c < 3; ++c)
+          chain_.add(3 * n + row, 3 * n + c, blocks_[9 * n + 3 * row + c]);
+    for (const Link& link : links_) {
+      const auto [low, high] = std::minmax(link.i, link.j);
+      const std::size_t i = static_cast<std::size_t>(low), j = static_cast<std::size_t>(high);
+      // What is held does not move: nothing else hangs on it.
+      if (network.inverse_masses[i] == 0 || network.inverse_masses[j] == 0) continue;
+      for (std::size_t row = 0; row < 3; ++row)
+        for (std::size_t c = 0; c < 3; ++c)
+          chain_.add(3 * j + row, 3 * i + c,
+                     -(link.along * link.u[row] * link.u[c] + (row == c ? link.across : 0)));
+    }
+    chain_.factor();
+  }
+
+  void stiffen_air(double s) {
+    const SpringNetwork& network = run_.network;
+    const double bound = std::abs(network.air_drag) + std::abs(network.air_lift);
+    if (bound == 0) return;
+    const double *x = run_.x.data(), *v = run_.v.data();
+    for (std::size_t t = 0; t < network.triangles.size(); t += 3) {
+      const std::int32_t* corners = network.triangles.data() + t;
+      const std::size_t rows[3] = {ROW * static_cast<std::size_t>(corners[0]),
+                                   ROW * static_cast<std::size_t>(corners[1]),
+                                   ROW * static_cast<std::size_t>(corners[2])};
+      double a[3], b[3], flow[3];
+      for (std::size_t k = 0; k < 3; ++k) {
+        a[k] = x[rows[1] + k] - x[rows[0] + k];
+        b[k] = x[rows[2] + k] - x[rows[0] + k];
+        flow[k] = run_.wind[k] - (v[rows[0] + k] + v[rows[1] + k] + v[rows[2] + k]) / 3;
+      }
+      const double n[3] = {a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2],
+                           a[0] * b[1] - a[1] * b[0]};
+      const double slows =
+          s * 2 * bound * std::sqrt(dot3(flow, flow)) * std::sqrt(dot3(n, n)) / 6;
+      for (int c = 0; c < 3; ++c)
+        for (int k = 0; k < 3; ++k)
+          blocks_[9 * static_cast<std::size_t>(corners[c]) + 4 * static_cast<std::size_t>(k)] +=
+              slows;
+    }
+  }
+
+  void stiffen_spring(const Spring& spring, double s) {
+    const double* p = run_.x.data() + ROW * static_cast<std::size_t>(spring.i);
+    const double* q = run_.x.data() + ROW * static_cast<std::size_t>(spring.j);
+    const double d[3] = {q[0] - p[0], q[1] - p[1], q[2] - p[2]};
+    const double length = std::sqrt(dot3(d, d)), inverse = length > 0 ? 1 / length : 0;
+    const double k = s * s * spring.stiffness;
+    double across = k;
+    if (spring.rest > 0) across = length > spring.rest ? k * (1 - spring.rest * inverse) : 0;
+    Link link{spring.i, spring.j, across, k - across + s * spring.damping, {}};
+    for (int c = 0; c < 3; ++c) link.u[c] = d[c] * inverse;
+    for (const std::int32_t n : {spring.i, spring.j}) {
+      double* block = blocks_.data() + 9 * static_cast<std::size_t>(n);
+      for (int row = 0; row < 3; ++row) {
+        for (int c = 0; c < 3; ++c) block[3 * row + c] += link.along * link.u[row] * link.u[c];
+        block[4 * row] += across;
+      }
+    }
+    links_.push_back(link);
+  }
+
+  // Of a symmetric positive 3 by 3 matrix, in place.
+  static void invert(double* m) {
+    const double a = m[0], b = m[1], c = m[2], d = m[4], e = m[5], f = m[8];
+    const double A = d * f - e * e, B = c * e - b * f, C = b * e - c * d;
+    const double over = 1 / (a * A + b * B + c * C);
+    m[0] = A * over;
+    m[1] = m[3] = B * over;
+    m[2] = m[6] = C * over;
+    m[4] = (a * f - c * c) * over;
+    m[5] = m[7] = (b * c - a * e) * over;
+    m[8] = (a * d - b * b) * over;
+  }
+
+  void multiply(const std::vector<double>& in, std::vector<double>& out) const {
+    for (std::size_t k = 0; k < run_.size; ++k) out[k] = diagonal_[k / ROW] * in[k];
+    for (const Link& link : links_) {
+      const double* a = in.data() + ROW * static_cast<std::size_t>(link.i);
+      const double* b = in.data() + ROW * static_cast<std::size_t>(link.j);
+      const double e[3] = {a[0] - b[0], a[1] - b[1], a[2] - b[2]};
+      const double along = link.along * dot3(link.u, e);
+      double* f = out.data() + ROW * static_cast<std::size_t>(link.i);
+      double* g = out.data() + ROW * static_cast<std::size_t>(link.j);
+      for (int k = 0; k < 3; ++k) {
+        const double force = link.across * e[k] + along * link.u[k];
+        f[k] += force;
+        g[k] -= force;
+      }
+    }
+    hold(out);
+  }
+
+  void hold(std::vector<double>& values) const {
+    for (const std::int32_t n : run_.network.held)
+      std::fill_n(values.data() + ROW * static_cast<std::size_t>(n), 3, 0.0);
+  }
+
+  void precondition(const std::vector<double>& in, std::vector<double>& out) {
+    if (is_chain()) return chain_.solve(in, out, ROW);
+    for (std::size_t n = 0; n < run_.network.particles(); ++n) {
+      const double *block = blocks_.data() + 9 * n, *a = in.data() + ROW * n;
+      for (std::size_t k = 0; k < 3; ++k) out[ROW * n + k] = dot3(block + 3 * k, a);
+    }
+  }
+
+  static double product(const std::vector<double>& a, const std::vector<double>& b) {
+    double sum = 0;
+    for (std::size_t k = 0; k < a.size(); ++k) sum += a[k] * b[k];
+    return sum;
+  }
+
+  // Fill in the step that takes the residual away, and return its largest component.
+  double correct() {
+    std::fill(step_.begin(), step_.end(), 0.0);
+    r_ = residual_;
+    precondition(r_, z_);
+    p_ = z_;
+    double size = product(r_, z_);
+    const double enough = LEFT * LEFT * size;
+    for (int i = 0; i < MOST_PRODUCTS && size > enough; ++i) {
+      multiply(p_, q_);
+      const double share = size / product(p_, q_);
+      for (std::size_t k = 0; k < run_.size; ++k) {
+        step_[k] += share * p_[k];
+        r_[k] -= share * q_[k];
+      }
+      precondition(r_, z_);
+      const double next = product(r_, z_), ratio = next / size;
+      size = next;
+      for (std::size_t k = 0; k < run_.size; ++k) p_[k] = z_[k] + ratio * p_[k];
+    }
+    double largest = 0;
+    for (const double value : step_)
+      largest = std::abs(value) <= largest ? largest : std::abs(value);
+    return largest;
+  }
+
+  SpringRun& run_;
+  double tolerance_;
+  std::vector<Link> links_;
+  std::size_t reach_ = 0;  // numbers that the ends of springs lie apart, at most
+  ChainFactor chain_;
+  std::vector<double> residual_, step_, r_, z_, p_, q_, blocks_, diagonal_, trial_x_, trial_v_;
+};
+
+// A state, and the one a step before it.
+struct Pair {
+  std::vector<double> x, v;
+};
+
+// Impulses that the network gives what holds its held particles, each with its moment about
+// the origin: of the last step, and of all. They are summed as steps sum accelerations, so
+// that what particles gain is what holders lose.
+class HeldPulls {
+ public:
+  HeldPulls(const SpringRun& run, const std::optional<In<double, 2>>& last)
+      : wanted(last), run_(run), held_(run.network.held) {
+    if (!wanted) return;
+    of_.resize(run.network.particles(), -1);
+    for (std::size_t p = 0; p < held_.size(); ++p)
+      of_[static_cast<std::size_t>(held_[p])] = static_cast<std::int32_t>(p);
+    check::shape("pulls", *last, {held_.size(), WIDTH});
+    check::finite("pulls", *last);
+    last_.assign(last->data(), last->data() + last->size());
+    sum_.resize(last_.size());
+    forces_.resize(run.size);
+  }
+
+  // After a step [s] that went on from a share of what the last one gave.
+  void add(double h, double share) {
+    if (!wanted) return;
+    const double *x = run_.x.data(), *v = run_.v.data();
+    std::fill(forces_.begin(), forces_.end(), 0.0);
+    for (const Spring& spring : run_.lines().springs)
+      if (of_[static_cast<std::size_t>(spring.i)] >= 0 ||
+          of_[static_cast<std::size_t>(spring.j)] >= 0)
+        pull(spring, x, v);
+    run_.network.add_air_forces(run_.wind, x, v, forces_.data());
+    for (std::size_t p = 0; p < held_.size(); ++p) {
+      const std::size_t at = ROW * static_cast<std::size_t>(held_[p]);
+      const double *r = x + at, *f = forces_.data() + at;
+      const double now[WIDTH] = {f[0],
+                                 f[1],
+                                 f[2],
+                                 r[1] * f[2] - r[2] * f[1],
+                                 r[2] * f[0] - r[0] * f[2],
+                                 r[0] * f[1] - r[1] * f[0]};
+      for (std::size_t k = 0; k < WIDTH; ++k) {
+        double& given = last_[WIDTH * p + k];
+        given = share * given + h * now[k];
+        sum_[WIDTH * p + k] += given;
+      }
+    }
+  }
+
+  // All, and the last.
+  using Sums = std::pair<std::vector<double>, std::vector<double>>;
+  Sums sums() const { return {sum_, last_}; }
+  void go_back(const Sums& begun) { std::tie(sum_, last_) = begun; }
+
+  // (2, H, 6): all, then the last.
+  Out<double, 3> ended() const {
+    Out<double, 3> result(2, sum_.size() / WIDTH, WIDTH);
+    std::copy(sum_.begin(), sum_.end(), result.get());
+    std::copy(last_.begin(), last_.end(), result.get() + sum_.size());
+    return result;
+  }
+
+  const bool wanted;
+
+ private:
+  static constexpr std::size_t WIDTH = 6;
+
+  void pull(const Spring& spring, const double* x, const double* v) {
+    const std::size_t i = ROW * static_cast<std::size_t>(spring.i);
+    const std::size_t j = ROW * static_cast<std::size_t>(spring.j);
+    double d[3], e[3];
+    for (std::size_t k = 0; k < 3; ++k) {
+      d[k] = x[j + k] - x[i + k];
+      e[k] = v[j + k] - v[i + k];
+    }
+    const double length = std::sqrt(dot3(d, d));
+    if (!(length > 0)) return;
+    const double force =
+        (spring.stiffness * (length - spring.rest) + spring.damping * dot3(d, e) / length) / length;
+    for (std::size_t k = 0; k < 3; ++k) {
+      forces_[i + k] += force * d[k];
+      forces_[j + k] -= force * d[k];
+    }
+  }
+
+  const SpringRun& run_;
+  const std::vector<std::int32_t>& held_;
+  std::vector<std::int32_t> of_;  // of each particle its number among the held, or -1
+  std::vector<double> last_, sum_, forces_;
+};
+
+class Crossing {
+ public:
+  Crossing(SpringRun& run, SpringContacts& contacts, double tolerance, bool two_steps,
+           HeldPulls& pulls)
+      : run_(run),
+        contacts_(contacts),
+        implicit_(run, tolerance),
+        two_steps_(two_steps),
+        pulls_(pulls) {}
+
+  // One cell in a number of steps; whether all were solved.
+  bool cross(std::int64_t index, double start, double cell, int substeps) {
+    const double h = cell / substeps;
+    contacts_.begin_cell(index, substeps, h);
+    for (int j = 0; j < substeps; ++j) {
+      const double t = start + (j + 1) * h;
+      run_.look(t, h);
+      now = {run_.x, run_.v};
+      double s = h;
+      bx_ = now.x;
+      bv_ = now.v;
+      if (two_steps_ && known) {
+        s = h * (2.0 / 3.0);
+        for (std::size_t k = 0; k < run_.size; ++k) {
+          bx_[k] = (4 * now.x[k] - before.x[k]) / 3;
+          bv_[k] = (4 * now.v[k] - before.v[k]) / 3;
+          run_.v[k] = 2 * now.v[k] - before.v[k];
+        }
+      }
+      if (!implicit_.solve(bx_, bv_, s, t)) return false;
+      pulls_.add(s, two_steps_ && known ? 1.0 / 3.0 : 0.0);
+      run_.network.place_held(t, h, now.x.data(), run_.x.data(), run_.v.data());
+      before = now;
+      // What two steps go on from is smooth.
+      const bool met = contacts_.settle(run_.network, j, now.x, run_.x, &run_.v);
+      known = two_steps_ && !met;
+      ++steps;
+    }
+    return true;
+  }
+
+  std::int64_t corrections() const { return implicit_.corrections; }
+
+  Pair before, now;
+  bool known = false;
+  std::int64_t steps = 0;
+
+ private:
+  SpringRun& run_;
+  SpringContacts& contacts_;
+  Implicit implicit_;
+  bool two_steps_;
+  HeldPulls& pulls_;
+  std::vector<double> bx_, bv_;
+};
+
+}  // namespace
+
+SpringsSolved solve_springs(const SpringNetwork& network, In<double, 3> state,
+                            std::optional<In<double, 3>> earlier, In<std::uint8_t, 1> torn,
+                            double origin, std::int64_t first, double cell,
+                            std::int64_t cells, int substeps, bool two_steps,
+                            double tolerance,
+                            const std::optional<SpringColliders>& colliders,
+                            std::optional<In<double, 2>> given) {
+  const Cells grid{origin, first, cell, cells};
+  check::between("substeps", substeps, 1, static_cast<int>(MOST_SUBSTEPS >> MOST_SPLITS));
+  check_cells(grid, substeps << MOST_SPLITS);
+  check::positive("tolerance", tolerance);
+  check::finite("state", state);
+  SpringRun run = begin_springs(network, state, torn);
+  if (earlier) {
+    check::shape("before", *earlier, {2, network.particles(), 3});
+    check::finite("before", *earlier);
+  }
+  SpringContacts contacts(colliders, network.particles(), cells);
+  HeldPulls pulls(run, given);
+  Crossing crossing(run, contacts, tolerance, two_steps, pulls);
+  crossing.before = {run.x, run.v};
+  std::int64_t lost = 0;
+  {
+    if (earlier && two_steps) {
+      const std::size_t row = 3 * network.particles();
+      const SpringRun back(network, earlier->data(), earlier->data() + row, torn.data());
+      crossing.before = {back.x, back.v};
+      crossing.known = true;
+    }
+    for (std::int64_t i = 0; i < cells && !lost; ++i) {
+      const Pair start{run.x, run.v};
+      const HeldPulls::Sums begun = pulls.sums();
+      if (!crossing.cross(i, grid.start(i), cell, substeps)) {
+        // The equations of shorter steps are easier.
+        bool found = false;
+        for (int split = 1; split <= MOST_SPLITS && !found; ++split) {
+          run.x = start.x;
+          run.v = start.v;
+          pulls.go_back(begun);
+          crossing.known = false;
+          found = crossing.cross(i, grid.start(i), cell, substeps << split);
+          crossing.known = false;
+        }
+        lost += !found;
+        if (!found) {
+          run.x = start.x;
+          run.v = start.v;
+        }
+      }
+      run.tear();
+    }
+  }
+  SpringRun back = run;
+  back.x = crossing.before.x;
+  back.v = crossing.before.v;
+  return {ended_state(run),          ended_state(back), crossing.known,        ended_torn(run),
+          crossing.steps, crossing.corrections(), lost,
+          contacts.unresolved, contacts.pushes(), pulls.ended()};
+}
+
+}  // namespace animtool

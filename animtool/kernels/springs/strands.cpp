@@ -1,0 +1,325 @@
+// Strands over a frame, four at a time from its begin to its end, so that all that they need
+// stays near.
+#include "springs/strands.h"
+
+#include <algorithm>
+#include <system_error>
+#include <thread>
+
+#include "base/checks.h"
+#include "springs/steps.h"
+
+namespace animtool {
+
+namespace {
+
+using collide::Vec;
+using collide::load;
+using collide::store;
+
+std::size_t bundles_of(std::size_t strands) { return (strands + WIDE - 1) / WIDE; }
+
+// Those beyond the last are as the last.
+std::size_t strand_of(std::size_t bundle, std::size_t lane, std::size_t strands) {
+  return std::min(bundle * WIDE + lane, strands - 1);
+}
+
+// Rows of strands (S, count) side by side by bundles, room for `width` in each.
+std::vector<double> side_by_side(In<double, 2> rows, std::size_t strands, std::size_t width) {
+  std::vector<double> made(bundles_of(strands) * WIDE * width);
+  for (std::size_t b = 0; b < bundles_of(strands); ++b)
+    for (std::size_t l = 0; l < WIDE; ++l)
+      for (std::size_t k = 0; k < rows.shape(1); ++k)
+        made[(b * width + k) * WIDE + l] =
+            rows.data()[strand_of(b, l, strands) * rows.shape(1) + k];
+  return made;
+}
+
+// Colliders of all steps of a frame, and what loops over bundles read of them.
+class FrameColliders {
+ public:
+  // Of the first particle it is known where it is as each cell begins and ends: with it all
+  // drift, more or less.
+  FrameColliders(const MovingColliders& colliders, std::size_t cells, int substeps, double h,
+                 const double* targets, std::size_t particles)
+      : colliders_(colliders), h_(h) {
+    for (std::size_t cell = 0; cell < cells; ++cell) {
+      colliders.steps(static_cast<std::int64_t>(cell), substeps, h, rows_);
+      const double* now = targets + 3 * particles * cell;
+      for (int j = 0; j < substeps; ++j)
+        for (std::size_t k = 0; k < 3; ++k)
+          drifts_.push_back((now[3 * particles + k] - now[k]) / substeps);
+    }
+    for (const StepCollider& one : rows_) rods_.push_back(one.rod);
+    for (std::size_t c = 0; c < colliders.size(); ++c) {
+      thicknesses_.push_back(rows_[c].thickness(colliders.radius()));
+      is_rod_.push_back(rows_[c].is_rod);
+    }
+    look_ahead();
+  }
+
+  void put_into(StrandSteps& plan) const {
+    plan.colliders = colliders_.size();
+    plan.rods = rods_.data();
+    plan.is_rod = is_rod_.data();
+    plan.thicknesses = thicknesses_.data();
+    plan.drifts = drifts_.data();
+    plan.ahead = ahead_.data();
+    plan.others = {this, &FrameColliders::sample, &FrameColliders::sweep};
+    plan.tolerance = colliders_.tolerance();
+  }
+
+ private:
+  void look_ahead() {
+    const std::size_t count = colliders_.size();
+    ahead_.assign(rows_.size() + count, 0.0);
+    for (std::size_t row = rows_.size(); row-- > 0;) {
+      const Vec drift = load(&drifts_[3 * (row / count)]);
+      ahead_[row] = ahead_[row + count];
+      if (rows_[row].is_rod) ahead_[row] += rows_[row].travel(drift);
+    }
+  }
+
+  static void sample(const void* all, std::size_t row, bool end, const double* point,
+                     double* answer) {
+    const auto& self = *static_cast<const FrameColliders*>(all);
+    const StepCollider& one = self.rows_[row];
+    const double radius = self.colliders_.radius();
+    const auto found = end ? one.after(load(point), radius) : one.before(load(point), radius);
+    answer[0] = found.distance;
+    store(found.normal, answer + 1);
+  }
+
+  static bool sweep(const void* all, std::size_t row, const double* from, double* to) {
+    const auto& self = *static_cast<const FrameColliders*>(all);
+    Vec place = load(to);
+    const double radius = self.colliders_.radius();
+    if (!self.rows_[row].sweep(self.h_, radius, load(from), place, nullptr)) return false;
+    store(place, to);
+    return true;
+  }
+
+  const MovingColliders& colliders_;
+  double h_;
+  std::vector<StepCollider> rows_;  // (steps, C)
+  std::vector<collide::Rod> rods_;
+  std::vector<double> drifts_, ahead_, thicknesses_;
+  std::vector<unsigned char> is_rod_;
+};
+
+// Room for one bundle after the other, and the frame's arrays that they are of.
+class Bundles {
+ public:
+  Bundles(const SpringStrands& strands, const StrandSteps& plan,
+          const MovingColliders& colliders, const double* targets, const double* state,
+          double* out)
+      : strands_(strands),
+        plan_(plan),
+        colliders_(colliders),
+        targets_(targets),
+        state_(state),
+        out_(out),
+        rows_(6 * width()),
+        goals_((plan.cells + 1) * width()),
+        meetings_(plan.points * (plan.colliders + 2)),
+        near_(plan.colliders),
+        touched_(plan.cells * plan.substeps) {
+    cross_ = cross_bundle_in_quads();
+    if (!cross_) cross_ = cross_bundle<PlainRows>;
+  }
+
+  void cross(std::size_t index) {
+    StrandBundle bundle = begun(index);
+    cross_(plan_, bundle);
+    put_back(index, bundle.x, out_);
+    put_back(index, bundle.v, out_ + 3 * particles());
+    inside += bundle.inside;
+    stretch = std::max(stretch, bundle.stretch);
+  }
+
+  std::int64_t touched(std::size_t step) const { return touched_[step]; }
+  std::int64_t inside = 0;
+  double stretch = 0;
+
+ private:
+  std::size_t width() const { return WIDE_VECTOR * plan_.points; }
+  std::size_t particles() const { return strands_.strands() * plan_.points; }
+
+  StrandBundle begun(std::size_t index) {
+    StrandBundle made{};
+    made.x = rows_.data();
+    made.v = made.x + width();
+    made.before = made.v + width();
+    made.along = made.before + width();
+    made.matrix = made.along + width();
+    made.still = made.matrix + width();
+    made.rests = strands_.rests(index);
+    made.folds = strands_.folds(index);
+    made.way = meetings_.data();
+    made.due = made.way + plan_.points;
+    made.dues = made.due + plan_.points;
+    made.near = near_.data();
+    made.touched = touched_.data();
+    made.next_depths = particles();
+    for (std::size_t l = 0; l < WIDE; ++l) {
+      if (index * WIDE + l < strands_.strands()) made.counted |= 1u << l;
+      if (!colliders_.depths()) continue;
+      const std::size_t strand = strand_of(index, l, strands_.strands());
+      made.depths[l] = colliders_.depths() + strand * plan_.points;
+    }
+    take(index, state_, made.x);
+    take(index, state_ + 3 * particles(), made.v);
+    for (std::size_t k = 0; k <= plan_.cells; ++k)
+      take(index, targets_ + k * 3 * particles(), goals_.data() + k * width());
+    made.goals = goals_.data();
+    return made;
+  }
+
+  // Rows of all particles (N, 3) to those of a bundle, side by side, and back.
+  void take(std::size_t index, const double* rows, double* out) const {
+    for (std::size_t l = 0; l < WIDE; ++l) {
+      const std::size_t strand = strand_of(index, l, strands_.strands());
+      const double* row = rows + 3 * plan_.points * strand;
+      for (std::size_t k = 0; k < 3 * plan_.points; ++k) out[WIDE * k + l] = row[k];
+    }
+  }
+  void put_back(std::size_t index, const double* rows, double* out) const {
+    for (std::size_t l = 0; l < WIDE && index * WIDE + l < strands_.strands(); ++l) {
+      double* row = out + 3 * plan_.points * (index * WIDE + l);
+      for (std::size_t k = 0; k < 3 * plan_.points; ++k) row[k] = rows[WIDE * k + l];
+    }
+  }
+
+  const SpringStrands& strands_;
+  const StrandSteps& plan_;
+  const MovingColliders& colliders_;
+  const double *targets_, *state_;
+  double* out_;
+  std::vector<double> rows_, goals_, meetings_;
+  std::vector<std::size_t> near_;
+  std::vector<std::int64_t> touched_;
+  CrossBundle cross_;
+};
+
+// Bundles that are worth a thread of their own.
+constexpr std::size_t FEWEST_BUNDLES = 16;
+
+// All bundles, each by one of some threads: which, makes no difference to any.
+void cross_all(std::vector<Bundles>& workers, std::size_t bundles) {
+  const auto work = [&](std::size_t w) {
+    const std::size_t end = (w + 1) * bundles / workers.size();
+    for (std::size_t b = w * bundles / workers.size(); b < end; ++b) workers[w].cross(b);
+  };
+  std::vector<std::thread> others;
+  others.reserve(workers.size());
+  for (std::size_t w = 1; w < workers.size(); ++w) {
+    try {
+      others.emplace_back(work, w);
+    } catch (const std::system_error&) {
+      work(w);
+    }
+  }
+  work(0);
+  for (std::thread& one : others) one.join();
+}
+
+// How far springs of a stiffness over the mass give way in a step, of what they are longer.
+double give(double stiffness, double damping, double weight, double h) {
+  return stiffness * h * h / ((stiffness * h * h + damping * h) * weight + 1);
+}
+
+}  // namespace
+
+SpringStrands::SpringStrands(In<double, 2> rests, In<double, 2> folds, In<double, 1> gravity,
+                             double drag, double stiffness, double fold_stiffness,
+                             double draw_stiffness, double draw_damping, double stretch)
+    : strands_(rests.shape(0)),
+      points_(rests.shape(1) + 1),
+      drag_(drag),
+      stiffness_(stiffness),
+      fold_(fold_stiffness),
+      draw_(draw_stiffness),
+      draw_damping_(draw_damping),
+      stretch_(stretch) {
+  check::shape("rests", rests, {check::ANY, check::ANY});
+  if (strands_ == 0) check::refuse("rests", "there is no strand");
+  check::at_most("rests", points_, check::MOST_ROWS / strands_);
+  for (std::size_t k = 0; k < rests.size(); ++k) check::not_negative("rests", rests.data()[k]);
+  check::shape("folds", folds, {strands_, points_ - std::min<std::size_t>(points_, 2)});
+  for (std::size_t k = 0; k < folds.size(); ++k) check::not_negative("folds", folds.data()[k]);
+  check::shape("gravity", gravity, {3});
+  check::finite("gravity", gravity);
+  check::finite("drag", drag);
+  check::not_negative("stiffness", stiffness);
+  check::not_negative("fold_stiffness", fold_stiffness);
+  check::not_negative("draw_stiffness", draw_stiffness);
+  check::not_negative("draw_damping", draw_damping);
+  check::not_negative("stretch", stretch);
+  std::copy_n(gravity.data(), 3, gravity_);
+  rests_ = side_by_side(rests, strands_, springs());
+  folds_ = side_by_side(folds, strands_, points_);
+}
+
+StrandSteps SpringStrands::plan(std::size_t cells, std::size_t substeps, double span) const {
+  StrandSteps made{};
+  made.points = points_;
+  made.cells = cells;
+  made.substeps = substeps;
+  const double h = span / static_cast<double>(cells * substeps);
+  made.h = h;
+  for (std::size_t k = 0; k < 3; ++k) made.fall[k] = h * gravity_[k];
+  made.slowed = 1 / (1 + h * drag_);
+  made.fold = give(fold_, 0, 2, h);
+  made.root_fold = give(fold_, 0, 1, h);
+  made.draw = give(draw_, draw_damping_, 1, h);
+  made.draw_change =
+      draw_damping_ * h / ((draw_ * h * h + draw_damping_ * h) + 1);
+  made.soft = 1 / (stiffness_ * h * h);
+  made.longest = 1 + stretch_;
+  return made;
+}
+
+StrandsFollowed follow_strands(const SpringStrands& strands, In<double, 3> targets,
+                               In<double, 3> state, double span, int substeps,
+                               const std::optional<SpringColliders>& colliders,
+                               std::size_t threads) {
+  const std::size_t count = strands.strands() * strands.points();
+  check::shape("state", state, {2, count, 3});
+  check::finite("state", state);
+  check::shape("targets", targets, {check::ANY, count, 3});
+  if (targets.shape(0) < 2) check::refuse("targets", "there is no cell between two of them");
+  check::finite("targets", targets);
+  if (threads < 1) check::refuse("threads", "0 is none");
+  if (colliders && !std::get<5>(*colliders).empty())
+    check::refuse("colliders", "strands meet no mesh whose points move");
+  const std::size_t cells = targets.shape(0) - 1;
+  check::positive("span", span);
+  check_cells({0, 0, span / static_cast<double>(cells), static_cast<std::int64_t>(cells)},
+              substeps);
+  const MovingColliders moving(colliders, count, static_cast<std::int64_t>(cells));
+  Out<double, 3> out(2, count, 3);
+  std::int64_t touched = 0, inside = 0;
+  double stretch = 0;
+  StrandSteps plan = strands.plan(cells, static_cast<std::size_t>(substeps), span);
+  const FrameColliders frame(moving, cells, substeps, plan.h, targets.data(), count);
+  frame.put_into(plan);
+  const std::size_t bundles = bundles_of(strands.strands());
+  const std::size_t most = std::max<std::size_t>(1, bundles / FEWEST_BUNDLES);
+  std::vector<Bundles> workers;
+  workers.reserve(std::min(threads, most));
+  while (workers.size() < std::min(threads, most))
+    workers.emplace_back(strands, plan, moving, targets.data(), state.data(), out.get());
+  cross_all(workers, bundles);
+  for (std::size_t step = 0; step < cells * static_cast<std::size_t>(substeps); ++step) {
+    std::int64_t together = 0;
+    for (const Bundles& one : workers) together += one.touched(step);
+    touched = std::max(touched, together);
+  }
+  for (const Bundles& one : workers) {
+    inside += one.inside;
+    stretch = std::max(stretch, one.stretch);
+  }
+  return {std::move(out), touched, inside, stretch};
+}
+
+}  // namespace animtool

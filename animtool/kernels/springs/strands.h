@@ -1,0 +1,45 @@
+// Strands: particles of one mass in lines, each held at its root.
+#pragma once
+
+#include <optional>
+#include <tuple>
+#include <vector>
+
+
+#include "springs/bundle.h"
+#include "springs/contacts.h"
+
+namespace animtool {
+
+// states (2, N, 3); particles in contact, and left inside colliders, at most; largest stretch
+using StrandsFollowed = std::tuple<Out<double, 3>, std::int64_t, std::int64_t, double>;
+
+class SpringStrands {
+ public:
+  SpringStrands(In<double, 2> rests, In<double, 2> folds, In<double, 1> gravity, double drag,
+                double stiffness, double fold_stiffness, double draw_stiffness,
+                double draw_damping, double stretch);
+
+  std::size_t strands() const { return strands_; }
+  std::size_t points() const { return points_; }
+
+  // What does not change over a frame of cells of so many steps.
+  StrandSteps plan(std::size_t cells, std::size_t substeps, double span) const;
+
+  const double* rests(std::size_t bundle) const { return rests_.data() + bundle * WIDE * springs(); }
+  const double* folds(std::size_t bundle) const { return folds_.data() + bundle * WIDE * points_; }
+
+ private:
+  std::size_t springs() const { return points_ - 1; }
+
+  std::size_t strands_, points_;
+  double gravity_[3], drag_, stiffness_, fold_, draw_, draw_damping_, stretch_;
+  std::vector<double> rests_, folds_;  // by bundle, four side by side
+};
+
+StrandsFollowed follow_strands(const SpringStrands& strands, In<double, 3> targets,
+                               In<double, 3> state, double span, int substeps,
+                               const std::optional<SpringColliders>& colliders,
+                               std::size_t threads);
+
+}  // namespace animtool
