@@ -16,6 +16,7 @@ if _signal.getsignal(_signal.SIGINT) is _signal.default_int_handler and (
 from typing import TYPE_CHECKING
 
 from animtool.core.errors import NAMING
+from animtool.core.old_names import keep_old_names
 from animtool.core.plugins import lazy_names
 
 if TYPE_CHECKING:
@@ -105,6 +106,7 @@ def _as_arguments(text: str) -> str:
 
 
 NAMING.arguments = _as_arguments
+keep_old_names()
 
 if not TYPE_CHECKING:  # type checkers know the names that are imported, and no others
     _lazy, __dir__ = lazy_names(__name__, _PUBLIC)

@@ -35,8 +35,6 @@ LAYERS = [
     {"batch"},
     {"preview", "report", "validation"},
     {"cli"},
-    # Old names of modules, which plug-ins may import.
-    {"errors", "rules", "readers", "clock", "take", "markers", "passes", "mocap"},
 ]
 # Passes of one kind know nothing of those of another.
 APART = {"edit", "retarget", "capture", "sim"}

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from animtool.core.array_types import ArrayLike, FloatArray
-from animtool.sim import adaptive, external
+from animtool.sim import adaptive_steps, external
 from animtool.sim.checks import (
     Watch,
     check_fit,
@@ -27,7 +27,7 @@ from animtool.sim.trajectory import Checkpoint, Stats, Status, Trajectory
 
 _ADVANCE = {
     Control.FIXED: advance_evenly,
-    Control.ADAPTIVE: adaptive.advance,
+    Control.ADAPTIVE: adaptive_steps.advance,
     Control.SCIPY: external.advance,
 }
 

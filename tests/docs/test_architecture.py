@@ -22,6 +22,5 @@ def test_paths_are_there(page: str, root: Path) -> None:
 def test_every_package_has_a_line(page: str, root: Path) -> None:
     listed = re.findall(r"^\| `animtool/(\w+)` \|", page, re.MULTILINE)
     folders = {path.parent.name for path in (root / "animtool").glob("*/__init__.py")}
-    # `mocap` has old names alone.
-    assert set(listed) == folders - {"mocap"} | {"kernels"}
+    assert set(listed) == folders | {"kernels"}
     assert len(listed) == len(set(listed))

@@ -1,3 +1,0 @@
-"""The old name of `animtool.core.clock`."""
-
-from animtool.core.clock import *  # noqa: F403

@@ -1,0 +1,61 @@
+"""Old names of modules, which plug-ins and scripts may still import."""
+
+from __future__ import annotations
+
+import sys
+import warnings
+from importlib import import_module
+from importlib.abc import Loader, MetaPathFinder
+from importlib.machinery import ModuleSpec
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from types import ModuleType
+
+OLD_NAMES = {
+    "animtool.clock": "animtool.core.clock",
+    "animtool.errors": "animtool.core.errors",
+    "animtool.markers": "animtool.motion.markers",
+    "animtool.mocap": "animtool.capture",
+    "animtool.mocap.cameras": "animtool.capture.cameras",
+    "animtool.mocap.face": "animtool.capture.face",
+    "animtool.mocap.retarget": "animtool.retarget",
+    "animtool.passes": "animtool.motion.passes",
+    "animtool.readers": "animtool.core.readers",
+    "animtool.rules": "animtool.core.rules",
+    "animtool.take": "animtool.motion.take",
+}
+
+
+def new_name(name: str) -> str | None:
+    """Return what a module of an old name, or below one, is called; None of others."""
+    above, _, rest = name.rpartition(".")
+    if name in OLD_NAMES or not above:
+        return OLD_NAMES.get(name)
+    found = new_name(above)
+    return found and f"{found}.{rest}"
+
+
+class _OldNames(MetaPathFinder, Loader):
+    """Finds a module that was moved by its old name."""
+
+    def find_spec(
+        self, name: str, _path: Sequence[str] | None, _: ModuleType | None = None
+    ) -> ModuleSpec | None:
+        """Return the spec of an old name; None for any other."""
+        return ModuleSpec(name, self) if new_name(name) else None
+
+    def exec_module(self, module: ModuleType) -> None:
+        """Put the module of the new name in the place of one of the old name."""
+        new = new_name(module.__name__)
+        assert new is not None
+        text = f"{module.__name__} is {new} now"
+        warnings.warn(text, DeprecationWarning, stacklevel=2)
+        sys.modules[module.__name__] = import_module(new)
+
+
+def keep_old_names() -> None:
+    """Let old names be imported; they come first, since modules below them are found."""
+    if not any(isinstance(finder, _OldNames) for finder in sys.meta_path):
+        sys.meta_path.insert(0, _OldNames())

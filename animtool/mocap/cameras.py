@@ -1,3 +1,0 @@
-"""The old name of `animtool.capture.cameras`."""
-
-from animtool.capture.cameras import *  # noqa: F403

@@ -1,3 +1,0 @@
-"""The old name of `animtool.retarget`."""
-
-from animtool.retarget import *  # noqa: F403

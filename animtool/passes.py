@@ -1,3 +1,0 @@
-"""The old name of `animtool.motion.passes`."""
-
-from animtool.motion.passes import *  # noqa: F403

@@ -1,3 +1,0 @@
-"""The old name of `animtool.core.rules`."""
-
-from animtool.core.rules import *  # noqa: F403
