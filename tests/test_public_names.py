@@ -41,7 +41,10 @@ def test_no_module_takes_the_place_of_a_public_name(face: str) -> None:
     assert not names & modules
 
 
-@pytest.mark.parametrize(("old", "new"), OLD_NAMES.items())
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [*OLD_NAMES.items(), ("animtool.mocap.markers", "animtool.capture.markers")],
+)
 def test_modules_that_were_moved_have_their_old_names_too(old: str, new: str) -> None:
     with pytest.warns(DeprecationWarning, match=new):
         assert reload_name(old) is import_module(new)
