@@ -56,6 +56,6 @@ class _OldNames(MetaPathFinder, Loader):
 
 
 def keep_old_names() -> None:
-    """Let old names be imported: first of all, since what is below them is found too."""
+    """Let old names be imported, before others: what is below them would be found."""
     if not any(isinstance(finder, _OldNames) for finder in sys.meta_path):
         sys.meta_path.insert(0, _OldNames())
