@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Protocol, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Protocol
 
 from annotated_types import Ge, Gt, Le, Len
 from pydantic import AfterValidator, Field
 
 from animtool.core.array_types import FloatArray
-from animtool.core.errors import Fault, counted
+from animtool.core.errors import Fault, Problem, counted
 from animtool.core.options import Checked, above
 from animtool.core.plugins import load_object
 from animtool.documents.check import FileModel
@@ -278,10 +278,6 @@ class PhysicsStageModel(FollowedPrimModel):
     """Bodies, joints and colliders of a USD stage; a part is `physics.Physics`."""
 
     prim: PrimPath = key("All below this prim is read.", "/Yard", default="/")
-
-
-# What is wrong, the key that it is at, and a hint.
-Problem: TypeAlias = tuple[str, str | None, str | None]
 
 
 class SystemSpec(FileModel):

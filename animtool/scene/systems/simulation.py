@@ -173,15 +173,30 @@ def open_systems(
 def build_systems(
     systems: Sequence[SceneSystem], context: BuildContext
 ) -> list[EntryRun]:
-    """Return systems at their beginnings, and record them in the context by name."""
+    """Return systems at their beginnings, and record them in the context by name.
+
+    Raises:
+        FormatError: What is wrong with any of them; those that need one that is wrong
+            are left out.
+    """
     found: dict[int, EntryRun] = {}
+    faults: list[Fault] = []
     for group in in_order(systems):
         members = [systems[i] for i in group]
-        with located_systems(members):
-            made = build_entries(members, context)
+        needs = {name for one in members for name, _ in one.setup.around.needs}
+        if not needs <= context.built.keys():
+            continue
+        try:
+            with located_systems(members):
+                made = build_entries(members, context)
+        except FormatError as error:
+            faults += error.faults
+            continue
         found |= dict(zip(group, made, strict=True))
         named = zip(members, made, strict=True)
         context.built |= {member.name: one for member, one in named}
+    if faults:
+        raise FormatError(list(dict.fromkeys(faults)))
     return [found[i] for i in range(len(systems))]
 
 
