@@ -27,6 +27,7 @@ from animtool.documents.fields import (
     record_of,
     with_fields,
 )
+from animtool.documents.forms import Forms
 from animtool.sim.contact import Contact, Material
 
 # One name of a table, and its options.
@@ -48,8 +49,19 @@ class Part(StrEnum):
 ArrayEntry = Annotated[Name, Part.ARRAY]
 NameEntry = Annotated[str | Whole, Part.NAMES]
 ForceEntry = Annotated[Named, Part.FORCE]
+# How shapes are written.
+SHAPE_FORMS = Forms(
+    {
+        "box": {"size": [1, 1, 1]},
+        "capsule": {"radius": 0.1, "length": 0.5},
+        "height_field": {"heights": "hill.npz", "size": [10, 10]},
+        "mesh": {"points": "stairs.npz", "triangles": "stairs.npz"},
+        "plane": {},
+        "sphere": {"radius": 0.1},
+    }
+)
 PlaceEntry = Annotated[Named, Part.PLACE]
-ShapeEntry = Annotated[Named, Part.SHAPE]
+ShapeEntry = Annotated[Named, Part.SHAPE, SHAPE_FORMS]
 
 # Seconds from the first frame on, and a vector.
 TimedVector = Annotated[list[Real], Len(4, 4)]

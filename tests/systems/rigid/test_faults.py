@@ -148,7 +148,7 @@ REFUSED = {
     "limits of a ball": (
         joint(type="ball", limits=[0, 1]),
         "joints[1].limits",
-        "type: pin",
+        "swing: 40",
     ),
     "swing of a pin": (joint(swing=30), "joints[1].swing", "type: ball"),
     "twist of a slide": (
