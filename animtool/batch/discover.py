@@ -38,11 +38,11 @@ from animtool.core.files.reading import MatchedFile, Places, files_meant, neares
 from animtool.core.names import check_given, is_named
 from animtool.core.rates import rate_label
 from animtool.core.readers import BVH, DOCUMENT, READERS
-from animtool.documents.variables import SceneValues
 from animtool.scene.sources.open import is_timeline, source_stem
 from animtool.usd.layers.jobs import check_suffix
 
 if TYPE_CHECKING:
+    from animtool.documents.variables import SceneValues
     from animtool.scene.bake.reading import Source
     from animtool.scene.scene import Scene
 
@@ -219,6 +219,8 @@ def scene_values(spec: BatchSpec) -> dict[Path, SceneValues]:
     Raises:
         AnimtoolError: Inputs, a timeline or overrides cannot be read.
     """
+    from animtool.documents.variables import SceneValues
+
     spec = _with_scene_input(_with_rate(_with_timeline(spec)))
     shots = _cuts(spec).shots
     files = [shot.media for shot in shots]

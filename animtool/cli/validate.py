@@ -133,19 +133,21 @@ def _show_difference(
     console.faults(report.broken)
     code = _exit_code(report, choices, missing)
     mended: set[tuple[str | None, str, str | None]] = set()
+    changes = False
     for plan in plan_files(report, options):
         for fault, reason in plan.left:
             console.say(f"{fault.path}: {fault.code} not mended: {reason}")
         if not plan.mended:
             continue
         mended |= {_identity(fault) for fault, _ in plan.mended}
+        changes = True
         console.result(*plan.difference().removesuffix("\n").split("\n"))
         for path in plan.after.outputs():
             console.say(f"{path} would be written")
         if code is ExitCode.OK and not choices.exit_zero:
             code = ExitCode.FINDINGS
     console.faults([one for one in report.findings if _identity(one) not in mended])
-    if report.findings and not mended:
+    if report.findings and not changes:
         console.say("nothing to change: no finding has a safe remedy")
     console.say(summary(report))
     click.get_current_context().exit(int(code))

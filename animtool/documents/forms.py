@@ -56,7 +56,8 @@ def form_hint(
         example = {name: forms.options[name]}
     elif isinstance(given, str) and _takes_file(annotation_of(info)):
         # Of a list, the entry.
-        example = {"file": given} if not rest else [{"file": given}]
+        several = rest or not models_of(annotation_of(info))
+        example = [{"file": given}] if several else {"file": given}
     if not isinstance(example, list | tuple | dict):
         return None
     text = flow_text(str(location[depth - 1]), example)

@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from animtool.core.errors import (
     AnimtoolError,
@@ -24,10 +24,12 @@ from animtool.core.process.signals import without_interrupts
 from animtool.core.process.supervisor import follow_parent, has_crashed, without_main
 from animtool.core.rules import Rule, all_rules, current_codes
 from animtool.documents.document import Document
-from animtool.documents.variables import SceneValues
 from animtool.validation.options import ValidateOptions, check_codes, settings_of
 from animtool.validation.subjects.open import SUFFIXES, open_file, values_of_batches
 from animtool.validation.subjects.subject import CheckedFile
+
+if TYPE_CHECKING:
+    from animtool.documents.variables import SceneValues
 
 
 def find_files(paths: Iterable[Path | str]) -> list[Path]:

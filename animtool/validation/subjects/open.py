@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import cast
+from typing import TYPE_CHECKING, cast
 
 from animtool.core.errors import AnimtoolError, Fault, OptionError
 from animtool.core.files.reading import unreadable
@@ -24,10 +24,12 @@ from animtool.core.readers import (
 )
 from animtool.core.rules import Kind
 from animtool.documents.document import Document, read_document
-from animtool.documents.variables import SceneValues
 from animtool.documents.versions import STEPS, version_of
 from animtool.rig.skeleton import Rig
 from animtool.validation.subjects.subject import CheckedFile
+
+if TYPE_CHECKING:
+    from animtool.documents.variables import SceneValues
 
 
 def open_batch(document: Document) -> CheckedFile:

@@ -16,8 +16,8 @@ from support.placed import (
     stage_text,
 )
 
-from animtool.scene.bake.bake import bake
 from animtool.scene.bake.options import BakeOptions
+from animtool.scene.bake.outputs import bake
 
 TOOL = """
 def Xform "tool"
