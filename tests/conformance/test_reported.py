@@ -26,6 +26,7 @@ OWED = (
     "turned",
     "units",
     "usd",
+    "validate",
 )
 
 
