@@ -44,8 +44,8 @@ if TYPE_CHECKING:
     from animtool.report.describe import describe as describe
     from animtool.rig.skeleton import Joint as Joint
     from animtool.rig.skeleton import Rig as Rig
-    from animtool.scene.bake.bake import bake as bake
     from animtool.scene.bake.options import BakeOptions as BakeOptions
+    from animtool.scene.bake.outputs import bake as bake
     from animtool.scene.convert.takes import convert as convert
     from animtool.scene.file.read import load_scene as load_scene
     from animtool.scene.sources.open import SourceOptions as SourceOptions
@@ -72,7 +72,7 @@ _PUBLIC = {
     "Take": "animtool.motion.take",
     "TakeStream": "animtool.motion.take",
     "ValidateOptions": "animtool.validation.options",
-    "bake": "animtool.scene.bake.bake",
+    "bake": "animtool.scene.bake.outputs",
     "compare": "animtool.report.compare",
     "convert": "animtool.scene.convert.takes",
     "describe": "animtool.report.describe",

@@ -42,6 +42,7 @@ from animtool.scene.sources.open import is_timeline, source_stem
 from animtool.usd.layers.jobs import check_suffix
 
 if TYPE_CHECKING:
+    from animtool.documents.variables import SceneValues
     from animtool.scene.bake.reading import Source
     from animtool.scene.scene import Scene
 
@@ -174,14 +175,7 @@ def find_batch(spec: BatchSpec) -> Batch:
         pattern = file_pattern(spec.output, name + variant_pattern(spec.variants))
         spec = replace(spec, output=pattern)
         _check_pattern(spec, pattern)
-    if (
-        spec.scene is not None
-        and spec.variants is not None
-        and not (spec.inputs or spec.cuts)
-    ):
-        # The scene is what is made in variants, and needs no other input.
-        scene = spec.scene if spec.path is None else spec.scene.absolute()
-        spec = replace(spec, inputs=(os.fspath(scene),), scene=None)
+    spec = _with_scene_input(spec)
     check_columns(spec)
     cuts = _cuts(spec)
     shots = cuts.shots
@@ -217,6 +211,38 @@ def find_batch(spec: BatchSpec) -> Batch:
         sample,
         notices,
     )
+
+
+def scene_values(spec: BatchSpec) -> dict[Path, SceneValues]:
+    """Return what the first item of each scene of a batch gives it, by path.
+
+    Raises:
+        AnimtoolError: Inputs, a timeline or overrides cannot be read.
+    """
+    from animtool.documents.variables import SceneValues
+
+    spec = _with_scene_input(_with_rate(_with_timeline(spec)))
+    shots = _cuts(spec).shots
+    files = [shot.media for shot in shots]
+    item_task = _item_task(spec, files)
+    own = overridden(spec.overrides, files, spec.folder, _suffixes(spec), spec.path)
+    found: dict[Path, SceneValues] = {}
+    for shot in shots:
+        path = spec.scene or shot.media.path
+        if path not in found and is_named(path, "scene"):
+            names, file = {**shot.names, **spec.rows[0]}, shot.media
+            values = own.values.get(file.path, {})
+            item = Item(1, file, file.path, names, variables=values)
+            found[path] = SceneValues(item_task.names(item), frozenset(names))
+    return found
+
+
+def _with_scene_input(spec: BatchSpec) -> BatchSpec:
+    """Return a batch of variants of a scene alone, whose input that scene is."""
+    if spec.scene is None or spec.variants is None or spec.inputs or spec.cuts:
+        return spec
+    scene = spec.scene if spec.path is None else spec.scene.absolute()
+    return replace(spec, inputs=(os.fspath(scene),), scene=None)
 
 
 def _check_pattern(spec: BatchSpec, pattern: str) -> None:

@@ -371,9 +371,9 @@ class ItemTask:
         self.refuse_several(source)
         if item.shot is not None and isinstance(source, Path):
             options = replace(options, shot=item.shot, start=None)
-        from animtool.scene.bake.bake import bake
+        from animtool.scene.bake.bake import bake_file
 
-        return [bake(source, item.output, options)]
+        return [bake_file(source, item.output, options)]
 
     def outputs(self, item: Item, source: Source) -> list[Path]:
         """Return the files that a bake writes."""

@@ -195,14 +195,14 @@ def _one(
         console, "bake", params, path, lambda: _outputs(opened, path, params)
     ):
         return
-    from animtool.scene.bake.bake import bake as run_bake
+    from animtool.scene.bake.bake import bake_file
 
     options = bake_options_record(params)
     names = [s.name if isinstance(s, Path) else s.path.name for s in opened]
     label = names[0] if len(names) == 1 else f"{len(names)} takes"
     shown = console.progress(f"bake {label}", stdout=path is None)
     with all_named(), shown as progress:
-        report = run_bake(opened, path, options, progress=progress)
+        report = bake_file(opened, path, options, progress=progress)
     _say_reports(console, [report], only_scene(opened), params, several=False)
 
 

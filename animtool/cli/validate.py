@@ -120,7 +120,10 @@ def _show_difference(
     choices: ReportOptions,
     missing: Sequence[Fault],
 ) -> None:
-    """Print what `--fix` would change; ends with 1 where that is something."""
+    """Print what `--fix` would change, and findings that would stay.
+
+    Ends with 1 where there is something to change, or as the findings say.
+    """
     from animtool.core.errors import ExitCode
     from animtool.validation.fixes.run import plan_files
     from animtool.validation.formats.plain import summary
@@ -129,16 +132,30 @@ def _show_difference(
     report = validate_files(files, options)
     console.faults(report.broken)
     code = _exit_code(report, choices, missing)
+    mended: set[tuple[str | None, str, str | None]] = set()
+    changes = False
     for plan in plan_files(report, options):
+        for fault, reason in plan.left:
+            console.say(f"{fault.path}: {fault.code} not mended: {reason}")
         if not plan.mended:
             continue
+        mended |= {_identity(fault) for fault, _ in plan.mended}
+        changes = True
         console.result(*plan.difference().removesuffix("\n").split("\n"))
         for path in plan.after.outputs():
             console.say(f"{path} would be written")
         if code is ExitCode.OK and not choices.exit_zero:
             code = ExitCode.FINDINGS
+    console.faults([one for one in report.findings if _identity(one) not in mended])
+    if report.findings and not changes:
+        console.say("nothing to change: no finding has a safe remedy")
     console.say(summary(report))
     click.get_current_context().exit(int(code))
+
+
+def _identity(fault: Fault) -> tuple[str | None, str, str | None]:
+    """Return what a finding keeps while others in its file are mended."""
+    return fault.path, fault.code, fault.where
 
 
 def _say(

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from enum import IntEnum, StrEnum
-from typing import ClassVar, NoReturn
+from typing import ClassVar, NoReturn, TypeAlias
 
 from animtool.core.quantities import escaped
 
@@ -159,6 +160,44 @@ def refuse(
 ) -> NoReturn:
     """Raise what of an option makes no sense, with the parts of its `Fault`."""
     raise OptionError(Fault(code, message, where=where, hint=hint))
+
+
+# What is wrong, the key that it is at, and a hint.
+Problem: TypeAlias = tuple[str, str | None, str | None]
+
+
+class Refusals:
+    """Collects what independent checks refuse, so that all is reported at once.
+
+    Attributes:
+        faults: Those of the checks so far, in their order.
+    """
+
+    def __init__(self) -> None:
+        self.faults: list[Fault] = []
+
+    @contextmanager
+    def collect(self) -> Iterator[None]:
+        """Record what a check refuses; the rest of its block is skipped."""
+        try:
+            yield
+        except OptionError as error:
+            self.faults += error.faults
+
+    def check(self) -> None:
+        """Raise `OptionError` with every fault, each once, where there are any."""
+        if self.faults:
+            raise OptionError(list(dict.fromkeys(self.faults)))
+
+
+def refuse_all(code: str, problems: Iterable[Problem]) -> None:
+    """Raise `OptionError` with a fault for every problem, where there are any."""
+    faults = [
+        Fault(code, message, where=where, hint=hint)
+        for message, where, hint in problems
+    ]
+    if faults:
+        raise OptionError(faults)
 
 
 class NothingFoundError(AnimtoolError):

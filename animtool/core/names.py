@@ -10,12 +10,14 @@ from pathlib import Path
 
 from animtool.core.errors import Fault, FormatError, OptionError, excerpt
 from animtool.core.quantities import CONTROL
-from animtool.core.similar import similar
+from animtool.core.similar import by_likeness, similar
 
 # What stands in for a name that is missing, and is none.
 UNKNOWN = "?"
 # Valid names that a hint is looked for among.
 MAX_NAMES = 2000
+# Of those, names that a hint lists; no format has as many keys.
+MAX_ALLOWED = 200
 # Of variables: a regular expression.
 VARIABLE_NAME = r"[A-Za-z_][A-Za-z0-9_]*"
 # What the first line of a file may name, its name too: a batch names a scene, others
@@ -58,10 +60,12 @@ def is_variable_name(text: str) -> bool:
 
 
 def nearest(name: str, names: Iterable[str]) -> str:
-    """Return a hint that names the nearest valid name, or the valid ones.
+    """Return a hint that names the nearest valid name, or all, the nearest first.
 
     >>> nearest("ebow", ["elbow", "hand"])
     "did you mean 'elbow'?"
+    >>> nearest("arm", ["hip", "forearm"])
+    'allowed: forearm, hip'
     """
     known = list(dict.fromkeys(islice(names, MAX_NAMES)))
     known = [one for one in known if one != UNKNOWN]
@@ -70,7 +74,10 @@ def nearest(name: str, names: Iterable[str]) -> str:
         return f"did you mean {near!r}?"
     if not known:
         return "there is none"
-    return f"allowed: {', '.join(known[:12])}" + (" …" if len(known) > 12 else "")
+    ordered = by_likeness(name, known)
+    more = len(ordered) - MAX_ALLOWED
+    rest = f" and {more} more" if more > 0 else ""
+    return f"allowed: {', '.join(ordered[:MAX_ALLOWED])}{rest}"
 
 
 def check_given(stated: Iterable[str], used: Iterable[str]) -> None:

@@ -10,7 +10,8 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from typing import Any
+from numbers import Integral
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from animtool.core.rates import NO_FRACTION, OptionalFraction, rate_label, rate_option
 from animtool.core.timecode import timecode_label
@@ -245,3 +246,43 @@ class FrameRange:
     first: int
     last: int
     step: int = 1
+
+    @staticmethod
+    def of(frames: FrameRangeLike) -> FrameRange:
+        """Return a range of its first and last frame, and its step if there is one.
+
+        Raises:
+            ValueError: It is none.
+
+        >>> FrameRange.of((1, 40))
+        FrameRange(first=1, last=40, step=1)
+        """
+        if isinstance(frames, FrameRange):
+            return frames
+        numbers: tuple[Any, ...] = tuple(frames)
+        whole = all(isinstance(one, Integral) for one in numbers)
+        if len(numbers) not in {2, 3} or not whole:
+            raise ValueError(f"{frames!r} is no range such as (1, 40) or (1, 40, 2)")
+        found = FrameRange(*map(int, numbers))
+        if found.last < found.first or found.step < 1:
+            raise ValueError(f"{frames!r} has no frame")
+        return found
+
+
+# First and last frame, and the step; options of a bake read text as `1-40x2` too.
+FrameRangeLike: TypeAlias = FrameRange | tuple[int, int] | tuple[int, int, int] | str
+
+
+class OptionalRange:
+    """Type of a record's field that takes a range or its numbers and holds a range.
+
+    As `animtool.core.rates.OptionalFraction`, a descriptor to type checkers alone.
+    """
+
+    if TYPE_CHECKING:
+
+        def __get__(
+            self, record: object, owner: type | None = None
+        ) -> FrameRange | None: ...
+
+        def __set__(self, record: object, value: FrameRangeLike | None) -> None: ...

@@ -14,6 +14,7 @@ from animtool.core.errors import Fault, counted, excerpt
 from animtool.core.names import KINDS, nearest
 from animtool.core.similar import similar
 from animtool.documents.document import Document, Location
+from animtool.documents.forms import form_hint
 from animtool.documents.placeholders import (
     annotation_at,
     fields_at,
@@ -55,7 +56,7 @@ def validated(document: Document, model: type[Model]) -> Model:
 
     Something stands in for each faulty value, and `Document.add` notes no fault of it,
     so that the rest can be checked before `Document.check` raises all at once. A key
-    that is nearly right is read as the one that was meant.
+    that is nearly right counts as given, and its value is not checked.
 
     Raises:
         FormatError: Nothing can stand in.
@@ -158,8 +159,10 @@ class _Faults:
         self.document.add("DOC020", location, message, nearest(str(key), names))
         meant = similar(str(key), names)
         if meant and meant not in node:
+            # Names in it may be referred to; but whether it was meant is not known.
             node[meant] = left
             self.document.spellings[*around, meant] = str(key)
+            self.document.guesses.add((*around, meant))
 
     def _missing_key(self, around: Location, key: str) -> None:
         place = (*around, key)
@@ -171,18 +174,38 @@ class _Faults:
 
     def _wrong_value(self, location: Location, faults: list[Any]) -> None:
         texts = dict.fromkeys(_words(fault) for fault in faults)
+        if faults[0]["type"] == "union_tag_not_found":
+            tag = faults[0]["ctx"]["discriminator"].strip("'")
+            written = similar(tag, map(str, faults[0]["input"]))
+            if written is not None:
+                # A misspelt key is not missing too.
+                self._unknown_key((*location, written))
+                return
         if faults[0]["type"].startswith("union_tag"):
             location = (*location, faults[0]["ctx"]["discriminator"].strip("'"))
         if not self._of_another_kind(location):
-            hint = _entry_hint(location, faults[0]) or _choice_hint(faults)
+            hint = (
+                _entry_hint(location, faults[0])
+                or _choice_hint(faults)
+                or self._form_hint(location, faults)
+            )
             self.document.add("DOC022", location, "; or ".join(texts), hint)
         self._stand_in(location)
+
+    def _form_hint(self, location: Location, faults: list[Any]) -> str | None:
+        """Return the right form of what is no mapping or list where one is wanted."""
+        wanted = {_KINDS.get(fault["type"]) for fault in faults}
+        if not wanted & _STRUCTURES:
+            return None
+        listed = wanted & _STRUCTURES == {_KINDS["list_type"]}
+        return form_hint(self.model, self.value, location, listed=listed)
 
     def _of_another_kind(self, location: Location) -> bool:
         """Return whether a key is one of some kinds only, and the kind is not known."""
         for depth, key in enumerate(location):
             around = location[:depth]
-            if (*around, "type") in self.document.doubts and key != "type":
+            unknown = self.document.doubts | self.document.guesses
+            if (*around, "type") in unknown and key != "type":
                 kinds = models_of(annotation_at(self.model, self.value, around))
                 having = [kind for kind in kinds if key in fields_of(kind)]
                 if having and len(having) < len(kinds):
@@ -287,8 +310,6 @@ def _choice_hint(faults: list[Any]) -> str | None:
 def _entry_hint(location: Location, fault: Any) -> str | None:
     """Return how a list is written, or an entry that is only a name, such as a pass."""
     given, expected = fault["input"], _KINDS.get(fault["type"])
-    if expected == _KINDS["list_type"] and isinstance(given, dict):
-        return "begin each entry with '- '"
     if expected != _KINDS["dict_type"] or not isinstance(location[-1], int):
         return None
     if not isinstance(given, str) or not given.isidentifier():
@@ -323,6 +344,10 @@ _KINDS = {
     "model_type": "a mapping of keys",
     "model_attributes_type": "a mapping of keys",
 }
+
+
+# Those of values that hold others.
+_STRUCTURES = {"a list", "a mapping of keys"}
 
 
 def _shown(value: Any) -> str:

@@ -34,6 +34,8 @@ class Document:
     # Where a value is faulty and something else stands in for it, so that the rest can
     # be checked.
     doubts: set[Location] = field(default_factory=set)
+    # Values under a key that is nearly the one that they are read as.
+    guesses: set[Location] = field(default_factory=set)
     # Keys of lists that have more entries in another file, which cannot be read.
     partial: set[str] = field(default_factory=set)
     # The key as written, of a value that is read under another key.
@@ -82,9 +84,13 @@ class Document:
             yield self.spellings.get(location[:depth], step)
 
     def doubtful(self, location: Location) -> bool:
-        """Return whether something stands in for a value, or for one around it."""
-        return bool(self.doubts) and any(
-            location[:depth] in self.doubts for depth in range(1, len(location) + 1)
+        """Return whether a value, or one around it, is not known.
+
+        Something stands in for it, or its key is guessed.
+        """
+        unknown = self.doubts | self.guesses
+        return bool(unknown) and any(
+            location[:depth] in unknown for depth in range(1, len(location) + 1)
         )
 
     def unnamed(self, key: str, *parts: str) -> bool:

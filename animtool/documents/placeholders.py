@@ -32,6 +32,25 @@ def annotation_at(model: type[BaseModel], value: Any, location: Location) -> Any
     return annotation
 
 
+def field_at(
+    model: type[BaseModel], value: Any, location: Location
+) -> tuple[int, FieldInfo] | None:
+    """Return the innermost field around a location, and the steps that lead to it."""
+    annotation: Any = model
+    node, found = value, None
+    for depth, step in enumerate(location, 1):
+        kinds = models_of(annotation, node)
+        named = (fields_of(kind).get(str(step)) for kind in kinds)
+        field = next((one for one in named if one is not None), None)
+        found = found if field is None else (depth, field)
+        annotation = _inside(annotation, node, step)
+        try:
+            node = node[step]
+        except (KeyError, IndexError, TypeError):
+            node = None
+    return found
+
+
 def fields_at(model: type[BaseModel], value: Any, location: Location) -> list[str]:
     """Return the keys that a mapping at a location may have."""
     node = value
@@ -43,10 +62,12 @@ def fields_at(model: type[BaseModel], value: Any, location: Location) -> list[st
 
 def models_of(annotation: Any, node: Any = None) -> list[type[BaseModel]]:
     """Return the models that a type allows; of several that which a mapping names."""
-    models = [
-        one
+    kinds = (
+        get_args(one)[0] if get_origin(one) is Annotated else one
         for one in _alternatives(annotation)
-        if isinstance(one, type) and issubclass(one, BaseModel)
+    )
+    models = [
+        kind for kind in kinds if isinstance(kind, type) and issubclass(kind, BaseModel)
     ]
     return [one for one in models if _named(one, node)] or models
 

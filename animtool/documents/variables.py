@@ -34,6 +34,16 @@ _USE = re.compile(rf"\$(?P<kept>\$)?\{{(?:(?P<name>{VARIABLE_NAME})\}})?")
 
 
 @dataclass(frozen=True, slots=True)
+class SceneValues:
+    """Values of a scene's variables that another file gives."""
+
+    # By name; they come before those of the scene.
+    values: Mapping[str, str] = field(default_factory=dict)
+    # Those that are a part of one name, where they name a file to write.
+    parts: frozenset[str] = frozenset()
+
+
+@dataclass(frozen=True, slots=True)
 class Variables:
     """The variables of a document."""
 

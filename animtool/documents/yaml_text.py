@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from typing import Any
 
 import yaml
@@ -56,6 +57,33 @@ def yaml_text(value: dict[str, Any]) -> str:
         width=WIDTH,
     )
     return text
+
+
+def flow_text(key: str, value: Any) -> str:
+    """Return a key with its value as YAML on one line.
+
+    >>> flow_text("keys", [{"t": 1.0, "v": 0.5}])
+    'keys: [{t: 1, v: 0.5}]'
+    """
+    text: str = yaml.dump(
+        {key: _whole(value)},
+        Dumper=_Dumper,
+        default_flow_style=True,
+        allow_unicode=True,
+        sort_keys=False,
+        width=sys.maxsize,
+    )
+    return text.strip()
+
+
+def _whole(value: Any) -> Any:
+    """Return a value with whole numbers as a person writes them."""
+    if isinstance(value, dict):
+        return {key: _whole(one) for key, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [_whole(one) for one in value]
+    is_whole = isinstance(value, float) and value.is_integer()
+    return int(value) if is_whole and abs(value) < 1e15 else value
 
 
 def json_text(value: dict[str, Any]) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 from enum import Enum
 from itertools import accumulate
+from numbers import Real
 
 import numpy as np
 
@@ -162,6 +163,19 @@ class Goal:
     priority: int = 0
     soft: float = 0.0
     stretch: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Refuse targets in the place of weights (TGT007)."""
+        for kind in KINDS:
+            weight = getattr(self, kind.name)
+            if not isinstance(weight, Real):
+                message = (
+                    f"{kind.name} of the goal {self.joint!r} is a weight, a number "
+                )
+                message += f"from 0, not {excerpt(str(weight))}"
+                hint = f"targets are given to the solve: Targets({kind.targets}=...), "
+                hint += f"one of {kind.value.value} numbers for each goal of each pose"
+                raise OptionError(Fault("TGT007", message, hint=hint))
 
     @property
     def weights(self) -> tuple[float, ...]:

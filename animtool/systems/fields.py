@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Protocol, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Protocol
 
 from annotated_types import Ge, Gt, Le, Len
 from pydantic import AfterValidator, Field
 
 from animtool.core.array_types import FloatArray
-from animtool.core.errors import Fault, counted
+from animtool.core.errors import Fault, Problem, counted
 from animtool.core.options import Checked, above
 from animtool.core.plugins import load_object
 from animtool.documents.check import FileModel
@@ -27,6 +27,7 @@ from animtool.documents.fields import (
     record_of,
     with_fields,
 )
+from animtool.documents.forms import Forms
 from animtool.sim.contact import Contact, Material
 
 # One name of a table, and its options.
@@ -48,8 +49,19 @@ class Part(StrEnum):
 ArrayEntry = Annotated[Name, Part.ARRAY]
 NameEntry = Annotated[str | Whole, Part.NAMES]
 ForceEntry = Annotated[Named, Part.FORCE]
+# How shapes are written.
+SHAPE_FORMS = Forms(
+    {
+        "box": {"size": [1, 1, 1]},
+        "capsule": {"radius": 0.1, "length": 0.5},
+        "height_field": {"heights": "hill.npz", "size": [10, 10]},
+        "mesh": {"points": "stairs.npz", "triangles": "stairs.npz"},
+        "plane": {},
+        "sphere": {"radius": 0.1},
+    }
+)
 PlaceEntry = Annotated[Named, Part.PLACE]
-ShapeEntry = Annotated[Named, Part.SHAPE]
+ShapeEntry = Annotated[Named, Part.SHAPE, SHAPE_FORMS]
 
 # Seconds from the first frame on, and a vector.
 TimedVector = Annotated[list[Real], Len(4, 4)]
@@ -285,10 +297,6 @@ class PhysicsStageModel(FollowedPrimModel):
     """Bodies, joints and colliders of a USD stage; a part is `physics.Physics`."""
 
     prim: PrimPath = key("All below this prim is read.", "/Yard", default="/")
-
-
-# What is wrong, the key that it is at, and a hint.
-Problem: TypeAlias = tuple[str, str | None, str | None]
 
 
 class SystemSpec(FileModel):

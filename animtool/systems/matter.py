@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from animtool.core.array_types import FloatArray
-from animtool.core.errors import refuse
+from animtool.core.errors import refuse, refuse_all
 from animtool.maths import so3
 from animtool.maths.rows import Rows
 from animtool.systems.fields import PlacementModel
@@ -153,7 +153,7 @@ def check_rows(
     """
     points = arrays["points"]
     assert points is not None
-    count = len(points)
+    count, problems = len(points), []
     for name, array in arrays.items():
         if array is None:
             continue
@@ -166,4 +166,5 @@ def check_rows(
             if finite.all():
                 continue
             message = f"{name} of {kind} {int(np.argmin(finite))} are not finite"
-        refuse(code, message, where)
+        problems.append((message, where, None))
+    refuse_all(code, problems)

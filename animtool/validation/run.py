@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from animtool.core.errors import (
     AnimtoolError,
@@ -25,8 +25,11 @@ from animtool.core.process.supervisor import follow_parent, has_crashed, without
 from animtool.core.rules import Rule, all_rules, current_codes
 from animtool.documents.document import Document
 from animtool.validation.options import ValidateOptions, check_codes, settings_of
-from animtool.validation.subjects.open import SUFFIXES, open_file
+from animtool.validation.subjects.open import SUFFIXES, open_file, values_of_batches
 from animtool.validation.subjects.subject import CheckedFile
+
+if TYPE_CHECKING:
+    from animtool.documents.variables import SceneValues
 
 
 def find_files(paths: Iterable[Path | str]) -> list[Path]:
@@ -225,7 +228,11 @@ def validate_files(
     projects = {folder: settings_of(path) for folder, path in folders.items()}
     settings = [options.within(projects[path.parent]) for path in files]
     _, broken = all_rules()
-    by_file = _all(files, settings, _processes(options.jobs, len(files)))
+    given = values_of_batches(files)
+    values = (
+        [given.get(path.resolve()) for path in files] if given else [None] * len(files)
+    )
+    by_file = _all(files, settings, values, _processes(options.jobs, len(files)))
     names = {path.resolve(): str(path) for path in files}
     findings = {_named(fault, names) for faults in by_file for fault in faults}
     return Report(files, tuple(sorted(findings, key=_order)), broken)
@@ -238,17 +245,23 @@ def _processes(jobs: int | None, files: int) -> int:
 
 
 def _all(
-    files: Sequence[Path], settings: Sequence[ValidateOptions], processes: int
+    files: Sequence[Path],
+    settings: Sequence[ValidateOptions],
+    values: Sequence[SceneValues | None],
+    processes: int,
 ) -> Iterator[list[Fault]]:
     faults = None
     # What crashed before is known in this process alone.
     if processes > 1 and not has_crashed():
-        faults = _shared(files, settings, processes)
-    yield from map(_check, files, settings) if faults is None else faults
+        faults = _shared(files, settings, values, processes)
+    yield from map(_check, files, settings, values) if faults is None else faults
 
 
 def _shared(
-    files: Sequence[Path], settings: Sequence[ValidateOptions], processes: int
+    files: Sequence[Path],
+    settings: Sequence[ValidateOptions],
+    values: Sequence[SceneValues | None],
+    processes: int,
 ) -> list[list[Fault]] | None:
     """Return what counts in each file, found by several processes.
 
@@ -262,16 +275,18 @@ def _shared(
     try:
         with ProcessPoolExecutor(processes, context, follow_parent) as pool:
             with without_interrupts(), without_main():
-                results = pool.map(_check, files, settings, chunksize=CHUNK)
+                results = pool.map(_check, files, settings, values, chunksize=CHUNK)
             return list(results)
     except BrokenExecutor:
         return None
 
 
-def _check(path: Path, options: ValidateOptions) -> list[Fault]:
-    """Return what counts in one file."""
+def _check(
+    path: Path, options: ValidateOptions, values: SceneValues | None
+) -> list[Fault]:
+    """Return what counts in one file, of a scene with values of its variables."""
     try:
-        checked = open_file(path)
+        checked = open_file(path, values)
     except AnimtoolError as error:
         if error.exit_code is ExitCode.USAGE:
             raise

@@ -280,3 +280,17 @@ def test_a_glob_that_matches_no_file_is_named(tmp_path: Path) -> None:
     assert animtool(*given, cwd=tmp_path).code == 0
     assert animtool(*given, "--strict", cwd=tmp_path).code == 1
     assert animtool(*given, "--strict", "--ignore", "VAL010", cwd=tmp_path).code == 0
+
+
+def test_a_difference_shows_the_findings_that_stay(mendable: Path) -> None:
+    done = animtool("validate", mendable, "--diff")
+    assert done.code == 1
+    assert "RIG201" in done.stderr
+    assert "RIG221" not in done.stderr
+    assert "nothing to change" not in done.stderr
+    text = MENDABLE.replace("limits: [1, 9]", "limits: [9, 1]")
+    mendable.write_text(text, "utf-8")
+    done = animtool("validate", mendable, "--diff")
+    assert (done.code, done.stdout) == (1, "")
+    assert "RIG007" in done.stderr
+    assert "nothing to change" in done.stderr

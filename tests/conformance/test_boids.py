@@ -32,8 +32,8 @@ def flocks() -> list[Any]:
 @pytest.mark.parametrize("boids", flocks())
 def test_accelerations_and_neighbours(boids: Boids) -> None:
     x, v = boids.start()
-    assert_allclose(x[:5], boids.first["x"], atol=1e-12)
-    assert_allclose(v[:5], boids.first["v"], atol=1e-12)
+    assert_allclose(x[:5], boids.first["x"], atol=WITHIN)
+    assert_allclose(v[:5], boids.first["v"], atol=WITHIN)
     found = boids.flock().system.acceleration(0.0, x, v)
     reference = boids.reference
     assert_allclose(found[:10], reference["accel_first10"], atol=WITHIN)

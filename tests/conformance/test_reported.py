@@ -27,6 +27,7 @@ OWED = (
     "turned",
     "units",
     "usd",
+    "validate",
 )
 
 

@@ -10,7 +10,11 @@ from animtool.core.names import check_given, nearest
 
 def test_nearest() -> None:
     assert nearest("x", []) == "there is none"
-    assert nearest("zzz", [f"n{i}" for i in range(20)]).endswith("n11 …")
+    names = [f"n{i}" for i in range(20)]
+    assert nearest("zzz", names) == f"allowed: {', '.join(names)}"
+    many = nearest("zzz", [f"n{i}" for i in range(300)])
+    assert many.endswith("n199 and 100 more")
+    assert nearest("position", ["at", "restitution"]) == "allowed: restitution, at"
 
 
 def test_what_is_given_must_be_used() -> None:

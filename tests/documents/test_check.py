@@ -10,6 +10,8 @@ from pydantic import Field
 from animtool.core.errors import Fault, FormatError
 from animtool.documents.check import MAX_MENDED, FileModel, check_version, validated
 from animtool.documents.document import Document, read_document
+from animtool.documents.fields import key
+from animtool.documents.forms import Forms
 
 
 class Round(FileModel):
@@ -32,6 +34,24 @@ class Box(FileModel):
     )
     named: dict[str, Square] = Field(default={})
     source: str | None = Field(default=None, alias="from")
+
+
+class File(FileModel):
+    file: str
+    shown: bool = True
+
+
+class Shown(FileModel):
+    """Keys with examples, as the models of formats have them."""
+
+    crate: Annotated[
+        dict[str, dict[str, object]] | None,
+        Forms({"box": {"size": [1, 1, 1]}, "ball": {"radius": 0.5}}),
+    ] = key("A shape.", {"box": {"size": [2, 2, 2]}}, default=None)
+    items: list[Square] = key("Squares.", [{"type": "square"}], default=[])
+    take: File | None = key("A take.", {"file": "a.bvh"}, default=None)
+    takes: list[File] = key("Takes.", [{"file": "a.bvh"}], default=[])
+    span: list[float] = key("Ends.", [-60.0, 60.0], default=[])
 
 
 def document(folder: Path, text: str) -> Document:
@@ -126,12 +146,16 @@ def test_a_misspelt_key_is_not_missing_too(tmp_path: Path) -> None:
     assert read.faults[-1].where == "items[0].radus"
 
 
-def test_a_value_of_a_misspelt_key_is_checked(tmp_path: Path) -> None:
-    found = faults(tmp_path, "items:\n- {type: square, sid: x}")
-    assert [(f.code, f.where) for f in found] == [
-        ("DOC020", "items[0].sid"),
-        ("DOC022", "items[0].sid"),
-    ]
+@pytest.mark.parametrize("value", ["x", "{sde: 1}", "[1, x]"])
+def test_a_value_of_a_misspelt_key_is_not_checked(tmp_path: Path, value: str) -> None:
+    found = faults(tmp_path, f"items:\n- {{type: square, sid: {value}}}")
+    assert [(f.code, f.where) for f in found] == [("DOC020", "items[0].sid")]
+
+
+def test_a_misspelt_kind_decides_nothing(tmp_path: Path) -> None:
+    """Neither that there is no kind, nor what that kind lacks, is a fault more."""
+    found = faults(tmp_path, "items:\n- {typ: square}")
+    assert [(f.code, f.where) for f in found] == [("DOC020", "items[0].typ")]
 
 
 def test_of_an_unknown_kind_only_what_all_kinds_have_is_checked(tmp_path: Path) -> None:
@@ -188,3 +212,25 @@ def test_faults_are_mended_up_to_a_bound(tmp_path: Path) -> None:
     assert len(most.faults) == MAX_MENDED // 2
     with pytest.raises(FormatError):
         validated(read(MAX_MENDED // 2 + 1), Box)
+
+
+@pytest.mark.parametrize(
+    ("text", "form"),
+    [
+        ("items: {type: square, side: 1}", "items: [{type: square, side: 1}]"),
+        ("crate: {box: [1, 1, 1]}", "crate: {box: {size: [1, 1, 1]}}"),
+        ("crate: box", "crate: {box: {size: [1, 1, 1]}}"),
+        ("crate: {ball: 0.1}", "crate: {ball: {radius: 0.5}}"),
+        ("crate: {cone: 0.1}", "crate: {box: {size: [2, 2, 2]}}"),
+        ("take: walk.bvh", "take: {file: walk.bvh}"),
+        ("takes: walk.bvh", "takes: [{file: walk.bvh}]"),
+        ("takes: [walk.bvh]", "takes: [{file: walk.bvh}]"),
+        ("span: 60", "span: [-60, 60]"),
+    ],
+)
+def test_a_wrong_form_shows_the_right_one(tmp_path: Path, text: str, form: str) -> None:
+    read = document(tmp_path, text)
+    validated(read, Shown)
+    assert [(fault.code, fault.hint) for fault in read.faults] == [
+        ("DOC022", f"write {form}")
+    ]

@@ -28,7 +28,7 @@ CASES: dict[str, tuple[str, str, str]] = {
         RIG + "- {name: a, " + ", ".join(f"key{i}: 1" for i in range(2000)) + "}\n",
         "DOC020",
     ),
-    "faulty entries": ("a.rig.yaml", RIG + "- {nam: a, typ: pin}\n" * 2000, "DOC022"),
+    "faulty entries": ("a.rig.yaml", RIG + "- {nam: a, typ: pin}\n" * 2000, "DOC020"),
     "unknown parents": (
         "a.rig.yaml",
         RIG

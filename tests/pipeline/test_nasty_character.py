@@ -26,8 +26,8 @@ from support.usd import joint_transforms, open_stage, skeleton_query, validation
 from animtool.motion.motion import Channel
 from animtool.motion.take import Take, TakeStream
 from animtool.rig.skeleton import Rig
-from animtool.scene.bake.bake import bake
 from animtool.scene.bake.options import BakeOptions
+from animtool.scene.bake.outputs import bake
 from animtool.usd.takes.read import read_usd
 
 

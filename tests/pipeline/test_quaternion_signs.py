@@ -16,8 +16,8 @@ from animtool.core.shot import FrameRange
 from animtool.maths import so3
 from animtool.motion.motion import Channel
 from animtool.motion.take import Take, TakeStream
-from animtool.scene.bake.bake import bake
 from animtool.scene.bake.options import BakeOptions
+from animtool.scene.bake.outputs import bake
 
 BLOCK = 3
 WAYS = {

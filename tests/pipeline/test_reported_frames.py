@@ -24,8 +24,8 @@ from animtool.core.clock import Clock
 from animtool.core.errors import OptionError
 from animtool.core.shot import FrameRange
 from animtool.motion.take import TakeStream
-from animtool.scene.bake.bake import bake
 from animtool.scene.bake.options import BakeOptions
+from animtool.scene.bake.outputs import bake
 from animtool.scene.bake.prims import BakeReport
 from animtool.usd.takes.read import read_usd
 

@@ -344,7 +344,7 @@ def start_of(
     return Fraction(1) if configured is None else configured
 
 
-def bake(
+def bake_file(
     source: Source | Sequence[Source],
     output: Path | str | None,
     options: BakeOptions | None = None,
@@ -352,26 +352,7 @@ def bake(
     progress: Progress = None,
     opener: Opener = open_source,
 ) -> BakeReport:
-    """Bake a BVH, USD file, clip or scene to a USD animation, or several to a library.
-
-    Args:
-        source: The file to read, or a scene that is loaded already; or several, each to
-            be a take of a clip library.
-        output: The file to write, ``.usda``, ``.usdc`` or ``.usd``; None writes
-            usda to stdout.
-        options: How.
-        progress: Called with the share done, 0 to 1.
-        opener: What opens the sources, called as `animtool.open_source`.
-
-    Raises:
-        FormatError: A source is malformed, or the takes of a library have other
-            joints.
-        OptionError: An option makes no sense, or the output exists.
-        OutputError: The output cannot be written.
-        StrictError: There were warnings, and ``strict`` is on.
-        ToleranceError: A system stopped before the last frame. With ``keep_stopped``
-            it is the report's ``stopped``, and the frames before are in the output.
-    """
+    """Bake to one USD file, None for stdout; see `animtool.bake`."""
     # Passes may keep states as soon as a source is opened.
     with together():
         plan = plan_bake(source, output, options, progress=progress, opener=opener)

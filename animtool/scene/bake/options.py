@@ -11,9 +11,9 @@ from animtool.clip.reduction.tolerance import KEY_TOLERANCE
 from animtool.core.errors import Fault, OptionError
 from animtool.core.options import Key, option
 from animtool.core.rates import FractionLike, OptionalFraction, rate_option
-from animtool.core.shot import FrameRange, Shot
+from animtool.core.shot import FrameRange, FrameRangeLike, OptionalRange, Shot
 from animtool.core.units import LengthUnit, UpAxis
-from animtool.scene.file.option_text import parse_frame
+from animtool.scene.file.option_text import parse_frame, parse_frame_range
 from animtool.scene.sources.open import SourceOptions
 
 _ADOPTED = "a layer adopts its rig layer's units and up axis: no --to-units, --to-up"
@@ -195,7 +195,7 @@ class BakeOptions:
         ),
         help="Frames a second of the output.",
     )
-    frame_range: FrameRange | None = option(
+    frame_range: OptionalRange = option(
         None,
         "range",
         "--range",
@@ -395,12 +395,24 @@ class BakeOptions:
         start: Any = self.start
         if not isinstance(start, Fraction | None):
             object.__setattr__(self, "start", _frame_option(start))
+        if self.frame_range is not None:
+            object.__setattr__(self, "frame_range", _range_option(self.frame_range))
         if self.shot is not None:
             if self.frame_range is None:
                 frames = FrameRange(self.shot.start, self.shot.end)
                 object.__setattr__(self, "frame_range", frames)
             if self.fps is None:
                 object.__setattr__(self, "fps", self.shot.fps)
+
+
+def _range_option(frames: FrameRangeLike) -> FrameRange:
+    """Return the range of the option ``frame_range``."""
+    try:
+        if isinstance(frames, str):
+            return parse_frame_range(frames)
+        return FrameRange.of(frames)
+    except (TypeError, ValueError) as error:
+        raise OptionError(Fault("SCN003", f"frame_range: {error}")) from error
 
 
 def _frame_option(start: FractionLike) -> Fraction:

@@ -1,4 +1,4 @@
-"""The outputs of a scene: its passes are run once, and all is written or nothing."""
+"""A bake, to one output or all of a scene: passes run once, all is written or none."""
 
 from __future__ import annotations
 
@@ -12,10 +12,12 @@ from animtool.core.clock import Clock
 from animtool.core.errors import AnimtoolError, Fault, OptionError, Severity, listed
 from animtool.core.files.output import check_outputs, name_key, sparing_inputs, together
 from animtool.core.files.placing import target
+from animtool.core.names import is_named
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.passes import PassthroughTracks
 from animtool.motion.take import Take, TakeStream
 from animtool.scene.bake.bake import (
+    bake_file,
     check_output,
     plan_output,
     plan_simulated,
@@ -27,12 +29,15 @@ from animtool.scene.bake.frames import TakePlan, timed_blocks
 from animtool.scene.bake.options import BakeOptions, merged
 from animtool.scene.bake.prims import BakePlan, BakeReport
 from animtool.scene.bake.progress import Progress, share_of
-from animtool.scene.bake.reading import output_files
+from animtool.scene.bake.reading import Source, output_files
 from animtool.scene.convert.takes import ConvertReport, convert, convert_outputs
 from animtool.scene.file.entries import OutputKind, SceneOutput, kind_of
 from animtool.scene.scene import Scene
+from animtool.scene.sources.open import Opener, open_source
 
 MAX_NAMED = 6
+# The output that is no file.
+STDOUT = "-"
 
 # What became of one output.
 OutputReport: TypeAlias = BakeReport | ConvertReport
@@ -86,6 +91,68 @@ def bake_scene(
             if shown is not None:
                 shown(1.0)
     return reports
+
+
+def bake(
+    source: Source | Sequence[Source],
+    output: Path | str | None,
+    options: BakeOptions | None = None,
+    *,
+    progress: Progress = None,
+    opener: Opener = open_source,
+) -> BakeReport:
+    """Bake a BVH, USD file, clip or scene to a USD animation, or several to a library.
+
+    Args:
+        source: The file to read, or a scene that is loaded already; or several, each to
+            be a take of a clip library.
+        output: The file to write, ``.usda``, ``.usdc`` or ``.usd``; ``-`` writes usda
+            to stdout. None writes what a scene names, of which the report is that of
+            the first USD file, and stdout where there is no such name.
+        options: How.
+        progress: Called with the share done, 0 to 1.
+        opener: What opens the sources, called as `animtool.open_source`.
+
+    Raises:
+        FormatError: A source is malformed, or the takes of a library have other
+            joints.
+        OptionError: An option makes no sense, or the output exists.
+        OutputError: The output cannot be written.
+        StrictError: There were warnings, and ``strict`` is on.
+        ToleranceError: A system stopped before the last frame. With ``keep_stopped``
+            it is the report's ``stopped``, and the frames before are in the output.
+    """
+    if output is None:
+        scene = _named_scene(source)
+        if scene is not None:
+            return _bake_named(scene, options, progress, opener)
+    elif str(output) == STDOUT:
+        output = None
+    return bake_file(source, output, options, progress=progress, opener=opener)
+
+
+def _named_scene(source: Source | Sequence[Source]) -> Scene | None:
+    """Return the scene that a source is, where it names its output."""
+    if isinstance(source, str | Path) and is_named(Path(source), "scene"):
+        from animtool.scene.file.read import load_scene
+
+        source = load_scene(source)
+    return source if isinstance(source, Scene) and source.output is not None else None
+
+
+def _bake_named(
+    scene: Scene, options: BakeOptions | None, progress: Progress, opener: Opener
+) -> BakeReport:
+    """Bake a scene to all that it names; return the report of the first USD file."""
+    if not is_several(scene):
+        output = scene.output
+        return bake_file(scene, output, options, progress=progress, opener=opener)
+    if not any(_kind(one) is OutputKind.USD for one in scene.outputs):
+        message = "the scene names no USD file"
+        hint = "animtool.convert writes clips and BVH files"
+        raise OptionError(scene.outputs[0].place.fault("SCN044", message, hint))
+    reports = bake_scene(scene, options, progress=progress)
+    return next(one for one in reports if isinstance(one, BakeReport))
 
 
 def _plans(

@@ -392,7 +392,7 @@ def _to_usd(
     progress: Progress,
     opener: Opener,
 ) -> ConvertReport:
-    from animtool.scene.bake.bake import bake
+    from animtool.scene.bake.bake import bake_file
     from animtool.scene.bake.options import BakeOptions
 
     reading = options or SourceOptions()
@@ -402,7 +402,7 @@ def _to_usd(
         overwrite=overwrite,
         strict=strict,
     )
-    report = bake(source, output, settings, progress=progress, opener=opener)
+    report = bake_file(source, output, settings, progress=progress, opener=opener)
     return ConvertReport(
         output,
         report.span,

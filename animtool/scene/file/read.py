@@ -94,6 +94,10 @@ def scene_of_document(
         effective_variables=found.effective,
         notices=tuple(sorted(document.notices, key=lambda notice: notice.lines)),
     )
+    if document.faults and scene.systems:
+        # Loaded by name: systems open scenes themselves.
+        refused: Any = load_object("animtool.scene.systems.simulation:refused")
+        document.faults += refused(document, scene.systems)
     document.check()
     return scene
 

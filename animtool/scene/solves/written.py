@@ -37,9 +37,9 @@ def write_take(
         progress: Called with the share done, 0 to 1.
     """
     if output is None or is_usd(output):
-        from animtool.scene.bake.bake import bake
+        from animtool.scene.bake.bake import bake_file
 
-        return bake(source, output, options, progress=progress, opener=opener)
+        return bake_file(source, output, options, progress=progress, opener=opener)
     return convert(
         source,
         output,

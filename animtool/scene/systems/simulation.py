@@ -7,8 +7,15 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any, cast
 
-from animtool.core.errors import Fault, FormatError, OptionError, ToleranceError
+from animtool.core.errors import (
+    AnimtoolError,
+    Fault,
+    FormatError,
+    OptionError,
+    ToleranceError,
+)
 from animtool.core.plugins import load_object
+from animtool.documents.document import Document
 from animtool.rig.skeleton import Rig
 from animtool.scene.bake.progress import Phases, Progress, TimeProgress
 from animtool.scene.file.entries import SceneSystem
@@ -184,16 +191,56 @@ def open_systems(
 def build_systems(
     systems: Sequence[SceneSystem], context: BuildContext
 ) -> list[EntryRun]:
-    """Return systems at their beginnings, and record them in the context by name."""
+    """Return systems at their beginnings, and record them in the context by name.
+
+    Raises:
+        FormatError: What is wrong with any of them; those that need one that is wrong
+            are left out.
+    """
     found: dict[int, EntryRun] = {}
+    faults: list[Fault] = []
     for group in in_order(systems):
         members = [systems[i] for i in group]
-        with located_systems(members):
-            made = build_entries(members, context)
+        needs = {name for one in members for name, _ in one.setup.around.needs}
+        if not needs <= context.built.keys():
+            continue
+        try:
+            with located_systems(members):
+                made = build_entries(members, context)
+        except FormatError as error:
+            faults += error.faults
+            continue
         found |= dict(zip(group, made, strict=True))
         named = zip(members, made, strict=True)
         context.built |= {member.name: one for member, one in named}
+    if faults:
+        raise FormatError(list(dict.fromkeys(faults)))
     return [found[i] for i in range(len(systems))]
+
+
+def refused(document: Document, systems: Sequence[SceneSystem]) -> list[Fault]:
+    """Return what building refuses of the systems of a scene with other faults.
+
+    Left out are systems with faults, those that need one, and those that the scene's
+    own character is for.
+    """
+    wrong = [fault.where or "" for fault in document.faults]
+    if any(where.startswith("units") for where in wrong):
+        return []
+    sound = [
+        system
+        for system in systems
+        if not any(where.startswith(system.place.where) for where in wrong)
+        and document.path not in system.setup.files
+    ]
+    try:
+        build_systems(sound, BuildContext(0.0))
+    except FormatError as error:
+        return [fault for fault in error.faults if fault.path == str(document.path)]
+    except AnimtoolError:
+        # What is wrong with other files is reported when the scene has no faults.
+        return []
+    return []
 
 
 def characters_with(own: CharacterMotion | None) -> CharacterMotions:

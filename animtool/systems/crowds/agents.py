@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -12,7 +12,15 @@ import numpy.typing as npt
 
 from animtool import _kernels
 from animtool.core.array_types import FloatArray, IntArray
-from animtool.core.errors import Fault, Severity, counted, excerpt, refuse
+from animtool.core.errors import (
+    Fault,
+    Problem,
+    Severity,
+    counted,
+    excerpt,
+    refuse,
+    refuse_all,
+)
 from animtool.systems.crowds.ground import Frame
 from animtool.systems.crowds.spec import CrowdsModel, PopulationModel
 from animtool.systems.particles.emitter import Emitter, uniforms
@@ -252,36 +260,39 @@ def _circle(angles: FloatArray) -> FloatArray:
 
 def _check(spec: CrowdsModel) -> None:
     """Refuse keys that do not fit together (SIM145)."""
+    refuse_all("SIM145", _problems(spec))
+
+
+def _problems(spec: CrowdsModel) -> Iterator[Problem]:
     goals = [goal.name for goal in spec.goals]
-    _check_names("goals", goals)
-    _check_names("populations", [one.name for one in spec.populations])
-    for population in spec.populations:
+    yield from _same_names("goals", goals)
+    yield from _same_names("populations", [one.name for one in spec.populations])
+    for k, population in enumerate(spec.populations):
+        where = f"populations[{k}]"
         for name in population.route:
             if name not in goals:
                 hint = f"there are {', '.join(goals)}" if goals else "name it in goals"
-                message = f"no goal is named {excerpt(name)}"
-                refuse("SIM145", message, "populations", hint)
+                yield f"no goal is named {excerpt(name)}", where, hint
         if population.then == "repeat" and len(set(population.route)) == 1:
             message = f"the route of {population.name!r} repeats one goal"
-            refuse("SIM145", message, "populations", "then: stay")
+            yield message, where, "then: stay"
     for what in ("shows", "gaits"):
         shown = [getattr(one, what) is not None for one in spec.populations]
         if any(shown) and not all(shown):
             name = spec.populations[shown.index(False)].name
             message = f"some populations have {what}, and {name!r} has not"
-            hint = "give it to all, or make two systems"
-            refuse("SIM145", message, "populations", hint)
-    for door in spec.doors:
+            yield message, "populations", "give it to all, or make two systems"
+    for k, door in enumerate(spec.doors):
         for first, last in door.opens:
             if not first < last:
                 message = f"{door.name!r} is to be open from {first:g} s to {last:g} s"
-                refuse("SIM145", message, "doors", "the earlier time first")
+                yield message, f"doors[{k}]", "the earlier time first"
 
 
-def _check_names(kind: str, names: Sequence[str]) -> None:
-    for name in names:
-        if names.count(name) > 1:
-            refuse("SIM145", f"two {kind} are named {excerpt(name)}", kind)
+def _same_names(kind: str, names: Sequence[str]) -> Iterator[Problem]:
+    for k, name in enumerate(names):
+        if name in names[:k]:
+            yield f"two {kind} are named {excerpt(name)}", f"{kind}[{k}]", None
 
 
 def warning(code: str, message: str, hint: str) -> Fault:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -10,7 +10,16 @@ from typing import Any
 import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
-from animtool.core.errors import Fault, Severity, counted, excerpt, refuse
+from animtool.core.errors import (
+    Fault,
+    Problem,
+    Refusals,
+    Severity,
+    counted,
+    excerpt,
+    refuse,
+    refuse_all,
+)
 from animtool.sim.colliders import Colliders
 from animtool.systems.flocks.spec import DomainModel, FlocksModel, SpeciesModel
 from animtool.systems.matter import check_apart
@@ -41,10 +50,11 @@ class Members:
         spec: FlocksModel, parts: Sequence[Mapping[str, Any]], begin: float
     ) -> Members:
         """Return the members of a spec: refused where two begin at one place."""
-        drawn = [
-            _drawn(species, own, begin)
-            for species, own in zip(spec.species, parts, strict=True)
-        ]
+        drawn, refusals = [], Refusals()
+        for species, own in zip(spec.species, parts, strict=True):
+            with refusals.collect():
+                drawn.append(_drawn(species, own, begin))
+        refusals.check()
         points, velocities = (np.concatenate(each) for each in zip(*drawn, strict=True))
         ends = np.cumsum([len(each[0]) for each in drawn]).tolist()
         members = Members(spec.species, parts, ends, begin, points, velocities)
@@ -200,33 +210,36 @@ def _drawn(
 
 def check_species(spec: FlocksModel) -> None:
     """Refuse species whose keys do not fit together (SIM060)."""
+    refuse_all("SIM060", _problems(spec))
+
+
+def _problems(spec: FlocksModel) -> Iterator[Problem]:
     names = [species.name for species in spec.species]
-    for species in spec.species:
-        if names.count(species.name) > 1:
-            message = f"two species are named {excerpt(species.name)}"
-            refuse("SIM060", message, "species")
+    for k, species in enumerate(spec.species):
+        where = f"species[{k}]"
+        if species.name in names[:k]:
+            yield f"two species are named {excerpt(species.name)}", where, None
         others = [*species.joins, *(one.species for one in species.flees)]
         others += [one.species for one in species.chases]
         for name in others:
             if name not in names:
                 hint = f"there are {', '.join(names)}"
-                message = f"no species is named {excerpt(name)}"
-                refuse("SIM060", message, "species", hint)
+                yield f"no species is named {excerpt(name)}", where, hint
         speed = species.speed
         if not speed.least <= speed.cruise <= max_speed(species):
             message = f"the cruise of {species.name!r} is {speed.cruise:g} m/s, not "
             message += f"between {speed.least:g} and {max_speed(species):g}"
-            refuse("SIM060", message, "species")
+            yield message, where, None
     shown = [species.shows is not None for species in spec.species]
     if any(shown) and not all(shown):
         name = names[shown.index(False)]
         hint = f"give {name!r} a mesh to show, or make two systems"
-        refuse("SIM060", "some species show a mesh and others points", "species", hint)
+        yield "some species show a mesh and others points", "species", hint
     if spec.domain is not None:
-        _check_domain(spec, spec.domain)
+        yield from _domain_problems(spec, spec.domain)
 
 
-def _check_domain(spec: FlocksModel, domain: DomainModel) -> None:
+def _domain_problems(spec: FlocksModel, domain: DomainModel) -> Iterator[Problem]:
     least = min(domain.size)
     for species in spec.species:
         radius, what = species.radius, "its radius"
@@ -235,7 +248,7 @@ def _check_domain(spec: FlocksModel, domain: DomainModel) -> None:
         if least < 2 * radius:
             message = f"the domain is {least:g} m wide, and {species.name!r} needs "
             message += f"{2 * radius:g} m: twice {what}"
-            refuse("SIM060", message, "domain", "a larger domain, or a smaller radius")
+            yield message, "domain", "a larger domain, or a smaller radius"
 
 
 def max_speed(species: SpeciesModel) -> float:

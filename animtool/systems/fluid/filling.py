@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
-from animtool.core.errors import Fault, Severity, counted, refuse
+from animtool.core.errors import Fault, Refusals, Severity, counted, refuse
 from animtool.core.quantities import floored, plain
 from animtool.maths import so3
 from animtool.sim.colliders import Capsule, Collider, Colliders, Poses, Sphere
@@ -42,23 +42,11 @@ def filled(
         OptionError: A fill is too large, has nothing, or begins where it cannot be
             (SIM064).
     """
-    made = [np.zeros((2, 0, 3))]
-    for i, (fill, own) in enumerate(zip(spec.fills, parts, strict=True)):
-        name = _named(spec, i)
-        if own.get("points") is not None:
-            made.append(_given_points(fill, own, name))
-            _check_outside(made[-1][0], colliders, t, name)
-            continue
-        points = _lattice(spec, own["shape"], own["poses"], t)
-        if colliders.rigid:
-            gaps = colliders.volumes.sample(points, t).distances.min(axis=0)
-            points = points[gaps >= (1 - ROUNDING) * spec.spacing / 2]
-        if not len(points):
-            message = f"{name} has no particle: it is thinner than the spacing of "
-            message += f"{spec.spacing:g} m, or within colliders"
-            refuse("SIM064", message, "fills", "a smaller spacing, or a larger fill")
-        speeds = np.broadcast_to(np.asarray(fill.velocity, np.float64), points.shape)
-        made.append(np.stack([points, speeds]))
+    made, refusals = [np.zeros((2, 0, 3))], Refusals()
+    for i, own in enumerate(parts):
+        with refusals.collect():
+            made.append(_filled(spec, i, own, colliders, t))
+    refusals.check()
     state = np.concatenate(made, axis=1)
     _check_count(spec, state.shape[1], "fills")
     _check_apart(spec, state[0], np.cumsum([one.shape[1] for one in made[1:]]))
@@ -88,6 +76,27 @@ def coarse_drops(
         severity = Severity.WARNING
         yield Fault("SIM175", message, where="spacing", hint=hint, severity=severity)
         return
+
+
+def _filled(
+    spec: FluidModel, i: int, own: Mapping[str, Any], colliders: Colliders, t: float
+) -> FloatArray:
+    """Return positions and velocities of one fill ``(2, N, 3)``."""
+    name, fill = _named(spec, i), spec.fills[i]
+    if own.get("points") is not None:
+        given = _given_points(fill, own, name)
+        _check_outside(given[0], colliders, t, name)
+        return given
+    points = _lattice(spec, own["shape"], own["poses"], t)
+    if colliders.rigid:
+        gaps = colliders.volumes.sample(points, t).distances.min(axis=0)
+        points = points[gaps >= (1 - ROUNDING) * spec.spacing / 2]
+    if not len(points):
+        message = f"{name} has no particle: it is thinner than the spacing of "
+        message += f"{spec.spacing:g} m, or within colliders"
+        refuse("SIM064", message, "fills", "a smaller spacing, or a larger fill")
+    speeds = np.broadcast_to(np.asarray(fill.velocity, np.float64), points.shape)
+    return np.stack([points, speeds])
 
 
 def _named(spec: FluidModel, i: int) -> str:

@@ -7,7 +7,7 @@ from typing import Annotated, Any, ClassVar, Literal, get_args
 
 from annotated_types import Gt, Le, Len
 
-from animtool.core.errors import Fault, counted
+from animtool.core.errors import Fault, Problem, counted
 from animtool.documents.check import FileModel
 from animtool.documents.fields import (
     NotNegative,
@@ -25,7 +25,6 @@ from animtool.systems.fields import (
     ForceEntry,
     MovingMeshModel,
     PlacedModel,
-    Problem,
     ShapeEntry,
     SystemColliderModel,
     SystemSpec,

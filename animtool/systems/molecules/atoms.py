@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from animtool.core.array_types import FloatArray
-from animtool.core.errors import refuse
+from animtool.core.errors import Refusals, refuse
 from animtool.systems.matter import Bodies, Placement, normals
 from animtool.systems.molecules.spec import MoleculesModel
 from animtool.systems.particles.emitter import uniforms
@@ -58,7 +58,11 @@ class Atoms(Bodies):
     @staticmethod
     def of(spec: MoleculesModel, parts: Sequence[Mapping[str, Any]], box: Box) -> Atoms:
         """Return the atoms of a spec, refused where they make no sense (SIM071)."""
-        read = [_read(*each, box) for each in zip(spec.species, parts, strict=True)]
+        read, refusals = [], Refusals()
+        for model, part in zip(spec.species, parts, strict=True):
+            with refusals.collect():
+                read.append(_read(model, part, box))
+        refusals.check()
         free = [k for k, (points, _) in enumerate(read) if points is None]
         sites = _sites(spec, [spec.species[k].count for k in free])
         for k, own in zip(free, sites, strict=True):

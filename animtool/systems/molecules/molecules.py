@@ -11,7 +11,7 @@ import numpy as np
 
 from animtool import _kernels
 from animtool.core.array_types import FloatArray
-from animtool.core.errors import Fault, ToleranceError, refuse
+from animtool.core.errors import Fault, Refusals, ToleranceError, refuse
 from animtool.systems.colours import Quantities
 from animtool.systems.interacting import Interacting
 from animtool.systems.matter import normals
@@ -141,7 +141,17 @@ class Molecules(Interacting[MoleculeState, Listed]):
         rates = [57.15 * a.epsilon / a.sigma**2 / a.mass for a in spec.species]
         # The fastest vibration of a crystal of any of the kinds [rad/ps].
         self._stiffest = math.sqrt(8 * max(rates))
-        start, step = self.initial(), spec.step * spec.pace
+        start, refusals = self.initial(), Refusals()
+        with refusals.collect():
+            self._check_numbers(start)
+        with refusals.collect():
+            self._check_apart(start)
+        refusals.check()
+        self.begin()
+
+    def _check_numbers(self, start: MoleculeState) -> None:
+        """Refuse a step that is too long, and numbers that overflow (SIM071)."""
+        spec, step = self._spec, self._spec.step * self._spec.pace
         if step * self._stiffest > LONGEST:
             message = f"a step of {step:.3g} ps is too long: atoms vibrate in "
             message += f"{2 * math.pi / self._stiffest:.3g} ps"
@@ -150,8 +160,6 @@ class Molecules(Interacting[MoleculeState, Listed]):
         if not np.isfinite(self._placed(start.motion)).all():
             message = "atoms are so far or fast in the scene that numbers overflow"
             refuse(spec.code, message, "scale")
-        self._check_apart(start)
-        self.begin()
 
     def _check_apart(self, start: MoleculeState) -> None:
         """Refuse atoms that begin in each other (SIM071)."""

@@ -7,6 +7,7 @@ from typing import Annotated, ClassVar, Literal
 
 from annotated_types import Ge, Le, Len
 
+from animtool.core.errors import Problem
 from animtool.documents.check import FileModel
 from animtool.documents.fields import (
     Count,
@@ -24,7 +25,6 @@ from animtool.systems.fields import (
     ArrayEntry,
     PlacedModel,
     PlacementModel,
-    Problem,
     SystemSpec,
 )
 

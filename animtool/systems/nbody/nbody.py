@@ -11,7 +11,7 @@ import numpy as np
 
 from animtool import _kernels
 from animtool.core.array_types import FloatArray
-from animtool.core.errors import Fault, refuse
+from animtool.core.errors import Fault, Refusals, refuse
 from animtool.sim.integrators.integrator import Control
 from animtool.sim.system import Energy
 from animtool.systems.colours import Quantities
@@ -85,10 +85,12 @@ class Nbody(Interacting[NbodyState, Pulls]):
         self._fixed = self._integrator.control is Control.FIXED
         self._phase = PHASE if spec.softening else BARE_PHASE
         read = zip(spec.bodies, context.parts.get("bodies", ()), strict=True)
-        parts = [
-            *(Bodies.read(own, b.mass, "body", spec.code, "bodies") for b, own in read),
-            *built_galaxies(spec),
-        ]
+        parts, refusals = [], Refusals()
+        for body, own in read:
+            with refusals.collect():
+                parts.append(Bodies.read(own, body.mass, "body", spec.code, "bodies"))
+        refusals.check()
+        parts += built_galaxies(spec)
         bodies = self.bodies = Bodies.joined(parts)
         counts = [len(one.masses) for one in parts]
         self.several = len(parts) > 1

@@ -6,13 +6,14 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 
 from animtool import _kernels
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
-from animtool.core.errors import Fault, OptionError, refuse
+from animtool.core.errors import Fault, OptionError, Refusals, refuse
+from animtool.core.names import nearest
 from animtool.maths import so3
 from animtool.maths.faces import triangulated
 from animtool.sim.colliders import Collider, Mesh, Poses, Shape
@@ -75,16 +76,21 @@ class Bodies:
         kinds: list[Kind] = []
         names, of, moved, poses = [], [], [], []
         taken: set[str] = set()
+        refusals = Refusals()
         for number, (model, part) in enumerate(zip(models, parts, strict=True)):
             place, origin = part.get("entry", f"bodies[{number}]"), part.get("origin")
-            with _entry(place, origin):
+            with refusals.collect(), _entry(place, origin):
                 if model.name in taken:
                     refuse("SIM061", f"two bodies are named {model.name!r}", "name")
+            with refusals.collect(), _entry(place, origin):
                 check_moved(model)
+            with refusals.collect(), _entry(place, origin):
                 kind = kind_of(model, part)
                 points, turns = copies(model, part)
-            notices = [_at(notice, place, origin) for notice in kind.notices]
             taken.add(model.name)
+            if refusals.faults:
+                continue
+            notices = [_at(notice, place, origin) for notice in kind.notices]
             kinds.append(replace(kind, notices=notices))
             own: Poses = part["poses"]
             for k, (point, turn) in enumerate(zip(points, turns, strict=True)):
@@ -93,6 +99,7 @@ class Bodies:
                 of.append(number)
                 moved.append(not model.kinematic or model.release is not None)
                 poses.append(placed_on(own, point, turn))
+        refusals.check()
         if len(names) > MAX_BODIES:
             message = f"there are {len(names)} bodies, and {MAX_BODIES} at most"
             refuse("SIM061", message, "bodies")
@@ -284,11 +291,14 @@ class Bodies:
     def find(self, name: str, key: str) -> int:
         """Return the number of a body of a name (SIM061)."""
         if name not in self._numbers:
-            from animtool.core.names import nearest
-
-            hint = nearest(name, list(self.names)) or ""
-            refuse("SIM061", f"no body is named {name!r}", key, hint)
+            refuse_unknown(name, list(self.names), key)
         return self._numbers[name]
+
+
+def refuse_unknown(name: str, names: Sequence[str], key: str) -> NoReturn:
+    """Refuse the name of a body that there is none of (SIM061)."""
+    hint = nearest(name, names) or ""
+    refuse("SIM061", f"no body is named {name!r}", key, hint)
 
 
 def outline(shape: Shape) -> Shape:

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
-from animtool.core.errors import Fault, Severity, listed, refuse
+from animtool.core.errors import Fault, Refusals, Severity, refuse
 from animtool.maths import so3
 from animtool.sim.colliders import Poses
-from animtool.systems.rigid.bodies import NO_PAIRS, Bodies
-from animtool.systems.rigid.spec import JointDriveModel, RigidJointModel
+from animtool.systems.rigid.bodies import NO_PAIRS, Bodies, refuse_unknown
+from animtool.systems.rigid.spec import BodyModel, JointDriveModel, RigidJointModel
 
 # What the kernel has of a joint.
 NUMBERS = 27
@@ -98,12 +98,59 @@ def together(several: Sequence[Joints]) -> Joints:
     )
 
 
+def check_joints(
+    models: Sequence[RigidJointModel], bodies: Sequence[BodyModel]
+) -> None:
+    """Refuse what of joints makes no sense wherever the bodies are (SIM061)."""
+    named = {body.name: body for body in bodies}
+    refusals = Refusals()
+    for i, model in enumerate(models):
+        at = f"joints[{i}]"
+        name = model.name or at
+        with refusals.collect():
+            body = _model_of(model.body, named, f"{at}.body")
+            if body.kinematic and body.release is None:
+                message = f"{model.body!r} is kinematic: joints cannot move it"
+                refuse("SIM061", message, f"{at}.body")
+        with refusals.collect():
+            if model.to is not None:
+                _model_of(model.to, named, f"{at}.to")
+            if model.to == model.body:
+                refuse("SIM061", f"{name!r} joins {model.body!r} to itself", f"{at}.to")
+        for option, types in _OWN.items():
+            with refusals.collect():
+                if getattr(model, option) is not None and model.type not in types:
+                    message = f"{name!r} is a {model.type} joint: {option} is for "
+                    message += f"{' and '.join(types)}"
+                    hint = f"type: {types[0]}"
+                    if model.type == "ball" and option == "limits":
+                        hint = "swing: 40, or twist: [-30, 30]"
+                    refuse("SIM061", message, f"{at}.{option}", hint)
+        with refusals.collect():
+            _axis(model, name, at)
+        with refusals.collect():
+            _limits(model, name, at)
+        with refusals.collect():
+            _drive(model, at)
+    refusals.check()
+
+
+def _model_of(name: str, bodies: Mapping[str, BodyModel], key: str) -> BodyModel:
+    """Return the body of a name, or the one whose copy has it, as ``crate[2]``."""
+    if name not in bodies and name.rpartition("[")[0] not in bodies:
+        refuse_unknown(name, list(bodies), key)
+    return bodies.get(name) or bodies[name.rpartition("[")[0]]
+
+
 def joints_of(
     models: Sequence[RigidJointModel],
     parts: Sequence[Mapping[str, Any]],
     bodies: Bodies,
 ) -> Joints:
-    """Return the joints of a spec; what makes no sense is refused (SIM061)."""
+    """Return the joints of a spec that `check_joints` refuses nothing of.
+
+    What makes no sense where the bodies are is refused (SIM061).
+    """
     rows, numbers, anchors, above, pairs, breaks = [], [], [], [], [], []
     notices: list[Fault] = []
     place = {int(i): k for k, i in enumerate(bodies.dynamic)}
@@ -111,13 +158,6 @@ def joints_of(
         at = f"joints[{i}]"
         name = model.name or at
         second = bodies.find(model.body, f"{at}.body")
-        if second not in place:
-            message = f"{model.body!r} is kinematic: joints cannot move it"
-            refuse("SIM061", message, f"{at}.body")
-        for option, types in _OWN.items():
-            if getattr(model, option) is not None and model.type not in types:
-                message = f"{option} of {name!r} is for {listed(types)}"
-                refuse("SIM061", message, f"{at}.{option}", f"type: {types[0]}")
         poses: Poses = part["poses"]
         frame = poses.at(bodies.begin)
         frame[3:] = so3.multiply(frame[3:], _axis(model, name, at))
@@ -128,8 +168,6 @@ def joints_of(
             on_a = np.concatenate([np.zeros(3), _axis(model, name, at)])
         else:
             other = bodies.find(model.to, f"{at}.to")
-            if other == second:
-                refuse("SIM061", f"{name!r} joins {model.body!r} to itself", f"{at}.to")
             if len(poses.moments) > 1:
                 message = f"{name!r} goes with {model.to!r}, not as moves or a prim say"
                 refuse("SIM061", message, at)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -10,7 +10,15 @@ from typing import Any
 import numpy as np
 
 from animtool.core.array_types import FloatArray
-from animtool.core.errors import Fault, Severity, counted, refuse
+from animtool.core.errors import (
+    Fault,
+    Problem,
+    Refusals,
+    Severity,
+    counted,
+    refuse,
+    refuse_all,
+)
 from animtool.maths import so3
 from animtool.motion.frames import MeshFrame
 from animtool.sim.colliders import Mesh, Shape
@@ -73,37 +81,15 @@ class Kind:
 
 def kind_of(model: BodyModel, parts: Mapping[str, Any]) -> Kind:
     """Return what a model says, its own faults raised (SIM061)."""
-    for key in ("velocity", "spin") if model.kinematic else ():
-        if key in model.model_fields_set:
-            message = f"{model.name!r} is kinematic: its moves say how fast it is"
-            refuse("SIM061", message, key, f"no {key}")
-    if model.mass is not None and "density" in model.model_fields_set:
-        refuse(
-            "SIM061", f"{model.name!r} has a mass and a density", "density", "keep one"
-        )
-    several = zip(model.shapes, parts.get("shapes", ()), strict=True)
-    shapes = [
-        (
-            part["shape"],
-            np.array(own.at, np.float64),
-            _turn(own.rotate, model.name, f"shapes[{k}].rotate"),
-        )
-        for k, (own, part) in enumerate(several)
-    ]
-    if model.shape is not None:
-        if shapes:
-            refuse(
-                "SIM061", f"{model.name!r} has a shape and shapes", "shapes", "keep one"
-            )
-        shapes = [(parts["shape"], np.zeros(3), so3.IDENTITY)]
-    if not shapes:
-        refuse(
-            "SIM061",
-            f"{model.name!r} has no shape",
-            hint="shape: {sphere: {radius: 0.1}}",
-        )
+    refusals = Refusals()
+    with refusals.collect():
+        refuse_all("SIM061", _weight_problems(model))
+    with refusals.collect():
+        shapes = _shapes(model, parts)
+    refusals.check()
     hulls = [bool(part.get("hull")) for part in parts.get("shapes", ())] or [False]
-    cores, solids, notices, met, drawn = [], [], [], [], []
+    cores, solids, notices, met = [], [], [], []
+    drawn: list[tuple[Mesh | None, Core, FloatArray, FloatArray]] = []
     for k, (shape, at, turn) in enumerate(shapes):
         key = "shape" if model.shape is not None else f"shapes[{k}]"
         if "height_field" in (model.shape or model.shapes[k].shape):
@@ -125,13 +111,56 @@ def kind_of(model: BodyModel, parts: Mapping[str, Any]) -> Kind:
         cores += [core.placed(at, turn) for _, core in pieces]
         met += [(one, at, turn) for one, _ in pieces]
         whole = len(pieces) > 1
-        drawn.append((shape if whole else None, core.placed(at, turn), at, turn))
+        mesh = shape if whole and isinstance(shape, Mesh) else None
+        drawn.append((mesh, core.placed(at, turn), at, turn))
         solids.append(solid.placed(at, turn))
     mass, centre, inertia = _weighed(model, solids)
     moments, axes = principal(inertia)
     shows = parts.get("shows")
     meshes = tuple(shows()) if shows is not None else (_mesh(drawn),)
     return Kind(model, met, cores, mass, centre, moments, axes, meshes[:1], notices)
+
+
+def _weight_problems(model: BodyModel) -> Iterator[Problem]:
+    if model.mass is not None and "density" in model.model_fields_set:
+        yield f"{model.name!r} has a mass and a density", "density", "keep one"
+    if model.inertia is None:
+        return
+    least, middle, most = sorted(model.inertia)
+    if 2 * most > (least + middle + most) * (1 + ROUNDING):
+        message = f"no body has the moments of {model.name!r}, {model.inertia}: "
+        yield f"{message}one is more than the sum of the others", "inertia", None
+    elif not middle:
+        message = f"{model.name!r} must have two moments of inertia above 0"
+        yield message, "inertia", "a rod has one of 0"
+
+
+def _shapes(
+    model: BodyModel, parts: Mapping[str, Any]
+) -> list[tuple[Shape, FloatArray, FloatArray]]:
+    """Return the shapes of a body, each with its origin and quaternion."""
+    several = zip(model.shapes, parts.get("shapes", ()), strict=True)
+    shapes = [
+        (
+            part["shape"],
+            np.array(own.at, np.float64),
+            _turn(own.rotate, model.name, f"shapes[{k}].rotate"),
+        )
+        for k, (own, part) in enumerate(several)
+    ]
+    if model.shape is not None:
+        if shapes:
+            refuse(
+                "SIM061", f"{model.name!r} has a shape and shapes", "shapes", "keep one"
+            )
+        shapes = [(parts["shape"], np.zeros(3), so3.IDENTITY)]
+    if not shapes:
+        refuse(
+            "SIM061",
+            f"{model.name!r} has no shape",
+            hint="shape: {sphere: {radius: 0.1}}",
+        )
+    return shapes
 
 
 def _pieces(mesh: Mesh) -> list[tuple[Shape, Core]]:
@@ -174,14 +203,6 @@ def _weighed(
         inertia = inertia + mass * (off @ off * np.eye(3) - np.outer(off, off))
     if model.inertia is not None:
         moments = np.array(model.inertia, np.float64)
-        if 2 * moments.max() > moments.sum() * (1 + ROUNDING):
-            message = f"no body has the moments of {model.name!r}, {model.inertia}: "
-            refuse(
-                "SIM061", f"{message}one is more than the sum of the others", "inertia"
-            )
-        if np.count_nonzero(moments) < 2:
-            message = f"{model.name!r} must have two moments of inertia above 0"
-            refuse("SIM061", message, "inertia", "a rod has one of 0")
         turn = so3.to_matrix(_turn(model.inertia_axes, model.name, "inertia_axes"))
         inertia = turn @ np.diag(moments) @ turn.T
     if np.trace(inertia) < LEAST_MOMENT:
@@ -237,21 +258,29 @@ def _mesh(
 
 
 def check_moved(model: BodyModel) -> None:
-    """Refuse what does not go with how a body is moved."""
+    """Refuse what does not go with how a body is moved (SIM061)."""
+    refuse_all("SIM061", _moved_problems(model))
+
+
+def _moved_problems(model: BodyModel) -> Iterator[Problem]:
     for key in ("moves", "turns", "prim"):
         if getattr(model, key) and not model.kinematic:
             message = f"{model.name!r} is moved by what happens to it, not by {key}"
-            refuse("SIM061", message, key, "kinematic: true")
+            yield message, key, "kinematic: true"
+    for key in ("velocity", "spin") if model.kinematic else ():
+        if key in model.model_fields_set:
+            message = f"{model.name!r} is kinematic: its moves say how fast it is"
+            yield message, key, f"no {key}"
     if model.release is not None and not model.kinematic:
         message = f"{model.name!r} is not held, and cannot be released"
-        refuse("SIM061", message, "release", "kinematic: true")
+        yield message, "release", "kinematic: true"
     if model.pushes and model.kinematic and model.release is None:
-        refuse("SIM061", f"{model.name!r} is kinematic: nothing pushes it", "pushes")
+        yield f"{model.name!r} is kinematic: nothing pushes it", "pushes", None
     for k, push in enumerate(model.pushes):
         start, end = push.start, push.end
         if start is not None and end is not None and end <= start:
             message = f"a push of {model.name!r} begins at {start:g} s, and ends at "
-            refuse("SIM061", f"{message}{end:g} s", f"pushes[{k}].end")
+            yield f"{message}{end:g} s", f"pushes[{k}].end", None
 
 
 def copies(model: BodyModel, parts: Mapping[str, Any]) -> tuple[FloatArray, FloatArray]:

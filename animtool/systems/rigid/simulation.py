@@ -11,7 +11,7 @@ import numpy as np
 
 from animtool import _kernels
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
-from animtool.core.errors import Fault, Severity, ToleranceError, excerpt
+from animtool.core.errors import Fault, Refusals, Severity, ToleranceError, excerpt
 from animtool.core.quantities import floored, plain
 from animtool.maths import so3
 from animtool.motion.frames import TransformsFrame
@@ -23,6 +23,7 @@ from animtool.systems.particles.forces.base import Force
 from animtool.systems.rigid.bodies import Bodies
 from animtool.systems.rigid.joints import (
     Joints,
+    check_joints,
     joint_loads,
     joints_in,
     joints_of,
@@ -140,7 +141,12 @@ class RigidSimulation:
             more = body_entries(stage, f"stages[{k}].prim")
             models += more[0]
             entries += more[1]
-        bodies = Bodies.of_models(models, entries, context.begin)
+        refusals = Refusals()
+        with refusals.collect():
+            bodies = Bodies.of_models(models, entries, context.begin)
+        with refusals.collect():
+            check_joints(spec.joints, models)
+        refusals.check()
         joints = [joints_of(spec.joints, parts.get("joints", ()), bodies)]
         first = len(bodies.names) - sum(len(stage.bodies) for stage in stages)
         still: list[Collider] = []

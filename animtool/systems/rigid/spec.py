@@ -7,6 +7,7 @@ from typing import Annotated, ClassVar, Literal
 
 from annotated_types import Ge, Gt, Le, Len
 
+from animtool.core.errors import Problem
 from animtool.documents.check import FileModel
 from animtool.documents.fields import (
     Name,
@@ -25,7 +26,6 @@ from animtool.systems.fields import (
     MovingMeshModel,
     PhysicsStageModel,
     PlacedModel,
-    Problem,
     PrototypeModel,
     ShapeEntry,
     SystemColliderModel,

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import cast
+from typing import TYPE_CHECKING, cast
 
 from animtool.core.errors import AnimtoolError, Fault, OptionError
 from animtool.core.files.reading import unreadable
+from animtool.core.names import is_named
 from animtool.core.plugins import load_object
 from animtool.core.readers import (
     ARRAYS,
@@ -27,6 +28,9 @@ from animtool.documents.versions import STEPS, version_of
 from animtool.rig.skeleton import Rig
 from animtool.validation.subjects.subject import CheckedFile
 
+if TYPE_CHECKING:
+    from animtool.documents.variables import SceneValues
+
 
 def open_batch(document: Document) -> CheckedFile:
     """Return what a batch file asks for."""
@@ -35,6 +39,27 @@ def open_batch(document: Document) -> CheckedFile:
 
     batch = batch_of_document(document)
     return CheckedFile(Kind.BATCH, unmatched_inputs(batch), batch)
+
+
+def values_of_batches(paths: Iterable[Path]) -> dict[Path, SceneValues]:
+    """Return what batch files among some files give scenes, by path of the scene.
+
+    What is wrong with a batch is reported for the batch alone.
+    """
+    found: dict[Path, SceneValues] = {}
+    for path in paths:
+        if not is_named(path, "batch"):
+            continue
+        from animtool.batch.discover import scene_values
+        from animtool.batch.file import load_batch
+
+        try:
+            given = scene_values(load_batch(path))
+        except AnimtoolError:
+            continue
+        for scene, values in given.items():
+            found.setdefault(scene.resolve(), values)
+    return found
 
 
 def open_map(document: Document) -> CheckedFile:
@@ -125,8 +150,11 @@ _READ_AS = {
 }
 
 
-def open_file(path: Path) -> CheckedFile:
-    """Return a file as rules look at it, with every fault of its reader."""
+def open_file(path: Path, given: SceneValues | None = None) -> CheckedFile:
+    """Return a file as rules look at it, with every fault of its reader.
+
+    ``given`` are values of variables, of a scene.
+    """
     reader = READERS.get(path.suffix.lower())
     if reader in _READ_AS:
         return _open(_READ_AS[reader], path)
@@ -136,20 +164,23 @@ def open_file(path: Path) -> CheckedFile:
         hint = f"checked are {', '.join(READERS)}"
         message = "is of no kind that is checked"
         raise OptionError(Fault("IO002", message, str(path), (), hint))
-    return open_document(read_document(path))
+    return open_document(read_document(path), given)
 
 
-def open_document(document: Document) -> CheckedFile:
+def open_document(document: Document, given: SceneValues | None = None) -> CheckedFile:
     """Return a file that a person wrote as rules look at it, as `open_file` does."""
     kind = Kind(version_of(document, STEPS)[0])
-    checked = _open(kind, document)
+    if kind is Kind.SCENE and given is not None:
+        checked = _open(kind, document, given)
+    else:
+        checked = _open(kind, document)
     checked.document = document
     return checked
 
 
-def _open(kind: Kind, what: object) -> CheckedFile:
-    opener = cast(Callable[[object], CheckedFile], load_object(_OPENERS[kind]))
+def _open(kind: Kind, *what: object) -> CheckedFile:
+    opener = cast(Callable[..., CheckedFile], load_object(_OPENERS[kind]))
     try:
-        return opener(what)
+        return opener(*what)
     except AnimtoolError as error:
         return CheckedFile(kind, list(error.faults))

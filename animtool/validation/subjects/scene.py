@@ -9,10 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
-from animtool.core.errors import AnimtoolError, Fault
+from animtool.core.errors import AnimtoolError, Fault, Severity
 from animtool.core.files.reading import recorded_inputs
 from animtool.core.rules import Kind
 from animtool.documents.document import Document, Location
+from animtool.documents.variables import SceneValues
 from animtool.ik.take_pass import IkPassOptions, asked_of
 from animtool.ik.tracks import TargetTracks
 from animtool.motion.motion import Channel, Motion
@@ -21,8 +22,6 @@ from animtool.scene.file.entries import SceneOutput
 from animtool.scene.file.read import scene_of_document
 from animtool.scene.scene import Scene
 from animtool.scene.systems.character_motion import motion_of
-from animtool.scene.systems.proportions import misplaced
-from animtool.scene.systems.simulation import characters_with
 from animtool.validation.subjects.subject import CheckedFile, DocumentSubject
 
 # Values that differ by less are the same [m], [1].
@@ -72,14 +71,18 @@ class SceneSubject(DocumentSubject):
         return ("passes", i, self.scene.passes[i].pass_.name)
 
 
-def open_scene(document: Document) -> CheckedFile:
-    """Return a scene file as its rules see it; its source is read, its passes done."""
-    scene = scene_of_document(document)
+def open_scene(document: Document, given: SceneValues | None = None) -> CheckedFile:
+    """Return a scene file as its rules see it; its source is read, its passes done.
+
+    ``given`` are values of its variables that a batch gives.
+    """
+    values = SceneValues() if given is None else given
+    scene = scene_of_document(document, values.values, parts=values.parts)
     path = str(document.path)
     checked = CheckedFile(Kind.SCENE)
     if not scene.sources:
-        # It has no take: its reader has checked all but how systems fit.
-        checked.faults = [*scene.notices, *_misplaced(scene)]
+        # It has no take: its reader has checked all but how systems begin.
+        checked.faults = [*scene.notices, *_simulated(scene)]
         return checked
     try:
         checked.subject, notices = _played(document, scene)
@@ -90,23 +93,38 @@ def open_scene(document: Document) -> CheckedFile:
         # sense alone.
         located = {None, path, *checked.subject.targets}
         faults = [fault for fault in notices if fault.path in located]
-        faults += _misplaced(scene, checked.subject.take)
+        faults += _simulated(scene, checked.subject.take)
     faults = [f if f.path else replace(f, path=path) for f in faults]
     checked.faults = [*scene.notices, *faults]
     return checked
 
 
-def _misplaced(scene: Scene, take: Take | None = None) -> list[Fault]:
-    """Return warnings of systems that do not fit the characters beside them."""
+def _simulated(scene: Scene, take: Take | None = None) -> list[Fault]:
+    """Return what keeps systems from beginning, and what is odd about how they do."""
     if not scene.systems:
         return []
+    from animtool.scene.systems.run import SystemRun  # loads USD
+
     own = None if take is None else motion_of(scene.path, take)
     rig = None if take is None else take.rig
     try:
-        return misplaced(scene.systems, characters_with(own), rig)
-    except AnimtoolError:
-        # What keeps the file of a character from being read is said of that file.
-        return []
+        run = SystemRun(scene.systems, _seconds(scene, take), own, main_rig=rig)
+    except AnimtoolError as error:
+        return list(error.faults)
+    # Notes are of how it will be simulated.
+    return [one for one in run.notices if one.severity is not Severity.NOTE]
+
+
+def _seconds(scene: Scene, take: Take | None) -> float:
+    """Return how long systems are simulated [s]."""
+    if take is not None:
+        return float(take.clock.duration)
+    from animtool.scene.systems.bake import FPS
+
+    frames = scene.bake.frame_range
+    if frames is None:
+        return 0.0
+    return float((frames.last - frames.first) / (scene.bake.fps or FPS))
 
 
 def _played(document: Document, scene: Scene) -> tuple[SceneSubject, list[Fault]]:

@@ -111,3 +111,16 @@ def test_a_start_that_is_no_frame(start: FractionLike) -> None:
     with pytest.raises(OptionError) as caught:
         BakeOptions(start=start)
     assert caught.value.code == "SCN033"
+
+
+@pytest.mark.parametrize("given", [(1, 40), [1, 40], (1, 40, 1), "1-40"])
+def test_a_range_becomes_a_frame_range(given: Any) -> None:
+    assert BakeOptions(frame_range=given).frame_range == FrameRange(1, 40)
+    assert BakeOptions(frame_range=(1, 9, 2)).frame_range == FrameRange(1, 9, 2)
+
+
+@pytest.mark.parametrize("given", [(1,), (5, 1), (1, 9, 0), (1.5, 2), 7, "x", (1, "b")])
+def test_a_range_that_is_none(given: Any) -> None:
+    with pytest.raises(OptionError) as caught:
+        BakeOptions(frame_range=given)
+    assert caught.value.code == "SCN003"

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from support.cli import animtool
 
-from animtool import open_source
+from animtool import bake, open_source
 from animtool.core.errors import FormatError, OptionError, StrictError
 from animtool.motion.passes import PASSES, Pass, PassContext, Scope
 from animtool.motion.take import Take
@@ -82,8 +82,8 @@ def test_passes_run_once(shot: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
     options = type(load_scene(shot).passes[0].options)
     counting = Pass("counting", "Count", options, Scope.CLIP, counted)
-    monkeypatch.setattr("scene.test_outputs.COUNTING", counting, raising=False)
-    monkeypatch.setitem(PASSES, "counting", "scene.test_outputs:COUNTING")
+    monkeypatch.setattr("scene.bake.test_outputs.COUNTING", counting, raising=False)
+    monkeypatch.setitem(PASSES, "counting", "scene.bake.test_outputs:COUNTING")
     shot.write_text(SCENE.replace("mirror", "counting"), "utf-8")
     bake_scene(load_scene(shot))
     assert runs == [64]
@@ -195,3 +195,31 @@ def test_one_output_that_is_no_usd(shot: Path) -> None:
     done = animtool("bake", shot)
     assert done.code == 0, done.stderr
     assert made(shot) == ["shot.bvh"]
+
+
+def test_a_bake_without_an_output_writes_what_the_scene_names(shot: Path) -> None:
+    report = bake(shot, None)
+    assert made(shot) == FILES
+    assert report.result.outputs == [shot.parent / "shot.usdc"]
+    text = SCENE.partition("output")[0] + "output: {file: one.usda, start: 1001}\n"
+    shot.write_text(text, "utf-8")
+    loaded = load_scene(shot)
+    bake(loaded, None, BakeOptions(frame_range=(1006, 1008)))
+    assert open_source(shot.parent / "one.usda").collect().clock.count == 3
+
+
+def test_a_bake_of_a_scene_to_no_usd_file_is_refused(shot: Path) -> None:
+    text = SCENE.partition("output")[0] + "output: {file: one.bvh}\n"
+    shot.write_text(text, "utf-8")
+    with pytest.raises(OptionError) as caught:
+        bake(shot, None)
+    assert caught.value.code == "SCN044"
+    assert made(shot) == []
+
+
+def test_stdout_is_asked_for_by_its_name(
+    shot: Path, capfdbinary: pytest.CaptureFixture[bytes]
+) -> None:
+    bake(shot, "-")
+    assert capfdbinary.readouterr().out.startswith(b"#usda 1.0")
+    assert made(shot) == []

@@ -168,7 +168,6 @@ output: {file: shot.usda, start: now}
 """
 MIXED_FAULTS = [
     ("DOC020", 2),
-    ("DOC015", 2),
     ("SCN022", 3),
     ("SCN003", 4),
     ("DOC014", 5),

@@ -148,7 +148,7 @@ REFUSED = {
     "limits of a ball": (
         joint(type="ball", limits=[0, 1]),
         "joints[1].limits",
-        "type: pin",
+        "swing: 40",
     ),
     "swing of a pin": (joint(swing=30), "joints[1].swing", "type: ball"),
     "twist of a slide": (
@@ -316,3 +316,37 @@ def test_a_joint_far_from_its_body_is_warned_of(
     bodies, joints = joint(near, bar, at=[0, distance, 0], **ends)
     found = Rigid(tmp_path, *bodies, joints=joints, forces=[], sleep={"speed": 0})
     assert warned(found, "SIM127") == ["joints[1].at"] * warns
+
+
+def test_faults_of_bodies_and_joints_come_at_once(tmp_path: Path) -> None:
+    """Each is one cause: a joint to a body that is wrong is no fault more."""
+    bodies = [
+        ball(1, moves=MOVES, inertia=[1, 1, 5]),
+        {"name": "nut"},
+        {"name": "bolt", "shape": {"plane": None}},
+        box((1, 1, 1), at=[5, 0, 0], kinematic=True),
+    ]
+    joints = [
+        {"type": "pin", "body": "nobody"},
+        {"type": "ball", "body": "nut", "limits": [0, 10]},
+        {"type": "pin", "body": "ball", "limits": [10, 0], "axis": [0, 0, 0]},
+        {"type": "pin", "body": "box"},
+    ]
+    with pytest.raises(FormatError) as caught:
+        Rigid(tmp_path, *bodies, joints=joints)
+    found = {(fault.code, fault.where) for fault in caught.value.faults}
+    at = "systems[0].rigid"
+    assert found == {
+        ("SIM061", f"{at}.{key}")
+        for key in (
+            "bodies[0].moves",
+            "bodies[0].inertia",
+            "bodies[1]",
+            "bodies[2].shape",
+            "joints[0].body",
+            "joints[1].limits",
+            "joints[2].limits",
+            "joints[2].axis",
+            "joints[3].body",
+        )
+    }

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from pathlib import Path
 
+import numpy as np
 import pytest
 from support.props import write_props
 
-from animtool.core.errors import Severity
+from animtool import bake
+from animtool.core.errors import FormatError, Severity
 from animtool.scene.file.read import load_scene
 from animtool.validation.run import validate
 
@@ -269,3 +272,117 @@ def test_a_unit_is_told_by_the_first_of_several_roots(shot: Path) -> None:
     )
     (fault,) = (each for each in validate(shot) if each.code == "TGT206")
     assert fault.hint == "units: {length: cm} fits better"
+
+
+BUILT = """\
+scene: animtool/1
+range: [1, 5]
+systems:
+- rigid:
+    name: crates
+    bodies: [{name: a, shape: {sphere: {radius: 0.1}}, turns: [[0, 1, 0, 0, 0]]}]
+- flocks:
+    name: birds
+    species:
+    - name: gull
+      count: 3
+      joins: [tern]
+      flees: [{species: hawk, weight: 1, radius: 2}]
+- crowds:
+    name: people
+    populations: [{name: one, count: 2, route: [door], then: repeat}]
+- molecules:
+    name: gas
+    species: [{name: argon, count: 64}]
+    box: [2, 2, 2]
+    step: 0.5
+- nbody:
+    name: suns
+    bodies: [{points: suns.npz, masses: suns.npz#short}]
+- fluid:
+    name: water
+    spacing: 0.05
+    fills:
+    - {name: thin, shape: {box: {size: [1, 0.001, 1]}}, at: [0, -1, 0]}
+    - {name: off, points: suns.npz#off}
+    colliders: [{shape: {plane: null}}]
+output: {file: made.usda}
+"""
+
+
+def test_what_building_systems_refuses_is_found_all_at_once(tmp_path: Path) -> None:
+    points = np.array([[0.0, 0, 0], [1, 0, 0]])
+    arrays = {"points": points, "short": np.ones(3), "off": points[:, :2]}
+    np.savez(tmp_path / "suns.npz", **arrays)
+    path = tmp_path / "page.scene.yaml"
+    path.write_text(BUILT, "utf-8")
+    found = [fault for fault in validate(path) if fault.severity is Severity.ERROR]
+    counts = Counter(fault.code for fault in found)
+    kinds = {"SIM061": 1, "SIM060": 2, "SIM145": 2, "SIM071": 1, "SIM064": 2}
+    assert {code: counts[code] for code in kinds} == kinds
+    assert sum(counts.values()) == 1 + sum(kinds.values())
+    with pytest.raises(FormatError) as caught:
+        bake(load_scene(path), None)
+    assert Counter(fault.code for fault in caught.value.faults) == counts
+
+
+def test_what_building_refuses_is_found_with_faults_of_keys(tmp_path: Path) -> None:
+    path = tmp_path / "page.scene.yaml"
+    shape = "shape: {sphere: {radius: 0.1}}"
+    one = f"- rigid: {{name: one, bodies: [{{name: a, {shape}, sped: 3}}]}}\n"
+    two = f"- rigid: {{name: two, bodies: [{{name: a, {shape}, release: 1}}]}}\n"
+    path.write_text(f"scene: animtool/1\nrange: [1, 9]\nsystems:\n{one}{two}", "utf-8")
+    assert codes(path) == ["DOC020", "SIM061"]
+
+
+def test_steps_that_a_bake_refuses_are_found(tmp_path: Path) -> None:
+    path = tmp_path / "page.scene.yaml"
+    text = (
+        "scene: animtool/1\nrange: [1, 1000000]\n" + ROPE + "output: {file: a.usda}\n"
+    )
+    path.write_text(text.replace("count: 6", "name: r\n    count: 6\n    step: 1e-4"))
+    assert codes(path) == ["SCN091"]
+
+
+def test_a_system_that_needs_a_wrong_one_is_no_fault_more(tmp_path: Path) -> None:
+    path = tmp_path / "page.scene.yaml"
+    bodies = "bodies: [{name: a, shape: {plane: null}}]"
+    needs = ROPE.replace(
+        "count: 6", "name: r\n    count: 6\n    systems: [{system: it}]"
+    )
+    text = f"scene: animtool/1\nrange: [1, 9]\n{needs}- rigid: {{name: it, {bodies}}}\n"
+    path.write_text(text + "output: {file: a.usda}\n", "utf-8")
+    assert codes(path) == ["SIM061"]
+
+
+BATCH = """\
+batch: animtool/1
+scene: page.scene.yaml
+variants: {speed: [0.5, 1], start: [1, 101]}
+output: "made/{speed}_{start}.usdc"
+"""
+
+
+def test_a_batch_in_the_run_gives_a_scene_its_variables(shot: Path) -> None:
+    scene, batch = shot.with_name("page.scene.yaml"), shot.with_name("a.batch.yaml")
+    passes = "passes: [{time_scale: {speed: ${speed}}}]\n"
+    output = "output: {file: made/x.usdc, start: ${start}}\n"
+    scene.write_text(SCENE + passes + output, "utf-8")
+    batch.write_text(BATCH, "utf-8")
+    assert codes(scene) == ["SCN030", "SCN030"]
+    assert validate([batch, scene]) == validate(shot.parent) == []
+    scene.write_text(SCENE + passes + output + "range: [${first}, 9]\n", "utf-8")
+    assert [fault.code for fault in validate([batch, scene])] == ["SCN030"]
+    batch.write_text(BATCH.replace("0.5, 1", "fast, 1"), "utf-8")
+    assert "SCN002" in [fault.code for fault in validate([batch, scene])]
+
+
+def test_inputs_and_overrides_of_a_batch_count(shot: Path) -> None:
+    scene, batch = shot.with_name("page.scene.yaml"), shot.with_name("a.batch.yaml")
+    scene.write_text(SCENE.replace("limb.clip.yaml", "${input}") + "fps: ${rate}\n")
+    over = "overrides: [{inputs: [limb.clip.yaml], variables: {rate: 25}}]\n"
+    head = "batch: animtool/1\nscene: page.scene.yaml\ninputs: [limb.clip.yaml]\n"
+    batch.write_text(head + "variables: {rate: none}\n" + over, "utf-8")
+    assert validate([batch, scene]) == []
+    batch.write_text(head + "variables: {rate: none}\n", "utf-8")
+    assert [fault.code for fault in validate([batch, scene])] == ["SCN022"]
