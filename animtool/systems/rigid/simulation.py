@@ -39,7 +39,7 @@ from animtool.systems.rigid.physics import (
 )
 from animtool.systems.rigid.spec import RigidModel
 from animtool.systems.rigid.surroundings import BodyForces
-from animtool.systems.simulation import Diagnostics, SimContext, growing
+from animtool.systems.simulation import Diagnostics, SimContext, added, growing
 
 # Bodies that begin deeper in each other than this share of their size are a warning.
 DEEP = 0.02
@@ -85,8 +85,8 @@ class RigidState:
     pressing: int = 0
     awake: int = 0
     residual: float = 0.0
-    follows: float = 0.0
-    swinging: int = -1
+    follows: float = field(default=0.0, metadata=added())
+    swinging: int = field(default=-1, metadata=added())
 
 
 class RigidSimulation:
@@ -291,7 +291,8 @@ class RigidSimulation:
         name = self.bodies.names[self.bodies.dynamic[bad]]
         speed = float(np.linalg.norm(motion[bad, 7:10] / FARTHEST)) * FARTHEST
         message = f"{self._spec.name} blew up at {t:g} s: {name!r} is at {speed:g} m/s"
-        hint = "do joints begin where their limits allow? else take shorter steps"
+        step = plain(floored(self._spec.step / 2))
+        hint = f"do joints begin where their limits allow? else step: {step}"
         raise ToleranceError(Fault("SIM102", message, hint=hint))
 
     def _weighed(self, phase: Phase, loads: Loads, t: float) -> Any:

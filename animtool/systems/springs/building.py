@@ -136,8 +136,6 @@ class _Building:
         """Return what carries pins of the system; None without."""
         carriers = self._context.carriers
         names, ties = list(carriers), []
-        rests = system.body.springs.rest
-        size = float(rests.mean()) if rests.any() else 1.0
         columns = {n: k for k, n in enumerate(system.pinned.tolist())}
         for entry, rows in zip(self._entries, self._rows, strict=True):
             for pin in entry.pins:
@@ -158,7 +156,7 @@ class _Building:
                 )
         if not ties:
             return None
-        return Ties(list(carriers.values()), ties, system.gravity, size)
+        return Ties(list(carriers.values()), ties, system.gravity, system.spacing)
 
     def _say_far(
         self, name: str, carrier: OnBody, bodies: TiedBodies, points: FloatArray

@@ -43,6 +43,8 @@ from animtool.systems.springs.trials import trial_settings
 COMPARED = 64
 # Notices whose message says how much it is so far.
 _GROWING = {"SIM131", "SIM123"}
+# Why a motion ends.
+STOPS = {"SIM102", "SIM105"}
 # Over how long they were at the beginning, springs that are as long as this are
 # hardly meant: no rope or cloth becomes twice as long [1].
 LONG = 2.0
@@ -146,6 +148,8 @@ class SpringSimulation:
         """Return what bodies of others are pressed and pulled by in the next cell."""
         run = self._run(state, t)
         run.cross(run.grid.index + 1)
+        if run.status is not Status.OK:
+            self._take_note(run, run.grid.time)
         return run.wrenches
 
     def _run(self, state: SpringState, t: float) -> SpringRun:
@@ -174,7 +178,15 @@ class SpringSimulation:
         notices = run.notices(stats)
         self.taken += run.grid.steps
         if stats.status is not Status.OK:
-            raise StoppedError(_as_errors(notices), stats)
+            # What stopped it comes last, and is told with the frame.
+            faults = sorted(_as_errors(notices), key=lambda one: one.code in STOPS)
+            if self.system.ties is not None:
+                # Bodies that are asked for first would have it said of them.
+                names = " and ".join(view.member.name for view in self.views)
+                faults[-1] = replace(
+                    faults[-1], message=f"{names}: {faults[-1].message}"
+                )
+            raise StoppedError(faults, stats)
         self._say(notices, run.grid.stretch)
         self.shortest = min(self.shortest, run.shortest)
         self.unresolved = max(self.unresolved, run.grid.unresolved)
