@@ -26,9 +26,10 @@ from animtool.systems.springs.entry import SpringEntry, join_pairs
 from animtool.systems.springs.motion import warning
 from animtool.systems.springs.paths import combined
 from animtool.systems.springs.pins import air_of, moved_to_pins, ties_of, wind_ties
-from animtool.systems.springs.simulation import SpringSimulation, SpringView
+from animtool.systems.springs.simulation import SpringSimulation
 from animtool.systems.springs.spec import FaceWindModel, SpringsModel
 from animtool.systems.springs.ties import Tie, Ties
+from animtool.systems.springs.view import SpringView
 from animtool.systems.tied import OnBody, TiedBodies
 
 # Particles that are put together, or held, this far from where they are built are
