@@ -11,7 +11,7 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, OptionError, ToleranceError
-from animtool.core.quantities import plain
+from animtool.core.quantities import floored, plain
 from animtool.motion.frames import Frame, TransformsFrame
 from animtool.sim.colliders import MovingBodies
 from animtool.sim.colliders.bodies import Pusher, Wrenches
@@ -133,8 +133,13 @@ def _check_bounds(run: SimulationRun, name: str, frame: Frame, t: float) -> None
         place = np.argwhere(~(np.abs(rows) <= BOUND))[0]
         value = f"{float(rows[tuple(place)]):.3g} {UNITS.get(what, '')}".rstrip()
         message = f"{name} blew up at {t:g} s: {what}[{int(place[0])}] is {value}"
-        hint = f"take steps shorter than {plain(run.step_length)} s, or weaker forces"
+        hint = f"step: {_half(run.step_length)}, or weaker forces"
         raise ToleranceError(Fault("SIM102", message, hint=hint))
+
+
+def _half(step: float) -> str:
+    """Return half a step [s], as it is written."""
+    return plain(floored(step / 2))
 
 
 def _primvars(frame: Frame) -> list[tuple[str, FloatArray | IntArray]]:
@@ -370,6 +375,6 @@ class SimulationRun(EntryRun):
             finite = np.isfinite(np.concatenate(arrays, axis=1))
             (bad,) = np.nonzero(~finite.all(axis=1))
             message = f"{self.name} blew up at {until:g} s: point {int(bad[0])} is"
-            hint = "take shorter steps"
+            hint = f"step: {_half(self.step_length)}, or weaker forces"
             raise ToleranceError(Fault("SIM102", f"{message} not finite", hint=hint))
         return Reached(state.steps + 1, after.state), after.wrenches

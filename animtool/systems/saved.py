@@ -121,7 +121,11 @@ class SavedStates:
         like, marks = _arrays(start.state), _Marks()
         _mark(start.state, marks)
         held = archives.text(path, f"{above}state")
-        names = sorted({*like, *(n for n in held.split(", ") if marks.is_later(n))})
+        saved = set(held.split(", "))
+        lacking = marks.added - saved
+        names = sorted(
+            (like.keys() - lacking) | {n for n in saved if marks.is_later(n)}
+        )
         if held != _listed(names):
             raise other(f"its state has {held}, and the scene's {_listed(like)}")
         found: _Arrays = {}
@@ -145,6 +149,7 @@ class SavedStates:
             rows = listed(sorted(lengths))
             raise other(f"its arrays have {rows} rows, not all the same")
         try:
+            found |= {key: like[key] for key in lacking}
             return Reached(int(steps), _restored(start.state, found, marks))
         except TypeError as error:
             raise other(f"its state has {held}: {error}") from error
@@ -156,6 +161,7 @@ class _Marks:
 
     axes: dict[str, int] = field(default_factory=dict)  # `growing`
     later: dict[str, tuple[type[Any], ...]] = field(default_factory=dict)  # `later`
+    added: set[str] = field(default_factory=set)  # `added`
 
     def is_later(self, name: str) -> bool:
         """Return whether an array is of a part that the first state lacks."""
@@ -171,6 +177,8 @@ def _mark(state: Any, marks: _Marks, above: str = "", axis: int | None = None) -
         name = f"{above}.{entry.name}" if above else entry.name
         if "later" in entry.metadata:
             marks.later[name] = entry.metadata["later"]
+        if "added" in entry.metadata:
+            marks.added.add(name)
         grows = entry.metadata.get("grows", axis)
         _mark(getattr(state, entry.name), marks, name, grows)
 

@@ -198,6 +198,11 @@ def later(*records: type[Any]) -> dict[str, Any]:
     return {"later": records}
 
 
+def added() -> dict[str, Any]:
+    """Mark a field that older files of states lack: it begins as it does in a scene."""
+    return {"added": True}
+
+
 class StoppedError(ToleranceError):
     """A method that could not go on, and what it took; None from another process."""
 

@@ -82,6 +82,17 @@ def draw_faces(
     )
 
 
+def draw_cords(
+    axis: Any, view: View, stage: Usd.Stage, path: str, frame: float
+) -> None:
+    """Draw curves at a frame as lines, in front of all."""
+    curves = UsdGeom.BasisCurves(stage.GetPrimAtPath(path))
+    points = np.array(curves.GetPointsAttr().Get(frame), np.float64)
+    ends = np.cumsum(curves.GetCurveVertexCountsAttr().Get(frame))[:-1]
+    for strand in np.split(view.seen(points)[0], ends):
+        axis.plot(*strand.T, color="#4a3b2a", lw=1.2)
+
+
 def draw_frames(
     baked: Path,
     out: Path,
@@ -92,8 +103,9 @@ def draw_frames(
     colours: list[str],
     limits: tuple[tuple[float, float], tuple[float, float]],
     columns: int,
+    cord: str = "",
 ) -> None:
-    """Write some frames of a bake as a picture, in rows."""
+    """Write some frames of a bake as a picture, in rows; with curves of a path."""
     import matplotlib as mpl
 
     mpl.use("Agg")
@@ -110,6 +122,8 @@ def draw_frames(
     figure.set_facecolor("#f2f0ec")
     for axis, frame in zip(axes.flat, frames, strict=True):
         draw_faces(axis, view, faces_of(stage, path, frame), colours)
+        if cord:
+            draw_cords(axis, view, stage, cord, frame)
         axis.set(xlim=(left, right), ylim=(low, high), aspect="equal")
         axis.set(xticks=[], yticks=[], facecolor="#f2f0ec")
         axis.spines[:].set_visible(False)

@@ -39,6 +39,16 @@ DRAWN: dict[str, Callable[[Path, Path], None]] = {
         frames=(1, 36, 56, 80),
         view=(0.4, 0.9, 5.2),
     ),
+    "swing": partial(
+        draw_frames,
+        path="/swing/lanterns",
+        frames=(1, 4, 7, 10, 13, 17, 21, 25, 29, 34, 40, 46),
+        view=View(0.35, 0.15),
+        colours=["#c98f3b"],
+        limits=((-1.35, 1.35), (0.3, 2.3)),
+        columns=4,
+        cord="/swing/cord",
+    ),
     "wingnut": partial(
         draw_frames,
         path="/wingnut/nut",

@@ -23,7 +23,7 @@ from animtool.scene.systems.simulation import located_systems, open_systems
 from animtool.systems.run import EntryRun
 from animtool.systems.springs.drawing import Curves
 from animtool.systems.springs.pins import numbered
-from animtool.systems.springs.simulation import SpringView
+from animtool.systems.springs.view import SpringView
 
 
 def segments_of(

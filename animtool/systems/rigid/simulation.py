@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from animtool import _kernels
-from animtool.core.array_types import BoolArray, FloatArray, IntArray
+from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.errors import Fault, Refusals, Severity, ToleranceError, excerpt
 from animtool.core.quantities import floored, plain
 from animtool.maths import so3
 from animtool.motion.frames import TransformsFrame
 from animtool.motion.physics import Physics
 from animtool.sim.colliders import Collider, Colliders
-from animtool.sim.colliders.bodies import Wrenches
 from animtool.sim.system import Energy
 from animtool.systems.particles.forces.base import Force
 from animtool.systems.rigid.bodies import Bodies
@@ -38,9 +36,10 @@ from animtool.systems.rigid.physics import (
     stage_joints,
     still_colliders,
 )
+from animtool.systems.rigid.shared import RigidState, SharedBodies
 from animtool.systems.rigid.spec import RigidModel
 from animtool.systems.rigid.surroundings import BodyForces
-from animtool.systems.simulation import Diagnostics, SimContext, growing
+from animtool.systems.simulation import Diagnostics, SimContext
 
 # Bodies that begin deeper in each other than this share of their size are a warning.
 DEEP = 0.02
@@ -51,46 +50,7 @@ FARTHEST = 1e24  # of places [m] and velocities [m/s]
 FASTEST = 1e100  # of angular momenta [kg m²/s]
 
 
-@dataclass(frozen=True, slots=True)
-class RigidState:
-    """Where bodies are, and what contacts and joints hold.
-
-    Attributes:
-        motion: Of N bodies centre of mass [m], attitude of the principal axes (x, y, z,
-            w), velocity [m/s], angular momentum [kg m²/s], and for how long each has
-            been slow [s] ``(N, 14)``.
-        pairs: Shapes of each point of contact ``(M, 2)``.
-        contacts: Its place on the first body [m], and the force there [N] ``(M, 6)``.
-        held: Forces and torques of joints ``(K, 12)``.
-        deepest: How deep bodies have been in each other [m]: before, and in the first
-            step.
-        deepest_pairs: The shapes that were, colliders behind them; -1 where none
-            ``(2, 2)``.
-        broken: When joints broke [s], infinite before, and the force [N] and torque
-            [N m] that they held then; nothing where none can ``(K, 3)``.
-        pressing: Points that press.
-        awake: Bodies that are awake.
-        residual: What the last corrections changed velocities by [m/s].
-        follows: The step that follows the drive that swings fastest [s], where none
-            did.
-        swinging: Its joint; -1 is none.
-    """
-
-    motion: FloatArray
-    pairs: IntArray = field(metadata=growing())
-    contacts: FloatArray = field(metadata=growing())
-    held: FloatArray
-    deepest: FloatArray
-    deepest_pairs: IntArray
-    broken: FloatArray
-    pressing: int = 0
-    awake: int = 0
-    residual: float = 0.0
-    follows: float = 0.0
-    swinging: int = -1
-
-
-class RigidSimulation:
+class RigidSimulation(SharedBodies):
     """Bodies and joints in steps, among colliders and forces."""
 
     def __init__(
@@ -303,7 +263,8 @@ class RigidSimulation:
         name = self.bodies.names[self.bodies.dynamic[bad]]
         speed = float(np.linalg.norm(motion[bad, 7:10] / FARTHEST)) * FARTHEST
         message = f"{self._spec.name} blew up at {t:g} s: {name!r} is at {speed:g} m/s"
-        hint = "do joints begin where their limits allow? else take shorter steps"
+        step = plain(floored(self._spec.step / 2))
+        hint = f"do joints begin where their limits allow? else step: {step}"
         raise ToleranceError(Fault("SIM102", message, hint=hint))
 
     def _weighed(self, phase: Phase, loads: Loads, t: float) -> Any:
@@ -387,134 +348,9 @@ class RigidSimulation:
             physics=self._physics,
         )
 
-    def frames(self, state: RigidState, t: float) -> FloatArray:
-        """Return where the frames of all bodies are ``(B, 7)`` at a time [s]."""
-        bodies = self.bodies
-        frames = np.zeros((len(bodies.names), 7))
-        places, turns = bodies.placed(state.motion)
-        frames[bodies.dynamic] = np.concatenate([places, turns], axis=1)
-        for i in np.flatnonzero(~bodies.moved).tolist():
-            frames[i] = bodies.poses[i].at(t)
-        return frames
-
-    def poses(self, state: RigidState, t: float) -> FloatArray:
-        """Return where the frames of all shapes are ``(C, 7)`` at a time [s]."""
-        bodies = self.bodies
-        frames = self.frames(state, t)[bodies.outlines.of]
-        at, turn = bodies.outlines.at, bodies.outlines.turns
-        places = frames[:, :3] + so3.rotate(frames[:, 3:], at)
-        turns = so3.multiply(frames[:, 3:], turn)
-        return np.concatenate([places, turns], axis=1)
-
-    @property
-    def shapes(self) -> Sequence[Collider]:
-        """All shapes ``(C,)``, as others run into them."""
-        return self.bodies.outlines.colliders
-
-    @property
-    def owners(self) -> IntArray:
-        """The body that each shape is of ``(C,)``, -1 of what nothing pushes."""
-        numbers = np.full(len(self.bodies.names), -1)
-        numbers[self.bodies.dynamic] = np.arange(self.count)
-        return numbers[self.bodies.outlines.of]
-
-    @property
-    def masses(self) -> FloatArray:
-        """Of bodies that can be pushed ``(count,)`` [kg]."""
-        return self.bodies.masses
-
-    @property
-    def count(self) -> int:
-        """Bodies that can be pushed."""
-        return len(self.bodies.dynamic)
-
-    @property
-    def names(self) -> Sequence[str]:
-        """Of all bodies ``(B,)``."""
-        return self.bodies.names
-
-    @property
-    def shape_bodies(self) -> IntArray:
-        """The body that each shape is of ``(C,)``."""
-        return self.bodies.outlines.of
-
-    @property
-    def dynamic(self) -> IntArray:
-        """The bodies that can be pushed ``(count,)``."""
-        return self.bodies.dynamic
-
     def free(self, t: float) -> BoolArray:
         """Return which bodies move by themselves from a time [s] on ``(count,)``."""
         return self._phases.free(t, self._spec.step)
-
-    def size(self, number: int) -> float:
-        """Return how far a body reaches from its centre [m]."""
-        return float(self.bodies.kinds[self.bodies.of[number]].reach)
-
-    def speeds(self, state: RigidState) -> FloatArray:
-        """Return velocities of centres and angular ones ``(count, 6)``."""
-        spins = self.bodies.spins(state.motion)
-        return np.concatenate([state.motion[:, 7:10], spins], axis=1)
-
-    def pushed(self, state: RigidState, wrenches: Wrenches) -> RigidState:
-        """Return a state after impulses on its bodies."""
-        bodies, motion = self.bodies, state.motion.copy()
-
-        def changes(pushes: FloatArray) -> tuple[FloatArray, FloatArray]:
-            moments = pushes[:, 3:] - np.cross(state.motion[:, :3], pushes[:, :3])
-            return pushes[:, :3] / bodies.masses[:, None], moments
-
-        ways, twist = changes(wrenches.moved)
-        turned = motion.copy()
-        turned[:, 10:13] = twist
-        motion[:, :3] += ways
-        motion[:, 3:7] = so3.multiply(so3.exp(bodies.spins(turned)), motion[:, 3:7])
-        speeds, momenta = changes(wrenches.now)
-        motion[:, 7:10] += speeds
-        motion[:, 10:13] += momenta
-        motion[wrenches.now.any(axis=1), 13] = 0.0
-        return replace(state, motion=motion)
-
-    def push_between(self, state: RigidState, other: RigidState) -> Wrenches:
-        """Return the push that leads from a state to another of the same time."""
-        before, after, masses = state.motion, other.motion, self.bodies.masses[:, None]
-        turned = so3.log(so3.multiply(after[:, 3:7], so3.conjugate(before[:, 3:7])))
-        own = so3.rotate(so3.conjugate(before[:, 3:7]), turned) * self.bodies.moments
-        twist = so3.rotate(before[:, 3:7], own)
-
-        def push(ways: FloatArray, turning: FloatArray) -> FloatArray:
-            impulses = masses * ways
-            moments = turning + so3.cross(before[:, :3], impulses)
-            return np.concatenate([impulses, moments], axis=1)
-
-        return Wrenches(
-            push(after[:, 7:10] - before[:, 7:10], after[:, 10:13] - before[:, 10:13]),
-            push(after[:, :3] - before[:, :3], twist),
-        )
-
-    def inverse_masses(
-        self, state: RigidState, owners: IntArray, points: FloatArray, ways: FloatArray
-    ) -> FloatArray:
-        """Return inverse effective masses ``(K,)`` [1/kg].
-
-        Of bodies ``(K,)`` at points ``(K, 3)`` [m], along unit vectors ``(K, 3)``.
-        """
-        motion, moments = state.motion[owners], self.bodies.moments[owners]
-        arms = np.cross(points - motion[:, :3], ways)
-        own = so3.rotate(so3.conjugate(motion[:, 3:7]), arms) ** 2
-        turning = np.divide(own, moments, out=np.zeros_like(own), where=moments > 0)
-        found: FloatArray = 1 / self.bodies.masses[owners] + turning.sum(axis=1)
-        return found
-
-    def inertias(self, state: RigidState) -> tuple[FloatArray, FloatArray]:
-        """Return centres ``(count, 3)`` [m] and inverse inertias ``(count, 3, 3)``.
-
-        In the world [1/(kg m²)].
-        """
-        motion, moments = state.motion, self.bodies.moments
-        ease = np.divide(1.0, moments, out=np.zeros_like(moments), where=moments > 0)
-        turns = so3.to_matrix(motion[:, 3:7])
-        return motion[:, :3], (turns * ease[:, None]) @ turns.swapaxes(1, 2)
 
     @cached_property
     def _physics(self) -> Physics | None:

@@ -37,7 +37,8 @@ from animtool.systems.rigid.ragdoll import (
     ragdoll_speeds,
     ragdoll_transforms,
 )
-from animtool.systems.rigid.simulation import RigidSimulation, RigidState
+from animtool.systems.rigid.shared import RigidState
+from animtool.systems.rigid.simulation import RigidSimulation
 from animtool.systems.rigid.spec import RigidModel
 from animtool.systems.run import Reached, SimulationRun
 

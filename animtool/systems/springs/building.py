@@ -26,9 +26,10 @@ from animtool.systems.springs.entry import SpringEntry, join_pairs
 from animtool.systems.springs.motion import warning
 from animtool.systems.springs.paths import combined
 from animtool.systems.springs.pins import air_of, moved_to_pins, ties_of, wind_ties
-from animtool.systems.springs.simulation import SpringSimulation, SpringView
+from animtool.systems.springs.simulation import SpringSimulation
 from animtool.systems.springs.spec import FaceWindModel, SpringsModel
 from animtool.systems.springs.ties import Tie, Ties
+from animtool.systems.springs.view import SpringView
 from animtool.systems.tied import OnBody, TiedBodies
 
 # Particles that are put together, or held, this far from where they are built are
@@ -136,8 +137,6 @@ class _Building:
         """Return what carries pins of the system; None without."""
         carriers = self._context.carriers
         names, ties = list(carriers), []
-        rests = system.body.springs.rest
-        size = float(rests.mean()) if rests.any() else 1.0
         columns = {n: k for k, n in enumerate(system.pinned.tolist())}
         for entry, rows in zip(self._entries, self._rows, strict=True):
             for pin in entry.pins:
@@ -158,7 +157,7 @@ class _Building:
                 )
         if not ties:
             return None
-        return Ties(list(carriers.values()), ties, system.gravity, size)
+        return Ties(list(carriers.values()), ties, system.gravity, system.spacing)
 
     def _say_far(
         self, name: str, carrier: OnBody, bodies: TiedBodies, points: FloatArray

@@ -9,8 +9,8 @@ from dataclasses import replace
 import numpy as np
 
 from animtool.core.array_types import ArrayLike, FloatArray
-from animtool.core.errors import Fault, OptionError, Severity, counted
-from animtool.core.quantities import length_text, plain
+from animtool.core.errors import Fault, OptionError, Severity, counted, excerpt
+from animtool.core.quantities import floored, length_text, plain
 from animtool.sim.checks import Watch, check_times
 from animtool.sim.colliders.bodies import Wrenches
 from animtool.sim.options import IntegrateOptions
@@ -25,7 +25,13 @@ from animtool.systems.springs.motion import (
     warning,
 )
 from animtool.systems.springs.records import Solver, SpringOptions
-from animtool.systems.springs.solvers import Choice, advance, choose, explicit_limit
+from animtool.systems.springs.solvers import (
+    Choice,
+    advance,
+    choose,
+    explicit_limit,
+    working_step,
+)
 from animtool.systems.springs.system import SpringSystem
 
 # A time within this share of a cell is at its start.
@@ -35,6 +41,8 @@ LOOK_EVERY = 120
 # Times the stretch of xpbd from which on it is said that springs give by themselves:
 # then at least three quarters of it are their own.
 GIVES = 2
+# What has less mass than this share of the springs that pull it is thrown about.
+LIGHT = 0.01
 # Times that the step is halved to keep an error.
 MAX_HALVINGS = 8
 # Error of a step over that of a half one.
@@ -194,6 +202,7 @@ class SpringRun:
         self._options, self._progress = options, progress
         # Where it begins, where it is, and where it was at the last time asked for.
         self._begun = self.grid = self.kept = grid
+        self._lost: Grid | None = None  # begin of the cell that was not crossed
         # What rigid bodies of others were pushed by in the last cells.
         self.wrenches: list[Wrenches] = []
         self.max_substeps = grid.state.substeps
@@ -309,10 +318,29 @@ class SpringRun:
         if self.sign:
             self.status = Status.UNSTABLE
         elif self.grid.lost:
-            self.status = Status.NOT_SOLVED
+            self.status, self._lost = Status.NOT_SOLVED, begun
             self.sign = "Newton's method found no solution"
         else:
             self.wrenches = [*self._pressed(), *self.grid.tied]
+
+    def _way_on(self) -> str:
+        """Return what to do where Newton's method found no solution of a cell."""
+        step = None if self._lost is None else working_step(self.system, self._lost)
+        ties, hint = self.system.ties, "take a shorter step"
+        if step is not None:
+            hint = f"step: {plain(floored(step))}"
+            if ties is not None:
+                hint += " of the bodies that carry its pins"
+        if ties is None:
+            return hint
+        light = ties.lightest
+        own = float(self.system.free_masses.sum())
+        if light is not None and light[1] < LIGHT * own:
+            name, mass = light
+            more = f"more mass than {mass:.3g} kg for {excerpt(name)}, which the "
+            more += f"springs of {own:.3g} kg throw about"
+            hint = more if step is None else f"{hint}, or {more}"
+        return hint
 
     def _pressed(self) -> list[Wrenches]:
         """Return what is pressed on bodies of other systems.
@@ -350,7 +378,7 @@ class SpringRun:
             notices.append(warning("SIM102", message, hint))
         elif stats.status is Status.NOT_SOLVED:
             message = f"{choice.solver} stopped at {stats.time:.6g} s: {stats.reason}"
-            notices.append(warning("SIM105", message, "take a shorter step"))
+            notices.append(warning("SIM105", message, self._way_on()))
         if not self.grid.stretch <= options.stretch:
             message = f"a spring was {self.grid.stretch:.1%} longer than at rest, and "
             message += f"not by its own give; {options.stretch:.1%} is allowed"

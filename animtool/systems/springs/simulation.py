@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
-from typing import Any, cast
+from typing import Protocol
 
 import numpy as np
 
-from animtool.core.array_types import BoolArray, FloatArray, IntArray
-from animtool.core.errors import Fault, Severity, counted, percent
-from animtool.core.quantities import length_text, plain
-from animtool.motion.frames import Frame, MeshFrame, PointsFrame
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault, Severity
+from animtool.motion.frames import PointsFrame
 from animtool.sim.colliders.bodies import Wrenches
 from animtool.sim.system import Energy
 from animtool.sim.trajectory import Status
@@ -28,10 +27,8 @@ from animtool.systems.simulation import (
     TrialSettings,
 )
 from animtool.systems.springs.checks import check_options
-from animtool.systems.springs.crossings import SelfCrossings, thin_notices, widest_gap
-from animtool.systems.springs.drawing import Faces, Tearing
 from animtool.systems.springs.losses import DAMPING, Losses
-from animtool.systems.springs.motion import Grid, SpringState, warning
+from animtool.systems.springs.motion import Grid, SpringState
 from animtool.systems.springs.records import Solver, SpringOptions
 from animtool.systems.springs.settling import rest_of_xpbd
 from animtool.systems.springs.simulating import SpringRun, simulate_springs
@@ -43,6 +40,8 @@ from animtool.systems.springs.trials import trial_settings
 COMPARED = 64
 # Notices whose message says how much it is so far.
 _GROWING = {"SIM131", "SIM123"}
+# Why a motion ends.
+STOPS = {"SIM102", "SIM105"}
 # Over how long they were at the beginning, springs that are as long as this are
 # hardly meant: no rope or cloth becomes twice as long [1].
 LONG = 2.0
@@ -50,11 +49,24 @@ LONG = 2.0
 LOOK_BACK = 1 / 240
 
 
+class Shown(Protocol):
+    """An entry that shows some of the springs."""
+
+    member: Member
+
+    @property
+    def tears(self) -> bool:
+        """Whether it is a surface that may part."""
+
+    def part(self, last: SpringState) -> None:
+        """Draw it so that it can part where springs are torn in a later state."""
+
+
 class SpringSimulation:
     """Springs in cells of time; what went on is counted for warnings alone."""
 
     checked = True
-    views: Sequence[SpringView] = ()
+    views: Sequence[Shown] = ()
 
     def __init__(
         self,
@@ -146,6 +158,8 @@ class SpringSimulation:
         """Return what bodies of others are pressed and pulled by in the next cell."""
         run = self._run(state, t)
         run.cross(run.grid.index + 1)
+        if run.status is not Status.OK:
+            self._take_note(run, run.grid.time)
         return run.wrenches
 
     def _run(self, state: SpringState, t: float) -> SpringRun:
@@ -174,7 +188,15 @@ class SpringSimulation:
         notices = run.notices(stats)
         self.taken += run.grid.steps
         if stats.status is not Status.OK:
-            raise StoppedError(_as_errors(notices), stats)
+            # What stopped it comes last, and is told with the frame.
+            faults = sorted(_as_errors(notices), key=lambda one: one.code in STOPS)
+            if self.system.ties is not None:
+                # Bodies that are asked for first would have it said of them.
+                names = " and ".join(view.member.name for view in self.views)
+                faults[-1] = replace(
+                    faults[-1], message=f"{names}: {faults[-1].message}"
+                )
+            raise StoppedError(faults, stats)
         self._say(notices, run.grid.stretch)
         self.shortest = min(self.shortest, run.shortest)
         self.unresolved = max(self.unresolved, run.grid.unresolved)
@@ -262,132 +284,6 @@ class SpringSimulation:
         tears = np.isfinite(self.system.body.springs.limit).any()
         longest = LONG * (1 + self._stretch_at_start)
         return bool(not tears and 1 + self.stretch > longest)
-
-
-@dataclass
-class SpringView:
-    """What a rope, strands, cloth or a volume shows."""
-
-    simulation: SpringSimulation
-    member: Member  # its entry
-    rows: IntArray  # its particles in the simulation ``(N,)``
-    springs: slice  # its springs there
-    own: Sequence[Fault]  # what is odd about it alone
-    first: bool  # whether it speaks for all that it is joined to
-    _torn_mesh: Tearing | Faces | None = None
-    # How many springs are torn, and the faces that are whole then.
-    _whole: tuple[int, IntArray, IntArray] | None = None
-    _crossings: SelfCrossings | None = None
-
-    @property
-    def body(self) -> Any:
-        """Its particles and springs, and what is drawn of them."""
-        return self.member.record.body
-
-    @property
-    def tears(self) -> bool:
-        """Whether it is a surface that may part."""
-        return isinstance(self.body.shape, Faces) and self.body.shape.tears
-
-    def torn(self, state: SpringState) -> BoolArray:
-        """Return which of its springs are torn ``(S,)``."""
-        return self.simulation.system.torn(state.torn)[self.springs]
-
-    def part(self, last: SpringState) -> None:
-        """Draw it so that it can part where springs are torn in a later state."""
-        shape = cast(Faces, self.body.shape)
-        self._torn_mesh = shape.parted(self.torn(last), self.body.body.positions)
-
-    def frame(self, state: SpringState, t: float) -> Frame:
-        """Return what is drawn of it."""
-        self.simulation.measure(state, t)
-        points, velocities = state.motion[:, self.rows]
-        self._look(points, t)
-        shape = self._torn_mesh or self.body.shape
-        frame: Frame = shape.row(points, velocities, self.torn(state))
-        return frame
-
-    def _look(self, points: FloatArray, t: float) -> None:
-        """Count what of a surface goes through it, where nothing keeps it apart."""
-        made, shape = self.simulation, self.body.shape
-        if made.system.self_contact is not None or not isinstance(shape, Faces):
-            return
-        if self._crossings is None:
-            corners = self.body.body.triangles
-            self._crossings = SelfCrossings(corners, made.begin, made.last)
-        self._crossings.look(t, points)
-
-    def _crossing_notices(self) -> list[Fault]:
-        """Return warnings of what went through it, or may have (SIM194, SIM195)."""
-        made, body, name = self.simulation, self.body, self.member.name
-        found = self._crossings.notices(name) if self._crossings is not None else []
-        gap = widest_gap(body.shape, body.body.positions)
-        colliders, radius = list(made.system.colliders), made.system.radius
-        return found + thin_notices(name, colliders, radius, gap, made.stretch)
-
-    @property
-    def radius(self) -> float:
-        """Half its thickness [m]."""
-        radius: float = self.member.spec.radius
-        return radius
-
-    @property
-    def closed(self) -> bool:
-        """Whether only its outside is run into."""
-        return getattr(self.body.shape, "closed", False)
-
-    def surface(self, state: SpringState, t: float) -> MeshFrame:
-        """Return those of its faces that are not torn."""
-        self.simulation.measure(state, t)
-        shape, torn = cast(Faces, self.body.shape), self.torn(state)
-        gone = int(torn.sum())
-        if self._whole is None or gone != self._whole[0]:
-            whole = shape.whole(torn) if gone else (shape.counts, shape.indices)
-            self._whole = gone, *whole
-        points, velocities = state.motion[:, self.rows]
-        return MeshFrame(points, velocities, *self._whole[1:], self.closed)
-
-    def diagnostics(self, state: SpringState, t: float) -> Diagnostics:  # noqa: ARG002
-        """Return what became of it, and what is odd so far."""
-        made, body, name = self.simulation, self.body.body, self.member.name
-        values: dict[str, Any] = {
-            "kind": self.member.kind,
-            "particles": len(body.positions),
-            "springs": len(body.springs.rest),
-            "solver": str(made.choice.solver),
-            "reason": made.reason,
-            "step": made.shortest,
-            "steps": made.taken,
-            "stretch": made.stretch,
-            "torn": int(self.torn(state).sum()),
-            "unresolved": made.unresolved,
-        }
-        if made.error is not None:
-            values["error"] = made.error if math.isfinite(made.error) else None
-        notices = [*self.own, *self._crossing_notices()]
-        if self.first:
-            notices += made.notices
-            if made.long:
-                message = f"{name}: springs become {percent(made.stretch)} longer than "
-                hint = "raise the stiffness [N/m], which is that of each spring, or "
-                hint += "lower the mass [kg]"
-                notices.append(warning("SIM187", f"{message}at rest", hint))
-            notices.append(self._note(int(state.torn.sum())))
-        return Diagnostics(values=values, notices=notices)
-
-    def _note(self, torn: int) -> Fault:
-        made = self.simulation
-        parts = [
-            f"{made.choice.solver} ({made.reason})",
-            f"steps of {plain(made.shortest)} s and more",
-            f"springs up to {percent(made.stretch)} longer than at rest",
-        ]
-        if made.error is not None and math.isfinite(made.error):
-            parts.append(f"error {length_text(made.error)}")
-        if torn:
-            parts.append(f"{counted(torn, 'spring')} torn")
-        message = f"{self.member.name}: {', '.join(parts)}"
-        return Fault("SIM130", message, severity=Severity.NOTE)
 
 
 def _as_errors(notices: Sequence[Fault]) -> list[Fault]:

@@ -35,6 +35,9 @@ SOLVED = 1e-6
 TIED = 1e-11
 # Of a cell, where bodies turn by more in each [rad], or where no solution is found.
 TURN, MAX_PARTS = 0.125, 16
+# Where a cell is lost, how many times as many steps are tried; of what works a step is
+# proposed with as much room as this.
+SHORTER, ROOM = (2, 4, 8, 16), 4
 # Particles that are deeper than this are left inside [m].
 INSIDE = 1e-6
 # Cells of time where nothing else is said [s]: whole numbers of them are frames of 24,
@@ -257,9 +260,7 @@ def advance(
         return _explicit(network, grid, cells, met)
     if grid.solver is Solver.XPBD:
         return _projected(network, grid, cells, met, system.layers, options.stretch)
-    rest = system.body.springs.rest
-    size = float(rest.mean()) if rest.any() else 1.0
-    return _implicit(network, grid, cells, met, SOLVED * size)
+    return _implicit(network, grid, cells, met, SOLVED * system.spacing)
 
 
 def _explicit(
@@ -316,6 +317,29 @@ def _tied(system: SpringSystem, grid: Grid, ties: Ties) -> Grid:
             return replace(made, origin=grid.origin, cell=grid.cell,
                            index=grid.index + 1)  # fmt: skip
         parts *= 2
+
+
+def working_step(system: SpringSystem, grid: Grid) -> float | None:
+    """Return a step that crosses a lost cell, with room; None where none is found.
+
+    That of the bodies [s], where these carry pins.
+    """
+    ties, begun = system.ties, grid.state
+    if ties is not None:
+        t1 = grid.origin + (grid.index + 1) * grid.cell
+        steps = [one.over(grid.time, t1) for one in ties.carriers]
+        for k in SHORTER:
+            if not _in_parts(system, grid, ties, steps, k * MAX_PARTS).lost:
+                return min(one.step for one in ties.carriers) / (ROOM * k)
+        return None
+    met = cell_colliders(system.colliders, system.radius, grid, 1)
+    network, size = system.network(system.jumps.stage_of(grid)), system.spacing
+    for k in SHORTER:
+        fine = replace(begun, substeps=k * begun.substeps, before=None)
+        tried = replace(grid, state=fine)
+        if not _implicit(network, tried, 1, met, SOLVED * size).lost:
+            return grid.cell / (ROOM * fine.substeps)
+    return None
 
 
 def _in_parts(

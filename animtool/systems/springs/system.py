@@ -175,6 +175,12 @@ class SpringSystem(SecondOrder):
         )
         self._state[1, self.pinned] = 0.0
 
+    @property
+    def spacing(self) -> float:
+        """Mean length of its springs at rest, 1 where they have none [m]."""
+        rest = self.body.springs.rest
+        return float(rest.mean()) if rest.any() else 1.0
+
     def network(self, stage: int) -> _kernels.SpringNetwork:
         """Return what kernels step, after some of the jumps of pins and targets."""
         return self._stage(stage).network

@@ -55,6 +55,18 @@ class Ties:
     gravity: FloatArray  # ``(3,)`` [m/s²]
     size: float  # mean length of springs [m]
 
+    @property
+    def lightest(self) -> tuple[str, float] | None:
+        """Name and mass [kg] of the lightest body that moves; None where none does."""
+        found = []
+        for tie in self.ties:
+            system = self.carriers[tie.carrier].system
+            rows = np.flatnonzero(system.dynamic == tie.body)
+            mass = float(self.carriers[tie.carrier].masses[rows].min(initial=np.inf))
+            found.append((mass, system.names[tie.body]))
+        mass, name = min(found)
+        return None if mass == np.inf else (name, mass)
+
 
 class Crossed(Protocol):
     """What springs come to in a cell, with what held particles were pulled by."""

@@ -250,5 +250,7 @@ def test_numbers_that_no_file_holds_are_said_by_the_simulation(
     frame = opened.at(0.05)
     changed = replace(frame, **value)
     monkeypatch.setattr(type(opened.simulation), "frame", lambda *_: changed)
-    with pytest.raises(ToleranceError, match=rf"SIM102.*{field}\[0\]"):
+    with pytest.raises(ToleranceError, match=rf"SIM102.*{field}\[0\]") as caught:
         opened.at(0.1)
+    step = float((caught.value.faults[-1].hint or "").split()[1].rstrip(","))
+    assert 0.4 * opened.run.step_length <= step <= 0.5 * opened.run.step_length

@@ -13,6 +13,7 @@ from support.cli import animtool
 from support.faults import raises
 from support.simulated import Simulator
 
+from animtool import BakeOptions
 from animtool.core.errors import FormatError
 from animtool.scene.systems.simulation import clocked, open_systems
 from animtool.systems.run import SimulationRun
@@ -158,6 +159,25 @@ def test_a_state_of_another_system_is_refused(tmp_path: Path, case: str) -> None
     assert "SIM035" in done.stderr
     assert word in done.stderr
     assert not (tmp_path / "two.usdc").exists()
+
+
+def test_a_state_from_before_a_field_was_added_goes_on(tmp_path: Path) -> None:
+    body = {"name": "stone", "shape": {"sphere": {"radius": 0.1}}}
+    entry = {"name": "it", "bodies": [body], "step": 1 / 240}
+    simulator, path = Simulator(tmp_path), tmp_path / "half.npz"
+    times = (np.arange(9) / 24).tolist()
+    whole = simulator.simulate([{"rigid": entry}], times)["it"]
+    simulator.baked([{"rigid": {**entry, "save": "half.npz", "save_at": 5}}],
+                    BakeOptions(overwrite=True))  # fmt: skip
+    with np.load(path) as archive:
+        held = str(archive["state"]).split(", ")
+    left = [name for name in held if name not in ("follows", "swinging")]
+    assert len(left) == len(held) - 2
+    other(path, **{"state/follows": None, "state/swinging": None,
+                   "state": np.array(", ".join(left))})  # fmt: skip
+    rows = simulator.simulate([{"rigid": {**entry, "resume": "half.npz"}}], times[5:])
+    for one, again in zip(whole[5:], rows["it"], strict=True):
+        assert_array_equal(one.points, again.points)
 
 
 BURST = {"place": {"disc": {"radius": 0.3}}, "bursts": [[0, 4]], "speed": 1, "mass": 1}

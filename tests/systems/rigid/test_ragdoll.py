@@ -32,7 +32,8 @@ from animtool.sim.colliders import Capsule as Shaft
 from animtool.sim.colliders import Collider as Obstacle
 from animtool.systems.rigid.cores import core_of, solid_of
 from animtool.systems.rigid.ragdoll import RagdollOptions
-from animtool.systems.rigid.simulation import RigidSimulation, RigidState
+from animtool.systems.rigid.shared import RigidState
+from animtool.systems.rigid.simulation import RigidSimulation
 from animtool.systems.rigid.take_pass import ragdoll
 
 LENGTH = 0.5
