@@ -66,7 +66,7 @@ class PathFit : public Descent {
   // What a step over a frame gains at least, and a round over all of them.
   static constexpr double ENOUGH = 1e-5, ROUND = 1e-4;
   // The same as long as goals that fit are held on to: a beginning alone is looked for.
-  static constexpr double NEAR = 1e-2;
+  static constexpr double NEAR = 0.01;
   // What is missed by more has no square.
   static constexpr double BEYOND = 1e100;
   // Of the residuals' median at a start: what is more is likely none to follow. Halved each
@@ -425,11 +425,13 @@ class PathFit : public Descent {
     stiffest_ = 0;
     for (int i = 0; i < count; ++i) {
       const int t = fit_.first + i;
-      if (!held) {
+      if (held) {
+        look_as_asked(t, pose(now_path_, t));
+      } else {
         look(t, pose(now_path_, t), kept_);
         reweight(t, kept_, fit_.robust);
+        measure(task_, asked(t), kept_);
       }
-      look_as_asked(t, pose(now_path_, t));
       differentiate(task_, asked(t), kept_, linear_.columns);
       double* normal = normals_.data() + static_cast<std::size_t>(i) * width_ * width_;
       multiply_columns(task_, linear_, normal);
