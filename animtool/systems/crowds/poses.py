@@ -207,7 +207,7 @@ def _low(
     lack = np.zeros(len(lifts))
     for sole, at in ((heel, 0 * UP), (ball, walker.ball[k] + walker.ankle[k] * UP)):
         off = np.linalg.norm((sole - at)[:, [0, 2]], axis=1)
-        lack = np.maximum(lack, cleared(away + off) - sole[:, 1])
+        lack = np.maximum(lack, cleared(away + off) - (sole - at)[:, 1])
     return lack
 
 
