@@ -109,8 +109,8 @@ def _character(
     # Joints are above soles: a rig whose lowest is just above its origin stands there.
     if 0 < ground < SOLE * rest[hips, 3, 1]:
         ground = 0.0
-    # On the ground below the ankle, as the foot has it, and below the toe's joint, which
-    # a foot rolls about whose heel is up.
+    # On the ground below the ankle, as the foot has it, and below the joint of toes,
+    # which a foot rolls about whose heel is up.
     soles = np.ones((2, 2, 4))
     for k in range(2):
         back = np.linalg.inv(rest[feet[k]])
