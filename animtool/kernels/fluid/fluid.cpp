@@ -335,6 +335,13 @@ class Steps {
   double compression() const { return compression_; }
 
  private:
+  struct Near {
+    std::int32_t collider;
+    Beyond found;
+    Vec pushed = {};  // displacement, then change of velocity by it
+    Vec point = {};
+  };
+
   void predict(double h) {
     for (std::size_t i = 0; i < count_; ++i) {
       Row& x = place_[i];
@@ -576,6 +583,10 @@ class Steps {
   }
 
   static constexpr int WALLS = 3;
+  // Between two colliders each pushes into the other: so many times in turn, and no further
+  // than by this share of a spacing.
+  static constexpr int TURNS = 16;
+  static constexpr double FITS = 1e-4;
 
   // Keeps particles out of colliders, and says how fast they are then.
   void settle(double h) {
@@ -583,42 +594,61 @@ class Steps {
     for (std::size_t i = 0; i < count_; ++i) {
       Vec x = place_[i].vec();
       Vec v = (x - before_[i].vec()) * rate;
+      int touched = 0;
       for (std::size_t k = near_first_[i]; k < near_first_[i + 1]; ++k) {
         Near& near = near_[k];
-        const std::size_t c = static_cast<std::size_t>(near.collider);
-        const Collider& collider = colliders_[c];
         const Vec impulse = near.pushed * rate, old = v;
-        double pressed = length(impulse);
-        // Of a container's corner each wall is met in turn.
-        for (int wall = 0; wall < WALLS; ++wall) {
-          const Vec from = poses_[c].to_local(before_[i].vec());
-          const Sample found = collide::sample_since(collider, from, poses_[c], x, size, size);
-          if (!wall) near.point = x - found.normal * (found.distance + size);
-          const bool touches = found.distance < 0;
-          if (!touches && (wall || !(collider.friction > 0 && pressed > 0))) break;
-          const Vec surface = carried(c, x) * rate;
-          const double into = dot(v - surface, found.normal);
-          if (touches) {
-            x = x - found.normal * found.distance;
-            if (into < 0) {
-              v = v - found.normal * ((1 + collider.restitution) * into);
-              pressed -= into;
-            }
-          }
-          if (collider.friction > 0 && pressed > 0) {
-            const Vec relative = v - surface;
-            const Vec along = relative - found.normal * dot(relative, found.normal);
-            const double speed = length(along), taken = collider.friction * pressed;
-            v = v - along * (speed > taken ? taken / speed : 1.0);
-            pressed = 0;
-          }
-          if (!touches || collider.shape != Shape::BOX || !collider.container) break;
-        }
+        touched += meet(near, before_[i].vec(), rate, length(impulse), x, v) > 0;
         near.pushed = impulse + (v - old);
+      }
+      for (int turn = 0; turn < TURNS && touched > 1; ++turn) {
+        double deepest = 0;
+        for (std::size_t k = near_first_[i]; k < near_first_[i + 1]; ++k) {
+          const Vec old = v;
+          deepest = std::max(deepest, meet(near_[k], before_[i].vec(), rate, 0, x, v));
+          near_[k].pushed = near_[k].pushed + (v - old);
+        }
+        if (deepest <= FITS * size) break;
       }
       place_[i].x = x.x, place_[i].y = x.y, place_[i].z = x.z;
       velocity_[i] = {v.x, v.y, v.z, 0};
     }
+  }
+
+  // Keeps a place, and a velocity, out of a collider that presses it by an impulse; returns
+  // how deep it was in there.
+  double meet(Near& near, Vec before, double rate, double pressed, Vec& x, Vec& v) {
+    const double size = rule_.spacing / 2;
+    const std::size_t c = static_cast<std::size_t>(near.collider);
+    const Collider& collider = colliders_[c];
+    double deepest = 0;
+    // Of a container's corner each wall is met in turn.
+    for (int wall = 0; wall < WALLS; ++wall) {
+      const Vec from = poses_[c].to_local(before);
+      const Sample found = collide::sample_since(collider, from, poses_[c], x, size, size);
+      if (!wall) near.point = x - found.normal * (found.distance + size);
+      const bool touches = found.distance < 0;
+      if (!touches && (wall || !(collider.friction > 0 && pressed > 0))) break;
+      deepest = std::max(deepest, -found.distance);
+      const Vec surface = carried(c, x) * rate;
+      const double into = dot(v - surface, found.normal);
+      if (touches) {
+        x = x - found.normal * found.distance;
+        if (into < 0) {
+          v = v - found.normal * ((1 + collider.restitution) * into);
+          pressed -= into;
+        }
+      }
+      if (collider.friction > 0 && pressed > 0) {
+        const Vec relative = v - surface;
+        const Vec along = relative - found.normal * dot(relative, found.normal);
+        const double speed = length(along), taken = collider.friction * pressed;
+        v = v - along * (speed > taken ? taken / speed : 1.0);
+        pressed = 0;
+      }
+      if (!touches || collider.shape != Shape::BOX || !collider.container) break;
+    }
+    return deepest;
   }
 
   // Bodies take what they gave to particles.
@@ -648,13 +678,6 @@ class Steps {
       body.turned = body.turned + body.spin * h;
     }
   }
-
-  struct Near {
-    std::int32_t collider;
-    Beyond found;
-    Vec pushed = {};  // displacement, then change of velocity by it
-    Vec point = {};
-  };
 
   // Where the one is that fills lists up.
   static constexpr double NOWHERE = 1e30;

@@ -70,6 +70,8 @@ class PathFit : public Descent {
  private:
   // What a step over a frame gains at least, and a round over all of them.
   static constexpr double ENOUGH = 1e-5, ROUND = 1e-4;
+  // The same as long as goals that fit are held on to: a beginning alone is looked for.
+  static constexpr double NEAR = 0.01;
   // What is missed by more has no square.
   static constexpr double BEYOND = 1e100;
   // Of the residuals' median at a start: what is more is likely none to follow. Halved each
@@ -359,15 +361,29 @@ class PathFit : public Descent {
     const int count = fit_.end - fit_.first;
     blocks_.resize(count);
     for (int i = 0; i < count; ++i) blocks_.couple(i, band_.entry(fit_.first + i, -1), band_.entry(fit_.first + i, -2));
-    double cost = outcome.before = outcome.after = evaluate(now_path_);
-    double damping = 0;
+    outcome.before = outcome.after = evaluate(now_path_, false);
+    // Frames by themselves are rough: a step that makes them smooth is long, and would leave
+    // goals behind that count less the farther it goes. What fits now is held on to first.
+    if (fit_.tracked && std::isfinite(fit_.robust)) {
+      for (int t = fit_.first; t < fit_.end; ++t) {
+        look(t, pose(now_path_, t), kept_);
+        reweight(t, kept_, fit_.robust);
+      }
+      improve(outcome, true);
+    }
+    improve(outcome, false);
+  }
+
+  // Steps of all frames at once; `held`: goals count as they do in `asked_`.
+  void improve(FitOutcome& outcome, bool held) {
+    double cost = evaluate(now_path_, held), damping = 0;
     for (int round = 0; round < fit_.rounds; ++round) {
-      assemble();
+      assemble(held);
       const double before = cost;
       bool better = false;
       for (int i = 0; i < TRIES && !better; ++i) {
         if (attempt(damping)) {
-          const double next = evaluate(next_path_);
+          const double next = evaluate(next_path_, held);
           better = next < cost;
           if (better) cost = next, now_path_.swap(next_path_);
         }
@@ -375,22 +391,37 @@ class PathFit : public Descent {
       }
       if (!better) break;
       ++outcome.rounds;
-      outcome.after = cost;
-      if (before - cost < ROUND * cost) break;
+      if (before - cost < (held ? NEAR : ROUND) * cost) break;
     }
+    if (!held) outcome.after = cost;
   }
 
-  double evaluate(std::vector<double>& path) {
+  // A state whose residuals are those of goals as they count in `asked_`.
+  void look_as_asked(int t, const double* q) {
+    std::copy(q, q + coordinates_, kept_.q.begin());
+    forward(task_.chain, kept_.q.data(), kept_.frames);
+    measure(task_, asked(t), kept_);
+  }
+
+  double evaluate(std::vector<double>& path, bool held) {
     double cost = cost_.evaluate(anchors_.data(), path.data());
     for (int t = fit_.first; t < fit_.end; ++t) {
-      look(t, pose(path, t), kept_);
-      cost += robust_cost(t, kept_, fit_.robust);
+      if (held) {
+        look_as_asked(t, pose(path, t));
+        double square = 0;
+        for (int m = 0; m < task_.rows; ++m) square += kept_.residuals[m] * kept_.residuals[m];
+        cost += square / 2;
+      } else {
+        look(t, pose(path, t), kept_);
+        cost += robust_cost(t, kept_, fit_.robust);
+      }
     }
     return cost;
   }
 
-  // blocks_ and downhill_ at the present path, goals weighed by what they miss there.
-  void assemble() {
+  // blocks_ and downhill_ at the present path, goals weighed by what they miss there, or as
+  // they are `held`.
+  void assemble(bool held) {
     const int count = fit_.end - fit_.first;
     cost_.evaluate(anchors_.data(), now_path_.data(), &slope_);
     downhill_.assign(static_cast<std::size_t>(count) * width_, 0.0);
@@ -399,9 +430,13 @@ class PathFit : public Descent {
     stiffest_ = 0;
     for (int i = 0; i < count; ++i) {
       const int t = fit_.first + i;
-      look(t, pose(now_path_, t), kept_);
-      reweight(t, kept_, fit_.robust);
-      measure(task_, asked(t), kept_);
+      if (held) {
+        look_as_asked(t, pose(now_path_, t));
+      } else {
+        look(t, pose(now_path_, t), kept_);
+        reweight(t, kept_, fit_.robust);
+        measure(task_, asked(t), kept_);
+      }
       differentiate(task_, asked(t), kept_, linear_.columns);
       double* normal = normals_.data() + static_cast<std::size_t>(i) * width_ * width_;
       multiply_columns(task_, linear_, normal);

@@ -50,6 +50,9 @@ QUICKENS = 12.0
 RISES = 0.6
 # From this part of a swing on it is settled where its foot lands.
 SETTLED = 0.6
+# Where a foot in the air is to land changes no faster than moves it by this [m/s], and
+# turns it by this [rad/s], as legs that did would jerk.
+SWERVES, SWIVELS = 2.5, 6.0
 # How far a landing is looked ahead [rad] where a body turns.
 MAX_TURN = 1.0
 # Whose push makes them go as fast to a side or back, over `STANDS`, walk.
@@ -83,6 +86,8 @@ class BodyState:
     paces: FloatArray
     reacts: FloatArray  # since when they react, -1 for who does not (N,) [s]
     shoulders: FloatArray  # how far they are turned (N,) [rad]
+    heels: FloatArray  # how far that of each foot was up as it lifted (N, 2) [rad]
+    spans: FloatArray  # which share of a cycle each had left then (N, 2)
 
 
 @dataclass(frozen=True)
@@ -91,6 +96,7 @@ class Blend:
 
     weights: FloatArray  # (N, G)
     rate: FloatArray  # cycles a second (N,)
+    free: FloatArray  # the same where they only go ahead (N,)
     stride: FloatArray  # steps over those of the gaits (N,)
     stands: FloatArray  # (N, 2)
     steps: FloatArray  # where feet land in the frame of the body (N, 2, 3)
@@ -150,6 +156,8 @@ class Bodies:
             paces,
             -np.ones(count),
             np.zeros(count),
+            np.zeros((count, 2)),
+            np.ones((count, 2)),
         )
 
     def blend(self, paces: FloatArray) -> Blend:
@@ -181,11 +189,11 @@ class Bodies:
         spun = np.abs(around) * stands.mean(axis=1) / rate
         over = np.maximum(over, spun / SPUN)
         over = np.clip(over, 1.0, np.maximum(MAX_RATE / rate, 1.0))
-        rate = rate * over
+        free, rate = rate, rate * over
         stride = speeds / speed / (rate * period)
         steps[..., 1] *= stride[:, None]
         steps[..., 0] += (side / over)[:, None]
-        return Blend(weights, rate, stride, stands, steps)
+        return Blend(weights, rate, free, stride, stands, steps)
 
     def next(
         self,
@@ -222,10 +230,16 @@ class Bodies:
         rates = np.minimum(rates, np.maximum(slower, state.rates + QUICKENS * dt))
         change = np.where(goes, rates * dt, 0.0)
         places, swings = state.places.copy(), state.swings.copy()
-        aims = state.aims.copy()
+        aims, heels, spans = state.aims.copy(), state.heels.copy(), state.spans.copy()
         for k in range(2):
             swings[ends[:, k], k] = 0.0
+            begins = np.where(ends[:, k], stances.begins[:, k], blend.stands[:, k])
+            heel = self.pitches(k, begins, blend, state.still)
             self._advance(k, phases, change, blend, (before, after), places, swings)
+            lifted = (state.swings[:, k] < 0) & (swings[:, k] >= 0)
+            heels[lifted, k] = heel[lifted]
+            left = 1 - np.maximum((phases - 0.5 * k) % 1.0, begins)
+            spans[lifted, k] = left[lifted]
             landed = (state.swings[:, k] >= SETTLED) & (swings[:, k] < 0)
             places[landed, k] = state.aims[landed, k]
         phases = (phases + change) % 1.0
@@ -235,7 +249,10 @@ class Bodies:
             turn = np.clip(paces[:, 1] * left, -MAX_TURN, MAX_TURN)
             then = after.points + after.velocities * left[:, None]
             lands = self._placed(k, blend, then, after.headings + turn, places)
-            aims[aimed, k] = lands[aimed]
+            new = state.swings[:, k] < 0
+            aims[aimed, k] = _followed(aims, lands, swings, new, self.scales, dt, k)[
+                aimed
+            ]
         target = np.where(moves | (swings >= 0).any(axis=1), -dt, dt) / SETTLING
         made = replace(
             state,
@@ -248,6 +265,8 @@ class Bodies:
             clocks=state.clocks + dt,
             paces=paces,
             reacts=self._reacting(state.reacts, dt, hit),
+            heels=heels,
+            spans=spans,
         )
         return self._reached(state, made, after, blend, dt)
 
@@ -487,6 +506,30 @@ class Bodies:
         """Return heights and normals of the ground; where there is none it is at 0."""
         heights, normals = self.ground(points)
         return np.where(np.isfinite(heights), heights, 0.0), normals
+
+
+def _followed(
+    aims: FloatArray,
+    lands: FloatArray,
+    swings: FloatArray,
+    new: BoolArray,
+    scales: FloatArray,
+    dt: float,
+    k: int,
+) -> FloatArray:
+    """Return where foot ``k`` of each is to land ``(N, 3)``, as fast as it can follow.
+
+    ``new``: whose foot stood before ``(N,)``.
+    """
+    gone = np.where(new, 0.0, eased(np.clip(swings[:, k], 0.0, 1.0)))
+    way = lands - aims[:, k]
+    far = gone * np.linalg.norm(way[:, :2], axis=1)
+    room = np.minimum(SWERVES * scales * dt / np.maximum(far, 1e-9), 1.0)
+    made = aims[:, k] + np.where(far > 0, room, 1.0)[:, None] * way
+    turn = wrapped(way[:, 2])
+    most = np.where(gone > 0, SWIVELS * dt / np.maximum(gone, 1e-9), np.inf)
+    made[:, 2] = aims[:, k, 2] + np.clip(turn, -most, most)
+    return np.where(new[:, None], lands, made)
 
 
 def _weights(points: FloatArray, known: FloatArray) -> FloatArray:

@@ -54,6 +54,8 @@ SIDES = {"right": -0.2, "left": 0.2, "none": 0.0}
 SLOW = 0.6
 # How long agents take to turn to where they go [s].
 TURNING = 0.25
+# They turn no faster [rad/s]: who turns round takes the best part of a second.
+FASTEST_TURN = 4.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -338,7 +340,8 @@ class Crowd:
         turn = np.arctan2(ways[:, 0], ways[:, 1]) - headings
         turn = (turn + np.pi) % (2 * np.pi) - np.pi
         share = -np.expm1(-dt / TURNING * np.minimum(fast, 1.0))
-        return np.asarray(headings + turn * share)
+        most = FASTEST_TURN * dt
+        return np.asarray(headings + np.clip(turn * share, -most, most))
 
     def frame(
         self,

@@ -30,8 +30,8 @@ class Walker:
         ahead: Heading of its rest pose [rad].
         level: How each foot is turned in the world where it stands ``(2, 4)``.
         ankle: How high ankles are where feet stand ``(2,)`` [m].
-        ball: From each ankle to the toe on the ground, level and heading along z
-            ``(2, 3)`` [m].
+        ball: From each ankle to the toe's joint, or to the ground where there is none,
+            level and heading along z ``(2, 3)`` [m].
         leg: Length of thigh and shin [m].
     """
 
@@ -58,13 +58,14 @@ class Walker:
             raise OptionError(Fault("SIM149", message, where="gaits"))
         ahead = float(np.arctan2(facing[2, 0], facing[2, 2]))
         back = about_up(np.array([-ahead]))[0]
-        ground = float(person.positions[:, 1].min())
+        ground = _ground(person)
         feet = [left[2], right[2]]
         balls = []
         for leg in (left, right):
             toe = leg[3] if leg[3] >= 0 else leg[2]
             ball = so3.rotate(back, person.positions[toe] - person.positions[leg[2]])
-            balls.append([ball[0], ground - person.positions[leg[2], 1], ball[2]])
+            sole = ground - person.positions[leg[2], 1]
+            balls.append([ball[0], ball[1] if leg[3] >= 0 else sole, ball[2]])
         return Walker(
             person,
             (left, right),
@@ -74,6 +75,19 @@ class Walker:
             np.array(balls),
             person.leg_length("l"),
         )
+
+
+def _ground(person: Person) -> float:
+    """Return how high the ground is that a rig stands on at rest [m].
+
+    Below its lowest joint, or where the bone of one ends, such as that of a toe.
+    """
+    ends = [
+        person.positions[joint] + so3.rotate(person.turns[joint], np.array(tip))
+        for joint, own in enumerate(person.rig.joints)
+        for tip in own.tips
+    ]
+    return float(np.vstack([person.positions, *ends])[:, 1].min())
 
 
 @dataclass(frozen=True)

@@ -33,6 +33,12 @@ RAMP = 0.2
 TILT = 0.45
 # In this first and last part of a swing hips are lowered for its foot.
 NEARING = 0.4
+# Over this first part of a swing a foot comes from how it stood to how its gait has it.
+LEAVING = 0.7
+# From here on it turns to how it lands.
+LANDING = 0.6
+# Of how high ankles are lifted, who lifts a flat foot.
+LOW_STEP = 0.35
 # Soles come down as steep as this, from over so much [m].
 STEEP, CLEAR = 2.0, 0.02
 
@@ -201,7 +207,7 @@ def _low(
     lack = np.zeros(len(lifts))
     for sole, at in ((heel, 0 * UP), (ball, walker.ball[k] + walker.ankle[k] * UP)):
         off = np.linalg.norm((sole - at)[:, [0, 2]], axis=1)
-        lack = np.maximum(lack, cleared(away + off) - sole[:, 1])
+        lack = np.maximum(lack, cleared(away + off) - (sole - at)[:, 1])
     return lack
 
 
@@ -210,10 +216,31 @@ def _swung(
 ) -> tuple[FloatArray, FloatArray]:
     """Return turns and ankles of feet that swing ``(K, 4)``, ``(K, 3)``, as on the way.
 
+    They begin as their feet were, which may lift sooner than the gait has it.
     ``up``: of which bodies foot ``k`` does ``(N,)``.
     """
-    moving, swings = gaits.moving, state.swings[up, k]
-    at = np.clip(swings, 0.0, 1.0) * (PHASES - 1)
+    swings = np.clip(state.swings[up, k], 0.0, 1.0)
+    pitched, lifts = _on_way(gaits, state, blend, k, up, swings)
+    first, begins = _on_way(gaits, state, blend, k, up, np.zeros_like(swings))
+    stood = about_side(state.heels[up, k])
+    left = (1 - eased(np.minimum(swings / LEAVING, 1.0)))[:, None]
+    off = so3.multiply(stood, so3.conjugate(first))
+    none = np.broadcast_to(so3.IDENTITY, off.shape)
+    turned = so3.multiply(_mixed([none, off], np.hstack([1 - left, left])), pitched)
+    return turned, lifts + left * (standing_ankle(gaits.walker, k, stood) - begins)
+
+
+def _on_way(
+    gaits: Gaits,
+    state: BodyState,
+    blend: Blend,
+    k: int,
+    up: BoolArray,
+    swings: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Return turns and ankles of feet on their swings as their gaits have them."""
+    moving = gaits.moving
+    at = swings * (PHASES - 1)
     weights = blend.weights[up]
     swung = _mixed([rows(one.swings[k], at) for one in moving], weights)
     lifts = np.asarray(
@@ -234,16 +261,18 @@ def _swung(
     even = ends[0] + share * (ends[1] - ends[0])
     long = np.minimum(blend.stride[up], 1.0)
     lifts[:, 2] = even + long * (lifts[:, 2] - even)
-    # Who just stood lifts a flat foot.
-    still = state.still[up, None]
+    # Who just stood lifts a flat foot, and so does who steps fast, less high.
+    still = state.still[up]
+    long = state.spans[up, k] / state.rates[up]
+    usual = (1 - blend.stands[up, k]) / blend.free[up]
+    quick = 1 - np.minimum(long / usual, 1.0)
+    lands = eased(np.clip((swings - LANDING) / (1 - LANDING), 0.0, 1.0))
+    level = np.maximum(still, quick * (1 - lands))[:, None]
     flat = np.broadcast_to(so3.IDENTITY, swung.shape)
-    pitched = _mixed([swung, flat], np.hstack([1 - still, still]))
+    pitched = _mixed([swung, flat], np.hstack([1 - level, level]))
     low = standing_ankle(gaits.walker, k, flat)
-    high = (
-        np.maximum(lifts[:, 1:2] - low[:, 1:2], 0.0)
-        * eased(np.minimum(4 * swings, 1.0))[:, None]
-    )
-    lifts += still * (low + high * UP - lifts)
+    high = LOW_STEP * np.maximum(lifts[:, 1:2] - low[:, 1:2], 0.0)
+    lifts += level * (low + high * UP - lifts)
     return pitched, lifts
 
 

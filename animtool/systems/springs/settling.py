@@ -7,17 +7,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from animtool.core.array_types import FloatArray
-from animtool.core.errors import Fault
+from animtool.core.errors import Fault, Severity
 from animtool.core.quantities import length_text
 from animtool.systems.springs.motion import Grid, SpringState, warning
-from animtool.systems.springs.records import SpringOptions
-from animtool.systems.springs.solvers import Choice, advance
+from animtool.systems.springs.records import Solver, SpringOptions
+from animtool.systems.springs.solvers import SHORTEST_OF_AUTO, Choice, advance
 from animtool.systems.springs.system import SpringSystem
 
 # Speed below which all particles are at rest [m/s]: they move on by micrometres.
 RESTING = 1e-6
 # Cells of time at most, and springs times steps: about five seconds of work.
 MAX_CELLS, MAX_WORK = 20_000, 500_000_000
+# Shorter steps go on as long as they leave this share of how far it is at most.
+HELPS = 0.7
 # Of the size of the springs, how far from where forces cancel they rest unreported.
 NEAR = 1e-3
 
@@ -29,7 +31,7 @@ class XpbdRest:
     Attributes:
         system: That begins there.
         choice: With as many steps as rest takes.
-        notices: How far it is from where forces cancel out (SIM152, SIM199).
+        notices: How far it is from where forces cancel out (SIM152, SIM179, SIM199).
     """
 
     system: SpringSystem
@@ -44,7 +46,8 @@ def rest_of_xpbd(
 
     A step of xpbd goes through each spring once, so that what hangs on long chains is
     lower than where the forces cancel out: from there it would fall. It falls here, and
-    is stopped whenever its energy of motion is largest, until it moves no more.
+    is stopped whenever its energy of motion is largest, until it moves no more. Steps
+    that `auto` takes are halved as long as that brings it nearer.
 
     Args:
         system: Springs that begin where forces cancel out.
@@ -53,20 +56,57 @@ def rest_of_xpbd(
         t: When pins are looked at [s].
     """
     still = system.halted(t, system.body)
+    near = NEAR * float(np.linalg.norm(np.ptp(system.state[0], axis=0)))
+    begun, work, auto = choice.substeps, 0, options.solver == Solver.AUTO
+    best: _Fallen | None = None
+    while True:
+        found = _fallen(still, options, replace(choice, substeps=begun), work)
+        work = found.work
+        if not np.isfinite(found.speed):
+            return XpbdRest(system, choice, (_unsolved(found.speed),))
+        nearer = best is None or found.gap < HELPS * best.gap
+        if not nearer and best is not None:
+            found = best
+        shorter = choice.cell / (2 * found.substeps) >= SHORTEST_OF_AUTO
+        if found.gap <= near or not (auto and nearer and shorter and work < MAX_WORK):
+            break
+        best, begun = found, 2 * found.substeps
+    notices = [] if found.speed <= RESTING else [_unsolved(found.speed)]
+    if found.gap > near:
+        notices.append(_away(found.gap, auto=auto))
+    steps = replace(choice, substeps=found.substeps)
+    return XpbdRest(system.starting_at(found.rest), steps, tuple(notices))
+
+
+@dataclass(frozen=True, slots=True)
+class _Fallen:
+    """Where springs that were stopped again and again are."""
+
+    rest: FloatArray  # (N, 3) [m]
+    speed: float  # of the fastest [m/s]
+    substeps: int  # in a cell
+    work: int  # springs times steps so far
+    gap: float  # of the furthest from where it began [m]
+
+
+def _fallen(
+    still: SpringSystem, options: SpringOptions, choice: Choice, work: int
+) -> _Fallen:
+    """Return where springs that stand still come to rest."""
     motion = np.ascontiguousarray(still.state)
     state = SpringState(motion, still.whole, choice.substeps, choice.substeps)
     grid = Grid(choice.solver, 0.0, choice.cell, 0, state)
     masses, before, cells = still.free_masses, 0.0, 0
-    speed, work = np.inf, 0
+    speed, first = np.inf, work
     while speed > RESTING and cells < MAX_CELLS and work < MAX_WORK:
         cells += 1
         with np.errstate(all="ignore"):
             grid = advance(still, options, grid, 1)
         state, velocities = grid.state, grid.state.motion[1]
         speed = float(np.linalg.norm(velocities, axis=1).max(initial=0.0))
-        work = grid.steps * len(still.body.springs.rest)
+        work = first + grid.steps * len(still.body.springs.rest)
         if not np.isfinite(speed):
-            return XpbdRest(system, choice, (_unsolved(speed),))
+            break
         # Fewer steps later on would move it again.
         state = replace(state, least=state.substeps)
         energy = float(masses @ (velocities * velocities).sum(axis=1))
@@ -74,14 +114,8 @@ def rest_of_xpbd(
             state, energy = replace(state, motion=_stopped(state)), 0.0
         before, grid = energy, replace(grid, state=state)
     rest = grid.state.motion[0]
-    notices = [] if speed <= RESTING else [_unsolved(speed)]
-    gap = float(np.linalg.norm(rest - system.state[0], axis=1).max(initial=0.0))
-    if gap > NEAR * float(np.linalg.norm(np.ptp(rest, axis=0))):
-        message = f"xpbd comes to rest {length_text(gap)} from where the forces on "
-        message += "particles cancel out"
-        notices.append(warning("SIM199", message, "take auto or bdf2", "settle"))
-    steps = replace(choice, substeps=grid.state.substeps)
-    return XpbdRest(system.starting_at(rest), steps, tuple(notices))
+    gap = float(np.linalg.norm(rest - still.state[0], axis=1).max(initial=0.0))
+    return _Fallen(rest, speed, grid.state.substeps, work, gap)
 
 
 def _stopped(state: SpringState) -> FloatArray:
@@ -89,6 +123,17 @@ def _stopped(state: SpringState) -> FloatArray:
     motion = state.motion.copy()
     motion[1] = 0.0
     return motion
+
+
+def _away(gap: float, *, auto: bool) -> Fault:
+    """Return how far from where forces cancel out it rests [m]."""
+    message = f"xpbd comes to rest {length_text(gap)} from where the forces on "
+    message += "particles cancel out"
+    if not auto:
+        return warning("SIM199", message, "take auto or bdf2", "settle")
+    message += ", as near as shorter steps bring it"
+    hint = "surfaces that touch hold it there, or its chains are long"
+    return Fault("SIM179", message, where="settle", hint=hint, severity=Severity.NOTE)
 
 
 def _unsolved(speed: float) -> Fault:

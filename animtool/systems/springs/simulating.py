@@ -284,6 +284,16 @@ class SpringRun:
         known = self._watch.energy if state is self.grid.state.motion else None
         return (known or self.left.energy(t, state)).total
 
+    @property
+    def _stretched(self) -> bool:
+        """Whether xpbd left springs longer than they may be, and not by their give."""
+        return not self.grid.stretch <= self._options.stretch
+
+    @property
+    def _auto(self) -> bool:
+        """Whether no solver was asked for."""
+        return self._options.solver == Solver.AUTO
+
     def _entered(self) -> Grid:
         """Return where the next cell begins: pins that jump in it are there at once."""
         grid, jumps = self.grid, self.system.jumps
@@ -320,6 +330,9 @@ class SpringRun:
         elif self.grid.lost:
             self.status, self._lost = Status.NOT_SOLVED, begun
             self.sign = "Newton's method found no solution"
+        elif self._auto and self._stretched:
+            self.status = Status.NOT_SOLVED
+            self.sign = f"a spring is {self.grid.stretch:.2%} longer than at rest"
         else:
             self.wrenches = [*self._pressed(), *self.grid.tied]
 
@@ -376,10 +389,12 @@ class SpringRun:
             message = f"{choice.solver} blew up at {stats.time:.6g} s: {stats.reason}"
             hint = f"semi-implicit Euler is stable with steps up to {plain(limit)} s"
             notices.append(warning("SIM102", message, hint))
+        elif stats.status is Status.NOT_SOLVED and self._stretched:
+            notices.append(self._refused(stats))
         elif stats.status is Status.NOT_SOLVED:
             message = f"{choice.solver} stopped at {stats.time:.6g} s: {stats.reason}"
             notices.append(warning("SIM105", message, self._way_on()))
-        if not self.grid.stretch <= options.stretch:
+        if self._stretched and not self._auto:
             message = f"a spring was {self.grid.stretch:.1%} longer than at rest, and "
             message += f"not by its own give; {options.stretch:.1%} is allowed"
             hint = "take auto or bdf2, or less stiffness or mass"
@@ -405,6 +420,17 @@ class SpringRun:
             hint = "give the body more mass, or less to what lies on it"
             notices.append(warning("SIM135", message, hint))
         return notices + through_notices(self.grid.through)
+
+    def _refused(self, stats: Stats) -> Fault:
+        """Return why auto does not go on, and what does."""
+        allowed = self._options.stretch
+        message = f"auto finds no solver for it: {self.choice.solver}, taken as "
+        message += f"{self.choice.reason}, leaves a spring {self.grid.stretch:.2%} "
+        message += f"longer than at rest by {stats.time:.6g} s, in steps of "
+        message += f"{plain(self.shortest)} s; {allowed:.2%} is allowed"
+        hint = "take less stiffness or a mass that is less uneven, give it a greater "
+        hint += f"stretch, or take solver: {self.choice.solver}, which goes on"
+        return warning("SIM178", message, hint)
 
 
 def _between(begin: FloatArray, end: FloatArray, h: float, s: float) -> FloatArray:

@@ -24,8 +24,9 @@ from animtool.systems.springs.system import SpringSystem
 from animtool.systems.springs.ties import TiedCell, Ties
 from animtool.systems.tied import TiedStep
 
-# Steps of xpbd are not shorter than this [s].
-SHORTEST = 1 / 61440
+# Steps of xpbd are not shorter than this [s], and those that auto takes not than the
+# other: what keeps surfaces apart from themselves is to keep springs short as well.
+SHORTEST, SHORTEST_OF_AUTO = 1 / 61440, 1 / 983040
 # Of a cell that is longer than so many of these, no more are tried.
 LONG_CELL = 131072
 # Newton's corrections of implicit steps go on until they are below this share of the
@@ -259,7 +260,7 @@ def advance(
     if grid.solver is Solver.SYMPLECTIC_EULER:
         return _explicit(network, grid, cells, met)
     if grid.solver is Solver.XPBD:
-        return _projected(network, grid, cells, met, system.layers, options.stretch)
+        return _projected(network, grid, cells, met, system.layers, options)
     return _implicit(network, grid, cells, met, SOLVED * system.spacing)
 
 
@@ -281,16 +282,17 @@ def _projected(
     cells: int,
     met: CellColliders,
     layers: _kernels.SpringLayers | None,
-    max_stretch: float,
+    options: SpringOptions,
 ) -> Grid:
     state = grid.state
-    most = max(state.least, int(min(grid.cell / SHORTEST, LONG_CELL)))
+    shortest = SHORTEST_OF_AUTO if options.solver == Solver.AUTO else SHORTEST
+    most = max(state.least, int(min(grid.cell / shortest, LONG_CELL)))
     (
         motion, torn, substeps, calm, stretch, steps, _, inside, passages, through,
         pushes,
     ) = _kernels.project_springs(
         network, state.motion, state.torn, grid.origin, grid.index, grid.cell, cells,
-        state.substeps, state.calm, state.least, most, max_stretch, met, layers,
+        state.substeps, state.calm, state.least, most, options.stretch, met, layers,
         state.passages,
     )  # fmt: skip
     made = SpringState(

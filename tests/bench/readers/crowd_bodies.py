@@ -23,6 +23,8 @@ Floats = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
 # A sole is on the ground where it is less above it [m].
 GROUND = 0.005
+# Lowest joints are less above the soles, over how high hips are.
+SOLE = 0.1
 # Who lies: the head is less than this above the hips, over the way between; some time
 # before and after one falls or gets up [s].
 UPRIGHT, FALLING = 0.5, 1.0
@@ -103,8 +105,12 @@ def _character(
     feet, toes = ([_joint(names, one) for one in each] for each in (LEGS, TOES))
     hips, head = _joint(names, HIPS), _joint(names, HEAD)
     rest = np.array(query.ComputeJointSkelTransforms(Usd.TimeCode.Default(), True))
-    ground = rest[:, 3, 1].min()
-    # On the ground below ankle and toe, as the foot has them.
+    ground = float(rest[:, 3, 1].min())
+    # Joints are above soles: a rig whose lowest is just above its origin stands there.
+    if 0 < ground < SOLE * rest[hips, 3, 1]:
+        ground = 0.0
+    # On the ground below the ankle, as the foot has it, and below the joint of toes,
+    # which a foot rolls about whose heel is up.
     soles = np.ones((2, 2, 4))
     for k in range(2):
         back = np.linalg.inv(rest[feet[k]])
@@ -119,7 +125,9 @@ def _character(
         places[f] = (joints[[hips, head], 3] @ world)[:, :3] * unit
         for k in range(2):
             made[f, k] = (soles[k] @ joints[feet[k]] @ world)[:, :3] * unit
+            made[f, k, 1] = (joints[toes[k], 3] @ world)[:3] * unit
         scale = float(np.linalg.norm(world[1, :3]))
+        made[f, :, 1, 1] -= (rest[toes, 3, 1] - ground) * scale * unit
     stood = (rest[hips, 3, 1] - ground) * scale * unit
     spine = places[:, 1] - places[:, 0]
     lies = spine[:, 1] < UPRIGHT * np.linalg.norm(spine, axis=1)

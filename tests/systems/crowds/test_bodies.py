@@ -83,6 +83,19 @@ def joints(bodies: Bodies, state: BodyState, going: Going) -> np.ndarray:
     return so3.rotate(about_up(going.headings)[:, None], local) + origin[:, None]
 
 
+def toe_height(bodies: Bodies, k: int) -> float:
+    """Return how high the joint of a toe is where its foot stands [m]."""
+    walker = bodies.gaits.walker
+    return float(walker.ankle[k] + walker.ball[k, 1])
+
+
+def test_people_stand_on_the_ends_of_their_toes() -> None:
+    """On the biped these are 2 cm below the joint."""
+    bodies = Bodies(library("walk", "stand"), np.ones(1), level)
+    assert bodies.gaits.walker.ankle == pytest.approx(0.08)
+    assert toe_height(bodies, 0) == pytest.approx(0.02)
+
+
 def walked(
     bodies: Bodies, goings: list[Going], step: float
 ) -> tuple[list[BodyState], np.ndarray]:
@@ -268,7 +281,7 @@ def test_pushed_people_step_and_stay_up(way: float, speed: float) -> None:
     for k, (_, _, _, toe) in enumerate(bodies.gaits.walker.legs):
         stands = swings[:, k] < 0
         assert (np.diff(stands.astype(int)) < 0).sum() >= (2 if speed > 0.5 else 1)
-        down = stands & (places[:, 0, toe, 1] < 0.005)
+        down = stands & (places[:, 0, toe, 1] < toe_height(bodies, k) + 0.005)
         both = down[1:] & down[:-1]
         way = np.diff(places[:, 0, toe][:, [0, 2]], axis=0)
         slid = np.linalg.norm(way, axis=1)
@@ -287,8 +300,8 @@ def test_soles_are_off_the_ground_until_they_are_where_they_land() -> None:
     bodies = Bodies(library("walk", "run", "stand"), np.ones(1), level)
     step = 1 / 24
     states, places = walked(bodies, path(step, 1), step)
-    for _, _, _, toe in bodies.gaits.walker.legs:
-        low = places[:, 0, toe, 1] < 0.005
+    for k, (_, _, _, toe) in enumerate(bodies.gaits.walker.legs):
+        low = places[:, 0, toe, 1] < toe_height(bodies, k) + 0.005
         way = np.linalg.norm(np.diff(places[:, 0, toe][:, [0, 2]], axis=0), axis=1)
         assert way[low[1:] & low[:-1]].max() < 0.005
     assert min(state.lowered.min() for state in states) >= 0

@@ -124,6 +124,22 @@ def test_a_pool_comes_to_rest(
     assert rows[-1].points[:, 1].mean() == pytest.approx(deep / 2, rel=0.04)
 
 
+@pytest.mark.parametrize(("radius", "at"), [(0.12, 0.3), (0.18, 0.3), (0.1, 0.1)])
+def test_water_under_a_ball_on_the_floor_comes_to_rest(
+    simulator: Simulator, radius: float, at: float
+) -> None:
+    """Floor and ball hold what is in the wedge between; each pushes it to the other."""
+    pool = {"shape": {"box": {"size": [0.6, 0.36, 0.6]}}, "at": [0.3, 0.18, 0.3]}
+    ball = {"name": "ball", "shape": {"sphere": {"radius": radius}}}
+    ball["at"] = [at, radius, at]
+    own = fluid(spacing=0.04, fills=[pool], viscosity=1e-6, colliders=[TANK, ball])
+    rows = simulator.simulate(own, [0.0, *(4 + np.arange(13) / 24)])["it"][1:]
+    ways = np.diff([row.points for row in rows], axis=0) * 24
+    assert np.sqrt((ways**2).sum(axis=2).mean()) < 0.005
+    speeds = np.array([row.velocities for row in rows])
+    assert np.sqrt((speeds**2).sum(axis=2).mean()) < 0.006
+
+
 def floated(simulator: Simulator, density: float, high: float) -> np.ndarray:
     """Return how high a box .3 m wide is over time, put in water .5 m deep."""
     body = {

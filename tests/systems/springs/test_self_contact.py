@@ -528,3 +528,33 @@ def test_nothing_is_thrown_off_by_a_corner_that_hardly_counts(share: float) -> N
     assert moved[2] <= 1e3 * share * missing * (1 + 1e-9)
     if share > 0.1:
         assert moved[2] == pytest.approx(missing / share, rel=1e-6)
+
+
+def heavy(tip: float, light: float) -> SpringSystem:
+    """Return a light sheet that hangs by two corners, with a load on a third."""
+    stiff, across = Family(1e6), Family(1e5)
+    body = sheet(COUNT, COUNT, mass=light, structural=stiff, diagonals=across)
+    masses = body.masses.copy()
+    masses[-1] = tip
+    contact = SelfContact(0.25 * EDGE)
+    return SpringSystem(
+        replace(body, masses=masses), pins=Pins([0, COUNT - 1]), self_contact=contact
+    )
+
+
+def test_auto_takes_shorter_steps_rather_than_warn() -> None:
+    system = heavy(3.0, 1e-5)
+    asked = simulate_springs(system, [0, 0.4], XPBD)
+    assert "SIM131" in {notice.code for notice in asked.notices}
+    motion = simulate_springs(system, [0, 0.4])
+    assert motion.stats.status is Status.OK
+    assert motion.solver is Solver.XPBD
+    assert motion.stretch <= SpringOptions().stretch
+    assert motion.step < asked.step
+    assert {notice.code for notice in motion.notices} <= {"SIM161"}
+
+
+def test_auto_refuses_what_its_shortest_steps_do_not_keep() -> None:
+    motion = simulate_springs(heavy(30.0, 1e-6), [0, 0.4])
+    assert motion.stats.status is Status.NOT_SOLVED
+    assert [notice.code for notice in motion.notices] == ["SIM178"]

@@ -91,3 +91,12 @@ def test_a_rest_of_xpbd_that_is_lower_is_said(tmp_path: Path) -> None:
     found, codes = points(tmp_path, entry, "xpbd")
     assert np.abs(found - found[0]).max() < 1e-5
     assert codes == {"SIM199"}
+
+
+def test_auto_rests_as_near_as_shorter_steps_bring_it(tmp_path: Path) -> None:
+    contact = "    self_contact: {thickness: 0.01}\n"
+    found, codes = points(tmp_path, CLOTH + contact, "auto")
+    assert np.abs(found - found[0]).max() < 1e-5
+    free, _ = points(tmp_path, CLOTH, "auto")
+    assert np.abs(found[0] - free[0]).max() < 2e-3
+    assert codes <= {"SIM179", "SIM161"}
