@@ -121,3 +121,21 @@ def test_options_that_make_no_sense(options: dict[str, float]) -> None:
     with pytest.raises(OptionError) as error:
         clean(small(), **options)  # type: ignore[arg-type]
     assert error.value.code == "CAP001"
+
+
+def test_what_would_be_most_of_a_channel_is_no_spike() -> None:
+    """Large spikes in four frames of fourteen hide small ones in as many others.
+
+    Both together are more than half of the frames: the small ones stay.
+    """
+    phase = (np.arange(87) + 3) % 14
+    large = np.isin(phase, [6, 7, 8, 9])
+    shifts = np.zeros((87, 3, 3))
+    shifts[large, 0, 0] = 1.0
+    shifts[phase > 12, 0, 1] = shifts[phase < 3, 0, 1] = 0.05
+    take = small(87)
+    motion = replace(take.motion, translations=Channel.from_dense(shifts))
+    options = CleanOptions(spikes=4, keep_noise=True)
+    _, signals = cleaned_take(replace(take, motion=motion), options)
+    (found,) = [one.spikes for one in signals if one.spikes and not one.rotation]
+    assert found == tuple(np.flatnonzero(large).tolist())

@@ -204,3 +204,21 @@ def test_a_step_that_is_too_long_stops_with_one_that_is_not(
     assert fault.hint is not None
     step = float(fault.hint.split("step: ")[1])
     assert 1e-4 < step < 0.1
+
+
+def test_a_galaxy_is_where_its_centre_of_mass_is() -> None:
+    """A nucleus as heavy as all the rest is half of it, however few bodies it is."""
+    galaxy = GalaxyModel.model_validate(
+        {
+            "name": "it",
+            "nucleus": 3,
+            "disc": {**DISC, "mass": 3, "count": 40},
+            "seed": 1,
+        }
+    )
+    made = build_galaxy(galaxy, 2.0, 0.05)
+    assert made.masses[0] == pytest.approx(made.masses[1:].sum())
+    for each in (made.points, made.velocities):
+        assert_allclose(made.masses @ each, 0, atol=1e-12)
+        assert_allclose(each[0], -each[1:].mean(axis=0), atol=1e-12)
+        assert np.abs(each[0]).max() > 1e-3
