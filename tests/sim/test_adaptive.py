@@ -6,9 +6,12 @@ import numpy as np
 import pytest
 from support.motions import oscillator
 
-from animtool.sim import IntegrateOptions, integrate
-from animtool.sim.adaptive import _ratio
+from animtool.sim import IntegrateOptions, find_integrator, integrate
+from animtool.sim.adaptive import _first_trial, _ratio
+from animtool.sim.checks import Watch
+from animtool.sim.equations import Equations
 from animtool.sim.integrators.integrator import Step
+from animtool.sim.run import Run
 
 
 def test_an_error_is_allowed_by_the_size_of_what_it_is_in() -> None:
@@ -32,3 +35,23 @@ def test_steps_are_those_of_any_unit_without_an_absolute_tolerance() -> None:
         options = IntegrateOptions("rk45", tolerance=1e-6, absolute=0.0)
         found.append(integrate(motion.system, [0.0, 7.0], options).stats.steps)
     assert found[0] == found[1] > 10
+
+
+def test_the_first_step_that_is_tried_is_that_of_any_unit() -> None:
+    """It is a share of the time in which the state changes by its own size."""
+    found = []
+    for size in (1.0, 1e6):
+        system = oscillator(start=(size, size / 2)).system
+        options = IntegrateOptions("rk45", tolerance=1e-6, absolute=0.0)
+        run = Run(
+            find_integrator("rk45"),
+            Equations(system),
+            options,
+            Watch(system, options),
+            7.0,
+            0.0,
+            system.state,
+        )
+        found.append(_first_trial(run))
+    assert found[0] == pytest.approx(found[1])
+    assert 1e-3 < found[0] < 1.0
