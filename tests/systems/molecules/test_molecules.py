@@ -338,3 +338,23 @@ def test_atoms_of_unequal_mass_are_as_warm_and_rest_as_a_whole() -> None:
     for kind in (0, 1):
         own = twice[atoms.kinds == kind].mean() / (3 * BOLTZMANN)
         assert own == pytest.approx(120, rel=0.1)
+
+
+def test_what_is_reported_of_a_few_atoms_leaves_out_the_whole() -> None:
+    """The mean of kinetic energy is over 3 N - 3 degrees of freedom, here 9."""
+    few = {**ARGON, "count": 4, "mass": 20.0, "radius": 0.7}
+    made = molecules(species=[few], temperature=90, scale=0.5)
+    state = made.initial()
+    values = made.values(state, 0.0)
+    assert values["temperature"] == pytest.approx(90)
+    assert values["kinetic_energy"] == pytest.approx(4.5 * BOLTZMANN * 90)
+    # Of each alone it is over three.
+    squares = (state.motion[1] ** 2).sum(axis=1)
+    found = made._quantities(state, 0.0)
+    own = 20 * squares / (3 * BOLTZMANN)
+    assert_allclose(found["temperature"](), own)
+    assert own.mean() == pytest.approx(90 * 9 / 12)
+    assert_allclose(made.atoms.radii, 0.7)
+    # Half of sigma, as large as a nanometre is shown.
+    made = molecules(species=[{**ARGON, "count": 4}], scale=0.5)
+    assert_allclose(made.atoms.radii, 0.3405 / 2 * 0.5)
