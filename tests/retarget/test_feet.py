@@ -129,6 +129,13 @@ def test_a_heel_that_stands_alone_goes_with_the_nearest_frame_of_the_whole_foot(
     # The toe stays at 1.12: the ankle is behind it by the bone.
     behind = [0.10, 0.10, 0.10, 0.12, 0.12, 0.14, 0.14, 0.14, 0.14]
     np.testing.assert_allclose(found[:, 2], 1.12 - np.array(behind))
+    # Between two stances of the whole foot with the nearer one, in doubt the first.
+    toe = np.array([1, 1, 0, 0, 0, 1, 1, 1, 1], np.bool_)
+    bone[:, 2] = [0.1, 0.1, 0.5, 0.5, 0.5, 0.13, 0.13, 0.13, 0.13]
+    one = foot(9, FootContacts(heel, toe, 0.08))
+    found = _locked(np.tile([0.0, 0.5, 1.0], (9, 1)), bone, one, 30.0, 1)
+    behind = [0.1, 0.1, 0.1, 0.1, 0.13, 0.13, 0.13, 0.13, 0.13]
+    np.testing.assert_allclose(found[:, 2], 1.12 - np.array(behind))
 
 
 def test_a_knee_bends_the_way_that_its_stops_let_it() -> None:
