@@ -142,7 +142,7 @@ def test_joints_count_by_half_of_each_bone_that_they_move() -> None:
 
 def test_a_heading_is_seen_from_the_rest_pose() -> None:
     """Of a root that rests upside down, which has no heading of its own."""
-    over = so3.from_axis_angle(np.array([1.0, 0.0, 0.0]), np.pi)
+    over = np.array([1.0, 0.0, 0.0, 0.0])
     yaws = so3.from_axis_angle(np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.5, 1.2]))
     take = chain_of_two(3, over, so3.multiply(yaws, over))
     ground, heading = _Eye.of(take)._standing(np.arange(3))

@@ -121,11 +121,11 @@ def test_speeds_are_those_of_each_species() -> None:
 
 
 def test_rules_are_of_half_the_angle_and_no_farther_than_they_see() -> None:
-    vision = {"radius": 2, "angle": 240, "nearest": 7}
+    vision = {"radius": 2, "angle": 200, "nearest": 7}
     keys = {"attraction": {"weight": 1, "radius": 5}, "alignment": {"weight": 2}}
     repulsion = {"weight": 3, "radius": 0.5, "softening": 0.2}
     (rule,) = rules_of(members({"vision": vision, **keys, "repulsion": repulsion}))
-    assert rule.cosine == pytest.approx(-0.5)
+    assert rule.cosine == pytest.approx(-np.sin(np.radians(10)))
     assert (rule.radius, rule.nearest, rule.softening) == (2, 7, 0.2)
     assert rule.attraction == (1, 2)
     assert rule.alignment == (2, 2)
