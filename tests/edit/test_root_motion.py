@@ -200,7 +200,7 @@ def test_what_does_not_turn_is_stored_once(walk: Path) -> None:
     assert root not in found.motion.rotations.animated
 
 
-def test_a_root_that_rests_turned_keeps_that_beside_the_yaw() -> None:
+def test_a_root_that_rests_turned_keeps_that_and_the_yaw() -> None:
     """Of a rig that stands up by its root: 90 degrees about x, then the yaw of 40."""
     up = so3.from_axis_angle(np.array([1.0, 0.0, 0.0]), np.pi / 2)
     yaw = so3.from_axis_angle(np.array([0.0, 1.0, 0.0]), np.radians(40.0))

@@ -37,7 +37,7 @@ def test_a_shape_is_turned_and_never_mirrored() -> None:
     assert np.abs(off).max() > 0.02
 
 
-def test_weights_choose_which_points_a_shape_is_brought_onto() -> None:
+def test_weights_choose_which_points_a_shape_is_fitted_to() -> None:
     """The fourth is off by a metre, and does not count."""
     points = SHAPE[None] + [0.5, 0.0, 0.0]
     points[0, 3] += 1.0
