@@ -10,7 +10,15 @@ import pytest
 from numpy.testing import assert_allclose
 
 from animtool.maths import so3
-from animtool.systems.crowds.poses import TILT, _low, _tilts, idle_rows
+from animtool.systems.crowds.poses import (
+    PHASES,
+    TILT,
+    _ankles,
+    _low,
+    _swung,
+    _tilts,
+    idle_rows,
+)
 
 # Who stands on ankles 0.1 m high, with balls 0.15 m ahead.
 WALKER: Any = SimpleNamespace(
@@ -63,3 +71,45 @@ def test_who_stands_goes_there_and_back_again() -> None:
     assert_allclose(idle_rows(idle, clocks), [0, 1, 4, 3, 1, 0, 2])
     idle.turns = idle.turns[:1]
     assert_allclose(idle_rows(idle, clocks), 0)
+
+
+def swinging(swings: list[float], still: list[float]) -> tuple[Any, Any, Any]:
+    """Return gaits, state and blend of feet turned by 40 degrees, 0.3 m up."""
+    turn = so3.from_axis_angle(np.array([1.0, 0.0, 0.0]), np.radians(40.0))
+    lifts = np.zeros((2, PHASES, 3))
+    lifts[..., 1], lifts[..., 2] = 0.3, np.linspace(-0.4, 0.4, PHASES)
+    gait = SimpleNamespace(swings=np.tile(turn, (2, PHASES, 1)), lifts=lifts)
+    count = len(swings)
+    state = SimpleNamespace(
+        swings=np.tile(np.array(swings)[:, None], 2),
+        still=np.array(still),
+        phases=np.zeros(count),
+    )
+    blend = SimpleNamespace(weights=np.ones((count, 1)), stride=np.ones(count))
+    return SimpleNamespace(walker=WALKER, moving=(gait,)), state, blend
+
+
+def test_feet_in_the_air_lean_as_those_of_the_clip() -> None:
+    """Who just stood lifts a flat foot, and within a quarter of the swing."""
+    gaits, state, blend = swinging([0.5, 1.0, 0.5, 0.125], [0.0, 0.0, 1.0, 1.0])
+    pitched, lifts = _swung(gaits, state, blend, 0, np.ones(4, np.bool_))
+    leans = np.degrees(2 * np.arctan2(pitched[:, 0], pitched[:, 3]))
+    assert_allclose(leans, [40, 40, 0, 0], atol=1e-9)
+    assert_allclose(lifts[:2], [[0, 0.3, 0], [0, 0.3, 0.4]], atol=1e-12)
+    # Its ankle is 0.1 m high where it stands: 0.2 m more, and half of that.
+    assert_allclose(lifts[2:], [[0, 0.3, 0], [0, 0.2, 0]], atol=1e-12)
+
+
+def test_feet_that_stand_lean_as_the_ground_does() -> None:
+    """A foot that looks along x stands on ground that rises along z."""
+    gaits, state, blend = swinging([-1.0], [0.0])
+    bodies: Any = SimpleNamespace(gaits=gaits, pitches=lambda *_: np.zeros(1))
+    feet = np.tile([1.0, 2.0, 3.0, np.pi / 2], (1, 2, 1))
+    normal = np.array([0.0, np.cos(0.2), -np.sin(0.2)])
+    goals, soles = _ankles(
+        bodies, state, blend, feet, np.tile(normal, (1, 2, 1)), np.zeros((1, 2))
+    )
+    assert_allclose(goals[0, 0], np.array([1.0, 2.0, 3.0]) + 0.1 * normal, atol=1e-12)
+    assert_allclose(so3.rotate(soles[0, 0], np.array([0.0, 1.0, 0.0])), normal)
+    ahead = so3.rotate(soles[0, 0], np.array([0.0, 0.0, 1.0]))
+    assert_allclose(ahead, [1.0, 0.0, 0.0], atol=1e-12)
