@@ -10,7 +10,7 @@ import pytest
 from numpy.testing import assert_array_equal
 from support.small_takes import content, small
 
-from animtool.capture.clean import CleanOptions, clean, cleaned_take
+from animtool.capture.clean import CleanOptions, _roughness, clean, cleaned_take
 from animtool.core.errors import OptionError
 from animtool.formats.bvh import read_bvh
 from animtool.maths import so3
@@ -121,3 +121,50 @@ def test_options_that_make_no_sense(options: dict[str, float]) -> None:
     with pytest.raises(OptionError) as error:
         clean(small(), **options)  # type: ignore[arg-type]
     assert error.value.code == "CAP001"
+
+
+def test_what_would_be_most_of_a_channel_is_no_spike() -> None:
+    """Large spikes in four frames of fourteen hide small ones in as many others.
+
+    Both together are more than half of the frames: the small ones stay.
+    """
+    phase = (np.arange(87) + 3) % 14
+    large = np.isin(phase, [6, 7, 8, 9])
+    shifts = np.zeros((87, 3, 3))
+    shifts[large, 0, 0] = 1.0
+    shifts[phase > 12, 0, 1] = shifts[phase < 3, 0, 1] = 0.05
+    take = small(87)
+    motion = replace(take.motion, translations=Channel.from_dense(shifts))
+    options = CleanOptions(spikes=4, keep_noise=True)
+    _, signals = cleaned_take(replace(take, motion=motion), options)
+    (found,) = [one.spikes for one in signals if one.spikes and not one.rotation]
+    assert found == tuple(np.flatnonzero(large).tolist())
+
+
+def test_the_noise_of_a_rotation_is_an_angle() -> None:
+    """Of 20 mrad about each axis, and of 3 mm: half an angle is in a quaternion.
+
+    Its fourth number hardly shakes: the mean of all four is a sixth less.
+    """
+    still = small(300)
+    motion = replace(
+        still.motion,
+        rotations=Channel.from_dense(np.tile(so3.IDENTITY, (300, 3, 1))),
+        translations=Channel.from_dense(np.zeros((300, 3, 3))),
+    )
+    dirty = noisy(replace(still, motion=motion), 0.02, 0.003)
+    _, signals = cleaned_take(dirty, CleanOptions(keep_noise=True))
+    for rotation, expected in ((True, 5 / 6 * 0.02), (False, 0.003)):
+        found = [one.noise for one in signals if one.rotation == rotation]
+        assert np.mean(found) == pytest.approx(expected, rel=0.15)
+
+
+def test_how_rough_a_motion_is_is_told_by_as_many_frames_before_as_behind() -> None:
+    """Of 17 frames 9 bend from frame 51 on, where bends begin; ends go by the last."""
+    bends = np.zeros(100)
+    bends[51:] = 1.0  # the second difference about a frame
+    path = np.zeros((100, 3))
+    path[1:, 0] = np.cumsum(np.cumsum(bends))[:-1]
+    assert_array_equal(_roughness(path), (np.arange(100) >= 51).astype(float))
+    assert_array_equal(_roughness(path[:2]), [0.0, 0.0])
+    assert_array_equal(_roughness(path[60:64]), np.ones(4))

@@ -15,7 +15,7 @@ from support.gaits import gait, swinging
 from animtool.core.clock import Clock
 from animtool.core.errors import OptionError
 from animtool.core.units import UpAxis
-from animtool.edit.cycle import find_cycle, measure_cycle
+from animtool.edit.cycle import _Eye, find_cycle, measure_cycle
 from animtool.formats.bvh import read_bvh
 from animtool.maths import so3
 from animtool.motion.motion import Channel, Motion
@@ -116,3 +116,35 @@ def test_a_few_frames(count: int) -> None:
     shorter = replace(take, clock=replace(take.clock, fps=Fraction(2)))
     if count == 3:
         assert find_cycle(shorter).last == 103
+
+
+def chain_of_two(frames: int, rest: np.ndarray, turns: np.ndarray) -> Take:
+    """Return bones of 1 and 2 m on a root that rests and turns as given."""
+    joints = (
+        Joint("root", -1, translation=(1.0, 2.0, 3.0), rotation=tuple(rest.tolist())),
+        Joint("upper", 0, translation=(0.0, 1.0, 0.0)),
+        Joint("lower", 1, translation=(2.0, 0.0, 0.0)),
+    )
+    moves = np.tile([joint.translation for joint in joints], (frames, 1, 1))
+    whole = np.tile(so3.IDENTITY, (frames, 3, 1))
+    whole[:, 0] = turns
+    motion = Motion(Channel.from_dense(moves), Channel.from_dense(whole))
+    clock = Clock(Fraction(30), Fraction(1), Fraction(1), frames)
+    return Take(Rig("chain", joints), clock, motion)
+
+
+def test_joints_count_by_half_of_each_bone_that_they_move() -> None:
+    """Of the last one a third is its origin's, and a third each that of two points."""
+    take = chain_of_two(4, so3.IDENTITY, so3.IDENTITY)
+    found = _Eye.of(take).weights
+    np.testing.assert_allclose(found, np.array([0.5, 1.5, 1 / 3, 1 / 3, 1 / 3]) / 3)
+
+
+def test_a_heading_is_seen_from_the_rest_pose() -> None:
+    """Of a root that rests upside down, which has no heading of its own."""
+    over = np.array([1.0, 0.0, 0.0, 0.0])
+    yaws = so3.from_axis_angle(np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.5, 1.2]))
+    take = chain_of_two(3, over, so3.multiply(yaws, over))
+    ground, heading = _Eye.of(take)._standing(np.arange(3))
+    assert so3.angle_between(heading, yaws).max() < 1e-9
+    np.testing.assert_allclose(ground, np.tile([1.0, 0.0, 3.0], (3, 1)))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -12,13 +13,14 @@ from hypothesis import strategies as st
 from support.nasty import nasty_rig, nasty_take
 from support.takes import assert_same_motion, assert_same_world, takes
 
+from animtool.core.clock import Clock
 from animtool.core.errors import OptionError
 from animtool.core.units import UpAxis
 from animtool.edit.root_motion import extract_root, recompose_root
 from animtool.edit.tree import inserted
 from animtool.formats.bvh import read_bvh
 from animtool.maths import so3
-from animtool.motion.motion import Channel
+from animtool.motion.motion import Channel, Motion
 from animtool.motion.take import Take
 from animtool.rig.parts import IkChain
 from animtool.rig.skeleton import Joint, Pose, Rig
@@ -196,3 +198,27 @@ def test_what_does_not_turn_is_stored_once(walk: Path) -> None:
     root = found.rig.index("root")
     assert root in found.motion.translations.animated
     assert root not in found.motion.rotations.animated
+
+
+def test_a_root_that_rests_turned_keeps_that_and_the_yaw() -> None:
+    """Of a rig that stands up by its root: 90 degrees about x, then the yaw of 40."""
+    up = so3.from_axis_angle(np.array([1.0, 0.0, 0.0]), np.pi / 2)
+    yaw = so3.from_axis_angle(np.array([0.0, 1.0, 0.0]), np.radians(40.0))
+    joints = (
+        Joint("root", -1, rotation=tuple(up.tolist())),
+        Joint("hips", 0, translation=(0.0, 0.0, -1.0)),
+    )
+    turns = np.tile(so3.IDENTITY, (2, 2, 1))
+    turns[:, 0] = up
+    # In the world the hips turn by the yaw.
+    turns[1, 1] = so3.multiply(so3.conjugate(up), so3.multiply(yaw, up))
+    moves = np.tile([joint.translation for joint in joints], (2, 1, 1))
+    moves[1, 1] += [0.5, 0.25, 0.0]
+    motion = Motion(Channel.from_dense(moves), Channel.from_dense(turns))
+    clock = Clock(Fraction(30), Fraction(1), Fraction(1), 2)
+    found = extract_root(Take(Rig("two", joints), clock, motion), "root", hips="hips")
+    made = found.motion.rotations.dense()[:, 0]
+    assert so3.angle_between(made[0], up) < 1e-9
+    assert so3.angle_between(made[1], so3.multiply(yaw, up)) < 1e-9
+    places = found.motion.translations.dense()[:, 0]
+    assert np.abs(places - [[0, 0, 0], [0.5, 0, 0.25]]).max() < 1e-9

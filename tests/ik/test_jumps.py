@@ -149,3 +149,17 @@ def test_a_whole_turn_has_no_end_to_jump_over(low: float) -> None:
     wide = windings(arm(2, 2 * np.pi), rows)
     assert wide[:, 0].max() == 2 * np.pi
     assert (wide[:, 1] == 0).all()
+
+
+@pytest.mark.parametrize("at", [0, 1, -2, -1])
+def test_steps_at_the_ends_are_no_jerks_as_nobody_knows_what_is_beyond(at: int) -> None:
+    steps = np.zeros(8)
+    steps[at] = 0.2
+    jumps = found(np.concatenate([[0.0], np.cumsum(steps)]))
+    assert [jump.frame for jump in jumps] == [at % 8 + 1] * (at in {1, -2})
+
+
+def test_the_largest_step_is_a_part_of_a_turn_and_a_speed() -> None:
+    """0.1 rad and 8 rad/s, and never more than 0.5 rad."""
+    steps = [largest_step(fps) for fps in (24.0, 80.0, 20.0, 8.0)]
+    assert steps == pytest.approx([0.1 + 1 / 3, 0.2, 0.5, 0.5])

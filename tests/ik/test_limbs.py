@@ -21,7 +21,8 @@ from animtool.ik import (
     build,
     solve,
 )
-from animtool.ik.limbs import soft_distance
+from animtool.ik.goals import WEIGHT, WEIGHTS
+from animtool.ik.limbs import Limb, extend, soft_distance
 from animtool.maths import so3
 from animtool.rig.joints import local_from_coordinates
 from animtool.rig.kinematics import forward
@@ -193,3 +194,16 @@ def test_a_limb_that_limits_keep_bent_stretches_from_there(
     np.testing.assert_allclose(tips(result), wanted, atol=2e-6)
     grown = np.maximum(distances / reach, 1.0)
     np.testing.assert_allclose(result.stretches[:, 0], grown, rtol=1e-9)
+
+
+def test_bones_that_are_a_part_of_the_reach_grow_by_more_of_their_own() -> None:
+    """Of a reach of 0.8 bones are 0.6: half of these makes 0.3, and 1.1 in all."""
+    origin = np.array([0.1, 0.2, 0.3])
+    own = Limb(0, (1, 2), origin, 0.8, 0.6, soft=0.0, stretch=0.5)
+    targets = np.zeros((4, 1, WEIGHTS.stop))
+    targets[:, 0, :3] = origin + np.array([0.5, 1.0, 1.2, 1.2])[:, None] * [0, 1, 0]
+    targets[:3, 0, WEIGHT["position"]] = 1.0
+    found = extend((own,), targets)
+    np.testing.assert_allclose(found.scales[:, 0], [1.0, 1 + 1 / 3, 1.5, 1.0])
+    off = found.sought[:, 0, 1] - origin[1]
+    np.testing.assert_allclose(off, [0.5, 1.0, 1.1, 1.2])

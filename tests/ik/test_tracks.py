@@ -22,6 +22,7 @@ from animtool.ik.tracks import FreeEffector, swung
 from animtool.maths import so3
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.take import Take
+from animtool.rig.kinematics import forward
 from animtool.rig.skeleton import Joint, JointType, Rig
 from animtool.scene.solves.start import rest_take
 
@@ -225,3 +226,40 @@ def test_spans_say_which_frames_a_file_is_about(tmp_path: Path) -> None:
     goal = "- {effector: leg_l, position: [0.1, 0.3, 0.1], during: [[3, 9], [14, 26]]}"
     clock = tracks_of(tmp_path, goal).clock
     assert clock == Clock(Fraction(24), Fraction(3), Fraction(1), 24)
+
+
+def bent_arm(bend: float) -> FreeEffector:
+    """Return bones of 0.3 m and 0.25 m, bent by degrees, whose tip is along x."""
+    rig, angle = straight_arm(JointType.PIN), np.radians(bend)
+    turns = np.tile(so3.IDENTITY, (1, 3, 1))
+    tip = np.arctan2(0.25 * np.sin(angle), 0.3 + 0.25 * np.cos(angle))
+    turns[0, 0] = so3.from_axis_angle([0.0, 0.0, 1.0], -tip)
+    turns[0, 1] = so3.from_axis_angle([0.0, 0.0, 1.0], angle)
+    world = forward(rig, rig.rest_translations[None], turns)
+    return FreeEffector(rig, Goal("wrist", root="shoulder"), world)
+
+
+@pytest.mark.parametrize(
+    ("bend", "straight"),
+    [(0.0, 0.0), (5.0, 0.0), (12.5, 0.5), (20.0, 1.0), (90.0, 1.0)],
+)
+def test_limbs_go_straight_from_20_degrees_and_evenly_up_to_5(
+    bend: float, straight: float
+) -> None:
+    """Half of the way to a quarter turn: as far off as half of the bend between."""
+    free, far = bent_arm(bend), 0.4
+    here = free.place()[0]
+    wanted = np.arccos((far**2 - 0.3**2 - 0.25**2) / (2 * 0.3 * 0.25))
+    middle = (np.radians(bend) + wanted) / 2
+    away = np.sqrt(0.3**2 + 0.25**2 + 2 * 0.3 * 0.25 * np.cos(middle))
+    about = away * np.sqrt(0.5) * np.array([1.0, 1.0, 0.0])
+    there = np.array([0.0, far, 0.0])
+    line = (here + there) / 2
+    found = free.towards(POSITION, there[None], np.array([0.5]))
+    assert_allclose(found[0], about + straight * (line - about), atol=1e-12)
+
+
+def test_a_straight_limb_goes_evenly_beyond_its_reach() -> None:
+    """Of 0.55 m to a metre: three quarters of the way are 0.8875 m."""
+    found = bent_arm(0.0).towards(POSITION, np.array([[1.0, 0, 0]]), np.array([0.75]))
+    assert_allclose(found, [[0.8875, 0, 0]], atol=1e-12)

@@ -14,6 +14,7 @@ from support.suite import examples
 from animtool.ik import Goal, IkMethod, IkOptions, IkStatus, Targets, build, solve
 from animtool.ik.goals import KINDS
 from animtool.ik.two_bone import fits
+from animtool.maths import so3
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.skeleton import JointType, Rig
 
@@ -111,3 +112,33 @@ def test_limbs_leave_out_what_a_frame_does_not_ask_for() -> None:
         problem, start[0], replace(targets, weights=weights), IkOptions(warm=True)
     )
     np.testing.assert_array_equal(warm.coordinates[3], warm.coordinates[2])
+
+
+@pytest.mark.parametrize(
+    ("start", "turn", "side"),
+    [
+        (-30.0, 0, 1),
+        (30.0, 0, 1),
+        (-100.0, 0, -1),
+        (400.0, 360, 1),
+        (-390.0, -360, 1),
+        (-460.0, -360, -1),
+    ],
+)
+def test_an_elbow_bends_to_the_side_and_the_turn_where_it_is(
+    start: float, turn: float, side: int
+) -> None:
+    """It rests bent by 60 degrees: at -60 it is straight, where sides change."""
+    rest = so3.from_axis_angle([0.0, 0.0, 1.0], np.radians(60.0))
+    rig = with_elbow(
+        rotation=tuple(rest.tolist()),
+        axis=(0.0, 0.0, 1.0),
+        limits=RangeLimit(-10.0, 10.0),
+    )
+    far, target = 0.45, Targets([[[0.1, 1.65, 0.0]]])
+    begin = [0.0, 0.0, 0.0, 1.0, np.radians(start)]
+    result = solve(build(rig, [GOAL]), begin, target)
+    # The law of cosines.
+    cosine = (far**2 - 0.32**2 - 0.27**2) / (2 * 0.32 * 0.27)
+    expected = turn + side * np.degrees(np.arccos(cosine)) - 60
+    assert np.degrees(result.coordinates[0, 4]) == pytest.approx(expected)

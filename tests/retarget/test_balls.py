@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,6 +15,7 @@ from animtool import Channel, Rig, Take, open_source
 from animtool.core.array_types import FloatArray
 from animtool.motion.motion import Motion
 from animtool.retarget import map_joints
+from animtool.retarget.balls import _roll, _Shape, _toeless
 from animtool.retarget.motion import Retargeted, retarget_take
 from animtool.retarget.transfer import middle_of_hips
 from animtool.rig.skeleton import Joint
@@ -172,3 +175,44 @@ def test_a_heel_is_no_toe(walk: Take) -> None:
     names = [found.target.roles[j] for j in range(len(rig.joints) + 1)]
     assert names[-1] == ""
     assert names[rig.index("LeftToe")] == "toe_l"
+
+
+def test_a_foot_rolls_over_the_foremost_of_its_toes_in_their_middle() -> None:
+    """The second is 14 cm ahead; in the mean they are 2 cm to the left."""
+    toes = [[0.02, -0.05, 0.10], [-0.02, -0.06, 0.14], [0.06, -0.05, 0.12]]
+    person: Any = SimpleNamespace(
+        positions=np.array([[0.0, 0, 0], *toes]) + np.array([1.0, 0.1, 2.0]),
+        facing=np.eye(3),
+    )
+    assert_allclose(_roll(person, 0, [1, 2, 3]), [0.02, -0.06, 0.14], atol=1e-12)
+    assert_allclose(_roll(person, 0, [3]), toes[2], atol=1e-12)
+    person.facing = None
+    assert_allclose(_roll(person, 0, [1, 3]), [0.04, -0.05, 0.11], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("length", "ball"), [(0.13, 0.13), (0.141, 0.141), (0.142, 0.071), (0.2, 0.1)]
+)
+@pytest.mark.parametrize("size", [1.0, 2.0])
+def test_a_foot_without_toes_ends_as_what_it_is_nearer_to(
+    length: float, ball: float, size: float
+) -> None:
+    """Of another the ball is 10 cm ahead and the tip 20: 14.14 are as far from both."""
+    joints = (
+        Joint("thigh", -1),
+        Joint("shin", 0, translation=(0.0, -0.4, 0.0)),
+        Joint(
+            "foot", 1, translation=(0.0, -0.4, 0.0), tips=((0.0, 0.0, size * length),)
+        ),
+    )
+    person: Any = SimpleNamespace(
+        rig=Rig("leg", joints),
+        positions=np.array([[0.0, 0.8, 0], [0, 0.4, 0], [0, 0, 0]]),
+        turns=np.tile([0.0, 0, 0, 1], (3, 1)),
+        roles=["thigh_l", "shin_l", "foot_l"],
+        facing=np.eye(3),
+        leg=lambda _: (0, 1, 2, -1),
+    )
+    other = _Shape(np.array([0.0, 0, 0.1]), np.array([0.0, 0, 0.2]))
+    found = _toeless(person, "l", other, size)
+    assert_allclose(found, [0, 0, size * ball])

@@ -14,7 +14,7 @@ from animtool.formats.bvh.write import write_bvh
 from animtool.maths import so3
 from animtool.motion.motion import Channel, Motion
 from animtool.retarget.anatomy import anatomy
-from animtool.retarget.standing import stands_along
+from animtool.retarget.standing import _moves_over, body_axes, stands_along
 from animtool.scene.sources.open import open_source
 
 TURN = np.array(up_from_up(UpAxis.Z, UpAxis.Y))
@@ -145,3 +145,49 @@ def test_retarget_takes_it_as_it_stands_unless_told(root: Path, lying: Path) -> 
         rig = root / "rigs/biped/biped.rig.yaml"
         done = animtool("retarget", str(lying), "--to", str(rig), *more)
         assert (done.code, done.stderr.count("MAP009")) == (0, count)
+
+
+ROLES = ["hips", "head", "thigh_l", "foot_l", "thigh_r", "foot_r"]
+ROLES += ["upper_arm_l", "hand_l", "upper_arm_r", "hand_r"]
+
+
+def body(trunk: list[float], legs: list[float], arms: list[float]) -> FloatArray:
+    """Return joints ``(1, 10, 3)``: trunk, legs and arms go these ways."""
+    hips, head = np.zeros(3), np.array(trunk)
+    side = np.array([0.0, 0.0, 0.2])
+    places = [hips, head]
+    for start, way in ((hips, legs), (head, arms)):
+        for sign in (1, -1):
+            places += [start + sign * side, start + sign * side + way]
+    return np.array([places])
+
+
+@pytest.mark.parametrize(
+    ("ways", "axis"),
+    [
+        # Upright, head down, on all fours, each way, and sitting on the ground.
+        (([0, 0.6, 0], [0, -0.9, 0], [0, -0.5, 0]), [0, 1, 0]),
+        (([0, -0.6, 0], [0, 0.9, 0], [0, 0.5, 0]), [0, -1, 0]),
+        (([0.6, 0, 0], [0, -0.9, 0], [0, -0.5, 0]), [0, 1, 0]),
+        (([0.6, 0, 0], [0, 0.9, 0], [0, 0.5, 0]), [0, -1, 0]),
+        (([0, 0.6, 0], [0.9, 0, 0], [0, -0.5, 0]), [0, 0, 0]),
+    ],
+)
+def test_a_body_points_away_from_what_it_stands_on(
+    ways: tuple[list[float], list[float], list[float]], axis: list[float]
+) -> None:
+    np.testing.assert_allclose(body_axes(ROLES, body(*ways)), [axis], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("far", "high", "walks"),
+    [(1.3, 0.3, True), (1.1, 0.3, False), (1.3, 0.6, False), (1.3, 0.49, True)],
+)
+def test_who_walks_goes_far_and_hardly_up_and_down(
+    far: float, high: float, walks: bool
+) -> None:
+    """Of 2 m it goes over 1.2 m across, and less than 0.5 m along its own axis."""
+    tall = np.array([[0.0, 0, 0], [0.0, 0, 2.0]])
+    path = np.linspace([0.0, 0, 0], [0.0, far, high], 9)
+    found = _moves_over(path[:, None] + tall, UpAxis.Z, UpAxis.Y)
+    assert found == walks

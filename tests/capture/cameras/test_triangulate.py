@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.stage import changed, observed, ring, walkers
+from support.stage import changed, look_at, observed, ring, walkers
 
 from animtool import _kernels
 from animtool.capture.cameras import (
@@ -350,3 +350,24 @@ def test_the_kernel_checks_its_arguments() -> None:
     ):
         with pytest.raises(ValueError, match=r"cameras|active|noise|gate|cond|conf"):
             _kernels.triangulate_points(**{**good, name: value})
+
+
+@pytest.mark.parametrize(("share", "known"), [(0.95, True), (1.05, False)])
+@pytest.mark.parametrize("angle", [3.0, 20.0])
+def test_the_least_angle_is_that_of_two_rays(
+    angle: float, share: float, known: bool
+) -> None:
+    """Two cameras 5 m from a point, seen from it at an angle [degrees]."""
+    half = np.radians(angle) / 2
+    places = [5 * np.array([np.sin(a), 0.0, np.cos(a)]) for a in (half, -half)]
+    pair = Cameras(
+        tuple(look_at(p, np.zeros(3), f"c{i}") for i, p in enumerate(places))
+    )
+    point = np.zeros((3, 1, 3))
+    # Of another all of it is known, so that something is found.
+    far = np.tile([0.0, 0.0, 4.0], (3, 1, 1))
+    seen = observed(pair, np.concatenate([point, far], axis=1), noise=0.0)
+    options = TriangulateOptions(noise=1.0, min_angle=np.radians(angle) * share)
+    found = triangulate(seen, pair, options).markers.positions
+    assert np.isfinite(found[:, 0]).all() == known
+    assert np.isfinite(found[:, 1]).all()

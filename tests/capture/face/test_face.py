@@ -305,3 +305,39 @@ def test_landmarks_that_count_little_say_nothing_of_the_fit() -> None:
     model, weights = made_face(), made_weights(6)
     fit = fit_face(model, placed(model.points(weights)), 60)
     assert replace(fit, shares=np.zeros_like(fit.shares)).rms == 0
+
+
+def test_a_head_stays_where_it_is_before_and_behind_what_is_seen() -> None:
+    """Within a gap it goes evenly from one pose to the other, by 30 degrees a frame."""
+    usable = np.array([0, 0, 1, 0, 0, 1, 1, 0, 0], np.bool_)
+    angles = np.array([7.0, 7, 10, 7, 7, 100, 110, 7, 7])
+    poses = np.zeros((9, 7))
+    poses[:, :4] = from_axis_angle(np.array([0.0, 1.0, 0.0]), np.radians(angles))
+    poses[:, 4] = [9, 9, 1, 9, 9, 2.5, 2.75, 9, 9]
+    turns, shifts = solving._bridged(poses, usable)
+    assert_allclose(shifts[:, 0], [1, 1, 1, 1.5, 2, 2.5, 2.75, 2.75, 2.75])
+    expected = np.array([10.0, 10, 10, 40, 70, 100, 110, 110, 110])
+    assert_allclose(np.degrees(2 * np.arctan2(turns[:, 1], turns[:, 3])), expected)
+
+
+def test_every_frame_is_that_of_one_window_with_frames_on_either_side(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Windows of 40 frames, and 32 more before and behind that the take has."""
+    model, spans = made_face(), []
+
+    def window(_: object, frames: slice) -> tuple[FloatArray | int | float, ...]:
+        spans.append((frames.start, frames.stop))
+        numbers = np.arange(frames.start, frames.stop, dtype=float)[:, None]
+        blank = np.ones((1, LANDMARKS))
+        poses = numbers * np.array([0, 0, 0, 0, 1.0, 1, 1])
+        poses[:, 3] = 1.0
+        weights = numbers * np.ones((1, SHAPES))
+        return weights, poses, numbers * blank, numbers * blank, 3, 0.1
+
+    monkeypatch.setattr(solving, "WINDOW", 40)
+    monkeypatch.setattr(solving._Fit, "_window", window)
+    fit = fit_face(model, placed(model.points(made_weights(90))), 60)
+    assert spans == [(0, 72), (8, 90), (48, 90)]
+    for found in (fit.weights, fit.translations, fit.residuals, fit.shares):
+        assert_array_equal(found[:, 0], np.arange(90.0))

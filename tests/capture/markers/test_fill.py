@@ -152,3 +152,12 @@ def test_a_wild_sample_that_is_kept_keeps_numbers_finite(size: float) -> None:
     others = np.delete(filled.positions, 2, axis=1)
     assert np.abs(others).max() < 5.0
     assert np.isfinite(filled.positions).all()
+
+
+@pytest.mark.parametrize(("length", "left"), [(5, 0), (6, 0), (7, 7)])
+def test_the_longest_gap_is_filled_and_no_longer_one(length: int, left: int) -> None:
+    """At 120 frames a second 50 ms are 6 frames."""
+    positions = paths()
+    positions[100 : 100 + length, 2] = np.nan
+    _, report = fill(made(positions), FillOptions(longest=0.05))
+    assert (report.left, bool(report.gaps[0].method)) == (left, left == 0)

@@ -15,10 +15,13 @@ from support.simulated import Array, Point, Simulator
 from animtool import BakeOptions, _kernels
 from animtool.core.errors import AnimtoolError, ToleranceError
 from animtool.motion.frames import MeshFrame
+from animtool.scene.systems.simulation import open_systems
 from animtool.sim.colliders import Box, Collider, Colliders, Plane, Poses, Sphere
 from animtool.sim.colliders.shapes import bounds
 from animtool.systems.fluid.filling import coarse_drops
+from animtool.systems.fluid.fluid import Fluid, Pressed
 from animtool.systems.fluid.spec import FluidModel
+from animtool.systems.run import SimulationRun
 
 FRAMES = (np.arange(13) / 24).tolist()
 TANK = {
@@ -488,3 +491,43 @@ def test_a_drop_of_too_few_particles_says_so(radius: float, codes: list[str]) ->
         finer = float(str(fault.hint).removeprefix("spacing: "))
         finely = spec.model_copy(update={"spacing": finer})
         assert not list(coarse_drops(finely, [{"shape": Sphere(radius)}]))
+
+
+@pytest.mark.parametrize(
+    ("found", "doublings", "codes"),
+    [
+        ([0.0199], 0, []),
+        ([0.021, 0.0105], 1, []),
+        ([0.08, 0.04, 0.0199], 2, []),
+        ([0.03, 0.023, 0.0225], 1, ["SIM137"]),  # the third is hardly any better
+        ([0.021, 0.0209], 0, ["SIM137"]),
+    ],
+)
+def test_parts_are_doubled_beyond_the_density_that_is_allowed(
+    simulator: Simulator,
+    monkeypatch: pytest.MonkeyPatch,
+    found: list[float],
+    doublings: int,
+    codes: list[str],
+) -> None:
+    """Where 2 % are, as long as it becomes less dense by a fifth each time."""
+    systems = fluid(compression=0.02, colliders=[])
+    (run,) = open_systems(simulator.scene(systems).systems, 10.0)
+    assert isinstance(run, SimulationRun)
+    own = run.simulation
+    assert isinstance(own, Fluid)
+    state, asked = own.initial(), list[tuple[float, int]]()
+
+    def steps(*given: Any) -> Pressed:
+        asked.append(given[-2:])
+        dense = found[len(asked) - 1]
+        return Pressed(state.motion, state.pressures, dense, ())
+
+    monkeypatch.setattr(own, "_kernel", steps)
+    after, _ = own._pressed(state, 0.0, 0.01, np.zeros_like(state.motion[0]))
+    assert len(asked) == len(found)
+    sound, parts = asked[0]
+    assert asked == [(sound * 2**k, parts * 2**k) for k in range(len(found))]
+    assert (after.sound, after.parts) == asked[doublings]
+    assert after.compression == found[doublings]
+    assert [fault.code for fault in own._notices if fault.code == "SIM137"] == codes

@@ -16,9 +16,10 @@ from support.suite import nightly
 from animtool.core.errors import AnimtoolError, ToleranceError
 from animtool.scene.systems.simulation import open_systems
 from animtool.sim.colliders import Poses
-from animtool.systems.molecules.atoms import BOLTZMANN, COULOMB
+from animtool.systems.molecules.atoms import BOLTZMANN, COULOMB, Atoms, Box, mixed
 from animtool.systems.molecules.molecules import (
     MEGAPASCALS,
+    Interactions,
     Molecules,
     MoleculeState,
     bath_factor,
@@ -291,3 +292,69 @@ def test_a_step_that_is_too_long_stops_with_one_that_is_not(
     assert fault.hint is not None
     step = float(fault.hint.split("step: ")[1])
     assert 1e-3 < step < 0.03
+
+
+def test_two_kinds_act_by_the_mean_sigma_and_the_geometric_mean_epsilon() -> None:
+    """Lorentz and Berthelot: sigma is 0.35 nm of 0.3 and 0.4, epsilon 2 of 1 and 4."""
+    kinds = [
+        {"name": "a", "sigma": 0.3, "epsilon": 1.0, "count": 1},
+        {"name": "b", "sigma": 0.4, "epsilon": 4.0, "count": 1},
+    ]
+    spec = MoleculesModel(
+        name="it", species=kinds, box=[4, 4, 4], cutoff=1.5, step=0.01
+    )
+    c12, c6 = np.moveaxis(mixed(spec), -1, 0)
+    assert_allclose(c6 / c12, np.array([[0.3, 0.35], [0.35, 0.4]]) ** -6.0)
+    assert_allclose(c6**2 / (4 * c12), [[1, 2], [2, 4]])
+    # At the sixth root of 2 of sigma they rest, and that far down.
+    placing = Box(spec)
+    for (i, j), depth in (((0, 0), 1.0), ((0, 1), 2.0), ((1, 1), 4.0)):
+        near = 2 ** (1 / 6) * (kinds[i]["sigma"] + kinds[j]["sigma"]) / 2
+        atoms = Atoms(
+            np.array([[2.0, 2, 2], [2, 2 + near, 2]]),
+            np.zeros((2, 3)),
+            np.ones(2),
+            np.array([i, j], np.int32),
+            np.zeros(2),
+            np.ones(2),
+        )
+        acting = Interactions(spec, atoms, placing).acting(atoms.points, atoms.points)
+        assert acting.energies.sum() == pytest.approx(-depth)
+        assert_allclose(acting.forces, 0, atol=1e-9)
+
+
+def test_atoms_of_unequal_mass_are_as_warm_and_rest_as_a_whole() -> None:
+    """Maxwell: squares of speeds go with 1/m, so that each kind has one temperature."""
+    kinds = [{**ARGON, "mass": 4.0}, {**ARGON, "name": "heavy", "mass": 400.0}]
+    spec = MoleculesModel(
+        name="it", species=kinds, box=[4, 4, 4], step=0.001, temperature=120
+    )
+    atoms = Atoms.of(spec, [{}, {}], Box(spec))
+    m, v = atoms.masses, atoms.velocities
+    assert np.abs(m @ v).max() < 1e-10 * (m @ np.abs(v)).max()
+    twice = m * (v**2).sum(axis=1)
+    # Three of the degrees of freedom are those of the whole.
+    assert twice.sum() / ((3 * 512 - 3) * BOLTZMANN) == pytest.approx(120)
+    for kind in (0, 1):
+        own = twice[atoms.kinds == kind].mean() / (3 * BOLTZMANN)
+        assert own == pytest.approx(120, rel=0.1)
+
+
+def test_what_is_reported_of_a_few_atoms_leaves_out_the_whole() -> None:
+    """The mean of kinetic energy is over 3 N - 3 degrees of freedom, here 9."""
+    few = {**ARGON, "count": 4, "mass": 20.0, "radius": 0.7}
+    made = molecules(species=[few], temperature=90, scale=0.5)
+    state = made.initial()
+    values = made.values(state, 0.0)
+    assert values["temperature"] == pytest.approx(90)
+    assert values["kinetic_energy"] == pytest.approx(4.5 * BOLTZMANN * 90)
+    # Of each alone it is over three.
+    squares = (state.motion[1] ** 2).sum(axis=1)
+    found = made._quantities(state, 0.0)
+    own = 20 * squares / (3 * BOLTZMANN)
+    assert_allclose(found["temperature"](), own)
+    assert own.mean() == pytest.approx(90 * 9 / 12)
+    assert_allclose(made.atoms.radii, 0.7)
+    # Half of sigma, as large as a nanometre is shown.
+    made = molecules(species=[{**ARGON, "count": 4}], scale=0.5)
+    assert_allclose(made.atoms.radii, 0.3405 / 2 * 0.5)

@@ -13,8 +13,14 @@ from support.simulated import Simulator
 
 from animtool.core.errors import AnimtoolError, ToleranceError
 from animtool.scene.systems.simulation import open_systems
-from animtool.systems.nbody.galaxies import Profile, build_galaxy
-from animtool.systems.nbody.spec import GalaxyModel
+from animtool.systems.nbody.galaxies import (
+    Profile,
+    build_galaxy,
+    disc_velocities,
+    enclosed,
+    on_orbit,
+)
+from animtool.systems.nbody.spec import EncounterModel, GalaxyModel
 from animtool.systems.run import Reached, SimulationRun
 
 DISC = {"count": 700, "mass": 1, "radius": 1, "cutoff": 4}
@@ -204,3 +210,90 @@ def test_a_step_that_is_too_long_stops_with_one_that_is_not(
     assert fault.hint is not None
     step = float(fault.hint.split("step: ")[1])
     assert 1e-4 < step < 0.1
+
+
+def test_a_galaxy_is_where_its_centre_of_mass_is() -> None:
+    """A nucleus as heavy as all the rest is half of it, however few bodies it is."""
+    galaxy = GalaxyModel.model_validate(
+        {
+            "name": "it",
+            "nucleus": 3,
+            "disc": {**DISC, "mass": 3, "count": 40},
+            "seed": 1,
+        }
+    )
+    made = build_galaxy(galaxy, 2.0, 0.05)
+    assert made.masses[0] == pytest.approx(made.masses[1:].sum())
+    for each in (made.points, made.velocities):
+        assert_allclose(made.masses @ each, 0, atol=1e-12)
+        assert_allclose(each[0], -each[1:].mean(axis=0), atol=1e-12)
+        assert np.abs(each[0]).max() > 1e-3
+
+
+def profile_of(softening: float = 0.0, **parts: Any) -> Profile:
+    galaxy = GalaxyModel.model_validate({"name": "it", "nucleus": 0, **parts})
+    return Profile(galaxy, 2.0, softening)
+
+
+def test_spheroids_have_the_mass_and_the_dispersion_of_their_profile() -> None:
+    """Plummer: G M / (6 √(r² + a²)) is the square of its dispersion (1911).
+
+    Hernquist: of its mass a quarter is within a.
+    """
+    plummer = {
+        "mass": 3,
+        "radius": 0.5,
+        "cutoff": 100,
+        "profile": "plummer",
+        "count": 9,
+    }
+    own = profile_of(halo=plummer)
+    r = np.array([0.1, 0.5, 1.0, 2.0])
+    found = np.interp(r, own.r, own.dispersion(own.galaxy.halo))
+    assert_allclose(found**2, 2 * 3 / (6 * np.sqrt(r**2 + 0.25)), rtol=0.01)
+    # Its potential is that of a point, seen over a softening of a.
+    escape = np.interp(r, own.r, own.escape)
+    assert_allclose(escape**2, 2 * 2 * 3 / np.sqrt(r**2 + 0.25), rtol=0.01)
+    hernquist = {
+        "mass": 3,
+        "radius": 0.5,
+        "cutoff": 100,
+        "profile": "hernquist",
+        "count": 9,
+    }
+    own = profile_of(halo=hernquist)
+    found = enclosed(own.galaxy.halo, np.array([0.5, 1.5, 1e9]))
+    whole = (100 / 101) ** 2  # of an endless one that is within the cut-off
+    assert_allclose(found, [0.75 / whole, 1.6875 / whole, 3.0])
+
+
+def test_a_light_disc_about_a_point_swings_as_planets_do() -> None:
+    """Kepler: it goes out and in as often as around, with half the spread around."""
+    light = {"mass": 1e-6, "radius": 1, "cutoff": 5, "thickness": 0.1, "count": 10}
+    own = profile_of(nucleus=3.0, disc=light | {"stability": 1.5})
+    disc = own.galaxy.disc
+    radial, around, upward, mean = disc_velocities(disc, own)
+    r = np.array([0.5, 1.0, 2.0])
+    rows = [np.interp(r, own.r, each) for each in (radial, around, upward, mean)]
+    surface = 1e-6 / (2 * np.pi) * np.exp(-r) / (1 - 6 * np.exp(-5))
+    assert_allclose(rows[0], 1.5 * 3.36 * 2 * surface / np.sqrt(6 / r**3), rtol=1e-3)
+    assert_allclose(rows[1], rows[0] / 2, rtol=1e-3)
+    assert_allclose(rows[2], np.sqrt(np.pi * 2 * surface * 0.1), rtol=1e-3)
+    assert_allclose(rows[3], np.sqrt(6 / r), rtol=1e-3)
+
+
+def test_two_of_unequal_mass_meet_about_their_centre_of_mass() -> None:
+    """Parabolas of 3 and 1: the light one is three times as far, and as fast."""
+    orbit = EncounterModel(
+        pericentre=0.5, eccentricity=1.0, separation=4.0, at=[1.0, 2.0, 3.0]
+    )
+    (x, v), (y, w) = on_orbit(orbit, [3.0, 1.0], 2.0)
+    at = np.array([1.0, 2.0, 3.0])
+    assert_allclose(3 * (x - at) + (y - at), 0, atol=1e-12)
+    assert_allclose(3 * v + w, 0, atol=1e-12)
+    assert np.linalg.norm(y - x) == pytest.approx(4.0)
+    # Without energy, with the angular momentum of its pericentre, and coming in.
+    assert (w - v) @ (w - v) == pytest.approx(2 * 2 * 4 / 4.0)
+    turning = np.linalg.norm(np.cross(y - x, w - v))
+    assert turning == pytest.approx(np.sqrt(2 * 2 * 4 * 0.5))
+    assert (y - x) @ (w - v) < 0

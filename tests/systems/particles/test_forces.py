@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -202,3 +204,58 @@ def test_all_faults_of_forces_are_said_at_once() -> None:
     where = [fault.where for fault in error.value.faults]
     assert {fault.code for fault in error.value.faults} == {"SIM022"}
     assert {f"{name}[{i}]" for i, (name, _) in enumerate(wrong)} == set(where)
+
+
+def test_drag_grows_with_twice_the_speed_by_its_square() -> None:
+    """The steepest of (0.1 + 0.2 v) v is 0.1 + 0.4 v, here of the faster of two."""
+    v = np.array([[3.0, 4.0, 0.0], [1.0, 0.0, 0.0]])
+    drag = find_force("drag")(linear=0.1, quadratic=0.2)
+    assert drag.damping(v, some(2)) == pytest.approx(2.1)
+    assert_allclose(drag.force(0.0, 0 * v, v, some(2)), [[-3.3, -4.4, 0], [-0.3, 0, 0]])
+
+
+def test_forces_of_one_particle_in_numbers() -> None:
+    """Of 2 kg, a radius of 0.1 m, at (3, 4, 0) m and born there a second ago."""
+    one = replace(some(1), masses=np.array([2.0]), births=np.array([1.0]))
+    x, v = np.array([[3.0, 4.0, 0.0]]), np.array([[0.0, 2.0, 0.0]])
+    brake = 2.0 * 3.0 / np.hypot(2.0, 1.5)
+    for name, options, expected in (
+        ("viscosity", {"viscosity": 0.5}, [0, -0.6 * np.pi, 0]),
+        ("wind", {"velocity": (1, 0, 2), "drag": 0.5}, [0.5, -1, 1]),
+        ("friction", {"deceleration": 3.0, "smooth": 1.5}, [0, -brake * 2, 0]),
+        (
+            "central",
+            {"strength": 50.0, "softening": 0.0, "power": 1.0},
+            [-300, -400, 0],
+        ),
+        ("central", {"strength": 50.0, "softening": 1e-9}, [-2.4, -3.2, 0]),
+        ("spring", {"anchor": (0, 0, 0), "k": 2, "rest": 1, "kd": 0.5}, None),
+        ("propulsion", {"thrust": 7.0, "direction": (0, 0, 3)}, [0, 0, 7]),
+        ("propulsion", {"thrust": -7.0}, [0, -7, 0]),
+        ("uniform", {"push": (1, 2, 3)}, [1, 2, 3]),
+    ):
+        found = find_force(name)(**options).force(2.0, x, v, one)
+        # 2 N/m by 4 m, and 0.5 kg/s by the 1.6 m/s along the spring.
+        along = -(8 + 0.5 * 1.6) * np.array([0.6, 0.8, 0])
+        assert_allclose(found[0], along if expected is None else expected, atol=1e-9)
+
+
+@pytest.mark.parametrize(("t", "burns"), [(1.0, 1), (2.5, 1), (2.6, 0)])
+def test_a_thrust_lasts_from_birth_on(t: float, burns: int) -> None:
+    one = replace(some(1), births=np.array([1.0]))
+    thrust = find_force("propulsion")(thrust=2.0, direction=(1, 0, 0), duration=1.5)
+    found = thrust.force(t, np.zeros((1, 3)), np.ones((1, 3)), one)
+    assert_allclose(found, [[2.0 * burns, 0, 0]])
+
+
+@pytest.mark.parametrize(
+    ("power", "energy"), [(-2.0, 1 - 1 / 3), (-1.0, np.log(3)), (0.0, 2), (1.0, 4)]
+)
+def test_the_energy_of_a_centre_is_the_work_against_it(
+    power: float, energy: float
+) -> None:
+    """Of 2 kg from 1 m to 3 m, against 5 m/s² at a metre."""
+    force = find_force("central")(strength=5.0, power=power, softening=1e-9)
+    two = replace(some(2), masses=np.array([2.0, 2.0]))
+    near, far = force.potential(np.array([[0.0, 1, 0], [3, 0, 0]]), two)
+    assert far - near == pytest.approx(2 * 5 * energy)

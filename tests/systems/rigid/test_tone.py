@@ -23,7 +23,7 @@ from animtool.sim.colliders import Collider as Obstacle
 from animtool.sim.colliders.on_joints import Capsules
 from animtool.systems.rigid.ragdoll import RagdollOptions
 from animtool.systems.rigid.take_pass import ragdoll
-from animtool.systems.rigid.tone import GRAVITY, SHARE, passive, with_digits
+from animtool.systems.rigid.tone import GRAVITY, RATIO, SHARE, passive, with_digits
 
 BONE = 0.04
 
@@ -114,6 +114,8 @@ def test_tone_goes_with_the_weight_that_hangs_on_a_joint() -> None:
     found = passive(above, masses, centres, pivots)
     assert_allclose(found[2, 0], SHARE * 1.0 * GRAVITY * 0.5)
     assert_allclose(found[1, 0], SHARE * 4.0 * GRAVITY * (0.75 - 0.25))
+    # Of a spring that turns 4 kg on an arm of half a metre, about a kg m².
+    assert_allclose(found[1, 1], 2 * RATIO * np.sqrt(found[1, 0] * 4 * 0.5**2))
 
 
 @pytest.mark.parametrize("tone", [3.0, 12.0])

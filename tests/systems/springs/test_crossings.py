@@ -137,3 +137,10 @@ def test_radius_and_stretch_count() -> None:
     (notice,) = thin_notices("sail", rod, 0.0, 0.019, 0.1)
     assert notice.code == "SIM195"
     assert thin_notices("sail", rod, 0.001, 0.019, 0.1) == []
+
+
+@pytest.mark.parametrize(("gap", "count"), [(0.027, 0), (0.029, 1)])
+def test_particles_keep_their_radius_on_either_side(gap: float, count: int) -> None:
+    """A rod of 20 mm is kept off by 4 mm twice: gaps of 28 mm are wide enough."""
+    rod = [Collider(Capsule(0.01, 1.0))]
+    assert len(thin_notices("sail", rod, 0.004, gap, 0.0)) == count

@@ -82,3 +82,14 @@ def test_what_hardly_moves_loses_nothing() -> None:
     losses.look(1, Energy(0.0, 0.0))
     assert losses.share == 0.0
     assert np.isfinite(losses.share)
+
+
+@pytest.mark.parametrize(("kinetic", "share"), [(0.9e-6, 0.0), (1.5e-6, 0.2)])
+def test_what_goes_slower_than_a_millimetre_a_second_rests(
+    kinetic: float, share: float
+) -> None:
+    """Of 2 kg that is a millionth of a joule."""
+    losses = Losses(mass=2.0)
+    losses.look(0.0, Energy(0.0, 1.0))
+    losses.look(1.0, Energy(kinetic, 1.0 - 1.2 * kinetic))
+    assert losses.share == pytest.approx(share, rel=1e-6)

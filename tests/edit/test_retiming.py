@@ -1,0 +1,90 @@
+"""Ranges and speeds in numbers: ends of a range, between two frames, pivots."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from support.small_takes import small
+
+from animtool.edit.combine import other_frames
+from animtool.edit.retiming import TrimOptions, _trimmed, time_scale, trim
+from animtool.motion.motion import Channel
+from animtool.motion.passes import PassContext
+from animtool.motion.take import Take, TakeStream
+
+
+def numbered(frames: int) -> Take:
+    """Return a take from frame 1 on, whose root is at x = 0, 1, 2, ..."""
+    take = small(frames)
+    places = take.motion.translations.dense()
+    places[:, 0, 0] = np.arange(frames)
+    motion = replace(take.motion, translations=Channel.from_dense(places))
+    return replace(take, motion=motion)
+
+
+def shown(take: Take) -> list[float]:
+    return take.motion.translations.dense()[:, 0, 0].round(9).tolist()
+
+
+@pytest.mark.parametrize(
+    ("first", "last", "alone", "in_shot"),
+    [
+        (3.0, 5.0, [2, 3, 4], [2, 3, 4]),
+        (2.5, 4.5, [2, 3], [1, 2, 3, 4]),
+        (2.9999999, 5.0000001, [2, 3, 4], [2, 3, 4]),
+        (None, 1.0, [0], [0]),
+        (8.0, None, [7], [7]),
+    ],
+)
+def test_ends_between_two_frames_are_within_and_of_a_shot_without(
+    first: float | None, last: float | None, alone: list[int], in_shot: list[int]
+) -> None:
+    """A shot shows what is between the frames on either side of its ends."""
+    take, options = numbered(8), TrimOptions(first, last)
+    found = trim(take, first, last)
+    assert shown(found) == alone
+    assert found.clock.start == alone[0] + 1
+    context = PassContext(lambda _: take, Path(), in_shot=True)
+    found = _trimmed(TakeStream.of(take), options, context).collect()
+    assert shown(found) == in_shot
+    assert found.clock.start == in_shot[0] + 1
+
+
+@pytest.mark.parametrize(
+    ("speed", "pivot", "start", "places"),
+    [
+        (2.0, None, 1, [0, 2, 4]),
+        (2.0, 3.0, 2, [0, 2, 4]),
+        (0.5, 3.0, -1, [0, 0.5, 1, 1.5, 2, 2.5, 3, 3.5, 4]),
+        (-1.0, 3.0, 1, [4, 3, 2, 1, 0]),
+        (-0.5, 1.0, -7, [4, 3.5, 3, 2.5, 2, 1.5, 1, 0.5, 0]),
+        (1.5, 2.0, 2, [1, 2.5, 4]),
+    ],
+)
+def test_a_speed_is_about_a_pivot(
+    speed: float, pivot: float | None, start: int, places: list[float]
+) -> None:
+    """Time t shows pivot + (t - pivot) speed: of frames 1 to 5."""
+    found = time_scale(numbered(5), speed, pivot)
+    assert found.clock.start == start
+    assert shown(found) == places
+
+
+def test_another_take_runs_at_its_own_rate_and_begins_later() -> None:
+    """At 30 a second, seen at 60 and at 20, and late by three frames of these."""
+    take = numbered(5)
+    for rate, delay, expected in (
+        (60, 0, [0, 0.5, 1, 1.5, 2]),
+        (20, 0, [0, 1.5, 3, 4, 4]),
+        (60, 3, [0, 0, 0, 0, 0.5]),
+        (20, -1, [1.5, 3, 4, 4, 4]),
+    ):
+        found = other_frames(take, Fraction(rate), 0, 5, Fraction(delay))
+        assert_allclose(found.translations.dense()[:, 0, 0], expected)
+    found = other_frames(take, Fraction(60), 2, 3)
+    assert_allclose(found.translations.dense()[:, 0, 0], [1, 1.5, 2])

@@ -1,0 +1,153 @@
+"""What members do by themselves, in numbers: goals, ways, speeds, walls and limits."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from animtool.sim.colliders import Collider, Colliders, Plane, Poses
+from animtool.systems.flocks.members import Members
+from animtool.systems.flocks.rules import rules_of, wrapping
+from animtool.systems.flocks.spec import DomainModel, SpeciesModel
+from animtool.systems.flocks.steering import avoidance, kept_speeds, own_ways, steered
+
+
+def members(*species: dict[str, Any], count: int = 1, goals: int = 0) -> Members:
+    """Return so many members of each species."""
+    models = [
+        SpeciesModel.model_validate({"name": f"s{i}", **one})
+        for i, one in enumerate(species)
+    ]
+    places = {"goals": [{"poses": Poses.fixed((1.0, 0.0, 0.0))}] * goals}
+    ends = (np.arange(len(models)) + 1) * count
+    rows = np.zeros((len(models) * count, 3))
+    return Members(models, [places] * len(models), ends.tolist(), 0.0, rows, rows)
+
+
+def ways(x: list[float], v: list[float], goals: int = 0, **keys: Any) -> np.ndarray:
+    own = members(keys, goals=goals)
+    return own_ways(own, 0.0, np.array([x], float), np.array([v], float))[0]
+
+
+@pytest.mark.parametrize(("speed", "gain"), [(2.0, 3.0), (3.0, 0.0), (5.0, -24.0)])
+def test_they_tend_to_their_cruise_by_the_lack_of_its_square(
+    speed: float, gain: float
+) -> None:
+    """0.3 of (9 - speed²) times the velocity."""
+    found = ways([0, 0, 0], [0, speed, 0], speed={"cruise": 3, "weight": 0.3})
+    assert_allclose(found, [0, gain, 0], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("x", "goal", "pull"),
+    [
+        (6.0, {"weight": 2}, -10.0),
+        (6.0, {"weight": 2, "radius": 2}, -6.0),
+        (2.5, {"weight": 2, "radius": 2}, 0.0),
+        (6.0, {"weight": 2, "radius": 2, "limit": 4}, -4.0),
+        (6.0, {"weight": -1}, 5.0),
+    ],
+)
+def test_a_goal_pulls_by_what_is_beyond_its_radius(
+    x: float, goal: dict[str, float], pull: float
+) -> None:
+    quiet = {"weight": 0}
+    own = members({"speed": quiet, "goals": [{"at": [1, 0, 0], **goal}]}, goals=1)
+    found = own_ways(own, 0.0, np.array([[x, 0.0, 0.0]]), np.zeros((1, 3)))
+    assert_allclose(found, [[pull, 0, 0]], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("x", "target", "more"),
+    [
+        # 2 m ahead of where it is nearest, round the corner and not beyond the end.
+        ([1, 1, 0], [3, 0, 0], {}),
+        ([3, -1, 0], [4, 1, 0], {}),
+        ([5, 2, 0], [4, 3, 0], {}),
+        ([5, 2, 0], [1.6, 1.2, 0], {"closed": True, "ahead": 4}),
+        ([-3, 0, 0], [2, 0, 0], {}),
+    ],
+)
+def test_a_way_is_followed_so_far_ahead(
+    x: list[float], target: list[float], more: dict[str, Any]
+) -> None:
+    path = {"points": [[0, 0, 0], [4, 0, 0], [4, 3, 0]], "weight": 0.5, "ahead": 2}
+    keys = {"speed": {"weight": 0}, "paths": [{**path, **more}]}
+    found = ways(x, [0, 0, 0], **keys)
+    assert_allclose(found, 0.5 * (np.array(target, float) - x), atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("height", "speed", "away"),
+    [
+        (3.1, -3.0, 0.0),
+        (1.6, -3.0, 0.5 * (0.5 * 10 + 9 / 3)),  # 1.5 m left: half as near
+        (1.6, 3.0, 0.5 * 0.5 * 10),
+        (0.7, -4.0, 0.8 * (0.8 * 10 + 16 / 1.2)),
+        (0.1, -1.0, 10 + 1 / 0.2),  # the room is a radius at least
+    ],
+)
+def test_a_wall_stops_who_comes_within_the_room_that_is_left(
+    height: float, speed: float, away: float
+) -> None:
+    """From 3 m on; by the square of its speed over twice the room, beside a push."""
+    own = members({"radius": 0.1, "avoidance": {"distance": 3, "weight": 10}})
+    floor = Colliders([Collider(Plane(), Poses.fixed())])
+    x, v = np.array([[0.0, height, 0.0]]), np.array([[1.0, speed, 0.0]])
+    found = avoidance(own, floor, 0.0, x, v)
+    assert_allclose(found, [[0, away, 0]], atol=1e-9)
+
+
+def test_limits_of_turning_and_acceleration() -> None:
+    """At 2 m/s 90 degrees a second are an acceleration of pi m/s² across."""
+    own = members({"turning": 90})
+    v = np.array([[2.0, 0.0, 0.0]])
+    assert_allclose(steered(own, v, np.array([[5.0, 8, 0]])), [[5, np.pi, 0]])
+    assert_allclose(steered(own, v, np.array([[5.0, 3, 0]])), [[5, 3, 0]])
+    assert_allclose(steered(own, 0 * v, np.array([[5.0, 8, 0]])), [[5, 8, 0]])
+    own = members({"acceleration": 2})
+    assert_allclose(steered(own, v, np.array([[3.0, 0, 4]])), [[1.2, 0, 1.6]])
+
+
+def test_speeds_are_those_of_each_species() -> None:
+    own = members({"speed": {"least": 1, "most": 2}}, {"speed": {"cruise": 2}}, count=2)
+    v = np.array([[0.3, 0.4, 0], [3, 4, 0], [3, 4, 0], [0.3, 0.4, 0]])
+    expected = [[0.6, 0.8, 0], [1.2, 1.6, 0], [2.4, 3.2, 0], [0.3, 0.4, 0]]
+    assert_allclose(kept_speeds(own, v), expected)
+    assert_allclose(kept_speeds(own, 0 * v), 0)
+
+
+def test_rules_are_of_half_the_angle_and_no_farther_than_they_see() -> None:
+    vision = {"radius": 2, "angle": 200, "nearest": 7}
+    keys = {"attraction": {"weight": 1, "radius": 5}, "alignment": {"weight": 2}}
+    repulsion = {"weight": 3, "radius": 0.5, "softening": 0.2}
+    (rule,) = rules_of(members({"vision": vision, **keys, "repulsion": repulsion}))
+    assert rule.cosine == pytest.approx(-np.sin(np.radians(10)))
+    assert (rule.radius, rule.nearest, rule.softening) == (2, 7, 0.2)
+    assert rule.attraction == (1, 2)
+    assert rule.alignment == (2, 2)
+    assert rule.repulsion == (3, 0.5)
+
+
+def test_who_flees_and_who_chases_heeds_the_other_species_alone() -> None:
+    none = {k: {"weight": 0} for k in ("attraction", "alignment", "repulsion")}
+    flees = [{"species": "s1", "weight": 40, "radius": 6}]
+    chases = [{"species": "s0", "weight": 3, "radius": 20}]
+    own = members({**none, "flees": flees}, {**none, "chases": chases}, count=2)
+    away, after = rules_of(own)
+    assert away.members is not None
+    assert away.others is not None
+    assert (away.members.tolist(), away.others.tolist()) == ([0, 1], [2, 3])
+    assert (away.repulsion, away.radius, away.nearest) == ((40, 6), 6, 0)
+    assert after.others is not None
+    assert after.others.tolist() == [0, 1]
+    assert (after.attraction, after.radius, after.nearest) == ((3, 20), 20, 1)
+
+
+def test_a_domain_that_wraps_is_about_its_middle() -> None:
+    domain = DomainModel(at=[1, 5, -2], size=[4, 10, 6], wrap=True)
+    assert_allclose(wrapping(domain), [[-1, 0, -5], [4, 10, 6]])
+    assert not wrapping(DomainModel(size=[4, 10, 6])).any()

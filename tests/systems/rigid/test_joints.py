@@ -1,0 +1,88 @@
+"""Numbers of joints: units of limits and speeds, loads, and joints turned round."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from animtool.maths import so3
+from animtool.sim.colliders import Poses
+from animtool.systems.rigid.joints import (
+    KINDS,
+    Joints,
+    _drive,
+    _limits,
+    joint_loads,
+    placed,
+    turned_round,
+    within,
+)
+from animtool.systems.rigid.spec import RigidJointModel
+
+
+def model(kind: str, **keys: Any) -> RigidJointModel:
+    given = {"type": kind, "body": "a", "at": [0, 0, 0], **keys}
+    return RigidJointModel.model_validate(given)
+
+
+def test_pins_and_balls_are_in_degrees_and_slides_in_metres() -> None:
+    def limits(kind: str, **keys: Any) -> list[float]:
+        return _limits(model(kind, **keys), "it", "joints[0]")
+
+    assert limits("pin", limits=[-90, 180])[:2] == pytest.approx([-np.pi / 2, np.pi])
+    assert limits("prismatic", limits=[-90, 180])[:2] == [-90, 180]
+    found = limits("ball", twist=[-30, 60], swing=[45, 30])
+    assert found == pytest.approx([-np.pi / 6, np.pi / 3, np.pi / 4, np.pi / 6])
+    assert limits("ball", swing=45)[2:] == pytest.approx([np.pi / 4] * 2)
+    assert limits("pin") == [1.0, 0.0, -1.0, -1.0]
+
+
+def test_motors_turn_in_degrees_and_slide_in_metres() -> None:
+    for kind, factor in (("pin", np.pi / 180), ("prismatic", 1.0)):
+        own = _drive(model(kind, drive={"speed": 90, "most": 7}), "joints[0]")
+        assert own[-1] == pytest.approx(90 * factor)
+        assert own[-2] == 7
+        drive = {"target": 30, "stiffness": 5, "damping": 2}
+        own = _drive(model(kind, drive=drive), "joints[0]")
+        assert own[0] == pytest.approx(30 * factor)
+        assert own[5:] == [5, 2, -1, 0]
+
+
+def test_what_is_turned_round_moves_the_other_way() -> None:
+    drive = so3.from_axis_angle(np.array([0.0, 1.0, 0.0]), 0.7)
+    rest = np.array([-0.2, 0.5, 0.3, 0.4, 0.25, *drive, 5.0, 2.0, 7.0, 1.5])
+    found = turned_round(rest)
+    assert_allclose(found[:5], [-0.5, 0.2, 0.3, 0.4, -0.25])
+    assert_allclose(found[5:9], so3.conjugate(drive))
+    assert_allclose(found[9:], [5.0, 2.0, 7.0, -1.5])
+    assert_allclose(turned_round(found), rest)
+    # Without limits the least is above the most, and stays so.
+    rest[:2] = 1.0, 0.0
+    assert_allclose(turned_round(rest)[:2], [1.0, 0.0])
+
+
+def test_loads_are_forces_and_torques_by_what_the_joint_leaves_free() -> None:
+    """What limits hold is along x: a force of a slide, else a torque."""
+    names = ["prismatic", "pin"]
+    rows = np.array([[KINDS[name], -1, 0] for name in names])
+    blank = np.zeros((2, 0))
+    joints = Joints(rows, blank, [Poses()] * 2, breaks=np.full((2, 2), np.inf),
+                    names=names, above=[-1, -1], notices=[],
+                    pairs=np.full((2, 2), -1))  # fmt: skip
+    held = np.zeros((2, 12))
+    held[:, :9] = [1.0, 4.0, 0.0, 0.0, 6.0, 0.0, 5.0, 3.0, 8.0]
+    found = joint_loads(joints, held)
+    assert_allclose(found[0], [5.0, 10.0])  # (1 + 5 - 3, 4), and 6 beside 8
+    assert_allclose(found[1], [np.sqrt(17), np.sqrt(4 + 36 + 64)])
+
+
+def test_frames_are_seen_and_placed_back() -> None:
+    turn = so3.from_axis_angle(np.array([0.0, 0.0, 1.0]), np.pi / 2)
+    pose = np.array([1.0, 2.0, 3.0, *turn])
+    frame = np.array([1.0, 5.0, 3.0, *so3.IDENTITY])
+    seen = within(pose, frame)
+    assert_allclose(seen, [3, 0, 0, *so3.conjugate(turn)], atol=1e-12)
+    assert_allclose(placed(pose, seen), frame, atol=1e-12)
