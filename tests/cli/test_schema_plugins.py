@@ -64,7 +64,7 @@ def test_a_broken_plugin_is_named_and_ends_nothing(
 
 def test_rules_of_plug_ins_are_listed(monkeypatch: pytest.MonkeyPatch) -> None:
     points = [
-        EntryPoint("STU001", "test_rules:GOOD", "animtool.rules"),
+        EntryPoint("STU001", "core.test_rules:GOOD", "animtool.rules"),
         EntryPoint("STU002", "no_such_module:RULE", "animtool.rules"),
     ]
     monkeypatch.setattr(

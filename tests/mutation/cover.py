@@ -228,8 +228,8 @@ class Cover:
 def mirrored(path: str) -> str:
     """Return how the names of tests begin that mirror a module's folder.
 
-    >>> mirrored("animtool/cli/loop.py"), mirrored("animtool/motion/take.py")
-    ('tests/cli/', 'tests/motion/test_take.py')
+    >>> mirrored("animtool/cli/loop.py"), mirrored("animtool/__main__.py")
+    ('tests/cli/', 'tests/test___main__.py')
     """
     folder = Path(path).relative_to("animtool").parent.as_posix()
     return f"tests/test_{Path(path).stem}.py" if folder == "." else f"tests/{folder}/"

@@ -83,7 +83,7 @@ def test_a_bake_asked_to_stop_cleans_up(
     # The child stops itself in the middle of its work, at a place that is known.
     script = (
         "import os, signal, sys\n"
-        "from animtool.usd import layers\n"
+        "from animtool.usd.layers import sdf as layers\n"
         "from animtool.cli.main import run\n"
         "save = layers.save_layer\n"
         "def stop(layer, path):\n"

@@ -59,7 +59,7 @@ def test_coverage_counts_by_package() -> None:
             "elsewhere/c.py": file_report(0, 1),
         }
     }
-    assert floors.by_package(report) == {"animtool": 50.0, "usd": 45.0}
+    assert floors.by_package(report) == {"core": 50.0, "usd": 45.0}
 
 
 def test_what_is_below_its_floor_or_has_none_fails(
