@@ -21,6 +21,8 @@ from animtool.systems.run import Reached
 FORMAT = "animtool-system/1"
 # Whole numbers up to here are the same as floats.
 MAX_STEPS = 2**53
+# The square of a number of a state is held by float64.
+LARGEST = 1e150
 _Arrays = dict[str, npt.NDArray[Any]]
 
 
@@ -140,6 +142,8 @@ class SavedStates:
             sound = np.isfinite(values) if axis is None else ~np.isnan(values)
             if mine.dtype.kind == "f" and not sound.all():
                 raise other(f"{key} holds a value that is not finite")
+            if not _is_in_bounds(values, mine):
+                raise other(f"{key} holds a number that is out of bounds")
             found[key] = values.astype(mine.dtype)
         if len(lengths) > 1:
             rows = listed(sorted(lengths))
@@ -148,6 +152,16 @@ class SavedStates:
             return Reached(int(steps), _restored(start.state, found, marks))
         except TypeError as error:
             raise other(f"its state has {held}: {error}") from error
+
+
+def _is_in_bounds(values: npt.NDArray[Any], like: npt.NDArray[Any]) -> bool:
+    """Return whether a state may hold such numbers: -1 stands for none of a count."""
+    if like.dtype.kind == "f":
+        sizes = np.abs(values[np.isfinite(values)])
+        return bool(sizes.max(initial=0.0) <= LARGEST)
+    if like.ndim or like.dtype.kind not in "iu":
+        return True
+    return -1 <= int(values) <= MAX_STEPS
 
 
 @dataclass(frozen=True, slots=True)

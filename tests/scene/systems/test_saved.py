@@ -199,6 +199,11 @@ STATES = {
     "one too many": ({"state/particles.ids": np.arange(5)}, "4, 5 rows"),
     "other columns": ({"state/state": np.zeros((2, 4, 2))}, "shape (2, 4, 2)"),
     "NaN": ({"state/particles.deaths": np.full(4, np.nan)}, "not finite"),
+    "a count beyond bounds": ({"state/born": np.array(2**60)}, "born"),
+    "a count below none": ({"state/born": np.array(-2)}, "born"),
+    "a speed whose square overflows": (
+        {"state/state": np.full((2, 4, 3), 1e200)}, "out of bounds",
+    ),
     "what another method takes along": (
         {"state/memory.k": np.zeros(4), "state/memory.h": None}, "memory.k",
     ),
