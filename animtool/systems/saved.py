@@ -157,7 +157,9 @@ class SavedStates:
 def _is_in_bounds(values: npt.NDArray[Any], like: npt.NDArray[Any]) -> bool:
     """Return whether a state may hold such numbers: -1 stands for none of a count."""
     if like.dtype.kind == "f":
-        sizes = np.abs(values[np.isfinite(values)])
+        # A file may have them more or less precisely than a state.
+        with np.errstate(over="ignore"):
+            sizes = np.abs(values[np.isfinite(values)].astype(np.float64))
         return bool(sizes.max(initial=0.0) <= LARGEST)
     if like.ndim or like.dtype.kind not in "iu":
         return True

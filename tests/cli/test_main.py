@@ -71,7 +71,7 @@ def test_a_command_left_out_prints_the_help(group: tuple[str, ...]) -> None:
     ("error", "code"),
     [
         (KeyboardInterrupt(), 130),
-        (MemoryError(), 70),
+        (MemoryError(), 3),
         (ZeroDivisionError("oh"), 70),
         (TerminatedError(), 143),
     ],

@@ -201,6 +201,10 @@ STATES = {
     "NaN": ({"state/particles.deaths": np.full(4, np.nan)}, "not finite"),
     "a count beyond bounds": ({"state/born": np.array(2**60)}, "born"),
     "a count below none": ({"state/born": np.array(-2)}, "born"),
+    "a number that float64 does not hold": (
+        {"state/state": np.full((2, 4, 3), np.finfo(np.longdouble).max)},
+        "out of bounds",
+    ),
     "a speed whose square overflows": (
         {"state/state": np.full((2, 4, 3), 1e200)}, "out of bounds",
     ),
