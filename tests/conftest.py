@@ -17,6 +17,10 @@ ROOT = Path(__file__).parents[1]
 # It is read when numpy is imported, here and in the processes that tests start.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+# What numpy warns of would reach the terminal: it is an error in the processes that
+# tests start, too.
+os.environ["PYTHONWARNINGS"] = "error::RuntimeWarning"
+
 # Else every process would compile anew what it imports: those of xdist, and all that
 # tests start.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)

@@ -68,10 +68,10 @@ def channel_lines(report: ConvertReport) -> list[str]:
     return [*lines, f"largest errors of channels: {', '.join(off)}"] if off else lines
 
 
-def convert_json(report: ConvertReport) -> dict[str, object]:
-    """Return the summary of a conversion as plain values."""
+def convert_json(report: ConvertReport, command: str = "convert") -> dict[str, object]:
+    """Return the summary of a conversion, or of what ends in one, as plain values."""
     return {
-        "convert": "animtool/1",
+        command: "animtool/1",
         "output": str(report.output),
         "frames": report.frames,
         "start": float(report.span.first),

@@ -89,6 +89,6 @@ def clean(console: Console, /, source: Path, output: Path, **params: Any) -> Non
 
     console.summary(
         params["report_format"],
-        lambda: convert_json(report),
+        lambda: convert_json(report, "mocap clean"),
         lambda: convert_text(report),
     )

@@ -154,7 +154,7 @@ def face_json(result: FaceResult) -> dict[str, object]:
     rms = np.sqrt(squares.sum(axis=0) / np.maximum(used.sum(axis=0), 1))
     files = [] if result.written is None else result.written.files
     return {
-        "face": "animtool/1",
+        "mocap face": "animtool/1",
         "source": str(result.job.capture),
         "rig": str(result.job.rig),
         "outputs": [str(path) for path in files],

@@ -87,7 +87,7 @@ def fill(
         return made, report
 
     sources = (markers,) if static is None else (markers, static)
-    run_on_markers(console, "fill", sources, output, params, work, _said)
+    run_on_markers(console, "mocap fill", sources, output, params, work, _said)
 
 
 def _said(report: Any) -> list[str]:

@@ -43,7 +43,7 @@ def label(
 
         return run_label(points, trial)
 
-    run_on_markers(console, "label", (cloud, static), output, params, work, _said)
+    run_on_markers(console, "mocap label", (cloud, static), output, params, work, _said)
 
 
 def _said(report: Any) -> list[str]:

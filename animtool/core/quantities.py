@@ -90,6 +90,8 @@ _LENGTHS = (
     (1e-9, 1e-6, "µm"),
     (0.0, 1e-9, "nm"),
 )
+# Of a number that is printed without an exponent.
+MAX_ZEROS = 15
 # Shorter lengths are what rounding in float64 leaves [m].
 MIN_LENGTH = 1e-12
 # Smaller angles are what rounding in float64 leaves [deg].
@@ -111,8 +113,10 @@ def floored(value: float) -> float:
 def plain(value: float, digits: int = 3) -> str:
     """Return a number of so many significant digits, without an exponent.
 
-    >>> plain(1614.2), plain(0.000267), plain(26.2), plain(0.0)
-    ('1610', '0.000267', '26.2', '0')
+    Beyond some fifteen zeros it has one: they are no easier to read.
+
+    >>> plain(1614.2), plain(0.000267), plain(26.2), plain(0.0), plain(5e-324)
+    ('1610', '0.000267', '26.2', '0', '4.94e-324')
     """
     if not math.isfinite(value):
         return f"{value:g}"
@@ -120,6 +124,8 @@ def plain(value: float, digits: int = 3) -> str:
     if "e" not in text:
         return text
     rounded, exponent = float(text), int(text.partition("e")[2])
+    if abs(exponent) > MAX_ZEROS:
+        return text
     decimals = max(0, digits - 1 - exponent)
     text = f"{rounded:.{decimals}f}"
     return text.rstrip("0").rstrip(".") if decimals else text

@@ -21,6 +21,8 @@ from animtool.systems.run import Reached
 FORMAT = "animtool-system/1"
 # Whole numbers up to here are the same as floats.
 MAX_STEPS = 2**53
+# The square of a number of a state is held by float64.
+LARGEST = 1e150
 _Arrays = dict[str, npt.NDArray[Any]]
 
 
@@ -142,8 +144,14 @@ class SavedStates:
                 raise other(f"{message}the scene {mine.dtype} of shape {mine.shape}")
             # Who lives for ever has a death that is infinite.
             sound = np.isfinite(values) if axis is None else ~np.isnan(values)
-            if mine.dtype.kind == "f" and not sound.all():
-                raise other(f"{key} holds a value that is not finite")
+            finite = mine.dtype.kind != "f" or sound.all()
+            if not finite or not _is_in_bounds(values, mine):
+                what = (
+                    "number that is out of bounds"
+                    if finite
+                    else "value that is not finite"
+                )
+                raise other(f"{key} holds a {what}")
             found[key] = values.astype(mine.dtype)
         if len(lengths) > 1:
             rows = listed(sorted(lengths))
@@ -153,6 +161,18 @@ class SavedStates:
             return Reached(int(steps), _restored(start.state, found, marks))
         except TypeError as error:
             raise other(f"its state has {held}: {error}") from error
+
+
+def _is_in_bounds(values: npt.NDArray[Any], like: npt.NDArray[Any]) -> bool:
+    """Return whether a state may hold such numbers: -1 stands for none of a count."""
+    if like.dtype.kind == "f":
+        # A file may have them more or less precisely than a state.
+        with np.errstate(over="ignore"):
+            sizes = np.abs(values[np.isfinite(values)].astype(np.float64))
+        return bool(sizes.max(initial=0.0) <= LARGEST)
+    if like.ndim or like.dtype.kind not in "iu":
+        return True
+    return -1 <= int(values) <= MAX_STEPS
 
 
 @dataclass(frozen=True, slots=True)

@@ -101,6 +101,7 @@ def test_gaps_are_filled_and_listed(tmp_path: Path) -> None:
     assert done.code == 0, done.stderr
     report = json.loads(done.stdout)
     gap = {"marker": "M4", "first": 60, "last": 89, "method": "markers"}
+    assert report["mocap fill"] == "animtool/1"
     assert report["gaps"] == [gap]
     whole = open_markers(output)
     assert whole.seen.all()
@@ -153,8 +154,10 @@ def test_a_skeleton_that_does_not_fit(
 
 def test_points_are_named_by_the_command(tmp_path: Path) -> None:
     source, output = marker_file(tmp_path, "take.trc"), tmp_path / "named.npz"
-    done = animtool("mocap", "label", source, "--static", source, "-o", output)
+    words = ("--static", source, "-o", output, "--format", "json")
+    done = animtool("mocap", "label", source, *words)
     assert done.code == 0, done.stderr
+    assert json.loads(done.stdout)["mocap label"] == "animtool/1"
     assert open_markers(output).names == open_markers(source).names
 
 

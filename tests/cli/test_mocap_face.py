@@ -32,6 +32,7 @@ def test_the_report_says_how_far_shapes_went(landmarks: Path) -> None:
                     "--format", "json")  # fmt: skip
     assert done.code == 0, done.stderr
     report = json.loads(done.stdout)
+    assert report["mocap face"] == "animtool/1"
     assert report["frames"] == 12
     take = open_source(made).collect()
     assert take.motion.weights is not None

@@ -59,7 +59,7 @@ COMMANDS = {
         "retarget", f"retarget {WALK} --to {BIPED} -o {{out}}", stdout=True
     ),
     "loop": Command("loop", f"loop {WALK} -o {{out}}"),
-    "mocap clean": Command("convert", f"mocap clean {WALK} -o {{out}}", ".bvh"),
+    "mocap clean": Command("mocap clean", f"mocap clean {WALK} -o {{out}}", ".bvh"),
     "mocap triangulate": Command(
         "mocap triangulate",
         f"mocap triangulate {CAPTURE} --cameras {CAMERAS} -o {{out}}",
@@ -76,10 +76,10 @@ COMMANDS = {
         quick=False,
     ),
     "mocap fill": Command(
-        "fill", f"mocap fill {CAPTURE} -o {{out}}", ".c3d", quick=False
+        "mocap fill", f"mocap fill {CAPTURE} -o {{out}}", ".c3d", quick=False
     ),
     "mocap label": Command(
-        "label",
+        "mocap label",
         f"mocap label {CAPTURE} --static {CAPTURE} -o {{out}}",
         ".c3d",
         quick=False,
@@ -127,6 +127,7 @@ def test_what_exists_may_be_skipped(
     done = COMMANDS[name].run(there[name], *flags, cwd=project)
     assert done.code == 0, done.stderr
     report = json.loads(done.stdout)
+    assert report[COMMANDS[name].report] == "animtool/1"
     assert report["skipped"] == str(there[name])
     assert sorted(report.values()) == sorted(["animtool/1", str(there[name])])
     assert there[name].read_text() == "mine"

@@ -83,15 +83,15 @@ def test_a_bake_asked_to_stop_cleans_up(
     # The child stops itself in the middle of its work, at a place that is known.
     script = (
         "import os, signal, sys\n"
-        "from animtool.usd.layers import sdf as layers\n"
+        "from animtool.usd.layers import sdf\n"
         "from animtool.cli.main import run\n"
-        "save = layers.save_layer\n"
+        "save = sdf.save_layer\n"
         "def stop(layer, path):\n"
         "    open(path.with_name('.half.tmp'), 'w').close()\n"
         "    os.unlink(path.with_name('.half.tmp'))\n"
         f"    os.kill(os.getpid(), {int(number)})\n"
         "    return save(layer, path)\n"
-        "layers.save_layer = stop\n"
+        "sdf.save_layer = stop\n"
         f"sys.exit(run(['bake', {str(long_take)!r}, '-o', {str(output)!r}]))"
     )
     done = subprocess.run(

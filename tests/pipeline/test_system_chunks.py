@@ -171,7 +171,7 @@ from pathlib import Path
 from animtool import BakeOptions, bake
 from animtool.core.shot import FrameRange
 from animtool.scene.bake.progress import PeakMemory
-from animtool.usd import chunks
+from animtool.usd.layers import chunks
 
 chunks.HELD = 500_000
 scene, folder = Path(sys.argv[1]), Path(sys.argv[2])

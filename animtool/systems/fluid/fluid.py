@@ -116,6 +116,11 @@ class Fluid:
         sound = self._substeps.first_sound(self._start[0], pull)
         return replace(state, sound=sound, energy=self._energy(state)[0])
 
+    def misfit(self, state: FluidState, t: float) -> str:
+        """Return why a state of a file cannot be resumed from; empty where it can."""
+        del t
+        return "" if state.sound >= 0 else "the speed of its sound is below 0"
+
     def step(self, state: FluidState, t: float, dt: float) -> Stepped[FluidState]:
         """Return the fluid a step [s] later, and what it pushed bodies by.
 

@@ -136,7 +136,14 @@ class RigidSimulation(SharedBodies):
         """Return why a state of a file cannot be resumed from; empty where it can."""
         del t
         sizes = np.linalg.norm(np.clip(state.motion[:, 3:7], -2, 2), axis=1)
-        return "" if (sizes > 0.5).all() else "the attitude of a body is no rotation"
+        if not (sizes > 0.5).all():
+            return "the attitude of a body is no rotation"
+        if state.swinging >= len(self.joints.names):
+            return f"there is no joint {state.swinging} that swings"
+        pairs, count = state.deepest_pairs, len(self._shape_names())
+        if pairs.size and not -1 <= pairs.min() <= pairs.max() < count:
+            return f"a shape that was in another is none of {count}"
+        return ""
 
     def step(self, state: RigidState, t: float, dt: float) -> RigidState:
         """Return where bodies are a step [s] later.
@@ -427,9 +434,13 @@ class RigidSimulation(SharedBodies):
 
     def _pair(self, state: RigidState, k: int) -> str:
         """Return what was deepest in each other, ever (0) or where it began (1)."""
+        names = self._shape_names()
+        return " and ".join(excerpt(names[i]) for i in state.deepest_pairs[k])
+
+    def _shape_names(self) -> list[str]:
+        """Return the bodies of shapes, and colliders behind them, by name."""
         bodies, around = self.bodies, self._colliders
         names = [bodies.names[bodies.dynamic[i]] for i in bodies.shapes[1]]
         names += [one.name or f"colliders[{i}]" for i, one in enumerate(around)]
         names += [sheet.name for sheet in around.sheets]
-        names += [one.name for own in around.bodies for one in own.colliders]
-        return " and ".join(excerpt(names[i]) for i in state.deepest_pairs[k])
+        return names + [one.name for own in around.bodies for one in own.colliders]

@@ -97,8 +97,10 @@ def springs_between(
     stiffness = np.full(len(pairs), float(family.stiffness))
     if family.axial_stiffness is not None:
         np.divide(family.axial_stiffness, lengths, out=stiffness, where=lengths > 0)
-    critical = 2 * np.sqrt(stiffness * masses[pairs].mean(axis=1))
-    damping = family.damping + family.ratio * critical
+    # Whoever simulates them refuses what float64 does not hold.
+    with np.errstate(over="ignore", invalid="ignore"):
+        critical = 2 * np.sqrt(stiffness * masses[pairs].mean(axis=1))
+        damping = family.damping + family.ratio * critical
     limit = np.full(len(pairs), np.inf)
     if family.tear is not None:
         with np.errstate(invalid="ignore"):

@@ -49,6 +49,7 @@ class Rest:
     solved: bool
 
 
+@np.errstate(all="ignore")
 def find_rest(
     system: SpringSystem,
     t: float = 0.0,
@@ -161,8 +162,9 @@ class _Place:
             step = splu(whole, **SYMMETRIC).solve(self._forces.ravel()[rows])
         except RuntimeError:
             return None
-        # Up the energy's slope is no way to rest.
-        if not np.isfinite(step).all() or step @ self._forces.ravel()[rows] <= 0:
+        fall = step @ self._forces.ravel()[rows]
+        # Up the energy's slope is no way to rest, nor is what float64 does not hold.
+        if not np.isfinite(step).all() or not 0 < fall < np.inf:
             return None
         x = self.x.copy()
         x.reshape(-1)[rows] += step

@@ -344,6 +344,13 @@ class SpringSystem(SecondOrder):
         """
         x, v = state
         masses = self.free_masses
+        # What float64 does not hold is an infinite energy.
+        with np.errstate(over="ignore", invalid="ignore"):
+            return self._energy_of(t, x, v, masses)
+
+    def _energy_of(
+        self, t: float, x: FloatArray, v: FloatArray, masses: FloatArray
+    ) -> Energy:
         kinetic = 0.5 * float(masses @ np.einsum("nk,nk->n", v, v))
         stage = self._stage(self.jumps.stage(t))
         potential, _ = _kernels.spring_energy(stage.network, np.ascontiguousarray(x))

@@ -147,7 +147,7 @@ def no_influence(subject: MotionSubject) -> Iterator[Fault]:
 # more [rad].
 STILL, ALIVE = 1e-6, math.radians(20.0)
 # Fewer frames are a pose.
-MIN_FRAMES = 2
+SHORTEST = 0.3
 # Share of the frames in which left lies on the right for the two to be swapped [1].
 MOSTLY = 0.9
 # They are judged where hips are above the feet, within 26 degrees, and where this is
@@ -331,7 +331,7 @@ def dead_side(subject: MotionSubject) -> Iterator[Fault]:
     channel = subject.take.motion.rotations
     roots = {*subject.take.rig.roots, *carriers(subject)}
     # Where the root stays put, parts were keyed one by one, and one arm may wave.
-    if subject.frames < MIN_FRAMES or roots.isdisjoint(
+    if (subject.frames - 1) * subject.interval < SHORTEST or roots.isdisjoint(
         [*subject.turning.tolist(), *subject.moving.tolist()]
     ):
         return

@@ -270,3 +270,13 @@ def test_what_a_recording_does_not_hold(write: Write, tmp_path: Path) -> None:
     slow = replace(take, clock=replace(take.clock, fps=Fraction(47, 2)))
     with raises(OptionError, "LLF009"):
         write_livelink(slow, tmp_path / "slow.csv")
+
+
+@pytest.mark.parametrize("value", ["1e300", "-1e19", "1e38"])
+def test_values_that_no_pose_has_are_missing(write: Write, value: str) -> None:
+    """Of weights, and of angles."""
+    text = rows(1, 2, 3).replace("0.02,0.5,0.1", f"{value},0.5,{value}")
+    take, codes = take_of(write(text))
+    assert codes.count("LLF102") == 2
+    assert blinks(take) == [0.01, 0.02, 0.03]
+    assert np.isfinite(take.motion.rotations.values).all()

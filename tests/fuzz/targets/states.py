@@ -18,7 +18,7 @@ from animtool.scene.systems.simulation import open_systems
 from fuzz.arguments import spoiled
 from fuzz.mutations import spoil
 
-ABOUT = "saved states of particles, flocks, ropes, bodies and stars, resumed from"
+ABOUT = "saved states of systems of each kind with a state of its own, resumed from"
 
 KINDS: dict[str, dict[str, Any]] = {
     "particles": {"emitters": [{"rate": 200.0, "speed": 2.0, "lifetime": 1.0}]},
@@ -28,6 +28,12 @@ KINDS: dict[str, dict[str, Any]] = {
     "rigid": {"bodies": [{"name": "b", "shape": {"box": {"size": [1.0, 1.0, 1.0]}}}]},
     "nbody": {"galaxies": [
         {"name": "d", "disc": {"count": 8, "mass": 1, "radius": 1}}]},
+    "fluid": {"fills": [{"at": [0.0, 0.5, 0.0],
+                         "shape": {"box": {"size": [0.4, 0.4, 0.4]}}}], "spacing": 0.1},
+    "crowds": {"goals": [{"name": "gate", "at": [10.0, 0.0, 0.0]}],
+               "populations": [{"name": "p", "count": 4, "route": ["gate"]}]},
+    "molecules": {"species": [{"name": "argon", "count": 20}], "box": [1.8, 1.8, 1.8],
+                  "cutoff": 0.6, "temperature": 80},
 }  # fmt: skip
 FPS, SAVED, LAST = 24, 3, 5
 
@@ -50,6 +56,9 @@ def make(folder: Path) -> Callable[[np.random.Generator], str]:
                     row = system.at((SAVED + frame) / FPS)
                     points = getattr(row, "points", None)
                     assert points is None or np.isfinite(points).all()
+            for system in opened:
+                [str(notice) for notice in system.notices]
+                json.dumps(system.report(), allow_nan=False)
         except AnimtoolError as error:
             return f"{kind} {error.code}"
         return f"{kind} resumed"

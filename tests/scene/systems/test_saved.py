@@ -219,6 +219,15 @@ STATES = {
     "one too many": ({"state/particles.ids": np.arange(5)}, "4, 5 rows"),
     "other columns": ({"state/state": np.zeros((2, 4, 2))}, "shape (2, 4, 2)"),
     "NaN": ({"state/particles.deaths": np.full(4, np.nan)}, "not finite"),
+    "a count beyond bounds": ({"state/born": np.array(2**60)}, "born"),
+    "a count below none": ({"state/born": np.array(-2)}, "born"),
+    "a number that float64 does not hold": (
+        {"state/state": np.full((2, 4, 3), np.finfo(np.longdouble).max)},
+        "out of bounds",
+    ),
+    "a speed whose square overflows": (
+        {"state/state": np.full((2, 4, 3), 1e200)}, "out of bounds",
+    ),
     "what another method takes along": (
         {"state/memory.k": np.zeros(4), "state/memory.h": None}, "memory.k",
     ),
@@ -276,3 +285,29 @@ def test_a_state_that_springs_cannot_go_on_from_is_refused(
         open_systems(Simulator(tmp_path).scene(resumed).systems, 0.5)
     assert error.value.code == "SIM035"
     assert word in error.value.faults[0].message
+
+
+@pytest.mark.parametrize("attitude", [[0, 0, 0, 0], [1e-300, 0, 0, 0]])
+def test_a_state_whose_attitudes_are_no_rotations_is_refused(
+    tmp_path: Path, attitude: list[float]
+) -> None:
+    keys = {
+        "name": "s",
+        "bodies": [{"name": "b", "shape": {"box": {"size": [1, 1, 1]}}}],
+    }
+    (system,) = Simulator(tmp_path).scene([{"rigid": keys}]).systems
+    (body,) = open_systems([system], 0.5)
+    body.at(0.25)
+    reached = clocked(system, body.run), body.run.state
+    path = tmp_path / "half.npz"
+    write_states(path, {"": reached})
+    resumed = [{"rigid": {**keys, "resume": "half.npz"}}]
+    (again,) = open_systems(Simulator(tmp_path).scene(resumed).systems, 0.5)
+    assert again.at(0.25).points.shape == (1, 3)
+    with np.load(path) as found:
+        motion = found["state/motion"].copy()
+    motion[0, 3:7] = attitude
+    other(path, **{"state/motion": motion})
+    with raises(FormatError, "SIM035") as error:
+        open_systems(Simulator(tmp_path).scene(resumed).systems, 0.5)
+    assert error.value.faults[0].path == str(path)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -119,6 +120,18 @@ def test_gone_on_from_the_middle_it_is_the_same(simulator: Simulator) -> None:
     assert isinstance(middle, Reached)
     end = whole.at(0.2)
     again = SimulationRun("it", whole.simulation, 0.0, whole.step_length, middle)
+    assert_array_equal(again.at(0.2).points, end.points)
+
+
+def test_rates_below_0_of_a_state_divide_no_step(simulator: Simulator) -> None:
+    """A file may hold any; a step begins whole, and is divided where two come close."""
+    whole = opened(simulator, galaxies=[{"name": "a", "bulge": {**BULGE, "count": 9}}])
+    whole.at(0.1)
+    middle = whole.state
+    end = whole.at(0.2)
+    pulls = replace(middle.state.pulls, rates=-middle.state.pulls.rates)
+    spoiled = replace(middle, state=replace(middle.state, pulls=pulls))
+    again = SimulationRun("it", whole.simulation, 0.0, whole.step_length, spoiled)
     assert_array_equal(again.at(0.2).points, end.points)
 
 

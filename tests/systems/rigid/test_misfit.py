@@ -19,6 +19,26 @@ from animtool.systems.rigid.simulation import RigidSimulation
 def test_an_attitude_is_a_rotation(attitude: list[float], fits: bool) -> None:
     motion = np.zeros((2, 14))
     motion[:, 3:7] = [0, 0, 0, 1], attitude
-    state = cast(Any, SimpleNamespace(motion=motion))
-    why = RigidSimulation.misfit(cast(Any, None), state, 0.0)
-    assert (why == "") is fits
+    assert (misfit(motion=motion) == "") is fits
+
+
+def misfit(**changes: Any) -> str:
+    """Return why a state of two bodies with a joint does not fit."""
+    motion = np.zeros((2, 14))
+    motion[:, 6] = 1.0
+    whole = {"motion": motion, "swinging": -1, "deepest_pairs": np.full((2, 2), -1)}
+    bodies = SimpleNamespace(names=["a", "b"], joints=SimpleNamespace(names=["hinge"]))
+    bodies._shape_names = lambda: bodies.names
+    state = cast(Any, SimpleNamespace(**whole | changes))
+    return RigidSimulation.misfit(cast(Any, bodies), state, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("changes", "fits"),
+    [({"swinging": 0}, True), ({"swinging": 1}, False),
+     ({"deepest_pairs": np.array([[0, 1], [-1, -1]])}, True),
+     ({"deepest_pairs": np.array([[0, 2], [-1, -1]])}, False),
+     ({"deepest_pairs": np.array([[0, -2], [-1, -1]])}, False)],
+)  # fmt: skip
+def test_what_a_state_names_is_there(changes: dict[str, Any], fits: bool) -> None:
+    assert (misfit(**changes) == "") is fits

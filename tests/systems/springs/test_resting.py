@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from animtool.core.errors import OptionError
 from animtool.systems.springs import (
     Air,
     Family,
@@ -96,3 +97,18 @@ def test_a_rope_of_axial_stiffness_hangs_as_far_down_with_any_number_of_springs(
     whole = 9.81 * (load + mass / 2) * length / axial
     # Weight in lumps: the half of a lump at each end hangs elsewhere.
     assert stretch == pytest.approx(whole, rel=mass / load / count)
+
+
+@pytest.mark.parametrize("mass", [1e17, 1e100])
+def test_forces_beyond_float64_find_no_rest(mass: float) -> None:
+    line = rope([0, 0, 0], [0.3, 0, -1], 4, Family(1e3), mass=mass)
+    rest = find_rest(SpringSystem(line, pins=Pins([0]), gravity=(0, 0, -1e150)))
+    assert not rest.solved
+    assert np.isfinite(rest.positions).all()
+
+
+def test_a_damping_beyond_float64_is_refused() -> None:
+    line = rope([0, 0, 0], [0, 0, -1], 4, Family(1e200), mass=1e150)
+    with pytest.raises(OptionError) as error:
+        SpringSystem(line, pins=Pins([0]))
+    assert {fault.code for fault in error.value.faults} == {"SIM042"}

@@ -1,0 +1,61 @@
+"""What another machine built, against what is seen here."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from animtool.batch.delivery import Delivery
+from animtool.batch.manifest import FileRecord, file_digest
+from animtool.batch.work import Outcome, Status
+from animtool.core.files.reading import FileState
+
+
+def record(path: Path) -> FileRecord:
+    """Return a file as another machine saw it: the same content, another state."""
+    state = FileState.of(path)
+    assert state is not None
+    return FileRecord(str(path), replace(state, inode=7, changed=7), file_digest(path))
+
+
+def test_an_input_that_another_machine_has_otherwise(tmp_path: Path) -> None:
+    path, gone = tmp_path / "a.bvh", tmp_path / "none.bvh"
+    path.write_text("here")
+    delivery = Delivery(tmp_path)
+    absent = FileRecord(str(gone), None)
+    same = Outcome(1, Status.DONE, 0.0, inputs=(record(path), absent))
+    assert delivery.other_inputs(same) == []
+    stale = replace(record(path), sha256="0" * 64)
+    built = Outcome(1, Status.DONE, 0.0, inputs=(stale, replace(stale, path=str(gone))))
+    assert delivery.other_inputs(built) == [path, gone]
+    # It is the other machine's that differ: here, nothing changed.
+    assert delivery.changed([path, gone]) == []
+
+
+def test_an_input_that_changes_here_meanwhile(tmp_path: Path) -> None:
+    path = tmp_path / "a.bvh"
+    path.write_text("before")
+    delivery = Delivery(tmp_path)
+    delivery.note(path)
+    built = Outcome(1, Status.DONE, 0.0, inputs=(record(path),))
+    path.write_text("after, and longer")
+    other = delivery.other_inputs(built)
+    assert other == [path]
+    assert delivery.changed(other) == [path]
+
+
+def test_an_output_is_seen_with_the_content_that_was_written(tmp_path: Path) -> None:
+    path = tmp_path / "a.usdc"
+    path.write_text("whole")
+    built = Outcome(1, Status.DONE, 0.0, outputs=(record(path),))
+    path.unlink()
+    delivery = Delivery(tmp_path)
+    assert delivery.seen(built) is None
+    path.write_text("half")
+    assert delivery.seen(built) is None
+    path.write_text("whole")
+    seen = delivery.seen(built)
+    assert seen is not None
+    state = FileState.of(path)
+    assert state is not None
+    assert (seen.outputs[0].state, seen.at) == (state, state.changed)
