@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
-from fractions import Fraction
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from animtool.clip.clip import Clip
 from animtool.core.array_types import Float32Array, FloatArray, IntArray
 from animtool.maths import so3
 from animtool.motion.contacts import find_contacts, intervals
@@ -21,34 +19,11 @@ from animtool.retarget.anatomy import anatomy
 from animtool.retarget.person import Person
 from animtool.rig.kinematics import WorldTransforms, forward
 from animtool.rig.skeleton import Rig
-from animtool.rig.surfaces import Strands, Surface
 
 # Frames whose joints are in memory at once.
 BLOCK = 1024
 # Weights and scales may be off by as much [1].
 WEIGHT_ERROR = 5e-5
-NO_NUMBERS = Quantized(np.zeros((1, 0), "<f4"), "f32")
-
-
-@dataclass(frozen=True, slots=True)
-class Character:
-    """A take to be shown, standing Y up, at the rate of the page.
-
-    Attributes:
-        name: What the page calls it.
-        stream: The take.
-        bind: World transforms of its joints at bind time ``(J, 4, 4)`` [m].
-        surfaces: Its meshes.
-        strands: Its strands.
-        clip: The clip that it was sampled from; None of others.
-    """
-
-    name: str
-    stream: TakeStream
-    bind: FloatArray
-    surfaces: tuple[Surface, ...] = ()
-    strands: tuple[Strands, ...] = ()
-    clip: Clip | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +64,6 @@ class Shown:
     controls: FloatArray | None
     world: Callable[[slice], WorldTransforms]
     entry: dict[str, Any]
-    contacts: list[dict[str, Any]] = field(default_factory=list)
 
 
 class Gathered:
@@ -126,11 +100,19 @@ class Gathered:
         return None if track is None else track.dense(slice(None))[..., 0]
 
 
-def add_take(draft: Draft, character: Character) -> Shown:
-    """Add a take to a page."""
-    stream = character.stream
+def add_take(
+    draft: Draft, name: str, stream: TakeStream, gathered: Gathered, first: int
+) -> Shown:
+    """Add a take to a page.
+
+    Args:
+        draft: The page.
+        name: What the page calls it.
+        stream: The take, Y up, at the rate of the page.
+        gathered: Its frames.
+        first: Sample of the timeline that its first frame is.
+    """
     rig = stream.rig
-    gathered = Gathered(stream.blocks)
     translations, rotations = (
         gathered.track(name) or _nothing(rest)
         for name, rest in (
@@ -155,10 +137,9 @@ def add_take(draft: Draft, character: Character) -> Shown:
         assert r is not None
         return forward(rig, t, so3.normalize(r), s)
 
-    first = draft.timeline.index(_start(stream))
     contacts = _measure(draft, rig, gathered.frames, world, kinds, stream)
     entry = {
-        "name": character.name,
+        "name": name,
         "skeleton": _skeleton(rig),
         "still": {kind: _still(track) for kind, track in kinds.items()},
         "moving": {
@@ -185,10 +166,6 @@ def add_take(draft: Draft, character: Character) -> Shown:
         world,
         entry,
     )
-
-
-def _start(stream: TakeStream) -> Fraction:
-    return Fraction(1) if stream.start is None else stream.start
 
 
 def _nothing(rest: FloatArray) -> Track:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pxr import Usd, UsdGeom
+from pxr import Usd, UsdGeom, UsdSkel
 
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.clock import time_fraction
@@ -18,6 +18,7 @@ from animtool.core.files.reading import note_input
 from animtool.core.rates import rate_from_float
 from animtool.core.units import UpAxis, unit_name, up_from_up
 from animtool.maths import so3, solids
+from animtool.rig.surfaces import Surface
 from animtool.usd.caches.reader import (
     PointReader,
     PointSample,
@@ -287,6 +288,26 @@ class StageContents:
             if always and image.ComputeVisibility() == UsdGeom.Tokens.invisible:
                 continue
             yield prim
+
+    def is_animation(self) -> bool:
+        """Return whether it has an animation of joints and no Skeleton."""
+        prims = all_prims(self.stage)
+        return not find_skeletons(self.stage) and any(
+            prim.IsA(UsdSkel.Animation) for prim in prims
+        )
+
+    def turned_surfaces(self, surfaces: Sequence[Surface]) -> tuple[Surface, ...]:
+        """Return meshes, Y up: joints carry those with a skin."""
+        if self.turn is None:
+            return tuple(surfaces)
+        whole = np.eye(4)
+        whole[:3, :3] = so3.to_matrix(self.turn)
+        return tuple(
+            surface
+            if surface.skin is not None
+            else replace(surface, geom_bind=whole @ surface.geom_bind)
+            for surface in surfaces
+        )
 
     def cameras(self) -> list[str]:
         """Return the paths of its cameras."""
