@@ -1,0 +1,115 @@
+"""Curves of a page: keyed channels of clips, controls, and weights of shapes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from animtool.clip.channels import ClipChannel, evaluate_channels
+from animtool.clip.clip import Clip
+from animtool.core.array_types import FloatArray
+from animtool.preview.draft import Draft
+from animtool.preview.streams import Quantized, plain
+from animtool.preview.takes import Shown
+
+# Keys of all curves that are drawn; of more, the curves alone are.
+MAX_KEYS = 50_000
+_AXES = "xyzw"
+
+
+@dataclass(frozen=True, slots=True)
+class Curve:
+    """One number over the frames of a take, as an animator reads it."""
+
+    name: str
+    unit: str  # ``m``, ``deg`` or empty
+    values: FloatArray  # ``(F,)``
+    keys: FloatArray | None = None  # ``(K, 2)`` of time and value; None of none
+    interp: str | None = None  # of its first key
+
+
+def add_channels(draft: Draft, shown: Shown, clip: Clip | None) -> None:
+    """Add the curves of a take to a page, in one stream."""
+    curves = [*_keyed(draft, shown, clip), *_controls(shown, clip)]
+    if not curves or not shown.frames:
+        return
+    total = sum(0 if curve.keys is None else len(curve.keys) for curve in curves)
+    if total > MAX_KEYS:
+        draft.note(f"{total} keys: curves are drawn without them")
+    stacked = np.stack([curve.values for curve in curves], axis=1)
+    stream = draft.packer.add(Quantized(stacked.astype("<f4"), "f32"))
+    for column, curve in enumerate(curves):
+        keys = curve.keys if total <= MAX_KEYS else None
+        draft.channels.append(
+            {
+                "name": curve.name,
+                "unit": curve.unit,
+                "values": stream,
+                "column": column,
+                "keys": None if keys is None else plain(keys),
+                "interp": curve.interp,
+                "take": shown.index,
+            }
+        )
+
+
+def _keyed(draft: Draft, shown: Shown, clip: Clip | None) -> list[Curve]:
+    """Return the curves of a clip's channels at the frames of the page."""
+    if clip is None:
+        return []
+    timeline = draft.timeline
+    codes = timeline.codes[0] + (np.arange(shown.frames) + shown.first) * float(
+        timeline.step
+    )
+    times = codes * float(clip.fps / timeline.fps)
+    values = evaluate_channels(clip.channels, times)
+    curves = []
+    for channel in clip.channels:
+        rows = np.broadcast_to(
+            values[channel.target],
+            (shown.frames, values[channel.target].shape[1]),
+        )
+        unit, factor = _unit(channel, rows.shape[1])
+        # Keys of Euler angles are of other numbers than the rotation's.
+        keyed = not channel.euler
+        times_of_keys = channel.times * float(timeline.fps / clip.fps)
+        for i in range(rows.shape[1]):
+            keys = np.stack([times_of_keys, channel.values[:, i] * factor], axis=1)
+            curves.append(
+                Curve(
+                    channel.target + (f".{_AXES[i]}" if rows.shape[1] > 1 else ""),
+                    unit,
+                    rows[:, i] * factor,
+                    keys if keyed else None,
+                    str(channel.interps[0]) if channel.interps else None,
+                )
+            )
+    return curves
+
+
+def _unit(channel: ClipChannel, width: int) -> tuple[str, float]:
+    """Return the unit that a channel is shown in, and what a value is times it."""
+    target = channel.target
+    if target.startswith(("control/", "shape/")) or width == 4:
+        return "", 1.0
+    if target.endswith(("translation", ".slide")):
+        return "m", 1.0
+    return ("", 1.0) if target.endswith("scale") else ("deg", float(np.degrees(1.0)))
+
+
+def _controls(shown: Shown, clip: Clip | None) -> list[Curve]:
+    """Return controls and weights of shapes that no channel of a clip keys."""
+    keyed = set() if clip is None else {channel.target for channel in clip.channels}
+    curves = []
+    for kind, parts, rows in (
+        ("control", shown.rig.controls, shown.controls),
+        ("shape", shown.rig.shapes, shown.weights),
+    ):
+        if rows is None:
+            continue
+        for i, part in enumerate(parts):
+            name = f"{kind}/{part.name}"
+            if name not in keyed and (rows[:, i] != 0).any():
+                curves.append(Curve(name, "", rows[:, i]))
+    return curves

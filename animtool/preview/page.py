@@ -1,0 +1,139 @@
+"""A page as HTML: manifest, blocks and the viewer in one file that asks for nothing."""
+
+from __future__ import annotations
+
+import html
+import json
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+VIEWER = Path(__file__).parent / "viewer"
+ENTRY = "main.js"
+_IMPORT = re.compile(r"""(\bfrom\s*|\bimport\s*)(['"])\./([\w-]+\.js)\2""")
+# What would end a script, or break a line of one, in JSON.
+_ESCAPES = {ord(c): f"\\u{ord(c):04x}" for c in "<>&\u2028\u2029"}
+
+_POLICY = (
+    "default-src 'none'; script-src 'unsafe-inline' blob:; style-src 'unsafe-inline'; "
+    "img-src data: blob:; connect-src {connect}; base-uri 'none'; form-action 'none'"
+)
+
+_PAGE = """<!doctype html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<meta http-equiv="Content-Security-Policy" content="{{csp}}">
+<title>{{title}}</title>
+<style>{{style}}</style>
+</head>
+<body>
+{{manifest}}
+{{blocks}}
+{{modules}}
+<script>{{bootstrap}}</script>
+</body>
+</html>
+"""
+
+# Makes a URL of each module, those that it imports first, and starts the last.
+_BOOTSTRAP = """\
+(() => {
+  const page = (window.animtool = window.animtool || {errors: []});
+  page.errors = page.errors || [];
+  const failed = (error) => {
+    page.errors.push(String(error && error.message || error));
+    const place = document.getElementById('failed');
+    if (place) { place.textContent = page.errors.join('\\n'); place.hidden = false; }
+  };
+  window.addEventListener('error', (event) => failed(event.error || event.message));
+  window.addEventListener('unhandledrejection', (event) => failed(event.reason));
+  const urls = {};
+  for (const script of document.querySelectorAll('script[data-module]')) {
+    const text = script.textContent.replace(
+      /(\\bfrom\\s*|\\bimport\\s*)(['"])\\.\\/([\\w-]+\\.js)\\2/g,
+      (_, word, quote, name) => word + quote + urls[name] + quote);
+    const blob = new Blob([text], {type: 'text/javascript'});
+    urls[script.dataset.module] = URL.createObjectURL(blob);
+  }
+  import(urls['main.js']).catch(failed);
+})();
+"""
+
+
+def json_text(value: Any) -> str:
+    r"""Return JSON that is safe inside of a script of a page.
+
+    >>> json_text({"name": "</script>"})
+    '{"name":"\\u003c/script\\u003e"}'
+    """
+    text = json.dumps(
+        value, ensure_ascii=False, separators=(",", ":"), allow_nan=False
+    )
+    # Half a pair, as names of files have for bytes that are no text, is no character.
+    text = text.encode("utf-8", "replace").decode("utf-8")
+    return text.translate(_ESCAPES)
+
+
+def page_parts(
+    manifest: Mapping[str, Any], blocks: Sequence[str], *, watched: bool = False
+) -> Iterator[bytes]:
+    """Yield the bytes of a page, block by block.
+
+    Args:
+        manifest: What it shows.
+        blocks: Its streams, as text.
+        watched: Whether it may ask the server that it is from what has changed.
+    """
+    modules = viewer_modules()
+    filled = {
+        "title": html.escape(str(manifest["title"])),
+        "csp": _POLICY.format(connect="'self'" if watched else "'none'"),
+        "style": _read("viewer.css"),
+        "manifest": f'<script type="application/json" id="manifest">'
+        f"{json_text(manifest)}</script>",
+        "modules": "\n".join(
+            f'<script type="text/plain" data-module="{name}">\n{text}</script>'
+            for name, text in modules.items()
+        ),
+        "bootstrap": _BOOTSTRAP,
+    }
+    template = _read("page.html") or _PAGE
+    # Split once, so that what is filled in is never looked at again.
+    for part in re.split(r"(\{\{\w+\}\})", template):
+        name = part.strip("{}")
+        if part == "{{blocks}}":
+            for number, block in enumerate(blocks):
+                yield (
+                    f'<script type="text/plain" class="block" id="b{number}">'
+                    f"{block}</script>\n"
+                ).encode()
+        elif part.startswith("{{") and name in filled:
+            yield filled[name].encode("utf-8")
+        else:
+            yield part.encode("utf-8")
+
+
+@cache
+def viewer_modules() -> dict[str, str]:
+    """Return the modules of the viewer by name, each after those that it imports."""
+    texts = {path.name: path.read_text("utf-8") for path in sorted(VIEWER.glob("*.js"))}
+    ordered: dict[str, str] = {}
+
+    def add(name: str, above: tuple[str, ...] = ()) -> None:
+        if name in ordered or name in above or name not in texts:
+            return
+        for match in _IMPORT.finditer(texts[name]):
+            add(match[3], (*above, name))
+        ordered[name] = texts[name]
+
+    add(ENTRY)
+    return ordered
+
+
+def _read(name: str) -> str:
+    path = VIEWER / name
+    return path.read_text("utf-8") if path.exists() else ""
