@@ -34,6 +34,7 @@ from animtool.preview.options import PreviewOptions
 from animtool.preview.page import page_parts
 from animtool.preview.streams import quantized_range
 from animtool.preview.takes import Gathered, Shown, add_take
+from animtool.scene.bake.first_frame import frame_start
 from animtool.scene.bake.frames import in_frames
 from animtool.scene.bake.options import BakeOptions
 
@@ -209,7 +210,7 @@ class _Part:
 def _drafted(
     opened: list[OpenFile], options: PreviewOptions
 ) -> tuple[Draft, list[Fault]]:
-    notices = [notice for file in opened for notice in file.notices]
+    notices = [file.located(notice) for file in opened for notice in file.notices]
     fps = next((rate for file in opened if (rate := file.fps)), Fraction(24))
     parts = [
         _gathered(number, file, take, fps, options, notices)
@@ -242,24 +243,23 @@ def _gathered(
     notices: list[Fault],
 ) -> _Part:
     stream = take.stream
-    start = Fraction(1) if stream.start is None else stream.start
-    asked = None if stream.fps == fps else fps
-    if is_named(file.path, "rig"):
-        asked, chosen = None, None
-    else:
-        chosen = options.frame_range
+    start = Fraction(1)
+    if stream.start is not None:
+        start = frame_start(stream.start, stream.fps, fps, whole=True)
+    # A rig at rest is of any frame and rate.
+    rests = is_named(file.path, "rig")
+    asked = None if rests or (stream.fps == fps and stream.step == 1) else fps
+    chosen = None if rests else options.frame_range
     if asked is not None or chosen is not None:
         bake = BakeOptions(fps=asked, frame_range=chosen)
         stream = in_frames(stream, bake, start, file.path, notices)
         start = Fraction(1) if stream.start is None else stream.start
-        if asked is not None:
-            message = (
-                f"has {rate_label(take.stream.fps)} and is shown at {rate_label(fps)}"
-            )
-            note = Fault("PRV103", message, str(file.path), severity=Severity.NOTE)
-            notices.append(note)
+    if asked is not None and take.stream.fps != fps:
+        message = f"has {rate_label(take.stream.fps)} and is shown at {rate_label(fps)}"
+        note = Fault("PRV103", message, str(file.path), severity=Severity.NOTE)
+        notices.append(note)
     gathered = Gathered(stream.blocks)
-    notices += stream.notices
+    notices += map(file.located, stream.notices)
     return _Part(number, take, stream, gathered, start)
 
 
@@ -285,7 +285,7 @@ def _timeline(
     options: PreviewOptions,
 ) -> Timeline:
     spans = [(p.first, p.last) for p in parts if p.gathered.frames > 1]
-    step = next((p.stream.step for p in parts if p.gathered.frames > 1), Fraction(1))
+    step = Fraction(1)
     for file in opened:
         if file.contents is not None and (found := _moving_span(file.contents)):
             ratio = fps / file.contents.fps
@@ -295,7 +295,6 @@ def _timeline(
             ratio = fps / clock.fps
             last = clock.start + (clock.count - 1) * clock.step
             spans.append((clock.start * ratio, last * ratio))
-            step = clock.step * ratio if not parts else step
     first = min((a for a, _ in spans), default=parts[0].first if parts else Fraction(1))
     last = max((b for _, b in spans), default=first)
     frames = options.frame_range
@@ -313,9 +312,8 @@ def _timeline(
 
 
 def _moving_span(contents: StageContents) -> tuple[Fraction, Fraction] | None:
-    prims = contents.prims()
-    moving = any(prim.deforms or prim.travels for prim in prims)
-    return contents.span(prims) if moving or contents.cameras() else None
+    moving = any(prim.deforms or prim.travels for prim in contents.prims)
+    return contents.span if moving or contents.cameras() else None
 
 
 def _add_part(draft: Draft, part: _Part) -> Shown:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from animtool.clip.channels import ClipChannel, evaluate_channels
+from animtool.clip.channels import evaluate_channels
 from animtool.clip.clip import Clip
 from animtool.core.array_types import FloatArray
 from animtool.preview.draft import Draft
@@ -63,34 +63,31 @@ def _keyed(draft: Draft, shown: Shown, clip: Clip | None) -> list[Curve]:
         timeline.step
     )
     times = codes * float(clip.fps / timeline.fps)
-    values = evaluate_channels(clip.channels, times)
+    # Angles as they are keyed, not the rotations that they come to.
+    channels = [replace(channel, euler="") for channel in clip.channels]
+    values = evaluate_channels(channels, times)
     curves = []
     for channel in clip.channels:
-        rows = np.broadcast_to(
-            values[channel.target],
-            (shown.frames, values[channel.target].shape[1]),
-        )
-        unit, factor = _unit(channel, rows.shape[1])
-        # Keys of Euler angles are of other numbers than the rotation's.
-        keyed = not channel.euler
+        width = channel.values.shape[1]
+        rows = np.broadcast_to(values[channel.target], (shown.frames, width))
+        unit, factor = _unit(channel.target, width)
         times_of_keys = channel.times * float(timeline.fps / clip.fps)
-        for i in range(rows.shape[1]):
-            keys = np.stack([times_of_keys, channel.values[:, i] * factor], axis=1)
-            curves.append(
-                Curve(
-                    channel.target + (f".{_AXES[i]}" if rows.shape[1] > 1 else ""),
-                    unit,
-                    rows[:, i] * factor,
-                    keys if keyed else None,
-                    str(channel.interps[0]) if channel.interps else None,
-                )
+        axes = channel.euler.lower() or _AXES
+        curves += [
+            Curve(
+                channel.target + (f".{axes[i]}" if width > 1 else ""),
+                unit,
+                rows[:, i] * factor,
+                np.stack([times_of_keys, channel.values[:, i] * factor], axis=1),
+                str(channel.interps[0]) if channel.interps else None,
             )
+            for i in range(width)
+        ]
     return curves
 
 
-def _unit(channel: ClipChannel, width: int) -> tuple[str, float]:
+def _unit(target: str, width: int) -> tuple[str, float]:
     """Return the unit that a channel is shown in, and what a value is times it."""
-    target = channel.target
     if target.startswith(("control/", "shape/")) or width == 4:
         return "", 1.0
     if target.endswith(("translation", ".slide")):

@@ -11,14 +11,10 @@ from animtool.core.array_types import FloatArray, IntArray
 from animtool.maths.faces import triangulated
 from animtool.preview.draft import Draft
 from animtool.preview.opened import OpenTake
-from animtool.preview.streams import Quantized, quantized_range
+from animtool.preview.streams import Quantized, plain, quantized_range
 from animtool.preview.takes import Shown
 from animtool.rig.surfaces import Surface
-from animtool.skin.character import (
-    CharacterMesh,
-    character_meshes,
-    character_strands,
-)
+from animtool.skin.character import CharacterMesh, character_meshes
 from animtool.skin.deform import DeformedMesh, deform
 from animtool.skin.shapes import PreparedShapes, column_weights
 from animtool.skin.skinning import PreparedSkin, SkinMethod
@@ -65,18 +61,17 @@ def add_character(draft: Draft, character: OpenTake, shown: Shown) -> None:
         stacked = np.concatenate(columns, axis=1)
         stored = quantized_range(stacked, WEIGHT_ERROR)
         shown.entry["shapes"] = {"names": labels, "weights": draft.packer.add(stored)}
-    for strands, mesh in zip(
-        character.strands,
-        character_strands(character.strands, shown.rig.names, character.bind),
-        strict=True,
-    ):
+    for strands in character.strands:
         count, each = strands.points.shape[:2]
+        joint = shown.rig.index(strands.joint)
         draft.curves.append(
             {
                 "name": strands.name,
                 "take": shown.index,
+                "joint": joint,
+                "bind": plain(np.linalg.inv(character.bind[joint]).T.reshape(-1), 9),
                 "counts": draft.packer.static(np.full(count, each), "u32"),
-                "points": _points(draft, shown, mesh),
+                "points": draft.packer.static_range(strands.points),
                 "width": STRAND_WIDTH,
                 "color": None,
             }

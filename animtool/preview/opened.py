@@ -73,6 +73,7 @@ class OpenFile:
         contents: What its stage shows beside them; None of other files.
         markers: Its markers, Y up; None of other files.
         notices: Warnings and notes about it.
+        folder: Where a scene was baked to; None of files that are read themselves.
     """
 
     path: Path
@@ -82,6 +83,18 @@ class OpenFile:
     contents: StageContents | None = None
     markers: Markers | None = None
     notices: list[Fault] = field(default_factory=list)
+    folder: Path | None = None
+
+    def located(self, fault: Fault) -> Fault:
+        """Return a fault at the scene, where it is at what was baked of it."""
+        where = fault.path
+        if (
+            self.folder is None
+            or not where
+            or not Path(where).is_relative_to(self.folder)
+        ):
+            return fault
+        return replace(fault, path=str(self.path))
 
     @property
     def fps(self) -> Fraction | None:
@@ -235,6 +248,6 @@ def _open_scene(path: Path, options: PreviewOptions, held: ExitStack) -> OpenFil
     if usual.rig_layer is not None:
         shown = write_view(folder / "view.usda", layer, usual.rig_layer)
     opened = _open_stage(shown, path.name, SourceOptions())
-    opened.path = path
+    opened.path, opened.folder = path, folder
     opened.notices += report.notices
     return opened

@@ -13,6 +13,15 @@ from typing import Any
 VIEWER = Path(__file__).parent / "viewer"
 ENTRY = "main.js"
 _IMPORT = re.compile(r"""(\bfrom\s*|\bimport\s*)(['"])\./([\w-]+\.js)\2""")
+_LEFT_OUT = tuple(
+    re.compile(pattern, re.M | re.S)
+    for pattern in (
+        r"^[ \t]*/\*.*?\*/[ \t]*\n",
+        r"^[ \t]*//[^\n]*\n",
+        r"^[ \t]+",
+        r"^\n",
+    )
+)
 # What would end a script, or break a line of one, in JSON.
 _ESCAPES = {ord(c): f"\\u{ord(c):04x}" for c in "<>&\u2028\u2029"}
 
@@ -118,7 +127,8 @@ def page_parts(
 @cache
 def viewer_modules() -> dict[str, str]:
     """Return the modules of the viewer by name, each after those that it imports."""
-    texts = {path.name: path.read_text("utf-8") for path in sorted(VIEWER.glob("*.js"))}
+    paths = sorted(VIEWER.glob("*.js"))
+    texts = {path.name: compact(path.read_text("utf-8")) for path in paths}
     ordered: dict[str, str] = {}
 
     def add(name: str, above: tuple[str, ...] = ()) -> None:
@@ -130,6 +140,17 @@ def viewer_modules() -> dict[str, str]:
 
     add(ENTRY)
     return ordered
+
+
+def compact(text: str) -> str:
+    r"""Return code without comments that have lines of their own, nor indentation.
+
+    >>> compact("/** Adds. */\nfunction add(a) {\n  // one\n  return a + 1;\n}\n")
+    'function add(a) {\nreturn a + 1;\n}\n'
+    """
+    for pattern in _LEFT_OUT:
+        text = pattern.sub("", text)
+    return text
 
 
 def _read(name: str) -> str:

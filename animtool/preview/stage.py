@@ -35,7 +35,7 @@ def add_stage(draft: Draft, contents: StageContents) -> None:
     """Add what a stage shows beside its characters to a page."""
     with usd_errors(contents.path), without_usd_warnings():
         codes = draft.timeline.codes * float(contents.fps / draft.timeline.fps)
-        for prim in contents.prims():
+        for prim in contents.prims:
             _ADD[prim.kind](draft, prim, codes)
     _add_cameras(draft, contents, codes)
 
@@ -151,6 +151,8 @@ def _add_curves(draft: Draft, prim: ShownPrim, codes: FloatArray) -> None:
         {
             "name": prim.name,
             "take": None,
+            "joint": None,
+            "bind": None,
             "counts": draft.packer.static(counts, "u32"),
             "points": _cache(draft, prim, times, count),
             "width": float(widths.mean()) if len(widths) else 0.0,

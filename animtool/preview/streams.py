@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import hashlib
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -147,12 +148,19 @@ class Packer:
 
     def __init__(self) -> None:
         self._streams: list[_Stream] = []
+        self._static: dict[tuple[object, ...], int] = {}
 
     def add(self, data: Quantized) -> int:
-        """Return the number of a stream; of one sample it is static."""
-        stream = _Stream(len(self._streams), data)
-        self._streams.append(stream)
-        return stream.id
+        """Return the number of a stream; those of one sample that are equal share it."""
+        number = len(self._streams)
+        if len(data.stored) == 1:
+            digest = hashlib.blake2b(np.ascontiguousarray(data.stored)).digest()
+            key = (digest, data.kind, str(data.scale), str(data.offset), data.gaps)
+            number = self._static.setdefault(key, number)
+            if number < len(self._streams):
+                return number
+        self._streams.append(_Stream(number, data))
+        return number
 
     def static(self, values: npt.ArrayLike, kind: str) -> int:
         """Return the number of a stream of one sample, stored as it is."""

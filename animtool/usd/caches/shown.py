@@ -250,8 +250,9 @@ class StageContents:
             matrix[:3] = so3.to_matrix(self.turn) @ matrix[:3]
         return matrix
 
+    @cached_property
     def prims(self) -> list[ShownPrim]:
-        """Return what is visible and no skeleton carries."""
+        """What is visible and no skeleton carries."""
         carried = {
             query.GetPrim().GetPath()
             for skeleton in find_skeletons(self.stage)
@@ -317,12 +318,13 @@ class StageContents:
             if prim.IsA(UsdGeom.Camera) and not prim.IsAbstract()
         ]
 
-    def span(self, prims: Sequence[ShownPrim]) -> tuple[Fraction, Fraction]:
-        """Return the first and the last time code of the stage, or of its samples."""
+    @property
+    def span(self) -> tuple[Fraction, Fraction]:
+        """The first and the last time code of the stage, or of its samples."""
         if self.stage.HasAuthoredTimeCodeRange():
             ends = [self.stage.GetStartTimeCode(), self.stage.GetEndTimeCode()]
         else:
-            ends = [t for p in prims for t in PointReader(p.prim).moments] or [1.0]
+            ends = [t for p in self.prims for t in PointReader(p.prim).moments] or [1.0]
         return time_fraction(min(ends)), time_fraction(max(ends))
 
 
