@@ -151,10 +151,10 @@ class Packer:
         self._static: dict[tuple[object, ...], int] = {}
 
     def add(self, data: Quantized) -> int:
-        """Return the number of a stream; those of one sample that are equal share it."""
+        """Return the number of a stream; equal ones of one sample share it."""
         number = len(self._streams)
         if len(data.stored) == 1:
-            digest = hashlib.blake2b(np.ascontiguousarray(data.stored)).digest()
+            digest = hashlib.blake2b(data.stored.tobytes()).digest()
             key = (digest, data.kind, str(data.scale), str(data.offset), data.gaps)
             number = self._static.setdefault(key, number)
             if number < len(self._streams):

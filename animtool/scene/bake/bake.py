@@ -30,12 +30,13 @@ from animtool.scene.bake.progress import Progress, share_of
 from animtool.scene.bake.reading import (
     Source,
     check_options,
+    check_package,
     form_of,
     found_sources,
     output_files,
 )
 from animtool.scene.sources.open import Opener, open_source, source_stem
-from animtool.usd.layers.jobs import Form, check_suffix
+from animtool.usd.layers.jobs import PACKAGE, Form, check_suffix
 from animtool.usd.layers.names import legal_name
 from animtool.usd.layers.sdf import check_prim_path
 
@@ -135,7 +136,9 @@ def check_output(
     check_options(options, to_stdout=path is None, simulated=simulated)
     if path is None:
         return []
-    check_suffix(path, source)
+    check_suffix(path, source, packages=True)
+    if path.suffix.lower() == PACKAGE:
+        check_package(path, options)
     layer = [options.rig_layer] if options.rig_layer else []
     outputs = output_files(path, options, simulated=simulated)
     library = form_of(options) is Form.LIBRARY

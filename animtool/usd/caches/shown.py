@@ -297,6 +297,10 @@ class StageContents:
             prim.IsA(UsdSkel.Animation) for prim in prims
         )
 
+    def bone_names(self) -> set[str]:
+        """Return the names of meshes that were written for bones of skeletons."""
+        return {str(p.GetName()) for p in all_prims(self.stage) if is_bones(p)}
+
     def turned_surfaces(self, surfaces: Sequence[Surface]) -> tuple[Surface, ...]:
         """Return meshes, Y up: joints carry those with a skin."""
         if self.turn is None:

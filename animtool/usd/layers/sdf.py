@@ -41,6 +41,7 @@ from animtool.usd.layers.finite import (
     check_value,
     largest,
 )
+from animtool.usd.layers.jobs import PACKAGE
 
 # USD maps binary layers into memory, and reads those of text whole.
 MAX_LAYER_BYTES = 1_000_000_000_000
@@ -211,7 +212,8 @@ def usd_reason(error: Tf.ErrorException) -> str:
 
 def new_layer(path: Path) -> Any:
     """Return a new layer that `save_layer` writes to ``path``."""
-    return Sdf.Layer.CreateAnonymous(path.suffix)
+    packed = path.suffix.lower() == PACKAGE
+    return Sdf.Layer.CreateAnonymous(".usdc" if packed else path.suffix)
 
 
 def prim(layer: Any, path: str, type_name: str = "", *, over: bool = False) -> Any:
@@ -284,8 +286,11 @@ def save_layer(layer: Any, path: Path | None) -> int:
         note_said()
         sys.stdout.flush()
         return len(text.encode())
+    from animtool.usd.layers.package import unpacked
+
     with replacing(path) as temporary:
-        export_layer(layer, temporary, path)
+        with unpacked(path, temporary) as file:
+            export_layer(layer, file, path)
         return temporary.stat().st_size
 
 
