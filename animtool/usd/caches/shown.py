@@ -253,7 +253,7 @@ class StageContents:
     @cached_property
     def prims(self) -> list[ShownPrim]:
         """What is visible and no skeleton carries."""
-        carried = {
+        skinned = {
             query.GetPrim().GetPath()
             for skeleton in find_skeletons(self.stage)
             for query in skinned_prims(skeleton, UsdGeom.PointBased)
@@ -268,7 +268,7 @@ class StageContents:
         found = []
         for prim in self._visible_prims():
             kind, path = _kind(prim), prim.GetPath()
-            if not kind or path in carried or is_bones(prim):
+            if not kind or path in skinned or is_bones(prim):
                 continue
             if any(path.HasPrefix(one) for one in copied):
                 continue
