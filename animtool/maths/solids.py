@@ -72,6 +72,4 @@ def cylinder(radius: float, height: float, top: float | None = None) -> Solid:
     """Return a cylinder with its ends; top: another radius there, 0 of a cone."""
     end = radius if top is None else top
     half = height / 2
-    return turned(
-        np.array([[0.0, -half], [radius, -half], [end, half], [0.0, half]])
-    )
+    return turned(np.array([[0.0, -half], [radius, -half], [end, half], [0.0, half]]))

@@ -7,7 +7,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -32,12 +32,13 @@ from animtool.preview.meshes import add_character
 from animtool.preview.opened import OpenFile, OpenTake, open_file
 from animtool.preview.options import PreviewOptions
 from animtool.preview.page import page_parts
-from animtool.preview.stage import add_stage
 from animtool.preview.streams import quantized_range
 from animtool.preview.takes import Gathered, Shown, add_take
 from animtool.scene.bake.frames import in_frames
 from animtool.scene.bake.options import BakeOptions
-from animtool.usd.caches.shown import StageContents
+
+if TYPE_CHECKING:
+    from animtool.usd.caches.shown import StageContents
 
 # Frames of a page, and bytes of its streams before they are deflated.
 MAX_FRAMES = 1_000_000
@@ -183,9 +184,7 @@ def _page(
     size = sum(map(len, blocks))
     if size > LARGE:
         message = f"the page has {size / 1e6:.0f} MB, which browsers open slowly"
-        notices.append(
-            Fault("PRV102", message, hint=_FEWER, severity=Severity.WARNING)
-        )
+        notices.append(Fault("PRV102", message, hint=_FEWER, severity=Severity.WARNING))
     return Page(manifest, blocks, notices)
 
 
@@ -226,6 +225,8 @@ def _drafted(
         add_channels(draft, one, part.take.clip)
     for file in opened:
         if file.contents is not None:
+            from animtool.preview.stage import add_stage
+
             add_stage(draft, file.contents)
         if file.markers is not None:
             _add_markers(draft, file.path.name, file.markers)

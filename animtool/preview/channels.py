@@ -101,15 +101,15 @@ def _unit(channel: ClipChannel, width: int) -> tuple[str, float]:
 def _controls(shown: Shown, clip: Clip | None) -> list[Curve]:
     """Return controls and weights of shapes that no channel of a clip keys."""
     keyed = set() if clip is None else {channel.target for channel in clip.channels}
+    rig = shown.rig
     curves = []
-    for kind, parts, rows in (
-        ("control", shown.rig.controls, shown.controls),
-        ("shape", shown.rig.shapes, shown.weights),
+    for kind, names, rows in (
+        ("control", [control.name for control in rig.controls], shown.controls),
+        ("shape", [shape.name for shape in rig.shapes], shown.weights),
     ):
-        if rows is None:
-            continue
-        for i, part in enumerate(parts):
-            name = f"{kind}/{part.name}"
-            if name not in keyed and (rows[:, i] != 0).any():
-                curves.append(Curve(name, "", rows[:, i]))
+        for i, name in enumerate(names if rows is not None else ()):
+            assert rows is not None
+            target = f"{kind}/{name}"
+            if target not in keyed and (rows[:, i] != 0).any():
+                curves.append(Curve(target, "", rows[:, i]))
     return curves

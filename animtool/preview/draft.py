@@ -1,4 +1,4 @@
-"""A page while it is put together: its timeline, its streams, what its manifest lists."""
+"""A page while it is put together: timeline, streams, what its manifest lists."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Meshes and strands of characters: skins and shapes for the viewer, or their points."""
+"""Meshes and strands of characters: skins and shapes for the viewer, or points."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import numpy as np
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.maths.faces import triangulated
 from animtool.preview.draft import Draft
-from animtool.preview.streams import Quantized, quantized_range
 from animtool.preview.opened import OpenTake
+from animtool.preview.streams import Quantized, quantized_range
 from animtool.preview.takes import Shown
 from animtool.rig.surfaces import Surface
 from animtool.skin.character import (
@@ -98,7 +98,9 @@ def strongest(skin: PreparedSkin) -> tuple[IntArray, FloatArray]:
     influences = skin.influences
     counts = np.diff(influences.first)
     rows = np.repeat(np.arange(skin.vertices), counts)
-    places = np.arange(len(influences.joints)) - np.repeat(influences.first[:-1], counts)
+    places = np.arange(len(influences.joints)) - np.repeat(
+        influences.first[:-1], counts
+    )
     kept = places < INFLUENCES
     joints = np.zeros((skin.vertices, INFLUENCES), np.int64)
     weights = np.zeros((skin.vertices, INFLUENCES))

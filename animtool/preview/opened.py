@@ -8,6 +8,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from animtool.clip.clip import Clip
 from animtool.core.array_types import FloatArray
@@ -32,7 +33,9 @@ from animtool.scene.sources.open import (
     open_source,
     source_stem,
 )
-from animtool.usd.caches.shown import StageContents, open_contents
+
+if TYPE_CHECKING:
+    from animtool.usd.caches.shown import StageContents
 
 # Kinds of files that hold nothing to be seen by themselves, and what shows them.
 _UNSEEN = {
@@ -169,6 +172,7 @@ def _open_markers(path: Path, source: SourceOptions) -> OpenFile:
 
 def _open_stage(path: Path, name: str, source: SourceOptions) -> OpenFile:
     """Open a USD file: its characters, and what else it shows."""
+    from animtool.usd.caches.shown import open_contents
     from animtool.usd.rigs.mesh_read import source_meshes
 
     contents = open_contents(path, source.prim_path)
@@ -181,23 +185,21 @@ def _open_stage(path: Path, name: str, source: SourceOptions) -> OpenFile:
         if below is None or f"{prim}/".startswith(f"{below.rstrip('/')}/")
     ]
     if len(chosen) <= 1 and (chosen or contents.is_animation()):
-        streams = {(chosen or [None])[0]: open_source(path, source)}
+        streams = {chosen[0] if chosen else "": open_source(path, source)}
         opened.notices += _other_takes(path, next(iter(streams.values())))
     else:
         streams = {prim: characters[prim]() for prim in chosen}
     for prim, stream in streams.items():
-        label = source_stem(Path(name)) if len(streams) == 1 else (prim or "")
+        label = source_stem(Path(name)) if len(streams) == 1 else prim
         turned = reorient(stream, UpAxis.Y)
-        if prim is None:
+        if not prim:
             opened.takes.append(OpenTake(label, turned, bind_matrices(turned.rig)))
             continue
         meshes = source_meshes(path, prim)
         opened.notices += meshes.notices
         bind = meshes.bind if len(meshes.bind) else bind_matrices(turned.rig)
         surfaces = contents.turned_surfaces(meshes.surfaces)
-        opened.takes.append(
-            OpenTake(label, turned, bind, surfaces, meshes.strands)
-        )
+        opened.takes.append(OpenTake(label, turned, bind, surfaces, meshes.strands))
     return opened
 
 

@@ -70,9 +70,7 @@ def json_text(value: Any) -> str:
     >>> json_text({"name": "</script>"})
     '{"name":"\\u003c/script\\u003e"}'
     """
-    text = json.dumps(
-        value, ensure_ascii=False, separators=(",", ":"), allow_nan=False
-    )
+    text = json.dumps(value, ensure_ascii=False, separators=(",", ":"), allow_nan=False)
     # Half a pair, as names of files have for bytes that are no text, is no character.
     text = text.encode("utf-8", "replace").decode("utf-8")
     return text.translate(_ESCAPES)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -76,9 +77,7 @@ def _add_rigid(draft: Draft, prim: ShownPrim, faces: Faces, codes: FloatArray) -
     shown = _visible(draft, prim, codes)
     if not prim.travels and shown is None:
         placed = faces.points @ matrices[0, :3, :3].T + matrices[0, :3, 3]
-        still = Faces(
-            placed, faces.counts, faces.indices, faces.color, faces.double_sided
-        )
+        still = replace(faces, points=placed)
         draft.meshes.append(_entry(draft, prim.name, still))
         return
     rotations, scales = so3.split_scale(matrices[:, :3, :3])
@@ -87,7 +86,9 @@ def _add_rigid(draft: Draft, prim: ShownPrim, faces: Faces, codes: FloatArray) -
         {
             "name": prim.name,
             "mesh": len(draft.meshes) - 1,
-            **_placed(draft, matrices[:, None, :3, 3], rotations[:, None], scales[:, None]),
+            **_placed(
+                draft, matrices[:, None, :3, 3], rotations[:, None], scales[:, None]
+            ),
             "visible": shown,
             "names": None,
         }
@@ -196,7 +197,9 @@ class Slots:
 
     def take(self, ids: IntArray | None, rows: FloatArray) -> IntArray:
         """Return the column of each point of a frame ``(N,)``."""
-        names = range(len(rows)) if ids is None or len(ids) != len(rows) else ids.tolist()
+        names = (
+            range(len(rows)) if ids is None or len(ids) != len(rows) else ids.tolist()
+        )
         before, self._of = self._of, {}
         kept = {name: before[name] for name in names if name in before}
         used = set(kept.values())
@@ -245,7 +248,7 @@ def _add_copies(draft: Draft, prim: ShownPrim, codes: FloatArray) -> None:
         for i, (faces, matrix) in enumerate(parts):
             name = f"{prim.name} {k + 1}" + (f".{i + 1}" if len(parts) > 1 else "")
             placed = faces.points @ matrix[:3, :3].T + matrix[:3, 3]
-            own = Faces(placed, faces.counts, faces.indices, faces.color or prim.color, faces.double_sided)  # fmt: skip
+            own = replace(faces, points=placed, color=faces.color or prim.color)
             draft.meshes.append(_entry(draft, name, own) | {"prototype": True})
             visible = shown[:, columns]
             draft.instances.append(
@@ -276,7 +279,9 @@ class _Copies:
         self.copied = np.full((frames, count), -1)
 
     @classmethod
-    def of(cls, samples: list[PointSample], rows: list[IntArray], count: int) -> _Copies:
+    def of(
+        cls, samples: list[PointSample], rows: list[IntArray], count: int
+    ) -> _Copies:
         """Return the copies of samples; rows: the slot of each."""
         made = cls(len(samples), count)
         for f, (sample, slots) in enumerate(zip(samples, rows, strict=True)):

@@ -58,8 +58,8 @@ def plain(values: FloatArray, digits: int = 6) -> list[Any]:
     >>> plain(np.array([-0.0, 0.1234567891]))
     [0.0, 0.123457]
     """
-    rounded: list[Any] = (np.round(np.asarray(values, np.float64), digits) + 0.0).tolist()
-    return rounded
+    rounded = np.round(np.asarray(values, np.float64), digits) + 0.0
+    return list(rounded.tolist())
 
 
 def quantized_units(values: FloatArray) -> Quantized:
@@ -70,7 +70,7 @@ def quantized_units(values: FloatArray) -> Quantized:
 
 
 def quantized_range(
-    values: FloatArray, tolerance: float = POSITION_ERROR, *, period: int = 0
+    values: Array, tolerance: float = POSITION_ERROR, *, period: int = 0
 ) -> Quantized:
     """Return values over the range of each column, float32 where that is too coarse.
 
@@ -99,18 +99,17 @@ def quantized_range(
     stored = np.where(np.isnan(numbers), GAP, numbers).astype("<i2")
     error = _largest(offset + scale * numbers - values.reshape(rows.shape))
     shared = scale.tolist(), offset.tolist()
-    if width and not period and (scale == scale[0]).all() and (offset == offset[0]).all():
+    if width > 1 and not period and not np.ptp(scale) and not np.ptp(offset):
         shared = scale[:1].tolist(), offset[:1].tolist()
-    return Quantized(
-        stored.reshape(values.shape), "i16", *map(_short, shared), gaps, error
-    )
+    parts = _short(shared[0]), _short(shared[1])
+    return Quantized(stored.reshape(values.shape), "i16", *parts, gaps, error)
 
 
 def _short(values: list[float]) -> float | list[float]:
     return values[0] if len(values) == 1 else values
 
 
-def _largest(differences: FloatArray) -> float:
+def _largest(differences: Array) -> float:
     return float(np.nanmax(np.abs(differences), initial=0.0))
 
 
@@ -126,7 +125,7 @@ class _Stream:
 
     @property
     def sample_bytes(self) -> int:
-        return self.data.stored.shape[1] * _WIDTHS[self.data.kind]
+        return int(self.data.stored.shape[1]) * _WIDTHS[self.data.kind]
 
     def entry(self) -> dict[str, Any]:
         """Return what the manifest says of it."""
@@ -209,9 +208,7 @@ class Packer:
         return groups
 
 
-def _filled(
-    streams: Sequence[_Stream], most: int, samples: int
-) -> list[list[_Stream]]:
+def _filled(streams: Sequence[_Stream], most: int, samples: int) -> list[list[_Stream]]:
     """Return streams in order, together up to a size; one alone may be larger."""
     groups: list[list[_Stream]] = []
     size = 0

@@ -21,7 +21,7 @@ _METADATA = (
 
 
 def write_view(path: Path, animation: Path, rig: Path) -> Path:
-    """Write a stage of an animation layer and the rig layer below it; return its path."""
+    """Write a stage of an animation layer over its rig layer; return its path."""
     with usd_errors(animation):
         stated = find_layer(animation).pseudoRoot
         layer = Sdf.Layer.CreateAnonymous(".usda")
