@@ -100,6 +100,7 @@ export class App {
   /** Show all; without skeletons, which are followed, at the end and halfway too. */
   async frameAll() {
     const { scene, timeline: { sample, count }, streams } = this;
+    scene.prepare(this.show, this.colors);
     const box = scene.box();
     for (const i of scene.joints ? [] : [count >> 1, count - 1, sample]) {
       await streams.load(i);
