@@ -119,7 +119,7 @@ def page_parts(
                     f"{block}</script>\n"
                 ).encode()
         elif part.startswith("{{") and name in filled:
-            yield filled[name].encode("utf-8")
+            yield filled[name].encode("utf-8", "replace")
         else:
             yield part.encode("utf-8")
 

@@ -40,7 +40,7 @@ export class View {
   frame(box) {
     this.target = box.center;
     this.radius = box.radius;
-    this.distance = this.radius / HALF * 1.08;
+    this.distance = this.radius / HALF * 1.22;
   }
 
   /** @param {string} name Of a preset. */

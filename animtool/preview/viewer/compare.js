@@ -1,16 +1,10 @@
 /** Several takes: beside or over one another, and how far they are from the first. */
 
-import { Box } from './maths.js';
+import { Box, roundUp } from './maths.js';
 import { SERIES, button, css, make, named, need, number } from './dom.js';
 
 /** @typedef {import('./main.js').App} App */
 /** @typedef {import('./skeleton.js').Pose} Pose */
-
-/** @param {number} x @returns {number} The next of 1, 2, 5, 10, … that is not less. */
-const round = (x) => {
-  const power = 10 ** Math.floor(Math.log10(Math.max(x, 1e-9)));
-  return ([1, 2, 5].find((k) => k * power >= x * (1 - 1e-9)) ?? 10) * power;
-};
 
 export class Compare {
   /** @param {App} app */
@@ -93,7 +87,7 @@ export class Compare {
         far[j] = Math.sqrt(sum);
         if (far[j] > most) [most, worst] = [far[j], j];
       }
-      this.scale = Math.max(this.scale, round(most));
+      this.scale = Math.max(this.scale, roundUp(most));
       apart.push(far);
       this.results[pose.index].replaceChildren(worst < 0 ? 'no difference'
         : `up to ${number(most * 1000, 2)} mm, `, worst < 0 ? '' : named(pose.names[worst]));

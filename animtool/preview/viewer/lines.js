@@ -12,12 +12,13 @@ uniform mat4 viewProjection; uniform vec2 size; uniform float width, world, perM
 out vec4 tint; out vec3 where;
 void main() {
   vec4 p = viewProjection * vec4(a, 1.), q = viewProjection * vec4(b, 1.);
-  const float near = 1e-3;
+  const float near = 1e-2;
   tint = color;
-  where = mix(a, b, corner.x);
+  vec3 from = a, to = b;
   if (p.w < near && q.w < near) { gl_Position = vec4(2., 2., 2., 1.); return; }
-  if (p.w < near) p = mix(q, p, (q.w - near) / (q.w - p.w));
-  if (q.w < near) q = mix(p, q, (p.w - near) / (p.w - q.w));
+  if (p.w < near) { float t = (q.w - near) / (q.w - p.w); p = mix(q, p, t); from = mix(to, from, t); }
+  if (q.w < near) { float t = (p.w - near) / (p.w - q.w); q = mix(p, q, t); to = mix(from, to, t); }
+  where = mix(from, to, corner.x);
   vec2 along = (q.xy / q.w - p.xy / p.w) * size;
   along = dot(along, along) > 1e-12 ? normalize(along) : vec2(1., 0.);
   gl_Position = mix(p, q, corner.x);

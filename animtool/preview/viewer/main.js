@@ -38,7 +38,8 @@ export class App {
     this.overlay = new Overlay(this);
     /** Whether data or looks are others than those drawn. */
     this.stale = true;
-    this.awake = false;
+    // Nothing is drawn before all is loaded.
+    this.awake = true;
     this.before = 0;
     /** @type {(() => void)[]} Who waits for the next picture. */
     this.waiting = [];
@@ -48,12 +49,13 @@ export class App {
     const pins = readFragment(location.hash);
     if (pins.f !== undefined) this.timeline.seek(this.timeline.sampleOf(Number(pins.f)));
     await this.scene.load(this.timeline.sample);
+    this.awake = false;
     this.compare = new Compare(this);
     this.curves = new Curves(this);
     this.findings = new Findings(this);
     connect(this);
     if (this.compare.beside) this.compare.arrange(true);
-    else this.home();
+    else await this.frameAll();
     this.setFollow(this.#travels());
     steer(this.canvas, this.view, (moved) => {
       this.invalidate();
@@ -93,6 +95,20 @@ export class App {
         f: String(+this.timeline.frameOf(this.timeline.sample).toFixed(6)), cam: this.view.text,
         ...find >= 0 ? { find: String(find) } : {} });
     }, 150);
+  }
+
+  /** Show all; without skeletons, which are followed, at the end and halfway too. */
+  async frameAll() {
+    const { scene, timeline: { sample, count }, streams } = this;
+    scene.prepare(this.show, this.colors);
+    const box = scene.box();
+    for (const i of scene.joints ? [] : [count >> 1, count - 1, sample]) {
+      await streams.load(i);
+      scene.update(i);
+      scene.prepare(this.show, this.colors);
+      scene.box(box);
+    }
+    this.view.frame(box);
   }
 
   /** Show all. */

@@ -105,6 +105,12 @@ export function perspective(halfWidth, halfHeight, near, far) {
   return out;
 }
 
+/** @param {number} x @returns {number} The next of 1, 2, 5, 10, …, or that which is hardly less. */
+export function roundUp(x) {
+  const power = 10 ** Math.floor(Math.log10(Math.max(x, 1e-9)));
+  return ([1, 2, 5].find((k) => k * power >= x * 0.99) ?? 10) * power;
+}
+
 /** Least and greatest of the coordinates that it was shown. */
 export class Box {
   constructor() {

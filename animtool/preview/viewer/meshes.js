@@ -13,8 +13,15 @@ import { display } from './points.js';
 
 const VERTEX = `${CELL}
 layout(location=0) in vec3 point; layout(location=1) in vec3 normal;
-layout(location=2) in uvec4 joints; layout(location=3) in vec4 weights; layout(location=4) in uvec2 span;
+#ifdef SKIN
+layout(location=2) in uvec4 joints; layout(location=3) in vec4 weights;
+#endif
+#ifdef SHAPES
+layout(location=4) in uvec2 span;
+#endif
+#ifdef INSTANCES
 layout(location=5) in mat4 placed; layout(location=9) in vec3 ownColor;
+#endif
 uniform mat4 viewProjection, view; uniform vec3 color, shift; uniform sampler2D palette, deltas, amounts;
 out vec3 n; out vec3 tint; out vec3 eye; out float heat;
 void main() {
@@ -123,6 +130,7 @@ export class Mesh {
     this.#place(this.shown, given?.length === this.shown.length ? given : null);
     attribute(gl, 0, this.points, 3);
     attribute(gl, 1, this.normals, 3);
+    gl.bindVertexArray(null);
     if (record.skin && this.pose) await this.#loadSkin(record.skin);
     if (record.shapes?.length && this.pose?.record.shapes) await this.#loadShapes(record.shapes, vertices);
     gl.bindVertexArray(null);
@@ -150,6 +158,7 @@ export class Mesh {
       const sum = weights[i] + weights[i + 1] + weights[i + 2] + weights[i + 3] || 1;
       for (let k = 0; k < 4; k++) weights[i + k] /= sum;
     }
+    gl.bindVertexArray(this.array);
     attribute(gl, 2, makeBuffer(gl, joints), 4, { type: gl.UNSIGNED_SHORT, whole: true });
     attribute(gl, 3, makeBuffer(gl, weights), 4);
     this.palette = new Table(gl, skin.palette.length * 4);
@@ -172,6 +181,7 @@ export class Mesh {
     deltas.send();
     this.deltas = deltas;
     this.amounts = new Table(gl, this.pose?.record.shapes?.names.length ?? 1);
+    gl.bindVertexArray(this.array);
     attribute(gl, 4, makeBuffer(gl, span), 2, { type: gl.UNSIGNED_INT, whole: true });
   }
 

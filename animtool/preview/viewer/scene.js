@@ -52,14 +52,15 @@ export class Scene {
     this.ground = new Ground(this.gl, this.box().radius);
   }
 
-  /** @returns {Box} Around all that is shown. */
-  box() {
-    const box = new Box();
+  get joints() { return this.poses.some((pose) => pose.count); }
+
+  /** @param {Box} [box] @returns {Box} Around all that is shown, and what was in it. */
+  box(box = new Box()) {
     for (const pose of this.poses) {
       for (let j = 0; pose.visible && j < pose.count; j++) box.add(pose.world, j * 16 + 12);
     }
     for (const mesh of this.meshes) {
-      if (mesh.instances || mesh.palette && mesh.pose) continue;
+      if (mesh.instances || mesh.pose?.visible === false) continue;
       for (let i = 0; i < mesh.shown.length; i += 3) box.add(mesh.shown, i);
     }
     for (const { matrices, shown } of this.instances) {
@@ -121,7 +122,12 @@ export class Scene {
     gl.depthMask(true);
     gl.disable(gl.BLEND);
     // In front of the skin, which hides them else.
-    if (solid) gl.depthRange(0, 0.1);
+    if (solid) {
+      gl.depthRange(0, 0.1);
+      gl.enable(gl.BLEND);
+      gl.blendColor(0, 0, 0, 0.5);
+      gl.blendFunc(gl.CONSTANT_ALPHA, gl.ONE_MINUS_CONSTANT_ALPHA);
+    }
     const visible = this.poses.filter((pose) => pose.visible);
     this.bones.draw(view, visible, (take) => this.color(take, colors), selected, colors.accent, show);
   }

@@ -1,12 +1,13 @@
 /** The ground, the paths of root and feet around the frame, and what touches the ground. */
 
 import { Lines } from './lines.js';
+import { roundUp } from './maths.js';
 
 /** @typedef {import('./camera.js').View} View */
 /** @typedef {import('./skeleton.js').Pose} Pose */
 /** @typedef {{first: number, step: number, count: number}} Time */
 
-const CELLS = 24;
+const CELLS = 40, PIECE = 4;
 /** Samples of a trail before and after the frame. */
 const REACH = 48;
 
@@ -14,8 +15,8 @@ export class Ground {
   /** @param {WebGL2RenderingContext} gl @param {number} radius Of what is shown [m]. */
   constructor(gl, radius) {
     this.lines = new Lines(gl);
-    /** Size of a cell [m]: a power of ten. */
-    this.cell = 10 ** Math.round(Math.log10(Math.max(radius, 1e-6) * 0.8));
+    /** Size of a cell [m]. */
+    this.cell = roundUp(Math.max(radius, 1e-6) * 0.3);
     this.key = '';
   }
 
@@ -28,9 +29,13 @@ export class Ground {
     this.key = key;
     for (let i = -half; i <= half; i++) {
       const x = (cx + i) * cell, z = (cz + i) * cell;
-      const left = (cx - half) * cell, near = (cz - half) * cell, long = CELLS * cell;
-      this.lines.add([x, 0, near], [x, 0, near + long], cx + i ? line : strong);
-      this.lines.add([left, 0, z], [left + long, 0, z], cz + i ? line : strong);
+      // In pieces: what passes the camera is less exact.
+      for (let k = -half; k < half; k += PIECE) {
+        const [left, right] = [k, k + PIECE].map((n) => (cx + n) * cell);
+        const [near, far] = [k, k + PIECE].map((n) => (cz + n) * cell);
+        this.lines.add([x, 0, near], [x, 0, far], cx + i ? line : strong);
+        this.lines.add([left, 0, z], [right, 0, z], cz + i ? line : strong);
+      }
     }
     this.lines.flush();
   }

@@ -24,7 +24,7 @@ function theme(app) {
 
 /** What may be shown or not; buttons of what the page has not are left out. @param {App} app */
 function toggles(app) {
-  const { scene, show, manifest } = app, joints = scene.poses.some((pose) => pose.count);
+  const { scene, show, manifest } = app, { joints } = scene;
   const there = {
     bones: joints, axes: joints, names: joints, trails: joints,
     meshes: !!(scene.meshes.length + scene.clouds.length + scene.strands.length),
@@ -49,7 +49,7 @@ function cameras(app) {
     button(`cam-${name}`).addEventListener('click', () => app.preset(name));
   }
   button('follow').addEventListener('click', () => app.setFollow(!app.view.follow));
-  button('follow').hidden = !app.scene.poses.some((pose) => pose.count);
+  button('follow').hidden = !app.scene.joints;
   const list = need('camera', HTMLSelectElement);
   list.hidden = !app.scene.cameras.length;
   list.append(make('option', { value: '-1' }, 'Orbit'), ...app.scene.cameras.map(
@@ -64,7 +64,7 @@ function cameras(app) {
 /** Lists beside the picture. @param {App} app */
 function panels(app) {
   const { manifest: { findings = [], notices = [], takes = [], channels = [] } } = app;
-  const counts = [findings.length + notices.length, takes.length, channels.length];
+  const counts = [findings.length + notices.length, takes.length > 1 ? takes.length : 0, channels.length];
   const panel = need('panel', HTMLElement), narrow = innerWidth < 760;
   let open = narrow ? '' : PANELS[counts.findIndex((x) => x > 0)] ?? '';
   const show = () => {
