@@ -299,11 +299,15 @@ def _timeline(
     last = max((b for _, b in spans), default=first)
     frames = options.frame_range
     if frames is not None:
+        start, end = first, last
         last = min(last, Fraction(frames.last))
         first, step = max(first, Fraction(frames.first)), Fraction(frames.step)
         if last < first:
-            message = f"there is no frame from {frames.first} to {frames.last}"
-            raise OptionError(Fault("PRV005", message, hint="--frames names others"))
+            message = (
+                f"frames {frames.first}-{frames.last} are not in the file, which has "
+                f"{frame_label(start)}-{frame_label(end)}"
+            )
+            raise OptionError(Fault("CLI005", message))
     count = int((last - first) / step) + 1
     if count > MAX_FRAMES:
         message = f"the page would have {count} frames; at most {MAX_FRAMES} are shown"

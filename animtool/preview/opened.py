@@ -199,7 +199,8 @@ def _open_stage(path: Path, name: str, source: SourceOptions) -> OpenFile:
     ]
     if len(chosen) <= 1 and (chosen or contents.is_animation()):
         streams = {chosen[0] if chosen else "": open_source(path, source)}
-        opened.notices += _other_takes(path, next(iter(streams.values())))
+        if source.take is None:
+            opened.notices += _other_takes(path, next(iter(streams.values())))
     else:
         streams = {prim: characters[prim]() for prim in chosen}
     for prim, stream in streams.items():

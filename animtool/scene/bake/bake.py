@@ -14,6 +14,7 @@ from animtool.core.config import find_config
 from animtool.core.errors import Fault, OptionError, Severity, listed, refuse_warnings
 from animtool.core.files.output import check_outputs, sparing_inputs, together
 from animtool.core.rates import rate_label
+from animtool.core.readers import PACKAGE
 from animtool.motion.reorient import off_its_place, reorient
 from animtool.motion.take import TakeStream
 from animtool.rig.placed import standing_notice
@@ -36,7 +37,7 @@ from animtool.scene.bake.reading import (
     output_files,
 )
 from animtool.scene.sources.open import Opener, open_source, source_stem
-from animtool.usd.layers.jobs import PACKAGE, Form, check_suffix
+from animtool.usd.layers.jobs import Form, check_suffix
 from animtool.usd.layers.names import legal_name
 from animtool.usd.layers.sdf import check_prim_path
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from animtool.core.errors import Fault, OptionError
 from animtool.core.files.output import is_text
 from animtool.core.files.reading import is_there
+from animtool.core.readers import PACKAGE
 
 if TYPE_CHECKING:
     import numpy as np
@@ -30,8 +31,6 @@ if TYPE_CHECKING:
 
 
 SUFFIXES = (".usd", ".usda", ".usdc")
-# A zip file of a stage and all that it refers to.
-PACKAGE = ".usdz"
 # What `convert` writes, and outputs of scenes too.
 CONVERTED = (".bvh", ".yaml", ".yml")
 

@@ -9,12 +9,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from pxr import Sdf, Tf, UsdUtils
+from pxr import Sdf, Tf
 
 from animtool.core.files.placing import output_error
-from animtool.usd.layers.jobs import PACKAGE
-from animtool.usd.layers.sdf import usd_reason
+from animtool.core.readers import PACKAGE
 
+UNPACKED = "USD could not pack it"
 # The first day that a zip file can state.
 _FIRST_DAY = struct.pack("<HH", 0, (1 << 5) | 1)
 # Where the time stands in headers of a file and of the directory.
@@ -35,15 +35,17 @@ def unpacked(path: Path, temporary: Path) -> Iterator[Path]:
     crate = temporary.with_suffix(".usdc")
     try:
         yield crate
+        from pxr import UsdUtils
+
         done = UsdUtils.CreateNewUsdzPackage(
             Sdf.AssetPath(str(crate)), str(temporary), f"{plain_stem(path)}.usdc"
         )
     except Tf.ErrorException as error:
-        raise output_error(path, usd_reason(error)) from error
+        raise output_error(path, UNPACKED) from error
     finally:
         crate.unlink(missing_ok=True)
     if not done:
-        raise output_error(path, "USD could not pack it")
+        raise output_error(path, UNPACKED)
     clear_times(temporary)
 
 

@@ -31,6 +31,7 @@ from animtool.core.files.reading import (
 )
 from animtool.core.process.supervisor import note_said, reading
 from animtool.core.rates import rate_from_float
+from animtool.core.readers import PACKAGE
 from animtool.core.shot import Shot
 from animtool.core.units import UpAxis
 from animtool.maths import so3
@@ -41,7 +42,7 @@ from animtool.usd.layers.finite import (
     check_value,
     largest,
 )
-from animtool.usd.layers.jobs import PACKAGE
+from animtool.usd.layers.package import unpacked
 
 # USD maps binary layers into memory, and reads those of text whole.
 MAX_LAYER_BYTES = 1_000_000_000_000
@@ -286,8 +287,6 @@ def save_layer(layer: Any, path: Path | None) -> int:
         note_said()
         sys.stdout.flush()
         return len(text.encode())
-    from animtool.usd.layers.package import unpacked
-
     with replacing(path) as temporary:
         with unpacked(path, temporary) as file:
             export_layer(layer, file, path)

@@ -82,8 +82,9 @@ def test_skins_and_shapes_deform_in_the_shader(
             inner = np.rint((middle[1:] + middle[:-1]) / 2).astype(int)
             assert shown[inner[:, 1], inner[:, 0]].all()
             found = pixels_of(shown)
-            edges = np.concatenate([left[:-1], right[:-1], left]), np.concatenate(
-                [left[1:], right[1:], right]
+            edges = (
+                np.concatenate([left[:-1], right[:-1], left]),
+                np.concatenate([left[1:], right[1:], right]),
             )
             wide = np.linalg.norm(left - right, axis=-1).max()
             assert distance(found, *edges).min(axis=1).max() < wide / 2 + 4
@@ -176,14 +177,13 @@ def test_caches_points_strands_and_copies(tmp_path: Path, browser: Browser) -> N
             ends = strands[sample]
             middles = (ends[::2] + ends[1::2]) / 2
             assert there([*middles, (ends[1] + ends[2]) / 2]) == [True, True, False]
-            assert there(places[sample] + [0, 0.07, 0]) == seen[sample].astype(
-                bool
-            ).tolist()
+            assert (
+                there(places[sample] + [0, 0.07, 0])
+                == seen[sample].astype(bool).tolist()
+            )
 
 
-def test_long_takes_decode_as_they_are_sought(
-    tmp_path: Path, browser: Browser
-) -> None:
+def test_long_takes_decode_as_they_are_sought(tmp_path: Path, browser: Browser) -> None:
     # The last block has one sample.
     chain = Chain.swaying(2561)
     draft = PageDraft(count=2561)
@@ -236,7 +236,9 @@ def test_the_shot_is_seen_through_its_camera(tmp_path: Path, browser: Browser) -
             told = np.array([opened.run(f"animtool.project(0, {j})") for j in (0, 5)])
             # Heights in the gate are those on the sensor.
             gap = (told[0] - told[1])[1]
-            sensor = lenses[sample] / 6.0 * (positions[sample, 5] - positions[sample, 0])[1]
+            sensor = (
+                lenses[sample] / 6.0 * (positions[sample, 5] - positions[sample, 0])[1]
+            )
             box = opened.page.locator("#view").bounding_box()
             gate = gap / sensor[0] * 24.0 / box["height"]
             assert gate == pytest.approx(0.92, abs=0.05)

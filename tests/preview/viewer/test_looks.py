@@ -62,7 +62,9 @@ def test_every_control_is_in_reach(
             assert (width, height) <= size
             view = opened.page.locator("#view").bounding_box()
             assert view["height"] >= 120
-            for control in opened.page.locator("nav button, footer :is(button, input)").all():
+            for control in opened.page.locator(
+                "nav button, footer :is(button, input)"
+            ).all():
                 box = control.bounding_box()
                 assert box["x"] >= 0
                 assert box["y"] >= 0
@@ -107,7 +109,9 @@ def themes() -> list[dict[str, str]]:
 
 def luminance(color: str) -> float:
     parts = [int(color[i : i + 2], 16) / 255 for i in (1, 3, 5)]
-    linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in parts]
+    linear = [
+        c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in parts
+    ]
     return float(np.dot(linear, [0.2126, 0.7152, 0.0722]))
 
 
