@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import json
 from fractions import Fraction
 from pathlib import Path
 
@@ -17,11 +16,14 @@ from animtool.core.shot import FrameRange
 from animtool.core.units import UpAxis
 from animtool.motion.reorient import reorient
 from animtool.preview.build import make_page, write_page
+from animtool.preview.opened import resting
 from animtool.preview.options import PreviewOptions
+from animtool.preview.show import show
 from animtool.rig.kinematics import forward
+from animtool.rig.skeleton import Joint, Rig
 from animtool.scene.bake.bake import bake
 from animtool.scene.bake.options import BakeOptions
-from animtool.scene.sources.open import SourceOptions
+from animtool.scene.sources.open import SourceOptions, open_source
 
 PLAIN = PreviewOptions(findings=False)
 
@@ -53,28 +55,33 @@ def test_a_page_holds_the_take_within_the_error_that_it_states(
 
 
 def test_one_motion_makes_equal_pages_whatever_its_format(
-    root: Path, tmp_path: Path
+    walk: Path, root: Path, tmp_path: Path
 ) -> None:
     clip = root / "samples/stride/stride.clip.yaml"
-    bake(clip, tmp_path / "stride.usdc")
-    assert animtool("convert", clip, tmp_path / "stride.bvh").code == 0
-    one, two, three = (
-        page_of(path)
-        for path in (clip, tmp_path / "stride.usdc", tmp_path / "stride.bvh")
-    )
-    for other in (two, three):
-        for key in ("names", "parents"):
-            ours = one.manifest["takes"][0]["skeleton"][key]
-            assert other.manifest["takes"][0]["skeleton"][key] == ours
+    for source in (walk, clip):
+        baked = tmp_path / f"{source.stem}.usdc"
+        bake(source, baked)
+        one, other = (
+            ReadPage(make_page([path], PLAIN).html()) for path in (source, baked)
+        )
         for mine, theirs in zip(one.locals(), other.locals(), strict=True):
             # A step of the integers: what rounds to either side of one.
             assert np.abs(mine - theirs).max() < 4e-5
-        assert other.manifest["time"] == one.manifest["time"]
-        assert (
-            other.manifest["takes"][0]["contacts"]
-            == (one.manifest["takes"][0]["contacts"])
-        )
-    assert len(two.manifest["meshes"]) == len(one.manifest["meshes"]) > 0
+        ours, others = (page.manifest["takes"][0] for page in (one, other))
+        for key in ("moving", "contacts", "span", "offset"):
+            assert ours[key] == others[key]
+        for key in ("names", "parents"):
+            assert ours["skeleton"][key] == others["skeleton"][key]
+        assert one.manifest["time"] == other.manifest["time"]
+        assert len(one.manifest["meshes"]) == len(other.manifest["meshes"])
+    keyed = tmp_path / "walk.clip.yaml"
+    assert animtool("convert", walk, keyed).code == 0
+    rig = read_bvh(walk).rig
+    one, other = (
+        forward(rig, t, r / np.linalg.norm(r, axis=-1, keepdims=True)).positions
+        for t, r in (page_of(path).locals() for path in (walk, keyed))
+    )
+    assert np.linalg.norm(one - other, axis=-1).max() < 1e-3
 
 
 def test_the_same_files_make_the_same_bytes_and_no_path_is_in_them(
@@ -102,26 +109,27 @@ HOSTILE = [
 
 
 def test_hostile_names_stay_names(tmp_path: Path) -> None:
-    names = dict(zip(("Hips", "Spine"), HOSTILE[3:5], strict=True))
-    entries = []
-    for i, name in enumerate(HOSTILE):
-        parent = f", parent: {json.dumps(HOSTILE[0])}" if i else ""
-        entries.append(f"- {{name: {json.dumps(name)}, type: free{parent}}}")
-    rig = tmp_path / "h.rig.yaml"
-    rig.write_text("rig: animtool/1\nname: x\njoints:\n" + "\n".join(entries), "utf-8")
-    assert names
+    joints = tuple(Joint(name, -1) for name in HOSTILE)
+    page = ReadPage(show(resting(Rig(HOSTILE[0], joints)).collect()).page.html())
+    assert page.manifest["takes"][0]["skeleton"]["names"] == HOSTILE
+    assert page.manifest["title"] == HOSTILE[0]
     folder = tmp_path / "<img src=x onerror=alert(1)>{{title}}"
     folder.mkdir()
-    named = folder / "a'\"&<b>.rig.yaml"
-    named.write_bytes(rig.read_bytes())
-    page = page_of(named)
-    assert page.manifest["takes"][0]["skeleton"]["names"] == HOSTILE
-    assert page.manifest["source"]["files"] == [named.name]
-    scripts = page.text.count("<script")
-    assert scripts == page.text.count("</script>")
-    assert page_of(rig).text.count("<script") == scripts
-    assert "<img" not in page.text
-    assert "<b>.rig" not in page.text
+    named = folder / "a'\"&<b>{{manifest}}.bvh"
+    named.write_text(small_bvh(random_rows(2)))
+    other = page_of(named)
+    assert other.manifest["source"]["files"] == [named.name]
+    for one in (page, other):
+        assert one.text.count("<script") == one.text.count("</script>")
+        assert one.text.count('id="manifest"') == 1
+        assert "alert(1)</" not in one.text
+        assert "<img" not in one.text
+        assert "<b>" not in one.text
+    scripts = [
+        one.text.count("<script") - one.text.count('class="block"')
+        for one in (page, other)
+    ]
+    assert scripts[0] == scripts[1]
 
 
 def test_five_thousand_curves_share_a_stream(tmp_path: Path) -> None:
@@ -153,14 +161,10 @@ def test_one_frame_and_no_joints(tmp_path: Path) -> None:
     page = page_of(still)
     assert page.manifest["time"]["count"] == 1
     assert page.manifest["takes"][0]["moving"] == {"t": [], "r": [], "s": []}
-    bare = tmp_path / "bare.rig.yaml"
-    bare.write_text("rig: animtool/1\nname: bare\njoints: []\n")
-    try:
-        names = page_of(bare).manifest["takes"][0]["skeleton"]["names"]
-    except AnimtoolError as error:
-        assert error.code.startswith("RIG")
-    else:
-        assert names == []
+    nobody = resting(Rig("nobody", ())).collect()
+    made = ReadPage(show(nobody).page.html())
+    assert made.manifest["takes"][0]["skeleton"]["names"] == []
+    assert made.manifest["time"]["count"] == 1
 
 
 def test_a_stage_that_shows_nothing_makes_a_page(tmp_path: Path) -> None:
@@ -224,7 +228,7 @@ def test_skins_and_shapes_give_the_points_of_the_mesh(tmp_path: Path) -> None:
         if p.GetName() == mesh["name"] and p.IsA(UsdGeom.Mesh)
     )
     t, r = page.locals()
-    rig = make_rig(clip)
+    rig = open_source(clip).rig
     world = forward(rig, t, r / np.linalg.norm(r, axis=-1, keepdims=True))
     for frame in (0, len(t) - 1):
         shaped = points.copy()
@@ -245,12 +249,6 @@ def test_skins_and_shapes_give_the_points_of_the_mesh(tmp_path: Path) -> None:
         expected = np.array(UsdGeom.Mesh(prim).GetPointsAttr().Get(code))
         unit = UsdGeom.GetStageMetersPerUnit(stage)
         assert np.abs(found - expected * unit).max() < 3e-4
-
-
-def make_rig(clip: Path):  # type: ignore[no-untyped-def]
-    from animtool.scene.sources.open import open_source
-
-    return open_source(clip).rig
 
 
 @pytest.mark.parametrize("scene", ["rope/rope", "shot/shot"])
