@@ -1,45 +1,40 @@
 /** Skeletons: bones as octahedra, joints as balls, and the axes of joints. */
 
-import { SHADE, attribute, makeBuffer, makeProgram } from './gl.js';
+import { CELL, SHADE, Table, drawTable, makeProgram } from './gl.js';
 import { Lines } from './lines.js';
 import { Sprites } from './points.js';
-import { cross, sub, unit } from './maths.js';
+import { sub, unit } from './maths.js';
 
 /** @typedef {import('./camera.js').View} View */
 /** @typedef {import('./skeleton.js').Pose} Pose */
 
-const VERTEX = `
-layout(location=0) in vec3 point; layout(location=1) in vec3 normal;
-layout(location=2) in vec3 head; layout(location=3) in vec3 tail; layout(location=4) in vec4 color;
-uniform mat4 viewProjection, view; uniform float thickest;
+const VERTEX = `${CELL}
+uniform sampler2D bones; uniform mat4 viewProjection, view; uniform float thickest;
 out vec3 n; out vec3 tint;
+const vec2 RING[4] = vec2[](vec2(1, 0), vec2(0, 1), vec2(-1, 0), vec2(0, -1));
+// Corners of an octahedron along Y, its waist at .14: four faces below, four above.
+vec3 corner(int face, int k) {
+  if (k == 0) return vec3(0, face / 4, 0);
+  vec2 at = RING[(face + (face < 4 ? k + 3 : 6 - k)) % 4];
+  return vec3(at.x, .14, at.y);
+}
 void main() {
+  int at = gl_VertexID / 24 * 3, face = gl_VertexID % 24 / 3;
+  vec3 head = cell(bones, at).xyz, tail = cell(bones, at + 1).xyz;
+  vec3 point = corner(face, gl_VertexID % 3), first = corner(face, 0);
+  vec3 normal = cross(corner(face, 1) - first, corner(face, 2) - first);
   vec3 along = tail - head;
   float len = length(along), wide = min(len * .11, thickest);
   vec3 y = along / len, x = normalize(cross(abs(y.x) < .8 ? vec3(1, 0, 0) : vec3(0, 0, 1), y)), z = cross(x, y);
   vec3 p = head + x * point.x * wide + along * point.y + z * point.z * wide;
   n = mat3(view) * normalize(x * normal.x / wide + y * normal.y / len + z * normal.z / wide);
-  tint = color.rgb;
+  tint = cell(bones, at + 2).rgb;
   gl_Position = viewProjection * vec4(p, 1.);
 }`;
 
 const FRAGMENT = `${SHADE}
 in vec3 n; in vec3 tint; out vec4 result;
 void main() { result = vec4(shade(tint, normalize(n)), 1.); }`;
-
-/** @returns {Float32Array<ArrayBuffer>} Corners and normals of an octahedron along Y, its waist at .14. */
-function octahedron() {
-  const ring = [[1, 0.14, 0], [0, 0.14, 1], [-1, 0.14, 0], [0, 0.14, -1]];
-  const out = [];
-  for (let i = 0; i < 4; i++) {
-    const a = ring[i], b = ring[(i + 1) % 4];
-    for (const [p, q, s] of [[[0, 0, 0], a, b], [[0, 1, 0], b, a]]) {
-      const n = unit(cross(sub(q, p), sub(s, p)));
-      for (const corner of [p, q, s]) out.push(...corner, ...n);
-    }
-  }
-  return new Float32Array(out);
-}
 
 /** @param {number} h 0…1 @returns {number[]} From calm blue over yellow to red, 0…255. */
 export function heatColor(h) {
@@ -53,17 +48,7 @@ export class Bones {
   constructor(gl) {
     this.gl = gl;
     this.program = makeProgram(gl, VERTEX, FRAGMENT);
-    this.array = gl.createVertexArray();
-    const shape = makeBuffer(gl, octahedron());
-    this.ends = makeBuffer(gl);
-    this.colors = makeBuffer(gl);
-    gl.bindVertexArray(this.array);
-    attribute(gl, 0, shape, 3, { stride: 24 });
-    attribute(gl, 1, shape, 3, { stride: 24, offset: 12 });
-    attribute(gl, 2, this.ends, 3, { stride: 24, each: 1 });
-    attribute(gl, 3, this.ends, 3, { stride: 24, offset: 12, each: 1 });
-    attribute(gl, 4, this.colors, 4, { type: gl.UNSIGNED_BYTE, normal: true, each: 1 });
-    gl.bindVertexArray(null);
+    this.table = new Table(gl);
     this.balls = new Sprites(gl);
     this.axes = new Lines(gl);
   }
@@ -77,35 +62,29 @@ export class Bones {
    */
   draw(view, poses, color, selected, accent, show) {
     /** @type {number[]} */
-    const ends = [], colors = [];
+    const bones = [], balls = [];
     /** @type {number[]} */
-    const balls = [], tints = [];
+    const tints = [];
     let size = 0;
     for (const pose of poses) {
-      const [r, g, b] = color(pose.index), thin = pose.extent * 1e-4;
+      const plain = color(pose.index), thin = pose.extent * 1e-4;
       size = Math.max(size, pose.extent);
+      const tint = (/** @type {number} */ j) => (
+        selected?.take === pose.index && selected.joint === j ? accent : pose.heat ? heatColor(pose.heat[j]) : plain);
+      const bone = (/** @type {number} */ j, /** @type {number[]} */ end) => {
+        const head = pose.position(j);
+        if (Math.hypot(...sub(end, head)) > thin) bones.push(...head, 0, ...end, 0, ...tint(j).map((x) => x / 255), 0);
+      };
       for (let j = 0; j < pose.count; j++) {
-        const own = selected?.take === pose.index && selected.joint === j;
-        const tint = own ? accent : pose.heat ? heatColor(pose.heat[j]) : [r, g, b];
-        const at = pose.position(j), up = pose.parents[j];
+        const at = pose.position(j);
         balls.push(...at);
-        tints.push(...tint);
-        if (up < 0) continue;
-        const from = pose.position(up);
-        if (Math.hypot(...sub(at, from)) < thin) continue;
-        ends.push(...from, ...at);
-        const held = selected?.take === pose.index && selected.joint === up;
-        colors.push(...(held ? accent : pose.heat ? heatColor(pose.heat[up]) : [r, g, b]), 255);
+        tints.push(...tint(j));
+        if (pose.parents[j] >= 0) bone(pose.parents[j], at);
       }
-      for (const tip of pose.tips) {
-        const from = pose.position(tip[0]), at = pose.tip(tip), own = selected?.take === pose.index && selected.joint === tip[0];
-        if (Math.hypot(...sub(at, from)) < thin) continue;
-        ends.push(...from, ...at);
-        colors.push(...(own ? accent : pose.heat ? heatColor(pose.heat[tip[0]]) : [r, g, b]), 255);
-      }
+      for (const tip of pose.tips) bone(tip[0], pose.tip(tip));
       if (show.axes) this.#axes(pose);
     }
-    if (show.bones && ends.length) this.#octahedra(view, ends, colors, size);
+    if (show.bones && bones.length) this.#octahedra(view, bones, size);
     if (show.bones && balls.length) {
       this.balls.set(new Float32Array(balls), new Uint8Array(tints));
       this.balls.draw(view, size * 0.008, 2.5);
@@ -114,19 +93,18 @@ export class Bones {
     this.axes.draw(view, { width: 1.5 });
   }
 
-  /** @param {View} view @param {number[]} ends @param {number[]} colors @param {number} size */
-  #octahedra(view, ends, colors, size) {
-    const { gl, program } = this;
-    gl.bindBuffer(gl.ARRAY_BUFFER, this.ends);
-    gl.bufferData(gl.ARRAY_BUFFER, new Float32Array(ends), gl.DYNAMIC_DRAW);
-    gl.bindBuffer(gl.ARRAY_BUFFER, this.colors);
-    gl.bufferData(gl.ARRAY_BUFFER, new Uint8Array(colors), gl.DYNAMIC_DRAW);
+  /** @param {View} view @param {number[]} bones Three cells each. @param {number} size */
+  #octahedra(view, bones, size) {
+    const { gl, program, table } = this;
+    table.grow(bones.length / 4);
+    table.values.set(bones);
+    table.send(bones.length / 4);
     gl.useProgram(program.program);
+    table.bind(0, program.at('bones'));
     gl.uniformMatrix4fv(program.at('viewProjection'), false, view.viewProjection);
     gl.uniformMatrix4fv(program.at('view'), false, view.view);
     gl.uniform1f(program.at('thickest'), size * 0.03);
-    gl.bindVertexArray(this.array);
-    gl.drawArraysInstanced(gl.TRIANGLES, 0, 24, ends.length / 6);
+    drawTable(gl, bones.length * 2);
   }
 
   /** Add the axes of each joint, red, green and blue. @param {Pose} pose */

@@ -73,14 +73,26 @@ export function makeBuffer(gl, data, target = gl.ARRAY_BUFFER) {
   return buffer;
 }
 
-/** A table of four numbers a cell that vertex shaders read, as long as is needed. */
+/** A table of four numbers a cell that vertex shaders read. */
 export class Table {
-  /** @param {WebGL2RenderingContext} gl @param {number} cells */
-  constructor(gl, cells) {
+  /** @param {WebGL2RenderingContext} gl @param {number} [cells] */
+  constructor(gl, cells = 0) {
     this.gl = gl;
-    this.wide = Math.min(1024, Math.max(cells, 1));
+    this.values = new Float32Array(0);
+    this.wide = this.high = 0;
+    /** @type {WebGLTexture|null} */
+    this.texture = null;
+    this.grow(cells);
+  }
+
+  /** Make room; what it held is lost where there was not enough. @param {number} cells */
+  grow(cells) {
+    const { gl } = this;
+    if (this.texture && cells * 4 <= this.values.length) return;
+    this.wide = Math.min(1024, Math.max(cells, 64));
     this.high = Math.max(Math.ceil(cells / this.wide), 1);
     this.values = new Float32Array(this.wide * this.high * 4);
+    gl.deleteTexture(this.texture);
     this.texture = gl.createTexture();
     gl.bindTexture(gl.TEXTURE_2D, this.texture);
     gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.NEAREST);
@@ -88,11 +100,12 @@ export class Table {
     gl.texStorage2D(gl.TEXTURE_2D, 1, gl.RGBA32F, this.wide, this.high);
   }
 
-  /** Give the values to the graphics processor. */
-  send() {
-    const { gl } = this;
+  /** Give the first values to the graphics processor. @param {number} [cells] */
+  send(cells = this.values.length / 4) {
+    const { gl } = this, rows = Math.ceil(cells / this.wide);
+    if (!rows) return;
     gl.bindTexture(gl.TEXTURE_2D, this.texture);
-    gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, this.wide, this.high, gl.RGBA, gl.FLOAT, this.values);
+    gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, this.wide, rows, gl.RGBA, gl.FLOAT, this.values);
   }
 
   /** @param {number} slot Unit of textures. @param {WebGLUniformLocation|null} where */
@@ -103,6 +116,23 @@ export class Table {
     gl.uniform1i(where, slot);
     gl.activeTexture(gl.TEXTURE0);
   }
+}
+
+/** What is drawn of tables alone has no attributes. @type {WeakMap<WebGL2RenderingContext, WebGLVertexArrayObject>} */
+const empty = new WeakMap();
+
+/**
+ * Draw triangles whose corners a vertex shader finds in a table.
+ *
+ * Drawing instances would be the plain way, but software takes each for a drawing.
+ *
+ * @param {WebGL2RenderingContext} gl @param {number} corners
+ */
+export function drawTable(gl, corners) {
+  const array = empty.get(gl) ?? gl.createVertexArray();
+  empty.set(gl, array);
+  gl.bindVertexArray(array);
+  gl.drawArrays(gl.TRIANGLES, 0, corners);
 }
 
 /** GLSL: cell `i` of a table. */

@@ -1,19 +1,24 @@
-/** Lines of any width on the screen or in the world, a segment an instance. */
+/** Lines of any width on the screen or in the world. */
 
-import { attribute, makeBuffer, makeProgram } from './gl.js';
+import { CELL, Table, drawTable, makeProgram } from './gl.js';
 
 /** @typedef {import('./camera.js').View} View */
 /** @typedef {{width?: number, world?: number, fade?: number[]|null, alpha?: number}} Look */
 
-const VERTEX = `
-layout(location=0) in vec2 corner; layout(location=1) in vec3 a; layout(location=2) in vec3 b;
-layout(location=3) in vec4 color;
-uniform mat4 viewProjection; uniform vec2 size; uniform float width, world, perMetre;
+/** Cells of a segment: its ends and its colour. */
+const CELLS = 3;
+
+const VERTEX = `${CELL}
+uniform sampler2D segments; uniform mat4 viewProjection; uniform vec2 size; uniform float width, world, perMetre;
 out vec4 tint; out vec3 where;
+const vec2 CORNERS[6] = vec2[](vec2(0, -1), vec2(1, -1), vec2(0, 1), vec2(0, 1), vec2(1, -1), vec2(1, 1));
 void main() {
+  vec2 corner = CORNERS[gl_VertexID % 6];
+  int at = gl_VertexID / 6 * 3;
+  vec3 a = cell(segments, at).xyz, b = cell(segments, at + 1).xyz;
   vec4 p = viewProjection * vec4(a, 1.), q = viewProjection * vec4(b, 1.);
   const float near = 1e-2;
-  tint = color;
+  tint = cell(segments, at + 2);
   vec3 from = a, to = b;
   if (p.w < near && q.w < near) { gl_Position = vec4(2., 2., 2., 1.); return; }
   if (p.w < near) { float t = (q.w - near) / (q.w - p.w); p = mix(q, p, t); from = mix(to, from, t); }
@@ -33,57 +38,58 @@ void main() {
   result = vec4(tint.rgb, tint.a * away * alpha);
 }`;
 
-/** @type {WeakMap<WebGL2RenderingContext, {program: import('./gl.js').Program, corners: WebGLBuffer}>} */
-const shared = new WeakMap();
+/** @type {WeakMap<WebGL2RenderingContext, import('./gl.js').Program>} */
+const programs = new WeakMap();
 
 /** Segments that are drawn together. */
 export class Lines {
   /** @param {WebGL2RenderingContext} gl */
   constructor(gl) {
     this.gl = gl;
-    const made = shared.get(gl) ?? {
-      program: makeProgram(gl, VERTEX, FRAGMENT),
-      corners: makeBuffer(gl, new Float32Array([0, -1, 1, -1, 0, 1, 1, 1])),
-    };
-    shared.set(gl, made);
-    this.program = made.program;
-    this.array = gl.createVertexArray();
-    this.ends = makeBuffer(gl);
-    this.colors = makeBuffer(gl);
-    gl.bindVertexArray(this.array);
-    attribute(gl, 0, made.corners, 2);
-    attribute(gl, 1, this.ends, 3, { stride: 24, each: 1 });
-    attribute(gl, 2, this.ends, 3, { stride: 24, offset: 12, each: 1 });
-    attribute(gl, 3, this.colors, 4, { type: gl.UNSIGNED_BYTE, normal: true, each: 1 });
-    gl.bindVertexArray(null);
+    this.program = programs.get(gl) ?? makeProgram(gl, VERTEX, FRAGMENT);
+    programs.set(gl, this.program);
+    this.table = new Table(gl);
     this.count = 0;
     /** @type {number[]} */
-    this.points = [];
-    /** @type {number[]} */
-    this.tints = [];
+    this.added = [];
   }
 
   /** Add a segment to those of the next `flush`. @param {ArrayLike<number>} a @param {ArrayLike<number>} b @param {number[]} color 0…255, with alpha. */
   add(a, b, color) {
-    this.points.push(a[0], a[1], a[2], b[0], b[1], b[2]);
-    this.tints.push(color[0], color[1], color[2], color[3] ?? 255);
+    this.added.push(a[0], a[1], a[2], 0, b[0], b[1], b[2], 0,
+      color[0] / 255, color[1] / 255, color[2] / 255, (color[3] ?? 255) / 255);
   }
 
   /** Draw what was added from now on. */
   flush() {
-    this.set(new Float32Array(this.points), new Uint8Array(this.tints));
-    this.points.length = this.tints.length = 0;
+    const cells = this.added.length / 4;
+    this.count = cells / CELLS;
+    this.table.grow(cells);
+    this.table.values.set(this.added);
+    this.table.send(cells);
+    this.added.length = 0;
   }
 
-  /** @param {Float32Array<ArrayBuffer>} ends Six numbers a segment. @param {Uint8Array<ArrayBuffer>} [colors] Four each; without them the last ones stay. */
-  set(ends, colors) {
-    const { gl } = this;
-    this.count = ends.length / 6;
-    gl.bindBuffer(gl.ARRAY_BUFFER, this.ends);
-    gl.bufferData(gl.ARRAY_BUFFER, ends, gl.DYNAMIC_DRAW);
-    if (!colors) return;
-    gl.bindBuffer(gl.ARRAY_BUFFER, this.colors);
-    gl.bufferData(gl.ARRAY_BUFFER, colors, gl.DYNAMIC_DRAW);
+  /**
+   * Draw polylines from now on.
+   *
+   * @param {number} count @param {ArrayLike<number>} points @param {number[]} heads Points
+   *   that begin a segment; the next one ends it. @param {number[]} color 0…255.
+   */
+  set(count, points, heads, color) {
+    const { table } = this, [r, g, b] = color.map((x) => x / 255);
+    this.count = count;
+    table.grow(count * CELLS);
+    const { values } = table;
+    for (let i = 0, at = 0; i < count; i++, at += 12) {
+      const from = heads[i] * 3;
+      for (let k = 0; k < 3; k++) {
+        values[at + k] = points[from + k];
+        values[at + 4 + k] = points[from + 3 + k];
+      }
+      values[at + 8] = r; values[at + 9] = g; values[at + 10] = b; values[at + 11] = 1;
+    }
+    table.send(count * CELLS);
   }
 
   /** @param {View} view @param {Look} [look] Widths in pixels and in metres, fade around a point. */
@@ -98,7 +104,7 @@ export class Lines {
     gl.uniform1f(program.at('perMetre'), view.perMetre);
     gl.uniform4fv(program.at('fade'), fade ?? [0, 0, 0, 0]);
     gl.uniform1f(program.at('alpha'), alpha);
-    gl.bindVertexArray(this.array);
-    gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, this.count);
+    this.table.bind(0, program.at('segments'));
+    drawTable(gl, this.count * 6);
   }
 }

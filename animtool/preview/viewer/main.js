@@ -38,6 +38,8 @@ export class App {
     this.overlay = new Overlay(this);
     /** Whether data or looks are others than those drawn. */
     this.stale = true;
+    /** Whether the picture is another than the one drawn. */
+    this.dirty = true;
     // Nothing is drawn before all is loaded.
     this.awake = true;
     this.before = 0;
@@ -166,6 +168,7 @@ export class App {
   /** Draw soon. @param {boolean} [stale] Whether more moved than the camera. */
   invalidate(stale = false) {
     this.stale ||= stale;
+    this.dirty = true;
     if (this.awake) return;
     this.awake = true;
     this.before = 0;
@@ -196,8 +199,9 @@ export class App {
       }
       const { sample } = timeline;
       const waiting = this.waiting.splice(0);
-      if (scene.sample !== sample || this.stale) this.#pose(sample);
-      this.draw();
+      const moved = scene.sample !== sample || this.stale;
+      if (moved) this.#pose(sample);
+      if (moved || this.dirty) this.draw();
       if (timeline.playing && this.manifest.time.count > 1) streams.load((sample + 32) % timeline.count);
       else this.remember();
       for (const resolve of waiting) resolve();
@@ -220,6 +224,7 @@ export class App {
   }
 
   draw() {
+    this.dirty = false;
     const { view, canvas, scene } = this;
     view.ratio = fit(canvas);
     [view.width, view.height] = [canvas.width, canvas.height];

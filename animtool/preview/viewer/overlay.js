@@ -1,6 +1,6 @@
 /** What is written over the picture: names of joints, the gate of a camera, the axes of the file. */
 
-import { css, fit, need, number, short } from './dom.js';
+import { css, fit, make, need, number, short } from './dom.js';
 import { transform } from './maths.js';
 
 /** @typedef {import('./main.js').App} App */
@@ -18,6 +18,7 @@ export class Overlay {
     const { unit, up } = app.manifest.source;
     this.unit = UNITS[unit] ? unit : 'm';
     this.zUp = up.toLowerCase() === 'z';
+    this.turned = '';
   }
 
   /** @param {number[]} p In the page's axes [m]. @returns {number[]} In those and the unit of the file. */
@@ -26,32 +27,45 @@ export class Overlay {
     return (this.zUp ? [x, -z, y] : [x, y, z]).map((v) => v * k);
   }
 
+  /** @param {HTMLCanvasElement} canvas @returns {CanvasRenderingContext2D|null} Its pen, on an empty canvas. */
+  #pen(canvas) {
+    const ratio = fit(canvas), pen = canvas.getContext('2d');
+    pen?.setTransform(ratio, 0, 0, ratio, 0, 0);
+    pen?.clearRect(0, 0, canvas.clientWidth, canvas.clientHeight);
+    if (pen) [pen.font, pen.textBaseline] = ['11px system-ui, sans-serif', 'middle'];
+    return pen;
+  }
+
   draw() {
     const { app, canvas } = this, { view, scene, show, selected } = app;
-    const ratio = fit(canvas), pen = canvas.getContext('2d');
+    const pose = selected && scene.poses[selected.take];
+    this.#axes();
+    this.#read();
+    // An empty layer would be blended over each picture for nothing.
+    canvas.hidden = !view.gate && !show.names && !pose;
+    const pen = canvas.hidden ? null : this.#pen(canvas);
     if (!pen) return;
-    pen.setTransform(ratio, 0, 0, ratio, 0, 0);
-    pen.clearRect(0, 0, canvas.clientWidth, canvas.clientHeight);
-    pen.font = '11px system-ui, sans-serif';
-    pen.textBaseline = 'middle';
     if (view.gate) this.#gate(pen, view.gate);
-    this.#axes(pen, canvas.clientHeight);
     let written = 0;
-    for (const pose of scene.poses) {
-      if (!pose.visible || !show.names) continue;
-      for (let j = 0; j < pose.count && written < NAMES; j++, written++) {
-        this.#label(pen, pose.position(j), pose.names[j], app.colors.soft);
+    for (const each of scene.poses) {
+      if (!each.visible || !show.names) continue;
+      for (let j = 0; j < each.count && written < NAMES; j++, written++) {
+        this.#label(pen, each.position(j), each.names[j], app.colors.soft);
       }
     }
-    const pose = selected && scene.poses[selected.take];
+    if (pose && selected) {
+      this.#label(pen, pose.position(selected.joint), pose.names[selected.joint], app.colors.accent, true);
+    }
+  }
+
+  /** Write where the selected joint is. */
+  #read() {
+    const { selected, scene } = this.app, pose = selected && scene.poses[selected.take];
     this.readout.hidden = !pose;
     if (!pose || !selected) return;
-    const at = pose.position(selected.joint), name = pose.names[selected.joint];
-    this.#label(pen, at, name, app.colors.accent, true);
-    const place = this.inFile(at.map((x, k) => x - pose.shift[k]));
-    this.readout.replaceChildren(document.createElement('bdi'),
+    const place = this.inFile(pose.position(selected.joint).map((x, k) => x - pose.shift[k]));
+    this.readout.replaceChildren(make('bdi', {}, short(pose.names[selected.joint], 40)),
       ` ${place.map((x) => number(x, 2)).join('  ')} ${this.unit}`);
-    if (this.readout.firstChild) this.readout.firstChild.textContent = short(name, 40);
   }
 
   /** @param {CanvasRenderingContext2D} pen @param {number[]} at @param {string} name @param {number[]} color @param {boolean} [ring] */
@@ -86,22 +100,26 @@ export class Overlay {
     pen.strokeRect(x, y, w, h);
   }
 
-  /** The axes of the file, lower left. @param {CanvasRenderingContext2D} pen @param {number} height */
-  #axes(pen, height) {
-    const x = 34, y = height - 58, size = 20, turn = this.app.view.view.slice();
+  /** The axes of the file, drawn when the camera turned. */
+  #axes() {
+    const size = 20, middle = 32, turn = this.app.view.view.slice();
     turn[12] = turn[13] = turn[14] = 0;
-    const axes = this.zUp ? [[1, 0, 0], [0, 0, -1], [0, 1, 0]] : [[1, 0, 0], [0, 1, 0], [0, 0, 1]];
+    const key = turn.join();
+    if (key === this.turned) return;
+    this.turned = key;
+    const pen = this.#pen(need('axes', HTMLCanvasElement));
+    if (!pen) return;
     pen.textAlign = 'center';
+    const axes = this.zUp ? [[1, 0, 0], [0, 0, -1], [0, 1, 0]] : [[1, 0, 0], [0, 1, 0], [0, 0, 1]];
     axes.map((axis, k) => ({ k, at: transform(turn, axis) })).sort((a, b) => a.at[2] - b.at[2])
       .forEach(({ k, at: [dx, dy] }) => {
         pen.strokeStyle = pen.fillStyle = ['#d65a5a', '#58a854', '#4f86dc'][k];
         pen.lineWidth = 2;
         pen.beginPath();
-        pen.moveTo(x, y);
-        pen.lineTo(x + dx * size, y - dy * size);
+        pen.moveTo(middle, middle);
+        pen.lineTo(middle + dx * size, middle - dy * size);
         pen.stroke();
-        pen.fillText('XYZ'[k], x + dx * (size + 9), y - dy * (size + 9));
+        pen.fillText('XYZ'[k], middle + dx * (size + 8), middle - dy * (size + 8));
       });
-    pen.textAlign = 'left';
   }
 }

@@ -16,8 +16,7 @@ export class Strands {
     streams.use([record.points], first);
     /** @type {number[]} Points that begin a segment. */
     this.heads = [];
-    this.ends = new Float32Array(0);
-    this.colors = new Uint8Array(0);
+    this.color = [0, 0, 0];
     /** @type {import('./data.js').Values|null} */
     this.points = null;
   }
@@ -28,9 +27,7 @@ export class Strands {
       for (let i = 0; i + 1 < count; i++) this.heads.push(at + i);
       at += count;
     }
-    this.ends = new Float32Array(this.heads.length * 6);
-    const color = display(this.record.color ?? [0.26, 0.15, 0.07]);
-    this.colors = new Uint8Array(this.heads.length * 4).map((_, i) => (i % 4 === 3 ? 255 : color[i % 4]));
+    this.color = display(this.record.color ?? [0.26, 0.15, 0.07]);
   }
 
   /** @param {number} sample */
@@ -38,8 +35,7 @@ export class Strands {
     const points = this.streams.at(this.record.points, sample);
     if (!points) return;
     this.points = points;
-    this.heads.forEach((head, i) => this.ends.set(points.subarray(head * 3, head * 3 + 6), i * 6));
-    this.lines.set(this.ends, this.colors);
+    this.lines.set(this.heads.length, points, this.heads, this.color);
   }
 
   /** @param {View} view */

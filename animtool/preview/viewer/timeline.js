@@ -94,8 +94,9 @@ export class Timeline {
       this.playing = this.loop;
       this.position = this.loop ? this.position % this.count : this.count - 1;
     }
+    const { sample } = this;
     this.sample = Math.floor(this.position);
-    this.show();
+    if (sample !== this.sample || !this.playing) this.show();
   }
 
   /** Write the state into the page. */

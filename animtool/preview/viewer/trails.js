@@ -7,7 +7,7 @@ import { roundUp } from './maths.js';
 /** @typedef {import('./skeleton.js').Pose} Pose */
 /** @typedef {{first: number, step: number, count: number}} Time */
 
-const CELLS = 40, PIECE = 4;
+const CELLS = 28, PIECE = 4;
 /** Samples of a trail before and after the frame. */
 const REACH = 48;
 
@@ -33,6 +33,8 @@ export class Ground {
       for (let k = -half; k < half; k += PIECE) {
         const [left, right] = [k, k + PIECE].map((n) => (cx + n) * cell);
         const [near, far] = [k, k + PIECE].map((n) => (cz + n) * cell);
+        // The rest has faded.
+        if (Math.hypot(i, Math.min(Math.abs(k), Math.abs(k + PIECE))) > half) continue;
         this.lines.add([x, 0, near], [x, 0, far], cx + i ? line : strong);
         this.lines.add([left, 0, z], [right, 0, z], cz + i ? line : strong);
       }
