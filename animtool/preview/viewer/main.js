@@ -157,6 +157,7 @@ export class App {
   /** Read the colours again. */
   restyle() {
     this.colors = themeColors();
+    this.curves?.draw();
     this.invalidate(true);
   }
 
@@ -220,7 +221,7 @@ export class App {
     const [pose] = this.scene.poses;
     this.view.track(pose?.count ? pose.position(pose.root) : null);
     this.scene.prepare(this.show, this.colors);
-    this.curves?.draw();
+    this.curves?.move();
   }
 
   draw() {

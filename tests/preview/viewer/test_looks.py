@@ -12,7 +12,7 @@ import pytest
 from support.browser import Browser
 from support.preview_pages import Chain, PageDraft
 
-from animtool.preview.page import VIEWER
+from animtool.preview.page import VIEWER, page_parts
 
 TSC = shutil.which("tsc")
 
@@ -129,7 +129,9 @@ def test_text_has_contrast(theme: dict[str, str]) -> None:
             assert (light + 0.05) / (dark + 0.05) >= 4.5, (ink, ground)
 
 
-def test_modules_are_small() -> None:
+def test_the_viewer_is_small() -> None:
+    nothing = b"".join(page_parts({"format": 1, "title": ""}, []))
+    assert len(nothing) <= 70_000
     for module in VIEWER.glob("*.js"):
         assert module.read_text("utf-8").count("\n") <= 300, module.name
 
