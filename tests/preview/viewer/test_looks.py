@@ -77,8 +77,8 @@ def test_every_control_is_in_reach(
 def test_every_control_has_a_name(tmp_path: Path, browser: Browser) -> None:
     with browser.open(full(tmp_path / "a.html")) as opened:
         nameless = opened.run(
-            "[...document.querySelectorAll('button, input, select, canvas')].filter((e) =>"
-            " !e.closest('[aria-hidden]') && !(e.ariaLabel || e.textContent.trim()"
+            "[...document.querySelectorAll('button, input, select, canvas')]"
+            ".filter((e) => !e.closest('[aria-hidden]') && !(e.ariaLabel || e.textContent.trim()"
             " || e.labels?.[0]?.textContent.trim())).map((e) => e.outerHTML)"
         )
         assert nameless == []
