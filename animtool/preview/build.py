@@ -200,7 +200,8 @@ class _Part:
     take: OpenTake
     stream: TakeStream
     gathered: Gathered
-    first: Fraction
+    first: Fraction  # frame of the page that its first one is
+    origin: Fraction  # the same of its file's first frame, which may be left out
 
     @property
     def last(self) -> Fraction:
@@ -223,7 +224,7 @@ def _drafted(
     shown = [(part, _add_part(draft, part)) for part in parts]
     for part, one in shown:
         add_character(draft, part.take, one)
-        add_channels(draft, one, part.take.clip)
+        add_channels(draft, one, part.take.clip, part.origin)
     for file in opened:
         if file.contents is not None:
             from animtool.preview.stage import add_stage
@@ -246,6 +247,7 @@ def _gathered(
     start = Fraction(1)
     if stream.start is not None:
         start = frame_start(stream.start, stream.fps, fps, whole=True)
+    origin = start
     # A rig at rest is of any frame and rate.
     rests = is_named(file.path, "rig")
     asked = None if rests or (stream.fps == fps and stream.step == 1) else fps
@@ -260,7 +262,7 @@ def _gathered(
         notices.append(note)
     gathered = Gathered(stream.blocks)
     notices += map(file.located, stream.notices)
-    return _Part(number, take, stream, gathered, start)
+    return _Part(number, take, stream, gathered, start, origin)
 
 
 def _aligned(parts: list[_Part]) -> list[Fault]:
@@ -274,6 +276,7 @@ def _aligned(parts: list[_Part]) -> list[Fault]:
                 f"and is shown from frame {frame_label(lead.first)}"
             )
             notices.append(Fault("PRV104", message, severity=Severity.NOTE))
+            part.origin += lead.first - part.first
             part.first = lead.first
     return notices
 

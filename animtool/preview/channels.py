@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from fractions import Fraction
 
 import numpy as np
 
@@ -29,9 +30,18 @@ class Curve:
     interp: str | None = None  # of its first key
 
 
-def add_channels(draft: Draft, shown: Shown, clip: Clip | None) -> None:
-    """Add the curves of a take to a page, in one stream."""
-    curves = [*_keyed(draft, shown, clip), *_controls(shown, clip)]
+def add_channels(
+    draft: Draft, shown: Shown, clip: Clip | None, origin: Fraction
+) -> None:
+    """Add the curves of a take to a page, in one stream.
+
+    Args:
+        draft: The page.
+        shown: The take.
+        clip: What it was sampled from; None of others.
+        origin: Frame of the page that the clip's first one is.
+    """
+    curves = [*_keyed(draft, shown, clip, float(origin)), *_controls(shown, clip)]
     if not curves or not shown.frames:
         return
     total = sum(0 if curve.keys is None else len(curve.keys) for curve in curves)
@@ -54,7 +64,7 @@ def add_channels(draft: Draft, shown: Shown, clip: Clip | None) -> None:
         )
 
 
-def _keyed(draft: Draft, shown: Shown, clip: Clip | None) -> list[Curve]:
+def _keyed(draft: Draft, shown: Shown, clip: Clip | None, origin: float) -> list[Curve]:
     """Return the curves of a clip's channels at the frames of the page."""
     if clip is None:
         return []
@@ -62,7 +72,8 @@ def _keyed(draft: Draft, shown: Shown, clip: Clip | None) -> list[Curve]:
     codes = timeline.codes[0] + (np.arange(shown.frames) + shown.first) * float(
         timeline.step
     )
-    times = codes * float(clip.fps / timeline.fps)
+    ratio, first = float(clip.fps / timeline.fps), float(clip.first)
+    times = first + (codes - origin) * ratio
     # Angles as they are keyed, not the rotations that they come to.
     channels = [replace(channel, euler="") for channel in clip.channels]
     values = evaluate_channels(channels, times)
@@ -71,7 +82,7 @@ def _keyed(draft: Draft, shown: Shown, clip: Clip | None) -> list[Curve]:
         width = channel.values.shape[1]
         rows = np.broadcast_to(values[channel.target], (shown.frames, width))
         unit, factor = _unit(channel.target, width)
-        times_of_keys = channel.times * float(timeline.fps / clip.fps)
+        times_of_keys = origin + (channel.times - first) / ratio
         axes = channel.euler.lower() or _AXES
         curves += [
             Curve(

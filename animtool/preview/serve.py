@@ -17,7 +17,7 @@ from animtool.preview.build import Page
 
 ADDRESS = "127.0.0.1"
 # How often files are looked at [s].
-POLL_INTERVAL = 0.2
+POLL_INTERVAL = 0.1
 
 Make = Callable[[], Page]
 

@@ -336,3 +336,25 @@ def test_what_shows_nothing_is_refused(
     with pytest.raises(AnimtoolError) as caught:
         make_page([path])
     assert caught.value.code == code
+
+
+def test_curves_of_a_clip_go_with_its_frames(tmp_path: Path, walk: Path) -> None:
+    (tmp_path / "r.rig.yaml").write_text(
+        "rig: animtool/1\nname: r\njoints:\n- {name: a, type: free}\n"
+    )
+    clip = tmp_path / "c.clip.yaml"
+    clip.write_text(
+        "clip: animtool/1\nrig: r.rig.yaml\nfps: 15\nrange: [1001, 1011]\nchannels:\n"
+        "- {target: joint/a.translation, interp: linear,\n"
+        "   keys: [{t: 1001, v: [0, 0, 0]}, {t: 1011, v: [1, 0, 0]}]}\n"
+    )
+    for page, step in ((page_of(clip), 10), (page_of(walk, clip), 20)):
+        channel = page.manifest["channels"][0]
+        take = channel["take"]
+        values = page.values(channel["values"])[:, channel["column"]]
+        moved = page.locals(take)[0][:, 0, 0]
+        np.testing.assert_allclose(values, moved, atol=1e-4)
+        time = page.manifest["time"]
+        begin = time["first"] + page.manifest["takes"][take]["span"][0]
+        assert channel["keys"] == [[begin, 0.0], [begin + step, 1.0]]
+        assert channel["unit"] == "m"
