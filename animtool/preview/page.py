@@ -10,6 +10,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from animtool.preview.streams import deflated
+
 VIEWER = Path(__file__).parent / "viewer"
 ENTRY = "main.js"
 _IMPORT = re.compile(r"""(\bfrom\s*|\bimport\s*)(['"])\./([\w-]+\.js)\2""")
@@ -48,9 +50,10 @@ _PAGE = """<!doctype html>
 </html>
 """
 
-# Makes a URL of each module, those that it imports first, and starts the last.
+# Inflates the modules, makes a URL of each after those that it imports, and starts the
+# last.
 _BOOTSTRAP = """\
-(() => {
+(async () => {
   const page = (window.animtool = window.animtool || {errors: []});
   page.errors = page.errors || [];
   const failed = (error) => {
@@ -60,13 +63,20 @@ _BOOTSTRAP = """\
   };
   window.addEventListener('error', (event) => failed(event.error || event.message));
   window.addEventListener('unhandledrejection', (event) => failed(event.reason));
+  if (!window.DecompressionStream) {
+    failed('This browser is too old for the page: it cannot inflate data.');
+    return;
+  }
+  const packed = atob(document.getElementById('modules').textContent);
+  const bytes = Uint8Array.from(packed, (letter) => letter.charCodeAt(0));
+  const inflate = new DecompressionStream('deflate-raw');
+  const stream = new Blob([bytes]).stream().pipeThrough(inflate);
   const urls = {};
-  for (const script of document.querySelectorAll('script[data-module]')) {
-    const text = script.textContent.replace(
+  for (const [name, code] of Object.entries(await new Response(stream).json())) {
+    const text = code.replace(
       /(\\bfrom\\s*|\\bimport\\s*)(['"])\\.\\/([\\w-]+\\.js)\\2/g,
-      (_, word, quote, name) => word + quote + urls[name] + quote);
-    const blob = new Blob([text], {type: 'text/javascript'});
-    urls[script.dataset.module] = URL.createObjectURL(blob);
+      (_, word, quote, other) => word + quote + urls[other] + quote);
+    urls[name] = URL.createObjectURL(new Blob([text], {type: 'text/javascript'}));
   }
   import(urls['main.js']).catch(failed);
 })();
@@ -95,17 +105,14 @@ def page_parts(
         blocks: Its streams, as text.
         watched: Whether it may ask the server that it is from what has changed.
     """
-    modules = viewer_modules()
     filled = {
         "title": html.escape(str(manifest["title"])),
         "csp": _POLICY.format(connect="'self'" if watched else "'none'"),
         "style": _read("viewer.css"),
         "manifest": f'<script type="application/json" id="manifest">'
         f"{json_text(manifest)}</script>",
-        "modules": "\n".join(
-            f'<script type="text/plain" data-module="{name}">\n{text}</script>'
-            for name, text in modules.items()
-        ),
+        "modules": f'<script type="text/plain" id="modules">'
+        f"{deflated([json.dumps(viewer_modules()).encode()])}</script>",
         "bootstrap": _BOOTSTRAP,
     }
     template = _read("page.html") or _PAGE

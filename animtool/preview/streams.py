@@ -190,7 +190,7 @@ class Packer:
                 parts = [_encoded(s.data.stored[cut], s.data.kind) for s in group]
                 for stream in group:
                     stream.blocks.append([len(blocks), first, cut.stop - first])
-                blocks.append(_deflated(parts))
+                blocks.append(deflated(parts))
         return [stream.entry() for stream in self._streams], blocks
 
     def _groups(self) -> list[tuple[list[_Stream], int]]:
@@ -243,7 +243,8 @@ def _encoded(stored: Array, kind: str) -> bytes:
     return np.ascontiguousarray(planes.swapaxes(1, 2)).tobytes()
 
 
-def _deflated(parts: Sequence[bytes]) -> str:
+def deflated(parts: Sequence[bytes]) -> str:
+    """Return bytes as a page holds them: raw deflate, as base64 text."""
     deflate = zlib.compressobj(LEVEL, zlib.DEFLATED, -15)
     packed = b"".join([*map(deflate.compress, parts), deflate.flush()])
     return base64.b64encode(packed).decode("ascii")

@@ -79,7 +79,7 @@ class Opened:
         clip = clip @ self.matrices().T
         flat = clip[..., :2] / clip[..., 3:]
         flat = (flat * [1, -1] + 1) / 2 * [box["width"], box["height"]]
-        return np.asarray(flat + [box["x"], box["y"]])
+        return np.asarray(flat + np.array([box["x"], box["y"]]))
 
     def picture(self) -> Array:
         """Return the window's pixels ``(H, W, 3)``, 0 to 1."""
@@ -91,7 +91,7 @@ class Opened:
     def bare(self) -> None:
         """Hide all that is drawn over the scene, and the ground."""
         self.page.add_style_tag(
-            content=".bar, #note, #readout, #labels { visibility: hidden; }"
+            content=".bar, #note, #readout, #labels, #axes { visibility: hidden; }"
         )
         for name in ("grid", "trails", "contacts"):
             self.page.locator(f"#show-{name}").evaluate(

@@ -39,7 +39,12 @@ class Chain:
 
     @classmethod
     def swaying(
-        cls, frames: int = 48, joints: int = 6, *, speed: float = 0.0, phase: float = 0.0
+        cls,
+        frames: int = 48,
+        joints: int = 6,
+        *,
+        speed: float = 0.0,
+        phase: float = 0.0,
     ) -> Chain:
         translations = np.zeros((frames, joints, 3))
         translations[:, 1:, 1] = 0.3

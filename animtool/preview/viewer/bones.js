@@ -109,7 +109,7 @@ export class Bones {
 
   /** Add the axes of each joint, red, green and blue. @param {Pose} pose */
   #axes(pose) {
-    const length = pose.extent * 0.035, { world } = pose;
+    const length = pose.extent * 0.06, { world } = pose;
     const colors = [[222, 82, 82], [92, 176, 88], [76, 130, 224]];
     for (let j = 0; j < pose.count; j++) {
       const at = pose.position(j);

@@ -32,6 +32,8 @@ export class View {
     this.projection = identity();
     this.viewProjection = identity();
     this.perMetre = 1;
+    /** What buttons cover at the top [CSS pixels]: the picture is centred beneath. */
+    this.inset = 0;
     /** @type {number[]|null} The shot's gate in CSS pixels: left, top, width, height. */
     this.gate = null;
   }
@@ -74,7 +76,8 @@ export class View {
   /** @param {CameraRecord|null} camera @param {Streams} streams @param {number} sample */
   update(camera, streams, sample) {
     const aspect = this.width / this.height;
-    let halfHeight = HALF * Math.max(1, 1 / aspect), halfWidth = halfHeight * aspect;
+    const covered = Math.min(this.inset * this.ratio / this.height, 0.5);
+    let halfHeight = HALF * Math.max(1 / (1 - covered), 1 / aspect), halfWidth = halfHeight * aspect;
     this.gate = null;
     const t = camera && streams.at(camera.t, sample), r = camera && streams.at(camera.r, sample);
     if (camera && t && r) {
@@ -94,6 +97,7 @@ export class View {
     }
     const away = this.gate ? this.radius * 4 : this.distance;
     this.projection = perspective(halfWidth, halfHeight, away * 0.01, away + this.radius * 100);
+    if (!this.gate) this.projection[9] = covered;
     this.view = invertRigid(this.world);
     multiply(this.viewProjection, 0, this.projection, 0, this.view, 0);
     this.perMetre = this.height / (2 * halfHeight);

@@ -19,6 +19,11 @@ export class Curves {
     /** @type {Map<number, Curve>} By the channel's index. */
     this.shown = new Map();
     this.section = need('curves', HTMLElement);
+    this.playhead = need('playhead', HTMLElement);
+    /** Width of the chart [px]. */
+    this.wide = 0;
+    /** @type {Text[]} Values at the playhead. */
+    this.values = [];
     this.canvas = need('chart', HTMLCanvasElement);
     this.legend = need('legend', HTMLElement);
     this.list = need('channels', HTMLElement);
@@ -129,8 +134,8 @@ export class Curves {
     if (this.section.hidden) return;
     const ratio = fit(this.canvas), pen = this.canvas.getContext('2d');
     if (!pen) return;
-    const { count, sample } = this.app.timeline, colors = themeColors();
-    const width = this.canvas.clientWidth, height = this.canvas.clientHeight;
+    const { count } = this.app.timeline, colors = themeColors();
+    const width = this.wide = this.canvas.clientWidth, height = this.canvas.clientHeight;
     const right = width - RIGHT, bottom = height - BOTTOM;
     const x = (/** @type {number} */ i) => LEFT + i / Math.max(count - 1, 1) * (right - LEFT);
     pen.setTransform(ratio, 0, 0, ratio, 0, 0);
@@ -152,14 +157,25 @@ export class Curves {
       const [low, high] = ranges.get(curve.channel.unit) ?? [0, 1];
       this.#curve(pen, curve, x, (v) => bottom - (v - low) / (high - low) * (bottom - TOP));
     }
-    pen.fillStyle = css(colors.accent);
-    pen.fillRect(x(sample) - 0.75, TOP - 6, 1.5, bottom - TOP + 6);
-    this.legend.replaceChildren(...[...this.shown].map(([, { channel, color, values, first }]) => {
+    this.values = [...this.shown.values()].map(() => new Text());
+    this.legend.replaceChildren(...[...this.shown.values()].map(({ channel, color }, i) => {
       const dot = make('i', { class: 'dot' });
       dot.style.background = css(color);
-      const value = values[clamp(sample - first, 0, values.length - 1)] ?? NaN;
-      return make('span', {}, dot, make('bdi', {}, short(channel.name, 32)), ` ${number(value)} ${channel.unit}`);
+      return make('span', {}, dot, make('bdi', {}, short(channel.name, 32)), ' ', this.values[i]);
     }));
+    this.move();
+  }
+
+  /** Put the playhead where the frame is, and write the values there. */
+  move() {
+    if (this.section.hidden) return;
+    const { count, sample } = this.app.timeline;
+    const x = LEFT + sample / Math.max(count - 1, 1) * (this.wide - LEFT - RIGHT);
+    this.playhead.style.transform = `translateX(${x}px)`;
+    [...this.shown.values()].forEach(({ channel, values, first }, i) => {
+      const value = values[clamp(sample - first, 0, values.length - 1)] ?? NaN;
+      if (this.values[i]) this.values[i].data = `${number(value)} ${channel.unit}`;
+    });
   }
 
   /**

@@ -9,7 +9,7 @@ export const SHADE = `
 vec3 shade(vec3 color, vec3 n) {
   float key = max(dot(n, normalize(vec3(-.35, .65, .68))), 0.);
   float sky = .5 + .5 * n.y;
-  return color * (.5 + .14 * sky + .46 * key) + pow(1. - abs(n.z), 4.) * .05;
+  return color * (.55 + .14 * sky + .44 * key) + pow(1. - abs(n.z), 4.) * .05;
 }
 vec3 heatColor(float h) {
   return h < .5 ? mix(vec3(.16, .45, .72), vec3(.93, .82, .42), h * 2.)

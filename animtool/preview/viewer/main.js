@@ -42,6 +42,7 @@ export class App {
     this.dirty = true;
     // Nothing is drawn before all is loaded.
     this.awake = true;
+    this.inset = 0;
     this.before = 0;
     /** @type {(() => void)[]} Who waits for the next picture. */
     this.waiting = [];
@@ -157,10 +158,13 @@ export class App {
   /** Read the colours again. */
   restyle() {
     this.colors = themeColors();
+    this.curves?.draw();
     this.invalidate(true);
   }
 
   resize() {
+    const bars = [need('display', HTMLElement), need('cams', HTMLElement)];
+    this.inset = Math.max(...bars.map((bar) => bar.offsetTop + bar.offsetHeight));
     this.curves?.draw();
     this.invalidate();
   }
@@ -220,7 +224,7 @@ export class App {
     const [pose] = this.scene.poses;
     this.view.track(pose?.count ? pose.position(pose.root) : null);
     this.scene.prepare(this.show, this.colors);
-    this.curves?.draw();
+    this.curves?.move();
   }
 
   draw() {
@@ -228,6 +232,7 @@ export class App {
     const { view, canvas, scene } = this;
     view.ratio = fit(canvas);
     [view.width, view.height] = [canvas.width, canvas.height];
+    view.inset = this.inset;
     view.update(scene.cameras[view.shot] ?? null, this.streams, scene.sample);
     need('camera', HTMLSelectElement).value = String(view.shot);
     scene.draw(view, this.show, this.colors, this.selected);

@@ -37,6 +37,7 @@ void main() {
 #ifdef SKIN
   vec4 a = vec4(0), b = vec4(0), c = vec4(0), extra = vec4(0);
   for (int k = 0; k < 4; k++) {
+    if (weights[k] == 0.) continue;
     int at = int(joints[k]) * 4;
     a += weights[k] * cell(palette, at); b += weights[k] * cell(palette, at + 1);
     c += weights[k] * cell(palette, at + 2); extra += weights[k] * cell(palette, at + 3);

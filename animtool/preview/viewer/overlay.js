@@ -19,6 +19,8 @@ export class Overlay {
     this.unit = UNITS[unit] ? unit : 'm';
     this.zUp = up.toLowerCase() === 'z';
     this.turned = '';
+    /** @type {number[][]} Where names are written: left, right, middle. */
+    this.taken = [];
   }
 
   /** @param {number[]} p In the page's axes [m]. @returns {number[]} In those and the unit of the file. */
@@ -46,15 +48,16 @@ export class Overlay {
     const pen = canvas.hidden ? null : this.#pen(canvas);
     if (!pen) return;
     if (view.gate) this.#gate(pen, view.gate);
+    this.taken = [];
+    if (pose && selected) {
+      this.#label(pen, pose.position(selected.joint), pose.names[selected.joint], app.colors.accent, true);
+    }
     let written = 0;
     for (const each of scene.poses) {
       if (!each.visible || !show.names) continue;
       for (let j = 0; j < each.count && written < NAMES; j++, written++) {
         this.#label(pen, each.position(j), each.names[j], app.colors.soft);
       }
-    }
-    if (pose && selected) {
-      this.#label(pen, pose.position(selected.joint), pose.names[selected.joint], app.colors.accent, true);
     }
   }
 
@@ -68,9 +71,9 @@ export class Overlay {
       ` ${place.map((x) => number(x, 2)).join('  ')} ${this.unit}`);
   }
 
-  /** @param {CanvasRenderingContext2D} pen @param {number[]} at @param {string} name @param {number[]} color @param {boolean} [ring] */
-  #label(pen, at, name, color, ring = false) {
-    const [x, y, depth] = this.app.view.project(at);
+  /** @param {CanvasRenderingContext2D} pen @param {number[]} place @param {string} name @param {number[]} color @param {boolean} [ring] */
+  #label(pen, place, name, color, ring = false) {
+    const [x, y, depth] = this.app.view.project(place);
     if (depth <= 0) return;
     if (ring) {
       pen.strokeStyle = css(color);
@@ -83,7 +86,10 @@ export class Overlay {
     pen.lineJoin = 'round';
     pen.strokeStyle = css(this.app.colors.back);
     pen.fillStyle = css(color);
-    const text = short(name, 32);
+    const text = short(name, 32), end = x + 16 + pen.measureText(text).width;
+    // A name that another would cover is left out.
+    if (this.taken.some(([left, right, at]) => x < right && end > left && Math.abs(y - at) < 12)) return;
+    this.taken.push([x, end, y]);
     pen.strokeText(text, x + 12, y);
     pen.fillText(text, x + 12, y);
   }

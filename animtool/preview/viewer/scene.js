@@ -29,7 +29,7 @@ export class Scene {
     this.instances = (manifest.instances ?? []).filter((each) => this.meshes[each.mesh])
       .map((each) => new Instances(gl, streams, each, this.meshes[each.mesh]));
     this.clouds = (manifest.points ?? []).map((each) => new PointCloud(gl, streams, each));
-    this.strands = (manifest.curves3d ?? []).map((each) => new Strands(gl, streams, each, this.poses[each.take ?? -1]?.span[0] ?? 0));
+    this.strands = (manifest.curves3d ?? []).map((each) => new Strands(gl, streams, each, this.poses[each.take ?? -1] ?? null));
     this.cameras = manifest.cameras ?? [];
     for (const { t, r, focal } of this.cameras) streams.use([t, r, focal]);
     this.bones = new Bones(gl);

@@ -22,7 +22,7 @@
  *   doubleSided?: boolean, cache?: number|null,
  *   prototype?: boolean, visible?: number|null}} MeshRecord
  * @typedef {{name: string, counts: number, points: number, width?: number, take?: number|null,
- *   color?: Vec|null}} StrandsRecord
+ *   joint?: number|null, bind?: number[]|null, color?: Vec|null}} StrandsRecord
  * @typedef {{name: string, positions: number, radius?: number, radii?: number|null,
  *   color?: Vec|null, colors?: number|null}} PointsRecord
  * @typedef {{name: string, mesh: number, t: number, r?: number|null, s?: number|null,

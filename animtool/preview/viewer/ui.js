@@ -96,8 +96,8 @@ function describe(app) {
   ].filter(Boolean).map((text) => make('span', {}, short(text, 40))));
   const { unit } = app.overlay, cell = number(app.overlay.inFile([app.scene.ground.cell, 0, 0])[0], 4);
   const parts = [`grid ${cell} ${unit}`];
-  if (errors.position_mm != null) parts.push(`position ±${number(errors.position_mm, 4)} mm`);
-  if (errors.rotation_deg != null) parts.push(`rotation ±${number(errors.rotation_deg, 4)}°`);
+  if (errors.position_mm) parts.push(`position ±${number(errors.position_mm, 4)} mm`);
+  if (errors.rotation_deg) parts.push(`rotation ±${number(errors.rotation_deg, 4)}°`);
   need('note', HTMLElement).textContent = parts.join(' · ');
 }
 

@@ -12,7 +12,7 @@ import pytest
 from support.browser import Browser
 from support.preview_pages import Chain, PageDraft
 
-from animtool.preview.page import VIEWER
+from animtool.preview.page import VIEWER, page_parts
 
 TSC = shutil.which("tsc")
 
@@ -77,8 +77,8 @@ def test_every_control_is_in_reach(
 def test_every_control_has_a_name(tmp_path: Path, browser: Browser) -> None:
     with browser.open(full(tmp_path / "a.html")) as opened:
         nameless = opened.run(
-            "[...document.querySelectorAll('button, input, select, canvas')].filter((e) =>"
-            " !e.closest('[aria-hidden]') && !(e.ariaLabel || e.textContent.trim()"
+            "[...document.querySelectorAll('button, input, select, canvas')]"
+            ".filter((e) => !e.closest('[aria-hidden]') && !(e.ariaLabel || e.textContent.trim()"
             " || e.labels?.[0]?.textContent.trim())).map((e) => e.outerHTML)"
         )
         assert nameless == []
@@ -129,7 +129,9 @@ def test_text_has_contrast(theme: dict[str, str]) -> None:
             assert (light + 0.05) / (dark + 0.05) >= 4.5, (ink, ground)
 
 
-def test_modules_are_small() -> None:
+def test_the_viewer_is_small() -> None:
+    nothing = b"".join(page_parts({"format": 1, "title": ""}, []))
+    assert len(nothing) <= 70_000
     for module in VIEWER.glob("*.js"):
         assert module.read_text("utf-8").count("\n") <= 300, module.name
 
