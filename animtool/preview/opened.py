@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
@@ -12,7 +12,14 @@ from typing import TYPE_CHECKING
 
 from animtool.clip.clip import Clip
 from animtool.core.array_types import FloatArray
-from animtool.core.errors import Fault, OptionError, Severity, counted, listed
+from animtool.core.errors import (
+    Fault,
+    FormatError,
+    OptionError,
+    Severity,
+    counted,
+    listed,
+)
 from animtool.core.files.reading import note_input
 from animtool.core.names import is_named
 from animtool.core.units import UpAxis, unit_name
@@ -202,7 +209,7 @@ def _open_stage(path: Path, name: str, source: SourceOptions) -> OpenFile:
         if source.take is None:
             opened.notices += _other_takes(path, next(iter(streams.values())))
     else:
-        streams = {prim: characters[prim]() for prim in chosen}
+        streams = _read_characters(opened, {p: characters[p] for p in chosen})
     for prim, stream in streams.items():
         label = source_stem(Path(name)) if len(streams) == 1 else prim
         turned = reorient(stream, UpAxis.Y)
@@ -217,6 +224,24 @@ def _open_stage(path: Path, name: str, source: SourceOptions) -> OpenFile:
         surfaces = contents.turned_surfaces(own)
         opened.takes.append(OpenTake(label, turned, bind, surfaces, meshes.strands))
     return opened
+
+
+def _read_characters(
+    opened: OpenFile, characters: Mapping[str, Callable[[], TakeStream]]
+) -> dict[str, TakeStream]:
+    """Read characters; those that are malformed are named, where others are not."""
+    streams: dict[str, TakeStream] = {}
+    errors: list[FormatError] = []
+    for prim, read in characters.items():
+        try:
+            streams[prim] = read()
+        except FormatError as error:
+            errors.append(error)
+    if errors and not streams:
+        raise errors[0]
+    faults = [fault for error in errors for fault in error.faults]
+    opened.notices += [replace(one, severity=Severity.WARNING) for one in faults]
+    return streams
 
 
 def _other_takes(path: Path, stream: TakeStream) -> list[Fault]:

@@ -74,6 +74,9 @@ def _add_rigid(draft: Draft, prim: ShownPrim, faces: Faces, codes: FloatArray) -
     """Add a mesh that moves as a whole: one copy of itself."""
     times = codes if prim.travels else codes[:1]
     matrices = np.stack([prim.world(code) for code in times.tolist()])
+    if not np.isfinite(matrices).all():
+        draft.note(f"{prim.name!r} is placed at no finite place: it is not drawn")
+        return
     shown = _visible(draft, prim, codes)
     if not prim.travels and shown is None:
         placed = faces.points @ matrices[0, :3, :3].T + matrices[0, :3, 3]
@@ -155,7 +158,7 @@ def _add_curves(draft: Draft, prim: ShownPrim, codes: FloatArray) -> None:
             "bind": None,
             "counts": draft.packer.static(counts, "u32"),
             "points": _cache(draft, prim, times, count),
-            "width": float(widths.mean()) if len(widths) else 0.0,
+            "width": _mean(widths),
             "color": None if prim.color is None else list(prim.color),
         }
     )
@@ -177,7 +180,7 @@ def _add_points(draft: Draft, prim: ShownPrim, codes: FloatArray) -> None:
         {
             "name": prim.name,
             "positions": draft.packer.add(stored),
-            "radius": 0.0 if widths is None else float(widths.mean() / 2),
+            "radius": 0.0 if widths is None else _mean(widths) / 2,
             "radii": None
             if widths is None or np.ptp(widths) == 0
             else draft.packer.static(widths / 2, "f32"),
@@ -188,6 +191,12 @@ def _add_points(draft: Draft, prim: ShownPrim, codes: FloatArray) -> None:
             "names": None,
         }
     )
+
+
+def _mean(values: FloatArray) -> float:
+    """Return the mean of those that are finite; 0 without any."""
+    finite = values[np.isfinite(values)]
+    return float(finite.mean()) if finite.size else 0.0
 
 
 class Slots:

@@ -76,12 +76,13 @@ def quantized_range(
     """Return values over the range of each column, float32 where that is too coarse.
 
     Args:
-        values: ``(F, width)``; NaN is a gap.
+        values: ``(F, width)``; what is not finite is a gap.
         tolerance: Largest error of integers.
         period: Columns that share a range, such as 3 for points; 0 is each its own.
     """
     width = values.shape[1]
     exact = np.asarray(values, np.float32).astype(np.float64)
+    exact = np.where(np.isfinite(exact), exact, np.nan)
     rows = exact.reshape(-1, period) if period else exact
     if not rows.size:
         return Quantized(np.zeros(values.shape, "<f4"), "f32")
