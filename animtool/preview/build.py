@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
@@ -16,6 +17,7 @@ from animtool.core.errors import Fault, OptionError, Severity, counted
 from animtool.core.files.output import check_outputs, sparing_inputs, write_parts
 from animtool.core.names import is_named
 from animtool.core.rates import rate_label
+from animtool.core.shot import FrameRange
 from animtool.core.units import UpAxis, up_from_up
 from animtool.maths import so3
 from animtool.motion.markers import Markers
@@ -202,6 +204,7 @@ class _Part:
     gathered: Gathered
     first: Fraction  # frame of the page that its first one is
     origin: Fraction  # the same of its file's first frame, which may be left out
+    shifted: bool = False  # whether it is shown at other frames than its own
 
     @property
     def last(self) -> Fraction:
@@ -252,9 +255,19 @@ def _gathered(
     rests = is_named(file.path, "rig")
     asked = None if rests or (stream.fps == fps and stream.step == 1) else fps
     chosen = None if rests else options.frame_range
+    uneven = stream.step != 1 or start.denominator != 1
+    quiet = {"SCN202"}
+    if chosen is None and uneven and (span := _stated(file, fps)) is not None:
+        quiet = {"SCN202", "TAKE008"}
+        # Samples of any times, at the frames of their stage.
+        chosen = FrameRange(math.ceil(span[0]), math.floor(span[1]))
+        asked = None if stream.fps == fps else fps
     if asked is not None or chosen is not None:
         bake = BakeOptions(fps=asked, frame_range=chosen)
-        stream = in_frames(stream, bake, start, file.path, notices)
+        said: list[Fault] = []
+        stream = in_frames(stream, bake, start, file.path, said)
+        # It may last as long as it does.
+        notices += [one for one in said if one.code not in quiet]
         start = Fraction(1) if stream.start is None else stream.start
     if asked is not None and take.stream.fps != fps:
         message = f"has {rate_label(take.stream.fps)} and is shown at {rate_label(fps)}"
@@ -277,7 +290,7 @@ def _aligned(parts: list[_Part]) -> list[Fault]:
             )
             notices.append(Fault("PRV104", message, severity=Severity.NOTE))
             part.origin += lead.first - part.first
-            part.first = lead.first
+            part.first, part.shifted = lead.first, True
     return notices
 
 
@@ -287,7 +300,11 @@ def _timeline(
     fps: Fraction,
     options: PreviewOptions,
 ) -> Timeline:
-    spans = [(p.first, p.last) for p in parts if p.gathered.frames > 1]
+    spans = [
+        _within(part, _stated(opened[part.file], fps))
+        for part in parts
+        if part.gathered.frames > 1
+    ]
     step = Fraction(1)
     for file in opened:
         if file.contents is not None and (found := _moving_span(file.contents)):
@@ -316,6 +333,26 @@ def _timeline(
         message = f"the page would have {count} frames; at most {MAX_FRAMES} are shown"
         raise OptionError(Fault("PRV003", message, hint=_FEWER))
     return Timeline(fps, first, step, count)
+
+
+def _within(
+    part: _Part, stated: tuple[Fraction, Fraction] | None
+) -> tuple[Fraction, Fraction]:
+    """Return the frames of a take, without those that its stage does not count."""
+    if stated is None or part.shifted:
+        return part.first, part.last
+    first, last = max(part.first, stated[0]), min(part.last, stated[1])
+    return (first, last) if first <= last else (part.first, part.last)
+
+
+def _stated(file: OpenFile, fps: Fraction) -> tuple[Fraction, Fraction] | None:
+    """Return the frames that a stage states; None of other files."""
+    contents = file.contents
+    span = None if contents is None else contents.stated_span
+    if contents is None or span is None:
+        return None
+    ratio = fps / contents.fps
+    return span[0] * ratio, span[1] * ratio
 
 
 def _moving_span(contents: StageContents) -> tuple[Fraction, Fraction] | None:

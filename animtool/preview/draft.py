@@ -79,6 +79,8 @@ class Draft:
     notices: list[str] = field(default_factory=list)
     rotation_error: float = 0.0
     position_error: float = 0.0
+    # What was found of rigs, which characters of a crowd share.
+    known: dict[bytes, Any] = field(default_factory=dict)
 
     def note(self, message: str) -> None:
         """Add a notice, once."""

@@ -212,7 +212,7 @@ def _open_stage(path: Path, name: str, source: SourceOptions) -> OpenFile:
         meshes = source_meshes(path, prim)
         opened.notices += meshes.notices
         bind = meshes.bind if len(meshes.bind) else bind_matrices(turned.rig)
-        bones = contents.bone_names()
+        bones = contents.bone_names
         own = [surface for surface in meshes.surfaces if surface.name not in bones]
         surfaces = contents.turned_surfaces(own)
         opened.takes.append(OpenTake(label, turned, bind, surfaces, meshes.strands))

@@ -231,7 +231,7 @@ def _measure(
     """Measure how exact a take is stored; return when which joints of feet stand."""
     if not rig.joints or not frames:
         return []
-    person, legs = _legs(rig)
+    person, legs = _legs(draft, rig)
     joints = sorted({j for leg in legs.values() for j in leg[2:] if j >= 0})
     places = []
     for begin in range(0, frames, BLOCK):
@@ -254,7 +254,20 @@ def _measure(
     return list(_contacts(person, legs, feet, rate))
 
 
-def _legs(rig: Rig) -> tuple[Person | None, dict[str, tuple[int, int, int, int]]]:
+Legs = dict[str, tuple[int, int, int, int]]
+
+
+def _legs(draft: Draft, rig: Rig) -> tuple[Person | None, Legs]:
+    """Return a rig as a person, and its legs; None where it has none."""
+    arrays = (rig.rest_translations, rig.rest_rotations, rig.parents)
+    key = repr(rig.names).encode() + b"".join(array.tobytes() for array in arrays)
+    if key not in draft.known:
+        draft.known[key] = _found_legs(rig)
+    found: tuple[Person | None, Legs] = draft.known[key]
+    return found
+
+
+def _found_legs(rig: Rig) -> tuple[Person | None, Legs]:
     person = Person.of(rig, anatomy(rig).roles)
     legs = {side: leg for side in "lr" if (leg := person.leg(side)) is not None}
     return (person if legs else None), legs
@@ -262,7 +275,7 @@ def _legs(rig: Rig) -> tuple[Person | None, dict[str, tuple[int, int, int, int]]
 
 def _contacts(
     person: Person,
-    legs: dict[str, tuple[int, int, int, int]],
+    legs: Legs,
     feet: dict[int, FloatArray],
     rate: float,
 ) -> Iterator[tuple[int, Any]]:

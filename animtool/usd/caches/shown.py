@@ -297,8 +297,9 @@ class StageContents:
             prim.IsA(UsdSkel.Animation) for prim in prims
         )
 
+    @cached_property
     def bone_names(self) -> set[str]:
-        """Return the names of meshes that were written for bones of skeletons."""
+        """Names of meshes that were written for bones of skeletons."""
         return {str(p.GetName()) for p in all_prims(self.stage) if is_bones(p)}
 
     def turned_surfaces(self, surfaces: Sequence[Surface]) -> tuple[Surface, ...]:
@@ -321,6 +322,15 @@ class StageContents:
             for prim in all_prims(self.stage)
             if prim.IsA(UsdGeom.Camera) and not prim.IsAbstract()
         ]
+
+    @property
+    def stated_span(self) -> tuple[Fraction, Fraction] | None:
+        """The time codes that the stage states; None where it states none."""
+        if not self.stage.HasAuthoredTimeCodeRange():
+            return None
+        ends = self.stage.GetStartTimeCode(), self.stage.GetEndTimeCode()
+        first, last = map(time_fraction, ends)
+        return (first, last) if last > first else None
 
     @property
     def span(self) -> tuple[Fraction, Fraction]:
