@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import shutil
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -30,7 +30,7 @@ CHROMIUM = next(
 )
 # Until main.js is evaluated there is no `ready`; the page's policy forbids `eval`,
 # which waiting for an expression needs.
-_READY = """async () => {
+READY = """async () => {
   while (!window.animtool?.ready && !window.animtool?.errors?.length) {
     await new Promise((resolve) => setTimeout(resolve, 5));
   }
@@ -118,7 +118,6 @@ class Browser:
     def __init__(self, chromium: Any) -> None:
         self._chromium = chromium
 
-    @contextmanager
     def open(
         self,
         path: Path,
@@ -127,8 +126,22 @@ class Browser:
         scheme: str = "light",
         fragment: str = "",
         errors: bool = False,
-    ) -> Iterator[Opened]:
+    ) -> AbstractContextManager[Opened]:
         """Open a page; at its end it must have asked for nothing and said nothing."""
+        return self.visit(
+            path.as_uri() + fragment, size=size, scheme=scheme, errors=errors
+        )
+
+    @contextmanager
+    def visit(
+        self,
+        address: str,
+        *,
+        size: tuple[int, int] = (1280, 720),
+        scheme: str = "light",
+        errors: bool = False,
+    ) -> Iterator[Opened]:
+        """Open an address; what is asked for must be below it."""
         context = self._chromium.new_context(
             viewport={"width": size[0], "height": size[1]}, color_scheme=scheme
         )
@@ -138,12 +151,12 @@ class Browser:
         opened.page.on("dialog", lambda d: (opened.said.append("dialog"), d.dismiss()))
         opened.page.on("request", lambda r: opened.requests.append(r.url))
         try:
-            opened.page.goto(path.as_uri() + fragment)
-            faults = opened.run(_READY)
+            opened.page.goto(address)
+            faults = opened.run(READY)
             assert errors or faults == []
             yield opened
-            outside = [u for u in opened.requests[1:] if not u.startswith("blob:")]
-            assert outside == []
+            own = "blob:", address.partition("#")[0]
+            assert [u for u in opened.requests if not u.startswith(own)] == []
             assert errors or opened.said == []
             assert errors or opened.run("animtool.errors") == []
         finally:

@@ -9,6 +9,8 @@ import { add, clamp, compose, identity, invertRigid, lookAt, multiply, perspecti
 const HALF = 0.3;
 /** What the gate of a camera of the shot fills of the picture. */
 const GATE = 0.92;
+/** Distance to show all, of that where it touches the edges. */
+const ROOM = 1.15;
 const STEEP = Math.PI / 2 - 1e-3;
 /** @type {Record<string, [number, number]>} Yaw and pitch. */
 export const PRESETS = { front: [0, 0], side: [Math.PI / 2, 0], top: [0, STEEP], home: [0.6, 0.18] };
@@ -38,11 +40,34 @@ export class View {
     this.gate = null;
   }
 
+  /** @param {number} distance @returns {number[]} From the target to the eye. */
+  #back(distance) {
+    const level = Math.cos(this.pitch) * distance;
+    return [Math.sin(this.yaw) * level, Math.sin(this.pitch) * distance, Math.cos(this.yaw) * level];
+  }
+
+  /** Part of the height that buttons cover. */
+  get #covered() { return Math.min(this.inset * this.ratio / this.height, 0.5); }
+
+  /** @returns {number[]} Half of the free width and height at distance 1. */
+  #halves() {
+    const aspect = this.width / this.height, free = 1 - this.#covered;
+    const high = HALF * Math.max(1, free / aspect);
+    return [high / free * aspect, high];
+  }
+
   /** Show what is in a box. @param {import('./maths.js').Box} box */
   frame(box) {
     this.target = box.center;
     this.radius = box.radius;
-    this.distance = this.radius / HALF * 1.22;
+    const back = this.#back(1), world = lookAt(back, [0, 0, 0], [0, 1, 0]);
+    const [wide, high] = this.#halves(), { low, high: top } = box;
+    this.distance = this.radius * 0.2;
+    for (let i = 0; i < 8 && !box.empty; i++) {
+      const from = sub([0, 1, 2].map((k) => (i >> k & 1 ? low : top)[k]), this.target);
+      const [x, y, z] = [0, 4, 8].map((c) => world[c] * from[0] + world[c + 1] * from[1] + world[c + 2] * from[2]);
+      this.distance = Math.max(this.distance, (Math.abs(x) / wide + z) * ROOM, (Math.abs(y) / high + z) * ROOM);
+    }
   }
 
   /** @param {string} name Of a preset. */
@@ -67,17 +92,20 @@ export class View {
   /** @param {number} factor */
   zoom(factor) { this.distance = clamp(this.distance * factor, this.radius * 0.02, this.radius * 200); }
 
-  /** Go along with a joint. @param {number[]|null} position */
+  /** Go along with a joint, level. @param {number[]|null} position */
   track(position) {
-    if (this.follow && position && this.followed) this.target = add(this.target, sub(position, this.followed));
+    if (this.follow && position && this.followed) {
+      const [dx, , dz] = sub(position, this.followed);
+      this.target = add(this.target, [dx, 0, dz]);
+    }
     this.followed = position;
   }
 
   /** @param {CameraRecord|null} camera @param {Streams} streams @param {number} sample */
   update(camera, streams, sample) {
     const aspect = this.width / this.height;
-    const covered = Math.min(this.inset * this.ratio / this.height, 0.5);
-    let halfHeight = HALF * Math.max(1 / (1 - covered), 1 / aspect), halfWidth = halfHeight * aspect;
+    let [halfWidth, halfHeight] = this.#halves();
+    halfHeight /= 1 - this.#covered;
     this.gate = null;
     const t = camera && streams.at(camera.t, sample), r = camera && streams.at(camera.r, sample);
     if (camera && t && r) {
@@ -90,14 +118,11 @@ export class View {
       const w = broad * GATE / halfWidth * this.width, h = tall * GATE / halfHeight * this.height;
       this.gate = [(this.width - w) / 2, (this.height - h) / 2, w, h].map((x) => x / this.ratio);
     } else {
-      const level = Math.cos(this.pitch) * this.distance;
-      const eye = add(this.target, [
-        Math.sin(this.yaw) * level, Math.sin(this.pitch) * this.distance, Math.cos(this.yaw) * level]);
-      this.world = lookAt(eye, this.target, [0, 1, 0]);
+      this.world = lookAt(add(this.target, this.#back(this.distance)), this.target, [0, 1, 0]);
     }
     const away = this.gate ? this.radius * 4 : this.distance;
     this.projection = perspective(halfWidth, halfHeight, away * 0.01, away + this.radius * 100);
-    if (!this.gate) this.projection[9] = covered;
+    if (!this.gate) this.projection[9] = this.#covered;
     this.view = invertRigid(this.world);
     multiply(this.viewProjection, 0, this.projection, 0, this.view, 0);
     this.perMetre = this.height / (2 * halfHeight);

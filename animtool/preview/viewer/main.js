@@ -6,11 +6,14 @@ import { Curves } from './curves.js';
 import { Streams } from './data.js';
 import { button, fit, need, themeColors } from './dom.js';
 import { Findings } from './findings.js';
+import { Box } from './maths.js';
 import { readFragment, writeFragment } from './fragment.js';
 import { Overlay } from './overlay.js';
 import { Scene } from './scene.js';
 import { Timeline } from './timeline.js';
-import { connect } from './ui.js';
+import { Ground } from './trails.js';
+import { connect, describe } from './ui.js';
+import { watch } from './watch.js';
 
 /** @typedef {{take: number, joint: number}} Selected */
 /** @typedef {{errors: string[], ready: Promise<void>}} Page What scripts and tests find as `window.animtool`. */
@@ -52,14 +55,14 @@ export class App {
     const pins = readFragment(location.hash);
     if (pins.f !== undefined) this.timeline.seek(this.timeline.sampleOf(Number(pins.f)));
     await this.scene.load(this.timeline.sample);
-    this.awake = false;
     this.compare = new Compare(this);
     this.curves = new Curves(this);
     this.findings = new Findings(this);
     connect(this);
+    await this.#frameAll();
+    describe(this);
+    this.awake = false;
     if (this.compare.beside) this.compare.arrange(true);
-    else await this.frameAll();
-    this.setFollow(this.#travels());
     steer(this.canvas, this.view, (moved) => {
       this.invalidate();
       if (moved) this.remember();
@@ -70,15 +73,6 @@ export class App {
     await this.drawn();
     await this.curves.begin();
     if (this.manifest.watch) watch(this.manifest.watch);
-  }
-
-  /** @returns {boolean} Whether the root of the first take leaves the picture. */
-  #travels() {
-    const pose = this.scene.poses[0], end = Math.min(this.timeline.count - 1, 200);
-    const a = pose?.count && pose.path(pose.root, 0), b = pose?.count && pose.path(pose.root, end);
-    const far = a && b ? Math.hypot(a[0] - b[0], a[2] - b[2]) > pose.extent : false;
-    pose?.update(this.timeline.sample);
-    return far;
   }
 
   /** @param {import('./fragment.js').Pins} pins */
@@ -100,18 +94,26 @@ export class App {
     }, 150);
   }
 
-  /** Show all; without skeletons, which are followed, at the end and halfway too. */
-  async frameAll() {
-    const { scene, timeline: { sample, count }, streams } = this;
-    scene.prepare(this.show, this.colors);
-    const box = scene.box();
-    for (const i of scene.joints ? [] : [count >> 1, count - 1, sample]) {
+  /** Show all that is there from first to last; a character that travels is followed. */
+  async #frameAll() {
+    const { scene, timeline: { sample, count }, streams } = this, [pose] = scene.poses;
+    const parts = [];
+    for (const i of [0, 0.25, 0.5, 0.75, 1].map((x) => Math.round(x * (count - 1))).concat(sample)) {
       await streams.load(i);
       scene.update(i);
       scene.prepare(this.show, this.colors);
-      scene.box(box);
+      parts.push({ box: scene.box(), at: pose?.count ? pose.position(pose.root) : [0, 0, 0] });
+    }
+    this.#fit();
+    const { at: now } = parts[parts.length - 1], box = new Box();
+    const follow = !!pose?.count && parts.some(({ at }) => Math.hypot(at[0] - now[0], at[2] - now[2]) > pose.extent);
+    for (const { box: { low, high, empty }, at } of parts) {
+      const shift = follow ? [now[0] - at[0], 0, now[2] - at[2]] : [0, 0, 0];
+      if (!empty) for (const corner of [low, high]) box.add(corner, 0, shift);
     }
     this.view.frame(box);
+    scene.ground = new Ground(this.gl, box.radius);
+    this.setFollow(follow);
   }
 
   /** Show all. */
@@ -227,36 +229,21 @@ export class App {
     this.curves?.move();
   }
 
+  /** Make the picture as large as its place. */
+  #fit() {
+    const { view, canvas } = this;
+    view.ratio = fit(canvas);
+    [view.width, view.height, view.inset] = [canvas.width, canvas.height, this.inset];
+  }
+
   draw() {
     this.dirty = false;
-    const { view, canvas, scene } = this;
-    view.ratio = fit(canvas);
-    [view.width, view.height] = [canvas.width, canvas.height];
-    view.inset = this.inset;
+    const { view, scene } = this;
+    this.#fit();
     view.update(scene.cameras[view.shot] ?? null, this.streams, scene.sample);
     need('camera', HTMLSelectElement).value = String(view.shot);
     scene.draw(view, this.show, this.colors, this.selected);
     this.overlay.draw();
-  }
-}
-
-/** Load the page again when its sources changed. @param {{url: string, version: number}} watched */
-async function watch({ url, version }) {
-  const place = need('failed', HTMLElement);
-  for (;;) {
-    await new Promise((resolve) => { setTimeout(resolve, 250); });
-    try {
-      const now = await (await fetch(url, { cache: 'no-store' })).json();
-      if (now.version !== version) {
-        location.reload();
-        return;
-      }
-      place.hidden = !now.error;
-      place.textContent = now.error ?? '';
-    } catch {
-      // Nobody serves the page any more: it stays as it is.
-      return;
-    }
   }
 }
 

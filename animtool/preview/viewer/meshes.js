@@ -110,6 +110,8 @@ export class Mesh {
     this.points = makeBuffer(gl);
     this.normals = makeBuffer(gl);
     this.count = 0;
+    /** Greatest coordinate [m]. */
+    this.reach = 0;
     /** @type {Values} Points of rest, or of the last sample of a cache. */
     this.shown = new Float32Array(0);
     streams.use([record.cache, record.visible], pose?.span[0]);
@@ -119,6 +121,7 @@ export class Mesh {
   async load() {
     const { gl, record, streams } = this;
     this.shown = await streams.whole(record.points);
+    for (const x of this.shown) this.reach = Math.max(this.reach, Math.abs(x));
     /** @type {Values} */
     this.faces = new Uint32Array(await streams.whole(record.faces));
     this.count = this.faces.length;

@@ -49,13 +49,13 @@ export class Scene {
       for (let j = 0; j < pose.count; j++) box.add(pose.world, j * 16 + 12);
       pose.extent = box.empty || box.radius <= 1e-3 ? 1 : box.radius;
     }
-    this.ground = new Ground(this.gl, this.box().radius);
   }
 
   get joints() { return this.poses.some((pose) => pose.count); }
 
-  /** @param {Box} [box] @returns {Box} Around all that is shown, and what was in it. */
-  box(box = new Box()) {
+  /** @returns {Box} Around all that is shown. */
+  box() {
+    const box = new Box();
     for (const pose of this.poses) {
       for (let j = 0; pose.visible && j < pose.count; j++) box.add(pose.world, j * 16 + 12);
     }
@@ -63,8 +63,11 @@ export class Scene {
       if (mesh.instances || mesh.pose?.visible === false) continue;
       for (let i = 0; i < mesh.shown.length; i += 3) box.add(mesh.shown, i);
     }
-    for (const { matrices, shown } of this.instances) {
-      for (let i = 0; i < shown; i++) box.add(matrices, i * 16 + 12);
+    for (const { matrices, shown, mesh: { reach } } of this.instances) {
+      for (let i = 0; i < shown; i++) {
+        const size = reach * Math.hypot(...matrices.subarray(i * 16, i * 16 + 3));
+        for (const side of [-size, size]) box.add(matrices, i * 16 + 12, [side, side, side]);
+      }
     }
     for (const { points } of this.clouds) for (let i = 0; i < points.length; i += 3) if (points[i] < 1e29) box.add(points, i);
     for (const { points } of this.strands) for (let i = 0; points && i < points.length; i += 3) box.add(points, i);

@@ -87,7 +87,7 @@ function panels(app) {
 }
 
 /** What the page says of its file. @param {App} app */
-function describe(app) {
+export function describe(app) {
   const { source, time, takes = [], errors = {} } = app.manifest;
   const joints = takes.reduce((most, take) => Math.max(most, take.skeleton.names.length), 0);
   need('source', HTMLElement).replaceChildren(...[
@@ -130,5 +130,5 @@ function keyboard(app) {
 
 /** @param {App} app */
 export function connect(app) {
-  for (const part of [theme, toggles, cameras, describe, keyboard, panels]) part(app);
+  for (const part of [theme, toggles, cameras, keyboard, panels]) part(app);
 }

@@ -78,7 +78,8 @@ def test_every_control_has_a_name(tmp_path: Path, browser: Browser) -> None:
     with browser.open(full(tmp_path / "a.html")) as opened:
         nameless = opened.run(
             "[...document.querySelectorAll('button, input, select, canvas')]"
-            ".filter((e) => !e.closest('[aria-hidden]') && !(e.ariaLabel || e.textContent.trim()"
+            ".filter((e) => !e.closest('[aria-hidden]'))"
+            ".filter((e) => !(e.ariaLabel || e.textContent.trim()"
             " || e.labels?.[0]?.textContent.trim())).map((e) => e.outerHTML)"
         )
         assert nameless == []
