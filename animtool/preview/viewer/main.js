@@ -22,6 +22,8 @@ const page = /** @type {Window & {animtool: Page}} */ (/** @type {unknown} */ (w
 
 /** How near to a joint a click selects it [CSS pixels]. */
 const NEAR = 14;
+/** Most takes of which the first is followed: with more it is a crowd. */
+const CAST = 4;
 
 export class App {
   /** @param {import('./types.js').Manifest} manifest @param {WebGL2RenderingContext} gl */
@@ -106,7 +108,7 @@ export class App {
     }
     this.#fit();
     const { at: now } = parts[parts.length - 1], box = new Box();
-    const follow = !!pose?.count && parts.some(({ at }) => Math.hypot(at[0] - now[0], at[2] - now[2]) > pose.extent);
+    const follow = !!pose?.count && scene.poses.length <= CAST && parts.some(({ at }) => Math.hypot(at[0] - now[0], at[2] - now[2]) > pose.extent);
     for (const { box: { low, high, empty }, at } of parts) {
       const shift = follow ? [now[0] - at[0], 0, now[2] - at[2]] : [0, 0, 0];
       if (!empty) for (const corner of [low, high]) box.add(corner, 0, shift);
