@@ -10,12 +10,10 @@ import shutil
 import sys
 import tempfile
 from collections.abc import Sequence
-from fractions import Fraction
 from pathlib import Path
 
-import numpy as np
 from figures import Bound, Clock, Row
-from measuring import ROOT, Run, begin, on_one_thread, parser, run
+from measuring import HERE, ROOT, Run, begin, on_one_thread, parser, run
 
 OWN = "animtool preview"
 JOINTS, RATE = 60, 60
@@ -50,28 +48,9 @@ SAMPLES = (
 
 
 def write_take(path: Path, frames: int) -> None:
-    """Write a BVH whose joints all turn, with the noise of a capture."""
-    from animtool import Channel, Clock, Joint, Motion, Rig, Take, write_bvh
-    from animtool.maths import so3
-
-    rng = np.random.default_rng(1)
-    joints = [Joint("hips", -1, translation=(0.0, 1.0, 0.0))]
-    for j in range(1, JOINTS):
-        above = j - 1 if j % 6 else 0
-        joints.append(Joint(f"joint_{j}", above, translation=(0.05, 0.1, 0.01)))
-    rig = Rig("performer", tuple(joints), meters_per_unit=0.01)
-    times = np.arange(frames) / RATE
-    rates, phases = rng.uniform(0.2, 3, (JOINTS, 3)), rng.uniform(0, 6, (JOINTS, 3))
-    sizes = rng.uniform(0.05, 0.4, (JOINTS, 3))
-    swing = sizes * np.sin(2 * np.pi * rates * times[:, None, None] + phases)
-    turns = so3.exp(swing + rng.normal(0, 0.002, swing.shape))
-    places = np.repeat(rig.rest_translations[None], frames, axis=0)
-    places[:, 0] += np.stack([0 * times, 0.03 * np.sin(3 * times), 0.8 * times], axis=1)
-    motion = Motion(
-        Channel.from_dense(places), Channel.from_dense(so3.align_signs(turns))
-    )
-    clock = Clock(Fraction(RATE), Fraction(1), Fraction(1), frames)
-    write_bvh(Take(rig, clock, motion), path)
+    """Write a BVH of a size, in a process of its own: this one is to stay small."""
+    words = [sys.executable, "-P", str(HERE / "preview_take.py"), str(path)]
+    run([*words, str(frames), str(JOINTS), str(RATE)], report=False)
 
 
 def rows_of(
