@@ -40,6 +40,8 @@ if TYPE_CHECKING:
     from animtool.motion.motion import Motion as Motion
     from animtool.motion.take import Take as Take
     from animtool.motion.take import TakeStream as TakeStream
+    from animtool.preview.options import PreviewOptions as PreviewOptions
+    from animtool.preview.show import show as show
     from animtool.report.compare import compare as compare
     from animtool.report.describe import describe as describe
     from animtool.rig.skeleton import Joint as Joint
@@ -65,6 +67,7 @@ _PUBLIC = {
     "Finding": "animtool.validation.run",
     "Joint": "animtool.rig.skeleton",
     "Motion": "animtool.motion.motion",
+    "PreviewOptions": "animtool.preview.options",
     "Rig": "animtool.rig.skeleton",
     "RunOptions": "animtool.batch.run",
     "Shot": "animtool.core.shot",
@@ -83,6 +86,7 @@ _PUBLIC = {
     "open_source": "animtool.scene.sources.open",
     "read_bvh": "animtool.formats.bvh",
     "run_batch": "animtool.batch.run",
+    "show": "animtool.preview.show",
     "sim": "animtool.sim",
     "usd": "animtool.usd",
     "validate": "animtool.validation.run",

@@ -71,7 +71,7 @@ Examples:
     "-o",
     "--output",
     type=OUTPUT,
-    help="USD file to write (.usda, .usdc, .usd), or - for usda on stdout.  "
+    help="USD file to write (.usda, .usdc, .usd, .usdz), or - for usda on stdout.  "
     "[default: SOURCE with .usdc, the shot's name; a library has none]",
 )
 @bake_options

@@ -62,6 +62,10 @@ COMMANDS = {
         "animtool.cli.plugins:plugins",
         "List the passes, readers and executors there are.",
     ),
+    "preview": (
+        "animtool.cli.preview:preview",
+        "Show files on a page that plays, in a browser.",
+    ),
     "retarget": (
         "animtool.cli.retarget:retarget",
         "Bring a take onto another rig, feet held.",
@@ -121,6 +125,7 @@ SUPERVISED = {
     "job",
     "loop",
     "mocap",
+    "preview",
     "retarget",
     "validate",
 }

@@ -63,6 +63,9 @@ class Reader:
         return _opener(self.markers, "markers", path)
 
 
+# A zip file of a stage and all that it refers to.
+PACKAGE = ".usdz"
+
 BVH = Reader(
     "Biovision Hierarchy",
     "animtool.formats.bvh.read:read_bvh_rig",
@@ -132,7 +135,7 @@ READERS: dict[str, Reader] = {
     ".usd": USD,
     ".usda": USD,
     ".usdc": USD,
-    ".usdz": USD,
+    PACKAGE: USD,
     ".yaml": DOCUMENT,
     ".yml": DOCUMENT,
     ".json": DOCUMENT,

@@ -1,1 +1,1 @@
-"""Pictures of what was measured; matplotlib draws them, and is loaded for that only."""
+"""Pages that play, and pictures of what was measured, which matplotlib draws."""

@@ -14,6 +14,7 @@ from animtool.core.config import find_config
 from animtool.core.errors import Fault, OptionError, Severity, listed, refuse_warnings
 from animtool.core.files.output import check_outputs, sparing_inputs, together
 from animtool.core.rates import rate_label
+from animtool.core.readers import PACKAGE
 from animtool.motion.reorient import off_its_place, reorient
 from animtool.motion.take import TakeStream
 from animtool.rig.placed import standing_notice
@@ -30,6 +31,7 @@ from animtool.scene.bake.progress import Progress, share_of
 from animtool.scene.bake.reading import (
     Source,
     check_options,
+    check_package,
     form_of,
     found_sources,
     output_files,
@@ -135,7 +137,9 @@ def check_output(
     check_options(options, to_stdout=path is None, simulated=simulated)
     if path is None:
         return []
-    check_suffix(path, source)
+    check_suffix(path, source, packages=True)
+    if path.suffix.lower() == PACKAGE:
+        check_package(path, options)
     layer = [options.rig_layer] if options.rig_layer else []
     outputs = output_files(path, options, simulated=simulated)
     library = form_of(options) is Form.LIBRARY

@@ -273,6 +273,18 @@ def form_of(options: BakeOptions) -> Form:
     return Form(options.form or (Form.LAYER if options.rig_layer else Form.STAGE))
 
 
+def check_package(path: Path, options: BakeOptions) -> None:
+    """Refuse a package of several files that are written beside it (OUT004)."""
+    form = form_of(options)
+    refused = {Form.SPLIT: "--split", Form.LIBRARY: "--as library"}.get(form)
+    if options.chunk is not None:
+        refused = "--chunk"
+    if refused is not None:
+        message = f"a package is one file, and {refused} writes several or adds to one"
+        hint = "write .usdc"
+        raise OptionError(Fault("OUT004", message, str(path), (), hint))
+
+
 def output_files(
     path: Path, options: BakeOptions, *, simulated: bool = False
 ) -> list[Path]:

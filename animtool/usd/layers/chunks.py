@@ -20,6 +20,7 @@ from pxr import Sdf, Tf, Vt
 from animtool.core.array_types import FloatArray
 from animtool.core.files.output import once_named, replacing
 from animtool.core.files.placing import output_error
+from animtool.usd.layers.package import unpacked
 from animtool.usd.layers.sdf import (
     StageMetadata,
     author_metadata,
@@ -85,7 +86,10 @@ def growing_layer(layer: Any, path: Path | None) -> Iterator[Growing]:
         growing.size = save_layer(layer, path)
         return
     with replacing(path) as temporary:
-        with growing_crate(temporary, path) as growing:
+        with (
+            unpacked(path, temporary) as file,
+            growing_crate(file, path) as growing,
+        ):
             growing.layer.TransferContent(layer)
             yield growing
         growing.size = temporary.stat().st_size

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from animtool.core.errors import Fault, OptionError
 from animtool.core.files.output import is_text
 from animtool.core.files.reading import is_there
+from animtool.core.readers import PACKAGE
 
 if TYPE_CHECKING:
     import numpy as np
@@ -60,21 +61,27 @@ def output_paths(output: Path, form: Form) -> list[Path]:
 
 
 def check_suffix(
-    path: Path, source: Path | str = "SOURCE", *, folders: bool = False
+    path: Path,
+    source: Path | str = "SOURCE",
+    *,
+    folders: bool = False,
+    packages: bool = False,
 ) -> None:
     """Refuse a path that is not that of a USD file.
 
-    With ``folders`` the hint says how to name a folder.
+    With ``folders`` the hint says how to name a folder; with ``packages`` a ``.usdz``
+    is one too.
     """
     suffix = path.suffix.lower()
-    if suffix in SUFFIXES:
+    allowed = (*SUFFIXES, PACKAGE) if packages else SUFFIXES
+    if suffix in allowed:
         if not is_text(str(path.absolute())):
             message = "has bytes in its path that are no UTF-8, which USD cannot open"
             raise OptionError(Fault("OUT006", message, str(path), (), "rename it"))
         return
     kind = f"suffix {path.suffix!r}" if path.suffix else "a name without suffix"
     message = f"{kind} is not a USD extension"
-    hint = f"allowed: {', '.join(SUFFIXES)}"
+    hint = f"allowed: {', '.join(allowed)}"
     if not suffix and folders:
         hint += f"; {path}/ names a folder"
     elif not suffix and path.name and is_there(path) and path.is_dir():

@@ -31,6 +31,7 @@ from animtool.core.files.reading import (
 )
 from animtool.core.process.supervisor import note_said, reading
 from animtool.core.rates import rate_from_float
+from animtool.core.readers import PACKAGE
 from animtool.core.shot import Shot
 from animtool.core.units import UpAxis
 from animtool.maths import so3
@@ -41,6 +42,7 @@ from animtool.usd.layers.finite import (
     check_value,
     largest,
 )
+from animtool.usd.layers.package import unpacked
 
 # USD maps binary layers into memory, and reads those of text whole.
 MAX_LAYER_BYTES = 1_000_000_000_000
@@ -211,7 +213,8 @@ def usd_reason(error: Tf.ErrorException) -> str:
 
 def new_layer(path: Path) -> Any:
     """Return a new layer that `save_layer` writes to ``path``."""
-    return Sdf.Layer.CreateAnonymous(path.suffix)
+    packed = path.suffix.lower() == PACKAGE
+    return Sdf.Layer.CreateAnonymous(".usdc" if packed else path.suffix)
 
 
 def prim(layer: Any, path: str, type_name: str = "", *, over: bool = False) -> Any:
@@ -285,7 +288,8 @@ def save_layer(layer: Any, path: Path | None) -> int:
         sys.stdout.flush()
         return len(text.encode())
     with replacing(path) as temporary:
-        export_layer(layer, temporary, path)
+        with unpacked(path, temporary) as file:
+            export_layer(layer, file, path)
         return temporary.stat().st_size
 
 

@@ -42,6 +42,14 @@ from animtool.usd.rigs.skeleton import SCOPE
 # third of an offset.
 SPARSE = 0.75
 
+# Of meshes in their order, and of bones; linear.
+COLORS = (
+    (0.42, 0.45, 0.49),
+    (0.49, 0.36, 0.27),
+    (0.31, 0.42, 0.36),
+    (0.43, 0.35, 0.46),
+)
+BONE_COLOR = (0.75, 0.72, 0.65)
 SUBDIVISION = {
     Subdivision.NONE: "none",
     Subdivision.CATMULL_CLARK: "catmullClark",
@@ -138,8 +146,9 @@ def author_meshes(
     """
     notices: list[Fault] = []
     mesh_paths, renamed = mesh_names(surfaces, paths)
-    for path, surface in zip(mesh_paths, surfaces, strict=True):
+    for i, (path, surface) in enumerate(zip(mesh_paths, surfaces, strict=True)):
         spec = _mesh(layer, path, surface, meters_per_unit)
+        _color(spec, COLORS[i % len(COLORS)])
         if path in renamed:
             spec.SetInfo("customData", {"animtool": {"name": renamed[path]}})
         if surface.skin is None and (surface.geom_bind != np.eye(4)).any():
@@ -172,6 +181,17 @@ def _mesh(layer: Any, path: str, surface: Surface, meters_per_unit: float) -> An
         closed=closed(surface.counts, surface.indices),
     )
     return spec
+
+
+def _color(spec: Any, color: tuple[float, float, float]) -> None:
+    """Write the colour that viewers show without a material, linear."""
+    attribute(
+        spec,
+        "primvars:displayColor",
+        _TYPES.Color3fArray,
+        Vt.Vec3fArray([Gf.Vec3f(*color)]),
+        interpolation="constant",
+    )
 
 
 def _placed(spec: Any, transform: FloatArray, meters_per_unit: float) -> None:
@@ -354,17 +374,11 @@ def author_bones(layer: Any, rig: Rig, paths: RigPaths, meters_per_unit: float) 
         "points": points,
         "normals": outwards.reshape(-1, 3).astype(np.float32),
         "extent": np.stack([points.min(axis=0), points.max(axis=0)]),
-        "purpose": "guide",
     }
     author_mesh(spec, values, closed=True)
-    color = Vt.Vec3fArray([Gf.Vec3f(0.75, 0.72, 0.65)])
-    attribute(
-        spec,
-        "primvars:displayColor",
-        _TYPES.Color3fArray,
-        color,
-        interpolation="constant",
-    )
+    _color(spec, BONE_COLOR)
+    # Tools that read the rig again tell it from the meshes of the rig.
+    spec.SetInfo("customData", {"animtool": {"bones": True}})
     skinned = np.repeat(owners, 6).astype(np.int32)
     for name, kind, value in (
         ("jointIndices", _TYPES.IntArray, Vt.IntArray.FromNumpy(skinned)),

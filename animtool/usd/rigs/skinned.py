@@ -22,11 +22,17 @@ from animtool.usd.rigs.prims import (
 )
 
 
+def is_bones(prim: Any) -> bool:
+    """Return whether a prim is a mesh that was written for the bones of a skeleton."""
+    return bool(prim.GetCustomDataByKey("animtool:bones"))
+
+
 def is_shown_mesh(prim: Any) -> bool:
-    """Return whether a prim is a mesh, and no guide as the bones of a skeleton are."""
+    """Return whether a prim is a mesh, and neither a guide nor bones of a skeleton."""
     return bool(
         prim.IsA(UsdGeom.Mesh)
         and UsdGeom.Imageable(prim).ComputePurpose() != UsdGeom.Tokens.guide
+        and not is_bones(prim)
     )
 
 

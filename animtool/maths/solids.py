@@ -1,0 +1,75 @@
+"""Boxes, spheres, cylinders, cones and capsules as meshes, about the z axis."""
+
+from __future__ import annotations
+
+import math
+from typing import TypeAlias
+
+import numpy as np
+
+from animtool.core.array_types import FloatArray, IntArray
+
+# Points ``(N, 3)``, corners of each face ``(M,)``, and them face by face.
+Solid: TypeAlias = tuple[FloatArray, IntArray, IntArray]
+
+SIDES, RINGS = 24, 12
+
+
+def box(size: float) -> Solid:
+    """Return a cube of six faces about the origin.
+
+    >>> points, counts, indices = box(2.0)
+    >>> points.min().item(), points.max().item(), len(counts)
+    (-1.0, 1.0, 6)
+    """
+    corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+    faces = [
+        [0, 1, 3, 2],
+        [4, 6, 7, 5],
+        [0, 4, 5, 1],
+        [2, 3, 7, 6],
+        [0, 2, 6, 4],
+        [1, 5, 7, 3],
+    ]
+    return corners * (size / 2), np.full(6, 4), np.array(faces).reshape(-1)
+
+
+def turned(profile: FloatArray) -> Solid:
+    """Return what a profile of radius and height ``(P, 2)`` is, turned about z.
+
+    >>> len(turned(np.array([[0.0, -1.0], [1.0, 0.0], [0.0, 1.0]]))[0])
+    72
+    """
+    angles = np.arange(SIDES) * (2 * math.pi / SIDES)
+    round_it = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    points = np.concatenate(
+        [
+            np.concatenate([r * round_it, np.full((SIDES, 1), z)], axis=1)
+            for r, z in profile.tolist()
+        ]
+    )
+    rows = np.arange(len(profile) - 1)[:, None] * SIDES
+    here, there = np.arange(SIDES)[None], (np.arange(SIDES) + 1)[None] % SIDES
+    low = rows + here, rows + there
+    faces = np.stack([*low, low[1] + SIDES, low[0] + SIDES], axis=-1).reshape(-1)
+    return points, np.full(len(faces) // 4, 4), faces
+
+
+def sphere(radius: float) -> Solid:
+    """Return a sphere."""
+    return capsule(radius, 0.0)
+
+
+def capsule(radius: float, height: float) -> Solid:
+    """Return a capsule; height: of its straight part."""
+    angles = np.linspace(-math.pi / 2, math.pi / 2, RINGS + 1)
+    z = radius * np.sin(angles)
+    z += np.where(angles > 1e-9, height / 2, -height / 2)
+    return turned(np.stack([radius * np.cos(angles), z], axis=1))
+
+
+def cylinder(radius: float, height: float, top: float | None = None) -> Solid:
+    """Return a cylinder with its ends; top: another radius there, 0 of a cone."""
+    end = radius if top is None else top
+    half = height / 2
+    return turned(np.array([[0.0, -half], [radius, -half], [end, half], [0.0, half]]))

@@ -1,0 +1,254 @@
+"""Pages: files read, put on one timeline, and written as one HTML file."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from fractions import Fraction
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from animtool.core.errors import Fault, OptionError, Severity, counted
+from animtool.core.files.output import check_outputs, sparing_inputs, write_parts
+from animtool.core.units import UpAxis, up_from_up
+from animtool.maths import so3
+from animtool.motion.markers import Markers
+from animtool.motion.take import TakeStream
+from animtool.preview.channels import add_channels
+from animtool.preview.draft import Draft
+from animtool.preview.findings import (
+    MAX_FINDINGS,
+    find_faults,
+    finding_entry,
+    ordered,
+)
+from animtool.preview.meshes import add_character
+from animtool.preview.opened import OpenFile, open_file
+from animtool.preview.options import PreviewOptions
+from animtool.preview.page import page_parts
+from animtool.preview.streams import quantized_range
+from animtool.preview.takes import Shown, add_take
+from animtool.preview.timing import FEWER, TimedPart, align, gathered_part, timeline_of
+
+if TYPE_CHECKING:
+    pass
+
+# Bytes of its streams before they are deflated.
+MAX_BYTES = 1_000_000_000
+# Pages that are larger open slowly [bytes].
+LARGE = 64_000_000
+TITLE = 120
+
+
+@dataclass(frozen=True, slots=True)
+class Page:
+    """A page that is ready to be written.
+
+    Attributes:
+        manifest: What it shows.
+        blocks: Its streams.
+        notices: What is odd about its files.
+    """
+
+    manifest: dict[str, Any]
+    blocks: list[str]
+    notices: list[Fault] = field(default_factory=list)
+
+    def parts(self, watch: dict[str, Any] | None = None) -> Iterable[bytes]:
+        """Return its bytes, in parts; watch: whom to ask for changes, and the state."""
+        manifest = self.manifest
+        if watch is not None:
+            manifest = manifest | {"watch": watch}
+        return page_parts(manifest, self.blocks, watched=watch is not None)
+
+    def html(self) -> str:
+        """Return it as text."""
+        return b"".join(self.parts()).decode("utf-8")
+
+
+@dataclass(frozen=True, slots=True)
+class PageReport:
+    """A page that was written."""
+
+    path: Path  # the file
+    size: int  # of it [bytes]
+    page: Page
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return it as plain values for a JSON report."""
+        manifest = self.page.manifest
+        time, errors = manifest["time"], manifest["errors"]
+        return {
+            "preview": "animtool/1",
+            "output": str(self.path),
+            "bytes": self.size,
+            "frames": time["count"],
+            "first": time["first"],
+            "step": time["step"],
+            "fps": time["label"],
+            **{
+                name: len(manifest[name])
+                for name in ("takes", "meshes", "curves3d", "points", "instances")
+            },
+            **{name: len(manifest[name]) for name in ("cameras", "channels")},
+            "findings": len(manifest["findings"]),
+            "rotation_error_deg": errors["rotation_deg"],
+            "position_error_mm": errors["position_mm"],
+            "not_shown": manifest["notices"],
+            "notices": [notice.as_dict() for notice in self.page.notices],
+        }
+
+
+def write_page(
+    files: Sequence[Path | str],
+    output: Path,
+    options: PreviewOptions | None = None,
+    *,
+    overwrite: bool = False,
+) -> PageReport:
+    """Write a page that shows files.
+
+    Args:
+        files: Any that animtool reads: takes, rigs, scenes, stages, markers.
+        output: The page, ``.html``.
+        options: What it shows.
+        overwrite: Replace a page that exists.
+
+    Raises:
+        FormatError: A file cannot be read, or is malformed.
+        OptionError: A file shows nothing (PRV001), the page is no ``.html`` (PRV002)
+            or exists (OUT001), or it would be too large (PRV003).
+        OutputError: The page cannot be written.
+    """
+    paths = [Path(file) for file in files]
+    check_page_output(output, paths, overwrite=overwrite)
+    with sparing_inputs([output]):
+        page = make_page(paths, options)
+    write_parts(output, page.parts())
+    return PageReport(output, output.stat().st_size, page)
+
+
+def check_page_output(output: Path, files: Sequence[Path], *, overwrite: bool) -> None:
+    """Refuse a page that cannot or must not be written."""
+    if output.suffix.lower() not in {".html", ".htm"}:
+        message = f"a page is an .html file, and {output.name!r} is none"
+        raise OptionError(Fault("PRV002", message, hint="name it -o page.html"))
+    check_outputs([output], files, overwrite=overwrite)
+
+
+def make_page(files: Sequence[Path], options: PreviewOptions | None = None) -> Page:
+    """Return the page of files; see `write_page`."""
+    options = options or PreviewOptions()
+    with ExitStack() as held:
+        opened = [open_file(path, options, files, held) for path in files]
+        draft, notices = _drafted(opened, options)
+    if options.findings:
+        _add_findings(draft, files)
+    names = [path.name for path in files]
+    return _page(draft, names, opened, notices)
+
+
+def make_take_page(name: str, stream: TakeStream) -> Page:
+    """Return the page of a take in memory."""
+    from animtool.preview.opened import own_take
+
+    opened = OpenFile(Path(name), "m", stream.rig.up, [own_take(name, stream)])
+    draft, notices = _drafted([opened], PreviewOptions())
+    return _page(draft, [name], [opened], notices)
+
+
+def _page(
+    draft: Draft, names: list[str], opened: list[OpenFile], notices: list[Fault]
+) -> Page:
+    title = ", ".join(names)
+    source = {
+        "files": names,
+        "unit": opened[0].unit,
+        "up": str(opened[0].up).lower(),
+    }
+    if draft.packer.nbytes > MAX_BYTES:
+        size = draft.packer.nbytes / 1e6
+        message = f"the page would hold {size:.0f} MB of frames"
+        raise OptionError(Fault("PRV003", message, hint=FEWER))
+    manifest, blocks = draft.manifest(
+        title if len(title) <= TITLE else title[: TITLE - 1] + "…", source
+    )
+    size = sum(map(len, blocks))
+    if size > LARGE:
+        message = f"the page has {size / 1e6:.0f} MB, which browsers open slowly"
+        notices.append(Fault("PRV102", message, hint=FEWER, severity=Severity.WARNING))
+    return Page(manifest, blocks, notices)
+
+
+def _drafted(
+    opened: list[OpenFile], options: PreviewOptions
+) -> tuple[Draft, list[Fault]]:
+    notices = [file.located(notice) for file in opened for notice in file.notices]
+    fps = next((rate for file in opened if (rate := file.fps)), Fraction(24))
+    parts = [
+        gathered_part(number, file, take, fps, options, notices)
+        for number, file in enumerate(opened)
+        for take in file.takes
+    ]
+    notices += align(parts)
+    timeline = timeline_of(opened, parts, fps, options)
+    draft = Draft(timeline)
+    shown = [(part, _add_part(draft, part)) for part in parts]
+    for part, one in shown:
+        add_character(draft, part.take, one)
+        add_channels(draft, one, part.take.clip, part.origin)
+    for file in opened:
+        if file.contents is not None:
+            from animtool.preview.stage import add_stage
+
+            add_stage(draft, file.contents)
+        if file.markers is not None:
+            _add_markers(draft, file.path.name, file.markers)
+    return draft, notices
+
+
+def _add_part(draft: Draft, part: TimedPart) -> Shown:
+    first = draft.timeline.index(part.first)
+    shown = add_take(draft, part.take.name, part.stream, part.gathered, first)
+    shown.entry["file"] = part.file
+    return shown
+
+
+def _add_markers(draft: Draft, name: str, markers: Markers) -> None:
+    """Add markers to a page, at the frames nearest to its own."""
+    clock = markers.clock
+    ratio = float(clock.fps / draft.timeline.fps)
+    places = (draft.timeline.codes * ratio - float(clock.start)) / float(clock.step)
+    frames = np.clip(np.rint(places), 0, clock.count - 1).astype(np.int64)
+    positions = markers.positions[frames]
+    turn = up_from_up(UpAxis.Y, markers.up)
+    if turn is not None:
+        positions = so3.rotate(np.array(turn), positions)
+    stored = quantized_range(positions.reshape(len(frames), -1), period=3)
+    draft.off(position=stored.error)
+    draft.points.append(
+        {
+            "name": name,
+            "positions": draft.packer.add(stored),
+            "radius": 0.0,
+            "radii": None,
+            "color": None,
+            "colors": None,
+            "names": list(markers.names),
+        }
+    )
+
+
+def _add_findings(draft: Draft, files: Sequence[Path]) -> None:
+    faults = ordered(find_faults(files))
+    takes: dict[str, tuple[int, Sequence[str]]] = {}
+    for number, entry in enumerate(draft.takes):
+        path = str(files[entry["file"]])
+        takes.setdefault(path, (number, entry["skeleton"]["names"]))
+    draft.findings += [finding_entry(fault, takes) for fault in faults[:MAX_FINDINGS]]
+    if len(faults) > MAX_FINDINGS:
+        more = counted(len(faults) - MAX_FINDINGS, "finding")
+        draft.note(f"{more} more: animtool validate lists them")

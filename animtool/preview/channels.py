@@ -1,0 +1,123 @@
+"""Curves of a page: keyed channels of clips, controls, and weights of shapes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from fractions import Fraction
+
+import numpy as np
+
+from animtool.clip.channels import evaluate_channels
+from animtool.clip.clip import Clip
+from animtool.core.array_types import FloatArray
+from animtool.preview.draft import Draft
+from animtool.preview.streams import Quantized, plain
+from animtool.preview.takes import Shown
+
+# Keys of all curves that are drawn; of more, the curves alone are.
+MAX_KEYS = 50_000
+_AXES = "xyzw"
+
+
+@dataclass(frozen=True, slots=True)
+class Curve:
+    """One number over the frames of a take, as an animator reads it."""
+
+    name: str
+    unit: str  # ``m``, ``deg`` or empty
+    values: FloatArray  # ``(F,)``
+    keys: FloatArray | None = None  # ``(K, 2)`` of time and value; None of none
+    interp: str | None = None  # of its first key
+
+
+def add_channels(
+    draft: Draft, shown: Shown, clip: Clip | None, origin: Fraction
+) -> None:
+    """Add the curves of a take to a page, in one stream.
+
+    Args:
+        draft: The page.
+        shown: The take.
+        clip: What it was sampled from; None of others.
+        origin: Frame of the page that the clip's first one is.
+    """
+    curves = [*_keyed(draft, shown, clip, float(origin)), *_controls(shown, clip)]
+    if not curves or not shown.frames:
+        return
+    total = sum(0 if curve.keys is None else len(curve.keys) for curve in curves)
+    if total > MAX_KEYS:
+        draft.note(f"{total} keys: curves are drawn without them")
+    stacked = np.stack([curve.values for curve in curves], axis=1)
+    stream = draft.packer.add(Quantized(stacked.astype("<f4"), "f32"))
+    for column, curve in enumerate(curves):
+        keys = curve.keys if total <= MAX_KEYS else None
+        draft.channels.append(
+            {
+                "name": curve.name,
+                "unit": curve.unit,
+                "values": stream,
+                "column": column,
+                "keys": None if keys is None else plain(keys),
+                "interp": curve.interp,
+                "take": shown.index,
+            }
+        )
+
+
+def _keyed(draft: Draft, shown: Shown, clip: Clip | None, origin: float) -> list[Curve]:
+    """Return the curves of a clip's channels at the frames of the page."""
+    if clip is None:
+        return []
+    timeline = draft.timeline
+    codes = timeline.codes[0] + (np.arange(shown.frames) + shown.first) * float(
+        timeline.step
+    )
+    ratio, first = float(clip.fps / timeline.fps), float(clip.first)
+    times = first + (codes - origin) * ratio
+    # Angles as they are keyed, not the rotations that they come to.
+    channels = [replace(channel, euler="") for channel in clip.channels]
+    values = evaluate_channels(channels, times)
+    curves = []
+    for channel in clip.channels:
+        width = channel.values.shape[1]
+        rows = np.broadcast_to(values[channel.target], (shown.frames, width))
+        unit, factor = _unit(channel.target, width)
+        times_of_keys = origin + (channel.times - first) / ratio
+        axes = channel.euler.lower() or _AXES
+        curves += [
+            Curve(
+                channel.target + (f".{axes[i]}" if width > 1 else ""),
+                unit,
+                rows[:, i] * factor,
+                np.stack([times_of_keys, channel.values[:, i] * factor], axis=1),
+                str(channel.interps[0]) if channel.interps else None,
+            )
+            for i in range(width)
+        ]
+    return curves
+
+
+def _unit(target: str, width: int) -> tuple[str, float]:
+    """Return the unit that a channel is shown in, and what a value is times it."""
+    if target.startswith(("control/", "shape/")) or width == 4:
+        return "", 1.0
+    if target.endswith(("translation", ".slide")):
+        return "m", 1.0
+    return ("", 1.0) if target.endswith("scale") else ("deg", float(np.degrees(1.0)))
+
+
+def _controls(shown: Shown, clip: Clip | None) -> list[Curve]:
+    """Return controls and weights of shapes that no channel of a clip keys."""
+    keyed = set() if clip is None else {channel.target for channel in clip.channels}
+    rig = shown.rig
+    curves = []
+    for kind, names, rows in (
+        ("control", [control.name for control in rig.controls], shown.controls),
+        ("shape", [shape.name for shape in rig.shapes], shown.weights),
+    ):
+        for i, name in enumerate(names if rows is not None else ()):
+            assert rows is not None
+            target = f"{kind}/{name}"
+            if target not in keyed and (rows[:, i] != 0).any():
+                curves.append(Curve(target, "", rows[:, i]))
+    return curves

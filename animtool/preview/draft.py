@@ -1,0 +1,132 @@
+"""A page while it is put together: timeline, streams, what its manifest lists."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+
+from animtool.core.array_types import FloatArray
+from animtool.core.clock import time_codes
+from animtool.core.rates import rate_label
+from animtool.preview.streams import Packer
+
+FORMAT = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Timeline:
+    """The frames of a page, in shot frames."""
+
+    fps: Fraction  # time codes a second
+    first: Fraction  # time code of the first sample
+    step: Fraction  # time codes from one sample to the next
+    count: int  # number of samples
+
+    @property
+    def codes(self) -> FloatArray:
+        """Time code of each sample ``(F,)``."""
+        return time_codes(self.first, self.step, self.count)
+
+    def index(self, code: Fraction) -> int:
+        """Return the sample nearest to a time code; it may be outside."""
+        return round((code - self.first) / self.step)
+
+    def entry(self) -> dict[str, Any]:
+        """Return what the manifest says of it."""
+        return {
+            "first": number(self.first),
+            "step": number(self.step),
+            "count": self.count,
+            "rate": [self.fps.numerator, self.fps.denominator],
+            "label": rate_label(self.fps),
+        }
+
+
+def number(value: Fraction | float) -> int | float:
+    """Return a number as JSON has it, whole where it is.
+
+    >>> number(Fraction(1001)), number(Fraction(1, 4))
+    (1001, 0.25)
+    """
+    return int(value) if value == int(value) else float(value)
+
+
+@dataclass(slots=True)
+class Draft:
+    """Parts of a page, added one after another.
+
+    Attributes:
+        timeline: Its frames.
+        packer: Its streams.
+        rotation_error: Largest difference of a rotation as stored [rad].
+        position_error: Largest difference of a position in the world as stored [m].
+        notices: What the page cannot show as it is, a sentence each.
+    """
+
+    timeline: Timeline
+    packer: Packer = field(default_factory=Packer)
+    takes: list[dict[str, Any]] = field(default_factory=list)
+    meshes: list[dict[str, Any]] = field(default_factory=list)
+    curves: list[dict[str, Any]] = field(default_factory=list)
+    points: list[dict[str, Any]] = field(default_factory=list)
+    instances: list[dict[str, Any]] = field(default_factory=list)
+    cameras: list[dict[str, Any]] = field(default_factory=list)
+    channels: list[dict[str, Any]] = field(default_factory=list)
+    findings: list[dict[str, Any]] = field(default_factory=list)
+    notices: list[str] = field(default_factory=list)
+    rotation_error: float = 0.0
+    position_error: float = 0.0
+    # What was found of rigs, which characters of a crowd share.
+    known: dict[bytes, Any] = field(default_factory=dict)
+
+    def note(self, message: str) -> None:
+        """Add a notice, once."""
+        if message not in self.notices:
+            self.notices.append(message)
+
+    def off(self, *, position: float = 0.0, rotation: float = 0.0) -> None:
+        """Count an error of what is stored [m], [rad]."""
+        self.position_error = max(self.position_error, position)
+        self.rotation_error = max(self.rotation_error, rotation)
+
+    def manifest(
+        self, title: str, source: dict[str, Any]
+    ) -> tuple[dict[str, Any], list[str]]:
+        """Return the manifest and the blocks; streams are done with then."""
+        streams, blocks = self.packer.finish()
+        return {
+            "format": FORMAT,
+            "title": title,
+            "source": source,
+            "time": self.timeline.entry(),
+            "errors": {
+                "rotation_deg": rounded_up(float(np.degrees(self.rotation_error))),
+                "position_mm": rounded_up(self.position_error * 1000),
+            },
+            "notices": self.notices,
+            "streams": streams,
+            "takes": self.takes,
+            "meshes": self.meshes,
+            "curves3d": self.curves,
+            "points": self.points,
+            "instances": self.instances,
+            "cameras": self.cameras,
+            "channels": self.channels,
+            "findings": self.findings,
+        }, blocks
+
+
+def rounded_up(error: float) -> float:
+    """Return an error with two digits, not less than it is.
+
+    >>> rounded_up(0.0123), rounded_up(0.0)
+    (0.013, 0.0)
+    """
+    if error <= 0:
+        return 0.0
+    digits = 1 - int(np.floor(np.log10(error)))
+    near = round(error, digits)
+    return near if near >= error else round(near + 10.0**-digits, digits)

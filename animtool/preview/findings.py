@@ -1,0 +1,59 @@
+"""Findings of `validate` on a page, with the frame and the joint that they name."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from animtool.core.errors import AnimtoolError, Fault, Severity
+from animtool.validation.options import ValidateOptions
+from animtool.validation.run import validate_files
+
+_FRAME = re.compile(r"\bframes? (-?\d+(?:\.\d+)?)")
+_QUOTED = re.compile(r"'((?:[^'\\]|\\.)*)'|\"((?:[^\"\\]|\\.)*)\"")
+# More are counted, not listed.
+MAX_FINDINGS = 500
+
+
+def find_faults(files: Sequence[Path]) -> list[Fault]:
+    """Return what `validate` says of files; of files that it cannot check nothing."""
+    found: list[Fault] = []
+    for path in files:
+        try:
+            report = validate_files([path], ValidateOptions(jobs=1))
+        except AnimtoolError:
+            continue
+        found += report.findings
+    return found
+
+
+def finding_entry(
+    fault: Fault, takes: Mapping[str, tuple[int, Sequence[str]]]
+) -> dict[str, Any]:
+    """Return a finding as the manifest has it.
+
+    takes: by path of a file, the number of its take and the names of its joints.
+    """
+    take, joints = takes.get(fault.path or "", (None, ()))
+    text = f"{fault.where or ''} {fault.message}"
+    named = [a or b for a, b in _QUOTED.findall(fault.message)]
+    known = set(joints)
+    joint = next((name for name in named if name in known), None)
+    frame = _FRAME.search(text)
+    hint = f", {fault.hint}" if fault.hint else ""
+    return {
+        "code": fault.code,
+        "severity": str(fault.severity),
+        "message": f"{fault.message}{hint}",
+        "frame": None if frame is None else float(frame[1]),
+        "joint": joint,
+        "take": take,
+    }
+
+
+def ordered(faults: Sequence[Fault]) -> list[Fault]:
+    """Return findings, errors first, the others in their order."""
+    rank = {Severity.ERROR: 0, Severity.WARNING: 1, Severity.NOTE: 2}
+    return sorted(dict.fromkeys(faults), key=lambda fault: rank[fault.severity])

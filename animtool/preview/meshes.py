@@ -1,0 +1,216 @@
+"""Meshes and strands of characters: skins and shapes for the viewer, or points."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from animtool.core.array_types import FloatArray, IntArray
+from animtool.maths.faces import triangulated
+from animtool.preview.draft import Draft
+from animtool.preview.opened import OpenTake
+from animtool.preview.streams import Quantized, plain, quantized_range
+from animtool.preview.takes import Shown
+from animtool.rig.surfaces import Surface
+from animtool.skin.character import CharacterMesh, character_meshes
+from animtool.skin.deform import DeformedMesh, deform
+from animtool.skin.shapes import PreparedShapes, column_weights
+from animtool.skin.skinning import PreparedSkin, SkinMethod
+
+# Joints that a vertex follows in the viewer.
+INFLUENCES = 4
+# A mesh whose strongest four joints leave out more weight is drawn from its points.
+LEFT_WEIGHT = 0.02
+# Frames whose points are in memory at once.
+BLOCK = 64
+COLORS = ((0.53, 0.56, 0.6), (0.6, 0.5, 0.42), (0.44, 0.55, 0.5), (0.55, 0.48, 0.57))
+STRAND_WIDTH = 0.001
+WEIGHT_ERROR = 1e-4
+
+
+def add_character(draft: Draft, character: OpenTake, shown: Shown) -> None:
+    """Add the meshes and strands of a take to a page."""
+    names = [shape.name for shape in shown.rig.shapes]
+    meshes = character_meshes(
+        character.surfaces, shown.rig.names, character.bind, names
+    )
+    columns: list[FloatArray] = []
+    labels: list[str] = []
+    for surface, mesh in zip(character.surfaces, meshes, strict=True):
+        entry = _mesh(draft, shown, surface)
+        draft.meshes.append(entry)
+        if needs_points(mesh.mesh.skin):
+            draft.note(
+                f"mesh {surface.name!r} is drawn from its points: the viewer skins "
+                "linearly by four joints a vertex"
+            )
+            entry["cache"] = _points(draft, shown, mesh)
+            continue
+        if mesh.mesh.skin is not None:
+            entry["skin"] = _skin(draft, mesh.mesh.skin)
+        weights = mesh.weights(shown.weights)
+        if mesh.mesh.shapes is not None and weights is not None:
+            own = column_weights(mesh.mesh.shapes, weights)
+            seen = np.flatnonzero(own.any(axis=0))
+            entry["shapes"] = _shapes(draft, mesh.mesh.shapes, seen, len(labels))
+            labels += [entry["shapes"][i]["name"] for i in range(len(seen))]
+            columns.append(own[:, seen])
+    if labels:
+        stacked = np.concatenate(columns, axis=1)
+        stored = quantized_range(stacked, WEIGHT_ERROR)
+        shown.entry["shapes"] = {"names": labels, "weights": draft.packer.add(stored)}
+    for strands in character.strands:
+        count, each = strands.points.shape[:2]
+        joint = shown.rig.index(strands.joint)
+        draft.curves.append(
+            {
+                "name": strands.name,
+                "take": shown.index,
+                "joint": joint,
+                "bind": plain(np.linalg.inv(character.bind[joint]).T.reshape(-1), 9),
+                "counts": draft.packer.static(np.full(count, each), "u32"),
+                "points": draft.packer.static_range(strands.points),
+                "width": STRAND_WIDTH,
+                "color": None,
+            }
+        )
+
+
+def needs_points(skin: PreparedSkin | None) -> bool:
+    """Return whether the viewer cannot skin a mesh as it is meant."""
+    if skin is None:
+        return False
+    if skin.method is SkinMethod.DUAL_QUATERNION:
+        return True
+    _, weights = strongest(skin)
+    return bool((1 - weights.sum(axis=1)).max(initial=0.0) > LEFT_WEIGHT)
+
+
+def strongest(skin: PreparedSkin) -> tuple[IntArray, FloatArray]:
+    """Return the four strongest joints of each vertex, and their weights ``(V, 4)``."""
+    influences = skin.influences
+    counts = np.diff(influences.first)
+    rows = np.repeat(np.arange(skin.vertices), counts)
+    places = np.arange(len(influences.joints)) - np.repeat(
+        influences.first[:-1], counts
+    )
+    kept = places < INFLUENCES
+    joints = np.zeros((skin.vertices, INFLUENCES), np.int64)
+    weights = np.zeros((skin.vertices, INFLUENCES))
+    joints[rows[kept], places[kept]] = influences.joints[kept]
+    weights[rows[kept], places[kept]] = influences.weights[kept]
+    return joints, weights
+
+
+def mesh_entry(
+    draft: Draft,
+    name: str,
+    points: FloatArray,
+    counts: IntArray,
+    indices: IntArray,
+    color: Sequence[float] | None,
+    *,
+    take: int | None = None,
+    double_sided: bool = True,
+) -> dict[str, Any]:
+    """Return what the manifest says of a mesh: its points and its triangles."""
+    usual = COLORS[len(draft.meshes) % len(COLORS)]
+    triangles = triangulated(counts, indices)
+    return {
+        "name": name,
+        "take": take,
+        "points": draft.packer.static_range(points),
+        "faces": draft.packer.static(triangles, "u32"),
+        "skin": None,
+        "shapes": [],
+        "cache": None,
+        "color": list(usual if color is None else color),
+        "doubleSided": double_sided,
+    }
+
+
+def _mesh(draft: Draft, shown: Shown, surface: Surface) -> dict[str, Any]:
+    points = surface.points
+    if surface.skin is None:
+        # Nothing else places it.
+        points = points @ surface.geom_bind[:3, :3].T + surface.geom_bind[:3, 3]
+    return mesh_entry(
+        draft,
+        surface.name,
+        points,
+        surface.counts,
+        surface.indices,
+        None,
+        take=shown.index,
+    )
+
+
+def _skin(draft: Draft, skin: PreparedSkin) -> dict[str, Any]:
+    joints, weights = strongest(skin)
+    sums = weights.sum(axis=1, keepdims=True)
+    weights = np.divide(weights, sums, out=np.zeros_like(weights), where=sums > 0)
+    # Rounded so that each vertex has a whole: the strongest takes what is left.
+    steps = np.rint(weights * 65535)
+    steps[:, 0] += np.where(sums[:, 0] > 0, 65535 - steps.sum(axis=1), 0)
+    stored = steps.reshape(1, -1).astype("<u2")
+    bind = skin.joint_from_world @ skin.world_from_points
+    return {
+        "palette": skin.joints.tolist(),
+        "joints": draft.packer.static(joints, "u16"),
+        "weights": draft.packer.add(Quantized(stored, "u16", 1 / 65535)),
+        "bind": draft.packer.static(bind.swapaxes(1, 2), "f32"),
+    }
+
+
+def _shapes(
+    draft: Draft, shapes: PreparedShapes, seen: IntArray, first: int
+) -> list[dict[str, Any]]:
+    """Return the columns of offsets that show, sparse."""
+    parts = shapes.points
+    names = [
+        name if at == 1.0 else f"{name} at {at:g}"
+        for name, knots in zip(shapes.names, shapes.knots, strict=True)
+        for at in knots[knots != 0].tolist()
+    ]
+    owners = np.repeat(np.arange(shapes.vertices), np.diff(parts.first))
+    numbers = {column: row for row, column in enumerate(np.flatnonzero(parts.dense), 1)}
+    entries = []
+    for place, column in enumerate(seen.tolist()):
+        if column in numbers:
+            offsets = parts.table[numbers[column]].reshape(-1, 3)
+            vertices = np.flatnonzero((offsets != 0).any(axis=1))
+            offsets = offsets[vertices]
+        else:
+            own = parts.columns == column
+            vertices, offsets = owners[own], parts.offsets[own]
+        entries.append(
+            {
+                "name": names[column],
+                "column": first + place,
+                "vertices": draft.packer.static(vertices, "u32"),
+                "offsets": draft.packer.static_range(offsets),
+            }
+        )
+    return entries
+
+
+def _points(draft: Draft, shown: Shown, mesh: CharacterMesh) -> int:
+    """Return the stream of the points of a mesh in every frame."""
+    parts = []
+    weights = mesh.weights(shown.weights)
+    for begin in range(0, shown.frames, BLOCK):
+        cut = slice(begin, min(begin + BLOCK, shown.frames))
+        own = None if weights is None else weights[cut]
+        deformed = deform(_with_shapes(mesh.mesh, own), own, shown.world(cut))
+        parts.append(deformed.points.astype(np.float32))
+    stored = quantized_range(np.concatenate(parts).reshape(shown.frames, -1), period=3)
+    draft.off(position=stored.error)
+    return draft.packer.add(stored)
+
+
+def _with_shapes(mesh: DeformedMesh, weights: FloatArray | None) -> DeformedMesh:
+    if weights is not None or mesh.shapes is None:
+        return mesh
+    return DeformedMesh(mesh.points, None, mesh.skin)

@@ -1,0 +1,281 @@
+"""Files that a page shows, opened by what they are."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, field, replace
+from fractions import Fraction
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from animtool.clip.clip import Clip
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import (
+    Fault,
+    FormatError,
+    OptionError,
+    Severity,
+    counted,
+    listed,
+)
+from animtool.core.files.reading import note_input
+from animtool.core.names import is_named
+from animtool.core.units import UpAxis, unit_name
+from animtool.formats.marker_files import is_marker_file, open_markers
+from animtool.motion.markers import Markers
+from animtool.motion.motion import Channel, Motion
+from animtool.motion.reorient import reorient
+from animtool.motion.take import TakeStream
+from animtool.preview.options import PreviewOptions
+from animtool.rig.kinematics import bind_matrices
+from animtool.rig.skeleton import Rig
+from animtool.rig.surfaces import Strands, Surface, strands_of, surfaces_of
+from animtool.scene.sources.open import (
+    SourceOptions,
+    fitting_options,
+    is_usd,
+    open_characters,
+    open_source,
+    source_stem,
+)
+
+if TYPE_CHECKING:
+    from animtool.usd.caches.shown import StageContents
+
+# Kinds of files that hold nothing to be seen by themselves, and what shows them.
+_UNSEEN = {
+    "targets": "animtool ik RIG --targets FILE -o OUT.usda solves them; look at that",
+    "batch": "look at what it bakes",
+    "cameras": "look at what it is used for",
+    "landmarks": "look at what it is used for",
+    "map": "look at what it is used for",
+    "markers": "look at a file of markers that it describes",
+    "remap": "look at what it is used for",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class OpenTake:
+    """A take of a file, Y up, with what its joints carry."""
+
+    name: str
+    stream: TakeStream
+    bind: FloatArray  # ``(J, 4, 4)`` [m]
+    surfaces: tuple[Surface, ...] = ()
+    strands: tuple[Strands, ...] = ()
+    clip: Clip | None = None
+
+
+@dataclass(slots=True)
+class OpenFile:
+    """A file that is open.
+
+    Attributes:
+        path: The file, as it was named.
+        unit: Its unit of length.
+        up: Its up axis.
+        takes: Its characters.
+        contents: What its stage shows beside them; None of other files.
+        markers: Its markers, Y up; None of other files.
+        notices: Warnings and notes about it.
+        folder: Where a scene was baked to; None of files that are read themselves.
+    """
+
+    path: Path
+    unit: str = "m"
+    up: str = "Y"
+    takes: list[OpenTake] = field(default_factory=list)
+    contents: StageContents | None = None
+    markers: Markers | None = None
+    notices: list[Fault] = field(default_factory=list)
+    folder: Path | None = None
+
+    def located(self, fault: Fault) -> Fault:
+        """Return a fault at the scene, where it is at what was baked of it."""
+        where = fault.path
+        if (
+            self.folder is None
+            or not where
+            or not Path(where).is_relative_to(self.folder)
+        ):
+            return fault
+        return replace(fault, path=str(self.path))
+
+    @property
+    def fps(self) -> Fraction | None:
+        """Time codes a second; None of a rig at rest."""
+        if self.takes:
+            return self.takes[0].stream.fps
+        if self.markers is not None:
+            return self.markers.clock.fps
+        return None if self.contents is None else self.contents.fps
+
+
+def open_file(
+    path: Path, options: PreviewOptions, others: Sequence[Path], held: ExitStack
+) -> OpenFile:
+    """Open a file of any kind that can be seen.
+
+    Args:
+        path: The file.
+        options: How to read it.
+        others: All files, for options that fit some of them only.
+        held: Closes what is needed until the page is made.
+
+    Raises:
+        FormatError: It cannot be read, or is malformed.
+        OptionError: There is nothing to be seen in its kind (PRV001).
+    """
+    for kind, hint in _UNSEEN.items():
+        if is_named(path, kind):
+            message = f"is a {kind} file, which shows nothing by itself"
+            raise OptionError(Fault("PRV001", message, str(path), (), hint))
+    if is_named(path, "scene"):
+        return _open_scene(path, options, held)
+    if is_named(path, "rig"):
+        return _open_rig(path)
+    source = replace(
+        fitting_options(options.source, path, others), prim_path=options.prim_path
+    )
+    if not is_usd(path):
+        source = replace(source, prim_path=None)
+    if is_marker_file(path) and source.template is None:
+        return _open_markers(path, source)
+    if is_usd(path):
+        return _open_stage(path, path.name, source)
+    stream = open_source(path, source)
+    opened = OpenFile(path, unit_name(stream.rig.meters_per_unit), stream.rig.up)
+    clip = None
+    if is_named(path, "clip"):
+        clip = Clip.load(path, stream.rig)
+    opened.takes.append(own_take(source_stem(path), stream, clip))
+    return opened
+
+
+def own_take(name: str, stream: TakeStream, clip: Clip | None = None) -> OpenTake:
+    """Return a take with the meshes of its own rig."""
+    stream = reorient(stream, UpAxis.Y)
+    rig = stream.rig
+    if not rig.meshes and not rig.attach:
+        return OpenTake(name, stream, bind_matrices(rig), clip=clip)
+    bind = bind_matrices(rig)
+    return OpenTake(name, stream, bind, surfaces_of(rig), strands_of(rig), clip)
+
+
+def resting(rig: Rig) -> TakeStream:
+    """Return a take of one frame of a rig at rest."""
+    still = Motion(
+        Channel.from_dense(rig.rest_translations[None]),
+        Channel.from_dense(rig.rest_rotations[None]),
+    )
+    one = Fraction(1)
+    return TakeStream(rig, Fraction(24), one, one, iter([still]))
+
+
+def _open_rig(path: Path) -> OpenFile:
+    note_input(path)
+    rig = Rig.load(path)
+    opened = OpenFile(path, unit_name(rig.meters_per_unit), rig.up)
+    opened.notices += rig.notices
+    opened.takes.append(own_take(rig.name, resting(rig)))
+    return opened
+
+
+def _open_markers(path: Path, source: SourceOptions) -> OpenFile:
+    markers = open_markers(path, unit=source.unit, up=source.up, fps=source.fps)
+    opened = OpenFile(path, "m", markers.up, markers=markers)
+    opened.notices += markers.notices
+    return opened
+
+
+def _open_stage(path: Path, name: str, source: SourceOptions) -> OpenFile:
+    """Open a USD file: its characters, and what else it shows."""
+    from animtool.usd.caches.shown import open_contents
+    from animtool.usd.rigs.mesh_read import source_meshes
+
+    contents = open_contents(path, source.prim_path)
+    opened = OpenFile(path, contents.unit, contents.up, contents=contents)
+    characters = open_characters(path)
+    below = source.prim_path
+    chosen = [
+        prim
+        for prim in characters
+        if below is None or f"{prim}/".startswith(f"{below.rstrip('/')}/")
+    ]
+    if len(chosen) <= 1 and (chosen or contents.is_animation()):
+        streams = {chosen[0] if chosen else "": open_source(path, source)}
+        if source.take is None:
+            opened.notices += _other_takes(path, next(iter(streams.values())))
+    else:
+        streams = _read_characters(opened, {p: characters[p] for p in chosen})
+    for prim, stream in streams.items():
+        label = source_stem(Path(name)) if len(streams) == 1 else prim
+        turned = reorient(stream, UpAxis.Y)
+        if not prim:
+            opened.takes.append(OpenTake(label, turned, bind_matrices(turned.rig)))
+            continue
+        meshes = source_meshes(path, prim)
+        opened.notices += meshes.notices
+        bind = meshes.bind if len(meshes.bind) else bind_matrices(turned.rig)
+        bones = contents.bone_names
+        own = [surface for surface in meshes.surfaces if surface.name not in bones]
+        surfaces = contents.turned_surfaces(own)
+        opened.takes.append(OpenTake(label, turned, bind, surfaces, meshes.strands))
+    return opened
+
+
+def _read_characters(
+    opened: OpenFile, characters: Mapping[str, Callable[[], TakeStream]]
+) -> dict[str, TakeStream]:
+    """Read characters; those that are malformed are named, where others are not."""
+    streams: dict[str, TakeStream] = {}
+    errors: list[FormatError] = []
+    for prim, read in characters.items():
+        try:
+            streams[prim] = read()
+        except FormatError as error:
+            errors.append(error)
+    if errors and not streams:
+        raise errors[0]
+    faults = [fault for error in errors for fault in error.faults]
+    opened.notices += [replace(one, severity=Severity.WARNING) for one in faults]
+    return streams
+
+
+def _other_takes(path: Path, stream: TakeStream) -> list[Fault]:
+    """Say which other takes a clip library has."""
+    names = stream.details.get("takes")
+    if not isinstance(names, list) or len(names) < 2:
+        return []
+    shown = stream.details.get("take")
+    message = f"take {shown!r} is shown of {counted(len(names), 'take')}"
+    hint = f"--take shows another: {listed(names)}"
+    return [Fault("PRV101", message, str(path), (), hint, Severity.NOTE)]
+
+
+def _open_scene(path: Path, options: PreviewOptions, held: ExitStack) -> OpenFile:
+    """Bake a scene to a temporary layer, and open that."""
+    from animtool.scene.bake.bake import bake
+    from animtool.scene.file.read import load_scene
+    from animtool.usd.layers.view import write_view
+
+    scene = load_scene(path, dict(options.variables))
+    if scene.kept:
+        message = f"saves {', '.join(sorted({kept.name for kept in scene.kept}))}"
+        hint = "bake it, and look at its output"
+        raise OptionError(Fault("PRV004", message, str(path), (), hint))
+    output = scene.outputs[0]
+    usual = replace(output.bake, form=None, chunk=None, overwrite=False, take=None)
+    scene = replace(scene, outputs=(replace(output, path=None, bake=usual),))
+    folder = Path(held.enter_context(tempfile.TemporaryDirectory("animtool")))
+    layer = folder / f"{source_stem(path)}.usdc"
+    report = bake(scene, layer)
+    shown = layer
+    if usual.rig_layer is not None:
+        shown = write_view(folder / "view.usda", layer, usual.rig_layer)
+    opened = _open_stage(shown, path.name, SourceOptions())
+    opened.path, opened.folder = path, folder
+    opened.notices += report.notices
+    return opened

@@ -1,0 +1,39 @@
+"""Options of pages."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from animtool.core.options import option
+from animtool.core.shot import FrameRange
+from animtool.scene.sources.open import SourceOptions
+
+
+@dataclass(frozen=True, slots=True)
+class PreviewOptions:
+    """What a page shows, and how its files are read.
+
+    Attributes:
+        source: What the sources are, where their files do not say.
+        prim_path: What of a USD file; None is all.
+        frame_range: Frames to show, as the first file numbers them; None is all.
+        findings: Whether findings of `validate` are on the page.
+        variables: What ``${name}`` stands for in scenes.
+    """
+
+    source: SourceOptions = field(default_factory=SourceOptions)
+    prim_path: str | None = None
+    frame_range: FrameRange | None = option(
+        None,
+        "range",
+        "--frames",
+        help="Frames to show, such as 1-240, 1-240x2 or 12.  [default: all]",
+    )
+    findings: bool = option(
+        True,
+        "answer",
+        "--no-findings",
+        help="Whether findings of validate are on the page.  [default: --findings]",
+    )
+    variables: Mapping[str, str] = field(default_factory=dict)

@@ -1,0 +1,165 @@
+"""A page as HTML: manifest, blocks and the viewer in one file that asks for nothing."""
+
+from __future__ import annotations
+
+import html
+import json
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from animtool.preview.streams import deflated
+
+VIEWER = Path(__file__).parent / "viewer"
+ENTRY = "main.js"
+_IMPORT = re.compile(r"""(\bfrom\s*|\bimport\s*)(['"])\./([\w-]+\.js)\2""")
+_LEFT_OUT = tuple(
+    re.compile(pattern, re.M | re.S)
+    for pattern in (
+        r"^[ \t]*/\*.*?\*/[ \t]*\n",
+        r"^[ \t]*//[^\n]*\n",
+        r"^[ \t]+",
+        r"^\n",
+    )
+)
+# What would end a script, or break a line of one, in JSON.
+_ESCAPES = {ord(c): f"\\u{ord(c):04x}" for c in "<>&\u2028\u2029"}
+
+_POLICY = (
+    "default-src 'none'; script-src 'unsafe-inline' blob:; style-src 'unsafe-inline'; "
+    "img-src data: blob:; connect-src {connect}; base-uri 'none'; form-action 'none'"
+)
+
+_PAGE = """<!doctype html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<meta http-equiv="Content-Security-Policy" content="{{csp}}">
+<title>{{title}}</title>
+<style>{{style}}</style>
+</head>
+<body>
+{{manifest}}
+{{blocks}}
+{{modules}}
+<script>{{bootstrap}}</script>
+</body>
+</html>
+"""
+
+# Inflates the modules, makes a URL of each after those that it imports, and starts the
+# last.
+_BOOTSTRAP = """\
+(async () => {
+  const page = (window.animtool = window.animtool || {errors: []});
+  page.errors = page.errors || [];
+  const failed = (error) => {
+    page.errors.push(String(error && error.message || error));
+    const place = document.getElementById('failed');
+    if (place) { place.textContent = page.errors.join('\\n'); place.hidden = false; }
+  };
+  window.addEventListener('error', (event) => failed(event.error || event.message));
+  window.addEventListener('unhandledrejection', (event) => failed(event.reason));
+  if (!window.DecompressionStream) {
+    failed('This browser is too old for the page: it cannot inflate data.');
+    return;
+  }
+  const packed = atob(document.getElementById('modules').textContent);
+  const bytes = Uint8Array.from(packed, (letter) => letter.charCodeAt(0));
+  const inflate = new DecompressionStream('deflate-raw');
+  const stream = new Blob([bytes]).stream().pipeThrough(inflate);
+  const urls = {};
+  for (const [name, code] of Object.entries(await new Response(stream).json())) {
+    const text = code.replace(
+      /(\\bfrom\\s*|\\bimport\\s*)(['"])\\.\\/([\\w-]+\\.js)\\2/g,
+      (_, word, quote, other) => word + quote + urls[other] + quote);
+    urls[name] = URL.createObjectURL(new Blob([text], {type: 'text/javascript'}));
+  }
+  import(urls['main.js']).catch(failed);
+})();
+"""
+
+
+def json_text(value: Any) -> str:
+    r"""Return JSON that is safe inside of a script of a page.
+
+    >>> json_text({"name": "</script>"})
+    '{"name":"\\u003c/script\\u003e"}'
+    """
+    text = json.dumps(value, ensure_ascii=False, separators=(",", ":"), allow_nan=False)
+    # Half a pair, as names of files have for bytes that are no text, is no character.
+    text = text.encode("utf-8", "replace").decode("utf-8")
+    return text.translate(_ESCAPES)
+
+
+def page_parts(
+    manifest: Mapping[str, Any], blocks: Sequence[str], *, watched: bool = False
+) -> Iterator[bytes]:
+    """Yield the bytes of a page, block by block.
+
+    Args:
+        manifest: What it shows.
+        blocks: Its streams, as text.
+        watched: Whether it may ask the server that it is from what has changed.
+    """
+    filled = {
+        "title": html.escape(str(manifest["title"])),
+        "csp": _POLICY.format(connect="'self'" if watched else "'none'"),
+        "style": _read("viewer.css"),
+        "manifest": f'<script type="application/json" id="manifest">'
+        f"{json_text(manifest)}</script>",
+        "modules": f'<script type="text/plain" id="modules">'
+        f"{deflated([json.dumps(viewer_modules()).encode()])}</script>",
+        "bootstrap": _BOOTSTRAP,
+    }
+    template = _read("page.html") or _PAGE
+    # Split once, so that what is filled in is never looked at again.
+    for part in re.split(r"(\{\{\w+\}\})", template):
+        name = part.strip("{}")
+        if part == "{{blocks}}":
+            for number, block in enumerate(blocks):
+                yield (
+                    f'<script type="text/plain" class="block" id="b{number}">'
+                    f"{block}</script>\n"
+                ).encode()
+        elif part.startswith("{{") and name in filled:
+            yield filled[name].encode("utf-8", "replace")
+        else:
+            yield part.encode("utf-8")
+
+
+@cache
+def viewer_modules() -> dict[str, str]:
+    """Return the modules of the viewer by name, each after those that it imports."""
+    paths = sorted(VIEWER.glob("*.js"))
+    texts = {path.name: compact(path.read_text("utf-8")) for path in paths}
+    ordered: dict[str, str] = {}
+
+    def add(name: str, above: tuple[str, ...] = ()) -> None:
+        if name in ordered or name in above or name not in texts:
+            return
+        for match in _IMPORT.finditer(texts[name]):
+            add(match[3], (*above, name))
+        ordered[name] = texts[name]
+
+    add(ENTRY)
+    return ordered
+
+
+def compact(text: str) -> str:
+    r"""Return code without comments that have lines of their own, nor indentation.
+
+    >>> compact("/** Adds. */\nfunction add(a) {\n  // one\n  return a + 1;\n}\n")
+    'function add(a) {\nreturn a + 1;\n}\n'
+    """
+    for pattern in _LEFT_OUT:
+        text = pattern.sub("", text)
+    return text
+
+
+def _read(name: str) -> str:
+    path = VIEWER / name
+    return path.read_text("utf-8") if path.exists() else ""

@@ -1,0 +1,186 @@
+"""A page served on loopback alone, made again when its files change."""
+
+from __future__ import annotations
+
+import json
+import secrets
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from typing import Any
+
+from animtool.core.errors import AnimtoolError
+from animtool.core.files.reading import FileState, Inputs, recorded_inputs
+from animtool.preview.build import Page
+
+ADDRESS = "127.0.0.1"
+# How often files are looked at [s].
+POLL_INTERVAL = 0.1
+
+Make = Callable[[], Page]
+
+
+@dataclass(slots=True)
+class Watched:
+    """A page, and the files that it was made of.
+
+    Attributes:
+        make: Makes the page.
+        secret: What addresses begin with.
+        page: The last one that could be made.
+        version: Counts pages that were made.
+        error: Why the last one could not be made; None where it could.
+    """
+
+    make: Make
+    secret: str = field(default_factory=lambda: secrets.token_urlsafe(16))
+    page: Page | None = None
+    version: int = 0
+    error: str | None = None
+    _states: dict[Path, FileState | None] = field(default_factory=dict)
+    _body: bytes = b""
+    _lock: threading.Lock = field(default_factory=threading.Lock)
+
+    def build(self) -> None:
+        """Make the page, and note which files were looked at.
+
+        Raises:
+            AnimtoolError: It cannot be made; the page before stays.
+        """
+        with recorded_inputs() as inputs:
+            try:
+                page = self.make()
+            except AnimtoolError as error:
+                self._note(inputs, keep=True)
+                self.error = str(error)
+                raise
+        self._note(inputs, keep=False)
+        with self._lock:
+            self.version += 1
+            self.page, self.error = page, None
+            watch = {"url": f"/{self.secret}/state", "version": self.version}
+            self._body = b"".join(page.parts(watch))
+
+    def _note(self, inputs: Inputs, *, keep: bool) -> None:
+        """Take files as they were when they were read, not as they are by now."""
+        if not keep:
+            self._states.clear()
+        else:
+            self._states = {path: FileState.of(path) for path in self._states}
+        # Files of a scene's own bake are gone with it.
+        self._states |= {
+            path: state
+            for path, state in inputs.states.items()
+            if state is None or path.exists()
+        }
+
+    def changed(self) -> bool:
+        """Return whether a file is no longer what it was."""
+        return any(FileState.of(path) != was for path, was in self._states.items())
+
+    def body(self) -> bytes:
+        """Return the page as it is sent."""
+        with self._lock:
+            return self._body
+
+    def state(self) -> bytes:
+        """Return what the page asks for: its version, and what is wrong."""
+        with self._lock:
+            values = {"version": self.version, "error": self.error}
+        return json.dumps(values).encode()
+
+
+class _Handler(BaseHTTPRequestHandler):
+    server: PageServer
+    server_version, sys_version = "animtool", ""
+    protocol_version = "HTTP/1.1"
+    # One that sends nothing must not hold a thread for ever [s].
+    timeout = 30
+
+    def do_GET(self) -> None:
+        """Send the page or its state; anything else is refused."""
+        watched, path = self.server.watched, self.path.partition("?")[0]
+        if not self._is_ours():
+            self._send(403, b"forbidden\n", "text/plain")
+        elif path == f"/{watched.secret}/":
+            self._send(200, watched.body(), "text/html; charset=utf-8")
+        elif path == f"/{watched.secret}/state":
+            self._send(200, watched.state(), "application/json")
+        else:
+            self._send(403, b"forbidden\n", "text/plain")
+
+    def _is_ours(self) -> bool:
+        """Return whether a request knows the secret, and comes to us by our name."""
+        port = self.server.server_address[1]
+        hosts = {f"{ADDRESS}:{port}", f"localhost:{port}"}
+        if self.headers.get("Host") not in hosts:
+            return False
+        origin = self.headers.get("Origin")
+        if origin is not None and origin not in {f"http://{host}" for host in hosts}:
+            return False
+        given = self.path.split("/")[1:2]
+        known = self.server.watched.secret.encode()
+        return bool(given) and secrets.compare_digest(
+            given[0].encode("utf-8", "replace"), known
+        )
+
+    def _send(self, code: int, body: bytes, kind: str) -> None:
+        self.send_response(code)
+        self.send_header("Content-Type", kind)
+        self.send_header("Content-Length", str(len(body)))
+        self.send_header("Cache-Control", "no-store")
+        self.send_header("Referrer-Policy", "no-referrer")
+        self.send_header("X-Content-Type-Options", "nosniff")
+        self.send_header("X-Frame-Options", "DENY")
+        self.send_header("Cross-Origin-Resource-Policy", "same-origin")
+        self.end_headers()
+        self.wfile.write(body)
+
+    def log_message(self, format: str, *args: Any) -> None:
+        """Say nothing: the address holds a secret."""
+
+
+class PageServer(ThreadingHTTPServer):
+    """Serves a page on loopback, at a port that is free."""
+
+    daemon_threads = True
+
+    def __init__(self, watched: Watched) -> None:
+        self.watched = watched
+        super().__init__((ADDRESS, 0), _Handler)
+
+    @property
+    def address(self) -> str:
+        """Where the page is."""
+        return f"http://{ADDRESS}:{self.server_address[1]}/{self.watched.secret}/"
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Say nothing of who hangs up."""
+
+
+def follow(
+    watched: Watched,
+    failed: Callable[[AnimtoolError], object],
+    made: Callable[[Page], object],
+    wait: Callable[[float], bool],
+) -> None:
+    """Make a page again each time that its files change.
+
+    Args:
+        watched: The page.
+        failed: Called with what is wrong where it cannot be made.
+        made: Called with a page that was made.
+        wait: Called with an interval [s]; returns whether to stop.
+    """
+    while not wait(POLL_INTERVAL):
+        if not watched.changed():
+            continue
+        try:
+            watched.build()
+        except AnimtoolError as error:
+            failed(error)
+        else:
+            assert watched.page is not None
+            made(watched.page)

@@ -1,0 +1,125 @@
+"""Pages brought before somebody's eyes: in a browser, or inline in a notebook."""
+
+from __future__ import annotations
+
+import html
+import os
+import sys
+import tempfile
+import webbrowser
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+from pathlib import Path
+
+from animtool.motion.take import Take, TakeStream
+from animtool.preview.build import Page, make_page, make_take_page
+from animtool.preview.options import PreviewOptions
+
+HEIGHT = 560
+
+
+def has_browser(
+    environment: Mapping[str, str] = os.environ, platform: str = sys.platform
+) -> bool:
+    """Return whether a browser can be opened: not over ssh, nor without a display.
+
+    >>> has_browser({"SSH_CONNECTION": "10.0.0.1"}, "darwin")
+    False
+    >>> has_browser({}, "linux"), has_browser({"DISPLAY": ":0"}, "linux")
+    (False, True)
+    """
+    if environment.get("SSH_CONNECTION") or environment.get("SSH_TTY"):
+        return False
+    shown = environment.get("DISPLAY") or environment.get("WAYLAND_DISPLAY")
+    return bool(shown) or not platform.startswith("linux")
+
+
+def temporary_page() -> Path:
+    """Return where a page can be written that stays until the system clears it."""
+    return Path(tempfile.mkdtemp(prefix="animtool-preview-")) / "preview.html"
+
+
+def open_browser(address: str) -> bool:
+    """Open an address in the browser; return whether there was one."""
+    try:
+        return webbrowser.open(address)
+    except webbrowser.Error:
+        return False
+
+
+class Preview:
+    """A page that a notebook shows inline, as the last value of a cell.
+
+    The page is made when it is first asked for.
+
+    Attributes:
+        height: Of the frame that it is shown in [px].
+    """
+
+    def __init__(
+        self,
+        shown: Take | TakeStream | Sequence[Path],
+        options: PreviewOptions | None = None,
+        height: int = HEIGHT,
+    ) -> None:
+        self._shown, self._options, self.height = shown, options, height
+
+    @cached_property
+    def page(self) -> Page:
+        """The page."""
+        if isinstance(self._shown, Take | TakeStream):
+            stream = self._shown
+            if isinstance(stream, Take):
+                stream = TakeStream.of(stream)
+            return make_take_page(stream.rig.name, stream)
+        return make_page(self._shown, self._options)
+
+    def save(self, path: Path | str, *, overwrite: bool = False) -> Path:
+        """Write the page to a file, and return its path.
+
+        Raises:
+            OptionError: It is no ``.html`` (PRV002), or exists (OUT001).
+            OutputError: It cannot be written (OUT002).
+        """
+        from animtool.core.files.output import write_parts
+        from animtool.preview.build import check_page_output
+
+        output = Path(path)
+        check_page_output(output, [], overwrite=overwrite)
+        write_parts(output, self.page.parts())
+        return output
+
+    def _repr_html_(self) -> str:
+        """Return the page in a frame of its own, which reaches nothing around it."""
+        inner = html.escape(self.page.html(), quote=True)
+        title = html.escape(str(self.page.manifest["title"]), quote=True)
+        return (
+            f'<iframe sandbox="allow-scripts" title="{title}" '
+            f'style="width:100%;height:{self.height}px;border:0" '
+            f'srcdoc="{inner}"></iframe>'
+        )
+
+
+def show(
+    shown: Take | TakeStream | Path | str | Sequence[Path | str],
+    options: PreviewOptions | None = None,
+    *,
+    height: int = HEIGHT,
+) -> Preview:
+    """Return what a notebook shows as a page that plays.
+
+    Args:
+        shown: A take, or one or more files of any format that animtool reads.
+        options: Of files: how they are read, and what is shown.
+        height: Of the page in the notebook [px].
+
+    >>> from animtool.rig.skeleton import Joint, Rig
+    >>> from animtool.preview.opened import resting
+    >>> shown = show(resting(Rig("arm", (Joint("a", -1),))).collect())
+    >>> shown._repr_html_().startswith('<iframe sandbox="allow-scripts" title="arm"')
+    True
+    """
+    if isinstance(shown, Take | TakeStream):
+        return Preview(shown, options, height)
+    files = [shown] if isinstance(shown, Path | str) else list(shown)
+    return Preview([Path(file) for file in files], options, height)

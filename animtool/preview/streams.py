@@ -1,0 +1,251 @@
+"""Arrays of a page: quantised, cut into blocks of frames, deflated, as base64 text."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from animtool.core.array_types import FloatArray
+
+# Samples of a block, and what one is decoded to at most: it opens within a frame.
+BLOCK_SAMPLES = 256
+BLOCK_BYTES = 1 << 20
+# Static arrays share blocks up to this size [bytes].
+STATIC_BYTES = 1 << 22
+LEVEL = 6
+# Integers that a value may be, to either side of its offset.
+STEPS = 32767
+# Stands for NaN in streams with gaps.
+GAP = -32768
+# Coarser than this, positions are stored as float32 [m].
+POSITION_ERROR = 1e-4
+
+Array = npt.NDArray[Any]
+_WIDTHS = {"u8": 1, "i16": 2, "u16": 2, "f32": 4, "u32": 4}
+_TYPES = {"u8": "<u1", "i16": "<i2", "u16": "<u2", "f32": "<f4", "u32": "<u4"}
+
+
+@dataclass(frozen=True, slots=True)
+class Quantized:
+    """Values as a stream has them.
+
+    Attributes:
+        stored: ``(F, width)`` of the type of its kind.
+        kind: ``i16``, ``u16``, ``u8``, ``f32`` or ``u32``.
+        scale: A number, or some that repeat along the width.
+        offset: Likewise; a value is ``offset + scale * stored``.
+        gaps: Whether -32768 stands for NaN.
+        error: Largest difference from what was given, in its unit.
+    """
+
+    stored: Array
+    kind: str
+    scale: float | list[float] = 1.0
+    offset: float | list[float] = 0.0
+    gaps: bool = False
+    error: float = 0.0
+
+
+def plain(values: FloatArray, digits: int = 6) -> list[Any]:
+    """Return numbers for JSON, rounded, without negative zeros.
+
+    >>> plain(np.array([-0.0, 0.1234567891]))
+    [0.0, 0.123457]
+    """
+    rounded = np.round(np.asarray(values, np.float64), digits) + 0.0
+    return list(rounded.tolist())
+
+
+def quantized_units(values: FloatArray) -> Quantized:
+    """Return numbers from -1 to 1, such as those of unit quaternions."""
+    stored = np.rint(np.clip(values, -1.0, 1.0) * STEPS).astype("<i2")
+    error = np.abs(stored / STEPS - values).max(initial=0.0)
+    return Quantized(stored, "i16", 1.0 / STEPS, error=float(error))
+
+
+def quantized_range(
+    values: Array, tolerance: float = POSITION_ERROR, *, period: int = 0
+) -> Quantized:
+    """Return values over the range of each column, float32 where that is too coarse.
+
+    Args:
+        values: ``(F, width)``; what is not finite is a gap.
+        tolerance: Largest error of integers.
+        period: Columns that share a range, such as 3 for points; 0 is each its own.
+    """
+    width = values.shape[1]
+    exact = np.asarray(values, np.float32).astype(np.float64)
+    exact = np.where(np.isfinite(exact), exact, np.nan)
+    rows = exact.reshape(-1, period) if period else exact
+    if not rows.size:
+        return Quantized(np.zeros(values.shape, "<f4"), "f32")
+    gaps = bool(np.isnan(rows).any())
+    seen = np.isfinite(rows)
+    low = np.where(seen, rows, np.inf).min(axis=0)
+    high = np.where(seen, rows, -np.inf).max(axis=0)
+    low, high = (np.where(low <= high, side, 0.0) for side in (low, high))
+    scale = (high - low) / (2 * STEPS)
+    if scale.max(initial=0.0) / 2 > tolerance or not np.isfinite(scale).all():
+        stored = np.asarray(values, np.float32)
+        return Quantized(stored, "f32", error=_largest(stored - values))
+    offset = (high + low) / 2
+    divisor = np.where(scale > 0, scale, 1.0)
+    numbers = np.rint((rows - offset) / divisor)
+    stored = np.where(np.isnan(numbers), GAP, numbers).astype("<i2")
+    error = _largest(offset + scale * numbers - values.reshape(rows.shape))
+    shared = scale.tolist(), offset.tolist()
+    if width > 1 and not period and not np.ptp(scale) and not np.ptp(offset):
+        shared = scale[:1].tolist(), offset[:1].tolist()
+    parts = _short(shared[0]), _short(shared[1])
+    return Quantized(stored.reshape(values.shape), "i16", *parts, gaps, error)
+
+
+def _short(values: list[float]) -> float | list[float]:
+    return values[0] if len(values) == 1 else values
+
+
+def _largest(differences: Array) -> float:
+    return float(np.nanmax(np.abs(differences), initial=0.0))
+
+
+@dataclass(slots=True)
+class _Stream:
+    id: int
+    data: Quantized
+    blocks: list[list[int]] = field(default_factory=list)
+
+    @property
+    def delta(self) -> bool:
+        return self.data.kind != "f32"
+
+    @property
+    def sample_bytes(self) -> int:
+        return int(self.data.stored.shape[1]) * _WIDTHS[self.data.kind]
+
+    def entry(self) -> dict[str, Any]:
+        """Return what the manifest says of it."""
+        data = self.data
+        entry: dict[str, Any] = {
+            "id": self.id,
+            "block": self.blocks,
+            "kind": data.kind,
+            "width": int(data.stored.shape[1]),
+            "scale": data.scale,
+            "offset": data.offset,
+            "coding": "delta" if self.delta else "raw",
+        }
+        return entry | ({"gaps": True} if data.gaps else {})
+
+
+class Packer:
+    """Streams of a page, and the blocks that hold them."""
+
+    def __init__(self) -> None:
+        self._streams: list[_Stream] = []
+        self._static: dict[tuple[object, ...], int] = {}
+
+    def add(self, data: Quantized) -> int:
+        """Return the number of a stream; equal ones of one sample share it."""
+        number = len(self._streams)
+        if len(data.stored) == 1:
+            digest = hashlib.blake2b(data.stored.tobytes()).digest()
+            key = (digest, data.kind, str(data.scale), str(data.offset), data.gaps)
+            number = self._static.setdefault(key, number)
+            if number < len(self._streams):
+                return number
+        self._streams.append(_Stream(number, data))
+        return number
+
+    def static(self, values: npt.ArrayLike, kind: str) -> int:
+        """Return the number of a stream of one sample, stored as it is."""
+        flat = np.asarray(values).reshape(1, -1).astype(_TYPES[kind])
+        return self.add(Quantized(flat, kind))
+
+    def static_range(self, values: FloatArray, period: int = 3) -> int:
+        """Return the number of a stream of one sample, positions or offsets [m]."""
+        data = quantized_range(np.reshape(values, (-1, period)), period=period)
+        flat = data.stored.reshape(1, -1)
+        return self.add(
+            Quantized(flat, data.kind, data.scale, data.offset, data.gaps, data.error)
+        )
+
+    @property
+    def nbytes(self) -> int:
+        """Size of all streams before they are deflated [bytes]."""
+        return sum(stream.data.stored.nbytes for stream in self._streams)
+
+    def finish(self) -> tuple[list[dict[str, Any]], list[str]]:
+        """Return entries of the streams for the manifest, and the blocks as text."""
+        blocks: list[str] = []
+        for group, samples in self._groups():
+            count = len(group[0].data.stored)
+            for first in range(0, count, samples):
+                cut = slice(first, min(first + samples, count))
+                parts = [_encoded(s.data.stored[cut], s.data.kind) for s in group]
+                for stream in group:
+                    stream.blocks.append([len(blocks), first, cut.stop - first])
+                blocks.append(deflated(parts))
+        return [stream.entry() for stream in self._streams], blocks
+
+    def _groups(self) -> list[tuple[list[_Stream], int]]:
+        """Return streams that share blocks, and how many samples these have."""
+        groups: list[tuple[list[_Stream], int]] = []
+        static: list[_Stream] = []
+        moving: dict[int, list[_Stream]] = {}
+        for stream in self._streams:
+            count = len(stream.data.stored)
+            if count == 1:
+                static.append(stream)
+            elif stream.sample_bytes * BLOCK_SAMPLES > BLOCK_BYTES:
+                samples = max(1, BLOCK_BYTES // stream.sample_bytes)
+                groups.append(([stream], samples))
+            elif count:
+                moving.setdefault(count, []).append(stream)
+        groups += [
+            (group, BLOCK_SAMPLES)
+            for streams in moving.values()
+            for group in _filled(streams, BLOCK_BYTES, BLOCK_SAMPLES)
+        ]
+        groups += [(group, 1) for group in _filled(static, STATIC_BYTES, 1)]
+        return groups
+
+
+def _filled(streams: Sequence[_Stream], most: int, samples: int) -> list[list[_Stream]]:
+    """Return streams in order, together up to a size; one alone may be larger."""
+    groups: list[list[_Stream]] = []
+    size = 0
+    for stream in streams:
+        own = stream.sample_bytes * samples
+        if not groups or size + own > most:
+            groups.append([])
+            size = 0
+        groups[-1].append(stream)
+        size += own
+    return groups
+
+
+def _encoded(stored: Array, kind: str) -> bytes:
+    """Return samples column by column, as differences, in planes of bytes."""
+    width = _WIDTHS[kind]
+    columns = stored.reshape(1, -1) if len(stored) == 1 else stored.T
+    columns = np.ascontiguousarray(columns, _TYPES[kind])
+    if kind != "f32":
+        whole = columns.view(f"<u{width}")
+        columns = whole.copy()
+        columns[:, 1:] -= whole[:, :-1]
+    planes = columns.view(np.uint8).reshape(*columns.shape, width)
+    return np.ascontiguousarray(planes.swapaxes(1, 2)).tobytes()
+
+
+def deflated(parts: Sequence[bytes]) -> str:
+    """Return bytes as a page holds them: raw deflate, as base64 text."""
+    deflate = zlib.compressobj(LEVEL, zlib.DEFLATED, -15)
+    packed = b"".join([*map(deflate.compress, parts), deflate.flush()])
+    return base64.b64encode(packed).decode("ascii")

@@ -1,0 +1,307 @@
+"""Takes of a page: the skeleton at rest, what moves, contacts, and how exact it is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from animtool.core.array_types import Float32Array, FloatArray, IntArray
+from animtool.maths import so3
+from animtool.motion.contacts import find_contacts, intervals
+from animtool.motion.motion import Channel, Motion
+from animtool.motion.take import TakeStream
+from animtool.preview.draft import Draft, number
+from animtool.preview.streams import Quantized, plain, quantized_range, quantized_units
+from animtool.retarget.anatomy import anatomy
+from animtool.retarget.person import Person
+from animtool.rig.kinematics import WorldTransforms, forward
+from animtool.rig.skeleton import Rig
+
+# Frames whose joints are in memory at once.
+BLOCK = 1024
+# Weights and scales may be off by as much [1].
+WEIGHT_ERROR = 5e-5
+
+
+@dataclass(frozen=True, slots=True)
+class Track:
+    """One kind of value of the joints: those that move, and the others."""
+
+    still: FloatArray  # of every joint ``(J, K)``
+    moving: IntArray  # those that move ``(A,)``
+    values: Float32Array  # of these ``(F, A, K)``
+
+    def dense(self, cut: slice) -> FloatArray:
+        """Return the values of all joints in some frames ``(F, J, K)``."""
+        frames = len(self.values[cut])
+        whole = np.repeat(self.still[None], frames, axis=0)
+        whole[:, self.moving] = self.values[cut]
+        return whole
+
+
+@dataclass(slots=True)
+class Shown:
+    """A take as the page has it.
+
+    Attributes:
+        index: Its number on the page.
+        first: Sample of the timeline that its first frame is.
+        frames: Number of its frames.
+        weights: Of the rig's shapes ``(F, S)``; None where there are none.
+        controls: Of the rig's controls ``(F, C)``; likewise.
+        world: From a range of frames to where the joints are then, as stored.
+        entry: What the manifest says of it.
+    """
+
+    index: int
+    rig: Rig
+    first: int
+    frames: int
+    weights: FloatArray | None
+    controls: FloatArray | None
+    world: Callable[[slice], WorldTransforms]
+    entry: dict[str, Any]
+
+
+class Gathered:
+    """The motion of a take in memory: float32, what does not move once."""
+
+    def __init__(self, blocks: Iterator[Motion]) -> None:
+        self._rest: dict[str, Channel] = {}
+        self._parts: dict[str, list[Float32Array]] = {}
+        self.frames = 0
+        for block in blocks:
+            self.frames += block.frames
+            for name in ("translations", "rotations", "scales", "weights", "controls"):
+                channel: Channel | None = getattr(block, name)
+                if channel is not None:
+                    self._rest.setdefault(name, channel)
+                    part = channel.values.astype(np.float32)
+                    self._parts.setdefault(name, []).append(part)
+
+    def track(self, name: str) -> Track | None:
+        """Return a channel; joints whose values are all equal do not move."""
+        if name not in self._rest:
+            return None
+        first, values = self._rest[name], np.concatenate(self._parts.pop(name))
+        still = first.rest.astype(np.float32).astype(np.float64)
+        moves = np.zeros(len(first.animated), bool)
+        if self.frames:
+            moves = (values != values[:1]).any(axis=(0, 2))
+            still[first.animated] = values[0]
+        return Track(still, first.animated[moves], values[:, moves])
+
+    def rows(self, name: str) -> FloatArray | None:
+        """Return the values of a channel of one component ``(F, N)``."""
+        track = self.track(name)
+        return None if track is None else track.dense(slice(None))[..., 0]
+
+
+def add_take(
+    draft: Draft, name: str, stream: TakeStream, gathered: Gathered, first: int
+) -> Shown:
+    """Add a take to a page.
+
+    Args:
+        draft: The page.
+        name: What the page calls it.
+        stream: The take, Y up, at the rate of the page.
+        gathered: Its frames.
+        first: Sample of the timeline that its first frame is.
+    """
+    rig = stream.rig
+    translations, rotations = (
+        gathered.track(name) or _nothing(rest)
+        for name, rest in (
+            ("translations", rig.rest_translations),
+            ("rotations", rig.rest_rotations),
+        )
+    )
+    rotations = _positive(rotations)
+    scales = gathered.track("scales")
+    kinds = {"t": translations, "r": rotations, "s": scales}
+    stored = {kind: _stored(kind, track) for kind, track in kinds.items()}
+    decoded = {
+        kind: None if track is None else _decoded(track, stored[kind])
+        for kind, track in kinds.items()
+    }
+
+    def world(cut: slice, tracks: dict[str, Track | None] = decoded) -> WorldTransforms:
+        t, r, s = (
+            None if track is None else track.dense(cut) for track in tracks.values()
+        )
+        assert t is not None
+        assert r is not None
+        return forward(rig, t, so3.normalize(r), s)
+
+    contacts = _measure(draft, rig, gathered.frames, world, kinds, stream)
+    entry = {
+        "name": name,
+        "skeleton": _skeleton(rig),
+        "still": {kind: _still(track) for kind, track in kinds.items()},
+        "moving": {
+            kind: [] if track is None else track.moving.tolist()
+            for kind, track in kinds.items()
+        },
+        **{
+            kind: None if data is None else draft.packer.add(data)
+            for kind, data in stored.items()
+        },
+        "shapes": None,
+        "contacts": _named_spans(draft, contacts, first),
+        "offset": [0.0, 0.0, 0.0],
+        "span": [first, first + gathered.frames - 1],
+    }
+    draft.takes.append(entry)
+    return Shown(
+        len(draft.takes) - 1,
+        rig,
+        first,
+        gathered.frames,
+        gathered.rows("weights"),
+        gathered.rows("controls"),
+        world,
+        entry,
+    )
+
+
+def _nothing(rest: FloatArray) -> Track:
+    empty = np.zeros((0, 0, rest.shape[1]), np.float32)
+    return Track(rest, np.zeros(0, np.int64), empty)
+
+
+def _positive(track: Track) -> Track:
+    """Return rotations whose scalar part is positive at first: a rotation has two."""
+    still = np.where(track.still[:, 3:] < 0, -track.still, track.still)
+    values = track.values
+    if len(values):
+        values = so3.align_signs(values).astype(np.float32)
+        values = np.where(values[:1, :, 3:] < 0, -values, values)
+    return Track(still, track.moving, values)
+
+
+def _stored(kind: str, track: Track | None) -> Quantized | None:
+    if track is None or not track.values.size:
+        return None
+    values = track.values.reshape(len(track.values), -1).astype(np.float64)
+    if kind == "r":
+        return quantized_units(values)
+    return quantized_range(values, WEIGHT_ERROR if kind == "s" else 1e-4)
+
+
+def _decoded(track: Track, data: Quantized | None) -> Track:
+    if data is None:
+        return track
+    values = data.stored * np.asarray(data.scale) + np.asarray(data.offset)
+    return Track(track.still, track.moving, values.reshape(track.values.shape))
+
+
+def _still(track: Track | None) -> list[Any] | None:
+    return None if track is None else plain(track.still)
+
+
+def _skeleton(rig: Rig) -> dict[str, Any]:
+    return {
+        "names": rig.names,
+        "parents": rig.parents.tolist(),
+        "rest": {
+            "t": plain(rig.rest_translations),
+            "r": plain(_positive(_nothing(rig.rest_rotations)).still),
+            "s": None,
+        },
+        "tips": [
+            [j, *plain(np.array(tip))]
+            for j, joint in enumerate(rig.joints)
+            for tip in joint.tips
+        ],
+    }
+
+
+def _measure(
+    draft: Draft,
+    rig: Rig,
+    frames: int,
+    world: Callable[..., WorldTransforms],
+    exact: dict[str, Track | None],
+    stream: TakeStream,
+) -> list[tuple[int, Any]]:
+    """Measure how exact a take is stored; return when which joints of feet stand."""
+    if not rig.joints or not frames:
+        return []
+    person, legs = _legs(draft, rig)
+    joints = sorted({j for leg in legs.values() for j in leg[2:] if j >= 0})
+    places = []
+    for begin in range(0, frames, BLOCK):
+        cut = slice(begin, min(begin + BLOCK, frames))
+        one, other = world(cut), world(cut, exact)
+        offsets = np.linalg.norm(one.positions - other.positions, axis=-1)
+        draft.off(position=float(offsets.max(initial=0.0)))
+        places.append(other.positions[:, joints])
+    rotations = exact["r"]
+    assert rotations is not None
+    if rotations.values.size:
+        stored = quantized_units(rotations.values.astype(np.float64))
+        near = so3.normalize(stored.stored / 32767.0)
+        chords = np.linalg.norm(near - so3.normalize(rotations.values), axis=-1)
+        draft.off(rotation=2 * float(chords.max()))
+    if person is None or frames < 2:
+        return []
+    feet = dict(zip(joints, np.concatenate(places).swapaxes(0, 1), strict=True))
+    rate = float(stream.fps / stream.step)
+    return list(_contacts(person, legs, feet, rate))
+
+
+Legs = dict[str, tuple[int, int, int, int]]
+
+
+def _legs(draft: Draft, rig: Rig) -> tuple[Person | None, Legs]:
+    """Return a rig as a person, and its legs; None where it has none."""
+    arrays = (rig.rest_translations, rig.rest_rotations, rig.parents)
+    key = repr(rig.names).encode() + b"".join(array.tobytes() for array in arrays)
+    if key not in draft.known:
+        draft.known[key] = _found_legs(rig)
+    found: tuple[Person | None, Legs] = draft.known[key]
+    return found
+
+
+def _found_legs(rig: Rig) -> tuple[Person | None, Legs]:
+    person = Person.of(rig, anatomy(rig).roles)
+    legs = {side: leg for side in "lr" if (leg := person.leg(side)) is not None}
+    return (person if legs else None), legs
+
+
+def _contacts(
+    person: Person,
+    legs: Legs,
+    feet: dict[int, FloatArray],
+    rate: float,
+) -> Iterator[tuple[int, Any]]:
+    """Yield joints of feet, and the frames in which they stand ``(F,)``."""
+    for side, leg in legs.items():
+        ankle, toe = leg[2:]
+        length = person.leg_length(side)
+        found = find_contacts(feet[ankle], feet.get(toe), rate, length)
+        if toe < 0:
+            yield ankle, found.any
+        else:
+            yield from ((ankle, found.ankle), (toe, found.toe))
+
+
+def _named_spans(
+    draft: Draft, contacts: list[tuple[int, Any]], first: int
+) -> list[dict[str, Any]]:
+    timeline = draft.timeline
+
+    def code(frame: int) -> int | float:
+        return number(timeline.first + (first + frame) * timeline.step)
+
+    return [
+        {
+            "joint": joint,
+            "spans": [[code(start), code(end - 1)] for start, end in intervals(mask)],
+        }
+        for joint, mask in contacts
+    ]

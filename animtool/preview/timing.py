@@ -1,0 +1,185 @@
+"""When files of a page are shown: one timeline, whole frames, takes brought to it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import TYPE_CHECKING
+
+from animtool.core.clock import frame_label
+from animtool.core.errors import Fault, OptionError, Severity
+from animtool.core.names import is_named
+from animtool.core.rates import rate_label
+from animtool.core.shot import FrameRange
+from animtool.motion.take import TakeStream
+from animtool.preview.draft import Timeline
+from animtool.preview.opened import OpenFile, OpenTake
+from animtool.preview.options import PreviewOptions
+from animtool.preview.takes import Gathered
+from animtool.scene.bake.first_frame import frame_start
+from animtool.scene.bake.frames import in_frames
+from animtool.scene.bake.options import BakeOptions
+
+if TYPE_CHECKING:
+    from animtool.usd.caches.shown import StageContents
+
+# Frames of a page.
+MAX_FRAMES = 1_000_000
+FEWER = "--frames 1-240x2 shows fewer frames, --prim-path a part of a stage"
+
+
+@dataclass(slots=True)
+class TimedPart:
+    """A take, read, with where it is on the timeline."""
+
+    file: int
+    take: OpenTake
+    stream: TakeStream
+    gathered: Gathered
+    first: Fraction  # frame of the page that its first one is
+    origin: Fraction  # the same of its file's first frame, which may be left out
+    shifted: bool = False  # whether it is shown at other frames than its own
+
+    @property
+    def last(self) -> Fraction:
+        """Frame of the page that its last one is."""
+        return self.first + max(0, self.gathered.frames - 1) * self.stream.step
+
+
+def gathered_part(
+    number: int,
+    file: OpenFile,
+    take: OpenTake,
+    fps: Fraction,
+    options: PreviewOptions,
+    notices: list[Fault],
+) -> TimedPart:
+    """Return a take read, at the whole frames and the rate of the page.
+
+    Args:
+        number: Of its file.
+        file: That file.
+        take: The take.
+        fps: Frames a second of the page.
+        options: Of the page.
+        notices: Where warnings and notes go.
+    """
+    stream = take.stream
+    start = Fraction(1)
+    if stream.start is not None:
+        start = frame_start(stream.start, stream.fps, fps, whole=True)
+    origin = start
+    # A rig at rest is of any frame and rate.
+    rests = is_named(file.path, "rig")
+    asked = None if rests or (stream.fps == fps and stream.step == 1) else fps
+    chosen = None if rests else options.frame_range
+    uneven = stream.step != 1 or start.denominator != 1
+    quiet = {"SCN202"}
+    if chosen is None and uneven and (span := _stated(file, fps)) is not None:
+        quiet = {"SCN202", "TAKE008"}
+        # Samples of any times, at the frames of their stage.
+        chosen = FrameRange(math.ceil(span[0]), math.floor(span[1]))
+        asked = None if stream.fps == fps else fps
+    if asked is not None or chosen is not None:
+        bake = BakeOptions(fps=asked, frame_range=chosen)
+        said: list[Fault] = []
+        stream = in_frames(stream, bake, start, file.path, said)
+        # It may last as long as it does.
+        notices += [one for one in said if one.code not in quiet]
+        start = Fraction(1) if stream.start is None else stream.start
+    if asked is not None and take.stream.fps != fps:
+        message = f"has {rate_label(take.stream.fps)} and is shown at {rate_label(fps)}"
+        note = Fault("PRV103", message, str(file.path), severity=Severity.NOTE)
+        notices.append(note)
+    gathered = Gathered(stream.blocks)
+    notices += map(file.located, stream.notices)
+    return TimedPart(number, take, stream, gathered, start, origin)
+
+
+def align(parts: list[TimedPart]) -> list[Fault]:
+    """Bring takes that share no frame with the first to its start; say of which."""
+    notices = []
+    for part in parts[1:]:
+        lead = parts[0]
+        if part.first > lead.last or part.last < lead.first:
+            message = (
+                f"take {part.take.name!r} begins at frame {frame_label(part.first)}, "
+                f"and is shown from frame {frame_label(lead.first)}"
+            )
+            notices.append(Fault("PRV104", message, severity=Severity.NOTE))
+            part.origin += lead.first - part.first
+            part.first, part.shifted = lead.first, True
+    return notices
+
+
+def timeline_of(
+    opened: Sequence[OpenFile],
+    parts: Sequence[TimedPart],
+    fps: Fraction,
+    options: PreviewOptions,
+) -> Timeline:
+    """Return the frames that files have together.
+
+    Raises:
+        OptionError: None of them is asked for (CLI005), or there are too many (PRV003).
+    """
+    spans = [
+        _within(part, _stated(opened[part.file], fps))
+        for part in parts
+        if part.gathered.frames > 1
+    ]
+    step = Fraction(1)
+    for file in opened:
+        if file.contents is not None and (found := _moving_span(file.contents)):
+            ratio = fps / file.contents.fps
+            spans.append((found[0] * ratio, found[1] * ratio))
+        if file.markers is not None:
+            clock = file.markers.clock
+            ratio = fps / clock.fps
+            last = clock.start + (clock.count - 1) * clock.step
+            spans.append((clock.start * ratio, last * ratio))
+    first = min((a for a, _ in spans), default=parts[0].first if parts else Fraction(1))
+    last = max((b for _, b in spans), default=first)
+    frames = options.frame_range
+    if frames is not None:
+        start, end = first, last
+        last = min(last, Fraction(frames.last))
+        first, step = max(first, Fraction(frames.first)), Fraction(frames.step)
+        if last < first:
+            message = (
+                f"frames {frames.first}-{frames.last} are not in the file, which has "
+                f"{frame_label(start)}-{frame_label(end)}"
+            )
+            raise OptionError(Fault("CLI005", message))
+    count = int((last - first) / step) + 1
+    if count > MAX_FRAMES:
+        message = f"the page would have {count} frames; at most {MAX_FRAMES} are shown"
+        raise OptionError(Fault("PRV003", message, hint=FEWER))
+    return Timeline(fps, first, step, count)
+
+
+def _within(
+    part: TimedPart, stated: tuple[Fraction, Fraction] | None
+) -> tuple[Fraction, Fraction]:
+    """Return the frames of a take, without those that its stage does not count."""
+    if stated is None or part.shifted:
+        return part.first, part.last
+    first, last = max(part.first, stated[0]), min(part.last, stated[1])
+    return (first, last) if first <= last else (part.first, part.last)
+
+
+def _stated(file: OpenFile, fps: Fraction) -> tuple[Fraction, Fraction] | None:
+    """Return the frames that a stage states; None of other files."""
+    contents = file.contents
+    span = None if contents is None else contents.stated_span
+    if contents is None or span is None:
+        return None
+    ratio = fps / contents.fps
+    return span[0] * ratio, span[1] * ratio
+
+
+def _moving_span(contents: StageContents) -> tuple[Fraction, Fraction] | None:
+    moving = any(prim.deforms or prim.travels for prim in contents.prims)
+    return contents.span if moving or contents.cameras() else None

@@ -1,0 +1,161 @@
+/** Everything that is drawn in space, and the order in which it is drawn. */
+
+import { Bones } from './bones.js';
+import { Instances } from './instances.js';
+import { Lines } from './lines.js';
+import { Mesh } from './meshes.js';
+import { PointCloud } from './points.js';
+import { Pose } from './skeleton.js';
+import { Strands } from './strands.js';
+import { Ground, Trails } from './trails.js';
+import { Box, add } from './maths.js';
+import { SERIES } from './dom.js';
+
+/** @typedef {import('./camera.js').View} View */
+/** @typedef {import('./data.js').Streams} Streams */
+/** @typedef {import('./types.js').Manifest} Manifest */
+/** @typedef {ReturnType<typeof import('./dom.js').themeColors>} Colors */
+/** @typedef {Record<'bones'|'axes'|'names'|'meshes'|'trails'|'contacts'|'grid'|'cameras', boolean>} Show */
+
+export class Scene {
+  /** @param {WebGL2RenderingContext} gl @param {Streams} streams @param {Manifest} manifest */
+  constructor(gl, streams, manifest) {
+    this.gl = gl;
+    this.streams = streams;
+    this.manifest = manifest;
+    this.poses = (manifest.takes ?? []).map((take, i) => new Pose(streams, take, i));
+    this.meshes = (manifest.meshes ?? []).map((mesh) => new Mesh(
+      gl, streams, mesh, this.poses[mesh.take ?? -1] ?? null, !!mesh.prototype));
+    this.instances = (manifest.instances ?? []).filter((each) => this.meshes[each.mesh])
+      .map((each) => new Instances(gl, streams, each, this.meshes[each.mesh]));
+    this.clouds = (manifest.points ?? []).map((each) => new PointCloud(gl, streams, each));
+    this.strands = (manifest.curves3d ?? []).map((each) => new Strands(gl, streams, each, this.poses[each.take ?? -1] ?? null));
+    this.cameras = manifest.cameras ?? [];
+    for (const { t, r, focal } of this.cameras) streams.use([t, r, focal]);
+    this.bones = new Bones(gl);
+    this.trails = new Trails(gl, manifest.time);
+    this.frusta = new Lines(gl);
+    this.ground = new Ground(gl, 1);
+    this.sample = 0;
+  }
+
+  /** Decode what is static, and pose the first sample. @param {number} sample */
+  async load(sample) {
+    await Promise.all([this.streams.load(sample), 
+      ...[...this.meshes, ...this.clouds, ...this.strands].map((each) => each.load())]);
+    this.update(sample);
+    for (const pose of this.poses) {
+      const box = new Box();
+      for (let j = 0; j < pose.count; j++) box.add(pose.world, j * 16 + 12);
+      pose.extent = box.empty || box.radius <= 1e-3 ? 1 : box.radius;
+    }
+  }
+
+  get joints() { return this.poses.some((pose) => pose.count); }
+
+  /** @returns {Box} Around all that is shown. */
+  box() {
+    const box = new Box();
+    for (const pose of this.poses) {
+      for (let j = 0; pose.visible && j < pose.count; j++) box.add(pose.world, j * 16 + 12);
+    }
+    for (const mesh of this.meshes) {
+      if (mesh.instances || mesh.pose?.visible === false) continue;
+      for (let i = 0; i < mesh.shown.length; i += 3) box.add(mesh.shown, i);
+    }
+    for (const { matrices, shown, mesh: { reach } } of this.instances) {
+      for (let i = 0; i < shown; i++) {
+        const size = reach * Math.hypot(...matrices.subarray(i * 16, i * 16 + 3));
+        for (const side of [-size, size]) box.add(matrices, i * 16 + 12, [side, side, side]);
+      }
+    }
+    for (const { points } of this.clouds) for (let i = 0; i < points.length; i += 3) if (points[i] < 1e29) box.add(points, i);
+    for (const { points } of this.strands) for (let i = 0; points && i < points.length; i += 3) box.add(points, i);
+    return box;
+  }
+
+  /** Put everything where it is at a sample. @param {number} sample */
+  update(sample) {
+    this.sample = sample;
+    for (const pose of this.poses) pose.update(sample);
+  }
+
+  /** @param {number} take @param {Colors} colors @returns {number[]} */
+  color(take, colors) { return this.poses.length > 1 ? SERIES[take % SERIES.length] : colors.bone; }
+
+  /** Give the graphics processor what moved. @param {Show} show @param {Colors} colors */
+  prepare(show, colors) {
+    const { sample } = this, visible = this.poses.filter((pose) => pose.visible);
+    if (show.meshes) {
+      for (const each of [...this.meshes, ...this.instances, ...this.clouds, ...this.strands]) each.update(sample);
+    }
+    const pick = (/** @type {number} */ take) => (this.poses.length > 1 ? this.color(take, colors) : colors.accent);
+    this.trails.update(visible, sample, pick, colors.contact, show);
+  }
+
+  /**
+   * @param {View} view @param {Show} show @param {Colors} colors
+   * @param {{take: number, joint: number}|null} selected
+   */
+  draw(view, show, colors, selected) {
+    const { gl } = this;
+    const [r, g, b] = colors.back.map((x) => x / 255);
+    gl.viewport(0, 0, view.width, view.height);
+    gl.clearColor(r, g, b, 1);
+    gl.depthMask(true);
+    gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
+    gl.enable(gl.DEPTH_TEST);
+    gl.disable(gl.BLEND);
+    gl.depthRange(0.1, 1);
+    const solid = show.meshes && this.meshes.some((mesh) => !mesh.instances && mesh.pose);
+    if (show.meshes) {
+      for (const mesh of this.meshes) if (!mesh.instances) mesh.draw(view);
+      for (const each of [...this.instances, ...this.clouds, ...this.strands]) each.draw(view);
+    }
+    gl.enable(gl.BLEND);
+    gl.blendFunc(gl.SRC_ALPHA, gl.ONE_MINUS_SRC_ALPHA);
+    gl.depthMask(false);
+    if (show.grid) {
+      const center = view.target;
+      this.ground.lay(center, colors.line, colors.strong);
+      this.ground.draw(view, center);
+    }
+    this.trails.draw(view);
+    if (show.cameras) this.#frusta(view, colors.soft);
+    gl.depthMask(true);
+    gl.disable(gl.BLEND);
+    // In front of the skin, which hides them else.
+    if (solid) {
+      gl.depthRange(0, 0.1);
+      gl.enable(gl.BLEND);
+      gl.blendColor(0, 0, 0, 0.5);
+      gl.blendFunc(gl.CONSTANT_ALPHA, gl.ONE_MINUS_CONSTANT_ALPHA);
+    }
+    const visible = this.poses.filter((pose) => pose.visible);
+    this.bones.draw(view, visible, (take) => this.color(take, colors), selected, colors.accent, show);
+  }
+
+  /** @param {View} view @param {number[]} color */
+  #frusta(view, color) {
+    this.cameras.forEach((camera, i) => {
+      const t = this.streams.at(camera.t, this.sample), q = this.streams.at(camera.r, this.sample);
+      if (!t || !q || i === view.shot) return;
+      const [x, y, z, w] = q, [wide, high] = camera.aperture_mm, size = view.radius * 0.16;
+      const corners = [[-1, -1], [1, -1], [1, 1], [-1, 1], [0, 1.5]].map(([a, b]) => {
+        const v = [a * size * 0.5, b * size * 0.5 * high / wide, -size];
+        // v + 2 u × (u × v + w v), the rotation by a unit quaternion.
+        const c = [y * v[2] - z * v[1] + w * v[0], z * v[0] - x * v[2] + w * v[1], x * v[1] - y * v[0] + w * v[2]];
+        return add(t instanceof Float32Array ? t : [0, 0, 0], [
+          v[0] + 2 * (y * c[2] - z * c[1]), v[1] + 2 * (z * c[0] - x * c[2]), v[2] + 2 * (x * c[1] - y * c[0])]);
+      });
+      for (let k = 0; k < 4; k++) {
+        this.frusta.add(t, corners[k], color);
+        this.frusta.add(corners[k], corners[(k + 1) % 4], color);
+      }
+      this.frusta.add(corners[3], corners[4], color);
+      this.frusta.add(corners[2], corners[4], color);
+    });
+    this.frusta.flush();
+    this.frusta.draw(view, { width: 1.5 });
+  }
+}

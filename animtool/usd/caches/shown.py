@@ -1,0 +1,396 @@
+"""What a stage shows beside its characters: meshes, curves, points, copies, cameras."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pxr import Usd, UsdGeom, UsdSkel
+
+from animtool.core.array_types import BoolArray, FloatArray, IntArray
+from animtool.core.clock import time_fraction
+from animtool.core.files.reading import note_input
+from animtool.core.rates import rate_from_float
+from animtool.core.units import UpAxis, unit_name, up_from_up
+from animtool.maths import so3, solids
+from animtool.rig.surfaces import Surface
+from animtool.usd.caches.reader import (
+    PointReader,
+    PointSample,
+    PointSource,
+    all_prims,
+    copied_meshes,
+    mesh_fault,
+    transformed,
+)
+from animtool.usd.layers.sdf import usd_errors
+from animtool.usd.layers.stderr import without_usd_warnings
+from animtool.usd.rigs.prims import (
+    find_skeletons,
+    numbers,
+    open_stage,
+    prim_below,
+    up_axis,
+    upwards,
+)
+from animtool.usd.rigs.skinned import is_bones, skinned_prims
+
+_GPRIMS = (
+    UsdGeom.Cube,
+    UsdGeom.Sphere,
+    UsdGeom.Cylinder,
+    UsdGeom.Cone,
+    UsdGeom.Capsule,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Faces:
+    """A mesh in its own space [m], as its axes are."""
+
+    points: FloatArray  # ``(N, 3)``
+    counts: IntArray  # corners of each face ``(M,)``
+    indices: IntArray  # corners, face by face
+    color: tuple[float, float, float] | None  # None where none is stated
+    double_sided: bool
+
+
+class ShownPrim:
+    """A prim of points, or an implicit shape, over time.
+
+    Attributes:
+        name: Its path below the default prim.
+        kind: ``mesh``, ``curves``, ``points`` or ``copies``.
+    """
+
+    def __init__(self, stage: StageContents, prim: Any, name: str, kind: str) -> None:
+        self.prim, self.name, self.kind = prim, name, kind
+        self._stage, self._reader = stage, PointReader(prim)
+
+    @cached_property
+    def deforms(self) -> bool:
+        """Whether its points move in its own space, or their number changes."""
+        attr = self._reader.attr
+        return bool(attr and attr.ValueMightBeTimeVarying())
+
+    @cached_property
+    def travels(self) -> bool:
+        """Whether what is above it moves it."""
+        for prim in upwards(self.prim):
+            place = UsdGeom.Xformable(prim)
+            if place and place.TransformMightBeTimeVarying():
+                return True
+            if place and place.GetResetXformStack():
+                return False
+        return False
+
+    @cached_property
+    def changes_faces(self) -> bool:
+        """Whether its faces or curves are others at another time."""
+        names = ("faceVertexIndices", "faceVertexCounts", "curveVertexCounts")
+        attributes = (self.prim.GetAttribute(name) for name in names)
+        return any(a and a.ValueMightBeTimeVarying() for a in attributes)
+
+    def world(self, code: float) -> FloatArray:
+        """Return where it is, for column vectors, Y up ``(4, 4)`` [m]."""
+        matrix = self._reader.world_from_prim(Usd.TimeCode(code)).T.copy()
+        matrix[:3, 3] *= self._stage.meters
+        return self._stage.turned_matrix(matrix)
+
+    def points(self, code: float) -> FloatArray:
+        """Return its points in the world, Y up ``(N, 3)`` [m]."""
+        time = Usd.TimeCode(code)
+        placed = transformed(self._reader.at(time), self._reader.world_from_prim(time))
+        return self._stage.turned(placed * self._stage.meters)
+
+    def faces(self) -> Faces | None:
+        """Return it in its own space at the earliest time; None of no sound mesh."""
+        time = Usd.TimeCode.EarliestTime()
+        if self.prim.IsA(UsdGeom.Mesh):
+            points = self._reader.at(time)
+            counts, indices = self._reader.faces(time)
+            if mesh_fault(points, counts, indices):
+                return None
+            sided = bool(UsdGeom.Mesh(self.prim).GetDoubleSidedAttr().Get())
+        else:
+            points, counts, indices = _solid(self.prim)
+            sided = False
+        return Faces(points * self._stage.meters, counts, indices, self.color, sided)
+
+    def counts(self) -> IntArray:
+        """Return how many points each curve has ``(C,)``."""
+        counts = UsdGeom.Curves(self.prim).GetCurveVertexCountsAttr()
+        return np.array(counts.Get(Usd.TimeCode.EarliestTime()) or (), np.int64)
+
+    def widths(self, code: float) -> FloatArray:
+        """Return the widths that it states ``(N,)`` or ``(1,)`` [m]; none without."""
+        attr = self.prim.GetAttribute("widths")
+        if not attr or not attr.HasAuthoredValue():
+            return np.zeros(0)
+        return numbers(attr, 1, Usd.TimeCode(code)) * self._stage.meters
+
+    def ids(self, code: float) -> IntArray | None:
+        """Return the ids of its points ``(N,)``; None without."""
+        attr = self.prim.GetAttribute("ids")
+        value = attr.Get(Usd.TimeCode(code)) if attr else None
+        return None if value is None else np.array(value, np.int64)
+
+    def colors(self, code: float) -> FloatArray:
+        """Return linear colours, of points or of all ``(N or 1, 3)``; none without."""
+        primvar = UsdGeom.PrimvarsAPI(self.prim).FindPrimvarWithInheritance(
+            "displayColor"
+        )
+        value = primvar.Get(Usd.TimeCode(code)) if primvar else None
+        if value is None:
+            return np.zeros((0, 3))
+        rows = np.array(value, np.float64).reshape(-1, 3)
+        return rows if np.isfinite(rows).all() else rows[:0]
+
+    @cached_property
+    def color(self) -> tuple[float, float, float] | None:
+        """Its colour as a whole; None where none is stated."""
+        time = self._stage.stage.GetStartTimeCode()
+        rows = self.colors(time)
+        if not len(rows):
+            return None
+        red, green, blue = rows.mean(axis=0).clip(0, 1).round(4).tolist()
+        return red, green, blue
+
+    def copies(self, code: float) -> PointSample:
+        """Return what copies there are, in the world, Y up."""
+        source = self._stage.source
+        sample = source.at(self.name, code)
+        turn = self._stage.turn
+        assert sample.orientations is not None
+        rotations = sample.orientations
+        if turn is not None:
+            rotations = so3.multiply(turn, rotations)
+        return PointSample(
+            self._stage.turned(sample.points),
+            sample.ids,
+            rotations,
+            sample.scales,
+            sample.copied,
+        )
+
+    def prototypes(self) -> list[list[tuple[Faces, FloatArray]]]:
+        """Return the meshes of what it copies, each with its place ``(4, 4)`` [m]."""
+        stage = self._stage.stage
+        prototypes = []
+        for path in copied_meshes(self.prim):
+            root = stage.GetPrimAtPath(path)
+            parts = []
+            for prim in Usd.PrimRange(root, Usd.TraverseInstanceProxies()):
+                kind = _kind(prim)
+                if kind != "mesh" or is_bones(prim):
+                    continue
+                shown = ShownPrim(self._stage, prim, "", kind)
+                faces = shown.faces()
+                if faces is not None:
+                    parts.append((faces, _below(prim, root, self._stage.meters)))
+            prototypes.append(parts)
+        return prototypes
+
+    def visible(self, codes: FloatArray) -> BoolArray:
+        """Return at which time codes it is not hidden ``(F,)``."""
+        image = UsdGeom.Imageable(self.prim)
+        hidden = UsdGeom.Tokens.invisible
+        if not any(
+            UsdGeom.Imageable(prim).GetVisibilityAttr().ValueMightBeTimeVarying()
+            for prim in upwards(self.prim)
+            if UsdGeom.Imageable(prim)
+        ):
+            return np.full(len(codes), image.ComputeVisibility() != hidden)
+        times = [Usd.TimeCode(code) for code in codes.tolist()]
+        return np.array([image.ComputeVisibility(t) != hidden for t in times])
+
+
+class StageContents:
+    """A stage that is open, to be looked at over time.
+
+    Attributes:
+        stage: It.
+        meters: Its length unit [m].
+        up: Its up axis.
+        fps: Time codes a second.
+        turn: From its up axis to Y; None is none.
+    """
+
+    def __init__(self, path: Path, stage: Any, below: str) -> None:
+        self.path, self.stage = path, stage
+        self.meters = float(UsdGeom.GetStageMetersPerUnit(stage))
+        self.up = up_axis(stage)
+        self.fps = rate_from_float(stage.GetTimeCodesPerSecond())
+        turn = up_from_up(UpAxis.Y, self.up)
+        self.turn = None if turn is None else np.array(turn)
+        self._below = below
+
+    @property
+    def unit(self) -> str:
+        """Name of its length unit."""
+        return unit_name(self.meters)
+
+    @cached_property
+    def source(self) -> PointSource:
+        """Its prims of points."""
+        return PointSource(self.path, self.stage)
+
+    def turned(self, points: FloatArray) -> FloatArray:
+        """Return points ``(N, 3)``, Y up."""
+        return points if self.turn is None else so3.rotate(self.turn, points)
+
+    def turned_matrix(self, matrix: FloatArray) -> FloatArray:
+        """Return a placement of column vectors ``(4, 4)``, Y up."""
+        if self.turn is not None:
+            matrix[:3] = so3.to_matrix(self.turn) @ matrix[:3]
+        return matrix
+
+    @cached_property
+    def prims(self) -> list[ShownPrim]:
+        """What is visible and no skeleton carries."""
+        skinned = {
+            query.GetPrim().GetPath()
+            for skeleton in find_skeletons(self.stage)
+            for query in skinned_prims(skeleton, UsdGeom.PointBased)
+        }
+        copied = {
+            path
+            for prim in all_prims(self.stage)
+            if prim.IsA(UsdGeom.PointInstancer)
+            for path in copied_meshes(prim)
+        }
+        root = self.stage.GetDefaultPrim()
+        found = []
+        for prim in self._visible_prims():
+            kind, path = _kind(prim), prim.GetPath()
+            if not kind or path in skinned or is_bones(prim):
+                continue
+            if any(path.HasPrefix(one) for one in copied):
+                continue
+            above = root.GetPath() if root else path.absoluteRootPath
+            name = str(path.MakeRelativePath(above))
+            found.append(ShownPrim(self, prim, name, kind))
+        return found
+
+    def _visible_prims(self) -> Iterator[Any]:
+        start = self.stage.GetPrimAtPath(self._below)
+        drawn = {UsdGeom.Tokens.default_, UsdGeom.Tokens.render}
+        for prim in Usd.PrimRange(start, Usd.TraverseInstanceProxies()):
+            image = UsdGeom.Imageable(prim)
+            if not image or image.ComputePurpose() not in drawn:
+                continue
+            attr = image.GetVisibilityAttr()
+            always = attr and not attr.ValueMightBeTimeVarying()
+            if always and image.ComputeVisibility() == UsdGeom.Tokens.invisible:
+                continue
+            yield prim
+
+    def is_animation(self) -> bool:
+        """Return whether it has an animation of joints and no Skeleton."""
+        prims = all_prims(self.stage)
+        return not find_skeletons(self.stage) and any(
+            prim.IsA(UsdSkel.Animation) for prim in prims
+        )
+
+    @cached_property
+    def bone_names(self) -> set[str]:
+        """Names of meshes that were written for bones of skeletons."""
+        return {str(p.GetName()) for p in all_prims(self.stage) if is_bones(p)}
+
+    def turned_surfaces(self, surfaces: Sequence[Surface]) -> tuple[Surface, ...]:
+        """Return meshes, Y up: joints carry those with a skin."""
+        if self.turn is None:
+            return tuple(surfaces)
+        whole = np.eye(4)
+        whole[:3, :3] = so3.to_matrix(self.turn)
+        return tuple(
+            surface
+            if surface.skin is not None
+            else replace(surface, geom_bind=whole @ surface.geom_bind)
+            for surface in surfaces
+        )
+
+    def cameras(self) -> list[str]:
+        """Return the paths of its cameras."""
+        return [
+            str(prim.GetPath())
+            for prim in all_prims(self.stage)
+            if prim.IsA(UsdGeom.Camera) and not prim.IsAbstract()
+        ]
+
+    @property
+    def stated_span(self) -> tuple[Fraction, Fraction] | None:
+        """The time codes that the stage states; None where it states none."""
+        if not self.stage.HasAuthoredTimeCodeRange():
+            return None
+        ends = self.stage.GetStartTimeCode(), self.stage.GetEndTimeCode()
+        first, last = map(time_fraction, ends)
+        return (first, last) if last > first else None
+
+    @property
+    def span(self) -> tuple[Fraction, Fraction]:
+        """The first and the last time code of the stage, or of its samples."""
+        if self.stage.HasAuthoredTimeCodeRange():
+            ends = [self.stage.GetStartTimeCode(), self.stage.GetEndTimeCode()]
+        else:
+            ends = [t for p in self.prims for t in PointReader(p.prim).moments] or [1.0]
+        return time_fraction(min(ends)), time_fraction(max(ends))
+
+
+def open_contents(path: Path, prim_path: str | None = None) -> StageContents:
+    """Open a stage to be looked at; prim_path: what of it."""
+    note_input(path)
+    with usd_errors(path), without_usd_warnings():
+        stage = open_stage(path)
+        below = "/" if prim_path is None else prim_below(stage, prim_path)
+        return StageContents(path, stage, below)
+
+
+def _kind(prim: Any) -> str:
+    if prim.IsA(UsdGeom.Mesh) or any(prim.IsA(schema) for schema in _GPRIMS):
+        return "mesh"
+    if prim.IsA(UsdGeom.Curves):
+        return "curves"
+    if prim.IsA(UsdGeom.PointInstancer):
+        return "copies"
+    return "points" if prim.IsA(UsdGeom.Points) else ""
+
+
+def _below(prim: Any, root: Any, meters: float) -> FloatArray:
+    """Return where a prim is in the space of the prototype that it is part of."""
+    own = UsdGeom.Imageable(prim).ComputeLocalToWorldTransform(0)
+    # The transform of the prototype itself counts; what is above it does not.
+    above = UsdGeom.Imageable(root).ComputeParentToWorldTransform(0)
+    matrix = np.array(own * above.GetInverse(), np.float64).T.copy()
+    matrix[:3, 3] *= meters
+    return matrix
+
+
+# Of an implicit shape: what turns the z axis to its own.
+_AXES = {"X": [2, 0, 1], "Y": [1, 2, 0], "Z": [0, 1, 2]}
+
+
+def _solid(prim: Any) -> solids.Solid:
+    """Return the mesh of an implicit shape, in units of the stage."""
+
+    def value(name: str) -> float:
+        return float(prim.GetAttribute(name).Get(Usd.TimeCode.EarliestTime()))
+
+    if prim.IsA(UsdGeom.Cube):
+        return solids.box(value("size"))
+    if prim.IsA(UsdGeom.Sphere):
+        return solids.sphere(value("radius"))
+    radius, height = value("radius"), value("height")
+    if prim.IsA(UsdGeom.Capsule):
+        points, counts, indices = solids.capsule(radius, height)
+    elif prim.IsA(UsdGeom.Cone):
+        points, counts, indices = solids.cylinder(radius, height, 0.0)
+    else:
+        points, counts, indices = solids.cylinder(radius, height)
+    axis = _AXES[str(prim.GetAttribute("axis").Get() or "Z")]
+    return points[:, axis], counts, indices

@@ -1,0 +1,77 @@
+"""Packages (.usdz): a layer and all that it refers to in one file for phones."""
+
+from __future__ import annotations
+
+import re
+import struct
+import zipfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from pxr import Sdf, Tf
+
+from animtool.core.files.placing import output_error
+from animtool.core.readers import PACKAGE
+
+UNPACKED = "USD could not pack it"
+# The first day that a zip file can state.
+_FIRST_DAY = struct.pack("<HH", 0, (1 << 5) | 1)
+# Where the time stands in headers of a file and of the directory.
+_OF_FILE, _OF_DIRECTORY = 10, 12
+_DIRECTORY_HEADER = b"PK\x01\x02"
+
+
+@contextmanager
+def unpacked(path: Path, temporary: Path) -> Iterator[Path]:
+    """Give the file to write a layer to: of a package, what is put into it at the end.
+
+    path: what ``temporary`` becomes when all is well.
+    """
+    if path.suffix.lower() != PACKAGE:
+        yield temporary
+        return
+    # Beside it, so that what it refers to is found.
+    crate = temporary.with_suffix(".usdc")
+    try:
+        yield crate
+        from pxr import UsdUtils
+
+        done = UsdUtils.CreateNewUsdzPackage(
+            Sdf.AssetPath(str(crate)), str(temporary), f"{plain_stem(path)}.usdc"
+        )
+    except Tf.ErrorException as error:
+        raise output_error(path, UNPACKED) from error
+    finally:
+        crate.unlink(missing_ok=True)
+    if not done:
+        raise output_error(path, UNPACKED)
+    clear_times(temporary)
+
+
+def plain_stem(path: Path) -> str:
+    """Return what the layer of a package is called, of letters that all readers take.
+
+    >>> plain_stem(Path("my walk.usdz"))
+    'my_walk'
+    """
+    return re.sub(r"[^A-Za-z0-9_-]", "_", path.stem) or "stage"
+
+
+def clear_times(package: Path) -> None:
+    """Give all files of a package one time: the same content is the same bytes."""
+    with zipfile.ZipFile(package) as archive:
+        files, directory = archive.infolist(), archive.start_dir
+    with package.open("r+b") as file:
+        for entry in files:
+            file.seek(entry.header_offset + _OF_FILE)
+            file.write(_FIRST_DAY)
+        for _ in files:
+            file.seek(directory)
+            header = file.read(46)
+            if header[:4] != _DIRECTORY_HEADER:
+                raise output_error(package, "USD packed it in an unknown way")
+            sizes = struct.unpack("<HHH", header[28:34])
+            file.seek(directory + _OF_DIRECTORY)
+            file.write(_FIRST_DAY)
+            directory += len(header) + sum(sizes)
