@@ -146,16 +146,11 @@ class SavedStates:
             sound = np.isfinite(values) if axis is None else ~np.isnan(values)
             finite = mine.dtype.kind != "f" or sound.all()
             if not finite or not _is_in_bounds(values, mine):
-                what = (
-                    "number that is out of bounds"
-                    if finite
-                    else "value that is not finite"
-                )
-                raise other(f"{key} holds a {what}")
+                what = "out of bounds" if finite else "not finite"
+                raise other(f"{key} holds a number that is {what}")
             found[key] = values.astype(mine.dtype)
         if len(lengths) > 1:
-            rows = listed(sorted(lengths))
-            raise other(f"its arrays have {rows} rows, not all the same")
+            raise other(f"its arrays have {listed(sorted(lengths))} rows, not the same")
         try:
             found |= {key: like[key] for key in lacking}
             return Reached(int(steps), _restored(start.state, found, marks))
