@@ -131,6 +131,7 @@ def test_a_click_selects_a_joint_and_its_channels(
     tmp_path: Path, browser: Browser
 ) -> None:
     with browser.open(page(tmp_path / "a.html")) as opened:
+        opened.seek(1005)  # where it stays, while it is looked for and clicked on
         opened.page.mouse.click(*opened.run("animtool.project(0, 2)"))
         opened.drawn()
         assert opened.page.inner_text("#readout bdi") == "joint2"
