@@ -754,8 +754,8 @@ def test_only_what_a_scene_has_is_loaded(walk: Path, tmp_path: Path) -> None:
     lines = [line for line in done.stdout.splitlines() if line.startswith("[")]
     nothing, springs, particles = map(json.loads, lines)
     # What keys share and count is part of reading scenes.
-    shared = ["conversion", "fields", "kinds"]
-    assert nothing == [f"animtool.systems.{name}" for name in shared]
+    shared = ["sim.contact", "systems.conversion", "systems.fields", "systems.kinds"]
+    assert nothing == [f"animtool.{name}" for name in shared]
     assert "animtool.systems.springs.system" in springs
     assert "animtool.systems.particles.run" in particles
     specs = [kind.spec.partition(":")[0] for kind in SYSTEM_KINDS.values()]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from animtool.sim.adaptive import _first_trial, _ratio
+from animtool.sim.adaptive_steps import _first_trial, _ratio
 from support.motions import oscillator
 
 from animtool.sim import IntegrateOptions, find_integrator, integrate
