@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from animtool.sim.adaptive_steps import _first_trial, _ratio
 from support.motions import oscillator
 
 from animtool.sim import IntegrateOptions, find_integrator, integrate
+from animtool.sim.adaptive_steps import _first_trial, _ratio
 from animtool.sim.checks import Watch
 from animtool.sim.equations import Equations
 from animtool.sim.integrators.integrator import Step
