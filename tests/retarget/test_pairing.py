@@ -208,12 +208,17 @@ def test_a_map_does_for_other_prefixes(tmp_path: Path) -> None:
     ("line", "code", "place", "hint"),
     [
         ("{source: Hipps, target: hips}", "MAP001", (3, 12), "'Hips'"),
-        ("{source: Hips, target: [hips, chin]}", "MAP001", (3, 33), "'shin_"),
+        (
+            "{source: Hips, target: [hips, chin]}",
+            "MAP001",
+            (3, 33),
+            "allowed: shin_l,",
+        ),
         ("{source: Hips, target: [hips, hips]}", "MAP002", (3, 26), "joints[0]"),
         ("{source: Hips, target: hips, role: hip}", "MAP005", (3, 38), "'hips'"),
         ("{source: Hips, target: []}", "DOC022", (3, 26), ""),
         ("{sauce: Hips, target: hips}", "DOC020", (3, 11), "'source'"),
-        ("", "DOC022", (2, 9), "begin each entry with '- '"),
+        ("", "DOC022", (2, 9), "write joints: [{"),
     ],
 )
 def test_a_wrong_map_is_refused_with_its_place(

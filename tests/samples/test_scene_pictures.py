@@ -29,7 +29,7 @@ SECONDS = {
     "galaxies": 5,
 }
 # One script draws them.
-SIMULATED = ["wingnut", "dominoes", "wrecking_ball", "galaxies", "argon"]
+SIMULATED = ["wingnut", "dominoes", "wrecking_ball", "galaxies", "argon", "swing"]
 
 
 def script_of(name: str) -> dict[str, Any]:

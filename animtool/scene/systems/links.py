@@ -19,7 +19,7 @@ def in_order(systems: Sequence[SceneSystem]) -> list[list[int]]:
 
     What others need comes before them; else they stand in the scene's order.
     """
-    groups = _groups(systems)
+    groups = joined_groups(systems)
     of = {i: k for k, group in enumerate(groups) for i in group}
     first = {system.name: i for i, system in reversed(list(enumerate(systems)))}
     sorter: TopologicalSorter[int] = TopologicalSorter()
@@ -67,7 +67,7 @@ def simulated_with(systems: Sequence[SceneSystem], wanted: Sequence[int]) -> lis
         found = more
 
 
-def _groups(systems: Sequence[SceneSystem]) -> list[list[int]]:
+def joined_groups(systems: Sequence[SceneSystem]) -> list[list[int]]:
     """Return systems that are joined together, each group as its first stands.
 
     Those that the same rigid bodies carry are joined by these.
@@ -161,7 +161,7 @@ def _check_circles(document: Document, systems: Sequence[SceneSystem]) -> bool:
     try:
         in_order(systems)
     except CycleError as error:
-        groups = _groups(systems)
+        groups = joined_groups(systems)
         members = {systems[i].name for k in error.args[1] for i in groups[k]}
         for system in systems:
             for name, at in system.setup.around.needs if system.name in members else ():

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from itertools import chain
 from typing import Any, cast
 
 from animtool.core.errors import (
@@ -20,7 +21,7 @@ from animtool.rig.skeleton import Rig
 from animtool.scene.bake.progress import Phases, Progress, TimeProgress
 from animtool.scene.file.entries import SceneSystem
 from animtool.scene.systems.character_motion import CharacterMotion, CharacterMotions
-from animtool.scene.systems.links import in_order, member_of
+from animtool.scene.systems.links import in_order, joined_groups, member_of
 from animtool.scene.systems.proportions import misplaced
 from animtool.scene.systems.surroundings import Surroundings
 from animtool.sim.colliders import Poses
@@ -215,26 +216,28 @@ def build_systems(
         context.built |= {member.name: one for member, one in named}
     if faults:
         raise FormatError(list(dict.fromkeys(faults)))
-    return [found[i] for i in range(len(systems))]
+    return [one for _, one in sorted(found.items())]
 
 
 def refused(document: Document, systems: Sequence[SceneSystem]) -> list[Fault]:
     """Return what building refuses of the systems of a scene with other faults.
 
-    Left out are systems with faults, those that need one, and those that the scene's
-    own character is for.
+    Left out are systems with faults, those that need one or are joined with it, and
+    those that the scene's own character is for.
     """
     wrong = [fault.where or "" for fault in document.faults]
     if any(where.startswith("units") for where in wrong):
         return []
     sound = [
-        system
-        for system in systems
-        if not any(where.startswith(system.place.where) for where in wrong)
+        not any(where.startswith(system.place.where) for where in wrong)
         and document.path not in system.setup.files
+        for system in systems
     ]
+    # Those that are simulated as one are so together.
+    groups = [one for one in joined_groups(systems) if all(sound[i] for i in one)]
+    kept = [systems[i] for i in sorted(chain.from_iterable(groups))]
     try:
-        build_systems(sound, BuildContext(0.0))
+        build_systems(kept, BuildContext(0.0))
     except FormatError as error:
         return [fault for fault in error.faults if fault.path == str(document.path)]
     except AnimtoolError:

@@ -13,7 +13,7 @@ from animtool.maths import so3
 from animtool.validation.motion.body import carriers, feet_of
 from animtool.validation.motion.subject import MotionSubject
 
-# Fewer frames are a pose.
+# Takes that are shorter show no more than a pose, in which a foot may stand [s].
 POSE_FRAMES = 2
 # A smaller scale leaves nothing to see [1].
 ZERO = 1e-4
@@ -147,7 +147,7 @@ def no_influence(subject: MotionSubject) -> Iterator[Fault]:
 # more [rad].
 STILL, ALIVE = 1e-6, math.radians(20.0)
 # Fewer frames are a pose.
-SHORTEST = 0.3
+SHORTEST = 0.2
 # Share of the frames in which left lies on the right for the two to be swapped [1].
 MOSTLY = 0.9
 # They are judged where hips are above the feet, within 26 degrees, and where this is

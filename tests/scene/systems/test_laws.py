@@ -88,8 +88,8 @@ def by_method(kind: str, name: str) -> dict[str, str]:
 WITHIN = {"bdf2": 1e-5, "implicit_euler": 1e-5, "rk45": 1e-7}
 # So does the search for the moment of a contact, which velocities show [m/s].
 CONTACT_WITHIN = 1e-6
-# The surface that tension pulls is measured on a grid that stands in the world: a hundredth
-# of the spacing [m].
+# The surface that tension pulls is measured on a grid that stands in the world: a
+# hundredth of the spacing [m].
 TENSION_WITHIN = 1e-3
 
 

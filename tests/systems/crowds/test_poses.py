@@ -84,8 +84,16 @@ def swinging(swings: list[float], still: list[float]) -> tuple[Any, Any, Any]:
         swings=np.tile(np.array(swings)[:, None], 2),
         still=np.array(still),
         phases=np.zeros(count),
+        spans=np.full((count, 2), 9.0),
+        rates=np.ones(count),
+        heels=np.radians(40.0) * np.tile(1.0 - np.array(still)[:, None], 2),
     )
-    blend = SimpleNamespace(weights=np.ones((count, 1)), stride=np.ones(count))
+    blend = SimpleNamespace(
+        weights=np.ones((count, 1)),
+        stride=np.ones(count),
+        stands=np.full((count, 2), 0.5),
+        free=np.ones(count),
+    )
     return SimpleNamespace(walker=WALKER, moving=(gait,)), state, blend
 
 

@@ -56,6 +56,12 @@ def last_points(folder: Path, kind: str, changes: dict[str, Any]) -> np.ndarray:
             "",
         ),
         ("cloth", {"step": 1e6}, "SIM102", ""),
+        (
+            "rope",
+            {"springs.structural.stiffness": 1e18, "mass": 1e-18},
+            "SIM178",
+            "",
+        ),
     ],
 )
 def test_numbers_beyond_bounds_have_a_code_and_a_place(
@@ -73,7 +79,6 @@ def test_numbers_beyond_bounds_have_a_code_and_a_place(
     [
         ("rope", {"springs.structural.stiffness": 1e12}),
         ("rope", {"mass": 1e-12}),
-        ("rope", {"springs.structural.stiffness": 1e18, "mass": 1e-18}),
         ("rope", {"step": 1000.0, "solver": "xpbd"}),
         ("particles", {"emitters.0.bursts.0.1": 1e12}),
         ("particles", {"emitters.0.rate": 1e9}),
