@@ -104,8 +104,8 @@ def test_feet_in_the_air_lean_as_those_of_the_clip() -> None:
     leans = np.degrees(2 * np.arctan2(pitched[:, 0], pitched[:, 3]))
     assert_allclose(leans, [40, 40, 0, 0], atol=1e-9)
     assert_allclose(lifts[:2], [[0, 0.3, 0.2], [0, 0.3, 0.4]], atol=1e-12)
-    # Its ankle is 0.1 m high where it stands, and is lifted by 0.35 of the 0.2 m more of
-    # the clip, at first by less: by the smoothest step over 0.7 of the swing.
+    # Its ankle is 0.1 m high where it stands, and is lifted by 0.35 of the 0.2 m more
+    # of the clip, at first by less: by the smoothest step over 0.7 of the swing.
     u = 0.125 / 0.7
     low = 0.1 + 0.07 * (10 * u**3 - 15 * u**4 + 6 * u**5)
     assert_allclose(lifts[2:], [[0, 0.17, 0], [0, low, 0]], atol=1e-12)
