@@ -1,1 +1,1 @@
-"""Motion capture: takes from anywhere onto the rig of a production."""
+"""Motion capture: from cameras, markers and faces to motion."""

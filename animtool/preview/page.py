@@ -32,24 +32,6 @@ _POLICY = (
     "img-src data: blob:; connect-src {connect}; base-uri 'none'; form-action 'none'"
 )
 
-_PAGE = """<!doctype html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<meta http-equiv="Content-Security-Policy" content="{{csp}}">
-<title>{{title}}</title>
-<style>{{style}}</style>
-</head>
-<body>
-{{manifest}}
-{{blocks}}
-{{modules}}
-<script>{{bootstrap}}</script>
-</body>
-</html>
-"""
-
 # Inflates the modules, makes a URL of each after those that it imports, and starts the
 # last.
 _BOOTSTRAP = """\
@@ -115,7 +97,7 @@ def page_parts(
         f"{deflated([json.dumps(viewer_modules()).encode()])}</script>",
         "bootstrap": _BOOTSTRAP,
     }
-    template = _read("page.html") or _PAGE
+    template = _read("page.html")
     # Split once, so that what is filled in is never looked at again.
     for part in re.split(r"(\{\{\w+\}\})", template):
         name = part.strip("{}")
@@ -162,4 +144,4 @@ def compact(text: str) -> str:
 
 def _read(name: str) -> str:
     path = VIEWER / name
-    return path.read_text("utf-8") if path.exists() else ""
+    return path.read_text("utf-8")

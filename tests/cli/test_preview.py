@@ -65,7 +65,10 @@ def test_a_page_is_written_once(walk: Path, tmp_path: Path, opened: list[str]) -
     assert report["bytes"] == output.stat().st_size < 200_000
     assert (report["frames"], report["takes"], report["first"]) == (64, 1, 1)
     assert 0 < report["position_error_mm"] < 0.2
-    assert animtool("preview", walk, "-o", output).code == 2
+    again = animtool("preview", walk, "-o", output)
+    assert again.code == 2
+    assert "OUT001" in again.stderr
+    assert "--skip-existing" not in again.stderr
     before = output.read_bytes()
     assert animtool("preview", walk, "-o", output, "--overwrite").code == 0
     assert output.read_bytes() == before

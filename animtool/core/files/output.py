@@ -109,14 +109,18 @@ MAX_NAMED = 3
 
 
 def check_outputs(
-    outputs: Sequence[Path], inputs: Sequence[Path], *, overwrite: bool
+    outputs: Sequence[Path],
+    inputs: Sequence[Path],
+    *,
+    overwrite: bool,
+    can_skip: bool = True,
 ) -> None:
     """Refuse outputs that cannot or must not be written.
 
     One exists and overwrite is off (OUT001), or is also an input (OUT003), or two are
     one file (OUT007); its folder does not exist or may not be written to (OUT002), or
     it leads to something else than a file (OUT005). All of a kind are faults of one
-    error.
+    error. ``can_skip``: whether the command has an option that leaves what exists.
     """
     targets: list[Target] = []
     for path in outputs:
@@ -135,7 +139,7 @@ def check_outputs(
                 raise OutputError(Fault("OUT002", message, str(place.path)))
     if there:
         hint = "--overwrite replaces it"
-        if len(there) == len(outputs):
+        if can_skip and len(there) == len(outputs):
             hint += ", --skip-existing leaves it"
         message, named = "already exists", there
         if len(there) > MAX_NAMED:

@@ -71,7 +71,7 @@ def coarse_drops(
         if count >= RESOLVED * (1 - ROUNDING):
             continue
         message = f"{name} has a radius of {radius:.3g} m, {count:.2g} spacings: of "
-        message += f"less than {RESOLVED:g}, tension is off by more than a tenth"
+        message += f"less than {RESOLVED:g}, tension may be off by a tenth or more"
         hint = f"spacing: {plain(floored(radius / RESOLVED))}"
         severity = Severity.WARNING
         yield Fault("SIM175", message, where="spacing", hint=hint, severity=severity)
