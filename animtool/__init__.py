@@ -46,10 +46,11 @@ if TYPE_CHECKING:
     from animtool.report.describe import describe as describe
     from animtool.rig.skeleton import Joint as Joint
     from animtool.rig.skeleton import Rig as Rig
+    from animtool.scene.bake.bake import bake as bake
     from animtool.scene.bake.options import BakeOptions as BakeOptions
-    from animtool.scene.bake.outputs import bake as bake
     from animtool.scene.convert.takes import convert as convert
     from animtool.scene.file.read import load_scene as load_scene
+    from animtool.scene.sources.open import OpenTake as OpenTake
     from animtool.scene.sources.open import SourceOptions as SourceOptions
     from animtool.scene.sources.open import open_source as open_source
     from animtool.validation.options import ValidateOptions as ValidateOptions
@@ -67,6 +68,7 @@ _PUBLIC = {
     "Finding": "animtool.validation.run",
     "Joint": "animtool.rig.skeleton",
     "Motion": "animtool.motion.motion",
+    "OpenTake": "animtool.scene.sources.open",
     "PreviewOptions": "animtool.preview.options",
     "Rig": "animtool.rig.skeleton",
     "RunOptions": "animtool.batch.run",
@@ -75,7 +77,7 @@ _PUBLIC = {
     "Take": "animtool.motion.take",
     "TakeStream": "animtool.motion.take",
     "ValidateOptions": "animtool.validation.options",
-    "bake": "animtool.scene.bake.outputs",
+    "bake": "animtool.scene.bake.bake",
     "compare": "animtool.report.compare",
     "convert": "animtool.scene.convert.takes",
     "describe": "animtool.report.describe",

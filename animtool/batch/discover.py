@@ -38,8 +38,8 @@ from animtool.core.files.reading import MatchedFile, Places, files_meant, neares
 from animtool.core.names import check_given, is_named
 from animtool.core.rates import rate_label
 from animtool.core.readers import BVH, DOCUMENT, READERS
+from animtool.core.writers import take_writer
 from animtool.scene.sources.open import is_timeline, source_stem
-from animtool.usd.layers.jobs import check_suffix
 
 if TYPE_CHECKING:
     from animtool.documents.variables import SceneValues
@@ -258,7 +258,7 @@ def _check_pattern(spec: BatchSpec, pattern: str) -> None:
         raise OptionError(faults)
     # Other names at the end may bring a suffix.
     if not pattern.replace("{stem}", "stem").endswith("}"):
-        check_suffix(Path(pattern), folders=True)
+        take_writer(Path(pattern), folders=True)
 
 
 def _item_task(spec: BatchSpec, files: Sequence[MatchedFile]) -> ItemTask:

@@ -30,10 +30,10 @@ from animtool.core.files.reading import MatchedFile
 from animtool.core.names import is_named, nearest
 from animtool.core.shot import Shot
 from animtool.scene.bake.options import BakeOptions
-from animtool.scene.sources.open import fitting_options, source_stem
+from animtool.scene.sources.open import OpenTake, fitting_options, source_stem
 
 if TYPE_CHECKING:
-    from animtool.scene.bake.outputs import OutputReport
+    from animtool.scene.bake.bake import OutputReport
     from animtool.scene.bake.reading import Source
     from animtool.scene.scene import Scene
 
@@ -337,9 +337,9 @@ class ItemTask:
         own = getattr(scene, "output", None)
         files: Sequence[Path] = ()
         if self._is_several(scene):
-            from animtool.scene.bake.outputs import scene_files
+            from animtool.scene.bake.outline import outlined
 
-            files = scene_files(cast("Scene", scene), self._options(item.file.path))
+            files = outlined(scene, None, self._options(item.file.path)).files
         return replace(item, output=own or item.output, files=tuple(files))
 
     def refuse_several(self, source: Source) -> None:
@@ -352,9 +352,9 @@ class ItemTask:
 
     @staticmethod
     def _is_several(source: Source) -> bool:
-        if isinstance(source, Path | str):
+        if isinstance(source, Path | str | OpenTake):
             return False
-        from animtool.scene.bake.outputs import is_several
+        from animtool.scene.bake.outline import is_several
 
         return is_several(source)
 
@@ -364,24 +364,22 @@ class ItemTask:
         What they were before is replaced.
         """
         source, options = self.source(item), self._options(item.file.path)
-        if item.files:
-            from animtool.scene.bake.outputs import bake_scene
+        from animtool.scene.bake.bake import bake_outputs
 
-            return bake_scene(cast("Scene", source), options)
+        if item.files:
+            return bake_outputs(source, None, options)
         self.refuse_several(source)
         if item.shot is not None and isinstance(source, Path):
             options = replace(options, shot=item.shot, start=None)
-        from animtool.scene.bake.bake import bake_file
-
-        return [bake_file(source, item.output, options)]
+        return bake_outputs(source, item.output, options)
 
     def outputs(self, item: Item, source: Source) -> list[Path]:
         """Return the files that a bake writes."""
         if item.files:
             return list(item.files)
-        from animtool.scene.bake.reading import bake_outputs
+        from animtool.scene.bake.outline import outlined
 
-        return bake_outputs([source], item.output, self._options(item.file.path))
+        return outlined(source, item.output, self._options(item.file.path)).files
 
     def _options(self, path: Path) -> BakeOptions:
         """Return the options for a file: those that are for its kind."""

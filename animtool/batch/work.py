@@ -26,7 +26,7 @@ from animtool.core.readers import BVH, DOCUMENT, READERS, USD
 from animtool.motion.scores import PassScores
 
 if TYPE_CHECKING:
-    from animtool.scene.bake.outputs import OutputReport
+    from animtool.scene.bake.bake import OutputReport
 
 
 class Status(StrEnum):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -36,8 +36,9 @@ from animtool.cli.outputs import (
 
 if TYPE_CHECKING:
     from animtool.preview.work_precision import Panel
+    from animtool.scene.bake.files import ConvertReport
+    from animtool.scene.bake.outline import Outline
     from animtool.scene.bake.prims import BakeReport
-    from animtool.scene.convert.takes import ConvertReport
     from animtool.scene.scene import Scene
 
 
@@ -71,7 +72,8 @@ Examples:
     "-o",
     "--output",
     type=OUTPUT,
-    help="USD file to write (.usda, .usdc, .usd, .usdz), or - for usda on stdout.  "
+    help="File to write: USD (.usda, .usdc, .usd, .usdz), or another format that holds "
+    "motion (.clip.yaml, .bvh, .csv, .mot, .sto); - is usda on stdout.  "
     "[default: SOURCE with .usdc, the shot's name; a library has none]",
 )
 @bake_options
@@ -122,24 +124,25 @@ def bake(
         raise click.UsageError("Several sources make one library: name it with -o.")
     opened = opened_sources(sources, dict(params["variables"]))
     opened = until_pass(opened, params["until"])
-    if params["plan"]:
-        _plan(console, opened, None if to_stdout else output, params)
-        return
     if params["table"]:
         _measure(console, opened, output, params)
         return
     scene = only_scene(opened)
+    if scene is not None and output is not None and len(scene.outputs) > 1:
+        raise click.UsageError("The scene names its outputs: no -o.")
+    if output is None and (scene is None or scene.output is None):
+        output = default_bake_output(opened[0])
+    from animtool.scene.bake.outline import outlined
+
+    outline = outlined(opened, output, bake_options_record(params))
+    if params["plan"]:
+        _plan(console, outline, params)
+        return
     if scene is not None:
         _check_library(scene, params)
-        from animtool.scene.bake.outputs import is_several
-
         if params["stats"]:
             scene.meter.start()
-        if is_several(scene):
-            _several(console, scene, output, params)
-            return
-    path = None if to_stdout else output or default_bake_output(opened[0])
-    _one(console, opened, path, params)
+    _bake(console, outline, params, to_stdout=to_stdout)
 
 
 def _check_usage(params: dict[str, Any]) -> None:
@@ -164,72 +167,38 @@ def _check_library(scene: Scene, params: dict[str, Any]) -> None:
         raise click.UsageError(message)
 
 
-def _plan(
-    console: Console,
-    opened: Sequence[Path | Scene],
-    output: Path | None,
-    params: dict[str, Any],
-) -> None:
+def _plan(console: Console, outline: Outline, params: dict[str, Any]) -> None:
     """Print what a bake would do."""
     from animtool.cli.plan_summary import steps_json, steps_text
-    from animtool.scene.bake.plan_steps import bake_steps
+    from animtool.scene.bake.steps import bake_steps
 
-    scene = only_scene(opened)
-    if output is None and (scene is None or scene.output is None):
-        output = default_bake_output(opened[0])
-    steps = bake_steps(opened, output, bake_options_record(params))
+    steps = bake_steps(outline)
     if params["report_format"] == "json":
         console.result_json(steps_json(steps))
         return
     console.result(*steps_text(steps))
 
 
-def _one(
-    console: Console,
-    opened: Sequence[Path | Scene],
-    path: Path | None,
-    params: dict[str, Any],
+def _bake(
+    console: Console, outline: Outline, params: dict[str, Any], *, to_stdout: bool
 ) -> None:
-    """Bake sources to one output; no path is stdout."""
-    if path is not None and skipped(
-        console, "bake", params, path, lambda: _outputs(opened, path, params)
+    """Bake to the outputs that are asked for."""
+    from animtool.scene.bake.bake import bake_outline
+
+    scene, files = outline.scene, outline.reading.files
+    several = any(entry.place is not None for entry in outline.outputs) and (
+        len(outline.outputs) > 1 or not outline.outputs[0].is_stage
+    )
+    named = files[0] if several else outline.outputs[0].path
+    if named is not None and skipped(
+        console, "bake", params, named, lambda: outline.files
     ):
         return
-    from animtool.scene.bake.bake import bake_file
-
-    options = bake_options_record(params)
-    names = [s.name if isinstance(s, Path) else s.path.name for s in opened]
-    label = names[0] if len(names) == 1 else f"{len(names)} takes"
-    shown = console.progress(f"bake {label}", stdout=path is None)
+    label = files[0].name if len(files) == 1 else f"{len(files)} takes"
+    shown = console.progress(f"bake {label}", stdout=to_stdout)
     with all_named(), shown as progress:
-        report = bake_file(opened, path, options, progress=progress)
-    _say_reports(console, [report], only_scene(opened), params, several=False)
-
-
-def _outputs(
-    sources: Sequence[Path | Scene], path: Path, params: dict[str, Any]
-) -> Sequence[Path]:
-    from animtool.scene.bake.reading import bake_outputs
-
-    return bake_outputs(sources, path, bake_options_record(params))
-
-
-def _several(
-    console: Console, scene: Scene, output: Path | None, params: dict[str, Any]
-) -> None:
-    """Bake a scene to the outputs that it names."""
-    from animtool.scene.bake.outputs import bake_scene, scene_files
-
-    if output is not None:
-        raise click.UsageError("The scene names its outputs: no -o.")
-    options = bake_options_record(params)
-    if skipped(
-        console, "bake", params, scene.path, lambda: scene_files(scene, options)
-    ):
-        return
-    with all_named(), console.progress(f"bake {scene.path.name}") as progress:
-        reports = bake_scene(scene, options, progress=progress)
-    _say_reports(console, reports, scene, params, several=True)
+        reports = bake_outline(outline, progress=progress)
+    _say_reports(console, reports, scene, params, several=several)
 
 
 def _say_reports(
@@ -246,7 +215,7 @@ def _say_reports(
     """
     from animtool.cli.plan_summary import stats_json, stats_text
     from animtool.cli.summary import bake_details, output_json, output_text
-    from animtool.scene.bake.prims import raise_stopped
+    from animtool.scene.bake.prims import BakeReport, raise_stopped
 
     notices = [notice for report in reports for notice in report.notices]
     # What the sources and passes say stands in every report.
@@ -262,7 +231,8 @@ def _say_reports(
     for report in reports:
         _say(console, output_text(report))
     for report in () if several else reports:
-        for line in bake_details(cast("BakeReport", report)):
+        details = bake_details(report) if isinstance(report, BakeReport) else ()
+        for line in details:
             console.detail(line)
     if params["stats"]:
         _say(console, stats_text(stages, reports))

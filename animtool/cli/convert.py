@@ -80,11 +80,11 @@ def convert(console: Console, /, source: Path, output: Path, **params: Any) -> N
     if is_marker_file(source) and is_marker_file(output):
         _markers(console, source, output, params)
         return
+    from animtool.core.writers import take_writer
     from animtool.scene.convert.takes import convert as run_convert
-    from animtool.scene.convert.takes import convert_outputs
 
     of_rig = is_named(source, "rig") or is_named(output, "rig") or params["physics"]
-    outputs = convert_outputs(output)
+    outputs = [output] if of_rig else take_writer(output).files(output)
     if of_rig:
         from animtool.scene.convert.rigs import rig_outputs
 

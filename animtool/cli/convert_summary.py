@@ -12,8 +12,8 @@ if TYPE_CHECKING:
     from animtool.clip.key_report import ChannelError
     from animtool.clip.reduction.keys import Reduction
     from animtool.motion.scores import PassScores
+    from animtool.scene.bake.files import ConvertReport
     from animtool.scene.bake.prims import BakeReport
-    from animtool.scene.convert.takes import ConvertReport
 
 # Errors of channels that are not worth a line, in their units.
 ROUNDING = 1e-9

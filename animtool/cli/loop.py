@@ -51,11 +51,11 @@ def loop(console: Console, /, source: Path, output: Path | None, **params: Any) 
     The best cycle between --first and --last is taken; where both are given, they are
     the cycle. With -o it is written, repeated as often as is said.
     """
-    from animtool.scene.convert.takes import convert_outputs
+    from animtool.core.writers import take_writer
     from animtool.scene.solves.cycle import loop_source
 
     if output is not None and skipped(
-        console, "loop", params, output, lambda: convert_outputs(output)
+        console, "loop", params, output, lambda: take_writer(output).files(output)
     ):
         return
     values = read_values(LoopOptions, params)

@@ -68,15 +68,12 @@ def run_on_markers(
     from animtool.cli.outputs import skipped
     from animtool.core.errors import refuse_warnings
     from animtool.core.files.output import check_outputs
-    from animtool.formats.marker_files import (
-        check_marker_output,
-        file_of,
-        write_markers,
-    )
+    from animtool.core.writers import marker_writer
+    from animtool.formats.marker_files import file_of, write_markers
 
     if skipped(console, command, params, output, lambda: [output]):
         return
-    check_marker_output(output)
+    marker_writer(output)
     files = [file_of(path) for path in sources]
     check_outputs([output], files, overwrite=params["overwrite"])
     with all_named(), console.progress(f"{command} {sources[0].name}"):

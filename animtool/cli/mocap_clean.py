@@ -61,10 +61,17 @@ def clean(console: Console, /, source: Path, output: Path, **params: Any) -> Non
 
     Filters have no lag. What was removed, and at which frequencies, is said.
     """
+    from animtool.core.writers import take_writer
     from animtool.motion.passes import find_pass
-    from animtool.scene.convert.takes import convert_outputs, convert_with_passes
+    from animtool.scene.convert.takes import convert_with_passes
 
-    if skipped(console, "mocap clean", params, output, lambda: convert_outputs(output)):
+    if skipped(
+        console,
+        "mocap clean",
+        params,
+        output,
+        lambda: take_writer(output).files(output),
+    ):
         return
     options = CleanOptions(**read_values(CleanOptions, params))
     passes: list[tuple[Any, Any]] = [(find_pass("clean"), options)]

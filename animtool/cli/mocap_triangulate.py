@@ -81,9 +81,10 @@ def triangulate(
     from animtool.capture.cameras.triangulate import triangulate as solve
     from animtool.core.errors import refuse_warnings
     from animtool.core.files.output import check_outputs
-    from animtool.formats.marker_files import check_marker_output, write_markers
+    from animtool.core.writers import marker_writer
+    from animtool.formats.marker_files import write_markers
 
-    check_marker_output(output)
+    marker_writer(output)
     inputs = [observations, *calibrations]
     check_outputs([output], inputs, overwrite=params["overwrite"])
     options = TriangulateOptions(**read_values(TriangulateOptions, params))

@@ -12,10 +12,10 @@ from animtool.core.errors import counted, excerpt
 from animtool.core.quantities import duration_text, length_text, plain, size_text
 
 if TYPE_CHECKING:
-    from animtool.scene.bake.plan_steps import Step
+    from animtool.scene.bake.files import ConvertReport
     from animtool.scene.bake.prims import BakeReport, MeshReport, TakeReport
     from animtool.scene.bake.progress import StageCost
-    from animtool.scene.convert.takes import ConvertReport
+    from animtool.scene.bake.steps import Step
 
 
 def mesh_text(take: TakeReport) -> list[str]:
@@ -208,7 +208,7 @@ def _output(
     report: BakeReport | ConvertReport,
 ) -> tuple[str, float | None, float | None]:
     """Return the file, the seconds and the error of an output, as far as known."""
-    from animtool.scene.convert.takes import ConvertReport
+    from animtool.scene.bake.files import ConvertReport
 
     if isinstance(report, ConvertReport):
         error = None if report.reduction is None else report.reduction.error

@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
+    from animtool.scene.bake.files import ConvertReport
     from animtool.scene.bake.prims import BakeReport, TakeReport
-    from animtool.scene.convert.takes import ConvertReport
     from animtool.scene.tables.bake import BakeTable
 
 
@@ -289,7 +289,7 @@ def _take_json(report: BakeReport, take: TakeReport) -> dict[str, object]:
 
 def output_text(report: BakeReport | ConvertReport) -> list[str]:
     """Return the lines of a summary of one of several outputs."""
-    from animtool.scene.convert.takes import ConvertReport
+    from animtool.scene.bake.files import ConvertReport
 
     return (
         convert_text(report) if isinstance(report, ConvertReport) else bake_text(report)
@@ -298,7 +298,7 @@ def output_text(report: BakeReport | ConvertReport) -> list[str]:
 
 def output_json(report: BakeReport | ConvertReport) -> dict[str, object]:
     """Return the summary of one of several outputs as plain values."""
-    from animtool.scene.convert.takes import ConvertReport
+    from animtool.scene.bake.files import ConvertReport
 
     return (
         convert_json(report) if isinstance(report, ConvertReport) else bake_json(report)

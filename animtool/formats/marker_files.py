@@ -6,21 +6,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import cast
 
-from animtool.core.errors import Fault, OptionError
+from animtool.core.errors import Fault
 from animtool.core.plugins import load_object
 from animtool.core.rates import FractionLike
 from animtool.core.readers import READERS, find_reader
 from animtool.core.units import LengthUnit, UpAxis
+from animtool.core.writers import marker_writer
 from animtool.documents.references import split_reference
 from animtool.motion.markers import Markers
-
-# What writes markers: ``module:object`` of a function from markers, a path and
-# ``overwrite`` to what the format cannot hold.
-WRITERS = {
-    ".c3d": "animtool.formats.c3d.write:write_c3d",
-    ".trc": "animtool.formats.trc.write:write_trc",
-    ".npz": "animtool.formats.marker_arrays:write_marker_arrays",
-}
 
 
 def is_marker_file(path: Path) -> bool:
@@ -69,15 +62,6 @@ def open_markers(
     return cast(Markers, opener(path, unit=unit, up=up, fps=fps, subject=subject))
 
 
-def check_marker_output(output: Path) -> None:
-    """Refuse a suffix that no markers are written to (OUT004)."""
-    if _suffix(output) not in WRITERS:
-        kind = f"suffix {output.suffix!r}" if output.suffix else "a name without suffix"
-        message = f"{kind} is no format that markers are written to"
-        hint = f"allowed: {', '.join(WRITERS)}"
-        raise OptionError(Fault("OUT004", message, str(output), (), hint))
-
-
 def write_markers(
     markers: Markers, output: Path | str, *, overwrite: bool = False
 ) -> list[Fault]:
@@ -89,10 +73,4 @@ def write_markers(
         OutputError: The file cannot be written (OUT002).
     """
     output = Path(output)
-    check_marker_output(output)
-    writer = cast(Callable[..., list[Fault]], load_object(WRITERS[_suffix(output)]))
-    return writer(markers, output, overwrite=overwrite)
-
-
-def _suffix(output: Path) -> str:
-    return output.suffix.lower()
+    return marker_writer(output)(markers, output, overwrite=overwrite)

@@ -257,7 +257,7 @@ def _other_takes(path: Path, stream: TakeStream) -> list[Fault]:
 
 def _open_scene(path: Path, options: PreviewOptions, held: ExitStack) -> OpenFile:
     """Bake a scene to a temporary layer, and open that."""
-    from animtool.scene.bake.bake import bake_file
+    from animtool.scene.bake.bake import bake_stage
     from animtool.scene.file.read import load_scene
     from animtool.usd.layers.view import write_view
 
@@ -271,7 +271,7 @@ def _open_scene(path: Path, options: PreviewOptions, held: ExitStack) -> OpenFil
     scene = replace(scene, outputs=(replace(output, path=None, bake=usual),))
     folder = Path(held.enter_context(tempfile.TemporaryDirectory("animtool")))
     layer = folder / f"{source_stem(path)}.usdc"
-    report = bake_file(scene, layer)
+    report = bake_stage(scene, layer)
     shown = layer
     if usual.rig_layer is not None:
         shown = write_view(folder / "view.usda", layer, usual.rig_layer)

@@ -19,7 +19,7 @@ from animtool.preview.opened import OpenFile, OpenTake
 from animtool.preview.options import PreviewOptions
 from animtool.preview.takes import Gathered
 from animtool.scene.bake.first_frame import frame_start
-from animtool.scene.bake.frames import in_frames
+from animtool.scene.bake.frames import TakePlan, in_frames
 from animtool.scene.bake.options import BakeOptions
 
 if TYPE_CHECKING:
@@ -85,7 +85,10 @@ def gathered_part(
     if asked is not None or chosen is not None:
         bake = BakeOptions(fps=asked, frame_range=chosen)
         said: list[Fault] = []
-        stream = in_frames(stream, bake, start, file.path, said)
+        rate = asked or stream.fps
+        stream = in_frames(
+            TakePlan(file.path, "", stream, None, bake, rate, start, said)
+        )
         # It may last as long as it does.
         notices += [one for one in said if one.code not in quiet]
         start = Fraction(1) if stream.start is None else stream.start

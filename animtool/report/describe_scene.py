@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 from animtool.core.errors import Fault
 from animtool.core.quantities import Description
+from animtool.core.writers import writer_of
 from animtool.scene.bake.reading import default_output, form_of, output_files
-from animtool.scene.convert.takes import convert_outputs
-from animtool.scene.file.entries import OutputKind, SceneOutput, SceneSystem, kind_of
+from animtool.scene.file.entries import SceneOutput, SceneSystem
 from animtool.scene.scene import Scene
 
 
@@ -130,15 +130,15 @@ def _system(scene: Scene, system: SceneSystem) -> SystemDescription:
 
 def _output(scene: Scene, output: SceneOutput) -> OutputDescription:
     path, bake = output.path or default_output(scene.path), output.bake
-    kind = kind_of(path)
-    usd = kind is OutputKind.USD
+    writer = writer_of(path)
+    usd = writer is None or writer.stage
     written = [s for s in scene.writing(output).systems if s.written]
-    files = convert_outputs(path)
-    if usd:
-        files = output_files(path, bake, simulated=bool(written))
+    files = output_files(path, bake, simulated=bool(written))
+    if writer is not None and not usd:
+        files = writer.files(path)
     return OutputDescription(
         str(path),
-        str(kind),
+        "usd" if writer is None else writer.name,
         str(form_of(bake)) if usd else "",
         [str(path) for path in files],
         [str(path) for path in files if path.exists()],

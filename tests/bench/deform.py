@@ -45,8 +45,8 @@ from pxr import Usd, UsdGeom
 
 from animtool import _kernels
 from animtool.rig.kinematics import WorldTransforms
+from animtool.scene.bake.bake import bake
 from animtool.scene.bake.options import BakeOptions
-from animtool.scene.bake.outputs import bake
 from animtool.skin.shapes import ShapeDeltas, blend_points, prepare_shapes
 from animtool.skin.skinning import Binding, SkinMethod, prepare_skin, skin_points
 

@@ -13,7 +13,7 @@ from animtool.clip.reduction.points import SHELL, attached_points, point_errors
 from animtool.clip.sample import sample_channels
 from animtool.motion.take import Take
 from animtool.rig.file import load_rig
-from animtool.scene.bake.outputs import bake
+from animtool.scene.bake.bake import bake
 from animtool.scene.convert.takes import convert
 from animtool.scene.sources.open import open_source
 

@@ -16,8 +16,8 @@ from support.usd import joint_positions, open_stage, skeleton_query, validation_
 from animtool.core.rates import rate_from_frame_time
 from animtool.report.compare import compare_takes
 from animtool.rig.skeleton import CHANNEL_NAMES
+from animtool.scene.bake.bake import bake
 from animtool.scene.bake.options import BakeOptions
-from animtool.scene.bake.outputs import bake
 from animtool.scene.bake.prims import BakeReport
 from animtool.scene.convert.takes import convert
 from animtool.usd.takes.read import read_usd

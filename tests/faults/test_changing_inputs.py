@@ -13,7 +13,7 @@ import pytest
 from support.bvh import random_rows, small_bvh
 from support.cli import animtool
 
-from animtool import BakeOptions, bake, convert, open_source
+from animtool import BakeOptions, OpenTake, bake, convert, open_source
 from animtool.core.errors import FormatError
 from faults.calls import in_child
 
@@ -53,13 +53,10 @@ def test_an_input_changes_while_it_is_read(
     take.write_text(small_bvh(random_rows(8)), "utf-8")
     made.write_text("before", "utf-8")
 
-    def opener(path: Path, *arguments: Any, **more: Any) -> Any:
-        stream = open_source(path, *arguments, **more)
-        change(take)
-        return stream
-
+    stream = open_source(take)
+    change(take)
     with pytest.raises(FormatError) as caught:
-        convert(take, made, overwrite=True, opener=opener)
+        convert(OpenTake(take, stream), made, overwrite=True)
     assert caught.value.code in {"IO004", "IO001"} | {f"BVH{i:03}" for i in range(99)}
     assert made.read_text("utf-8") == "before"
     names = {"take.bvh", output} - ({"take.bvh"} if change is removed else set())
@@ -73,19 +70,16 @@ def test_an_input_is_gone_once_it_was_read(disk: Path) -> None:
     take, made = disk / "take.bvh", disk / "o.usda"
     take.write_text(small_bvh(random_rows(8)), "utf-8")
 
-    def opener(path: Path, *arguments: Any, **more: Any) -> Any:
-        stream = open_source(path, *arguments, **more)
-        blocks = stream.blocks
+    stream = open_source(take)
+    blocks = stream.blocks
 
-        def read() -> Iterator[Any]:
-            yield from blocks
-            take.unlink()
+    def read() -> Iterator[Any]:
+        yield from blocks
+        take.unlink()
 
-        stream.blocks = read()
-        return stream
-
+    stream.blocks = read()
     with pytest.raises(FormatError) as caught:
-        bake(take, made, opener=opener)
+        bake(OpenTake(take, stream), made)
     assert caught.value.code == "IO004"
     assert not list(disk.iterdir())
 

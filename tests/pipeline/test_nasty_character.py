@@ -26,21 +26,19 @@ from support.usd import joint_transforms, open_stage, skeleton_query, validation
 from animtool.motion.motion import Channel
 from animtool.motion.take import Take, TakeStream
 from animtool.rig.skeleton import Rig
+from animtool.scene.bake.bake import bake
 from animtool.scene.bake.options import BakeOptions
-from animtool.scene.bake.outputs import bake
+from animtool.scene.sources.open import OpenTake
 from animtool.usd.takes.read import read_usd
 
 
 def baked(take: Take, output: Path, blocks: int = 1, **options: object) -> Any:
     """Bake a take that arrives in blocks; return the stage."""
     parts = np.array_split(np.arange(take.clock.count), blocks)
-
-    def opener(*_: object, **__: object) -> TakeStream:
-        return replace(TakeStream.of(take), blocks=map(take.motion.select, parts))
-
+    stream = replace(TakeStream.of(take), blocks=map(take.motion.select, parts))
     source = output.with_suffix(".bvh")
     source.touch()
-    bake(source, output, BakeOptions(**options), opener=opener)  # type: ignore[arg-type]
+    bake(OpenTake(source, stream), output, BakeOptions(**options))  # type: ignore[arg-type]
     return open_stage(output)
 
 

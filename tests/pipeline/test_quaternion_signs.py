@@ -16,8 +16,9 @@ from animtool.core.shot import FrameRange
 from animtool.maths import so3
 from animtool.motion.motion import Channel
 from animtool.motion.take import Take, TakeStream
+from animtool.scene.bake.bake import bake
 from animtool.scene.bake.options import BakeOptions
-from animtool.scene.bake.outputs import bake
+from animtool.scene.sources.open import OpenTake
 
 BLOCK = 3
 WAYS = {
@@ -49,13 +50,10 @@ def flipped(take: Take, seed: int) -> Iterator:
 
 def written(take: Take, seed: int, output: Path, options: BakeOptions) -> Path:
     """Bake a take that arrives in such blocks."""
-
-    def opener(*_: object, **__: object) -> TakeStream:
-        return replace(TakeStream.of(take), blocks=flipped(take, seed))
-
     source = output.with_suffix(".bvh")
     source.touch()
-    bake(source, output, options, opener=opener)
+    stream = replace(TakeStream.of(take), blocks=flipped(take, seed))
+    bake(OpenTake(source, stream), output, options)
     return output.with_suffix(".anim.usdc") if options.form == "split" else output
 
 
@@ -98,14 +96,12 @@ def test_signs_continue_in_a_layer_over_a_split_bake(seed: int, tmp_path: Path) 
 
 def test_a_library_has_takes_of_continuous_signs(tmp_path: Path) -> None:
     sources = {tmp_path / "a.bvh": small(9), tmp_path / "b.bvh": small(7)}
-
-    def opener(path: Path, *_: object, **__: object) -> TakeStream:
-        one = sources[Path(path)]
-        return replace(TakeStream.of(one), blocks=flipped(one, 4))
-
-    for path in sources:
+    opened = []
+    for path, take in sources.items():
         path.touch()
-    bake(list(sources), tmp_path / "library.usdc", opener=opener)
+        stream = replace(TakeStream.of(take), blocks=flipped(take, 4))
+        opened.append(OpenTake(path, stream))
+    bake(opened, tmp_path / "library.usdc")
     assert sign_flips(tmp_path / "library.usdc") == 0
 
 

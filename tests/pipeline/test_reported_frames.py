@@ -23,10 +23,11 @@ from animtool.cli.summary import bake_json, bake_text
 from animtool.core.clock import Clock
 from animtool.core.errors import OptionError
 from animtool.core.shot import FrameRange
-from animtool.motion.take import TakeStream
+from animtool.motion.take import Take, TakeStream
+from animtool.scene.bake.bake import bake
 from animtool.scene.bake.options import BakeOptions
-from animtool.scene.bake.outputs import bake
 from animtool.scene.bake.prims import BakeReport
+from animtool.scene.sources.open import OpenTake
 from animtool.usd.takes.read import read_usd
 
 RATES = [Fraction(24), Fraction(30), Fraction(120), Fraction(24000, 1001)]
@@ -47,19 +48,20 @@ def baked(tmp_path_factory: pytest.TempPathFactory) -> Baked:
         if options.rig_layer is not None:
             options = replace(options, rig_layer=folder / options.rig_layer)
         options = replace(options, overwrite=True)
-
-        def opener(*_: object, **__: object) -> TakeStream:
-            return TakeStream.of(take)
-
-        return bake(source, folder / "out.usdc", options, opener=opener)
+        return bake(opened(source, take), folder / "out.usdc", options)
 
     for start, rate in ((0, Fraction(24)), (1001, Fraction(30))):
         clock = Clock(rate, Fraction(start), Fraction(1), 2)
         path = folder / f"rig_{start}.usda"
         options = BakeOptions(form="split", overwrite=True)
         take = replace(small(2), clock=clock)
-        bake(source, path, options, opener=lambda *_, t=take, **__: TakeStream.of(t))
+        bake(opened(source, take), path, options)
     return run
+
+
+def opened(source: Path, take: Take) -> OpenTake:
+    """Return a take as a source."""
+    return OpenTake(source, TakeStream.of(take))
 
 
 clocks = st.builds(

@@ -21,8 +21,8 @@ from animtool.preview.options import PreviewOptions
 from animtool.preview.show import show
 from animtool.rig.kinematics import forward
 from animtool.rig.skeleton import Joint, Rig
+from animtool.scene.bake.bake import bake
 from animtool.scene.bake.options import BakeOptions
-from animtool.scene.bake.outputs import bake
 from animtool.scene.sources.open import SourceOptions, open_source
 
 PLAIN = PreviewOptions(findings=False)

@@ -23,8 +23,8 @@ from animtool.report.compare import (
     compare,
     compare_takes,
 )
+from animtool.scene.bake.bake import bake
 from animtool.scene.bake.options import BakeOptions
-from animtool.scene.bake.outputs import bake
 from animtool.scene.sources.open import SourceOptions
 
 

@@ -12,8 +12,8 @@ from pxr import Usd, UsdSkel
 from support.bvh import random_rows, read_reference, small_bvh
 
 from animtool.core.errors import AnimtoolError, OptionError
+from animtool.scene.bake.bake import bake
 from animtool.scene.bake.options import BakeOptions
-from animtool.scene.bake.outputs import bake
 from animtool.scene.bake.prims import BakeReport
 
 Floats = npt.NDArray[np.float64]

@@ -19,7 +19,7 @@ from animtool.formats.bvh import read_bvh
 from animtool.motion.reorient import reorient
 from animtool.motion.take import Take, TakeStream
 from animtool.report.compare import compare_takes
-from animtool.scene.bake.outputs import bake
+from animtool.scene.bake.bake import bake
 from animtool.usd.takes.read import read_usd
 
 

@@ -345,32 +345,23 @@ class TakeRun:
             yield codes, motion
 
 
-def in_frames(
-    stream: TakeStream,
-    options: BakeOptions,
-    start: Fraction,
-    source: Path,
-    notices: list[Fault],
-) -> TakeStream:
-    """Return a take at the rate and frames that options ask for, numbered as they say.
+def in_frames(plan: TakePlan) -> TakeStream:
+    """Return a take at the rate, in the frames and at the time codes of an output.
 
-    Args:
-        stream: The take.
-        options: Their ``fps`` and ``frame_range`` count.
-        start: Time code of the first frame of the take.
-        source: File that notices are located at.
-        notices: Where these go.
+    Of its options ``fps``, ``frame_range`` and ``shot`` count; the plan's notices are
+    added to.
     """
-    fps = options.fps or stream.fps
-    usual = BakeOptions(fps=options.fps, frame_range=options.frame_range)
-    plan = TakePlan(source, "", stream, None, usual, fps, start, notices)
-    timed = timed_blocks(plan, stream)
+    options = plan.options
+    plain = BakeOptions(
+        fps=options.fps, frame_range=options.frame_range, shot=options.shot
+    )
+    timed = timed_blocks(replace(plan, options=plain), plan.stream)
     if timed.times is None:
-        return replace(stream, start=start)
+        return replace(plan.stream, start=plan.start)
     step = 1 if options.frame_range is None else options.frame_range.step
     return replace(
-        stream,
-        fps=fps,
+        plan.stream,
+        fps=plan.fps,
         start=timed.times.first,
         step=Fraction(step),
         blocks=(motion for _, motion in timed.blocks),

@@ -75,6 +75,7 @@ class BakeOptions:
         None,
         "choice",
         "--as",
+        not_for=("file",),
         scene=Key(
             "One file, three, an animation layer, or a take of a clip library, "
             "beside those that the file has. Not given: `layer` with `rig_layer`, else "
@@ -99,7 +100,7 @@ class BakeOptions:
         "file",
         "--rig-layer",
         label="a rig layer",
-        not_for=("systems",),
+        not_for=("systems", "file"),
         both=Key(
             "The rig in USD, or a shot that holds it, that a layer goes over.",
             "hero.usda",
@@ -118,6 +119,7 @@ class BakeOptions:
         None,
         "text",
         "--take",
+        not_for=("file",),
         scene=Key(
             "With `as: library`: the name of the take. Not given: that of the scene.",
             "walk",
@@ -127,6 +129,7 @@ class BakeOptions:
         None,
         "text",
         "--prim-path",
+        not_for=("file",),
         scene=Key(
             "Where the character stands. Not given: /NAME of the source, or "
             "where the rig layer has it.",
@@ -161,7 +164,7 @@ class BakeOptions:
         "switch",
         "--bones",
         label="bones",
-        not_for=("systems", "library", "deform"),
+        not_for=("systems", "library", "deform", "file"),
         over_layer="--bones never goes into a layer",
         both=Key("Add geometry that shows the joints.", True),
         help="Add light geometry that shows the joints.",
@@ -170,6 +173,7 @@ class BakeOptions:
         0,
         "count",
         "--strip-namespace",
+        not_for=("file",),
         metavar="N",
         help="Drop the first N 'ns:' parts of joint names.",
     )
@@ -178,7 +182,7 @@ class BakeOptions:
         "rest",
         "--rest frame:N",
         label="rest",
-        not_for=("systems", "library", "deform"),
+        not_for=("systems", "library", "deform", "file"),
         over_layer="--rest frame:N sets a skeleton's rest pose, which a layer does not "
         "hold",
         metavar="offsets|frame:N",
@@ -229,6 +233,7 @@ class BakeOptions:
         (),
         "offsets",
         "--samples",
+        not_for=("file",),
         scene=Key(
             "Samples around each frame, in frames, for motion blur. Not given: "
             "one on the frame.",
@@ -241,7 +246,7 @@ class BakeOptions:
         "switch",
         "--keep-samples",
         label="keep_samples",
-        not_for=("systems",),
+        not_for=("systems", "file"),
         excludes={"samples": ""},
         help="Keep the source's own samples.",
     )
@@ -249,7 +254,7 @@ class BakeOptions:
         None,
         "unit",
         "--to-units",
-        not_for=("library",),
+        not_for=("library", "file"),
         over_layer=_ADOPTED,
         batch=Key("Unit of the outputs. Not given: each source's.", "m"),
         help="Unit of the output.",
@@ -258,7 +263,7 @@ class BakeOptions:
         None,
         "axis",
         "--to-up",
-        not_for=("library",),
+        not_for=("library", "file"),
         over_layer=_ADOPTED,
         batch=Key("Up axis of the outputs. Not given: each source's.", "Y"),
         help="Up axis of the output.",
@@ -268,7 +273,7 @@ class BakeOptions:
         "switch",
         "--root-motion skelroot",
         label="root_motion",
-        not_for=("systems", "deform"),
+        not_for=("systems", "deform", "file"),
         choices=("joint", "skelroot"),
         help="What carries the root's motion.  [default: joint]",
     )
@@ -277,7 +282,7 @@ class BakeOptions:
         "switch",
         "--sparse",
         label="sparse",
-        not_for=("systems", "deform"),
+        not_for=("systems", "deform", "file"),
         both=Key("Write only joints that leave their rest pose.", True),
         help="Write only the joints that leave their rest.",
     )
@@ -286,7 +291,7 @@ class BakeOptions:
         "switch",
         "--keep-curves",
         label="keep_curves",
-        not_for=("systems", "deform"),
+        not_for=("systems", "deform", "file"),
         scene=Key("Of a clip: write the curves of its controls as splines too.", True),
         help="Write the curves of a clip's controls too, as splines that stay "
         "editable.",
@@ -296,7 +301,7 @@ class BakeOptions:
         "length",
         "--reduce",
         label="reduce",
-        not_for=("systems", "deform"),
+        not_for=("systems", "deform", "file"),
         excludes={
             "samples": "",
             "root_motion": "--reduce measures joints: no --root-motion skelroot",
@@ -328,7 +333,7 @@ class BakeOptions:
         "switch",
         "--deform",
         label="deform",
-        not_for=("systems", "library"),
+        not_for=("systems", "library", "file"),
         scene=Key(
             "Write the meshes deformed, as point caches, in place of a skinned "
             "character.",
@@ -342,6 +347,7 @@ class BakeOptions:
         False,
         "switch",
         "--velocities",
+        not_for=("file",),
         goes_with="deform",
         scene=Key("With `deform`: write how fast points move, per second, too.", True),
         help="With --deform, how fast points move too, per second, for motion blur.",
@@ -350,6 +356,7 @@ class BakeOptions:
         None,
         "answer",
         "--no-normals",
+        not_for=("file",),
         goes_with="deform",
         scene=Key(
             "With `deform`: whether meshes keep normals. Not given: they do.", False
@@ -361,6 +368,7 @@ class BakeOptions:
         None,
         "count",
         "--chunk",
+        not_for=("file",),
         scene=Key(
             "Of `deform` and of systems: a file for every so many samples. Not "
             "given: one file.",
@@ -375,6 +383,7 @@ class BakeOptions:
         False,
         "switch",
         "--keep-stopped",
+        not_for=("file",),
         scene=Key(
             "Where a system stops before the last frame: write the frames before that. "
             "The bake fails all the same.",

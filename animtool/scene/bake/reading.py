@@ -17,10 +17,11 @@ from animtool.core.errors import (
 from animtool.core.names import is_named
 from animtool.core.options import clashes, given_options, refused_options
 from animtool.core.rates import rate_label
-from animtool.scene.bake.options import BakeOptions, merged
+from animtool.core.writers import Writer
+from animtool.scene.bake.options import BakeOptions
 from animtool.scene.bake.progress import Progress, share_of
 from animtool.scene.sources.open import (
-    Opener,
+    OpenTake,
     fitting_options,
     open_source,
     source_stem,
@@ -31,7 +32,7 @@ if TYPE_CHECKING:
     from animtool.motion.take import TakeStream
     from animtool.scene.scene import Scene
 
-Source: TypeAlias = "Path | str | Scene"
+Source: TypeAlias = "Path | str | Scene | OpenTake"
 
 
 def source_file(source: Source) -> Path:
@@ -45,6 +46,8 @@ class Reading:
 
     files: list[Path]  # of the sources, in order
     scenes: dict[Path, Scene]  # what those say that are scenes
+    # Of each file the take, where that is open already.
+    takes: tuple[TakeStream | None, ...] = ()
 
     @property
     def inputs(self) -> list[Path]:
@@ -52,36 +55,19 @@ class Reading:
         named = [path for scene in self.scenes.values() for path in scene.inputs]
         return [*self.files, *named]
 
-    def options(self, options: BakeOptions) -> tuple[BakeOptions, list[Fault]]:
-        """Return options with those of the one scene, and warnings of scenes.
+    @property
+    def unused(self) -> list[Fault]:
+        """Scenes that state how to bake them, where they are takes of a library."""
+        return [] if len(self.files) == 1 else _unused(self.scenes)
 
-        The given ones come first.
-        """
-        notices = [notice for s in self.scenes.values() for notice in s.notices]
-        if len(self.files) == 1:
-            scenes = list(self.scenes.values())
-            return (merged(options, scenes[0].bake) if scenes else options), notices
-        return options, notices + _unused(self.scenes)
-
-    def open(
-        self,
-        options: BakeOptions,
-        progress: Progress = None,
-        opener: Opener = open_source,
-    ) -> list[TakeStream]:
-        """Return every source, opened; what is wrong with them is said at once.
-
-        Args:
-            options: Of the bake.
-            progress: Called with the share done, 0 to 1.
-            opener: Called as `open_source` for each source that is no scene.
-        """
+    def open(self, options: BakeOptions, progress: Progress = None) -> list[TakeStream]:
+        """Return every source, opened; what is wrong with them is said at once."""
         streams: list[TakeStream] = []
         errors: list[AnimtoolError] = []
-        for i, path in enumerate(self.files):
+        for i, (path, take) in enumerate(zip(self.files, self.takes, strict=True)):
             try:
                 shown = share_of(progress, i, len(self.files))
-                streams.append(self._open_one(path, options, opener, shown))
+                streams.append(take or self._open_one(path, options, shown))
             except AnimtoolError as error:
                 errors.append(error)
         if len(errors) == 1:
@@ -91,22 +77,20 @@ class Reading:
         return streams
 
     def _open_one(
-        self, path: Path, options: BakeOptions, opener: Opener, shown: Progress
+        self, path: Path, options: BakeOptions, shown: Progress
     ) -> TakeStream:
         """Return a source, opened; over a rig, without what joints cannot hold."""
         try:
-            return self._opened(path, options, opener, shown)
+            return self._opened(path, options, shown)
         except FormatError as error:
             uneven = any(fault.code == "USD035" for fault in error.faults)
             if not uneven or options.rig_layer is None or options.placement is not None:
                 raise
             # The rig may have the same transform: a layer then lacks nothing.
             left = replace(options, placement="drop")
-            return self._opened(path, left, opener, shown)
+            return self._opened(path, left, shown)
 
-    def _opened(
-        self, path: Path, options: BakeOptions, opener: Opener, shown: Progress
-    ) -> TakeStream:
+    def _opened(self, path: Path, options: BakeOptions, shown: Progress) -> TakeStream:
         if path in self.scenes:
             scene = self.scenes[path].forced(
                 force_fit=options.force_fit, placement=options.placement
@@ -119,7 +103,7 @@ class Reading:
             shot=options.shot or own.shot,
             placement=options.placement,
         )
-        stream = opener(path, own, progress=shown)
+        stream = open_source(path, own, progress=shown)
         if stream.details.get("format") == "BVH" and own.up is None:
             from animtool.retarget.standing import with_lying_notice
 
@@ -131,14 +115,15 @@ def found_sources(sources: Sequence[Source]) -> Reading:
     """Return the files of sources, those loaded that are scenes."""
     files = [source_file(source) for source in sources]
     scenes: dict[Path, Scene] = {}
+    takes = [one.stream if isinstance(one, OpenTake) else None for one in sources]
     for path, source in zip(files, sources, strict=True):
-        if not isinstance(source, Path | str):
+        if not isinstance(source, Path | str | OpenTake):
             scenes[path] = source
-        elif is_named(path, "scene"):
+        elif is_named(path, "scene") and not isinstance(source, OpenTake):
             from animtool.scene.file.read import load_scene
 
             scenes[path] = load_scene(path)
-    return Reading(files, scenes)
+    return Reading(files, scenes, tuple(takes))
 
 
 def _unused(scenes: dict[Path, Scene]) -> list[Fault]:
@@ -246,17 +231,23 @@ def _deform_clashes(options: BakeOptions, form: str) -> list[tuple[bool, str]]:
     return [(True, f"{joints}: no {flag}") for flag in flags]
 
 
-def bake_outputs(
-    sources: Sequence[Source], output: Path, options: BakeOptions
-) -> list[Path]:
-    """Return the files that a bake writes, ``output`` among them."""
-    simulated = False
-    if len(sources) == 1:
-        reading = found_sources(sources)
-        options, _ = reading.options(options)
-        written = (scene.writing(scene.outputs[0]) for scene in reading.scenes.values())
-        simulated = any(scene.systems for scene in written)
-    return output_files(output, options, simulated=simulated)
+def check_file_options(options: BakeOptions, writer: Writer, path: Path) -> None:
+    """Raise `OptionError` where options are for USD or for keys, and the output not."""
+    faults = []
+    for name, refused in given_options(options).items():
+        if name in writer.options or "file" not in refused.not_for:
+            continue
+        message = f"{refused.flag} is for USD, and {path} is none"
+        fault = Fault("CLI002", message)
+        if name in {"reduce", "reduce_at"}:
+            message = f"{refused.flag} is for keys, and this output holds samples"
+            hint = "write a .clip.yaml, or bake to USD with --reduce"
+            fault = Fault("CLI004", message, str(path), (), hint)
+        faults.append(fault)
+    if not faults:
+        faults = [Fault("CLI002", message) for message in clashes(options)]
+    if faults:
+        raise OptionError(faults)
 
 
 def default_output(source: Path) -> Path:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from enum import StrEnum
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -226,26 +225,6 @@ class SceneSystem:
     written: bool = True  # whether it goes into the output; else another needs it
     # What lengths of its entry count, as the scene states it; None states nothing.
     unit: LengthUnit | None = None
-
-
-class OutputKind(StrEnum):
-    """What a file holds."""
-
-    USD = "usd"
-    CLIP = "clip"
-    BVH = "bvh"
-
-
-def kind_of(path: Path) -> OutputKind:
-    """Return what a file of a name holds; USD where it is not known.
-
-    >>> kind_of(Path("shot.clip.yaml")).value, kind_of(Path("shot.usdc")).value
-    ('clip', 'usd')
-    """
-    suffix = path.suffix.lower()
-    if suffix in {".yaml", ".yml"}:
-        return OutputKind.CLIP
-    return OutputKind.BVH if suffix == ".bvh" else OutputKind.USD
 
 
 @dataclass(frozen=True, slots=True)

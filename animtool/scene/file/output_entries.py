@@ -8,10 +8,11 @@ from pathlib import Path
 
 from animtool.core.rates import parse_rate
 from animtool.core.shot import FrameRange, Shot
+from animtool.core.writers import Writer, writer_of
 from animtool.documents.document import Document, Location
 from animtool.documents.references import referred
 from animtool.scene.bake.options import BakeOptions
-from animtool.scene.file.entries import OutputKind, SceneOutput, kind_of, place_of_entry
+from animtool.scene.file.entries import SceneOutput, place_of_entry
 from animtool.scene.file.output_fields import KeyReader, option_keys
 from animtool.scene.file.schema import OutputModel, SceneModel
 from animtool.scene.sources.retime import Preroll
@@ -82,8 +83,9 @@ class OutputReader:
         frames: FrameRange | None,
     ) -> SceneOutput:
         path = None if model.file is None else self._file((*at, "file"), model.file)
-        if path is not None and kind_of(path) is not OutputKind.USD:
-            self._check_kind(at, model, kind_of(path))
+        writer = None if path is None else writer_of(path)
+        if writer is not None and not writer.stage:
+            self._check_keys(at, model, writer)
         keys = option_keys(BakeOptions, model, "scene", at, self._keys)
         if "take" in keys and keys.get("form") != "library":
             message = "take is for a take of a library"
@@ -107,13 +109,11 @@ class OutputReader:
         path = referred(self._document, at, name, self._roots, written=True)
         return Path(name) if path is None else path
 
-    def _check_kind(self, at: Location, model: OutputModel, kind: OutputKind) -> None:
+    def _check_keys(self, at: Location, model: OutputModel, writer: Writer) -> None:
         """Refuse what only other kinds of files have."""
-        allowed = {"file", "start"}
-        if kind is OutputKind.CLIP:
-            allowed |= {"reduce", "reduce_at"}
+        allowed = {"file", "start", *writer.options}
         for name in sorted(model.model_fields_set - allowed):
-            message = f"{name} is not for a {kind} file"
+            message = f"{name} is not for a {writer.name} file"
             hint = f"it has {', '.join(sorted(allowed))}"
             self._document.add("SCN039", (*at, name), message, hint)
 

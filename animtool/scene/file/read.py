@@ -13,18 +13,17 @@ from animtool.core.config import project_roots
 from animtool.core.errors import AnimtoolError, OptionError
 from animtool.core.plugins import load_object
 from animtool.core.rates import parse_rate
+from animtool.core.writers import writes_stage
 from animtool.documents.check import check_version, record_of_options, validated
 from animtool.documents.document import Document, Location, read_document
 from animtool.documents.references import referred
 from animtool.documents.variables import resolve_variables
 from animtool.motion.passes import Pass, find_pass
 from animtool.scene.file.entries import (
-    OutputKind,
     ScenePass,
     SceneProp,
     SceneSource,
     SceneSystem,
-    kind_of,
     place_of_entry,
 )
 from animtool.scene.file.output_entries import OutputReader
@@ -214,7 +213,7 @@ class _SceneReader:
         entries = given if isinstance(given, list) else [given]
         for i, entry in enumerate(entries):
             at: Location = ("output", i) if isinstance(given, list) else ("output",)
-            if entry.file and kind_of(Path(entry.file)) is not OutputKind.USD:
+            if entry.file and not writes_stage(Path(entry.file)):
                 message = f"{entry.file!r} is no USD file, as what is simulated is"
                 self.document.add("SCN060", (*at, "file"), message)
 

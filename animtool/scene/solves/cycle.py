@@ -9,8 +9,9 @@ from animtool.core.errors import Fault, refuse_warnings
 from animtool.edit.cycle import Cycle, find_cycle, measure_cycle
 from animtool.edit.loop_options import LoopOptions
 from animtool.edit.looping import PASS, said_of
+from animtool.scene.bake.files import ConvertReport
 from animtool.scene.bake.progress import Progress
-from animtool.scene.convert.takes import ConvertReport, convert_with_passes
+from animtool.scene.convert.takes import convert_with_passes
 from animtool.scene.solves.ik import naming
 from animtool.scene.sources.open import SourceOptions, open_source
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from animtool.capture.face.model import FaceModel
 from animtool.capture.face.solve import FaceFit, fit_face
 from animtool.capture.options import FaceOptions
 from animtool.core.array_types import FloatArray
-from animtool.core.errors import Fault, OptionError, Severity
+from animtool.core.errors import Fault, OptionError, Severity, refuse_warnings
 from animtool.core.files.output import check_outputs
 from animtool.core.names import is_named
 from animtool.core.units import UpAxis, unit_name
@@ -27,16 +27,15 @@ from animtool.rig.head import HEAD, head_joints, local_rotations
 from animtool.rig.kinematics import forward
 from animtool.rig.remap import ShapeLinks, link_shapes, load_remap
 from animtool.rig.skeleton import JointType, Rig
+from animtool.scene.bake.bake import OutputReport, bake_take
 from animtool.scene.bake.options import BakeOptions
+from animtool.scene.bake.outline import Outline, check_outline, outlined
 from animtool.scene.bake.progress import Progress
-from animtool.scene.convert.takes import ConvertReport
-from animtool.scene.solves.written import take_outputs, write_take
 from animtool.scene.sources.onto_rig import open_rig
 from animtool.scene.sources.open import SourceOptions
 
 if TYPE_CHECKING:
     from animtool.capture.cameras.camera import Camera
-    from animtool.scene.bake.prims import BakeReport
 
 # From a world with Z up to one with Y up.
 _Y_UP = np.array([-np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)])
@@ -76,12 +75,20 @@ class FaceResult:
     seconds: dict[str, float]  # wall time by stage
     # Pixels a metre at the face, of landmarks in pixels; else 0.
     pixels_per_meter: float = 0.0
-    written: BakeReport | ConvertReport | None = None
+    written: OutputReport | None = None
 
 
 def face_outputs(job: FaceJob) -> list[Path]:
     """Return the files that a job writes."""
-    return take_outputs(job.capture, job.output, job.bake, _named_rig(job))
+    outline = _outline(job)
+    return [] if outline is None else outline.files
+
+
+def _outline(job: FaceJob) -> Outline | None:
+    """Return what a job writes; None where that is nothing."""
+    if job.output is None:
+        return None
+    return outlined(job.capture, job.output, job.bake, rig_file=_named_rig(job))
 
 
 def _named_rig(job: FaceJob) -> Path | None:
@@ -102,35 +109,20 @@ def run_face(job: FaceJob, *, progress: Progress = None) -> FaceResult:
         OutputError: An output cannot be written.
         StrictError: There were warnings, and ``strict`` is on.
     """
-    outputs = face_outputs(job)
-    if outputs:
+    outline = _outline(job)
+    if outline is not None:
         named = (job.capture, job.rig, job.landmarks, job.remap, job.camera)
         inputs = [path for path in named if path is not None]
-        check_outputs(outputs, inputs, overwrite=job.bake.overwrite)
+        check_outputs(outline.files, inputs, overwrite=job.bake.overwrite)
+        check_outline(outline)
     result = solve_face(job, progress=progress)
-    if job.output is None:
-        from animtool.core.errors import refuse_warnings
-
+    if outline is None:
         refuse_warnings(result.notices, strict=job.bake.strict)
         return result
-
-    def opened(path: Path, options: Any = None, *, progress: Progress) -> TakeStream:
-        del path, options, progress
-        stream = TakeStream.of(result.take)
-        stream.details = {
-            "format": "landmarks",
-            "units": unit_name(result.take.rig.meters_per_unit),
-        }
-        return stream
-
-    result.written = write_take(
-        job.capture,
-        job.output,
-        job.bake,
-        rig_file=_named_rig(job),
-        opener=opened,
-        progress=None,
-    )
+    stream = TakeStream.of(result.take)
+    unit = unit_name(result.take.rig.meters_per_unit)
+    stream.details = {"format": "landmarks", "units": unit}
+    result.written = bake_take(stream, outline)
     result.notices += [n for n in result.written.notices if n not in result.notices]
     return result
 

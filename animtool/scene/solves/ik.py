@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from animtool.core.clock import FrameSpan
 from animtool.core.config import project_roots
@@ -40,16 +40,16 @@ from animtool.ik.report import (
 from animtool.ik.take_run import TakeIk
 from animtool.ik.tracks import TargetTracks
 from animtool.motion.take import Take, TakeStream
+from animtool.scene.bake.bake import OutputReport, bake_take
 from animtool.scene.bake.options import BakeOptions
+from animtool.scene.bake.outline import STDOUT, Outline, check_outline, outlined
 from animtool.scene.bake.progress import Progress
-from animtool.scene.convert.takes import ConvertReport
 from animtool.scene.solves.start import open_start, rest_take
-from animtool.scene.solves.written import take_outputs, write_take
 from animtool.scene.sources.onto_rig import open_rig
 from animtool.scene.sources.open import SourceOptions
 
 if TYPE_CHECKING:
-    from animtool.scene.bake.prims import BakeReport
+    pass
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +87,7 @@ class IkReport:
     notices: list[Fault]  # warnings and notes
     seconds: dict[str, float]  # wall time by stage
     # The report of what was written; None where nothing was.
-    written: BakeReport | ConvertReport | None = None
+    written: OutputReport | None = None
 
     @property
     def span(self) -> FrameSpan:
@@ -193,44 +193,42 @@ def run_ik(job: IkJob, *, progress: Progress = None) -> IkReport:
             on.
         StrictError: There were warnings, and ``strict`` is on.
     """
-    reports: list[IkReport] = []
-
-    def solve(path: Path, options: Any = None, *, progress: Progress) -> TakeStream:
-        del path, options
-        reports.append(_solved(job, progress))
-        take = replace(reports[0].solved.take, notices=())
-        stream = TakeStream.of(take)
-        stream.details = {"format": "ik", "units": unit_name(take.rig.meters_per_unit)}
-        return stream
-
-    outputs = ik_outputs(job)
-    if outputs:
+    outline = _outline(job)
+    if outline is not None:
         named = (job.rig, job.targets, job.start, job.bake.rig_layer)
         inputs = [path for path in named if path is not None]
-        check_outputs(outputs, inputs, overwrite=job.bake.overwrite)
-    if job.output is None and not job.to_stdout:
-        solve(job.rig, progress=progress)
-        return reports[0]
+        check_outputs(outline.files, inputs, overwrite=job.bake.overwrite)
+        check_outline(outline)
+    report = _solved(job, progress)
+    if outline is None:
+        return report
     began = time.perf_counter()
-    written = write_take(
-        job.targets if job.start is None else job.start,
-        job.output,
-        job.bake,
-        rig_file=_named_rig(job.rig, job.output),
-        opener=solve,
-        progress=progress,
-    )
-    report = reports[0]
-    report.written = written
-    report.seconds["write"] = time.perf_counter() - began - sum(report.seconds.values())
-    report.notices += [n for n in written.notices if n not in report.notices]
+    take = replace(report.solved.take, notices=())
+    stream = TakeStream.of(take)
+    stream.details = {"format": "ik", "units": unit_name(take.rig.meters_per_unit)}
+    report.written = bake_take(stream, outline, progress=progress)
+    report.seconds["write"] = time.perf_counter() - began
+    known = set(report.notices)
+    report.notices += [n for n in report.written.notices if n not in known]
     return report
 
 
 def ik_outputs(job: IkJob) -> list[Path]:
     """Return the files that a job writes, the output last of those of a clip."""
-    rig_file = _named_rig(job.rig, job.output)
-    return take_outputs(job.rig, job.output, job.bake, rig_file)
+    outline = _outline(job)
+    return [] if outline is None else outline.files
+
+
+def _outline(job: IkJob) -> Outline | None:
+    """Return what a job writes; None where that is nothing."""
+    if job.output is None and not job.to_stdout:
+        return None
+    return outlined(
+        job.targets if job.start is None else job.start,
+        STDOUT if job.to_stdout else job.output,
+        job.bake,
+        rig_file=_named_rig(job.rig, job.output),
+    )
 
 
 def _named_rig(rig: Path, output: Path | None) -> Path | None:

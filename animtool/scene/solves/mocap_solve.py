@@ -30,16 +30,16 @@ from animtool.core.names import is_named
 from animtool.formats.marker_files import file_of, open_markers
 from animtool.motion.take import TakeStream
 from animtool.rig.placed import at_origin
+from animtool.scene.bake.bake import OutputReport, bake_take
 from animtool.scene.bake.options import BakeOptions
+from animtool.scene.bake.outline import STDOUT, Outline, check_outline, outlined
 from animtool.scene.bake.progress import Progress, timed
 from animtool.scene.convert.rigs import RigFile, rig_file
-from animtool.scene.convert.takes import ConvertReport
-from animtool.scene.solves.written import take_outputs, write_take
 from animtool.scene.sources.onto_rig import open_rig
 from animtool.scene.sources.open import SourceOptions
 
 if TYPE_CHECKING:
-    from animtool.scene.bake.prims import BakeReport
+    pass
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,14 +74,22 @@ class MocapSolveResult:
     notices: list[Fault]
     seconds: dict[str, float]  # wall time by stage
     outputs: list[Path] = field(default_factory=list)
-    written: BakeReport | ConvertReport | None = None
+    written: OutputReport | None = None
 
 
 def solve_outputs(job: MocapSolveJob) -> list[Path]:
     """Return the files that a job writes, but for arrays beside a rig."""
     made = [path for path in (job.write_rig, job.write_template) if path is not None]
-    written = take_outputs(job.source, job.output, job.bake, _named_rig(job))
-    return [*made, *written]
+    outline = _outline(job)
+    return [*made, *([] if outline is None else outline.files)]
+
+
+def _outline(job: MocapSolveJob) -> Outline | None:
+    """Return what a job writes of the motion; None where that is nothing."""
+    if job.output is None and not job.to_stdout:
+        return None
+    output = STDOUT if job.to_stdout else job.output
+    return outlined(job.source, output, job.bake, rig_file=_named_rig(job))
 
 
 def _named_rig(job: MocapSolveJob) -> Path | None:
@@ -113,33 +121,19 @@ def run_solve(job: MocapSolveJob, *, progress: Progress = None) -> MocapSolveRes
     inputs = [file_of(path) for path in named if path is not None]
     if outputs:
         check_outputs(outputs, inputs, overwrite=job.bake.overwrite)
-    made: list[MocapSolveResult] = []
-
-    def solved(path: Path, options: Any = None, *, progress: Progress) -> TakeStream:
-        del path, options
-        stream, result = _solved(job, template, rig_path, outputs, progress)
-        made.append(result)
-        return stream
-
+    outline = _outline(job)
+    if outline is not None:
+        check_outline(outline)
     with together():
-        if job.output is None and not job.to_stdout:
-            stream = solved(job.source, progress=progress)
+        stream, result = _solved(job, template, rig_path, outputs, progress)
+        if outline is None:
             deque(stream.blocks, maxlen=0)
-            result = made[0]
             result.notices += [n for n in stream.notices if n not in result.notices]
             refuse_warnings(result.notices, strict=job.bake.strict)
         else:
-            written = write_take(
-                job.source,
-                job.output,
-                job.bake,
-                rig_file=_named_rig(job),
-                opener=solved,
-                progress=progress,
-            )
-            result = made[0]
-            result.written = written
-            result.notices += [n for n in written.notices if n not in result.notices]
+            result.written = bake_take(stream, outline, progress=progress)
+            known = set(result.notices)
+            result.notices += [n for n in result.written.notices if n not in known]
         result.outputs = [*_write_subject(job, result), *outputs]
         result.outputs = list(dict.fromkeys(result.outputs))
     return result

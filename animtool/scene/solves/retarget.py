@@ -7,7 +7,7 @@ from collections import deque
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from animtool.core.errors import Fault, OptionError, refuse_warnings
 from animtool.core.files.output import (
@@ -29,17 +29,17 @@ from animtool.retarget.take_pass import checked_blocks, onto_rig
 from animtool.retarget.verdict import FrameNumbers, Verdict
 from animtool.rig.placed import at_origin, standing_notice
 from animtool.rig.skeleton import Rig
-from animtool.scene.bake.frames import in_frames
+from animtool.scene.bake.bake import OutputReport, bake_take
+from animtool.scene.bake.files import ConvertReport
 from animtool.scene.bake.options import BakeOptions
+from animtool.scene.bake.outline import STDOUT, Outline, check_outline, outlined
 from animtool.scene.bake.progress import Progress, timed
-from animtool.scene.convert.takes import ConvertReport
 from animtool.scene.solves.ik import naming
-from animtool.scene.solves.written import take_outputs, write_take
 from animtool.scene.sources.onto_rig import open_rig
-from animtool.scene.sources.open import SourceOptions, is_usd, open_source
+from animtool.scene.sources.open import SourceOptions, open_source
 
 if TYPE_CHECKING:
-    from animtool.scene.bake.prims import BakeReport
+    pass
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +77,7 @@ class RetargetResult:
     rate: Fraction = Fraction(24)
     numbers: FrameNumbers = field(default_factory=FrameNumbers)
     outputs: list[Path] = field(default_factory=list)
-    written: BakeReport | ConvertReport | None = None
+    written: OutputReport | None = None
 
     @property
     def verdict(self) -> Verdict:
@@ -93,8 +93,16 @@ class RetargetResult:
 def retarget_outputs(job: RetargetJob) -> list[Path]:
     """Return the files that a job writes, the map among them."""
     outputs = [] if job.write_map is None else [job.write_map]
-    made = take_outputs(job.source, job.output, job.bake, _named_rig(job))
-    return [*outputs, *made]
+    outline = _outline(job)
+    return [*outputs, *([] if outline is None else outline.files)]
+
+
+def _outline(job: RetargetJob) -> Outline | None:
+    """Return what a job writes of the take; None where that is nothing."""
+    if job.output is None and not job.to_stdout:
+        return None
+    output = STDOUT if job.to_stdout else job.output
+    return outlined(job.source, output, job.bake, rig_file=_named_rig(job))
 
 
 def _named_rig(job: RetargetJob) -> Path | None:
@@ -127,41 +135,20 @@ def run_retarget(job: RetargetJob, *, progress: Progress = None) -> RetargetResu
         named = (job.source, job.rig, job.options.map, job.bake.rig_layer)
         inputs = [path for path in named if path is not None]
         check_outputs(outputs, inputs, overwrite=job.bake.overwrite)
-    results: list[RetargetResult] = []
-
-    def solve(path: Path, options: Any = None, *, progress: Progress) -> TakeStream:
-        del path, options
-        stream, result = _retargeted(job, outputs, progress)
-        results.append(result)
+    outline = _outline(job)
+    if outline is not None:
+        check_outline(outline)
+    with together():
+        stream, report = _retargeted(job, outputs, progress)
         unit = unit_name(stream.rig.meters_per_unit)
         stream.details = {"format": "retarget", "units": unit}
-        if job.to_stdout or (job.output is not None and is_usd(job.output)):
-            return stream
-        wanted = job.bake.fps, job.bake.frame_range, job.bake.start
-        if wanted == (None, None, None):
-            return stream
-        from animtool.scene.bake.bake import start_of
-
-        start = start_of(job.bake, None, stream, job.source)
-        return in_frames(stream, job.bake, start, job.source, stream.notices)
-
-    with together():
-        if job.output is None and not job.to_stdout:
-            deque(solve(job.source, progress=progress).blocks, maxlen=0)
-            report = results[0]
+        if outline is None:
+            deque(stream.blocks, maxlen=0)
             refuse_warnings(report.notices, strict=job.bake.strict)
         else:
-            written = write_take(
-                job.source,
-                job.output,
-                job.bake,
-                rig_file=_named_rig(job),
-                opener=solve,
-                progress=progress,
-            )
-            report = results[0]
-            report.written = written
-            report.notices += [n for n in written.notices if n not in report.notices]
+            report.written = bake_take(stream, outline, progress=progress)
+            known = set(report.notices)
+            report.notices += [n for n in report.written.notices if n not in known]
         if job.write_map is not None:
             text = map_text(report.joint_map, report.source_rig, report.target)
             write_parts(job.write_map, [text.encode()])

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias, cast
+from typing import TYPE_CHECKING, cast
 
 from animtool.core.errors import AnimtoolError, Fault, OptionError
 from animtool.core.files.reading import FileState, note_input
@@ -19,9 +19,6 @@ from animtool.scene.bake.progress import Progress
 
 if TYPE_CHECKING:
     from animtool.motion.take import TakeStream
-
-# From a file, what it is, and by keyword whom to tell of the progress, to its motion.
-Opener: TypeAlias = Callable[..., "TakeStream"]
 
 # Options that apply to every source.
 ANY_SOURCE = frozenset({"rig", "force_fit", "shot"})
@@ -238,6 +235,14 @@ class SourceOptions:
         """Take the rate as it is written."""
         if self.fps is not None:
             object.__setattr__(self, "fps", rate_option(self.fps))
+
+
+@dataclass(frozen=True, slots=True)
+class OpenTake:
+    """A take that is open already, as a source."""
+
+    path: Path  # the file that messages and reports name
+    stream: TakeStream  # its motion, which can be read once
 
 
 def is_usd(path: Path) -> bool:

@@ -21,8 +21,9 @@ from animtool.core.rates import rate_label
 from animtool.motion.take import Take
 from animtool.rig.kinematics import WorldTransforms, forward, rest_size
 from animtool.rig.skeleton import Rig
-from animtool.scene.bake.bake import plan_bake, run_bake
+from animtool.scene.bake.bake import run_stage
 from animtool.scene.bake.options import BakeOptions
+from animtool.scene.bake.plan import plan_stage
 from animtool.scene.bake.reading import Source, source_file
 from animtool.usd.rigs.skinned import played_world
 
@@ -126,7 +127,7 @@ class _Truth:
 
 
 def _truth(source: Source, options: BakeOptions) -> tuple[_Truth, Take]:
-    plan = plan_bake(source, None, options)
+    plan = plan_stage(source, None, options)
     if plan.options.deform:
         message = "--table measures joints, and the scene writes deformed points"
         raise OptionError(Fault("CLI002", message, str(source_file(source))))
@@ -162,9 +163,9 @@ def _baked(
 ) -> TableRow:
     output = folder / f"{kind}.usdc"
     began = time.perf_counter()
-    plan = plan_bake(source, output, replace(options, overwrite=True))
+    plan = plan_stage(source, output, replace(options, overwrite=True))
     # What is simulated beside the take has no joints to measure.
-    result = run_bake(replace(plan, prims=plan.prims[:1], watch=None)).result
+    result = run_stage(replace(plan, prims=plan.prims[:1], watch=None)).result
     seconds = time.perf_counter() - began
     codes = float(plan.start) + truth.seconds * float(plan.fps)
     world = played_world(output, codes)

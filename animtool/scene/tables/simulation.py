@@ -18,8 +18,8 @@ from animtool.motion.motion import Motion
 from animtool.motion.take import Take, TakeStream
 from animtool.rig.kinematics import forward
 from animtool.rig.skeleton import Rig
-from animtool.scene.bake.bake import plan_bake
 from animtool.scene.bake.options import BakeOptions
+from animtool.scene.bake.plan import plan_stage
 from animtool.scene.bake.prims import BakePlan
 from animtool.scene.bake.progress import Progress, share_of
 from animtool.scene.file.entries import Place, ScenePass
@@ -113,7 +113,7 @@ def _times(
     # Nothing is written: chunks would need a file.
     first = scene.outputs[0]
     plain = replace(first, bake=replace(first.bake, chunk=None))
-    plan = plan_bake(replace(scene, outputs=(plain,)), None, options)
+    plan = plan_stage(replace(scene, outputs=(plain,)), None, options)
     if plan.takes:
         own = motion_of(scene.path, plan.takes[0].stream.collect())
         return _within(own.times, plan), own

@@ -11,8 +11,6 @@ from typing import TYPE_CHECKING, Any
 
 from animtool.core.errors import Fault, OptionError
 from animtool.core.files.output import is_text
-from animtool.core.files.reading import is_there
-from animtool.core.readers import PACKAGE
 
 if TYPE_CHECKING:
     import numpy as np
@@ -31,8 +29,6 @@ if TYPE_CHECKING:
 
 
 SUFFIXES = (".usd", ".usda", ".usdc")
-# What `convert` writes, and outputs of scenes too.
-CONVERTED = (".bvh", ".yaml", ".yml")
 
 
 class Form(StrEnum):
@@ -60,37 +56,21 @@ def output_paths(output: Path, form: Form) -> list[Path]:
     ]
 
 
-def check_suffix(
-    path: Path,
-    source: Path | str = "SOURCE",
-    *,
-    folders: bool = False,
-    packages: bool = False,
-) -> None:
-    """Refuse a path that is not that of a USD file.
+def check_path(path: Path) -> None:
+    """Refuse a path that USD cannot open (OUT006)."""
+    if not is_text(str(path.absolute())):
+        message = "has bytes in its path that are no UTF-8, which USD cannot open"
+        raise OptionError(Fault("OUT006", message, str(path), (), "rename it"))
 
-    With ``folders`` the hint says how to name a folder; with ``packages`` a ``.usdz``
-    is one too.
-    """
-    suffix = path.suffix.lower()
-    allowed = (*SUFFIXES, PACKAGE) if packages else SUFFIXES
-    if suffix in allowed:
-        if not is_text(str(path.absolute())):
-            message = "has bytes in its path that are no UTF-8, which USD cannot open"
-            raise OptionError(Fault("OUT006", message, str(path), (), "rename it"))
+
+def check_suffix(path: Path) -> None:
+    """Refuse a path that is not that of a USD file (OUT004)."""
+    if path.suffix.lower() in SUFFIXES:
+        check_path(path)
         return
     kind = f"suffix {path.suffix!r}" if path.suffix else "a name without suffix"
     message = f"{kind} is not a USD extension"
-    hint = f"allowed: {', '.join(allowed)}"
-    if not suffix and folders:
-        hint += f"; {path}/ names a folder"
-    elif not suffix and path.name and is_there(path) and path.is_dir():
-        message = "is a folder, not a USD file"
-        hint = f"name a file in it, such as {path / 'shot.usdc'}"
-    if suffix in CONVERTED and path == Path(source):
-        hint = f"it is the source; {hint}"
-    elif suffix in CONVERTED:
-        hint = f"write it with: animtool convert {source} {path}"
+    hint = f"allowed: {', '.join(SUFFIXES)}"
     raise OptionError(Fault("OUT004", message, str(path), (), hint))
 
 

@@ -17,9 +17,8 @@ from animtool.core.rates import rate_label
 from animtool.documents.document import Location, read_document
 from animtool.documents.variables import resolve_variables
 from animtool.motion.passes import Pass, TakePart
-from animtool.scene.bake.bake import take_name
 from animtool.scene.bake.options import BakeOptions
-from animtool.scene.bake.outputs import scene_files
+from animtool.scene.bake.outline import outlined, take_name
 from animtool.scene.bake.reading import check_options
 from animtool.scene.file.schema import model_for
 from animtool.validation.subjects.scene import SceneSubject
@@ -34,7 +33,7 @@ def over_input(subject: SceneSubject) -> Iterator[Fault]:
             continue
         layer = [output.bake.rig_layer] if output.bake.rig_layer else []
         inputs = {path.resolve() for path in (*read, *layer)}
-        files = scene_files(replace(scene, outputs=(output,)), BakeOptions())
+        files = outlined(replace(scene, outputs=(output,)), None).files
         over = [repr(path.name) for path in files if path.resolve() in inputs]
         if over:
             message = f"writes over {' and '.join(over)}, which it reads"

@@ -24,7 +24,6 @@ from animtool.core.files.output import (
 )
 from animtool.core.files.placing import output_error
 from animtool.core.files.reading import note_input
-from animtool.usd.layers.jobs import check_suffix
 
 
 def test_a_file_appears_whole(tmp_path: Path) -> None:
@@ -68,16 +67,6 @@ def test_a_temporary_file_is_not_named(tmp_path: Path) -> None:
     path = tmp_path / "a.usdc"
     (fault,) = output_error(path, f"no room for '{new_temporary(path)}': full").faults
     assert fault.message == f"cannot be written: no room for '{path}': full"
-
-
-def test_a_source_is_not_converted_onto_itself(tmp_path: Path) -> None:
-    source = tmp_path / "a.clip.yaml"
-    with pytest.raises(OptionError) as caught:
-        check_suffix(source, source)
-    assert "convert" not in str(caught.value.faults[0].hint)
-    with pytest.raises(OptionError) as caught:
-        check_suffix(tmp_path / "b.clip.yaml", source)
-    assert "animtool convert" in str(caught.value.faults[0].hint)
 
 
 def test_nothing_written_is_an_error(tmp_path: Path) -> None:

@@ -10,8 +10,9 @@ from support.bvh import random_rows, small_bvh
 
 from animtool.core.errors import AnimtoolError, OptionError
 from animtool.core.shot import Shot
-from animtool.scene.bake.bake import plan_bake, run_bake, start_of
+from animtool.scene.bake.bake import run_stage
 from animtool.scene.bake.options import BakeOptions
+from animtool.scene.bake.plan import plan_stage, start_of
 from animtool.scene.bake.reading import check_options
 from animtool.scene.sources.open import SourceOptions, open_source
 
@@ -25,10 +26,10 @@ def take(tmp_path: Path) -> Path:
 
 def test_a_plan_writes_nothing_and_runs(take: Path, tmp_path: Path) -> None:
     output = tmp_path / "o.usda"
-    plan = plan_bake(take, output)
+    plan = plan_stage(take, output)
     assert (plan.form, plan.fps, plan.start) == ("stage", 30, 1)
     assert not output.exists()
-    report = run_bake(plan)
+    report = run_stage(plan)
     assert output.exists()
     assert report.result.outputs == [output]
     assert report.seconds["total"] >= report.seconds["author"]
@@ -38,9 +39,9 @@ def test_a_plan_finds_what_is_wrong_before_the_rows(take: Path, tmp_path: Path) 
     take.write_text(take.read_text() + "not a row\n")
     (tmp_path / "o.usda").write_text("mine")
     with pytest.raises(AnimtoolError) as caught:
-        plan_bake(take, tmp_path / "o.usda")
+        plan_stage(take, tmp_path / "o.usda")
     assert caught.value.code == "OUT001"
-    plan_bake(take, tmp_path / "new.usda")
+    plan_stage(take, tmp_path / "new.usda")
 
 
 @pytest.mark.parametrize("name", ["take.usda", "other.usda"])
@@ -48,12 +49,12 @@ def test_what_a_scene_reads_is_not_replaced(
     take: Path, name: str, tmp_path: Path
 ) -> None:
     for stem in ("take", "other"):
-        run_bake(plan_bake(take, tmp_path / f"{stem}.usda"))
+        run_stage(plan_stage(take, tmp_path / f"{stem}.usda"))
     scene = tmp_path / "shot.scene.yaml"
     text = "scene: animtool/1\nsource: {file: take.usda}\n"
     scene.write_text(f"{text}passes:\n- blend: {{take: other.usda}}\n", "utf-8")
     with pytest.raises(OptionError) as caught:
-        plan_bake(scene, tmp_path / name, BakeOptions(overwrite=True))
+        plan_stage(scene, tmp_path / name, BakeOptions(overwrite=True))
     assert caught.value.code == "OUT003"
 
 
@@ -76,7 +77,7 @@ def test_sources_that_are_none(take: Path, name: str, code: str) -> None:
 
 def test_no_source_is_an_option_error(tmp_path: Path) -> None:
     with pytest.raises(AnimtoolError) as caught:
-        plan_bake([], tmp_path / "o.usda")
+        plan_stage([], tmp_path / "o.usda")
     assert caught.value.code == "CLI002"
 
 

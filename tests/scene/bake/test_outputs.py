@@ -14,8 +14,9 @@ from animtool import bake, open_source
 from animtool.core.errors import FormatError, OptionError, StrictError
 from animtool.motion.passes import PASSES, Pass, PassContext, Scope
 from animtool.motion.take import Take
+from animtool.scene.bake.bake import bake_outputs
 from animtool.scene.bake.options import BakeOptions
-from animtool.scene.bake.outputs import bake_scene, scene_files
+from animtool.scene.bake.outline import outlined
 from animtool.scene.file.read import load_scene
 
 SCENE = """scene: animtool/1
@@ -55,7 +56,7 @@ def made(shot: Path) -> list[str]:
 
 
 def test_all_outputs_hold_the_same_take(shot: Path) -> None:
-    reports = bake_scene(load_scene(shot))
+    reports = bake_outputs(load_scene(shot))
     assert len(reports) == 4
     assert made(shot) == FILES
     wanted = open_source(shot.parent / "shot.usdc").collect()
@@ -85,7 +86,7 @@ def test_passes_run_once(shot: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("scene.bake.test_outputs.COUNTING", counting, raising=False)
     monkeypatch.setitem(PASSES, "counting", "scene.bake.test_outputs:COUNTING")
     shot.write_text(SCENE.replace("mirror", "counting"), "utf-8")
-    bake_scene(load_scene(shot))
+    bake_outputs(load_scene(shot))
     assert runs == [64]
 
 
@@ -98,7 +99,7 @@ def test_an_output_that_fails_leaves_none(
     monkeypatch.setattr("animtool.formats.bvh.write.bvh_text", full)
     before = made(shot)
     with pytest.raises(OSError, match="No space"):
-        bake_scene(load_scene(shot))
+        bake_outputs(load_scene(shot))
     assert made(shot) == before
 
 
@@ -106,7 +107,7 @@ def test_warnings_under_strict_leave_none(shot: Path) -> None:
     text = SCENE.replace("mirror:", "loop: {first: 1, last: 17}")
     shot.write_text(text, "utf-8")
     with pytest.raises(StrictError):
-        bake_scene(load_scene(shot), BakeOptions(strict=True))
+        bake_outputs(load_scene(shot), None, BakeOptions(strict=True))
     assert made(shot) == []
 
 
@@ -114,10 +115,10 @@ def test_every_output_is_checked_before(shot: Path) -> None:
     for name in ("shot.usdc", "shot.bvh"):
         (shot.parent / name).touch()
     with pytest.raises(OptionError) as caught:
-        bake_scene(load_scene(shot))
+        bake_outputs(load_scene(shot))
     said = [(f.code, Path(f.path or "").name) for f in caught.value.faults]
     assert said == [("OUT001", "shot.usdc"), ("OUT001", "shot.bvh")]
-    bake_scene(load_scene(shot), BakeOptions(overwrite=True))
+    bake_outputs(load_scene(shot), None, BakeOptions(overwrite=True))
     assert made(shot) == FILES
 
 
@@ -125,7 +126,7 @@ def test_two_outputs_of_one_file(shot: Path) -> None:
     text = SCENE.replace("parts.usda, as: split", "Shot.usdc")
     shot.write_text(text, "utf-8")
     with pytest.raises(OptionError) as caught:
-        bake_scene(load_scene(shot))
+        bake_outputs(load_scene(shot))
     [fault] = caught.value.faults
     assert (fault.code, fault.lines, fault.where) == ("OUT007", (9,), "output[1]")
 
@@ -133,7 +134,7 @@ def test_two_outputs_of_one_file(shot: Path) -> None:
 def test_an_output_that_is_read(shot: Path) -> None:
     shot.write_text(SCENE.replace("shot.bvh", "walk.bvh"), "utf-8")
     with pytest.raises(OptionError) as caught:
-        bake_scene(load_scene(shot), BakeOptions(overwrite=True))
+        bake_outputs(load_scene(shot), None, BakeOptions(overwrite=True))
     assert caught.value.code == "OUT003"
     stage = shot.parent / "walk.usda"
     assert animtool("bake", shot.parent / "walk.bvh", "-o", stage).code == 0
@@ -183,7 +184,7 @@ def test_the_command_line(shot: Path) -> None:
 
 
 def test_files_are_known_beforehand(shot: Path) -> None:
-    found = scene_files(load_scene(shot), BakeOptions())
+    found = outlined(load_scene(shot), None).files
     assert sorted(path.name for path in found) == FILES
 
 

@@ -11,7 +11,7 @@ from support.sanitized import SANITIZED
 
 from animtool import bake
 from animtool.scene.bake import progress
-from animtool.scene.bake.outputs import bake_scene
+from animtool.scene.bake.bake import bake_outputs
 from animtool.scene.bake.progress import BlockProgress, PeakMemory, Phases, TimeProgress
 from animtool.scene.file.read import load_scene
 
@@ -110,7 +110,7 @@ def test_a_scene_of_several_outputs_tells_too(tmp_path: Path) -> None:
     path = tmp_path / "several.scene.yaml"
     path.write_text(f"{SIMULATED}output: [{{file: a.usda}}, {{file: a.clip.yaml}}]\n")
     told: list[float] = []
-    bake_scene(load_scene(path), progress=told.append)
+    bake_outputs(load_scene(path), progress=told.append)
     check(told)
 
 

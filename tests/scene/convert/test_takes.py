@@ -12,7 +12,7 @@ from support.cli import animtool
 from animtool.clip.reduction.points import SHELL, attached_points, point_errors
 from animtool.core.errors import OptionError
 from animtool.rig.file import load_rig
-from animtool.scene.bake.outputs import bake
+from animtool.scene.bake.bake import bake
 from animtool.scene.convert.takes import convert
 from animtool.scene.file.read import load_scene
 from animtool.scene.sources.open import open_source

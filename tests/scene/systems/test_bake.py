@@ -13,7 +13,8 @@ from support.faults import raises
 from animtool import BakeOptions, bake
 from animtool.cli.summary import bake_json, bake_text
 from animtool.core.errors import AnimtoolError, FormatError, OptionError, ToleranceError
-from animtool.scene.bake.plan_steps import StepKind, bake_steps
+from animtool.scene.bake.outline import outlined
+from animtool.scene.bake.steps import StepKind, bake_steps
 from animtool.scene.file.read import load_scene
 from animtool.scene.systems.simulation import open_systems
 
@@ -167,7 +168,7 @@ def test_a_character_without_capsules_is_said(walk: Path, tmp_path: Path) -> Non
 
 
 def test_what_a_bake_would_do_is_said(tmp_path: Path) -> None:
-    steps = bake_steps(written(tmp_path, SCENE), tmp_path / "x.usdc")
+    steps = bake_steps(outlined(written(tmp_path, SCENE), tmp_path / "x.usdc"))
     assert [step.kind for step in steps] == [StepKind.SYSTEM, StepKind.OUTPUT]
     assert steps[0].reads == ("1 emitter", "2 forces", "2 colliders")
 

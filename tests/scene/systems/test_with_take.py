@@ -21,8 +21,9 @@ from animtool.core.errors import AnimtoolError, FormatError, OptionError
 from animtool.core.shot import FrameRange
 from animtool.core.units import LengthUnit, UpAxis
 from animtool.rig.file import load_rig
-from animtool.scene.bake.outputs import bake_scene
-from animtool.scene.bake.plan_steps import StepKind, bake_steps
+from animtool.scene.bake.bake import bake_outputs
+from animtool.scene.bake.outline import outlined
+from animtool.scene.bake.steps import StepKind, bake_steps
 from animtool.scene.file.read import load_scene
 from animtool.scene.sources.open import open_source
 
@@ -319,13 +320,13 @@ def test_the_same_bytes_each_time(tmp_path: Path) -> None:
 
 def test_several_outputs(tmp_path: Path) -> None:
     outputs = "output: [{file: a.usdc}, {file: b.usdc, deform: true}, {file: c.bvh}]\n"
-    reports = bake_scene(load_scene(scene(tmp_path, outputs)))
+    reports = bake_outputs(load_scene(scene(tmp_path, outputs)))
     assert_same(values(tmp_path / "a.usdc"), values(tmp_path / "b.usdc"))
     assert "SCN112" in {notice.code for notice in reports[2].notices}
 
 
 def test_what_a_bake_would_do_is_said(tmp_path: Path) -> None:
-    steps = bake_steps(scene(tmp_path), tmp_path / "x.usdc")
+    steps = bake_steps(outlined(scene(tmp_path), tmp_path / "x.usdc"))
     kinds = [step.kind for step in steps]
     assert kinds == [StepKind.SOURCE, StepKind.SYSTEM, StepKind.OUTPUT]
     assert steps[1].reads == ("1 emitter", "the character")

@@ -9,8 +9,8 @@ from support.cli import animtool
 
 from animtool.core.errors import AnimtoolError
 from animtool.report.compare import compare
+from animtool.scene.bake.bake import bake
 from animtool.scene.bake.options import BakeOptions
-from animtool.scene.bake.outputs import bake
 
 
 def test_a_package_is_the_bake_in_one_file(walk: Path, tmp_path: Path) -> None:

@@ -17,8 +17,8 @@ from support.placed import (
 )
 from support.suite import some_quick
 
+from animtool.scene.bake.bake import bake
 from animtool.scene.bake.options import BakeOptions
-from animtool.scene.bake.outputs import bake
 
 TOOL = """
 def Xform "tool"

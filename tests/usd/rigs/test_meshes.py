@@ -20,8 +20,8 @@ from animtool.rig.kinematics import WorldTransforms, bind_matrices, bind_world, 
 from animtool.rig.parts import HeldArray, Mesh
 from animtool.rig.skeleton import Rig
 from animtool.rig.surfaces import Surface, surfaces_of
+from animtool.scene.bake.bake import bake
 from animtool.scene.bake.options import BakeOptions
-from animtool.scene.bake.outputs import bake
 from animtool.skin.deform import DeformedMesh, deform
 from animtool.skin.shapes import InbetweenDeltas, ShapeDeltas, prepare_shapes
 from animtool.skin.skinning import Binding, SkinMethod, prepare_skin

@@ -32,8 +32,8 @@ from animtool.maths import so3
 from animtool.report.describe import describe
 from animtool.rig.placement import Placement
 from animtool.rig.skeleton import Rig
+from animtool.scene.bake.bake import bake
 from animtool.scene.bake.options import BakeOptions
-from animtool.scene.bake.outputs import bake
 from animtool.scene.convert.takes import convert
 from animtool.scene.solves.retarget import RetargetJob, run_retarget
 from animtool.scene.sources.open import SourceOptions

@@ -16,8 +16,8 @@ from support.placed import (
 
 from animtool import open_source
 from animtool.core.errors import FormatError
+from animtool.scene.bake.bake import bake
 from animtool.scene.bake.options import BakeOptions
-from animtool.scene.bake.outputs import bake
 from animtool.scene.convert.takes import convert
 from animtool.scene.sources.open import SourceOptions
 

@@ -8,8 +8,8 @@ import pytest
 from pxr import Usd, UsdGeom
 
 from animtool.core.errors import Fault
+from animtool.scene.bake.bake import bake
 from animtool.scene.bake.options import BakeOptions
-from animtool.scene.bake.outputs import bake
 
 MESH = """
 int[] faceVertexCounts = [3]

@@ -17,8 +17,8 @@ from support.usd import joint_positions, open_stage, skeleton_query, validation_
 from animtool.core.errors import AnimtoolError
 from animtool.core.shot import FrameRange
 from animtool.core.units import LengthUnit, UpAxis
+from animtool.scene.bake.bake import bake
 from animtool.scene.bake.options import BakeOptions
-from animtool.scene.bake.outputs import bake
 from animtool.scene.sources.open import SourceOptions
 
 

@@ -22,8 +22,8 @@ from support.usd import joint_positions, open_stage, skeleton_query, validation_
 from animtool.core.errors import AnimtoolError
 from animtool.core.shot import FrameRange
 from animtool.motion.take import Take
+from animtool.scene.bake.bake import bake
 from animtool.scene.bake.options import BakeOptions
-from animtool.scene.bake.outputs import bake
 from animtool.scene.bake.prims import BakeReport
 from animtool.usd.layers.jobs import Form, UsdJob, UsdTake
 from animtool.usd.layers.names import RigPaths, joint_names

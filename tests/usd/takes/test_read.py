@@ -17,8 +17,8 @@ from animtool.core.errors import FormatError
 from animtool.core.shot import FrameRange
 from animtool.formats.bvh import read_bvh
 from animtool.report.compare import compare_takes
+from animtool.scene.bake.bake import bake
 from animtool.scene.bake.options import BakeOptions
-from animtool.scene.bake.outputs import bake
 from animtool.scene.convert.takes import convert
 from animtool.usd.takes.read import read_usd
 

@@ -14,7 +14,7 @@ from support.suite import some_quick
 from animtool.core.errors import Fault, Severity
 from animtool.core.rules import own_rules
 from animtool.motion.take import Take
-from animtool.scene.bake.outputs import bake
+from animtool.scene.bake.bake import bake
 from animtool.scene.sources.open import open_source
 from animtool.validation.motion.subject import MotionSubject
 from animtool.validation.run import findings_in

@@ -7,25 +7,23 @@ from dataclasses import dataclass, fields, replace
 from enum import StrEnum
 from fractions import Fraction
 from pathlib import Path
-from typing import cast
 
 from animtool.core.clock import Clock
 from animtool.core.errors import counted, listed
 from animtool.core.rates import rate_label
+from animtool.core.writers import CLIP, take_writer
 from animtool.motion.motion import Motion
 from animtool.motion.passes import TakePart, sees_tracks
 from animtool.motion.take import TakeStream
 from animtool.motion.transforms import Track
 from animtool.rig.skeleton import Rig
-from animtool.scene.bake.options import BakeOptions, merged
-from animtool.scene.bake.reading import Source, form_of, found_sources, output_files
-from animtool.scene.convert.takes import convert_outputs
+from animtool.scene.bake.options import BakeOptions
+from animtool.scene.bake.outline import Outline, OutputEntry, check_outline
+from animtool.scene.bake.reading import form_of
 from animtool.scene.file.entries import (
-    OutputKind,
     ScenePass,
     SceneProp,
     SceneSystem,
-    kind_of,
 )
 from animtool.scene.scene import Scene
 from animtool.scene.sources.open import fitting_options, open_source
@@ -54,52 +52,32 @@ class Step:
     left_out: tuple[str, ...] = ()  # what is not made, each with the reason
 
 
-def bake_steps(
-    source: Source | Sequence[Source],
-    output: Path | None,
-    options: BakeOptions | None = None,
-) -> list[Step]:
+def bake_steps(outline: Outline) -> list[Step]:
     """Return the steps of a bake in their order; sources are read, passes are not run.
 
-    output: likewise; None takes those that a scene names.
+    Raises:
+        AnimtoolError: As `animtool.bake` does before it reads; files that exist are
+            marked.
     """
-    alone = isinstance(source, str) or not isinstance(source, Sequence)
-    given = cast("Sequence[Source]", [source] if alone else source)
-    reading = found_sources(given)
-    options = options or BakeOptions()
+    check_outline(outline.replacing)
+    reading, scene, outputs = outline.reading, outline.scene, outline.outputs
+    if scene is not None and not scene.sources:
+        return _simulated_steps(scene, outputs)
     steps: list[Step] = []
     last: _State | None = None
     for path in reading.files:
-        scene = reading.scenes.get(path)
-        if scene is not None and not scene.sources:
-            return _simulated_steps(scene, output, options)
-        if scene is None:
-            own = fitting_options(options.source, path, reading.files)
-            last = _State.of(open_source(path, own))
-            steps.append(_source_step(path, "", last))
+        if path in reading.scenes:
+            last = _scene_steps(reading.scenes[path], steps)
             continue
-        last = _scene_steps(scene, steps)
+        own = fitting_options(outputs[0].options.source, path, reading.files)
+        last = _State.of(open_source(path, own))
+        steps.append(_source_step(path, "", last))
     assert last is not None
-    outputs = [_Output(output, options, "output" if output is None else "")]
-    if len(reading.files) == 1 and reading.scenes:
-        scene = reading.scenes[reading.files[0]]
-        outputs = list(_scene_outputs(scene, output, options))
-        steps += _system_steps(scene, outputs)
+    steps += [] if scene is None else _system_steps(scene, outputs)
     for entry in outputs:
-        state = replace(last, systems=len(entry.systems))
-        steps.append(_output_step(entry.path, entry.options, entry.where, state))
+        systems = len(_written(entry))
+        steps.append(_output_step(entry, replace(last, systems=systems)))
     return steps
-
-
-@dataclass(frozen=True, slots=True)
-class _Output:
-    """An output of a bake."""
-
-    path: Path | None  # the file; None is stdout, or beside the source
-    options: BakeOptions  # of the bake
-    where: str  # its entry in the scene; empty where there is none
-    systems: tuple[str, ...] = ()  # names of what is simulated that go into it
-    simulated: tuple[str, ...] = ()  # likewise, and of those that these need
 
 
 @dataclass(frozen=True, slots=True)
@@ -193,9 +171,20 @@ def _scene_steps(scene: Scene, steps: list[Step]) -> _State:
     return state
 
 
-def _system_steps(scene: Scene, outputs: Sequence[_Output]) -> list[Step]:
+def _written(entry: OutputEntry) -> list[str]:
+    """Return the systems that go into an output."""
+    systems = () if entry.scene is None else entry.scene.systems
+    return [system.name for system in systems if system.written]
+
+
+def _system_steps(scene: Scene, outputs: Sequence[OutputEntry]) -> list[Step]:
     """Return the steps of systems that an output has, or that these need."""
-    names = {name for output in outputs for name in output.simulated}
+    names = {
+        system.name
+        for entry in outputs
+        if entry.scene is not None
+        for system in entry.scene.systems
+    }
     return [
         _system_step(scene, system) for system in scene.systems if system.name in names
     ]
@@ -209,21 +198,21 @@ def _system_step(scene: Scene, system: SceneSystem) -> Step:
     return Step(StepKind.SYSTEM, system.name, where, reads, (setup.makes,))
 
 
-def _simulated_steps(
-    scene: Scene, output: Path | None, options: BakeOptions
-) -> list[Step]:
+def _simulated_steps(scene: Scene, outputs: Sequence[OutputEntry]) -> list[Step]:
     """Return the steps of a scene that has no source."""
-    outputs = list(_scene_outputs(scene, output, options))
     steps = _system_steps(scene, outputs)
     for entry in outputs:
-        files, path = ["stdout"], entry.path
-        if path is not None:
-            files = _named(output_files(path, entry.options, simulated=True))
-        name = "stdout" if path is None else str(path)
-        prims = listed(entry.systems)
-        lines = (f"{Form.STAGE} with {prims}, their points and velocities", *files)
-        steps.append(Step(StepKind.OUTPUT, name, entry.where, ("systems",), lines))
+        prims = listed(_written(entry))
+        lines = (f"{Form.STAGE} with {prims}, their points and velocities",)
+        name = "stdout" if entry.path is None else str(entry.path)
+        made = (*lines, *_named(entry.files))
+        steps.append(Step(StepKind.OUTPUT, name, _where(entry), ("systems",), made))
     return steps
+
+
+def _where(entry: OutputEntry) -> str:
+    """Return the place of an output in its scene; empty where there is no scene."""
+    return "" if entry.scene is None else entry.scene.outputs[0].place.where
 
 
 def _prop_step(prop: SceneProp, track: Track) -> Step:
@@ -292,32 +281,11 @@ def _ordered(parts: frozenset[TakePart]) -> list[str]:
     return [str(part) for part in TakePart if part in parts]
 
 
-def _scene_outputs(
-    scene: Scene, output: Path | None, options: BakeOptions
-) -> Iterator[_Output]:
-    """Yield the outputs of a scene; a file that is named is the first of them."""
-    entries = scene.outputs if output is None else scene.outputs[:1]
-    for entry in entries:
-        systems = scene.writing(entry).systems
-        yield _Output(
-            output or entry.path,
-            merged(options, entry.bake),
-            entry.place.where,
-            tuple(system.name for system in systems if system.written),
-            tuple(system.name for system in systems),
-        )
-
-
-def _output_step(
-    path: Path | None, options: BakeOptions, where: str, state: _State
-) -> Step:
-    if path is not None and kind_of(path) is not OutputKind.USD:
-        return _converted_step(path, where, state)
+def _output_step(entry: OutputEntry, state: _State) -> Step:
+    if not entry.is_stage:
+        return _file_step(entry, state)
+    path, options = entry.path, entry.options
     form = form_of(options)
-    files = ["stdout"]
-    if path is not None:
-        simulated = bool(state.systems)
-        files = _named(output_files(path, options, simulated=simulated))
     reads = ["take"]
     if options.rig_layer is not None:
         reads.insert(0, str(options.rig_layer))
@@ -331,43 +299,48 @@ def _output_step(
     return Step(
         StepKind.OUTPUT,
         "stdout" if path is None else str(path),
-        where,
+        _where(entry),
         tuple(reads),
-        (f"{form} with {makes}", *files),
+        (f"{form} with {makes}", *_named(entry.files)),
         tuple(_left_out(options, form, state)),
     )
 
 
-def _converted_step(path: Path, where: str, state: _State) -> Step:
-    is_clip = kind_of(path) is OutputKind.CLIP
-    what = "keys within a tolerance" if is_clip else "samples of rotations"
+def _file_step(entry: OutputEntry, state: _State) -> Step:
+    """Return the step of a file of another format than USD."""
+    path = entry.path
+    assert path is not None
+    writer = take_writer(path)
+    noun = "keys have" if writer is CLIP else f"a {writer.name.upper()} has"
     left_out = []
     if state.tracks:
-        kind = "keys have" if is_clip else "a BVH has"
-        left_out.append(
-            f"{counted(len(state.tracks), 'thing')} beside: {kind} no place"
-        )
+        what = counted(len(state.tracks), "thing")
+        left_out.append(f"{what} beside: {noun} no place")
     if state.systems:
         left_out.append(f"{counted(state.systems, 'system')}: they are points")
-    if not is_clip and TakePart.SHAPES in state.moving:
-        left_out.append("shapes: a BVH has no place for them")
-    if state.rig.meshes and not is_clip:
-        left_out.append("meshes: a BVH has no place for them")
-    if state.curves and is_clip:
+    has = {"shapes": TakePart.SHAPES in state.moving, "meshes": bool(state.rig.meshes)}
+    left_out += [
+        f"{part}: {noun} no place for them"
+        for part, there in has.items()
+        if there and part not in writer.holds
+    ]
+    if state.curves and writer is CLIP:
         left_out.append("curves of controls: keys are fitted to the samples anew")
     return Step(
         StepKind.OUTPUT,
         str(path),
-        where,
+        _where(entry),
         ("take",),
-        (what, *_named(convert_outputs(path))),
+        (writer.samples, *_named(entry.files)),
         tuple(left_out),
     )
 
 
 def _named(files: list[Path]) -> list[str]:
-    """Return files as they are called, those marked that are there."""
-    return [f"{path} (exists)" if path.exists() else str(path) for path in files]
+    """Return files as they are called, those marked that are there; else stdout."""
+    return [f"{path} (exists)" if path.exists() else str(path) for path in files] or [
+        "stdout"
+    ]
 
 
 def _left_out(options: BakeOptions, form: Form, state: _State) -> Iterator[str]:

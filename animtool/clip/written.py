@@ -1,0 +1,104 @@
+"""A take as a clip file of sparse keys, with the rig file that it is for beside it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from animtool.clip.clip import clip_text
+from animtool.clip.keyed_take import keyed_take
+from animtool.clip.reduction.tolerance import KEY_TOLERANCE
+from animtool.core.clock import FrameSpan
+from animtool.core.errors import Fault, Severity, listed
+from animtool.core.files.reading import seen_from
+from animtool.core.units import parse_length
+from animtool.core.writers import CLIP, output_stem
+from animtool.motion.take import Take
+from animtool.motion.take_files import Contents, TakeFiles, WriteOptions
+from animtool.rig.skeleton import JointType, Rig
+from animtool.rig.surfaces import StoredArrays, with_file
+from animtool.rig.write import rig_text
+
+MAX_NAMES = 6
+
+
+def clip_files(take: Take, path: Path, options: WriteOptions) -> TakeFiles:
+    """Return a take as keys within a tolerance: a clip, its rig and the rig's arrays.
+
+    Args:
+        take: The take; of an additive one the differences.
+        path: The clip file.
+        options: ``tolerance`` is half a millimetre where none is given.
+    """
+    left_out = _left_out(take)
+    below = options.base
+    if below is not None:
+        take = replace(take, rig=without_rest(take.rig))
+    stem = output_stem(path)
+    rig_path = options.rig_file or CLIP.files(path)[0]
+    contents: dict[Path, Contents] = {}
+    rig: Rig = take.rig
+    if options.rig_file is None:
+        arrays_path = path.with_name(f"{stem}.npz")
+        arrays: StoredArrays
+        rig, arrays = with_file(typed_by_motion(take), arrays_path, moved=True)
+        contents |= {arrays_path: arrays} if arrays else {}
+        contents[rig_path] = [rig_text(rig).encode()]
+    tolerance = options.tolerance
+    keyed = keyed_take(
+        take,
+        rig,
+        stem,
+        parse_length(KEY_TOLERANCE) if tolerance is None else tolerance,
+        joint_tolerances=options.joint_tolerances,
+        base=below,
+    )
+    text = clip_text(keyed.clip, rig, seen_from(rig_path, path.parent))
+    contents[path] = [text.encode()]
+    return TakeFiles(
+        contents,
+        FrameSpan(keyed.clip.first, keyed.clip.last, keyed.clip.fps),
+        len(rig.joints),
+        [*left_out, *keyed.notices],
+        keyed,
+    )
+
+
+def _left_out(take: Take) -> list[Fault]:
+    """Return a warning of what a clip has no place for."""
+    names = [*(track.path for track in take.tracks), *take.motion.points]
+    if not names:
+        return []
+    message = f"a clip has no place for {listed(names, MAX_NAMES)}: left out"
+    hint = "write USD too, which holds them"
+    return [Fault("CLIP119", message, severity=Severity.WARNING, hint=hint)]
+
+
+def without_rest(rig: Rig) -> Rig:
+    """Return a rig whose rest pose, for an additive take, changes nothing."""
+    joints = tuple(
+        replace(joint, translation=(0.0, 0.0, 0.0), rotation=(0.0, 0.0, 0.0, 1.0))
+        for joint in rig.joints
+    )
+    return replace(rig, joints=joints, bind={})
+
+
+def typed_by_motion(take: Take) -> Rig:
+    """Return the rig of a take with joints that can do what the take does.
+
+    A joint whose translation moves, or is not that of rest, is free; the others are
+    balls. A rig with controls, pins, slides or fixed joints keeps its own types.
+    """
+    free = {JointType.FREE, JointType.BALL}
+    if take.rig.controls or any(j.type not in free for j in take.rig.joints):
+        return take.rig
+    channel = take.motion.translations
+    moved = (channel.rest != take.rig.rest_translations).any(axis=1)
+    moved[channel.animated] = True
+    joints = tuple(
+        replace(joint, type=JointType.FREE if moves else JointType.BALL)
+        if joint.type is JointType.FREE
+        else joint
+        for joint, moves in zip(take.rig.joints, moved.tolist(), strict=True)
+    )
+    return replace(take.rig, joints=joints)

@@ -1,0 +1,246 @@
+"""What writes a file, by its suffix: the motion of a take, and markers.
+
+The table holds the writers; what they write a file with is imported when used.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, cast
+
+from animtool.core.errors import Fault, OptionError
+from animtool.core.files.reading import is_there
+from animtool.core.names import KINDS
+from animtool.core.plugins import load_object, load_plugin, plugin_points
+
+PLUGIN_GROUP = "animtool.writers"
+
+
+@dataclass(frozen=True, slots=True)
+class Writer:
+    """One entry of the table of writers.
+
+    Attributes:
+        name: What reports call the format, such as ``bvh``.
+        about: What such files are, one line.
+        take: ``module:object`` of a function from a take, a path and
+            `animtool.motion.take_files.WriteOptions` to the files to write; empty
+            where such files hold no motion, or it is written by ``stage``.
+        text: ``module:object`` of a function from a take with a sample on every frame
+            to `animtool.formats.take_text.TakeText`, of a format of one file and a row
+            a frame; in place of ``take``.
+        stage: Whether it is USD, which a bake writes block by block.
+        markers: ``module:object`` of a function from markers, a path and ``overwrite``
+            to what the format cannot hold; empty where such files hold no markers.
+        sidecars: Suffixes of files that are written beside the output.
+        options: Names of the options of a bake that are for such files alone.
+        holds: Which parts of a take have a place: ``joints``, ``shapes``,
+            ``controls``, ``meshes``.
+        samples: What it holds of a take, as a plan says it.
+        numbered: Whether times in the file say which frame is the first.
+    """
+
+    name: str
+    about: str
+    take: str = ""
+    text: str = ""
+    stage: bool = False
+    markers: str = ""
+    sidecars: tuple[str, ...] = ()
+    options: tuple[str, ...] = ()
+    holds: frozenset[str] = frozenset()
+    samples: str = "samples of rotations"
+    numbered: bool = False
+
+    @property
+    def holds_motion(self) -> bool:
+        """Whether a take can be written."""
+        return self.stage or bool(self.take or self.text)
+
+    def files(self, path: Path) -> list[Path]:
+        """Return the files of an output, it last.
+
+        Those that not every take has are left out.
+
+        >>> [one.name for one in CLIP.files(Path("walk.clip.yaml"))]
+        ['walk.rig.yaml', 'walk.clip.yaml']
+        """
+        stem = output_stem(path)
+        return [*(path.with_name(f"{stem}{end}") for end in self.sidecars), path]
+
+
+def output_stem(path: Path) -> str:
+    """Return the name of a file without its suffix, nor that of a clip."""
+    return path.name.removesuffix(path.suffix).removesuffix(".clip")
+
+
+USD = Writer("usd", "USD", stage=True)
+CLIP = Writer(
+    "clip",
+    "clip files, keys within a tolerance",
+    "animtool.clip.written:clip_files",
+    sidecars=(".rig.yaml",),
+    options=("reduce", "reduce_at"),
+    holds=frozenset({"joints", "shapes", "controls", "meshes"}),
+    samples="keys within a tolerance",
+)
+BVH = Writer(
+    "bvh",
+    "Biovision Hierarchy",
+    text="animtool.formats.bvh.write:bvh_text",
+    holds=frozenset({"joints"}),
+)
+LIVELINK = Writer(
+    "csv",
+    "Live Link Face recordings",
+    text="animtool.formats.livelink.write:livelink_text",
+    holds=frozenset({"shapes"}),
+    samples="weights of ARKit's shapes",
+)
+_MOT = "animtool.formats.mot.write:mot_text"
+MOT, STO = (
+    Writer(
+        name,
+        about,
+        text=_MOT,
+        holds=frozenset({"joints"}),
+        samples="samples of joint coordinates",
+        numbered=True,
+    )
+    for name, about in (("mot", "OpenSim motion"), ("sto", "OpenSim storage"))
+)
+C3D = Writer("c3d", "C3D markers", markers="animtool.formats.c3d.write:write_c3d")
+TRC = Writer("trc", "TRC markers", markers="animtool.formats.trc.write:write_trc")
+WRITERS: dict[str, Writer] = {
+    ".bvh": BVH,
+    ".usd": USD,
+    ".usda": USD,
+    ".usdc": USD,
+    ".usdz": USD,
+    ".yaml": CLIP,
+    ".yml": CLIP,
+    ".csv": LIVELINK,
+    ".mot": MOT,
+    ".sto": STO,
+    ".c3d": C3D,
+    ".trc": TRC,
+    ".npz": Writer(
+        "npz",
+        "arrays of markers",
+        markers="animtool.formats.marker_arrays:write_marker_arrays",
+    ),
+}
+
+
+def writer_of(path: Path) -> Writer | None:
+    """Return the writer of a file by its suffix; None where none has it.
+
+    Raises:
+        OptionError: The plug-in that has it cannot be loaded (IO003).
+
+    >>> writer_of(Path("walk.MOT")).about
+    'OpenSim motion'
+    """
+    suffix = path.suffix.lower()
+    if suffix in WRITERS:
+        return WRITERS[suffix]
+    points = plugin_points(PLUGIN_GROUP) if suffix else {}
+    point = points.get(suffix.removeprefix("."))
+    return None if point is None else load_plugin(point, Writer)
+
+
+def take_writer(path: Path, *, folders: bool = False) -> Writer:
+    """Return the writer of a take.
+
+    folders: whether an output may be a folder, which the hint then says.
+
+    Raises:
+        OptionError: The name is of no file that holds motion (OUT004), or the plug-in
+            that has its suffix cannot be loaded (IO003).
+    """
+    writer = writer_of(path)
+    if writer is not None and writer.holds_motion:
+        stated = Path(path.stem).suffix.lower().removeprefix(".")
+        if writer is not CLIP or stated not in KINDS or stated == "clip":
+            return writer
+        message = f"is the name of a {stated} file, and holds no motion"
+    elif writer is not None:
+        message = f"holds {writer.about}, and no motion of joints"
+    else:
+        kind = f"suffix {path.suffix!r}" if path.suffix else "a name without suffix"
+        message = f"{kind} is no format that animtool writes"
+    hint = f"allowed: {', '.join(_motion_suffixes())}"
+    if not path.suffix and path.name and is_there(path) and path.is_dir():
+        message = "is a folder, not a file"
+        hint = f"name a file in it, such as {path / 'shot.usdc'}"
+    elif not path.suffix:
+        hint += f"; {path}/ names a folder" if folders else ""
+    raise OptionError(Fault("OUT004", message, str(path), (), hint))
+
+
+def marker_writer(path: Path) -> Callable[..., list[Fault]]:
+    """Return what writes markers to a file; OUT004 where nothing does."""
+    writer = writer_of(path)
+    if writer is None or not writer.markers:
+        kind = f"suffix {path.suffix!r}" if path.suffix else "a name without suffix"
+        message = f"{kind} is no format that markers are written to"
+        of_markers = [suffix for suffix, one in WRITERS.items() if one.markers]
+        hint = f"allowed: {', '.join(of_markers)}"
+        raise OptionError(Fault("OUT004", message, str(path), (), hint))
+    return cast(Callable[..., list[Fault]], load_object(writer.markers))
+
+
+def writes_stage(path: Path) -> bool:
+    """Return whether a path is that of a USD file to write."""
+    return WRITERS.get(path.suffix.lower()) is USD
+
+
+def _motion_suffixes() -> list[str]:
+    """Return the suffixes that takes are written to, those of plug-ins included."""
+    own = sorted(
+        ".clip.yaml" if writer is CLIP else suffix
+        for suffix, writer in WRITERS.items()
+        if writer.holds_motion and suffix != ".yml"
+    )
+    return [*own, *(f".{name}" for name in sorted(plugin_points(PLUGIN_GROUP)))]
+
+
+@dataclass(frozen=True, slots=True)
+class ListedWriter:
+    """A writer as `animtool plugins` lists it."""
+
+    suffix: str  # of the files
+    source: str  # ``animtool``, or the object that an entry point names
+    # What such files can hold; empty where it cannot be loaded.
+    writes: tuple[str, ...]
+    about: str  # what they are, or why it cannot be loaded
+
+
+def listed_writers() -> list[ListedWriter]:
+    """Return every writer, animtool's own first, those of plug-ins loaded.
+
+    >>> listed_writers()[0].suffix
+    '.bvh'
+    """
+    writers = [
+        ListedWriter(suffix, "animtool", _writes(writer), writer.about)
+        for suffix, writer in WRITERS.items()
+    ]
+    for name, point in sorted(plugin_points(PLUGIN_GROUP).items()):
+        if f".{name}" in WRITERS:
+            continue
+        writes: tuple[str, ...] = ()
+        try:
+            writer = load_plugin(point, Writer)
+            writes, about = _writes(writer), writer.about
+        except OptionError as error:
+            about = error.faults[0].message
+        writers.append(ListedWriter(f".{name}", point.value, writes, about))
+    return writers
+
+
+def _writes(writer: Writer) -> tuple[str, ...]:
+    named: dict[str, Any] = {"motion": writer.holds_motion, "markers": writer.markers}
+    return tuple(name for name, has in named.items() if has)

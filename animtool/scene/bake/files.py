@@ -1,0 +1,126 @@
+"""Takes written as files of other formats than USD, by the table of writers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from fractions import Fraction
+from pathlib import Path
+from typing import TYPE_CHECKING, cast
+
+from animtool.core.clock import Clock, FrameSpan
+from animtool.core.errors import Fault, refuse_warnings
+from animtool.core.files.output import check_outputs, write_arrays, write_parts
+from animtool.core.plugins import load_object
+from animtool.core.shot import Shot
+from animtool.core.writers import Writer, take_writer
+from animtool.motion.scores import PassScores
+from animtool.motion.take import Take, TakeStream
+from animtool.motion.take_files import TakeFiles, WriteOptions
+from animtool.scene.bake.frames import TakePlan, in_frames
+from animtool.scene.bake.progress import Progress
+from animtool.scene.sources.open import SourceOptions, open_source
+
+if TYPE_CHECKING:
+    from animtool.clip.keyed_take import KeyedTake
+    from animtool.clip.reduction.keys import Reduction
+    from animtool.formats.take_text import TakeText
+
+
+@dataclass(frozen=True, slots=True)
+class ConvertReport:
+    """What a conversion did."""
+
+    output: Path  # the file written
+    span: FrameSpan  # first frame, last frame and rate, as the file has them
+    frames: int
+    joints: int
+    notices: list[Fault]  # warnings and notes
+    # The keys, where a clip was written, and how far they are off.
+    keyed: KeyedTake | None = None
+    # Every file written, ``output`` last.
+    files: list[Path] = field(default_factory=list)
+    shot: Shot | None = None  # the shot that was written; None is no shot
+    # How well the passes of the source did.
+    scores: list[PassScores] = field(default_factory=list)
+
+    @property
+    def reduction(self) -> Reduction | None:
+        """The keys and their error, where a clip was written."""
+        return None if self.keyed is None else self.keyed.reduction
+
+
+@dataclass(frozen=True, slots=True)
+class FilePlan:
+    """A take that is ready to be written as files of another format than USD."""
+
+    take: TakePlan
+    path: Path
+    base: Path | None = None  # of an additive take, what it is put on
+    rig_file: Path | None = None  # of a clip, what it names; None writes one
+
+    def run(self, progress: Progress = None) -> ConvertReport:
+        """Write the take on the output's own clock."""
+        del progress  # it is that of the source
+        plan = self.take
+        stream = in_frames(plan)
+        stream.notices = [*stream.notices, *plan.notices]
+        report = self._written(stream)
+        scores = list(plan.stream.scores)
+        return replace(report, shot=plan.options.shot, scores=scores)
+
+    def _written(self, stream: TakeStream) -> ConvertReport:
+        path, plan = self.path, self.take
+        options, base = plan.options, self.base
+        take = stream.collect()
+        below = None
+        if base is not None:
+            alike = base.suffix.lower() == plan.source.suffix.lower()
+            below = _below(take, base, options.source if alike else None)
+        write = WriteOptions(
+            options.reduce, dict(options.reduce_at), below, self.rig_file
+        )
+        made = _files(take_writer(path), take, path, write)
+        noted = [notice for notice in take.notices if notice not in stream.notices]
+        notices = [*stream.notices, *noted, *made.notices]
+        refuse_warnings(notices, strict=options.strict)
+        files, inputs = list(made.contents), [plan.source, *([base] if base else [])]
+        check_outputs(files, inputs, overwrite=options.overwrite)
+        for file, contents in made.contents.items():
+            if isinstance(contents, Mapping):
+                write_arrays(file, contents)
+            else:
+                write_parts(file, contents)
+        count = take.clock.count
+        return ConvertReport(
+            path, made.span, count, made.joints, notices, made.keyed, files
+        )
+
+
+def _files(writer: Writer, take: Take, path: Path, options: WriteOptions) -> TakeFiles:
+    """Return the files of a take in a format."""
+    if writer.take:
+        write = cast(Callable[..., TakeFiles], load_object(writer.take))
+        return write(take, path, options)
+    if take.clock.step > 1:
+        from animtool.edit.resample import resampled
+
+        take = resampled(take, take.clock.fps)
+    text = cast("Callable[[Take], TakeText]", load_object(writer.text))(take)
+    clock, start = take.clock, Fraction(1)
+    if writer.numbered:
+        start += (clock.start - 1) / clock.step
+    # Most of these files number no frames; whatever reads one begins with the first.
+    span = Clock(clock.rate, start, Fraction(1), clock.count).span
+    joints = len(take.rig.joints)
+    return TakeFiles({path: text.parts}, span, joints, text.notices)
+
+
+def _below(take: Take, path: Path, options: SourceOptions | None) -> Take:
+    """Return what an additive take is put on, at its frames."""
+    from animtool.edit.combine import check_same_rig, other_frames
+
+    base = open_source(path, options).collect()
+    check_same_rig(take.rig, base.rig)
+    motion = other_frames(base, take.clock.rate, 0, take.clock.count)
+    return replace(take, motion=motion)

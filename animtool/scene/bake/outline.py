@@ -1,0 +1,251 @@
+"""The outputs of a bake as they are asked for, checked before anything is read."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, cast
+
+from animtool.core.errors import AnimtoolError, Fault, OptionError
+from animtool.core.files.output import check_outputs, name_key
+from animtool.core.files.placing import target
+from animtool.core.readers import PACKAGE
+from animtool.core.writers import take_writer, writer_of, writes_stage
+from animtool.scene.bake.options import BakeOptions, merged
+from animtool.scene.bake.reading import (
+    Reading,
+    Source,
+    check_file_options,
+    check_options,
+    check_package,
+    form_of,
+    found_sources,
+    output_files,
+)
+from animtool.scene.sources.open import source_stem
+from animtool.usd.layers.jobs import Form, check_path
+from animtool.usd.layers.names import legal_name
+
+if TYPE_CHECKING:
+    from animtool.scene.file.entries import Place
+    from animtool.scene.scene import Scene
+
+# The output that is no file.
+STDOUT = Path("-")
+
+
+@dataclass(frozen=True, slots=True)
+class OutputEntry:
+    """One output of a bake, as it is asked for."""
+
+    path: Path | None  # the file to write; None is stdout
+    options: BakeOptions  # of the bake, those of the scene among them
+    # The scene that names it, with the systems of this output alone; None is no scene.
+    scene: Scene | None = None
+    place: Place | None = None  # of the entry, where the scene names the file
+    # Of a clip: what an additive take is put on, and the rig file that is named.
+    base: Path | None = None
+    rig_file: Path | None = None
+
+    @property
+    def simulated(self) -> bool:
+        """Whether systems go into it."""
+        return self.scene is not None and bool(self.scene.systems)
+
+    @property
+    def is_stage(self) -> bool:
+        """Whether it is written as USD."""
+        return self.path is None or writes_stage(self.path)
+
+    @property
+    def files(self) -> list[Path]:
+        """The files to write; of chunks, those that they may replace."""
+        if self.path is None:
+            return []
+        if self.is_stage:
+            return output_files(self.path, self.options, simulated=self.simulated)
+        writer = writer_of(self.path)
+        if writer is None or self.rig_file is not None:
+            return [self.path]
+        return writer.files(self.path)
+
+
+@dataclass(frozen=True, slots=True)
+class Outline:
+    """What a bake will read and write."""
+
+    reading: Reading
+    outputs: tuple[OutputEntry, ...]
+    notices: list[Fault]  # of the scenes
+
+    @property
+    def scene(self) -> Scene | None:
+        """The one source, where it is a scene."""
+        reading = self.reading
+        return reading.scenes.get(reading.files[0]) if len(reading.files) == 1 else None
+
+    @property
+    def replacing(self) -> Outline:
+        """The same, which replaces what exists."""
+        outputs = (
+            replace(entry, options=replace(entry.options, overwrite=True))
+            for entry in self.outputs
+        )
+        return replace(self, outputs=tuple(outputs))
+
+    @property
+    def files(self) -> list[Path]:
+        """Every file that is written."""
+        return [path for entry in self.outputs for path in entry.files]
+
+
+def outlined(
+    sources: Source | Sequence[Source],
+    output: Path | str | None,
+    options: BakeOptions | None = None,
+    *,
+    base: Path | None = None,
+    rig_file: Path | None = None,
+) -> Outline:
+    """Return what a bake will read and write; nothing is checked.
+
+    Args:
+        sources: What is read.
+        output: The file, or ``-`` for stdout; None is what a scene names, else stdout.
+        options: They come before those of a scene.
+        base: Of a clip: what an additive take is put on.
+        rig_file: Of a clip: the file of its rig, which is named; None writes one.
+    """
+    alone = isinstance(sources, str) or not isinstance(sources, Sequence)
+    given = cast("Sequence[Source]", [sources] if alone else sources)
+    reading = found_sources(given)
+    options = options or BakeOptions()
+    scenes = list(reading.scenes.values())
+    notices = [notice for scene in scenes for notice in scene.notices]
+    path = None if output is None or str(output) == str(STDOUT) else Path(output)
+    if len(reading.files) != 1 or not scenes:
+        entry = OutputEntry(path, options, base=base, rig_file=rig_file)
+        return Outline(reading, (entry,), notices)
+    (scene,) = scenes
+    entries = scene.outputs if output is None else scene.outputs[:1]
+    outputs = tuple(
+        OutputEntry(
+            path if entry.path is None or output is not None else entry.path,
+            merged(options, entry.bake),
+            scene.writing(entry),
+            entry.place if output is None else None,
+        )
+        for entry in entries
+    )
+    return Outline(reading, outputs, notices)
+
+
+def is_several(scene: Scene) -> bool:
+    """Return whether a scene writes several files, or one that is no USD."""
+    path = scene.outputs[0].path
+    return len(scene.outputs) > 1 or (path is not None and not writes_stage(path))
+
+
+def check_outline(outline: Outline) -> None:
+    """Refuse what can be refused before anything is read, all outputs at once.
+
+    Raises:
+        OptionError: Options exclude each other, an output exists, is read too, or two
+            are one file (OUT007).
+        OutputError: An output cannot be written.
+    """
+    reading, several = outline.reading, len(outline.outputs) > 1
+    _check_count(len(reading.files), outline.outputs[0].options)
+    faults: list[Fault] = []
+    # Errors are not kept: their frames hold layers open.
+    kinds: list[type[AnimtoolError]] = []
+    owners: dict[str, OutputEntry] = {}
+    for entry in outline.outputs:
+        if several and entry.path is None:
+            message = "an output names no file"
+            fault = Fault("DOC021", message)
+            raise OptionError(entry.place.put(fault) if entry.place else fault)
+        for path in entry.files if several else ():
+            first = owners.setdefault(name_key(target(path).final), entry)
+            if first is not entry and entry.place and first.place:
+                message = f"{str(path)!r} is written by {first.place.where} too"
+                faults.append(entry.place.fault("OUT007", message, "name another"))
+        try:
+            check_entry(entry, reading.inputs, reading.files[0])
+        except AnimtoolError as error:
+            faults += error.faults
+            kinds.append(type(error))
+    try:
+        kept = [path for scene in reading.scenes.values() for path in scene.kept]
+        inputs = [*reading.inputs, *outline.files]
+        overwrite = outline.outputs[0].options.overwrite
+        check_outputs(kept, inputs, overwrite=overwrite)
+    except AnimtoolError as error:
+        faults += error.faults
+        kinds.append(type(error))
+    if faults:
+        raise (kinds or [OptionError])[0](faults)
+    _check_systems(outline)
+
+
+def check_entry(entry: OutputEntry, inputs: Sequence[Path], source: Path) -> None:
+    """Refuse an output that cannot be, before anything is read.
+
+    Args:
+        entry: The output.
+        inputs: Files that are read.
+        source: The first of them, which hints name.
+    """
+    path, options = entry.path, entry.options
+    if path is not None and not entry.is_stage:
+        writer = take_writer(path)
+        if entry.place is None:
+            check_file_options(options, writer, path)
+        if entry.base is not None:
+            inputs = [*inputs, entry.base]
+        check_outputs(entry.files, inputs, overwrite=options.overwrite)
+        return
+    check_options(options, to_stdout=path is None, simulated=entry.simulated)
+    if path is None:
+        return
+    check_path(path)
+    if path.suffix.lower() == PACKAGE:
+        check_package(path, options)
+    layer = [options.rig_layer] if options.rig_layer else []
+    library = form_of(options) is Form.LIBRARY
+    # A library is added to; what may be replaced is one of its takes.
+    overwrite = options.overwrite or (library and path.exists())
+    check_outputs(entry.files, [*inputs, *layer], overwrite=overwrite)
+    if library and path.exists():
+        from animtool.usd.takes.library import check_library
+
+        name = take_name(options, source)
+        check_library(path, name, options.prim_path, overwrite=options.overwrite)
+
+
+def take_name(options: BakeOptions, source: Path) -> str:
+    """Return what a source is called in a clip library."""
+    return legal_name(options.take or source_stem(source))
+
+
+def _check_count(count: int, options: BakeOptions) -> None:
+    message = ""
+    if not count:
+        message = "there is no source to bake"
+    elif options.shot is not None and count > 1:
+        message = "a shot shows one take, and there are several"
+    elif options.deform and count > 1:
+        message = "--deform writes the points of one take, and there are several"
+    if message:
+        raise OptionError(Fault("CLI002", message))
+
+
+def _check_systems(outline: Outline) -> None:
+    """Refuse what is simulated where a library, or no USD, is to hold it."""
+    if len(outline.reading.files) == 1:
+        return
+    for scene in outline.reading.scenes.values():
+        if scene.writing(scene.outputs[0]).systems:
+            message = "what is simulated is no take of a library"
+            raise OptionError(Fault("SCN062", message, str(scene.path)))

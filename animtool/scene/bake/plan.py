@@ -1,0 +1,365 @@
+"""The plan of a bake: sources opened, each output ready to be written."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
+from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeAlias
+
+from animtool.core.config import find_config
+from animtool.core.errors import Fault, OptionError, Severity, listed
+from animtool.core.files.output import sparing_inputs
+from animtool.core.rates import rate_label
+from animtool.core.writers import Writer, take_writer
+from animtool.motion.motion import Channel, Motion
+from animtool.motion.passes import PassthroughTracks
+from animtool.motion.reorient import off_its_place, reorient
+from animtool.motion.take import TakeStream
+from animtool.rig.placed import standing_notice
+from animtool.scene.bake.files import FilePlan
+from animtool.scene.bake.first_frame import frame_start
+from animtool.scene.bake.frames import TakePlan
+from animtool.scene.bake.options import BakeOptions
+from animtool.scene.bake.outline import (
+    STDOUT,
+    Outline,
+    OutputEntry,
+    check_outline,
+    outlined,
+    take_name,
+)
+from animtool.scene.bake.prims import BakePlan, OutputPrims
+from animtool.scene.bake.progress import Progress, share_of
+from animtool.scene.bake.reading import Source, form_of
+from animtool.usd.layers.jobs import Form
+from animtool.usd.layers.sdf import check_prim_path
+
+if TYPE_CHECKING:
+    from animtool.scene.scene import Scene
+    from animtool.usd.rigs.target import JointMap, RigTarget
+    from animtool.usd.takes.over_rig import OverRig
+
+# An output that is ready to be written.
+OutputPlan: TypeAlias = "BakePlan | FilePlan"
+MAX_NAMED = 6
+
+
+def plan_stage(
+    source: Source | Sequence[Source],
+    output: Path | str | None,
+    options: BakeOptions | None = None,
+) -> BakePlan:
+    """Return the plan of a bake to one USD file; None is stdout."""
+    outline = outlined(source, STDOUT if output is None else output, options)
+    (plan,) = plan_outputs(outline)
+    if isinstance(plan, BakePlan):
+        return plan
+    message = "is no USD file"
+    raise OptionError(Fault("OUT004", message, str(output)))
+
+
+def plan_outputs(outline: Outline, *, progress: Progress = None) -> list[OutputPlan]:
+    """Check everything that can be checked before the work, and open the sources.
+
+    Raises:
+        AnimtoolError: As `animtool.bake` does.
+    """
+    check_outline(outline)
+    reading, entries = outline.reading, outline.outputs
+    if outline.scene is not None and not outline.scene.sources:
+        return [_planned_systems(entry, outline.notices) for entry in entries]
+    options = entries[0].options
+    if len(entries) > 1:
+        forced = any(entry.options.force_fit for entry in entries)
+        options = BakeOptions(force_fit=forced)
+    # Systems come after the take that they go along with.
+    simulated = any(entry.simulated for entry in entries)
+    later = simulated or len(entries) > 1
+    shown = share_of(progress, 0, 2) if later else progress
+    with sparing_inputs(outline.files):
+        streams = reading.open(options, shown)
+    notices = [*outline.notices, *reading.unused]
+    if len(entries) == 1:
+        return [_planned(reading.files, streams, entries[0], notices)]
+    (stream,) = streams
+    return [
+        _planned(reading.files, [one], entry, list(notices))
+        for entry, one in zip(entries, _shared(stream, len(entries)), strict=True)
+    ]
+
+
+def _shared(stream: TakeStream, count: int) -> list[TakeStream]:
+    """Return streams of one take for several readers; it is gathered once."""
+    gathered: list[Motion] = []
+
+    def blocks() -> Iterator[Motion]:
+        if not gathered:
+            motion = Motion.concatenate(list(stream.blocks))
+            gathered.append(motion.map(Channel.compact))
+        yield gathered[0]
+
+    return [replace(stream, blocks=blocks()) for _ in range(count)]
+
+
+def _planned(
+    sources: Sequence[Path],
+    streams: list[TakeStream],
+    entry: OutputEntry,
+    notices: list[Fault],
+) -> OutputPlan:
+    """Return what an output is to become, of sources that are open."""
+    scene = entry.scene
+    if not entry.is_stage:
+        assert entry.path is not None
+        writer = take_writer(entry.path)
+        return _planned_file(sources[0], streams[0], entry, writer, notices)
+    with ExitStack() as located:
+        if scene is not None:
+            located.enter_context(scene.located_props())
+        plan = plan_takes(sources, streams, entry.path, entry.options, notices)
+    return plan if scene is None else _with_systems(plan, scene)
+
+
+def _planned_file(
+    source: Path,
+    stream: TakeStream,
+    entry: OutputEntry,
+    writer: Writer,
+    notices: list[Fault],
+) -> FilePlan:
+    """Return a take as a file of another format than USD."""
+    options, left_out = entry.options, []
+    if entry.scene is not None and entry.scene.systems:
+        names = listed([system.name for system in entry.scene.systems], MAX_NAMED)
+        left_out.append(f"what is simulated: {names}")
+    if stream.tracks:
+        left_out.append(listed([track.path for track in stream.tracks], MAX_NAMED))
+        stream = PassthroughTracks(stream).stream
+    for text in left_out:
+        message = f"a {writer.name} file has no place for {text}"
+        note = Fault("SCN112", message, severity=Severity.NOTE)
+        notices.append(note if entry.place is None else entry.place.put(note))
+    fps = options.fps or stream.fps
+    if options.shot is not None:
+        options = replace(options, shot=replace(options.shot, fps=fps))
+    start = start_of(options, None, stream, source)
+    take = TakePlan(source, "", stream, None, options, fps, start, notices)
+    assert entry.path is not None
+    return FilePlan(take, entry.path, entry.base, entry.rig_file)
+
+
+def _planned_systems(entry: OutputEntry, notices: list[Fault]) -> BakePlan:
+    """Return what an output of a scene that has no source is to become."""
+    from animtool.scene.systems.bake import plan_systems
+
+    assert entry.scene is not None
+    if not entry.is_stage:
+        assert entry.path is not None
+        what = take_writer(entry.path).name
+        message = f"a {what} file has no place for what is simulated"
+        fault = Fault("OUT004", message, hint="write .usdc")
+        raise OptionError(fault if entry.place is None else entry.place.put(fault))
+    systems = plan_systems(entry.scene, entry.options)
+    return BakePlan(
+        (),
+        entry.path,
+        entry.options,
+        Form.STAGE,
+        "it is simulated",
+        None,
+        systems.job.metadata.fps,
+        systems.job.metadata.first,
+        list(notices),
+        (systems,),
+    )
+
+
+def _with_systems(plan: BakePlan, scene: Scene) -> BakePlan:
+    """Return the plan of a take with the systems of its scene."""
+    if not scene.systems:
+        return plan
+    if plan.form is Form.LIBRARY:
+        message = "a clip library has no place for what is simulated"
+        hint = "bake the systems in a scene of their own, or as: stage"
+        raise OptionError(Fault("SCN067", message, str(scene.path), (), hint))
+    from animtool.scene.systems.bake import plan_with_take
+
+    systems = plan_with_take(scene, plan)
+    return replace(plan, prims=(*plan.prims, systems), watch=systems.watch)
+
+
+def plan_takes(
+    sources: Sequence[Path],
+    streams: list[TakeStream],
+    path: Path | None,
+    options: BakeOptions,
+    notices: list[Fault],
+) -> BakePlan:
+    """Return what takes are to become in USD; None is stdout."""
+    form = form_of(options)
+    library = form is Form.LIBRARY
+    added = library and path is not None and path.exists()
+    target = _target(path if added else options.rig_layer, options.prim_path)
+    mappings: list[JointMap | None] = [None] * len(streams)
+    if target is not None:
+        from animtool.usd.takes.over_rig import over_rig
+
+        notices += target.notices
+        up = target.skeleton.rig.up
+        layer = str(target.path)
+        ways = [
+            over_rig(
+                reorient(one, up),
+                target.placement,
+                options.placement,
+                layer,
+                target.skeleton.rig,
+            )
+            for one in streams
+        ]
+        streams = [way.stream for way in ways]
+        mappings = [_mapped(way, target, options, notices) for way in ways]
+    else:
+        kept = options.placement != "drop"
+        for source, one in zip(sources, streams, strict=True):
+            notices += standing_notice(one.rig, str(source), kept=kept)
+        if not kept:
+            streams = [off_its_place(stream) for stream in streams]
+        up = options.to_up or streams[0].rig.up
+        streams = [reorient(stream, up) for stream in streams]
+    if options.root_motion and not streams[0].rig.joints:
+        message = "--root-motion skelroot carries a joint's motion, and there is none"
+        raise OptionError(Fault("CLI002", message, str(sources[0])))
+    names = [take_name(options, sources[0]) if library else ""]
+    if len(sources) > 1:
+        from animtool.scene.bake.library import alike, rate_notice, take_names
+
+        names = take_names(sources, notices)
+        if target is None:
+            streams = alike(sources, streams, options, notices)
+    fps = options.fps or (target.fps if target else streams[0].fps)
+    if len(sources) > 1:
+        notices += rate_notice(names, streams, fps)
+    if options.shot is not None:
+        options = replace(options, shot=replace(options.shot, fps=fps))
+    notices += _rate_apart(target, fps)
+    notices += _left_points(streams, options)
+    start = start_of(options, target, streams[0], sources[0])
+    takes = tuple(
+        TakePlan(
+            source,
+            name,
+            stream,
+            mapping,
+            options if i == 0 else replace(options, rest_frame=None),
+            fps,
+            start,
+            notices,
+        )
+        for i, (source, name, stream, mapping) in enumerate(
+            zip(sources, names, streams, mappings, strict=True)
+        )
+    )
+    reason = f"{'no' if target is None else 'a'} rig layer was named"
+    if options.form is not None:
+        reason = "asked for"
+    plan = BakePlan(takes, path, options, form, reason, target, fps, start, notices, ())
+    _check_props(plan)
+    return replace(plan, prims=(_take_prims(takes[0], target),))
+
+
+def _target(rig_layer: Path | None, prim_path: str | None) -> RigTarget | None:
+    """Return the rig of a layer, opened; None where there is none."""
+    if rig_layer is not None:
+        from animtool.usd.rigs.target import open_target
+
+        return open_target(rig_layer, prim_path)
+    if prim_path is not None:
+        check_prim_path(prim_path)
+    return None
+
+
+def _check_props(plan: BakePlan) -> None:
+    """Refuse things beside characters that have no place in the output."""
+    tracks = [take.stream.tracks for take in plan.takes]
+    if not any(tracks):
+        return
+    from animtool.usd.props.writer import check_props
+
+    stage = None if plan.target is None else plan.target.stage
+    for some in tracks:
+        check_props(some, plan.paths, stage, library=bool(plan.takes[0].name))
+
+
+def _take_prims(take: TakePlan, target: RigTarget | None) -> OutputPrims:
+    if not take.options.deform:
+        from animtool.scene.bake.joint_prims import JointPrims
+
+        return JointPrims()
+    from animtool.scene.bake.point_prims import PointPrims, open_character
+
+    return PointPrims(open_character(take, target))
+
+
+def _mapped(
+    way: OverRig, target: RigTarget, options: BakeOptions, notices: list[Fault]
+) -> JointMap:
+    from animtool.usd.rigs.target import map_joints
+
+    mapping = map_joints(
+        way.stream.rig,
+        target,
+        options.strip_namespace,
+        force_fit=options.force_fit,
+        over=way,
+    )
+    if mapping.fit is not None:
+        way.stream.details["fit"] = round(mapping.fit.score, 4)
+    notices += [*way.notices, *mapping.notices]
+    return mapping
+
+
+def _left_points(streams: list[TakeStream], options: BakeOptions) -> list[Fault]:
+    """Name what is simulated, and not written."""
+    names = sorted({name for stream in streams for name in stream.points})
+    if not names or options.deform:
+        return []
+    message = f"points of {listed(names)} are simulated, and not written"
+    hint = "an output with deform: true has them"
+    return [Fault("SIM134", message, hint=hint, severity=Severity.WARNING)]
+
+
+def _rate_apart(target: RigTarget | None, fps: Fraction) -> list[Fault]:
+    if target is None or fps == target.fps:
+        return []
+    theirs = rate_label(target.fps)
+    message = f"the output has {rate_label(fps)}, and the rig layer {theirs}"
+    hint = "USD stretches time where a sublayer's rate is not its stage's"
+    return [Fault("USD106", message, str(target.path), (), hint, Severity.WARNING)]
+
+
+def start_of(
+    options: BakeOptions, target: RigTarget | None, stream: TakeStream, source: Path
+) -> Fraction:
+    """Return the first frame: asked for, the shot's, the source's, the project's, 1.
+
+    At another rate, a source that starts between the frames of its stage starts at the
+    frame of the same time: 960.96 of 24 a second is 1001 of 25.
+    """
+    if options.start is not None:
+        return options.start
+    if options.shot is not None and options.shot.places_media:
+        return Fraction(1) if stream.start is None else stream.start
+    if target is not None and target.start is not None:
+        return target.start
+    if stream.start is not None:
+        if stream.start.denominator == 1:
+            return stream.start
+        fps = options.fps or (target.fps if target else stream.fps)
+        whole = not options.keep_samples
+        return frame_start(stream.start, stream.fps, fps, whole=whole)
+    configured = find_config(source).start
+    return Fraction(1) if configured is None else configured
