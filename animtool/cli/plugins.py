@@ -22,22 +22,24 @@ Examples:
 @common_options
 @click.pass_obj
 def plugins(console: Console, /, report_format: str) -> None:
-    """List the passes that scenes may name, the files that are read, and more.
+    """List the passes that scenes may name, the files read and written, and more.
 
     animtool's own come first, then those installed: a package adds some through the
-    entry point groups animtool.passes, animtool.readers, animtool.executors and
-    animtool.rules. One that does not load is listed with the reason, and ends nothing.
-    animtool explain lists the rules of animtool's own.
+    entry point groups animtool.passes, animtool.readers, animtool.writers,
+    animtool.executors and animtool.rules. One that does not load is listed with the
+    reason, and ends nothing. animtool explain lists the rules of animtool's own.
     """
     from animtool.batch.executors import listed_executors
     from animtool.core.readers import listed_readers
     from animtool.core.rules import listed_rules
+    from animtool.core.writers import listed_writers
     from animtool.motion.passes import listed_passes
 
     # Of each list the key of names in JSON, and what a line calls what it has.
     listed: dict[str, tuple[str, Any, Callable[[Any], str | None]]] = {
         "passes": ("pass", listed_passes(), lambda e: e.scope),
         "readers": ("suffix", listed_readers(), lambda e: ", ".join(e.opens)),
+        "writers": ("suffix", listed_writers(), lambda e: ", ".join(e.writes)),
         "executors": (
             "executor",
             listed_executors(),

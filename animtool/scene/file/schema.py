@@ -180,8 +180,8 @@ class OutputModel(FileModel):
     """What to write; the command line's own options come first."""
 
     file: str | None = key(
-        "What to write: USD, a `.clip.yaml` of keys or a `.bvh`. Not "
-        "given: USD beside the source.",
+        "What to write: USD, a `.clip.yaml` of keys, or a `.bvh`, `.csv`, `.mot` or "
+        "`.sto`. Not given: USD beside the source.",
         "shot.usdc",
         default=None,
     )
