@@ -157,20 +157,14 @@ def check_outline(outline: Outline) -> None:
     """
     reading, several = outline.reading, len(outline.outputs) > 1
     _check_count(len(reading.files), outline.outputs[0].options)
-    faults: list[Fault] = []
+    faults = outputs_twice(outline)
     # Errors are not kept: their frames hold layers open.
     kinds: list[type[AnimtoolError]] = []
-    owners: dict[str, OutputEntry] = {}
     for entry in outline.outputs:
         if several and entry.path is None:
             message = "an output names no file"
             fault = Fault("DOC021", message)
             raise OptionError(entry.place.put(fault) if entry.place else fault)
-        for path in entry.files if several else ():
-            first = owners.setdefault(name_key(target(path).final), entry)
-            if first is not entry and entry.place and first.place:
-                message = f"{str(path)!r} is written by {first.place.where} too"
-                faults.append(entry.place.fault("OUT007", message, "name another"))
         try:
             check_entry(entry, reading.inputs, reading.files[0])
         except AnimtoolError as error:
@@ -189,6 +183,19 @@ def check_outline(outline: Outline) -> None:
     _check_systems(outline)
 
 
+def outputs_twice(outline: Outline) -> list[Fault]:
+    """Return outputs of a scene that are one file (OUT007)."""
+    owners: dict[str, OutputEntry] = {}
+    faults = []
+    for entry in outline.outputs:
+        for path in entry.files:
+            first = owners.setdefault(name_key(target(path).final), entry)
+            if first is not entry and entry.place and first.place:
+                message = f"{str(path)!r} is written by {first.place.where} too"
+                faults.append(entry.place.fault("OUT007", message, "name another"))
+    return faults
+
+
 def check_entry(entry: OutputEntry, inputs: Sequence[Path], source: Path) -> None:
     """Refuse an output that cannot be, before anything is read.
 
@@ -197,21 +204,15 @@ def check_entry(entry: OutputEntry, inputs: Sequence[Path], source: Path) -> Non
         inputs: Files that are read.
         source: The first of them, which hints name.
     """
+    check_settings(entry)
     path, options = entry.path, entry.options
-    if path is not None and not entry.is_stage:
-        writer = take_writer(path)
-        if entry.place is None:
-            check_file_options(options, writer, path)
+    if path is None:
+        return
+    if not entry.is_stage:
         if entry.base is not None:
             inputs = [*inputs, entry.base]
         check_outputs(entry.files, inputs, overwrite=options.overwrite)
         return
-    check_options(options, to_stdout=path is None, simulated=entry.simulated)
-    if path is None:
-        return
-    check_path(path)
-    if path.suffix.lower() == PACKAGE:
-        check_package(path, options)
     layer = [options.rig_layer] if options.rig_layer else []
     library = form_of(options) is Form.LIBRARY
     # A library is added to; what may be replaced is one of its takes.
@@ -222,6 +223,22 @@ def check_entry(entry: OutputEntry, inputs: Sequence[Path], source: Path) -> Non
 
         name = take_name(options, source)
         check_library(path, name, options.prim_path, overwrite=options.overwrite)
+
+
+def check_settings(entry: OutputEntry) -> None:
+    """Refuse a name of no format, and options that exclude each other."""
+    path, options = entry.path, entry.options
+    if path is not None and not entry.is_stage:
+        writer = take_writer(path)
+        if entry.place is None:
+            check_file_options(options, writer, path)
+        return
+    check_options(options, to_stdout=path is None, simulated=entry.simulated)
+    if path is None:
+        return
+    check_path(path)
+    if path.suffix.lower() == PACKAGE:
+        check_package(path, options)
 
 
 def take_name(options: BakeOptions, source: Path) -> str:

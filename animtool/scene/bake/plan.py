@@ -10,14 +10,20 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
 from animtool.core.config import find_config
-from animtool.core.errors import Fault, OptionError, Severity, listed
+from animtool.core.errors import (
+    AnimtoolError,
+    Fault,
+    OptionError,
+    Severity,
+    listed,
+)
 from animtool.core.files.output import sparing_inputs
 from animtool.core.rates import rate_label
 from animtool.core.writers import Writer, take_writer
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.passes import PassthroughTracks
 from animtool.motion.reorient import off_its_place, reorient
-from animtool.motion.take import TakeStream
+from animtool.motion.take import Take, TakeStream
 from animtool.rig.placed import standing_notice
 from animtool.scene.bake.files import FilePlan
 from animtool.scene.bake.first_frame import frame_start
@@ -28,7 +34,9 @@ from animtool.scene.bake.outline import (
     Outline,
     OutputEntry,
     check_outline,
+    check_settings,
     outlined,
+    outputs_twice,
     take_name,
 )
 from animtool.scene.bake.prims import BakePlan, OutputPrims
@@ -89,6 +97,38 @@ def plan_outputs(outline: Outline, *, progress: Progress = None) -> list[OutputP
         _planned(reading.files, [one], entry, list(notices))
         for entry, one in zip(entries, _shared(stream, len(entries)), strict=True)
     ]
+
+
+def refusals(outline: Outline, take: Take | None) -> list[Fault]:
+    """Return what keeps the outputs of a scene from being planned, each at its entry.
+
+    take: of its sources, all passes done; None is of a scene that has none.
+    """
+    faults = outputs_twice(outline)
+    inputs = {path.resolve() for path in outline.reading.inputs}
+    for entry in outline.outputs:
+        layer = entry.options.rig_layer
+        own = inputs | ({layer.resolve()} if layer else set())
+        if not own.isdisjoint(path.resolve() for path in entry.files):
+            continue  # it is not even read (OUT003)
+        try:
+            check_settings(entry)
+            if take is None:
+                _planned_systems(entry, [])
+            else:
+                _planned(outline.reading.files, [TakeStream.of(take)], entry, [])
+        except AnimtoolError as error:
+            faults += [_at_entry(fault, entry) for fault in error.faults]
+    return faults
+
+
+def _at_entry(fault: Fault, entry: OutputEntry) -> Fault:
+    """Return a fault of an output, or of its name, at the entry of its scene."""
+    if entry.place is None:
+        return fault
+    if fault.path == str(entry.path):
+        fault = replace(fault, path=None)
+    return entry.place.put(fault)
 
 
 def _shared(stream: TakeStream, count: int) -> list[TakeStream]:

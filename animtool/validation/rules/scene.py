@@ -14,12 +14,11 @@ from animtool.core.config import find_config
 from animtool.core.errors import AnimtoolError, Fault, OptionError
 from animtool.core.names import is_named
 from animtool.core.rates import rate_label
-from animtool.documents.document import Location, read_document
+from animtool.documents.document import read_document
 from animtool.documents.variables import resolve_variables
 from animtool.motion.passes import Pass, TakePart
 from animtool.scene.bake.options import BakeOptions
 from animtool.scene.bake.outline import outlined, take_name
-from animtool.scene.bake.reading import check_options
 from animtool.scene.file.schema import model_for
 from animtool.validation.subjects.scene import SceneSubject
 
@@ -108,25 +107,14 @@ def homeless(subject: SceneSubject) -> Iterator[Fault]:
 
 
 def refused(subject: SceneSubject) -> Iterator[Fault]:
-    """Yield options of the output that a bake refuses (SCN207)."""
+    """Yield tolerances of joints that there are none of (SCN207)."""
     for at, output in subject.outputs:
-        yield from _refused(subject, at, output.bake)
-
-
-def _refused(subject: SceneSubject, at: Location, bake: BakeOptions) -> Iterator[Fault]:
-    bounds = dict(bake.reduce_at)
-    for key, check in (
-        ((), lambda: check_options(bake, to_stdout=False)),
-        (
-            ("reduce_at",),
-            lambda: joint_bounds(subject.take.rig, bake.reduce or 1.0, bounds),
-        ),
-    ):
+        bounds = dict(output.bake.reduce_at)
         try:
-            check()
+            joint_bounds(subject.take.rig, output.bake.reduce or 1.0, bounds)
         except OptionError as error:
+            place = (*at, "reduce_at")
             for fault in error.faults:
-                place = (*at, *key)
                 yield subject.fault("SCN207", place, fault.message, fault.hint)
 
 

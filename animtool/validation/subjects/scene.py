@@ -26,6 +26,8 @@ from animtool.validation.subjects.subject import CheckedFile, DocumentSubject
 
 # Values that differ by less are the same [m], [1].
 SAME = 1e-9
+# Options of an output that a bake refuses, and the codes that the command has for them.
+REFUSED, OF_OPTIONS = "SCN207", {"CLI002", "CLI004"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +84,7 @@ def open_scene(document: Document, given: SceneValues | None = None) -> CheckedF
     checked = CheckedFile(Kind.SCENE)
     if not scene.sources:
         # It has no take: its reader has checked all but how systems begin.
-        checked.faults = [*scene.notices, *_simulated(scene)]
+        checked.faults = [*scene.notices, *_refused(scene, None)]
         return checked
     try:
         checked.subject, notices = _played(document, scene)
@@ -93,13 +95,25 @@ def open_scene(document: Document, given: SceneValues | None = None) -> CheckedF
         # sense alone.
         located = {None, path, *checked.subject.targets}
         faults = [fault for fault in notices if fault.path in located]
-        faults += _simulated(scene, checked.subject.take)
+        faults += _refused(scene, checked.subject.take)
     faults = [f if f.path else replace(f, path=path) for f in faults]
     checked.faults = [*scene.notices, *faults]
     return checked
 
 
-def _simulated(scene: Scene, take: Take | None = None) -> list[Fault]:
+def _refused(scene: Scene, take: Take | None) -> list[Fault]:
+    """Return what a bake would refuse, and what is odd about how systems begin."""
+    from animtool.scene.bake.outline import outlined  # loads USD
+    from animtool.scene.bake.plan import refusals
+
+    refused = [
+        replace(fault, code=REFUSED) if fault.code in OF_OPTIONS else fault
+        for fault in refusals(outlined(scene, None), take)
+    ]
+    return [*refused, *_simulated(scene, take)]
+
+
+def _simulated(scene: Scene, take: Take | None) -> list[Fault]:
     """Return what keeps systems from beginning, and what is odd about how they do."""
     if not scene.systems:
         return []
