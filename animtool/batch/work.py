@@ -209,7 +209,7 @@ SCENES = (
     "animtool.edit.thin",
     "animtool.edit.retiming",
     "animtool.scene.bake.library",
-    "animtool.scene.bake.outputs",
+    "animtool.scene.bake.plan",
     "animtool.usd.rigs.meshes",
 )
 

@@ -70,7 +70,7 @@ def test_a_folder_gets_the_folders_of_inputs(takes: Path) -> None:
     ]
 
 
-@pytest.mark.parametrize("pattern", ["out", "out/{stem}", "{stem}.bvh"])
+@pytest.mark.parametrize("pattern", ["out", "out/{stem}", "{stem}.txt"])
 def test_outputs_of_no_kind_are_refused_before_the_work(
     takes: Path, pattern: str
 ) -> None:
@@ -79,7 +79,7 @@ def test_outputs_of_no_kind_are_refused_before_the_work(
     (fault,) = error.value.faults
     assert fault.code == "OUT004"
     names_folder = f"{pattern}/ names a folder" in (fault.hint or "")
-    assert names_folder == (pattern != "{stem}.bvh")
+    assert names_folder == (pattern != "{stem}.txt")
 
 
 def test_each_input_once_less_what_is_excluded(takes: Path) -> None:

@@ -163,7 +163,7 @@ def test_curves_are_kept_of_each_take(
     [
         ([], "name it with -o"),
         (["--table"], "--table measures one SOURCE"),
-        (["-o", "walk.bvh"], "OUT004"),
+        (["-o", "walk.txt"], "OUT004"),
         (["-o", "there.usda"], "OUT001"),
         (["-o", "-", "--split"], "CLI002"),
     ],

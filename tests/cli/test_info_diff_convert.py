@@ -144,18 +144,6 @@ def test_a_tolerance_may_have_a_unit(tmp_path: Path, tolerance: str, code: int) 
     assert animtool("diff", one, two, "--tol", tolerance).code == code
 
 
-@pytest.mark.parametrize("suffix", ["bvh", "clip.yaml"])
-def test_bake_names_the_command_that_writes_other_formats(
-    takes: tuple[Path, Path], tmp_path: Path, suffix: str
-) -> None:
-    output = tmp_path / f"out.{suffix}"
-    done = animtool("bake", takes[0], "-o", output)
-    assert done.code == 2
-    command = f"animtool convert {takes[0]} {output}"
-    assert command in done.stderr
-    assert animtool(*command.split()[1:]).code == 0
-
-
 def test_what_a_usd_file_states_is_not_stated_again(takes: tuple[Path, Path]) -> None:
     animtool("bake", takes[0])
     done = animtool("bake", takes[0].with_suffix(".usdc"), "--units", "m", "-o", "-")

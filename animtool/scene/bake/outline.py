@@ -25,7 +25,6 @@ from animtool.scene.bake.reading import (
 )
 from animtool.scene.sources.open import source_stem
 from animtool.usd.layers.jobs import Form, check_path
-from animtool.usd.layers.names import legal_name
 
 if TYPE_CHECKING:
     from animtool.scene.file.entries import Place
@@ -243,6 +242,8 @@ def check_settings(entry: OutputEntry) -> None:
 
 def take_name(options: BakeOptions, source: Path) -> str:
     """Return what a source is called in a clip library."""
+    from animtool.usd.layers.names import legal_name
+
     return legal_name(options.take or source_stem(source))
 
 

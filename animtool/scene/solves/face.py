@@ -27,7 +27,6 @@ from animtool.rig.head import HEAD, head_joints, local_rotations
 from animtool.rig.kinematics import forward
 from animtool.rig.remap import ShapeLinks, link_shapes, load_remap
 from animtool.rig.skeleton import JointType, Rig
-from animtool.scene.bake.bake import OutputReport, bake_take
 from animtool.scene.bake.options import BakeOptions
 from animtool.scene.bake.outline import Outline, check_outline, outlined
 from animtool.scene.bake.progress import Progress
@@ -36,6 +35,7 @@ from animtool.scene.sources.open import SourceOptions
 
 if TYPE_CHECKING:
     from animtool.capture.cameras.camera import Camera
+    from animtool.scene.bake.bake import OutputReport
 
 # From a world with Z up to one with Y up.
 _Y_UP = np.array([-np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)])
@@ -122,6 +122,8 @@ def run_face(job: FaceJob, *, progress: Progress = None) -> FaceResult:
     stream = TakeStream.of(result.take)
     unit = unit_name(result.take.rig.meters_per_unit)
     stream.details = {"format": "landmarks", "units": unit}
+    from animtool.scene.bake.bake import bake_take
+
     result.written = bake_take(stream, outline)
     result.notices += [n for n in result.written.notices if n not in result.notices]
     return result

@@ -40,7 +40,6 @@ from animtool.ik.report import (
 from animtool.ik.take_run import TakeIk
 from animtool.ik.tracks import TargetTracks
 from animtool.motion.take import Take, TakeStream
-from animtool.scene.bake.bake import OutputReport, bake_take
 from animtool.scene.bake.options import BakeOptions
 from animtool.scene.bake.outline import STDOUT, Outline, check_outline, outlined
 from animtool.scene.bake.progress import Progress
@@ -49,7 +48,7 @@ from animtool.scene.sources.onto_rig import open_rig
 from animtool.scene.sources.open import SourceOptions
 
 if TYPE_CHECKING:
-    pass
+    from animtool.scene.bake.bake import OutputReport
 
 
 @dataclass(frozen=True, slots=True)
@@ -206,6 +205,8 @@ def run_ik(job: IkJob, *, progress: Progress = None) -> IkReport:
     take = replace(report.solved.take, notices=())
     stream = TakeStream.of(take)
     stream.details = {"format": "ik", "units": unit_name(take.rig.meters_per_unit)}
+    from animtool.scene.bake.bake import bake_take
+
     report.written = bake_take(stream, outline, progress=progress)
     report.seconds["write"] = time.perf_counter() - began
     known = set(report.notices)

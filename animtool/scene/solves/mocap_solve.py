@@ -30,7 +30,6 @@ from animtool.core.names import is_named
 from animtool.formats.marker_files import file_of, open_markers
 from animtool.motion.take import TakeStream
 from animtool.rig.placed import at_origin
-from animtool.scene.bake.bake import OutputReport, bake_take
 from animtool.scene.bake.options import BakeOptions
 from animtool.scene.bake.outline import STDOUT, Outline, check_outline, outlined
 from animtool.scene.bake.progress import Progress, timed
@@ -39,7 +38,7 @@ from animtool.scene.sources.onto_rig import open_rig
 from animtool.scene.sources.open import SourceOptions
 
 if TYPE_CHECKING:
-    pass
+    from animtool.scene.bake.bake import OutputReport
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,6 +130,8 @@ def run_solve(job: MocapSolveJob, *, progress: Progress = None) -> MocapSolveRes
             result.notices += [n for n in stream.notices if n not in result.notices]
             refuse_warnings(result.notices, strict=job.bake.strict)
         else:
+            from animtool.scene.bake.bake import bake_take
+
             result.written = bake_take(stream, outline, progress=progress)
             known = set(result.notices)
             result.notices += [n for n in result.written.notices if n not in known]

@@ -29,7 +29,6 @@ from animtool.retarget.take_pass import checked_blocks, onto_rig
 from animtool.retarget.verdict import FrameNumbers, Verdict
 from animtool.rig.placed import at_origin, standing_notice
 from animtool.rig.skeleton import Rig
-from animtool.scene.bake.bake import OutputReport, bake_take
 from animtool.scene.bake.files import ConvertReport
 from animtool.scene.bake.options import BakeOptions
 from animtool.scene.bake.outline import STDOUT, Outline, check_outline, outlined
@@ -39,7 +38,7 @@ from animtool.scene.sources.onto_rig import open_rig
 from animtool.scene.sources.open import SourceOptions, open_source
 
 if TYPE_CHECKING:
-    pass
+    from animtool.scene.bake.bake import OutputReport
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,6 +145,8 @@ def run_retarget(job: RetargetJob, *, progress: Progress = None) -> RetargetResu
             deque(stream.blocks, maxlen=0)
             refuse_warnings(report.notices, strict=job.bake.strict)
         else:
+            from animtool.scene.bake.bake import bake_take
+
             report.written = bake_take(stream, outline, progress=progress)
             known = set(report.notices)
             report.notices += [n for n in report.written.notices if n not in known]
