@@ -14,7 +14,7 @@ from animtool.documents.fields import Real
 from animtool.maths import so3
 from animtool.motion.frames import MeshFrame, PointsFrame, TransformsFrame
 from animtool.sim.system import Energy
-from animtool.systems.fields import (
+from animtool.systems.framework.fields import (
     ArrayEntry,
     ForceEntry,
     PlacedModel,
@@ -23,7 +23,7 @@ from animtool.systems.fields import (
     SystemColliderModel,
     SystemSpec,
 )
-from animtool.systems.simulation import Diagnostics, SimContext
+from animtool.systems.framework.simulation import Diagnostics, SimContext
 
 WING = MeshFrame(np.eye(3), np.zeros((3, 3)), np.array([3]), np.arange(3))
 

@@ -30,8 +30,8 @@ from animtool.scene.systems.carriers import OnJoint, OnPrim, OnVertex
 from animtool.scene.systems.character_motion import open_take
 from animtool.scene.systems.entries import PLACING, EntryReader
 from animtool.scene.systems.surroundings import AROUND, Surroundings
-from animtool.systems.conversion import METRES, SceneUnits
-from animtool.systems.fields import (
+from animtool.systems.framework.conversion import METRES, SceneUnits
+from animtool.systems.framework.fields import (
     CarryingBodyModel,
     CarryingJointModel,
     CarryingPrimModel,
@@ -49,7 +49,7 @@ from animtool.systems.fields import (
     SystemSpec,
     SystemSurfaceModel,
 )
-from animtool.systems.tied import OnBody
+from animtool.systems.framework.tied import OnBody
 
 if TYPE_CHECKING:
     from animtool.scene.systems.gaits import GaitsSource

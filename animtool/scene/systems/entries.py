@@ -31,8 +31,8 @@ from animtool.maths import so3
 from animtool.scene.file.entries import Place, place_of_entry
 from animtool.scene.systems.surroundings import moving_sheet
 from animtool.sim.colliders import SHAPES, Collider, HeightField, Mesh, Poses
-from animtool.systems.conversion import METRES, SceneUnits
-from animtool.systems.fields import (
+from animtool.systems.framework.conversion import METRES, SceneUnits
+from animtool.systems.framework.fields import (
     CharacterModel,
     MovingMeshModel,
     Named,

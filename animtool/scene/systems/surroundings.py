@@ -20,9 +20,13 @@ from animtool.scene.systems.character_motion import (
 )
 from animtool.sim.colliders import Collider, Colliders, Sheet
 from animtool.sim.contact import Material
-from animtool.systems.fields import CharacterModel, MovingMeshModel, SystemSurfaceModel
-from animtool.systems.run import EntryRun
-from animtool.systems.surfaces import Bodies
+from animtool.systems.framework.fields import (
+    CharacterModel,
+    MovingMeshModel,
+    SystemSurfaceModel,
+)
+from animtool.systems.framework.run import EntryRun
+from animtool.systems.framework.surfaces import Bodies
 
 if TYPE_CHECKING:
     from animtool.usd.caches.reader import MeshSource

@@ -25,8 +25,8 @@ from animtool.systems.attach.simulation import (
     saved_state,
 )
 from animtool.systems.attach.stepping import State
-from animtool.systems.run import Reached
-from animtool.systems.saved import open_states, write_states
+from animtool.systems.framework.run import Reached
+from animtool.systems.framework.saved import open_states, write_states
 from animtool.systems.springs.motion import through_notices
 
 # Springs may be this much longer than aimed at before it is worth a warning [1].

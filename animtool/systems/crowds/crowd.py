@@ -32,7 +32,7 @@ from animtool.systems.crowds.obstacles import Obstacles, Walls, grids, lost
 from animtool.systems.crowds.shoulders import DEPTH, lines, turned_shoulders
 from animtool.systems.crowds.spec import CrowdsModel
 from animtool.systems.crowds.steering import GONE, Progress, Steering
-from animtool.systems.simulation import Diagnostics, SimContext
+from animtool.systems.framework.simulation import Diagnostics, SimContext
 
 if TYPE_CHECKING:
     from animtool.rig.kinematics import WorldTransforms

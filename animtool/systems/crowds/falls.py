@@ -15,6 +15,7 @@ from animtool.rig.skeleton import Rig
 from animtool.sim.colliders import Collider, Colliders, Mesh, Plane, Poses
 from animtool.sim.colliders.on_joints import Capsules
 from animtool.systems.crowds.ground import Frame, Ground
+from animtool.systems.framework.simulation import growing
 from animtool.systems.particles.forces import find_force
 from animtool.systems.rigid.ragdoll import (
     Ragdoll,
@@ -26,7 +27,6 @@ from animtool.systems.rigid.ragdoll import (
 )
 from animtool.systems.rigid.simulation import RigidSimulation
 from animtool.systems.rigid.spec import RigidModel
-from animtool.systems.simulation import growing
 
 # Small steps of the bodies of who falls [s].
 SMALL_STEP = 0.0025

@@ -22,7 +22,7 @@ from animtool.core.errors import (
 )
 from animtool.sim.colliders import Colliders
 from animtool.systems.flocks.spec import DomainModel, FlocksModel, SpeciesModel
-from animtool.systems.matter import check_apart
+from animtool.systems.framework.matter import check_apart
 from animtool.systems.particles.emitter import Emitter
 from animtool.systems.particles.state import ParticleState
 

@@ -17,7 +17,7 @@ from animtool.documents.fields import (
     Whole,
     key,
 )
-from animtool.systems.fields import (
+from animtool.systems.framework.fields import (
     ArrayEntry,
     CharacterModel,
     ForceEntry,

@@ -21,18 +21,18 @@ from animtool.sim.colliders.bodies import (
     pushed_rows,
 )
 from animtool.sim.system import Energy
-from animtool.systems.colours import Colouring, Quantities
 from animtool.systems.fluid.filling import Nozzle, coarse_drops, filled, has_room
 from animtool.systems.fluid.spec import FluidModel
 from animtool.systems.fluid.substeps import Substeps
-from animtool.systems.particles.state import ParticleState
-from animtool.systems.simulation import (
+from animtool.systems.framework.colours import Colouring, Quantities
+from animtool.systems.framework.simulation import (
     Diagnostics,
     SimContext,
     Stepped,
     StoppedError,
     growing,
 )
+from animtool.systems.particles.state import ParticleState
 
 # Denser than this in the mean it has collapsed, and so it has beyond so many times what
 # is asked for.

@@ -18,8 +18,8 @@ from animtool.documents.fields import (
     Whole,
     key,
 )
-from animtool.systems.colours import ColourModel
-from animtool.systems.fields import (
+from animtool.systems.framework.colours import ColourModel
+from animtool.systems.framework.fields import (
     ArrayEntry,
     CharacterModel,
     ForceEntry,

@@ -25,9 +25,9 @@ from animtool.sim.options import check_options
 from animtool.sim.run import Run
 from animtool.sim.system import Energy, FirstOrder, SecondOrder
 from animtool.sim.trajectory import Checkpoint, Status
+from animtool.systems.framework.simulation import StoppedError
 from animtool.systems.particles.setup import Particles
 from animtool.systems.particles.state import ParticleState
-from animtool.systems.simulation import StoppedError
 
 
 class _Living:

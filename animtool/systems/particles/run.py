@@ -18,6 +18,8 @@ from animtool.sim.integrators import find_integrator
 from animtool.sim.integrators.implicit import Before
 from animtool.sim.modes import allowed_step, modes_at
 from animtool.sim.system import Energy
+from animtool.systems.framework.run import Reached, SimulationRun
+from animtool.systems.framework.simulation import Diagnostics, Stepped, growing, later
 from animtool.systems.particles.moving import (
     Mover,
     ParticleFlow,
@@ -27,8 +29,6 @@ from animtool.systems.particles.moving import (
 )
 from animtool.systems.particles.setup import Particles
 from animtool.systems.particles.state import ParticleState
-from animtool.systems.run import Reached, SimulationRun
-from animtool.systems.simulation import Diagnostics, Stepped, growing, later
 
 _NONE = np.zeros((2, 0, 3))
 

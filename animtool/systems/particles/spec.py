@@ -11,7 +11,7 @@ from pydantic import Field
 
 from animtool.core.errors import Fault, OptionError, counted
 from animtool.documents.fields import Real, Whole, key, with_fields
-from animtool.systems.fields import (
+from animtool.systems.framework.fields import (
     CharacterModel,
     ForceEntry,
     MovingMeshModel,
@@ -27,9 +27,9 @@ from animtool.systems.fields import (
 from animtool.systems.particles.records import Emission, Velocity
 
 if TYPE_CHECKING:
+    from animtool.systems.framework.simulation import SimContext
     from animtool.systems.particles.run import ParticleSimulation
     from animtool.systems.particles.setup import Particles
-    from animtool.systems.simulation import SimContext
 
 
 @with_fields(Emission)

@@ -23,7 +23,7 @@ from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.skeleton import Joint, JointType, Rig
 from animtool.sim.colliders import Capsule, Collider, Poses
 from animtool.sim.colliders.on_joints import Capsules
-from animtool.systems.fields import SystemColliderModel
+from animtool.systems.framework.fields import SystemColliderModel
 from animtool.systems.rigid.bodies import Bodies
 from animtool.systems.rigid.joints import NUMBERS, SWING, Joints, seen_by
 from animtool.systems.rigid.kind import Kind, kind_of

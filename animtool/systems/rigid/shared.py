@@ -11,8 +11,8 @@ from animtool.core.array_types import FloatArray, IntArray
 from animtool.maths import so3
 from animtool.sim.colliders import Collider
 from animtool.sim.colliders.bodies import Wrenches
+from animtool.systems.framework.simulation import added, growing
 from animtool.systems.rigid.bodies import Bodies
-from animtool.systems.simulation import added, growing
 
 
 @dataclass(frozen=True, slots=True)

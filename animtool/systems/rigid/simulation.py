@@ -17,6 +17,7 @@ from animtool.motion.frames import TransformsFrame
 from animtool.motion.physics import Physics
 from animtool.sim.colliders import Collider, Colliders
 from animtool.sim.system import Energy
+from animtool.systems.framework.simulation import Diagnostics, SimContext
 from animtool.systems.particles.forces.base import Force
 from animtool.systems.rigid.bodies import Bodies
 from animtool.systems.rigid.joints import (
@@ -39,7 +40,6 @@ from animtool.systems.rigid.physics import (
 from animtool.systems.rigid.shared import RigidState, SharedBodies
 from animtool.systems.rigid.spec import RigidModel
 from animtool.systems.rigid.surroundings import BodyForces
-from animtool.systems.simulation import Diagnostics, SimContext
 
 # Bodies that begin deeper in each other than this share of their size are a warning.
 DEEP = 0.02

@@ -27,6 +27,7 @@ from animtool.rig.kinematics import WorldTransforms, forward
 from animtool.rig.limits import RangeLimit
 from animtool.rig.skeleton import JointType
 from animtool.sim.colliders import Collider, Colliders
+from animtool.systems.framework.run import Reached, SimulationRun
 from animtool.systems.particles.forces import find_force
 from animtool.systems.rigid.ragdoll import (
     Ragdoll,
@@ -40,7 +41,6 @@ from animtool.systems.rigid.ragdoll import (
 from animtool.systems.rigid.shared import RigidState
 from animtool.systems.rigid.simulation import RigidSimulation
 from animtool.systems.rigid.spec import RigidModel
-from animtool.systems.run import Reached, SimulationRun
 
 # A limit that a joint is beyond by less is kept [rad].
 KEPT = math.radians(1.0)

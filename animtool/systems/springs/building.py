@@ -11,7 +11,8 @@ from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault
 from animtool.core.quantities import length_text
 from animtool.maths import so3
-from animtool.systems.simulation import SimContext
+from animtool.systems.framework.simulation import SimContext
+from animtool.systems.framework.tied import OnBody, TiedBodies
 from animtool.systems.springs import (
     Body,
     Pins,
@@ -30,7 +31,6 @@ from animtool.systems.springs.simulation import SpringSimulation
 from animtool.systems.springs.spec import FaceWindModel, SpringsModel
 from animtool.systems.springs.ties import Tie, Ties
 from animtool.systems.springs.view import SpringView
-from animtool.systems.tied import OnBody, TiedBodies
 
 # Particles that are put together, or held, this far from where they are built are
 # said to be apart [m].

@@ -11,7 +11,7 @@ from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.errors import Fault, Severity, counted
 from animtool.sim.colliders.bodies import Wrenches
 from animtool.sim.trajectory import Trajectory
-from animtool.systems.simulation import growing, later
+from animtool.systems.framework.simulation import growing, later
 from animtool.systems.springs.body import Flags
 from animtool.systems.springs.records import Solver
 

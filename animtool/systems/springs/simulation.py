@@ -16,9 +16,9 @@ from animtool.motion.frames import PointsFrame
 from animtool.sim.colliders.bodies import Wrenches
 from animtool.sim.system import Energy
 from animtool.sim.trajectory import Status
-from animtool.systems.fields import Member
-from animtool.systems.run import ON_STEP
-from animtool.systems.simulation import (
+from animtool.systems.framework.fields import Member
+from animtool.systems.framework.run import ON_STEP
+from animtool.systems.framework.simulation import (
     Diagnostics,
     Progress,
     SimContext,

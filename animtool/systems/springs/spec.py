@@ -21,7 +21,7 @@ from animtool.documents.fields import (
     record_of,
     with_fields,
 )
-from animtool.systems.fields import (
+from animtool.systems.framework.fields import (
     ArrayEntry,
     CarryingBodyModel,
     CarryingJointModel,

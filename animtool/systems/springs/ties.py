@@ -17,7 +17,7 @@ import numpy as np
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.maths import so3
 from animtool.sim.colliders.bodies import Wrenches
-from animtool.systems.tied import TiedBodies, TiedStep, to_world
+from animtool.systems.framework.tied import TiedBodies, TiedStep, to_world
 
 # How far bodies are moved to see how the pull changes, in mean lengths of springs [1].
 TRIAL = 1e-6

@@ -21,7 +21,7 @@ from animtool.sim.colliders.shapes import bounds
 from animtool.systems.fluid.filling import coarse_drops
 from animtool.systems.fluid.fluid import Fluid, Pressed
 from animtool.systems.fluid.spec import FluidModel
-from animtool.systems.run import SimulationRun
+from animtool.systems.framework.run import SimulationRun
 
 FRAMES = (np.arange(13) / 24).tolist()
 TANK = {

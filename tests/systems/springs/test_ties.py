@@ -17,7 +17,7 @@ from animtool import BakeOptions
 from animtool.core.errors import FormatError, ToleranceError
 from animtool.maths import so3
 from animtool.scene.systems.simulation import open_systems
-from animtool.systems.run import EntryRun
+from animtool.systems.framework.run import EntryRun
 
 FALL: dict[str, Any] = {"forces": [{"gravity": None}]}
 

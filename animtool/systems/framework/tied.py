@@ -14,7 +14,7 @@ from animtool.core.names import nearest
 from animtool.maths import so3
 from animtool.sim.colliders import Colliders, Poses
 from animtool.sim.colliders.bodies import Wrenches
-from animtool.systems.surfaces import Bodies, RigidSystem, Watched
+from animtool.systems.framework.surfaces import Bodies, RigidSystem, Watched
 
 # Of how far a pull over a step takes a body, over the step and the speed that it gives:
 # half of it is even over the step, and a little more lets what is stiff come to rest.

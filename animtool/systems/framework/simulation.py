@@ -23,8 +23,8 @@ from animtool.sim.trajectory import Stats
 
 if TYPE_CHECKING:
     from animtool.sim.trials.trial import Setting
-    from animtool.systems.fields import Member
-    from animtool.systems.tied import TiedBodies
+    from animtool.systems.framework.fields import Member
+    from animtool.systems.framework.tied import TiedBodies
 
 State = TypeVar("State")
 # Told how far work is; None where nobody looks.

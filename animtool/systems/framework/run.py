@@ -15,7 +15,7 @@ from animtool.core.quantities import floored, plain
 from animtool.motion.frames import Frame, TransformsFrame
 from animtool.sim.colliders import MovingBodies
 from animtool.sim.colliders.bodies import Pusher, Wrenches
-from animtool.systems.simulation import (
+from animtool.systems.framework.simulation import (
     Diagnostics,
     ManySteps,
     Simulation,
@@ -23,8 +23,8 @@ from animtool.systems.simulation import (
     Stepped,
     SystemView,
 )
-from animtool.systems.surfaces import Bodies, RigidSystem, Surface
-from animtool.systems.tied import TiedBodies
+from animtool.systems.framework.surfaces import Bodies, RigidSystem, Surface
+from animtool.systems.framework.tied import TiedBodies
 
 Watcher = TypeVar("Watcher", Surface, Bodies)
 
