@@ -21,9 +21,9 @@ from animtool.systems.framework.fields import (
     PlaceEntry,
     ShapeEntry,
     SystemColliderModel,
-    SystemSpec,
 )
 from animtool.systems.framework.simulation import Diagnostics, SimContext
+from animtool.systems.framework.spec import SystemSpec
 
 WING = MeshFrame(np.eye(3), np.zeros((3, 3)), np.array([3]), np.arange(3))
 

@@ -29,9 +29,10 @@ from animtool.scene.file.entries import SystemSetup
 from animtool.scene.systems.carriers import OnJoint, OnPrim, OnVertex
 from animtool.scene.systems.character_motion import open_take
 from animtool.scene.systems.entries import PLACING, EntryReader
-from animtool.scene.systems.surroundings import AROUND, Surroundings
+from animtool.scene.systems.surroundings import Surroundings
 from animtool.systems.framework.conversion import METRES, SceneUnits
 from animtool.systems.framework.fields import (
+    AROUND,
     CarryingBodyModel,
     CarryingJointModel,
     CarryingPrimModel,
@@ -46,9 +47,9 @@ from animtool.systems.framework.fields import (
     PrototypeModel,
     RecordModel,
     SystemColliderModel,
-    SystemSpec,
     SystemSurfaceModel,
 )
+from animtool.systems.framework.spec import SystemSpec
 from animtool.systems.framework.tied import OnBody
 
 if TYPE_CHECKING:

@@ -19,8 +19,8 @@ from animtool.rig.surfaces import surfaces_of
 from animtool.scene.file.entries import SceneSystem
 from animtool.scene.systems.carriers import OnJoint, OnVertex
 from animtool.scene.systems.character_motion import CharacterMotion, CharacterMotions
-from animtool.scene.systems.surroundings import AROUND
-from animtool.systems.framework.fields import PinnedPoints, PlacedModel
+from animtool.systems.framework.fields import AROUND, PlacedModel
+from animtool.systems.framework.spec import PinnedPoints
 
 # A system this many times as far from a character as that is large, or this many times
 # as large, is hardly meant, where it would be near and no larger than this many times

@@ -25,7 +25,6 @@ from animtool.scene.systems.links import in_order, joined_groups, member_of
 from animtool.scene.systems.proportions import misplaced
 from animtool.scene.systems.surroundings import Surroundings
 from animtool.sim.colliders import Poses
-from animtool.systems.framework.fields import SystemSpec
 from animtool.systems.framework.kinds import SYSTEM_KINDS
 from animtool.systems.framework.run import EntryRun, SimulationRun
 from animtool.systems.framework.saved import Clocked, open_states
@@ -35,6 +34,7 @@ from animtool.systems.framework.simulation import (
     SimContext,
     Simulation,
 )
+from animtool.systems.framework.spec import SystemSpec
 from animtool.systems.framework.tied import OnBody
 
 

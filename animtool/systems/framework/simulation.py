@@ -23,7 +23,7 @@ from animtool.sim.trajectory import Stats
 
 if TYPE_CHECKING:
     from animtool.sim.trials.trial import Setting
-    from animtool.systems.framework.fields import Member
+    from animtool.systems.framework.spec import Member
     from animtool.systems.framework.tied import TiedBodies
 
 State = TypeVar("State")

@@ -14,7 +14,7 @@ from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, OptionError, counted
 from animtool.core.options import OF_ENTRY, range_faults
 from animtool.documents.fields import record_of
-from animtool.systems.framework.fields import Member, PinnedPoints
+from animtool.systems.framework.spec import Member, PinnedPoints
 from animtool.systems.framework.tied import OnBody
 from animtool.systems.springs import Family, Solver
 from animtool.systems.springs.bodies import BODIES, BodyEntry, SpringBody

@@ -16,7 +16,6 @@ from animtool.motion.frames import PointsFrame
 from animtool.sim.colliders.bodies import Wrenches
 from animtool.sim.system import Energy
 from animtool.sim.trajectory import Status
-from animtool.systems.framework.fields import Member
 from animtool.systems.framework.run import ON_STEP
 from animtool.systems.framework.simulation import (
     Diagnostics,
@@ -26,6 +25,7 @@ from animtool.systems.framework.simulation import (
     StoppedError,
     TrialSettings,
 )
+from animtool.systems.framework.spec import Member
 from animtool.systems.springs.checks import check_options
 from animtool.systems.springs.losses import DAMPING, Losses
 from animtool.systems.springs.motion import Grid, SpringState

@@ -11,8 +11,8 @@ from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.errors import Fault, Severity, counted, percent
 from animtool.core.quantities import length_text, plain
 from animtool.motion.frames import Frame, MeshFrame
-from animtool.systems.framework.fields import Member
 from animtool.systems.framework.simulation import Diagnostics
+from animtool.systems.framework.spec import Member
 from animtool.systems.springs.crossings import SelfCrossings, thin_notices, widest_gap
 from animtool.systems.springs.drawing import Faces, Tearing
 from animtool.systems.springs.motion import SpringState, warning
