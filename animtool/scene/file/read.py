@@ -355,7 +355,11 @@ class _PassReader:
         reader = kind(self.keys.document, self.keys.roots, self.units)
         read = {
             name: tuple(
-                reader.colliders((*at, name), list(map(self.units.converted, models)))
+                reader.each(
+                    (*at, name),
+                    map(self.units.converted, models),
+                    reader.collider,
+                )
             )
             for name, models in entries.items()
         }
