@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from animtool.core.array_types import FloatArray
-from animtool.core.errors import Fault, Severity
+from animtool.core.errors import Fault, warning
 from animtool.core.quantities import plain
 from animtool.core.units import LengthUnit, UpAxis, unit_name, up_from_up
 from animtool.maths import so3
@@ -107,7 +107,7 @@ def _out_of_scale(
         f"systems count {counts}, this rig is in {unit}"
     )
     hint = _counting_as(unit) or f"write its lengths in {counts}"
-    yield Fault("SIM169", message, hint=hint, severity=Severity.WARNING)
+    yield warning("SIM169", message, hint)
 
 
 def _points(system: SceneSystem) -> FloatArray:
@@ -174,9 +174,7 @@ def _faults(
         hint = "; or ".join(
             filter(None, [_counting_as(unit), "begin it at what carries it"])
         )
-    yield Fault(
-        "SIM168", message, hint=hint, where=pinned.where, severity=Severity.WARNING
-    )
+    yield warning("SIM168", message, hint, pinned.where)
 
 
 def _counting_as(unit: str) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 
 from animtool import _kernels
 from animtool.core.array_types import BoolArray, FloatArray
-from animtool.core.errors import Fault, ToleranceError, counted, refuse
+from animtool.core.errors import Fault, ToleranceError, counted, refuse, warning
 from animtool.maths import so3
 from animtool.maths.faces import triangulated
 from animtool.motion.frames import (
@@ -20,13 +20,7 @@ from animtool.motion.frames import (
     TransformsFrame,
 )
 from animtool.sim.colliders import Collider, Colliders, Mesh
-from animtool.systems.crowds.agents import (
-    ENOUGH,
-    Going,
-    agents_of,
-    separated,
-    warning,
-)
+from animtool.systems.crowds.agents import ENOUGH, Going, agents_of, separated
 from animtool.systems.crowds.ground import Frame, Ground, about_up
 from animtool.systems.crowds.obstacles import Obstacles, Walls, grids, lost
 from animtool.systems.crowds.shoulders import DEPTH, lines, turned_shoulders

@@ -10,7 +10,7 @@ import numpy as np
 
 from animtool import _kernels
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
-from animtool.core.errors import Fault, Severity, counted
+from animtool.core.errors import Fault, counted, warning
 from animtool.core.quantities import floored, plain
 from animtool.motion.frames import MeshFrame, PointsFrame
 from animtool.sim.colliders import Colliders, collide
@@ -338,8 +338,7 @@ class Fluid:
         """Say something once."""
         if code not in self._said and not self._trying:
             self._said.add(code)
-            severity = Severity.WARNING
-            self._notices.append(Fault(code, message, hint=hint, severity=severity))
+            self._notices.append(warning(code, message, hint))
 
     def _drained(self, state: FluidState, t: float) -> FluidState:
         """Return a state without those in drains."""
@@ -435,7 +434,7 @@ class Fluid:
             values = {**values, "held_back": float(state.held)}
         hint = "give it a fill, or a nozzle that is open in the range"
         message = "there is no fluid at any frame"
-        nobody = Fault("SIM188", message, hint=hint, severity=Severity.WARNING)
+        nobody = warning("SIM188", message, hint)
         energy = Energy(kinetic, total - kinetic) if known and self._closed else None
         return Diagnostics(energy, values, self._notices, [nobody])
 

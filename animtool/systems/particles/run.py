@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray
-from animtool.core.errors import Fault, Severity
+from animtool.core.errors import Fault, Severity, warning
 from animtool.motion.frames import PointsFrame
 from animtool.sim.checks import check_start
 from animtool.sim.colliders.bodies import Wrenches
@@ -224,7 +224,7 @@ class ParticleSimulation:
         hint = "give emitters a rate or bursts, and a start and a lifetime by which "
         hint += "their particles are there in the range"
         message = "there is no particle at any frame"
-        nobody = Fault("SIM188", message, hint=hint, severity=Severity.WARNING)
+        nobody = warning("SIM188", message, hint)
         return Diagnostics(
             self._energy(state, t),
             notices=self._notices,

@@ -10,7 +10,14 @@ import numpy as np
 
 from animtool import _kernels
 from animtool.core.array_types import BoolArray, FloatArray
-from animtool.core.errors import Fault, Refusals, Severity, ToleranceError, excerpt
+from animtool.core.errors import (
+    Fault,
+    Refusals,
+    Severity,
+    ToleranceError,
+    excerpt,
+    warning,
+)
 from animtool.core.quantities import floored, plain
 from animtool.maths import so3
 from animtool.motion.frames import TransformsFrame
@@ -399,14 +406,13 @@ class RigidSimulation(SharedBodies):
             message = f"{self._pair(state, 1)} begin {begin:g} m inside each other: "
             message += "they are moved apart no faster than 2 m/s"
             hint = "begin with a little room between them"
-            fault = Fault("SIM126", message, hint=hint, severity=Severity.WARNING)
+            fault = warning("SIM126", message, hint)
             found.append(fault)
         elif ever > HELD * size:
             message = f"{self._pair(state, 0)} came {ever:g} m into each other: from "
             message += "several sides, or faster than they get out"
             hint = "leave room between what closes in; take shorter steps"
-            severity = Severity.WARNING
-            found.append(Fault("SIM123", message, hint=hint, severity=severity))
+            found.append(warning("SIM123", message, hint))
         return found
 
     def _swings(self, state: RigidState) -> list[Fault]:
@@ -419,7 +425,7 @@ class RigidSimulation(SharedBodies):
         hint = (
             f"step: {plain(floored(state.follows))}, or more damping, or less stiffness"
         )
-        return [Fault("SIM171", message, hint=hint, severity=Severity.WARNING)]
+        return [warning("SIM171", message, hint)]
 
     def _breaks(self, state: RigidState) -> list[Fault]:
         """Return which joints broke, and when."""

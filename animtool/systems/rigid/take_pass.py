@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from animtool.core.array_types import FloatArray
-from animtool.core.errors import Fault, OptionError, Severity, counted
+from animtool.core.errors import Fault, OptionError, Severity, counted, warning
 from animtool.core.options import range_faults, ranges_of
 from animtool.core.units import UpAxis
 from animtool.maths import so3
@@ -222,7 +222,7 @@ def _notices(
     said = [Fault("SIM128", message, severity=Severity.NOTE)]
     if worst > 1:
         hint = "give shorter steps, or a pose within the limits at `start`"
-        said.append(Fault("SIM129", text, hint=hint, severity=Severity.WARNING))
+        said.append(warning("SIM129", text, hint))
     return said + [one for one in run.notices if one.code != "SIM126"]
 
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
-from animtool.core.errors import Fault
+from animtool.core.errors import Fault, warning
 from animtool.core.quantities import length_text
 from animtool.maths import so3
 from animtool.systems.framework.simulation import SimContext
@@ -24,7 +24,6 @@ from animtool.systems.springs import (
     weld,
 )
 from animtool.systems.springs.entry import SpringEntry, join_pairs
-from animtool.systems.springs.motion import warning
 from animtool.systems.springs.paths import combined
 from animtool.systems.springs.pins import air_of, moved_to_pins, ties_of, wind_ties
 from animtool.systems.springs.simulation import SpringSimulation
