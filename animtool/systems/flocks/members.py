@@ -89,16 +89,9 @@ class Members:
     @cached_property
     def particles(self) -> ParticleState:
         """Return members as the forces on particles see them."""
-        count = len(self)
-        return ParticleState(
-            np.arange(count),
-            self.each([one.mass for one in self.species]),
-            np.zeros(count),
-            self.radii,
-            np.full(count, self.begin),
-            np.full(count, np.inf),
-            self.points,
-        )
+        masses = self.each([one.mass for one in self.species])
+        ids = np.arange(len(self))
+        return ParticleState.lasting(ids, masses, self.radii, self.begin, self.points)
 
     def named(self, i: int) -> str:
         """Return a member, for messages."""

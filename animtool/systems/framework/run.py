@@ -58,7 +58,10 @@ class EntryRun:
         name: Of the entry.
         run: What takes it, and what it is joined to, through time.
         simulation: What it shows of it; of an entry alone, the simulation itself.
+        told: Warnings of steps so far, the first of each code.
     """
+
+    told: Sequence[Fault] = ()
 
     def __init__(self, name: str, run: SimulationRun, view: SystemView[Any]) -> None:
         self.name, self.run = name, run
@@ -110,7 +113,7 @@ class EntryRun:
     def notices(self) -> list[Fault]:
         """Warnings so far."""
         found = self.diagnostics
-        return [*found.notices, *(found.if_empty if self._empty else ())]
+        return [*found.notices, *self.told, *(found.if_empty if self._empty else ())]
 
     def report(self) -> dict[str, object]:
         """Return what became of it, as plain values."""
@@ -173,7 +176,7 @@ class SimulationRun(EntryRun):
         super().__init__(name, self, simulation)
         self.begin, self.step_length = begin, step_length
         self.state = Reached(0, simulation.initial()) if state is None else state
-        self.taken = 0
+        self.taken, self.told = 0, []
         # States that who looks at the surface may still ask for, from the latest.
         self._kept: list[Reached[Any]] | None = None
         self._watchers: list[Surface | Bodies] = []
@@ -237,6 +240,7 @@ class SimulationRun(EntryRun):
             step = self.step_length
             made = self._steps(self.state.state, self.time(steps), step, count)
             self.state, self.taken = Reached(whole, made.state), self.taken + count
+            self._tell(made.notices)
         while self.state.steps < whole:
             self._go_on()
         return whole
@@ -321,6 +325,12 @@ class SimulationRun(EntryRun):
         self._watchers.append(watcher)
         return watcher
 
+    def _tell(self, notices: Sequence[Fault]) -> None:
+        """Keep warnings of a step whose codes no step had before."""
+        for one in notices:
+            if one.code not in {each.code for each in self.told}:
+                self.told = [*self.told, one]
+
     def time(self, steps: int) -> float:
         """Return when a number of steps ends [s]."""
         return self.begin + steps * self.step_length
@@ -364,6 +374,7 @@ class SimulationRun(EntryRun):
         after = self.simulation.step(state.state, now, until - now)
         after = after if isinstance(after, Stepped) else Stepped(after)
         self.taken += 1
+        self._tell(after.notices)
         if getattr(self.simulation, "checked", False):
             return Reached(state.steps + 1, after.state), after.wrenches
         frame = self.simulation.frame(after.state, until)

@@ -54,6 +54,7 @@ class Stepped(Generic[State]):
 
     state: State
     wrenches: Sequence[Wrenches] = ()  # of each of the colliders' `bodies`
+    notices: Sequence[Fault] = ()  # warnings of it; a run tells the first of each code
 
 
 @dataclass(frozen=True, slots=True)

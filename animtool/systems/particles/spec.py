@@ -31,8 +31,8 @@ from animtool.systems.particles.records import Emission, Velocity
 
 if TYPE_CHECKING:
     from animtool.systems.framework.simulation import SimContext
-    from animtool.systems.particles.run import ParticleSimulation
     from animtool.systems.particles.setup import Particles
+    from animtool.systems.particles.simulation import ParticleSimulation
 
 
 @with_fields(Emission)
@@ -133,7 +133,7 @@ class ParticlesModel(SystemSpec):
 
 def build(spec: ParticlesModel, context: SimContext) -> ParticleSimulation:
     """Return particles at their beginning; what moves them is imported now."""
-    from animtool.systems.particles.run import ParticleSimulation
+    from animtool.systems.particles.simulation import ParticleSimulation
 
     setup, around = spec.setup(context.parts), context.colliders
     setup = replace(

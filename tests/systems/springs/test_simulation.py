@@ -758,7 +758,7 @@ def test_only_what_a_scene_has_is_loaded(walk: Path, tmp_path: Path) -> None:
     shared = [f"animtool.systems.framework.{name}" for name in names]
     assert nothing == ["animtool.sim.contact", *shared]
     assert "animtool.systems.springs.system" in springs
-    assert "animtool.systems.particles.run" in particles
+    assert "animtool.systems.particles.simulation" in particles
     specs = [kind.spec.partition(":")[0] for kind in SYSTEM_KINDS.values()]
     assert set(springs).intersection(specs) == {"animtool.systems.springs.spec"}
     assert set(particles).intersection(specs) == {"animtool.systems.particles.spec"}
