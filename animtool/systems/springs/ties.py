@@ -60,7 +60,7 @@ class Ties:
         """Name and mass [kg] of the lightest body that moves; None where none does."""
         found = []
         for tie in self.ties:
-            system = self.carriers[tie.carrier].system
+            system = self.carriers[tie.carrier].system.shared
             rows = np.flatnonzero(system.dynamic == tie.body)
             mass = float(self.carriers[tie.carrier].masses[rows].min(initial=np.inf))
             found.append((mass, system.names[tie.body]))
@@ -140,7 +140,7 @@ class TiedCell:
         """Yield the bodies that move by themselves and carry anything."""
         carriers = self._ties.carriers
         for k, step in enumerate(self._steps):
-            dynamic = carriers[k].system.dynamic
+            dynamic = carriers[k].system.shared.dynamic
             for number, body in enumerate(dynamic.tolist()):
                 ties = self._ties.ties
                 own = [
