@@ -26,7 +26,7 @@ from animtool.systems.springs import (
 from animtool.systems.springs.entry import SpringEntry, join_pairs
 from animtool.systems.springs.paths import combined
 from animtool.systems.springs.pins import air_of, moved_to_pins, ties_of, wind_ties
-from animtool.systems.springs.simulation import SpringSimulation
+from animtool.systems.springs.simulation import SpringSimulation, plan_springs
 from animtool.systems.springs.spec import FaceWindModel, SpringsModel
 from animtool.systems.springs.ties import Tie, Ties
 from animtool.systems.springs.view import SpringView
@@ -60,11 +60,9 @@ class _Building:
 
     def simulation(self) -> SpringSimulation:
         """Return them with what each entry shows."""
-        context = self._context
-        spec = self._spec
-        made = SpringSimulation(
-            self._system, spec.options, context.begin, context, settled=spec.settle
-        )
+        context, spec = self._context, self._spec
+        plan = plan_springs(self._system, spec.options, context, settled=spec.settle)
+        made = SpringSimulation(plan, context)
         springs = 0
         views: list[SpringView] = []
         for member, rows in zip(context.members, self._rows, strict=True):

@@ -754,9 +754,9 @@ def test_only_what_a_scene_has_is_loaded(walk: Path, tmp_path: Path) -> None:
     lines = [line for line in done.stdout.splitlines() if line.startswith("[")]
     nothing, springs, particles = map(json.loads, lines)
     # What keys share and count is part of reading scenes.
-    names = ("conversion", "fields", "kinds")
-    shared = [f"animtool.systems.framework.{name}" for name in names]
-    assert nothing == ["animtool.sim.contact", *shared]
+    above = "animtool.systems.framework"
+    shared = [f"{above}.{name}" for name in ("conversion", "fields", "kinds", "spec")]
+    assert nothing == ["animtool.sim.contact", above, *shared]
     assert "animtool.systems.springs.system" in springs
     assert "animtool.systems.particles.simulation" in particles
     specs = [kind.spec.partition(":")[0] for kind in SYSTEM_KINDS.values()]
