@@ -28,6 +28,7 @@ from animtool.documents.references import (
     split_reference,
 )
 from animtool.maths import so3
+from animtool.scene.systems.carriers import OnPrim, moved_poses
 from animtool.scene.systems.surroundings import moving_sheet
 from animtool.sim.colliders import SHAPES, Collider, HeightField, Mesh, Poses
 from animtool.systems.framework.conversion import METRES, SceneUnits
@@ -202,7 +203,7 @@ class EntryReader:
             if message:
                 sound = False
                 self.note((*at, key), Fault(code, message))
-        return _moved(model, own) if sound else None
+        return moved_poses(model, own) if sound else None
 
     def _followed(
         self,
@@ -212,8 +213,6 @@ class EntryReader:
         code: str,
     ) -> Poses | None:
         """Return the poses of what goes with a prim."""
-        from animtool.scene.systems.carriers import OnPrim
-
         assert model.prim is not None
         for key in ("moves", "turns"):
             if getattr(model, key):
@@ -384,27 +383,6 @@ class EntryReader:
         """Note what keeps a file from being written."""
         found = referred(self.document, at, name, self.roots, written=True)
         self.sound &= found is not None
-
-
-def _moved(model: PlacedModel, own: Poses) -> Poses:
-    """Return where an entry stands that moves and turns by itself."""
-    if not model.moves and not model.turns:
-        return own
-    ways = np.array(model.moves or [[0.0] * 4])
-    turns = np.array(model.turns or [[0.0, 1.0, 0.0, 0.0, 0.0]])
-    still = np.zeros((len(turns), 3))
-    gone = Poses(ways[:, 0], ways[:, 1:], np.tile(so3.IDENTITY, (len(ways), 1)))
-    turned = Poses(turns[:, 0], still, turns[:, [2, 3, 4, 1]])
-    # Each goes evenly between its own times, and so it does between those of both.
-    times = ways[:, 0] if not model.turns else turns[:, 0]
-    if model.moves and model.turns:
-        times = np.union1d(ways[:, 0], turns[:, 0])
-    place = own.rows[0]
-    return Poses(
-        times,
-        gone.over(times)[:, :3] + place[:3],
-        so3.multiply(turned.over(times)[:, 3:], place[3:]),
-    )
 
 
 def _array_fault(values: npt.NDArray[np.float64]) -> str | None:

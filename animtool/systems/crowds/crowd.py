@@ -30,9 +30,9 @@ from animtool.systems.framework.simulation import Diagnostics, SimContext
 
 if TYPE_CHECKING:
     from animtool.rig.kinematics import WorldTransforms
-    from animtool.systems.crowds.bodies import BodyState
     from animtool.systems.crowds.cast import Casting
     from animtool.systems.crowds.falls import Falling, Falls
+    from animtool.systems.crowds.footing import BodyState
 
 # Rounds in which agents that overlap in a step are moved apart.
 APART = 100

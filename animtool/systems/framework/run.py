@@ -7,14 +7,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Generic, TypeVar
 
-import numpy as np
-
-from animtool.core.array_types import FloatArray, IntArray
-from animtool.core.errors import Fault, OptionError, ToleranceError
-from animtool.core.quantities import floored, plain
-from animtool.motion.frames import Frame, TransformsFrame
+from animtool.core.errors import Fault, OptionError
+from animtool.motion.frames import Frame
 from animtool.sim.colliders import MovingBodies
 from animtool.sim.colliders.bodies import Pusher, Wrenches
+from animtool.systems.framework.bounds import check_bounds, check_finite
 from animtool.systems.framework.simulation import (
     Diagnostics,
     ManySteps,
@@ -30,17 +27,6 @@ Watcher = TypeVar("Watcher", Surface, Bodies)
 
 # A time that is as near to the end of a step is that end [steps].
 ON_STEP = 1e-9
-# Numbers of a frame beyond this are in no scene; files hold up to 3e38, in any unit.
-BOUND = 1e30
-# What is looked at beside primvars, and its unit.
-UNITS = {
-    "points": "m",
-    "velocities": "m/s",
-    "spins": "rad/s",
-    "rotations": "",
-    "scales": "",
-    "radii": "m",
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +62,7 @@ class EntryRun:
             ToleranceError: It blew up (SIM102), or the method could not go on.
         """
         frame: Frame = self.simulation.frame(*self.run.reach(t))
-        _check_bounds(self.run, self.name, frame, t)
+        check_bounds(self.name, frame, t, self.run.step_length)
         self._empty = self._empty is not False and not len(frame.points)
         return frame
 
@@ -122,31 +108,6 @@ class EntryRun:
             return {}
         steps = {} if "steps" in values else {"steps": self.run.taken}
         return {"name": self.name, **steps, **values}
-
-
-def _check_bounds(run: SimulationRun, name: str, frame: Frame, t: float) -> None:
-    """Raise where a frame holds a number that no file is to hold (SIM102)."""
-    primvars = {f"primvars:{key}": rows for key, rows in _primvars(frame)}
-    arrays = {what: getattr(frame, what, None) for what in UNITS} | primvars
-    for what, rows in arrays.items():
-        if rows is None or not rows.size or rows.dtype.kind != "f":
-            continue
-        if rows.min() >= -BOUND and rows.max() <= BOUND:
-            continue
-        place = np.argwhere(~(np.abs(rows) <= BOUND))[0]
-        value = f"{float(rows[tuple(place)]):.3g} {UNITS.get(what, '')}".rstrip()
-        message = f"{name} blew up at {t:g} s: {what}[{int(place[0])}] is {value}"
-        hint = f"step: {_half(run.step_length)}, or weaker forces"
-        raise ToleranceError(Fault("SIM102", message, hint=hint))
-
-
-def _half(step: float) -> str:
-    """Return half a step [s], as it is written."""
-    return plain(floored(step / 2))
-
-
-def _primvars(frame: Frame) -> list[tuple[str, FloatArray | IntArray]]:
-    return sorted(getattr(frame, "primvars", {}).items())
 
 
 class SimulationRun(EntryRun):
@@ -378,14 +339,5 @@ class SimulationRun(EntryRun):
         if getattr(self.simulation, "checked", False):
             return Reached(state.steps + 1, after.state), after.wrenches
         frame = self.simulation.frame(after.state, until)
-        # Velocities of a field may have no value where no frame is.
-        arrays = [frame.points]
-        if isinstance(frame, TransformsFrame):
-            arrays += [frame.rotations, frame.scales]
-        if not all(np.isfinite(array).all() for array in arrays):
-            finite = np.isfinite(np.concatenate(arrays, axis=1))
-            (bad,) = np.nonzero(~finite.all(axis=1))
-            message = f"{self.name} blew up at {until:g} s: point {int(bad[0])} is"
-            hint = f"step: {_half(self.step_length)}, or weaker forces"
-            raise ToleranceError(Fault("SIM102", f"{message} not finite", hint=hint))
+        check_finite(self.name, frame, until, self.step_length)
         return Reached(state.steps + 1, after.state), after.wrenches
