@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -66,16 +66,6 @@ class Ties:
             found.append((mass, system.names[tie.body]))
         mass, name = min(found)
         return None if mass == np.inf else (name, mass)
-
-
-class Crossed(Protocol):
-    """What springs come to in a cell, with what held particles were pulled by."""
-
-    lost: bool
-
-    @property
-    def pulls(self) -> FloatArray:
-        """Impulses and moments about the origin ``(H, 6)``."""
 
 
 class _Pulled(NamedTuple):
