@@ -21,18 +21,18 @@ class Counter:
     def initial(self) -> float:
         return 0.0
 
-    def step(self, state: float, t: float, dt: float) -> Stepped[float]:
+    def step(self, state: float, *_: float) -> Stepped[float]:
         after = state + 1.0
         place = after if after <= self._largest else np.nan
         odd = warning("SIM137", f"step {after:g}") if after % 2 else None
         even = warning("SIM138", f"step {after:g}")
         return Stepped(place, (), [even, *([odd] if odd else []), even])
 
-    def frame(self, state: float, t: float) -> PointsFrame:
+    def frame(self, state: float, *_: float) -> PointsFrame:
         points = np.array([[state, 0.0, 0.0]])
         return PointsFrame(np.zeros(1, int), points, points, np.ones(1))
 
-    def diagnostics(self, state: float, t: float) -> Diagnostics:
+    def diagnostics(self, *_: float) -> Diagnostics:
         return Diagnostics(notices=[warning("SIM175", "as it was built")])
 
 
@@ -69,7 +69,7 @@ def test_a_step_that_is_not_finite_names_a_shorter_one() -> None:
 
 def test_a_number_that_no_file_holds_is_a_blow_up() -> None:
     class Far(Counter):
-        def step(self, state: float, t: float, dt: float) -> Stepped[float]:
+        def step(self, *_: float) -> Stepped[float]:
             return Stepped(1e31)
 
     run = SimulationRun("it", Far(), 0.0, 0.1)
