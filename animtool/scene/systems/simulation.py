@@ -99,8 +99,8 @@ def build_entries(
         return [run]
     views = run.simulation.views
     return [
-        EntryRun(member.name, run, view)
-        for member, view in zip(members, views, strict=True)
+        EntryRun(member.name, run, view, speaks=not k)
+        for k, (member, view) in enumerate(zip(members, views, strict=True))
     ]
 
 

@@ -44,13 +44,18 @@ class EntryRun:
         name: Of the entry.
         run: What takes it, and what it is joined to, through time.
         simulation: What it shows of it; of an entry alone, the simulation itself.
-        told: Warnings of steps so far, the first of each code.
+        speaks: Whether warnings of steps are told with it; of joined ones, the first.
     """
 
-    told: Sequence[Fault] = ()
-
-    def __init__(self, name: str, run: SimulationRun, view: SystemView[Any]) -> None:
-        self.name, self.run = name, run
+    def __init__(
+        self,
+        name: str,
+        run: SimulationRun,
+        view: SystemView[Any],
+        *,
+        speaks: bool = True,
+    ) -> None:
+        self.name, self.run, self.speaks = name, run, speaks
         self.simulation: Any = view
         self._empty: bool | None = None  # None before the first look
 
@@ -99,7 +104,8 @@ class EntryRun:
     def notices(self) -> list[Fault]:
         """Warnings so far."""
         found = self.diagnostics
-        return [*found.notices, *self.told, *(found.if_empty if self._empty else ())]
+        told = self.run.told if self.speaks else ()
+        return [*found.notices, *told, *(found.if_empty if self._empty else ())]
 
     def report(self) -> dict[str, object]:
         """Return what became of it, as plain values."""
@@ -124,6 +130,7 @@ class SimulationRun(EntryRun):
         step_length: Of every step [s].
         state: At the end of the last whole step.
         taken: Steps and parts of steps so far.
+        told: Warnings of these, the first of each code.
     """
 
     def __init__(
@@ -137,7 +144,8 @@ class SimulationRun(EntryRun):
         super().__init__(name, self, simulation)
         self.begin, self.step_length = begin, step_length
         self.state = Reached(0, simulation.initial()) if state is None else state
-        self.taken, self.told = 0, []
+        self.taken = 0
+        self.told: list[Fault] = []
         # States that who looks at the surface may still ask for, from the latest.
         self._kept: list[Reached[Any]] | None = None
         self._watchers: list[Surface | Bodies] = []
@@ -290,7 +298,7 @@ class SimulationRun(EntryRun):
         """Keep warnings of a step whose codes no step had before."""
         for one in notices:
             if one.code not in {each.code for each in self.told}:
-                self.told = [*self.told, one]
+                self.told.append(one)
 
     def time(self, steps: int) -> float:
         """Return when a number of steps ends [s]."""
