@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar, runtime_checkable
+from typing import Any, Generic, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
@@ -15,8 +15,24 @@ from animtool.motion.frames import MeshFrame
 from animtool.sim.colliders import Collider
 from animtool.sim.colliders.bodies import Pusher, Wrenches
 
-if TYPE_CHECKING:
-    from animtool.systems.framework.run import SimulationRun
+
+class Watched(Protocol):
+    """A simulation under way that is looked at as it is, and was."""
+
+    def look(self, t: float, *, begins: bool = False) -> tuple[Any, float]:
+        """Return the state at a time [s], and when; as a step begins, or one ends."""
+
+    def forget(self) -> None:
+        """Let go of the states that nobody asks for any more."""
+
+    def push(self, t: float, who: int, wrenches: Wrenches) -> None:
+        """Take what bodies are pushed by at a time [s], by the pusher of a number."""
+
+    def pushed_by(self, pusher: Pusher) -> int:
+        """Note who pushes its bodies; return the number of the pusher."""
+
+    def pulled_by(self, bodies: Any, puller: Any) -> None:
+        """Note who hangs on some of its bodies."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +136,7 @@ class _Looks(Generic[Seen]):
 class _Watcher:
     """One who looks at a simulation as it is, and was."""
 
-    def __init__(self, run: SimulationRun) -> None:
+    def __init__(self, run: Watched) -> None:
         self._run = run
         self.since = -math.inf  # no time before will be asked for [s]
 
@@ -134,7 +150,7 @@ class _Watcher:
 class Surface(_Watcher):
     """The mesh of a simulation, or what an entry shows of one."""
 
-    def __init__(self, run: SimulationRun, view: Any) -> None:
+    def __init__(self, run: Watched, view: Any) -> None:
         super().__init__(run)
         skinned = isinstance(view, Skinned)
         self.radius: float = view.radius if skinned else SKIN
@@ -161,7 +177,7 @@ class Bodies(_Watcher):
 
     def __init__(
         self,
-        run: SimulationRun,
+        run: Watched,
         simulation: RigidSystem,
         restitution: float,
         friction: float,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -13,10 +13,7 @@ from animtool.core.names import nearest
 from animtool.maths import so3
 from animtool.sim.colliders import Colliders, Poses
 from animtool.sim.colliders.bodies import Wrenches
-from animtool.systems.framework.surfaces import Bodies, RigidSystem
-
-if TYPE_CHECKING:
-    from animtool.systems.framework.run import SimulationRun
+from animtool.systems.framework.surfaces import Bodies, RigidSystem, Watched
 
 # Of how far a pull over a step takes a body, over the step and the speed that it gives:
 # half of it is even over the step, and a little more lets what is stiff come to rest.
@@ -41,7 +38,7 @@ class TiedBodies(Bodies):
     """
 
     def __init__(
-        self, run: SimulationRun, simulation: RigidSystem, begin: float, step: float
+        self, run: Watched, simulation: RigidSystem, begin: float, step: float
     ) -> None:
         super().__init__(run, simulation, 0.0, 0.0, two_way=True)
         self.system = simulation
