@@ -91,6 +91,13 @@ class Fault:
         }
 
 
+def warning(
+    code: str, message: str, hint: str | None = None, where: str | None = None
+) -> Fault:
+    """Return a warning."""
+    return Fault(code, message, hint=hint, where=where, severity=Severity.WARNING)
+
+
 @dataclass(slots=True)
 class Naming:
     """What the text of an error in Python calls the flags that faults name."""

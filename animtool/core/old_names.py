@@ -24,6 +24,12 @@ OLD_NAMES = {
     "animtool.passes": "animtool.motion.passes",
     "animtool.readers": "animtool.core.readers",
     "animtool.rules": "animtool.core.rules",
+    "animtool.systems.colours": "animtool.systems.framework.colours",
+    "animtool.systems.fields": "animtool.systems.framework.fields",
+    "animtool.systems.interacting": "animtool.systems.framework.interacting",
+    "animtool.systems.kinds": "animtool.systems.framework.kinds",
+    "animtool.systems.simulation": "animtool.systems.framework.simulation",
+    "animtool.systems.surfaces": "animtool.systems.framework.surfaces",
     "animtool.take": "animtool.motion.take",
 }
 

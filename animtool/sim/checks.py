@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from animtool.core.array_types import ArrayLike, FloatArray
-from animtool.core.errors import Fault, OptionError, Severity
+from animtool.core.errors import Fault, OptionError, warning
 from animtool.core.quantities import plain
 from animtool.sim.equations import Equations
 from animtool.sim.integrators.integrator import Control, Form, Integrator
@@ -48,7 +48,7 @@ def step_notices(
     if limit is None or longest <= limit:
         return []
     message = f"{integrator.name} is not stable with steps of {plain(longest)} s"
-    return [Fault("SIM101", message, hint=_advice(limit), severity=Severity.WARNING)]
+    return [warning("SIM101", message, _advice(limit))]
 
 
 def ending(integrator: Integrator, options: IntegrateOptions, stats: Stats) -> Fault:
@@ -64,7 +64,7 @@ def ending(integrator: Integrator, options: IntegrateOptions, stats: Stats) -> F
         Status.NOT_SOLVED: "take a shorter step",
     }
     code, hint = _CODES[stats.status], advice[stats.status]
-    return Fault(code, message, hint=hint, severity=Severity.WARNING)
+    return warning(code, message, hint)
 
 
 def _advice(stable_step: float | None) -> str:

@@ -9,9 +9,9 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray
 from animtool.scene.systems.simulation import open_systems
+from animtool.systems.framework.run import SimulationRun
 from animtool.systems.rigid.shared import RigidState
 from animtool.systems.rigid.simulation import RigidSimulation
-from animtool.systems.run import SimulationRun
 from support.simulated import Simulator
 
 FLOOR = {"shape": {"plane": {}}}

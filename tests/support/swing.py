@@ -14,16 +14,16 @@ from animtool.documents.fields import Real
 from animtool.maths import so3
 from animtool.motion.frames import MeshFrame, PointsFrame, TransformsFrame
 from animtool.sim.system import Energy
-from animtool.systems.fields import (
+from animtool.systems.framework.fields import (
     ArrayEntry,
     ForceEntry,
     PlacedModel,
     PlaceEntry,
     ShapeEntry,
     SystemColliderModel,
-    SystemSpec,
 )
-from animtool.systems.simulation import Diagnostics, SimContext
+from animtool.systems.framework.simulation import Diagnostics, SimContext
+from animtool.systems.framework.spec import SystemSpec
 
 WING = MeshFrame(np.eye(3), np.zeros((3, 3)), np.array([3]), np.arange(3))
 

@@ -24,7 +24,7 @@ from animtool.motion.transforms import PropRequest
 from animtool.scene.bake.options import BakeOptions
 from animtool.scene.file.tracks import TrackNames
 from animtool.scene.sources.open import SourceOptions
-from animtool.systems.fields import EntryRecord, SystemSpec
+from animtool.systems.framework.spec import EntryRecord, SystemSpec
 
 
 @dataclass(frozen=True, slots=True)

@@ -39,9 +39,9 @@ from animtool.scene.file.tracks import TrackNames
 from animtool.scene.scene import Scene
 from animtool.scene.sources.open import SourceOptions, is_usd, takes_option
 from animtool.scene.systems.links import check_links
-from animtool.systems.conversion import SceneUnits
-from animtool.systems.fields import SystemColliderModel
-from animtool.systems.kinds import SYSTEM_KINDS
+from animtool.systems.framework.conversion import SceneUnits
+from animtool.systems.framework.fields import SystemColliderModel
+from animtool.systems.framework.kinds import SYSTEM_KINDS
 
 # It reads whole scenes, where they are characters.
 COLLIDER_READER = "animtool.scene.systems.entries:EntryReader"
@@ -354,7 +354,11 @@ class _PassReader:
         reader = kind(self.keys.document, self.keys.roots, self.units)
         read = {
             name: tuple(
-                reader.colliders((*at, name), list(map(self.units.converted, models)))
+                reader.each(
+                    (*at, name),
+                    map(self.units.converted, models),
+                    reader.collider,
+                )
             )
             for name, models in entries.items()
         }

@@ -33,7 +33,7 @@ from animtool.documents.fields import (
 from animtool.scene.bake.options import BakeOptions
 from animtool.scene.file.output_fields import with_keys
 from animtool.scene.sources.open import SourceOptions
-from animtool.systems.kinds import SYSTEM_KINDS
+from animtool.systems.framework.kinds import SYSTEM_KINDS
 
 Model = TypeVar("Model", bound=BaseModel)
 

@@ -21,6 +21,7 @@ from animtool.scene.systems.character_motion import (
     no_mesh,
 )
 from animtool.sim.colliders import Poses, joint_poses
+from animtool.systems.framework.fields import PlacedModel
 
 # Between two of these a prim goes straight, whatever turns it [1/s].
 PRIM_RATE = 120
@@ -121,3 +122,24 @@ class OnPrim:
         found = prop.track.sample(codes)
         times = (codes - start) / float(prop.fps)
         return Poses(times, found.translations, so3.align_signs(found.rotations))
+
+
+def moved_poses(model: PlacedModel, own: Poses) -> Poses:
+    """Return where an entry stands that moves and turns by itself."""
+    if not model.moves and not model.turns:
+        return own
+    ways = np.array(model.moves or [[0.0] * 4])
+    turns = np.array(model.turns or [[0.0, 1.0, 0.0, 0.0, 0.0]])
+    still = np.zeros((len(turns), 3))
+    gone = Poses(ways[:, 0], ways[:, 1:], np.tile(so3.IDENTITY, (len(ways), 1)))
+    turned = Poses(turns[:, 0], still, turns[:, [2, 3, 4, 1]])
+    # Each goes evenly between its own times, and so it does between those of both.
+    times = ways[:, 0] if not model.turns else turns[:, 0]
+    if model.moves and model.turns:
+        times = np.union1d(ways[:, 0], turns[:, 0])
+    place = own.rows[0]
+    return Poses(
+        times,
+        gone.over(times)[:, :3] + place[:3],
+        so3.multiply(turned.over(times)[:, 3:], place[3:]),
+    )

@@ -27,7 +27,7 @@ from animtool.scene.sources.open import open_source
 from animtool.sim.colliders import Collider, Sheet, Sphere, rig_colliders
 from animtool.skin.character import character_meshes
 from animtool.skin.deform import Deformed, DeformedMesh, deform_blocks
-from animtool.systems.fields import CharacterModel
+from animtool.systems.framework.fields import CharacterModel
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import (
@@ -10,7 +10,6 @@ from typing import (
     Annotated,
     Any,
     TypeAlias,
-    TypeVar,
     get_args,
     get_origin,
 )
@@ -25,13 +24,14 @@ from animtool.documents.document import Document, Location, location_of
 from animtool.motion.frames import MeshFrame
 from animtool.motion.physics import Physics
 from animtool.motion.transforms import PropRequest
-from animtool.scene.file.entries import SystemSetup
+from animtool.scene.file.entries import SystemSetup, place_of_entry
 from animtool.scene.systems.carriers import OnJoint, OnPrim, OnVertex
 from animtool.scene.systems.character_motion import open_take
 from animtool.scene.systems.entries import PLACING, EntryReader
-from animtool.scene.systems.surroundings import AROUND, Surroundings
-from animtool.systems.conversion import METRES, SceneUnits
-from animtool.systems.fields import (
+from animtool.scene.systems.surroundings import Surroundings
+from animtool.systems.framework.conversion import METRES, SceneUnits
+from animtool.systems.framework.fields import (
+    AROUND,
     CarryingBodyModel,
     CarryingJointModel,
     CarryingPrimModel,
@@ -46,10 +46,10 @@ from animtool.systems.fields import (
     PrototypeModel,
     RecordModel,
     SystemColliderModel,
-    SystemSpec,
     SystemSurfaceModel,
 )
-from animtool.systems.tied import OnBody
+from animtool.systems.framework.spec import SystemSpec
+from animtool.systems.framework.tied import OnBody
 
 if TYPE_CHECKING:
     from animtool.scene.systems.gaits import GaitsSource
@@ -115,9 +115,6 @@ def _frame(points: FloatArray, counts: IntArray, indices: IntArray) -> MeshFrame
     )
 
 
-CarrierT = TypeVar("CarrierT", OnJoint, OnVertex)
-
-
 class PartReader(EntryReader):
     """Reads what the models of entries hold.
 
@@ -165,13 +162,12 @@ class PartReader(EntryReader):
                 if values is not None and factor != 1.0:
                     parts[key] = values * factor
             elif isinstance(value, list):
-                each = [read((*at, key, i), entry) for i, entry in enumerate(value)]
-                parts[key] = [part for part in each if part is not None]
+                parts[key] = self.each((*at, key), value, read)
             else:
                 parts[key] = read((*at, key), value)
         return parts
 
-    def _entry(self, at: Location, model: FileModel) -> Any:
+    def entry(self, at: Location, model: FileModel) -> Any:
         """Return the parts of a model, or its record; None where faults leave none."""
         self.note_ranges(at, model)
         parts = self.parts(at, model)
@@ -188,42 +184,19 @@ class PartReader(EntryReader):
 
         Faults of places and shapes are noted where nothing else does.
         """
-
-        def sound(read: Reader) -> Reader:
-            return lambda at, entry: self._sound(at, read(at, entry), check=check)
-
-        readers: dict[Part, Reader] = {
-            Part.ARRAY: lambda at, text: self.array(at, text, str(at[-1])),
-            Part.NAMES: self.names,
-            Part.FORCE: self.force,
-            Part.PLACE: sound(self.emitter_place),
-            Part.SHAPE: sound(self.shape),
-        }
         for mark in marks:
             if isinstance(mark, Part):
-                return readers[mark]
+                read: Reader = getattr(self, READERS[mark])
+                if mark in {Part.PLACE, Part.SHAPE}:
+                    return lambda at, one: self._sound(at, read(at, one), check=check)
+                return read
         if get_origin(annotation) is Annotated:
             marks = annotation.__metadata__
             return self._reader(annotation.__origin__, marks, check=check)
         if isinstance(annotation, type) and issubclass(annotation, FileModel):
-            models: dict[type[FileModel], Reader] = {
-                PrototypeModel: self.prototype,
-                GaitsModel: self.gaits,
-                PhysicsStageModel: self.physics,
-                PrimMeshModel: self.still_mesh,
-                CarryingJointModel: self.carrying_joint,
-                CarryingVertexModel: self.carrying_vertex,
-                CarryingPrimModel: self.carrying_prim,
-                CarryingBodyModel: self.carrying_body,
-                SystemColliderModel: self.collider,
-                CharacterModel: self.character_collider,
-                SystemSurfaceModel: self.surface,
-                MovingMeshModel: self.mesh,
-            }
-            own = (
-                read for kind, read in models.items() if issubclass(annotation, kind)
-            )
-            return next(own, self._entry)
+            own = (READERS[one] for one in annotation.__mro__ if one in READERS)
+            found: Reader = getattr(self, next(own, "entry"))
+            return found
         inner = (self._reader(one, check=check) for one in get_args(annotation))
         return next((read for read in inner if read is not None), None)
 
@@ -234,48 +207,33 @@ class PartReader(EntryReader):
             hint = "write prim: /bird/body, or mesh: body"
             self.note(at, Fault("SIM053", message, hint=hint))
             return None
-        path = self.input((*at, "file"), model.file)
+        path = self.followed((*at, "file"), model.file)
         if path is None:
             return None
-        self.files.append(path)
         made = Prototype(path, model.prim, model.mesh, model.samples)
         if model.prim is not None:
-            try:
-                made()
-            except AnimtoolError as error:
-                self.note((*at, "prim"), replace(error.faults[0], code="SIM051"))
+            self.opened((*at, "prim"), made, "SIM051")
         return made
 
     def gaits(self, at: Location, model: GaitsModel) -> GaitsSource | None:
         """Return clips of a rig; they are looked at now, once for all of one rig."""
         from animtool.scene.systems.gaits import GaitsSource
 
-        rig = self.input((*at, "rig"), model.rig)
-        clips = [
-            self.input((*at, "clips", i), clip) for i, clip in enumerate(model.clips)
-        ]
-        found = [path for path in (rig, *clips) if path is not None]
-        self.files += found
-        if rig is None or len(found) < 1 + len(clips):
+        rig = self.followed((*at, "rig"), model.rig)
+        clips = self.each((*at, "clips"), model.clips, self.followed)
+        if rig is None or len(clips) < len(model.clips):
             return None
-        made = GaitsSource(rig, tuple(found[1:]))
+        made = GaitsSource(rig, tuple(clips))
         made = self._gaits.setdefault(made, made)
-        try:
-            made()
-        except AnimtoolError as error:
-            for fault in error.faults:
-                self.note(at, fault)
-            return None
-        return made
+        return None if self.opened(at, made) is None else made
 
     def physics(self, at: Location, model: PhysicsStageModel) -> Physics | None:
         """Return what UsdPhysics says of a stage."""
         from animtool.usd.physics.read import read_bodies
 
-        path = self.input((*at, "file"), model.file)
+        path = self.followed((*at, "file"), model.file)
         if path is None:
             return None
-        self.files.append(path)
         try:
             return read_bodies(path, model.prim, model.frame)
         except AnimtoolError as error:
@@ -300,36 +258,33 @@ class PartReader(EntryReader):
         path = self.input((*at, "file"), model.file)
         if path is None:
             return None
-        try:
-            return read_still_mesh(path, model.prim, UpAxis.Y)
-        except OptionError as error:
-            self.note((*at, "prim"), error.faults[0])
-            return None
+        return self.opened(
+            (*at, "prim"),
+            lambda: read_still_mesh(path, model.prim, UpAxis.Y),
+            kind=OptionError,
+        )
 
-    def carrying_joint(self, at: Location, model: CarryingJointModel) -> OnJoint | None:
-        """Return a joint that carries others."""
+    def carrying_character(
+        self, at: Location, model: CarryingJointModel | CarryingVertexModel
+    ) -> OnJoint | OnVertex | None:
+        """Return a joint or a vertex that carries others.
+
+        It is checked now; of the scene's own character that is later.
+        """
         path = self.character(at, model)
         if path is None:
             return None
-        return self._there(at, OnJoint(path, model.joint, self.place(at, model)))
-
-    def carrying_vertex(
-        self, at: Location, model: CarryingVertexModel
-    ) -> OnVertex | None:
-        """Return a vertex that carries others."""
-        path = self.character(at, model)
-        if path is None:
-            return None
-        place = self.place(at, model)
-        return self._there(at, OnVertex(path, model.mesh, model.vertex, place))
-
-    def _there(self, at: Location, carrier: CarrierT) -> CarrierT | None:
-        """Return what carries, checked; of the scene's own character that is later."""
-        self.carriers.append(carrier.file)
-        if carrier.file == self.document.path:
+        place = place_of_entry(self.document, at, model)
+        carrier: OnJoint | OnVertex
+        if isinstance(model, CarryingJointModel):
+            carrier = OnJoint(path, model.joint, place)
+        else:
+            carrier = OnVertex(path, model.mesh, model.vertex, place)
+        self.carriers.append(path)
+        if path == self.document.path:
             return carrier
         try:
-            rig = open_take(carrier.file).rig
+            rig = open_take(path).rig
         except AnimtoolError as error:
             # They are of that file, and are told with it.
             self.document.faults.extend(error.faults)
@@ -348,11 +303,8 @@ class PartReader(EntryReader):
         if path is None:
             return None
         self.carriers.append(path)
-        try:
-            open_prop(PropRequest(path, model.prim, model.prim), UpAxis.Y)
-        except AnimtoolError as error:
-            (fault, *_) = error.faults
-            self.note((*at, "prim"), Fault("SIM053", fault.message, hint=fault.hint))
+        request = PropRequest(path, model.prim, model.prim)
+        self.opened((*at, "prim"), lambda: open_prop(request, UpAxis.Y), "SIM053")
         return OnPrim(path, model.prim, model.frame)
 
     def carrying_body(self, at: Location, model: CarryingBodyModel) -> OnBody:  # noqa: ARG002
@@ -365,6 +317,28 @@ class PartReader(EntryReader):
         for why in part.faults() if check and part is not None else ():
             self.note(at, Fault("SIM020", why))
         return part
+
+
+# What reads entries that are marked, or of a model, by the name of its method.
+READERS: Mapping[Any, str] = {
+    Part.ARRAY: "array",
+    Part.NAMES: "names",
+    Part.FORCE: "force",
+    Part.PLACE: "emitter_place",
+    Part.SHAPE: "shape",
+    PrototypeModel: "prototype",
+    GaitsModel: "gaits",
+    PhysicsStageModel: "physics",
+    PrimMeshModel: "still_mesh",
+    CarryingJointModel: "carrying_character",
+    CarryingVertexModel: "carrying_character",
+    CarryingPrimModel: "carrying_prim",
+    CarryingBodyModel: "carrying_body",
+    SystemColliderModel: "collider",
+    CharacterModel: "character_collider",
+    SystemSurfaceModel: "surface",
+    MovingMeshModel: "mesh",
+}
 
 
 def _marks(annotation: Any, marks: Sequence[Any]) -> list[Any]:

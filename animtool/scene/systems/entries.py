@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -28,11 +28,13 @@ from animtool.documents.references import (
     split_reference,
 )
 from animtool.maths import so3
-from animtool.scene.file.entries import Place, place_of_entry
+from animtool.scene.systems.carriers import OnPrim, moved_poses
 from animtool.scene.systems.surroundings import moving_sheet
 from animtool.sim.colliders import SHAPES, Collider, HeightField, Mesh, Poses
-from animtool.systems.conversion import METRES, SceneUnits
-from animtool.systems.fields import (
+from animtool.systems.framework.conversion import METRES, SceneUnits
+from animtool.systems.framework.fields import (
+    CarryingJointModel,
+    CarryingVertexModel,
     CharacterModel,
     MovingMeshModel,
     Named,
@@ -48,18 +50,6 @@ if TYPE_CHECKING:
 PLACING = {"at", "rotate", "moves", "turns", "prim"}
 Kind = TypeVar("Kind")
 RecordT = TypeVar("RecordT", bound=Checked)
-
-
-class NamedCharacter(Protocol):
-    """What names a character.
-
-    Attributes:
-        file: A clip or a scene.
-        source: Whether it is that of the scene, in place of a file.
-    """
-
-    file: str | None
-    source: bool
 
 
 class EntryReader:
@@ -98,9 +88,23 @@ class EntryReader:
         for fault in range_faults(model, OF_ENTRY):
             self.note((*at, fault.where or ""), fault)
 
-    def place(self, at: Location, model: FileModel) -> Place:
-        """Return the place of an entry, with those of the keys that it was given."""
-        return place_of_entry(self.document, at, model)
+    def opened(
+        self,
+        at: Location,
+        read: Callable[[], Kind],
+        code: str | None = None,
+        kind: type[AnimtoolError] = AnimtoolError,
+    ) -> Kind | None:
+        """Return what a function reads; None, and its faults, where it raises.
+
+        With a code that is the first alone, as one of that code.
+        """
+        try:
+            return read()
+        except kind as error:
+            for fault in error.faults[: None if code is None else 1]:
+                self.note(at, fault if code is None else replace(fault, code=code))
+            return None
 
     def checked(
         self, at: Location, record: RecordT | None, model: FileModel
@@ -123,25 +127,21 @@ class EntryReader:
             key = fault.where
             self.note((*at, key) if key in model.model_fields_set else at, fault)
 
-    def colliders(
-        self, at: Location, models: Sequence[SystemColliderModel]
-    ) -> list[Collider]:
-        """Return the colliders of entries that make sense."""
-        made = [self.collider((*at, i), model) for i, model in enumerate(models)]
-        return [collider for collider in made if collider is not None]
+    def each(
+        self, at: Location, models: Iterable[Any], read: Callable[[Location, Any], Any]
+    ) -> list[Any]:
+        """Return what entries of a list are read as, without those that leave none."""
+        found = [read((*at, i), model) for i, model in enumerate(models)]
+        return [part for part in found if part is not None]
 
     def collider(self, at: Location, model: SystemColliderModel) -> Collider | None:
         """Return the collider of an entry that makes sense."""
-        return self.checked(at, self._collider(at, model), model)
-
-    def _collider(self, at: Location, model: SystemColliderModel) -> Collider | None:
         shape = self.shape((*at, "shape"), model.shape)
-        if shape is None:
-            return None
-        poses = self.poses(at, model, "SIM020")
-        if poses is None:
-            return None
-        return record_of(Collider, model, shape=shape, poses=poses)
+        poses = None if shape is None else self.poses(at, model, "SIM020")
+        made = None
+        if poses is not None:
+            made = record_of(Collider, model, shape=shape, poses=poses)
+        return self.checked(at, made, model)
 
     def shape(self, at: Location, entry: Named) -> Any:
         """Return a shape of colliders."""
@@ -152,10 +152,8 @@ class EntryReader:
         from animtool.systems.particles.forces import find_force
 
         ((name, options),) = entry.items()
-        try:
-            kind = find_force(name)
-        except AnimtoolError as error:
-            self.note((*at, name), error.faults[0])
+        kind = self.opened((*at, name), lambda: find_force(name))
+        if kind is None:
             return None
         force = self.record((*at, name), kind, options or {}, name)
         for option, why in [] if force is None else force.faults():
@@ -172,16 +170,11 @@ class EntryReader:
 
     def mesh(self, at: Location, model: MovingMeshModel) -> MovingMeshModel | None:
         """Return the mesh of a USD file, whose points may move, with its whole path."""
-        path = self.input((*at, "file"), model.file)
+        path = self.followed((*at, "file"), model.file)
         if path is None:
             return None
-        self.files.append(path)
         mesh = model.model_copy(update={"file": str(path)})
-        try:
-            moving_sheet(mesh)
-        except AnimtoolError as error:
-            self.note((*at, "prim"), replace(error.faults[0], code="SIM051"))
-        else:
+        if self.opened((*at, "prim"), lambda: moving_sheet(mesh), "SIM051"):
             self.note_ranges(at, model)
         return mesh
 
@@ -210,7 +203,7 @@ class EntryReader:
             if message:
                 sound = False
                 self.note((*at, key), Fault(code, message))
-        return _moved(model, own) if sound else None
+        return moved_poses(model, own) if sound else None
 
     def _followed(
         self,
@@ -220,21 +213,17 @@ class EntryReader:
         code: str,
     ) -> Poses | None:
         """Return the poses of what goes with a prim."""
-        from animtool.scene.systems.carriers import OnPrim
-
         assert model.prim is not None
         for key in ("moves", "turns"):
             if getattr(model, key):
                 message = f"{key} is not for what goes with a prim"
                 self.note((*at, key), Fault(code, message))
-        path = self.input((*at, "prim", "file"), model.prim.file)
+        path = self.followed((*at, "prim", "file"), model.prim.file)
         if path is None:
             return None
-        self.files.append(path)
-        try:
-            carrier = OnPrim(path, model.prim.prim, model.prim.frame).over_time()
-        except AnimtoolError as error:
-            self.note((*at, "prim", "prim"), replace(error.faults[0], code="SIM053"))
+        prim = OnPrim(path, model.prim.prim, model.prim.frame)
+        carrier = self.opened((*at, "prim", "prim"), prim.over_time, "SIM053")
+        if carrier is None:
             return None
         place = own.rows[0]
         turns = carrier.rows[:, 3:]
@@ -262,7 +251,11 @@ class EntryReader:
         self.note_ranges(at, model)
         return model
 
-    def character(self, at: Location, model: NamedCharacter) -> Path | None:
+    def character(
+        self,
+        at: Location,
+        model: CharacterModel | CarryingJointModel | CarryingVertexModel,
+    ) -> Path | None:
         """Return the file of a character; the scene's own has that of the scene."""
         if model.source is (model.file is not None):
             message = "it is a file, or the character of this scene"
@@ -354,10 +347,13 @@ class EntryReader:
         return None
 
     def array(
-        self, at: Location, text: str, default: str
+        self, at: Location, text: str, default: str | None = None
     ) -> npt.NDArray[np.float64] | None:
-        """Return the array that a reference names; None, and a fault, where none is."""
-        name, key = split_reference(text, default)
+        """Return the array that a reference names; None, and a fault, where none is.
+
+        ``default`` is the name of the array where it gives none; None is its key.
+        """
+        name, key = split_reference(text, str(at[-1]) if default is None else default)
         path = self.input(at, name)
         if path is None:
             return None
@@ -377,31 +373,16 @@ class EntryReader:
         self.sound &= path is not None
         return path
 
+    def followed(self, at: Location, name: str) -> Path | None:
+        """Return a USD file to read, which the system goes with; None as `input`."""
+        path = self.input(at, name)
+        self.files += [] if path is None else [path]
+        return path
+
     def output(self, at: Location, name: str) -> None:
         """Note what keeps a file from being written."""
         found = referred(self.document, at, name, self.roots, written=True)
         self.sound &= found is not None
-
-
-def _moved(model: PlacedModel, own: Poses) -> Poses:
-    """Return where an entry stands that moves and turns by itself."""
-    if not model.moves and not model.turns:
-        return own
-    ways = np.array(model.moves or [[0.0] * 4])
-    turns = np.array(model.turns or [[0.0, 1.0, 0.0, 0.0, 0.0]])
-    still = np.zeros((len(turns), 3))
-    gone = Poses(ways[:, 0], ways[:, 1:], np.tile(so3.IDENTITY, (len(ways), 1)))
-    turned = Poses(turns[:, 0], still, turns[:, [2, 3, 4, 1]])
-    # Each goes evenly between its own times, and so it does between those of both.
-    times = ways[:, 0] if not model.turns else turns[:, 0]
-    if model.moves and model.turns:
-        times = np.union1d(ways[:, 0], turns[:, 0])
-    place = own.rows[0]
-    return Poses(
-        times,
-        gone.over(times)[:, :3] + place[:3],
-        so3.multiply(turned.over(times)[:, 3:], place[3:]),
-    )
 
 
 def _array_fault(values: npt.NDArray[np.float64]) -> str | None:

@@ -10,8 +10,8 @@ from animtool.core.errors import listed
 from animtool.core.names import nearest
 from animtool.documents.document import Document, Location, location_of
 from animtool.scene.file.entries import SceneSystem
-from animtool.systems.fields import Member
-from animtool.systems.kinds import SYSTEM_KINDS
+from animtool.systems.framework.kinds import SYSTEM_KINDS
+from animtool.systems.framework.spec import Member
 
 
 def in_order(systems: Sequence[SceneSystem]) -> list[list[int]]:

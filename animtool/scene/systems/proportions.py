@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from animtool.core.array_types import FloatArray
-from animtool.core.errors import Fault, Severity
+from animtool.core.errors import Fault, warning
 from animtool.core.quantities import plain
 from animtool.core.units import LengthUnit, UpAxis, unit_name, up_from_up
 from animtool.maths import so3
@@ -19,8 +19,8 @@ from animtool.rig.surfaces import surfaces_of
 from animtool.scene.file.entries import SceneSystem
 from animtool.scene.systems.carriers import OnJoint, OnVertex
 from animtool.scene.systems.character_motion import CharacterMotion, CharacterMotions
-from animtool.scene.systems.surroundings import AROUND
-from animtool.systems.fields import PinnedPoints, PlacedModel
+from animtool.systems.framework.fields import AROUND, PlacedModel
+from animtool.systems.framework.spec import PinnedPoints
 
 # A system this many times as far from a character as that is large, or this many times
 # as large, is hardly meant, where it would be near and no larger than this many times
@@ -107,7 +107,7 @@ def _out_of_scale(
         f"systems count {counts}, this rig is in {unit}"
     )
     hint = _counting_as(unit) or f"write its lengths in {counts}"
-    yield Fault("SIM169", message, hint=hint, severity=Severity.WARNING)
+    yield warning("SIM169", message, hint)
 
 
 def _points(system: SceneSystem) -> FloatArray:
@@ -174,9 +174,7 @@ def _faults(
         hint = "; or ".join(
             filter(None, [_counting_as(unit), "begin it at what carries it"])
         )
-    yield Fault(
-        "SIM168", message, hint=hint, where=pinned.where, severity=Severity.WARNING
-    )
+    yield warning("SIM168", message, hint, pinned.where)
 
 
 def _counting_as(unit: str) -> str:

@@ -26,9 +26,9 @@ from animtool.scene.systems.simulation import (
     located_systems,
     open_systems,
 )
-from animtool.systems.run import ON_STEP, EntryRun, Reached
-from animtool.systems.saved import Clocked, write_states
-from animtool.systems.simulation import NeedsFinalState
+from animtool.systems.framework.run import ON_STEP, EntryRun, Reached
+from animtool.systems.framework.saved import Clocked, write_states
+from animtool.systems.framework.simulation import NeedsFinalState
 from animtool.usd.caches.writer import CachedMesh
 from animtool.usd.layers.names import distinct_names, legal_name
 from animtool.usd.layers.sdf import StageMetadata

@@ -20,7 +20,7 @@ from animtool.scene.file.entries import SceneSystem
 from animtool.scene.systems.character_motion import motion_of
 from animtool.scene.systems.links import simulated_with
 from animtool.scene.systems.simulation import located_systems, open_systems
-from animtool.systems.run import EntryRun
+from animtool.systems.framework.run import EntryRun
 from animtool.systems.springs.drawing import Curves
 from animtool.systems.springs.pins import numbered
 from animtool.systems.springs.view import SpringView

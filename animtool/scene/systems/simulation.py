@@ -25,12 +25,17 @@ from animtool.scene.systems.links import in_order, joined_groups, member_of
 from animtool.scene.systems.proportions import misplaced
 from animtool.scene.systems.surroundings import Surroundings
 from animtool.sim.colliders import Poses
-from animtool.systems.fields import SystemSpec
-from animtool.systems.kinds import SYSTEM_KINDS
-from animtool.systems.run import EntryRun, SimulationRun
-from animtool.systems.saved import Clocked, open_states
-from animtool.systems.simulation import Joined, Resumed, SimContext, Simulation
-from animtool.systems.tied import OnBody
+from animtool.systems.framework.kinds import SYSTEM_KINDS
+from animtool.systems.framework.run import EntryRun, SimulationRun
+from animtool.systems.framework.saved import Clocked, open_states
+from animtool.systems.framework.simulation import (
+    Joined,
+    Resumed,
+    SimContext,
+    Simulation,
+)
+from animtool.systems.framework.spec import SystemSpec
+from animtool.systems.framework.tied import OnBody
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,8 +99,8 @@ def build_entries(
         return [run]
     views = run.simulation.views
     return [
-        EntryRun(member.name, run, view)
-        for member, view in zip(members, views, strict=True)
+        EntryRun(member.name, run, view, speaks=not k)
+        for k, (member, view) in enumerate(zip(members, views, strict=True))
     ]
 
 

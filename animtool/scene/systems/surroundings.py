@@ -20,16 +20,19 @@ from animtool.scene.systems.character_motion import (
 )
 from animtool.sim.colliders import Collider, Colliders, Sheet
 from animtool.sim.contact import Material
-from animtool.systems.fields import CharacterModel, MovingMeshModel, SystemSurfaceModel
-from animtool.systems.run import EntryRun
-from animtool.systems.surfaces import Bodies
+from animtool.systems.framework.fields import (
+    AROUND,
+    CharacterModel,
+    MovingMeshModel,
+    SystemSurfaceModel,
+)
+from animtool.systems.framework.run import EntryRun
+from animtool.systems.framework.surfaces import Bodies
 
 if TYPE_CHECKING:
     from animtool.usd.caches.reader import MeshSource
 
 
-# Keys of an entry that name what it runs into.
-AROUND = ("colliders", "characters", "systems", "meshes")
 # Times of which the points are kept: both ends of a step, and those of a look within.
 KEPT = 4
 

@@ -35,9 +35,9 @@ from animtool.sim.trials.trial import (
     ladder,
     stepwise,
 )
-from animtool.systems.fields import SystemSpec
-from animtool.systems.run import SimulationRun
-from animtool.systems.simulation import StoppedError, TrialSettings, Tried
+from animtool.systems.framework.run import SimulationRun
+from animtool.systems.framework.simulation import StoppedError, TrialSettings, Tried
+from animtool.systems.framework.spec import SystemSpec
 
 # What the exact method has over the step of the file, where that is not enough.
 MUCH_FINER = 1 / 8

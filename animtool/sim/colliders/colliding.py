@@ -18,7 +18,7 @@ from animtool.core.array_types import (
     IntArray,
     as_floats,
 )
-from animtool.core.errors import Fault, OptionError, Severity
+from animtool.core.errors import Fault, OptionError, warning
 from animtool.sim.colliders.bodies import MovingBodies
 from animtool.sim.colliders.collider import Collider
 from animtool.sim.colliders.shapes import Box, Capsule, Mesh, Plane, Sphere
@@ -247,7 +247,7 @@ def _jump(collider: Collider, where: str, k: int) -> Fault:
     speed, when = collider.speed_limit, collider.poses.moments[k + 1]
     message = f"it goes faster than {speed:g} m/s until {when:g} s: it hits nothing"
     hint = "raise its speed limit if it is to hit on its way"
-    return Fault("SIM120", message, where=where, hint=hint, severity=Severity.WARNING)
+    return warning("SIM120", message, hint, where)
 
 
 def collide(

@@ -10,7 +10,7 @@ import numpy as np
 
 from animtool import _kernels
 from animtool.core.array_types import FloatArray, IntArray
-from animtool.core.errors import Fault, Severity
+from animtool.core.errors import Fault, warning
 from animtool.sim.colliders.sheets import Sheet, hull_faces, hull_points
 from animtool.sim.contact import SPEED_LIMIT
 
@@ -81,7 +81,7 @@ class Surfaces:
                 "it hits nothing"
             )
             where = sheet.name or f"sheets[{i}]"
-            fault = Fault("SIM120", message, where=where, severity=Severity.WARNING)
+            fault = warning("SIM120", message, where=where)
             self._jumps[i, when] = fault
 
     def notices(self) -> list[Fault]:

@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from animtool.core.errors import Fault, OptionError, Severity
+from animtool.core.errors import Fault, OptionError, warning
 from animtool.core.quantities import length_text
 from animtool.sim.system import Energy
 from animtool.sim.trajectory import Status
@@ -237,7 +237,7 @@ def _notices(trial: Trial, reference: Reference | None) -> list[Fault]:
     if reference is None:
         message = f"{trial.name}: there is no motion to compare with: each blew up"
         hint = "shorten the step, or choose an implicit method: it is then refined"
-        return [Fault("SIM056", message, hint=hint, severity=Severity.WARNING)]
+        return [warning("SIM056", message, hint)]
     if not reference.sensitive:
         return []
     off = reference.error.rms
@@ -246,7 +246,7 @@ def _notices(trial: Trial, reference: Reference | None) -> list[Fault]:
         "the motion is sensitive, and errors are not small with any setting"
     )
     hint = "judge settings by how they look; a shorter range may still tell them apart"
-    return [Fault("SIM055", message, hint=hint, severity=Severity.WARNING)]
+    return [warning("SIM055", message, hint)]
 
 
 def _marked(

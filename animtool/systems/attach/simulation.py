@@ -31,8 +31,8 @@ from animtool.systems.attach.poses import (
 from animtool.systems.attach.settings import Lead, SimulateOptions, settings_for
 from animtool.systems.attach.stepping import State
 from animtool.systems.attach.strands import chain_rotations
-from animtool.systems.run import Reached
-from animtool.systems.saved import Clocked
+from animtool.systems.framework.run import Reached
+from animtool.systems.framework.saved import Clocked
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -13,8 +13,8 @@ from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, ToleranceError
 from animtool.systems.attach.network import Network, reach
 from animtool.systems.attach.settings import Settings
-from animtool.systems.run import BOUND
-from animtool.systems.simulation import growing
+from animtool.systems.framework.bounds import BOUND
+from animtool.systems.framework.simulation import growing
 from animtool.systems.springs.body import (
     Draws,
     Loads,

@@ -10,7 +10,15 @@ from pathlib import Path
 
 import numpy as np
 
-from animtool.core.errors import Fault, OptionError, Severity, counted, listed, percent
+from animtool.core.errors import (
+    Fault,
+    OptionError,
+    Severity,
+    counted,
+    listed,
+    percent,
+    warning,
+)
 from animtool.motion.motion import Motion
 from animtool.motion.passes import Pass, PassContext, Scope, TakePart
 from animtool.motion.take import TakeStream
@@ -25,8 +33,8 @@ from animtool.systems.attach.simulation import (
     saved_state,
 )
 from animtool.systems.attach.stepping import State
-from animtool.systems.run import Reached
-from animtool.systems.saved import open_states, write_states
+from animtool.systems.framework.run import Reached
+from animtool.systems.framework.saved import open_states, write_states
 from animtool.systems.springs.motion import through_notices
 
 # Springs may be this much longer than aimed at before it is worth a warning [1].
@@ -69,7 +77,7 @@ def _in_vain(option: str, frames: list[float], codes: list[float]) -> Fault:
     message = f"{option} names {noun} {listed([f'{frame:g}' for frame in frames])}"
     message += f", and the take has {codes[0]:g} to {codes[-1]:g}"
     hint = "frames are named by their time codes in the take"
-    return Fault("SIM185", message, hint=hint, severity=Severity.WARNING)
+    return warning("SIM185", message, hint)
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,7 +169,7 @@ def _of_start(actor: Actor) -> list[Fault]:
         which = "every spring" if every else counted(actor.lost, "spring")
         message = f"{name}: the ends of {which} are at one place in the first pose"
         hint = "with no direction they pull nothing until something parts them"
-        said.append(Fault("SIM140", message, hint=hint, severity=Severity.WARNING))
+        said.append(warning("SIM140", message, hint))
     return said + actor.tangles
 
 
@@ -176,7 +184,7 @@ def _bare(simulation: Simulation, chain: ChainBody) -> list[Fault]:
         "and nothing follows: it has no tip, and no joint, skin or collider below it"
     )
     hint = "give the joint `tips`, where its bone ends, or add a joint below it"
-    return [Fault("SIM191", message, hint=hint, severity=Severity.WARNING)]
+    return [warning("SIM191", message, hint)]
 
 
 def _warnings(report: AttachReport) -> list[Fault]:
@@ -187,12 +195,12 @@ def _warnings(report: AttachReport) -> list[Fault]:
             f"rest, and {100 * report.aimed:g}% was aimed at"
         )
         hint = "give it a higher rate, or let it settle from a pose that it can hold"
-        warnings.append(Fault("SIM131", message, hint=hint, severity=Severity.WARNING))
+        warnings.append(warning("SIM131", message, hint))
     if report.unresolved:
         points = counted(report.unresolved, "particle")
         message = f"{report.name}: {points} stay inside colliders"
         hint = "colliders that close in leave them no way out"
-        warnings.append(Fault("SIM132", message, hint=hint, severity=Severity.WARNING))
+        warnings.append(warning("SIM132", message, hint))
     return warnings
 
 
@@ -204,7 +212,7 @@ def _closed(names: str, closing: Closing) -> Fault:
     message += f", and {1000 * closing.tolerance:g} mm was asked for"
     hint = "what is left is brought in over the last quarter; raise loop_repeats, or "
     hint += "the damping or drag of what swings on by chance"
-    return Fault("SIM133", message, hint=hint, severity=Severity.WARNING)
+    return warning("SIM133", message, hint)
 
 
 def simulate(

@@ -15,11 +15,11 @@ from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import (
     Fault,
     Problem,
-    Severity,
     counted,
     excerpt,
     refuse,
     refuse_all,
+    warning,
 )
 from animtool.systems.crowds.ground import Frame
 from animtool.systems.crowds.spec import CrowdsModel, PopulationModel
@@ -293,8 +293,3 @@ def _same_names(kind: str, names: Sequence[str]) -> Iterator[Problem]:
     for k, name in enumerate(names):
         if name in names[:k]:
             yield f"two {kind} are named {excerpt(name)}", f"{kind}[{k}]", None
-
-
-def warning(code: str, message: str, hint: str) -> Fault:
-    """Return a warning."""
-    return Fault(code, message, hint=hint, severity=Severity.WARNING)

@@ -15,7 +15,8 @@ from animtool.rig.kinematics import WorldTransforms, forward
 from animtool.rig.skeleton import Rig
 from animtool.sim.colliders.on_joints import Capsules
 from animtool.systems.crowds.agents import Agents, Going
-from animtool.systems.crowds.bodies import Bodies, BodyState, Heights
+from animtool.systems.crowds.bodies import Bodies
+from animtool.systems.crowds.footing import BodyState, Heights
 from animtool.systems.crowds.gaits import Gaits
 from animtool.systems.crowds.ground import Frame, about_up
 from animtool.systems.crowds.poses import poses_of

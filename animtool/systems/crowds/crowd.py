@@ -10,40 +10,37 @@ import numpy as np
 
 from animtool import _kernels
 from animtool.core.array_types import BoolArray, FloatArray
-from animtool.core.errors import Fault, ToleranceError, counted, refuse
+from animtool.core.errors import Fault, ToleranceError, refuse
 from animtool.maths import so3
-from animtool.maths.faces import triangulated
 from animtool.motion.frames import (
     CharactersFrame,
     MeshFrame,
     PointsFrame,
     TransformsFrame,
 )
-from animtool.sim.colliders import Collider, Colliders, Mesh
-from animtool.systems.crowds.agents import (
-    ENOUGH,
-    Going,
-    agents_of,
-    separated,
-    warning,
+from animtool.sim.colliders import Collider, Colliders
+from animtool.systems.crowds.agents import ENOUGH, Going, agents_of
+from animtool.systems.crowds.beginning import (
+    along_ground,
+    ground_of,
+    outside,
+    unreachable,
 )
-from animtool.systems.crowds.ground import Frame, Ground, about_up
-from animtool.systems.crowds.obstacles import Obstacles, Walls, grids, lost
+from animtool.systems.crowds.ground import about_up
+from animtool.systems.crowds.obstacles import Obstacles, Walls, grids
 from animtool.systems.crowds.shoulders import DEPTH, lines, turned_shoulders
 from animtool.systems.crowds.spec import CrowdsModel
 from animtool.systems.crowds.steering import GONE, Progress, Steering
-from animtool.systems.simulation import Diagnostics, SimContext
+from animtool.systems.framework.simulation import Diagnostics, SimContext
 
 if TYPE_CHECKING:
     from animtool.rig.kinematics import WorldTransforms
-    from animtool.systems.crowds.bodies import BodyState
     from animtool.systems.crowds.cast import Casting
     from animtool.systems.crowds.falls import Falling, Falls
+    from animtool.systems.crowds.footing import BodyState
 
 # Rounds in which agents that overlap in a step are moved apart.
 APART = 100
-# Moves out of obstacles that agents begin in.
-MOVES = 20
 # What agents do, as the kernel knows it.
 WALKS, STAYS, OUT = np.uint8(0), np.uint8(1), np.uint8(2)
 # Agents look where they go, and by this part where they would like to.
@@ -85,7 +82,7 @@ class Crowd:
 
     def __init__(self, spec: CrowdsModel, context: SimContext) -> None:
         self._begin, self._spec = context.begin, spec
-        self._frame, self._ground = _ground(context)
+        self._frame, self._ground = ground_of(context)
         if context.colliders.sheets:
             message = "crowds avoid shapes, rigid bodies and the capsules of characters"
             hint = "give it colliders in place of the surface"
@@ -97,8 +94,11 @@ class Crowd:
         self._settling = self._agents.each(
             [one.acceleration for one in spec.populations]
         )
-        self._start = self._outside()
-        self._notices += self._unreachable()
+        self._start, moved = outside(
+            self._agents, self._steering.grid, self._obstacles, context.begin
+        )
+        self._notices += moved
+        self._notices += unreachable(spec, self._agents, self._steering, self._start)
         shows = [parts.get("shows") for parts in context.parts["populations"]]
         cycles = {show: show() for show in shows if show is not None}
         self._meshes: tuple[MeshFrame, ...] = tuple(c[0] for c in cycles.values())
@@ -124,7 +124,7 @@ class Crowd:
         lines = [
             [0.0, 0.0]
             if goal.queue is None
-            else _line(frame, goal.queue.direction) * goal.queue.spacing
+            else along_ground(frame, goal.queue.direction) * goal.queue.spacing
             for goal in spec.goals
         ]
         steering = Steering(
@@ -183,60 +183,6 @@ class Crowd:
     def _on_ground(self, points: Sequence[Sequence[float]]) -> FloatArray:
         """Return x and z of points of the world on the ground ``(K, 2)``."""
         return self._frame.to_local(np.array(points, float).reshape(-1, 3))[:, [0, 2]]
-
-    def _outside(self) -> FloatArray:
-        """Return where agents begin that nothing is in the way of (SIM148)."""
-        agents, grid, x = self._agents, self._steering.grid, self._agents.starts
-        count = len(agents)
-        if grid is not None and count and grid.free.any():
-            off = lost(grid, x)
-            x = np.where(off[:, None], grid.place(grid.free_at(x)), x)
-        radius = float(agents.radii.max(initial=1.0))
-        for _ in range(MOVES):
-            walls = self._obstacles.walls(self._begin, 0.0, x)
-            if not (walls.gaps < 0).any() and (x == agents.starts).all():
-                break
-            before = x
-            x, _ = separated(agents, x, walls.starts, walls.rows)
-            if np.abs(x - before).max(initial=0.0) <= ENOUGH * radius:
-                break
-        moved = np.linalg.norm(x - agents.starts, axis=1) > ENOUGH * agents.radii
-        if moved.any():
-            first = agents.named(int(np.argmax(moved)))
-            message = (
-                f"{counted(int(moved.sum()), 'agent')} would begin in an obstacle "
-            )
-            message += f"or off the ground, {first} first: moved out"
-            self._notices.append(warning("SIM148", message, "begin elsewhere"))
-        return x
-
-    def _unreachable(self) -> list[Fault]:
-        """Return warnings of goals that no way leads to (SIM146)."""
-        grid, steering, faults = self._steering.grid, self._steering, []
-        if grid is None or not grid.free.any():
-            return []
-        parts = grid.parts.ravel()
-        own = parts[grid.free_at(self._start)]
-        for g, goal in enumerate(self._spec.goals):
-            at = steering.points[g : g + 1]
-            if lost(grid, at)[0]:
-                message = (
-                    f"the goal {goal.name!r} is in an obstacle or off the ground: "
-                )
-                message += "agents go to the nearest place to it"
-                faults.append(warning("SIM146", message, "move the goal"))
-            part = parts[grid.free_at(at)[0]]
-            for kind, population in enumerate(self._spec.populations):
-                mine = (self._agents.kinds == kind) & (own != part)
-                if goal.name in population.route and mine.any():
-                    message = f"no way leads {counted(int(mine.sum()), 'agent')} of "
-                    message += (
-                        f"{population.name!r} to the goal {goal.name!r}: they go "
-                    )
-                    message += "to the nearest place that they can reach"
-                    hint = "leave a gap wider than agents, or move the goal"
-                    faults.append(warning("SIM146", message, hint))
-        return faults
 
     def initial(self) -> CrowdState:
         """Return where all begin, looking to where they go first."""
@@ -417,38 +363,3 @@ def _moving(colliders: Colliders) -> list[Collider]:
 def _going(state: CrowdState) -> Going:
     """Return how agents go."""
     return Going(state.points, state.velocities, state.headings)
-
-
-def _line(frame: Frame, direction: Sequence[float]) -> FloatArray:
-    """Return a direction of the world along the ground ``(2,)``, of length 1."""
-    way = frame.turned_back(np.array(direction, float))[[0, 2]]
-    size = float(np.linalg.norm(way))
-    if not size > 0:
-        message = "the direction of a queue is straight up"
-        refuse("SIM145", message, "goals", "along the ground")
-    return np.asarray(way / size)
-
-
-def _ground(context: SimContext) -> tuple[Frame, Ground]:
-    """Return where the ground is, and what it is."""
-    parts = context.parts["ground"]
-    poses, shape, mesh = parts["poses"], parts.get("shape"), parts.get("mesh")
-    if len(poses.moments) > 1:
-        message = "the ground does not move"
-        refuse("SIM145", message, "ground", "leave moves and turns out")
-    pose = poses.at(context.begin)
-    frame = Frame(pose[:3], pose[3:])
-    if shape is not None and mesh is not None:
-        message = "the ground is a shape or a mesh of a file"
-        refuse("SIM145", message, "ground", "leave one out")
-    if mesh is not None:
-        found = mesh()[0]
-        corners = triangulated(found.counts, found.indices)
-        return frame, Ground(found.points[corners])
-    if shape is None:
-        return frame, Ground()
-    if not isinstance(shape, Mesh):
-        message = "the ground is a mesh, a height_field or, with no shape, a plane"
-        refuse("SIM145", message, "ground", "shape: {height_field: {...}}")
-    points, faces = shape.welded()
-    return frame, Ground(points[faces])

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray
-from animtool.core.errors import Fault, OptionError
+from animtool.core.errors import Fault, OptionError, warning
 from animtool.edit.cycle import find_cycle
 from animtool.edit.looping import loop
 from animtool.maths import so3
@@ -17,7 +17,6 @@ from animtool.motion.take import Take
 from animtool.retarget.transfer import middle_of_hips
 from animtool.rig.kinematics import WorldTransforms, forward
 from animtool.rig.skeleton import Rig
-from animtool.systems.crowds.agents import warning
 from animtool.systems.crowds.gaits import (
     PHASES,
     Gait,

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 
@@ -15,18 +14,19 @@ from animtool.rig.skeleton import Rig
 from animtool.sim.colliders import Collider, Colliders, Mesh, Plane, Poses
 from animtool.sim.colliders.on_joints import Capsules
 from animtool.systems.crowds.ground import Frame, Ground
-from animtool.systems.particles.forces import find_force
+from animtool.systems.framework.simulation import growing
 from animtool.systems.rigid.ragdoll import (
     Ragdoll,
     RagdollOptions,
     bodies_of_rig,
     joints_of_rig,
+)
+from animtool.systems.rigid.ragdoll_motion import (
+    ragdoll_simulation,
     ragdoll_speeds,
     ragdoll_transforms,
 )
 from animtool.systems.rigid.simulation import RigidSimulation
-from animtool.systems.rigid.spec import RigidModel
-from animtool.systems.simulation import growing
 
 # Small steps of the bodies of who falls [s].
 SMALL_STEP = 0.0025
@@ -110,19 +110,8 @@ class Falling:
         poses = Poses.fixed(frame.origin, frame.rotation)
         floor = Collider(shape, poses, name="ground", friction=0.8)
         self._colliders = Colliders([*colliders, floor], (), colliders.bodies)
-        small = max(1, round(step / SMALL_STEP))
-        self._spec = RigidModel.model_validate(
-            {
-                "name": "falls",
-                "bodies": [{"name": "body", "shape": {"sphere": {"radius": 1}}}],
-                "step": step,
-                "substeps": small,
-                "iterations": 10,
-                "sleep": {"speed": 0},
-            }
-        )
-        make: Any = find_force("gravity")
-        self._gravity = make(acceleration=tuple((-GRAVITY * self._up).tolist()))
+        self._gravity = (-GRAVITY * self._up).tolist()
+        self._step = step
         self._known: dict[tuple[int, bytes], _Falling] = {}
         self._posed: dict[int, tuple[tuple[bytes, ...], _Pose]] = {}
 
@@ -250,9 +239,15 @@ class Falling:
             options = RagdollOptions(mass=None, damping=2.0, tone=0.0, fingers=False)
             ragdoll = bodies_of_rig(rig, pose, options)
             joints = joints_of_rig(ragdoll, options, lambda _: np.zeros((0, 5)))
-            around, forces = self._colliders, [self._gravity]
-            simulation = RigidSimulation(
-                self._spec, 0.0, ragdoll.bodies, joints, around, forces
+            simulation = ragdoll_simulation(
+                ragdoll,
+                joints,
+                self._colliders,
+                self._gravity,
+                "falls",
+                step=self._step,
+                substeps=max(1, round(self._step / SMALL_STEP)),
+                iterations=10,
             )
             self._known[key] = _Falling(ragdoll, simulation)
         return self._known[key]

@@ -11,7 +11,8 @@ from animtool.maths import so3
 from animtool.retarget.legs import put_ankle
 from animtool.rig.kinematics import forward
 from animtool.systems.crowds.agents import Going
-from animtool.systems.crowds.bodies import Blend, Bodies, BodyState
+from animtool.systems.crowds.bodies import Bodies
+from animtool.systems.crowds.footing import Blend, BodyState
 from animtool.systems.crowds.gaits import (
     PHASES,
     SIDES,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Annotated, ClassVar, Literal
 
 from annotated_types import Ge, Gt, Le, Len
+from pydantic import Field
 
 from animtool.documents.check import FileModel
 from animtool.documents.fields import (
@@ -16,18 +17,20 @@ from animtool.documents.fields import (
     Whole,
     key,
 )
-from animtool.systems.fields import (
-    ArrayEntry,
-    CharacterModel,
+from animtool.systems.framework.fields import (
+    Characters,
+    Colliders,
     GaitsModel,
     PlacedModel,
     PlaceEntry,
     PrototypeModel,
+    Seed,
     ShapeEntry,
-    SystemColliderModel,
-    SystemSpec,
+    Shows,
+    StartPoints,
     SystemSurfaceModel,
 )
+from animtool.systems.framework.spec import SystemSpec
 
 
 class GroundModel(PlacedModel):
@@ -110,12 +113,8 @@ class PopulationModel(PlacedModel):
         {"box": {"size": [6, 0, 2]}},
         default={"disc": {"radius": 5.0}},
     )
-    points: ArrayEntry | None = key(
-        "Where each begins `(N, 3)` [m], in place of `count` and `place`.",
-        "agents.npz#points",
-        default=None,
-    )
-    seed: Whole = key("Seed for random numbers.", 7, default=0)
+    points: StartPoints = None
+    seed: Seed = 0
     route: list[Name] = key(
         "Goals that they go to, one after the other. None: they stand.",
         ["fountain", "gate"],
@@ -150,11 +149,7 @@ class PopulationModel(PlacedModel):
         0.05,
         default=0.0,
     )
-    shows: PrototypeModel | None = key(
-        "A mesh that each is a copy of, headed along its way. Not given: a point.",
-        {"file": "person.usda", "prim": "/person/body"},
-        default=None,
-    )
+    shows: Shows = None
 
 
 class AgentAvoidanceModel(FileModel):
@@ -202,7 +197,10 @@ class ImpactModel(FileModel):
 
 
 class CrowdsModel(SystemSpec):
-    """Crowds: agents walk to goals, around obstacles and each other."""
+    """Crowds: agents walk to goals, around obstacles and each other.
+
+    Routes lead around colliders that do not move.
+    """
 
     code: ClassVar[str] = "SIM145"
 
@@ -234,16 +232,8 @@ class CrowdsModel(SystemSpec):
         0.2,
         default=None,
     )
-    colliders: list[SystemColliderModel] = key(
-        "Obstacles; routes lead around those that do not move.",
-        [{"shape": {"box": {"size": [4, 2, 0.3]}}, "at": [0, 1, 5]}],
-        default=[],
-    )
-    characters: list[CharacterModel] = key(
-        "Characters in motion that they avoid; none is written.",
-        [{"file": "walk.clip.yaml"}],
-        default=[],
-    )
+    colliders: Colliders = Field([])
+    characters: Characters = Field([])
     systems: list[SystemSurfaceModel] = key(
         "Rigid bodies of the scene that they avoid.",
         [{"system": "rocks"}],

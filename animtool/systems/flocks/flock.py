@@ -26,10 +26,10 @@ from animtool.systems.flocks.steering import (
     own_ways,
     steered,
 )
-from animtool.systems.interacting import integrated
+from animtool.systems.framework.interacting import integrated
+from animtool.systems.framework.simulation import Diagnostics, SimContext
 from animtool.systems.particles.emitter import uniforms
 from animtool.systems.particles.forces.base import Force
-from animtool.systems.simulation import Diagnostics, SimContext
 
 GRAVITY = 9.81  # [m/s²]
 # How long a lean takes to follow what it should be [s].

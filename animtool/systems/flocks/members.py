@@ -14,15 +14,15 @@ from animtool.core.errors import (
     Fault,
     Problem,
     Refusals,
-    Severity,
     counted,
     excerpt,
     refuse,
     refuse_all,
+    warning,
 )
 from animtool.sim.colliders import Colliders
 from animtool.systems.flocks.spec import DomainModel, FlocksModel, SpeciesModel
-from animtool.systems.matter import check_apart
+from animtool.systems.framework.matter import check_apart
 from animtool.systems.particles.emitter import Emitter
 from animtool.systems.particles.state import ParticleState
 
@@ -89,16 +89,9 @@ class Members:
     @cached_property
     def particles(self) -> ParticleState:
         """Return members as the forces on particles see them."""
-        count = len(self)
-        return ParticleState(
-            np.arange(count),
-            self.each([one.mass for one in self.species]),
-            np.zeros(count),
-            self.radii,
-            np.full(count, self.begin),
-            np.full(count, np.inf),
-            self.points,
-        )
+        masses = self.each([one.mass for one in self.species])
+        ids = np.arange(len(self))
+        return ParticleState.lasting(ids, masses, self.radii, self.begin, self.points)
 
     def named(self, i: int) -> str:
         """Return a member, for messages."""
@@ -147,7 +140,7 @@ class Members:
         )
         message += f"{self.named(int(np.argmax(moved)))} first: moved out"
         hint = "begin elsewhere"
-        return points, [Fault("SIM124", message, hint=hint, severity=Severity.WARNING)]
+        return points, [warning("SIM124", message, hint)]
 
     def spread(self, points: FloatArray, overlap: float) -> list[Fault]:
         """Return what there is to say of members moved apart to points ``(N, 3)``.
@@ -166,16 +159,12 @@ class Members:
             )
             message += f"moved apart, by {moved.max():.3g} m at most"
             hint = "begin farther apart, or keep a smaller repulsion.least"
-            faults.append(
-                Fault("SIM147", message, hint=hint, severity=Severity.WARNING)
-            )
+            faults.append(warning("SIM147", message, hint))
         if overlap > MOVED * float(self.radii.max()):
             message = f"members begin {overlap:.3g} m nearer to each other than they "
             message += "come: there are too many for their place"
             hint = "a larger place, fewer members, or a smaller repulsion.least"
-            faults.append(
-                Fault("SIM147", message, hint=hint, severity=Severity.WARNING)
-            )
+            faults.append(warning("SIM147", message, hint))
         return faults
 
 

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Annotated, ClassVar
 
 from annotated_types import Ge, Gt, Le, Len
+from pydantic import Field
 
 from animtool.documents.check import FileModel
 from animtool.documents.fields import (
@@ -17,20 +18,22 @@ from animtool.documents.fields import (
     Whole,
     key,
 )
-from animtool.systems.fields import (
-    ArrayEntry,
-    CharacterModel,
-    ForceEntry,
-    MovingMeshModel,
+from animtool.systems.framework.fields import (
+    Characters,
+    Colliders,
+    Forces,
+    Integrator,
+    Meshes,
     PlacedModel,
     PlaceEntry,
-    PrototypeModel,
-    SystemColliderModel,
-    SystemSpec,
-    SystemSurfaceModel,
+    Seed,
+    Shows,
+    StartPoints,
+    Surfaces,
     Tolerance,
     Velocities,
 )
+from animtool.systems.framework.spec import SystemSpec
 
 
 class VisionModel(FileModel):
@@ -155,13 +158,9 @@ class SpeciesModel(PlacedModel):
         60,
         default=20.0,
     )
-    points: ArrayEntry | None = key(
-        "Where each begins `(N, 3)` [m], in place of `count` and `place`.",
-        "birds.npz#points",
-        default=None,
-    )
+    points: StartPoints = None
     velocities: Velocities = None
-    seed: Whole = key("Seed for random numbers.", 7, default=0)
+    seed: Seed = 0
     radius: Positive = key(
         "Their radius: how near they come to colliders [m].", 0.2, default=0.1
     )
@@ -218,11 +217,7 @@ class SpeciesModel(PlacedModel):
     paths: list[PathModel] = key(
         "Ways that they follow.", [{"points": [[0, 5, 0], [20, 5, 0]]}], default=[]
     )
-    shows: PrototypeModel | None = key(
-        "A mesh that each is a copy of, headed along its way. Not given: a point.",
-        {"file": "bird.usda", "prim": "/bird/body"},
-        default=None,
-    )
+    shows: Shows = None
     beat: NotNegative = key(
         "Cycles of what is shown a second, at the cruise; they go with the speed.",
         4,
@@ -254,33 +249,13 @@ class FlocksModel(SystemSpec):
     species: Annotated[list[SpeciesModel], Len(1, 100)] = key(
         "Who flies.", [{"name": "starling", "count": 200}]
     )
-    forces: list[ForceEntry] = key(
-        "The forces on particles, on members too.",
-        [{"wind": {"velocity": [2, 0, 0], "drag": 0.05}}],
-        default=[],
-    )
-    colliders: list[SystemColliderModel] = key(
-        "What they avoid, and never enter.",
-        [{"shape": {"capsule": {"radius": 1, "length": 8}}}],
-        default=[],
-    )
-    characters: list[CharacterModel] = key(
-        "Characters in motion that they avoid; none is written.",
-        [{"file": "walk.clip.yaml"}],
-        default=[],
-    )
-    systems: list[SystemSurfaceModel] = key(
-        "Cloth, volumes and rigid bodies of the scene that they do not enter.",
-        [{"system": "flag"}],
-        default=[],
-    )
-    meshes: list[MovingMeshModel] = key(
-        "Meshes of USD files that they do not enter.",
-        [{"file": "set.usda", "prim": "/Set/rock"}],
-        default=[],
-    )
+    forces: Forces = Field([])
+    colliders: Colliders = Field([])
+    characters: Characters = Field([])
+    systems: Surfaces = Field([])
+    meshes: Meshes = Field([])
     domain: DomainModel | None = key(
         "A box that they stay in.", {"size": [40, 10, 40]}, default=None
     )
-    method: str = key("An integrator.", "rk4", default="midpoint")
+    method: Integrator = "midpoint"
     tolerance: Tolerance = None

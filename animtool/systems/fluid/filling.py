@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
-from animtool.core.errors import Fault, Refusals, Severity, counted, refuse
+from animtool.core.errors import Fault, Refusals, counted, refuse, warning
 from animtool.core.quantities import floored, plain
 from animtool.maths import so3
 from animtool.sim.colliders import Capsule, Collider, Colliders, Poses, Sphere
@@ -73,8 +73,7 @@ def coarse_drops(
         message = f"{name} has a radius of {radius:.3g} m, {count:.2g} spacings: of "
         message += f"less than {RESOLVED:g}, tension may be off by a tenth or more"
         hint = f"spacing: {plain(floored(radius / RESOLVED))}"
-        severity = Severity.WARNING
-        yield Fault("SIM175", message, where="spacing", hint=hint, severity=severity)
+        yield warning("SIM175", message, hint, "spacing")
         return
 
 

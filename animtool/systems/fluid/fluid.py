@@ -10,7 +10,7 @@ import numpy as np
 
 from animtool import _kernels
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
-from animtool.core.errors import Fault, Severity, counted
+from animtool.core.errors import Fault, counted, warning
 from animtool.core.quantities import floored, plain
 from animtool.motion.frames import MeshFrame, PointsFrame
 from animtool.sim.colliders import Colliders, collide
@@ -21,18 +21,18 @@ from animtool.sim.colliders.bodies import (
     pushed_rows,
 )
 from animtool.sim.system import Energy
-from animtool.systems.colours import Colouring, Quantities
 from animtool.systems.fluid.filling import Nozzle, coarse_drops, filled, has_room
 from animtool.systems.fluid.spec import FluidModel
 from animtool.systems.fluid.substeps import Substeps
-from animtool.systems.particles.state import ParticleState
-from animtool.systems.simulation import (
+from animtool.systems.framework.colours import Colouring, Quantities
+from animtool.systems.framework.simulation import (
     Diagnostics,
     SimContext,
     Stepped,
     StoppedError,
     growing,
 )
+from animtool.systems.particles.state import ParticleState
 
 # Denser than this in the mean it has collapsed, and so it has beyond so many times what
 # is asked for.
@@ -91,8 +91,6 @@ class Fluid:
         self._substeps = Substeps(spec)
         self._notices: list[Fault] = self._colliders.notices()
         self._notices += coarse_drops(spec, parts.get("fills", ()))
-        self._said: set[str] = set()
-        self._trying = False  # whether a step is looked for that works
         self._colouring = None if spec.colour is None else Colouring.of(spec.colour, {})
         # Nothing brings energy in, so that there is none but what there was.
         still = not self._colliders.bodies and not self._colliders.sheets
@@ -127,7 +125,7 @@ class Fluid:
         Raises:
             StoppedError: It collapsed, or the step is too long (SIM102, SIM108).
         """
-        until = t + dt
+        until, notices = t + dt, list[Fault]()
         pull = self._pull(state, t)
         if not np.isfinite(pull).all():
             self._stop("SIM102", until, "a force is not finite", "weaker forces")
@@ -135,23 +133,15 @@ class Fluid:
             Wrenches.none(own.count) for own in self._colliders.bodies
         ]
         if len(state.ids):
-            state, wrenches = self._pressed(state, t, dt, pull)
+            state, wrenches = self._pressed(state, t, dt, pull, notices)
         state = self._drained(state, until)
-        state = self._fed(state, t, until, pull)
-        return Stepped(state, wrenches)
+        state = self._fed(state, t, until, pull, notices)
+        return Stepped(state, wrenches, notices)
 
     def _particles(self, state: FluidState) -> ParticleState:
         """Return the fluid as the forces on particles see it."""
-        count, spec = len(state.ids), self._spec
-        return ParticleState(
-            state.ids,
-            np.full(count, self._mass),
-            np.zeros(count),
-            np.full(count, spec.spacing / 2),
-            state.births,
-            np.full(count, np.inf),
-            state.motion[0],
-        )
+        half, points = self._spec.spacing / 2, state.motion[0]
+        return ParticleState.lasting(state.ids, self._mass, half, state.births, points)
 
     def _pull(self, state: FluidState, t: float) -> FloatArray:
         """Return what forces do ``(N, 3)`` [m/s²]."""
@@ -177,16 +167,27 @@ class Fluid:
         return total, kinetic, known
 
     def _pressed(
-        self, state: FluidState, t: float, dt: float, pull: FloatArray
+        self,
+        state: FluidState,
+        t: float,
+        dt: float,
+        pull: FloatArray,
+        notices: list[Fault] | None = None,
     ) -> tuple[FluidState, Sequence[Wrenches]]:
-        """Return the end of a step, in as many parts as keep it from being dense."""
+        """Return the end of a step, in as many parts as keep it from being dense.
+
+        Without a list of notices it is a trial, which looks for no shorter step.
+        """
         speeds = np.linalg.norm(state.motion[1], axis=1) + self._colliders.fastest
         max_pull = float(np.linalg.norm(pull, axis=1).max())
         fastest = float(speeds.max()) + max_pull * dt
         sound = self._substeps.sound(state.sound, state.pressures, speeds, max_pull, dt)
         wanted = self._substeps.parts(dt, fastest, sound)
         if wanted > self._substeps.most:
-            self._stop_long(state, t, dt, fastest, wanted)
+            most, spacing = self._substeps.most, self._spec.spacing
+            message = f"at {fastest:.3g} m/s and a spacing of {spacing:g} m a step of "
+            message += f"{dt:g} s takes more than {most} parts"
+            self._stop_long(state, t, dt, message, wanted / most, notices)
         parts, allowed = int(wanted), self._spec.compression
         found = self._kernel(state, t, dt, pull, sound, parts)
         while found.compression > allowed and 2 * parts <= self._substeps.most:
@@ -201,10 +202,10 @@ class Fluid:
             message = f"it is {dense:.1%} denser than at rest: it has no room"
             hint = "widen what holds it, open a drain, or close an emitter before"
             self._stop("SIM108", t + dt, message, hint)
-        if dense > allowed:
+        if dense > allowed and notices is not None:
             message = f"it is {dense:.2%} denser than at rest at "
             message += f"{t + dt:g} s, where {allowed:.2%} is allowed"
-            self._warn("SIM137", message, "give it room: it is squeezed")
+            notices.append(warning("SIM137", message, "give it room: it is squeezed"))
         after = replace(
             state,
             motion=found.motion,
@@ -217,8 +218,7 @@ class Fluid:
         if self._gains(after):
             message = f"its energy is {self._energy(after)[0]:.3g} J, and was "
             message += f"{state.energy:.3g} J"
-            step = self._working_step(state, t, dt, 1.0)
-            self._stop("SIM102", t + dt, message, _hint(step, LESS))
+            self._stop_long(state, t, dt, message, 1.0, notices)
         return after, found.wrenches
 
     def _kernel(
@@ -291,13 +291,20 @@ class Fluid:
         return gain > GROWTH * in_play
 
     def _stop_long(
-        self, state: FluidState, t: float, dt: float, fastest: float, wanted: float
+        self,
+        state: FluidState,
+        t: float,
+        dt: float,
+        message: str,
+        shorter: float,
+        notices: list[Fault] | None,
     ) -> None:
-        most, spacing = self._substeps.most, self._spec.spacing
-        message = f"at {fastest:.3g} m/s and a spacing of {spacing:g} m a step of "
-        message += f"{dt:g} s takes more than {most} parts"
-        step = self._working_step(state, t, dt, wanted / most)
-        self._stop("SIM102", t + dt, message, _hint(step, LESS))
+        """Stop where a step is too long, so many times; no trial looks for another."""
+        step = None
+        if notices is not None and shorter < MAX_SHORTENING:
+            step = self._working_step(state, t, dt, shorter)
+        hint = LESS if step is None else f"step: {plain(step)}, or {LESS}"
+        self._stop("SIM102", t + dt, message, hint)
 
     def _working_step(
         self, state: FluidState, t: float, dt: float, shorter: float
@@ -306,18 +313,8 @@ class Fluid:
 
         At least so many times ``shorter``, with as much room again.
         """
-        # Not within such a trial, and not where nothing of it is known.
-        if self._trying or not shorter < MAX_SHORTENING:
-            return None
-        self._trying = True
-        try:
-            for room in ROOM:
-                step = floored(dt / (shorter * room))
-                if self._goes_on(state, t, step):
-                    return step
-        finally:
-            self._trying = False
-        return None
+        steps = (floored(dt / (shorter * room)) for room in ROOM)
+        return next((step for step in steps if self._goes_on(state, t, step)), None)
 
     def _goes_on(self, state: FluidState, t: float, step: float) -> bool:
         """Return whether the first steps of a length [s] from a state do."""
@@ -333,13 +330,6 @@ class Fluid:
         what = "blew up" if code == "SIM102" else "collapsed"
         message = f"{self._spec.name} {what} at {t:g} s: {why}"
         raise StoppedError([Fault(code, message, hint=hint)])
-
-    def _warn(self, code: str, message: str, hint: str) -> None:
-        """Say something once."""
-        if code not in self._said and not self._trying:
-            self._said.add(code)
-            severity = Severity.WARNING
-            self._notices.append(Fault(code, message, hint=hint, severity=severity))
 
     def _drained(self, state: FluidState, t: float) -> FluidState:
         """Return a state without those in drains."""
@@ -360,7 +350,12 @@ class Fluid:
         return replace(left, energy=state.energy - gone)
 
     def _fed(
-        self, state: FluidState, t: float, until: float, pull: FloatArray
+        self,
+        state: FluidState,
+        t: float,
+        until: float,
+        pull: FloatArray,
+        notices: list[Fault],
     ) -> FluidState:
         """Return a state with those who come in within a step, at its end."""
         for nozzle in self._nozzles:
@@ -371,7 +366,7 @@ class Fluid:
                 most = self._spec.max_particles
                 message = f"there is room for {most:,} particles, from {until:g} s on "
                 hint = "raise max_particles, open a drain, or close an emitter"
-                self._warn("SIM121", f"{message}for no more", hint)
+                notices.append(warning("SIM121", f"{message}for no more", hint))
             others, spacing = state.motion[0], self._spec.spacing
             free = has_room(new.state[0], others, self._colliders, until, spacing)
             blocked = int((~free).sum())
@@ -379,7 +374,7 @@ class Fluid:
                 message = f"{counted(blocked, 'particle')} did not come out by "
                 message += f"{until:g} s: fluid or a collider is before the nozzle"
                 hint = "a faster or a higher nozzle, or one that is clear of colliders"
-                self._warn("SIM138", message, hint)
+                notices.append(warning("SIM138", message, hint))
             count = int(free.sum())
             grown = replace(
                 state,
@@ -435,7 +430,7 @@ class Fluid:
             values = {**values, "held_back": float(state.held)}
         hint = "give it a fill, or a nozzle that is open in the range"
         message = "there is no fluid at any frame"
-        nobody = Fault("SIM188", message, hint=hint, severity=Severity.WARNING)
+        nobody = warning("SIM188", message, hint)
         energy = Energy(kinetic, total - kinetic) if known and self._closed else None
         return Diagnostics(energy, values, self._notices, [nobody])
 
@@ -448,8 +443,3 @@ class Pressed:
     pressures: FloatArray  # (N,) [Pa]
     compression: float
     wrenches: Sequence[Wrenches]  # on bodies of each system
-
-
-def _hint(step: float | None, others: str) -> str:
-    """Return a hint at a step, if there is one, and at what else helps."""
-    return others if step is None else f"step: {plain(step)}, or {others}"

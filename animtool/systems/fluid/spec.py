@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Annotated, Any, ClassVar, Literal, get_args
 
 from annotated_types import Gt, Le, Len
+from pydantic import Field
 
 from animtool.core.errors import Fault, Problem, counted
 from animtool.documents.check import FileModel
@@ -18,18 +19,20 @@ from animtool.documents.fields import (
     Whole,
     key,
 )
-from animtool.systems.colours import ColourModel
-from animtool.systems.fields import (
+from animtool.systems.framework.colours import ColourModel
+from animtool.systems.framework.fields import (
     ArrayEntry,
-    CharacterModel,
-    ForceEntry,
-    MovingMeshModel,
+    Characters,
+    Colliders,
+    Forces,
+    MaxParticles,
+    Meshes,
     PlacedModel,
     ShapeEntry,
+    Surfaces,
     SystemColliderModel,
-    SystemSpec,
-    SystemSurfaceModel,
 )
+from animtool.systems.framework.spec import SystemSpec
 
 # What particles can be written with and coloured by.
 Quantity = Literal["age", "density", "pressure", "speed"]
@@ -131,32 +134,11 @@ class FluidModel(SystemSpec):
         0.02,
         default=0.01,
     )
-    forces: list[ForceEntry] = key(
-        "The forces on particles, on those of fluids too.",
-        [{"gravity": None}, {"wind": {"velocity": [2, 0, 0], "drag": 0.01}}],
-        default=[{"gravity": None}],
-    )
-    colliders: list[SystemColliderModel] = key(
-        "Colliders it can hit, and containers that hold it.",
-        [{"shape": {"box": {"size": [2, 2, 0.8]}}, "container": True}],
-        default=[],
-    )
-    characters: list[CharacterModel] = key(
-        "Characters in motion that it runs into; none is written.",
-        [{"file": "walk.clip.yaml"}],
-        default=[],
-    )
-    systems: list[SystemSurfaceModel] = key(
-        "Rigid bodies of the scene, which float if `two_way` is true; cloth and "
-        "volumes.",
-        [{"system": "crates", "two_way": True}],
-        default=[],
-    )
-    meshes: list[MovingMeshModel] = key(
-        "Meshes of USD files that it runs into, whose points may move.",
-        [{"file": "set.usda", "prim": "/Set/rock", "closed": True}],
-        default=[],
-    )
+    forces: Forces = Field([{"gravity": None}])
+    colliders: Colliders = Field([])
+    characters: Characters = Field([])
+    systems: Surfaces = Field([])
+    meshes: Meshes = Field([])
     primvars: list[Quantity] = key(
         "What particles are written with: `age`, `density` (over that at rest), "
         "`pressure` [Pa], `speed` [m/s].",
@@ -173,9 +155,7 @@ class FluidModel(SystemSpec):
         {"cell": 0.02},
         default=None,
     )
-    max_particles: Annotated[Whole, Gt(0), Le(10**7)] = key(
-        "Particles at once.", 50_000, default=1_000_000
-    )
+    max_particles: MaxParticles = 1_000_000
 
     @property
     def reads(self) -> list[str]:

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Refusals, refuse
-from animtool.systems.matter import Bodies, Placement, normals
+from animtool.systems.framework.matter import Bodies, Placement, normals
 from animtool.systems.molecules.spec import MoleculesModel
 from animtool.systems.particles.emitter import uniforms
 

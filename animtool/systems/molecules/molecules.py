@@ -12,13 +12,13 @@ import numpy as np
 from animtool import _kernels
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, Refusals, ToleranceError, refuse
-from animtool.systems.colours import Quantities
-from animtool.systems.interacting import Interacting
-from animtool.systems.matter import normals
+from animtool.systems.framework.colours import Quantities
+from animtool.systems.framework.interacting import Interacting
+from animtool.systems.framework.matter import normals
+from animtool.systems.framework.simulation import SimContext, StoppedError
 from animtool.systems.molecules.atoms import BOLTZMANN, COULOMB, Atoms, Box, mixed
 from animtool.systems.molecules.spec import MoleculesModel, ThermostatModel, TrapModel
 from animtool.systems.particles.emitter import uniforms
-from animtool.systems.simulation import SimContext, StoppedError
 
 # Pressure of 1 kJ/(mol nm³) [MPa].
 MEGAPASCALS = 1.66053906717

@@ -17,16 +17,17 @@ from animtool.documents.fields import (
     Positive,
     Real,
     Vector,
-    Whole,
     key,
 )
-from animtool.systems.colours import ColourModel
-from animtool.systems.fields import (
+from animtool.systems.framework.colours import ColourModel
+from animtool.systems.framework.fields import (
     ArrayEntry,
+    Integrator,
     PlacedModel,
     PlacementModel,
-    SystemSpec,
+    Seed,
 )
+from animtool.systems.framework.spec import SystemSpec
 
 
 class AtomsModel(FileModel):
@@ -146,8 +147,8 @@ class MoleculesModel(PlacementModel, SystemSpec):
         [{"at": [0, 5, 0], "stiffness": 50}],
         default=[],
     )
-    seed: Whole = key("Seed for random numbers.", 7, default=0)
-    method: str = key("An integrator.", "rk4", default="velocity_verlet")
+    seed: Seed = 0
+    method: Integrator = "velocity_verlet"
     colour: ColourModel | None = key(
         "Colours by `speed` [nm/ps], `temperature` [K], `density` (log10 [u/nm³]), "
         "`energy` [kJ/mol] or `species`.",

@@ -20,8 +20,8 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray
 from animtool.maths import so3
-from animtool.systems import matter
-from animtool.systems.matter import Bodies, unit_quaternion
+from animtool.systems.framework import matter
+from animtool.systems.framework.matter import Bodies, unit_quaternion
 from animtool.systems.nbody.spec import (
     DiscModel,
     EncounterModel,

@@ -14,12 +14,12 @@ from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, Refusals, refuse
 from animtool.sim.integrators.integrator import Control
 from animtool.sim.system import Energy
-from animtool.systems.colours import Quantities
-from animtool.systems.interacting import Interacting
-from animtool.systems.matter import Bodies, check_apart
+from animtool.systems.framework.colours import Quantities
+from animtool.systems.framework.interacting import Interacting
+from animtool.systems.framework.matter import Bodies, check_apart
+from animtool.systems.framework.simulation import SimContext, StoppedError
 from animtool.systems.nbody.galaxies import built_galaxies
 from animtool.systems.nbody.spec import AttractorModel, NbodyModel
-from animtool.systems.simulation import SimContext, StoppedError
 
 # Bodies from which on a tree is faster than a direct sum, at an accuracy; cells that
 # it looks at go with the accuracy to about this power.

@@ -19,15 +19,17 @@ from animtool.documents.fields import (
     Whole,
     key,
 )
-from animtool.systems.colours import ColourModel
-from animtool.systems.fields import (
+from animtool.systems.framework.colours import ColourModel
+from animtool.systems.framework.fields import (
     ArrayEntry,
+    Integrator,
     PlacedModel,
     PlacementModel,
-    SystemSpec,
+    Seed,
     Tolerance,
     Velocities,
 )
+from animtool.systems.framework.spec import SystemSpec
 
 
 class BodiesModel(FileModel):
@@ -100,7 +102,7 @@ class GalaxyModel(PlacementModel):
     nucleus: NotNegative = key(
         "Mass of one body in the centre [kg]; 0 is none.", 0.1, default=0.0
     )
-    seed: Whole = key("Seed for random numbers.", 7, default=0)
+    seed: Seed = 0
     radius: NotNegative = key("Half the width of its bodies [m].", 0.01, default=0.02)
 
     @property
@@ -185,7 +187,7 @@ class NbodyModel(SystemSpec):
         1024,
         default=64,
     )
-    method: str = key("An integrator.", "rk4", default="velocity_verlet")
+    method: Integrator = "velocity_verlet"
     tolerance: Tolerance = None
     colour: ColourModel | None = key(
         "Colours by `speed` [m/s], `density` (log10 [kg/m³]), `energy` of each over "

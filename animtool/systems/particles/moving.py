@@ -3,31 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
 
 import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
-from animtool.core.errors import Fault, Severity
-from animtool.sim.checks import check_fit, check_start, ending, step_notices
 from animtool.sim.colliders.bodies import Wrenches, share_impulses
 from animtool.sim.colliders.colliding import (
     Collided,
     Colliders,
     Contacts,
-    Touch,
     collide,
 )
-from animtool.sim.equations import Equations
-from animtool.sim.integrating import advance, checkpoint_of, stats_of
-from animtool.sim.options import check_options
-from animtool.sim.run import Run
 from animtool.sim.system import Energy, FirstOrder, SecondOrder
-from animtool.sim.trajectory import Checkpoint, Status
 from animtool.systems.particles.setup import Particles
 from animtool.systems.particles.state import ParticleState
-from animtool.systems.simulation import StoppedError
 
 
 class _Living:
@@ -290,122 +279,3 @@ class DivergenceCheck:
         if usual > 0 and not now - first <= self._setup.options.growth * usual:
             return f"its energy is {now:.3g} J, and was {first:.3g} J"
         return ""
-
-
-# Motions that are faster by less than this share need no other steps [1].
-NOTABLE = 0.05
-
-
-@dataclass(frozen=True, slots=True)
-class Moved:
-    """Particles at the end of a step."""
-
-    state: FloatArray  # positions, then velocities ``(2, N, 3)``
-    memory: object  # what the method takes along
-    trial: float | None  # the step to try next [s]
-    contacts: Contacts | None  # what they met; None where there is nothing to meet
-    wrenches: Sequence[Wrenches]  # on the bodies of each system that they met
-
-
-class Mover:
-    """Takes particles over steps by one method, refused if not for them (SIM006)."""
-
-    def __init__(self, setup: Particles, colliders: Colliders) -> None:
-        self._setup, self._colliders = setup, colliders
-        self._integrator = check_options(setup.options)
-        none = particle_system(
-            setup, colliders, ParticleState.none(), np.zeros((2, 0, 3))
-        )
-        check_fit(Equations(none), self._integrator)
-        self._watch = DivergenceCheck(setup, colliders)
-        self._fastest: FloatArray | None = None
-        self.notices: list[Fault] = []  # of steps that are too long
-        self.taken = 0  # steps of the method so far
-
-    def moved(
-        self,
-        particles: ParticleState,
-        state: FloatArray,
-        memory: object,
-        trial: float | None,
-        now: float,
-        until: float,
-    ) -> Moved:
-        """Return particles after a step.
-
-        ``state`` ``(2, N, 3)``, ``trial`` [s], ``now`` [s], ``until`` [s].
-        """
-        system = particle_system(self._setup, self._colliders, particles, state)
-        begin = Checkpoint(now, system.state, memory, trial)
-        with np.errstate(all="ignore"):
-            self._watch.look_at(particles, state)
-            self._look_at_steps(system, begin.state, now, until)
-            run = self._run(system, begin, until)
-            status = advance(run, until)
-            self.taken += run.steps
-            if status is not Status.OK:
-                self._stop(run, status, [(now, begin.state), (run.time, run.state)])
-        end = run.state
-        if isinstance(system, ParticleFlow):
-            end = np.stack([end, system.rate(until, end)])
-        met = system.contacts
-        if met is not None:
-            # Of colliders that change their shape nobody knows how fast they are.
-            driven = met.colliders >= len(self._colliders)
-            self._watch.restart(driven | (met.touches == Touch.UNRESOLVED), end)
-        after = checkpoint_of(run, status, until, run.state)
-        return Moved(end, after.memory, after.trial, system.contacts, system.wrenches)
-
-    def _run(
-        self, system: ParticleForces | ParticleFlow, begin: Checkpoint, until: float
-    ) -> Run:
-        return Run(
-            self._integrator,
-            Equations(system),
-            self._setup.options,
-            self._watch,
-            until,
-            begin.time,
-            begin.state,
-            begin.memory,
-            begin.trial,
-        )
-
-    def _look_at_steps(
-        self,
-        system: ParticleForces | ParticleFlow,
-        state: FloatArray,
-        now: float,
-        until: float,
-    ) -> None:
-        """Note once that steps are too long, looking where motions became faster."""
-        if self.notices:
-            return
-        modes = system.frequencies(now, state)
-        if modes is None or not self._faster(modes):
-            return
-        self._fastest = modes
-        equations, options = Equations(system), self._setup.options
-        moments = np.array([now, until])
-        self.notices = step_notices(
-            equations, self._integrator, options, moments, state
-        )
-        self._watch.too_long = bool(self.notices)
-
-    def _faster(self, modes: FloatArray) -> bool:
-        known = self._fastest
-        if known is None or known.shape != modes.shape:
-            return True
-        return bool((np.abs(modes - known) > NOTABLE * known).any())
-
-    def _stop(
-        self, run: Run, status: Status, places: list[tuple[float, FloatArray]]
-    ) -> None:
-        # A force that is no number at once is no blow-up.
-        check_start(run.equations, *places[0])
-        stats = stats_of(run, status, places)
-        why = ending(self._integrator, self._setup.options, stats)
-        raise StoppedError(
-            [replace(each, severity=Severity.ERROR) for each in [*self.notices, why]],
-            stats,
-        )

@@ -6,30 +6,33 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
-from annotated_types import Gt, Le, Len
+from annotated_types import Len
 from pydantic import Field
 
 from animtool.core.errors import Fault, OptionError, counted
-from animtool.documents.fields import Real, Whole, key, with_fields
-from animtool.systems.fields import (
-    CharacterModel,
-    ForceEntry,
-    MovingMeshModel,
+from animtool.documents.fields import Real, key, with_fields
+from animtool.systems.framework.fields import (
+    Characters,
+    Colliders,
+    Forces,
+    Integrator,
+    MaxParticles,
+    Meshes,
     PlacedModel,
     PlaceEntry,
     PrimName,
     RecordModel,
+    Surfaces,
     SystemColliderModel,
-    SystemSpec,
-    SystemSurfaceModel,
     Tolerance,
 )
+from animtool.systems.framework.spec import SystemSpec
 from animtool.systems.particles.records import Emission, Velocity
 
 if TYPE_CHECKING:
-    from animtool.systems.particles.run import ParticleSimulation
+    from animtool.systems.framework.simulation import SimContext
     from animtool.systems.particles.setup import Particles
-    from animtool.systems.simulation import SimContext
+    from animtool.systems.particles.simulation import ParticleSimulation
 
 
 @with_fields(Emission)
@@ -64,48 +67,25 @@ class ParticlesModel(SystemSpec):
     emitters: Annotated[list[EmitterModel], Len(1)] = key(
         "What makes them.", [{"rate": 100, "speed": 2, "lifetime": 1}]
     )
-    forces: list[ForceEntry] = key(
-        "What moves them: the name of a force, and its options.",
-        [{"gravity": None}, {"drag": {"linear": 0.001}}],
-        default=[],
-    )
+    forces: Forces = Field([])
     velocity: VelocityModel | None = key(
         "A field that they go with, in place of forces.",
         {"x": "-z", "z": "x"},
         default=None,
     )
-    colliders: list[SystemColliderModel] = key(
-        "What they run into.",
-        [{"shape": {"plane": None}, "restitution": 0.4}],
-        default=[],
-    )
-    characters: list[CharacterModel] = key(
-        "Characters in motion that they run into; none is written.",
-        [{"file": "walk.clip.yaml", "friction": 0.3}],
-        default=[],
-    )
-    systems: list[SystemSurfaceModel] = key(
-        "Cloth, volumes and rigid bodies of the scene that they run into, as thick as "
-        "their `radius`.",
-        [{"system": "flag", "friction": 0.3}],
-        default=[],
-    )
-    meshes: list[MovingMeshModel] = key(
-        "Meshes of USD files that they run into, whose points may move.",
-        [{"file": "beast.usdc", "prim": "/beast/body", "closed": True}],
-        default=[],
-    )
+    colliders: Colliders = Field([])
+    characters: Characters = Field([])
+    systems: Surfaces = Field([])
+    meshes: Meshes = Field([])
     kill: list[SystemColliderModel] = key(
         "Where they are removed.", [{"shape": {"plane": {"offset": -1}}}], default=[]
     )
-    method: str = key("An integrator.", "rk4", default="midpoint")
+    method: Integrator = "midpoint"
     step: Real = key(
         "Step of the simulation [s], whatever the frame rate is.", 0.005, default=0.01
     )
     tolerance: Tolerance = None
-    max_particles: Annotated[Whole, Gt(0), Le(10**7)] = key(
-        "Particles at once.", 5000, default=1_000_000
-    )
+    max_particles: MaxParticles = 1_000_000
 
     @property
     def title(self) -> str:
@@ -153,7 +133,7 @@ class ParticlesModel(SystemSpec):
 
 def build(spec: ParticlesModel, context: SimContext) -> ParticleSimulation:
     """Return particles at their beginning; what moves them is imported now."""
-    from animtool.systems.particles.run import ParticleSimulation
+    from animtool.systems.particles.simulation import ParticleSimulation
 
     setup, around = spec.setup(context.parts), context.colliders
     setup = replace(

@@ -37,8 +37,22 @@ class ParticleState(Rows):
         return len(self.ids)
 
     @staticmethod
+    def lasting(
+        ids: IntArray,
+        masses: FloatArray | float,
+        radii: FloatArray | float,
+        births: FloatArray | float,
+        origins: FloatArray,
+    ) -> ParticleState:
+        """Return particles without charges that stay for ever; numbers are of all."""
+        every = [masses, 0.0, radii, births, np.inf]
+        mass, charge, radius, birth, death = (
+            np.array(np.broadcast_to(one, len(ids)), np.float64) for one in every
+        )
+        return ParticleState(ids, mass, charge, radius, birth, death, origins)
+
+    @staticmethod
     def none() -> ParticleState:
         """Return no particles."""
-        flat = np.zeros(0)
-        ids, origins = np.zeros(0, np.int64), np.zeros((0, 3))
-        return ParticleState(ids, flat, flat, flat, flat, flat, origins)
+        nothing = np.zeros(0, np.int64)
+        return ParticleState.lasting(nothing, 0.0, 0.0, 0.0, np.zeros((0, 3)))

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
-from animtool.core.errors import Fault, Refusals, Severity, refuse
+from animtool.core.errors import Fault, Refusals, refuse, warning
 from animtool.maths import so3
 from animtool.sim.colliders import Poses
 from animtool.systems.rigid.bodies import NO_PAIRS, Bodies, refuse_unknown
@@ -380,5 +380,4 @@ def _far(bodies: Bodies, i: int, frame: FloatArray, name: str, at: str) -> list[
     message = f"{name} is {distance:g} m from {bodies.names[i]!r}, which reaches "
     hint = "is its `at` in the world?"
     message += f"{kind.reach:g} m from its centre of mass"
-    severity = Severity.WARNING
-    return [Fault("SIM127", message, hint=hint, severity=severity, where=f"{at}.at")]
+    return [warning("SIM127", message, hint, f"{at}.at")]

@@ -18,6 +18,7 @@ from animtool.core.errors import (
     counted,
     refuse,
     refuse_all,
+    warning,
 )
 from animtool.maths import so3
 from animtool.motion.frames import MeshFrame
@@ -179,7 +180,7 @@ def _concave(name: str, mesh: Mesh, found: Sequence[tuple[Shape, Core]]) -> Faul
     hint = "make it of several convex shapes"
     if not installed():
         hint += f", or install coacd: {EXTRA}"
-    return Fault("SIM125", message, hint=hint, severity=Severity.WARNING)
+    return warning("SIM125", message, hint)
 
 
 def _weighed(

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
-from animtool.core.errors import Fault, Severity, counted, excerpt
+from animtool.core.errors import Fault, counted, excerpt, warning
 from animtool.maths import so3
 from animtool.systems.rigid.bodies import Bodies
 
@@ -104,8 +104,7 @@ def locked_notices(
         else:
             message += "several other joints"
         hint = "let their axes agree, or take one of them away"
-        severity = Severity.WARNING
-        notices.append(Fault("SIM172", message, hint=hint, severity=severity))
+        notices.append(warning("SIM172", message, hint))
     return notices
 
 

@@ -161,12 +161,6 @@ def _placed(pose: FloatArray, frame: FloatArray) -> FloatArray:
     return np.concatenate([at, so3.multiply(pose[3:], frame[3:])])
 
 
-def _in_body(bodies: Bodies, number: int, frame: FloatArray) -> FloatArray:
-    """Return a frame of principal axes as one of the body ``(7,)``."""
-    kind = bodies.kinds[bodies.of[bodies.dynamic[number]]]
-    return _placed(np.concatenate([kind.centre, kind.axes]), frame)
-
-
 def body_entries(
     physics: Physics, entry: str
 ) -> tuple[list[BodyModel], list[dict[str, Any]]]:

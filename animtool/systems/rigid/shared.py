@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.maths import so3
-from animtool.sim.colliders import Collider
 from animtool.sim.colliders.bodies import Wrenches
+from animtool.systems.framework.simulation import added, growing
+from animtool.systems.framework.surfaces import SystemBodies
 from animtool.systems.rigid.bodies import Bodies
-from animtool.systems.simulation import added, growing
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,46 +82,18 @@ class SharedBodies:
         turns = so3.multiply(frames[:, 3:], turn)
         return np.concatenate([places, turns], axis=1)
 
-    @property
-    def shapes(self) -> Sequence[Collider]:
-        """All shapes ``(C,)``, as others run into them."""
-        return self.bodies.outlines.colliders
-
-    @property
-    def owners(self) -> IntArray:
-        """The body that each shape is of ``(C,)``, -1 of what nothing pushes."""
-        numbers = np.full(len(self.bodies.names), -1)
-        numbers[self.bodies.dynamic] = np.arange(self.count)
-        return numbers[self.bodies.outlines.of]
-
-    @property
-    def masses(self) -> FloatArray:
-        """Of bodies that can be pushed ``(count,)`` [kg]."""
-        return self.bodies.masses
-
-    @property
-    def count(self) -> int:
-        """Bodies that can be pushed."""
-        return len(self.bodies.dynamic)
-
-    @property
-    def names(self) -> Sequence[str]:
-        """Of all bodies ``(B,)``."""
-        return self.bodies.names
-
-    @property
-    def shape_bodies(self) -> IntArray:
-        """The body that each shape is of ``(C,)``."""
-        return self.bodies.outlines.of
-
-    @property
-    def dynamic(self) -> IntArray:
-        """The bodies that can be pushed ``(count,)``."""
-        return self.bodies.dynamic
-
-    def size(self, number: int) -> float:
-        """Return how far a body reaches from its centre [m]."""
-        return float(self.bodies.kinds[self.bodies.of[number]].reach)
+    @cached_property
+    def shared(self) -> SystemBodies:
+        """They as others run into them."""
+        bodies, outlines = self.bodies, self.bodies.outlines
+        return SystemBodies(
+            bodies.names,
+            bodies.dynamic,
+            bodies.masses,
+            [float(bodies.kinds[k].reach) for k in bodies.of],
+            outlines.colliders,
+            outlines.of,
+        )
 
     def speeds(self, state: RigidState) -> FloatArray:
         """Return velocities of centres and angular ones ``(count, 6)``."""

@@ -10,13 +10,18 @@ import numpy as np
 
 from animtool import _kernels
 from animtool.core.array_types import BoolArray, FloatArray
-from animtool.core.errors import Fault, Refusals, Severity, ToleranceError, excerpt
+from animtool.core.errors import (
+    Fault,
+    Refusals,
+    ToleranceError,
+)
 from animtool.core.quantities import floored, plain
 from animtool.maths import so3
 from animtool.motion.frames import TransformsFrame
 from animtool.motion.physics import Physics
 from animtool.sim.colliders import Collider, Colliders
 from animtool.sim.system import Energy
+from animtool.systems.framework.simulation import Diagnostics, SimContext
 from animtool.systems.particles.forces.base import Force
 from animtool.systems.rigid.bodies import Bodies
 from animtool.systems.rigid.joints import (
@@ -29,6 +34,11 @@ from animtool.systems.rigid.joints import (
 )
 from animtool.systems.rigid.loads import BodyLoads, Loads
 from animtool.systems.rigid.locked import locked_notices
+from animtool.systems.rigid.notices import (
+    break_notices,
+    depth_notices,
+    swing_notices,
+)
 from animtool.systems.rigid.phases import Phase, Phases, held_states
 from animtool.systems.rigid.physics import (
     body_entries,
@@ -39,12 +49,7 @@ from animtool.systems.rigid.physics import (
 from animtool.systems.rigid.shared import RigidState, SharedBodies
 from animtool.systems.rigid.spec import RigidModel
 from animtool.systems.rigid.surroundings import BodyForces
-from animtool.systems.simulation import Diagnostics, SimContext
 
-# Bodies that begin deeper in each other than this share of their size are a warning.
-DEEP = 0.02
-# What is that deep, over its size, is held from several sides.
-HELD = 0.25
 # Beyond these a simulation blew up: keys hold 1e18, and squares are held by float64.
 FARTHEST = 1e24  # of places [m] and velocities [m/s]
 FASTEST = 1e100  # of angular momenta [kg m²/s]
@@ -385,57 +390,14 @@ class RigidSimulation(SharedBodies):
             "deepest": float(state.deepest[0]),
             "residual": state.residual,
         }
-        return Diagnostics(self.energy(state), values, self._notices(state))
-
-    def _notices(self, state: RigidState) -> Sequence[Fault]:
         found = [*self.joints.notices, *self._locked, *self._colliders.notices()]
-        found += self._swings(state)
+        found += swing_notices(state, self.joints, self._spec.step)
         for kind in self.bodies.kinds:
             found += kind.notices
-        found += self._breaks(state)
+        found += break_notices(state, self.joints)
         size = float(self.bodies.reaches.min(initial=np.inf))
-        ever, begin = state.deepest.tolist()
-        if begin > DEEP * size:
-            message = f"{self._pair(state, 1)} begin {begin:g} m inside each other: "
-            message += "they are moved apart no faster than 2 m/s"
-            hint = "begin with a little room between them"
-            fault = Fault("SIM126", message, hint=hint, severity=Severity.WARNING)
-            found.append(fault)
-        elif ever > HELD * size:
-            message = f"{self._pair(state, 0)} came {ever:g} m into each other: from "
-            message += "several sides, or faster than they get out"
-            hint = "leave room between what closes in; take shorter steps"
-            severity = Severity.WARNING
-            found.append(Fault("SIM123", message, hint=hint, severity=severity))
-        return found
-
-    def _swings(self, state: RigidState) -> list[Fault]:
-        """Return the drive that swings faster than steps can follow, if any does."""
-        if state.swinging < 0:
-            return []
-        name = excerpt(self.joints.names[state.swinging])
-        message = f"the drive of joint {name} swings too fast for a step of "
-        message += f"{plain(self._spec.step)} s: it may lose energy or be out of time"
-        hint = (
-            f"step: {plain(floored(state.follows))}, or more damping, or less stiffness"
-        )
-        return [Fault("SIM171", message, hint=hint, severity=Severity.WARNING)]
-
-    def _breaks(self, state: RigidState) -> list[Fault]:
-        """Return which joints broke, and when."""
-        found = []
-        order = np.argsort(state.broken[:, 0], kind="stable")
-        for k in order[np.isfinite(state.broken[order, 0])].tolist():
-            t, force, torque = state.broken[k].tolist()
-            message = f"joint {self.joints.names[k]!r} broke at {t:.4g} s, with "
-            message += f"{force:.4g} N and {torque:.4g} N m"
-            found.append(Fault("SIM197", message, severity=Severity.NOTE))
-        return found
-
-    def _pair(self, state: RigidState, k: int) -> str:
-        """Return what was deepest in each other, ever (0) or where it began (1)."""
-        names = self._shape_names()
-        return " and ".join(excerpt(names[i]) for i in state.deepest_pairs[k])
+        found += depth_notices(state, size, self._shape_names)
+        return Diagnostics(self.energy(state), values, found)
 
     def _shape_names(self) -> list[str]:
         """Return the bodies of shapes, and colliders behind them, by name."""

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from typing import Annotated, ClassVar, Literal
 
 from annotated_types import Ge, Gt, Le, Len
+from pydantic import Field
 
 from animtool.core.errors import Problem
 from animtool.documents.check import FileModel
@@ -19,19 +20,19 @@ from animtool.documents.fields import (
     Whole,
     key,
 )
-from animtool.systems.fields import (
+from animtool.systems.framework.fields import (
     ArrayEntry,
-    CharacterModel,
-    ForceEntry,
-    MovingMeshModel,
+    Characters,
+    Colliders,
+    Forces,
+    Meshes,
     PhysicsStageModel,
     PlacedModel,
     PrototypeModel,
     ShapeEntry,
-    SystemColliderModel,
-    SystemSpec,
-    SystemSurfaceModel,
+    Surfaces,
 )
+from animtool.systems.framework.spec import SystemSpec
 
 Angles = Annotated[list[Annotated[Real, Ge(-180), Le(180)]], Len(2, 2)]
 
@@ -281,7 +282,7 @@ class SleepModel(FileModel):
 
 
 class RigidModel(SystemSpec):
-    """Rigid bodies of a scene, and the joints between them."""
+    """Rigid bodies of a scene, and joints; forces act at their centres of mass."""
 
     methods: ClassVar[Sequence[str]] = (
         "splitting",
@@ -307,29 +308,11 @@ class RigidModel(SystemSpec):
         [{"type": "pin", "body": "door", "axis": [0, 1, 0]}],
         default=[],
     )
-    forces: list[ForceEntry] = key(
-        "The forces on particles, on bodies too; at their centres of mass.",
-        [{"gravity": None}, {"wind": {"velocity": [3, 0, 0], "drag": 0.5}}],
-        default=[{"gravity": None}],
-    )
-    colliders: list[SystemColliderModel] = key(
-        "What they run into.", [{"shape": {"plane": None}}], default=[]
-    )
-    characters: list[CharacterModel] = key(
-        "Characters in motion that push them; none is written.",
-        [{"file": "walk.clip.yaml"}],
-        default=[],
-    )
-    systems: list[SystemSurfaceModel] = key(
-        "Cloth, volumes and other rigid bodies of the scene that they run into.",
-        [{"system": "flag"}],
-        default=[],
-    )
-    meshes: list[MovingMeshModel] = key(
-        "Meshes of USD files that they run into.",
-        [{"file": "set.usda", "prim": "/Set/stairs"}],
-        default=[],
-    )
+    forces: Forces = Field([{"gravity": None}])
+    colliders: Colliders = Field([])
+    characters: Characters = Field([])
+    systems: Surfaces = Field([])
+    meshes: Meshes = Field([])
     method: Literal["splitting", "rk4", "symplectic_euler", "explicit_euler"] = key(
         "How bodies turn that nothing twists: `splitting` keeps energy and momentum.",
         "rk4",

@@ -5,12 +5,11 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 
 from animtool.core.array_types import FloatArray
-from animtool.core.errors import Fault, OptionError, Severity, counted
+from animtool.core.errors import Fault, OptionError, Severity, counted, warning
 from animtool.core.options import range_faults, ranges_of
 from animtool.core.units import UpAxis
 from animtool.maths import so3
@@ -27,20 +26,20 @@ from animtool.rig.kinematics import WorldTransforms, forward
 from animtool.rig.limits import RangeLimit
 from animtool.rig.skeleton import JointType
 from animtool.sim.colliders import Collider, Colliders
-from animtool.systems.particles.forces import find_force
+from animtool.systems.framework.run import Reached, SimulationRun
 from animtool.systems.rigid.ragdoll import (
     Ragdoll,
     RagdollOptions,
-    Targets,
     bodies_of_rig,
     joints_of_rig,
+)
+from animtool.systems.rigid.ragdoll_motion import (
+    Targets,
+    ragdoll_simulation,
     ragdoll_speeds,
     ragdoll_transforms,
 )
 from animtool.systems.rigid.shared import RigidState
-from animtool.systems.rigid.simulation import RigidSimulation
-from animtool.systems.rigid.spec import RigidModel
-from animtool.systems.run import Reached, SimulationRun
 
 # A limit that a joint is beyond by less is kept [rad].
 KEPT = math.radians(1.0)
@@ -132,25 +131,15 @@ def _run(
     down = [0.0, -options.gravity, 0.0]
     if bodies.rig.up is UpAxis.Z:
         down = [0.0, 0.0, -options.gravity]
-    make: Any = find_force("gravity")
-    gravity = make(acceleration=tuple(down))
-    spec = RigidModel.model_validate(
-        {
-            "name": "ragdoll",
-            "bodies": [{"name": "body", "shape": {"sphere": {"radius": 1}}}],
-            "step": options.step,
-            "substeps": options.substeps,
-            "iterations": 32,
-            "sleep": {"speed": 0},
-        }
-    )
-    simulation = RigidSimulation(
-        spec,
-        0.0,
-        bodies.bodies,
+    simulation = ragdoll_simulation(
+        bodies,
         joints_of_rig(bodies, options, targets),
         colliders,
-        [gravity],
+        down,
+        "ragdoll",
+        step=options.step,
+        substeps=options.substeps,
+        iterations=32,
     )
     begun = simulation.initial()
     motion = begun.motion.copy()
@@ -222,7 +211,7 @@ def _notices(
     said = [Fault("SIM128", message, severity=Severity.NOTE)]
     if worst > 1:
         hint = "give shorter steps, or a pose within the limits at `start`"
-        said.append(Fault("SIM129", text, hint=hint, severity=Severity.WARNING))
+        said.append(warning("SIM129", text, hint))
     return said + [one for one in run.notices if one.code != "SIM126"]
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
-from animtool.core.errors import Fault, counted, listed
+from animtool.core.errors import Fault, counted, listed, warning
 from animtool.documents.check import FileModel
 from animtool.documents.document import spelled
 from animtool.maths.faces import edge_counts, sides
@@ -27,7 +27,6 @@ from animtool.systems.springs import (
 )
 from animtool.systems.springs.checks import some_of
 from animtool.systems.springs.drawing import Curves, Faces, Shape
-from animtool.systems.springs.motion import warning
 from animtool.systems.springs.spec import (
     ClothModel,
     RopeModel,

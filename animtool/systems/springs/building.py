@@ -8,10 +8,11 @@ from dataclasses import replace
 import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
-from animtool.core.errors import Fault
+from animtool.core.errors import Fault, warning
 from animtool.core.quantities import length_text
 from animtool.maths import so3
-from animtool.systems.simulation import SimContext
+from animtool.systems.framework.simulation import SimContext
+from animtool.systems.framework.tied import OnBody, TiedBodies
 from animtool.systems.springs import (
     Body,
     Pins,
@@ -23,14 +24,12 @@ from animtool.systems.springs import (
     weld,
 )
 from animtool.systems.springs.entry import SpringEntry, join_pairs
-from animtool.systems.springs.motion import warning
 from animtool.systems.springs.paths import combined
 from animtool.systems.springs.pins import air_of, moved_to_pins, ties_of, wind_ties
-from animtool.systems.springs.simulation import SpringSimulation
+from animtool.systems.springs.simulation import SpringSimulation, plan_springs
 from animtool.systems.springs.spec import FaceWindModel, SpringsModel
 from animtool.systems.springs.ties import Tie, Ties
 from animtool.systems.springs.view import SpringView
-from animtool.systems.tied import OnBody, TiedBodies
 
 # Particles that are put together, or held, this far from where they are built are
 # said to be apart [m].
@@ -61,11 +60,9 @@ class _Building:
 
     def simulation(self) -> SpringSimulation:
         """Return them with what each entry shows."""
-        context = self._context
-        spec = self._spec
-        made = SpringSimulation(
-            self._system, spec.options, context.begin, context, settled=spec.settle
-        )
+        context, spec = self._context, self._spec
+        plan = plan_springs(self._system, spec.options, context, settled=spec.settle)
+        made = SpringSimulation(plan, context)
         springs = 0
         views: list[SpringView] = []
         for member, rows in zip(context.members, self._rows, strict=True):

@@ -6,10 +6,9 @@ import numpy as np
 
 from animtool import _kernels
 from animtool.core.array_types import ArrayLike, BoolArray, FloatArray, IntArray
-from animtool.core.errors import Fault, OptionError, counted
+from animtool.core.errors import Fault, OptionError, counted, warning
 from animtool.core.options import range_faults
 from animtool.systems.springs.body import Body, Springs
-from animtool.systems.springs.motion import warning
 from animtool.systems.springs.records import SelfContact, Solver, SpringOptions
 
 # Of many that are wrong in the same way, those that are named.

@@ -9,13 +9,12 @@ import numpy as np
 
 from animtool import _kernels
 from animtool.core.array_types import FloatArray, IntArray
-from animtool.core.errors import Fault, Severity, counted
+from animtool.core.errors import Fault, Severity, counted, warning
 from animtool.core.quantities import length_text, plain
 from animtool.maths.faces import sides
 from animtool.sim.colliders import Collider
 from animtool.sim.colliders.shapes import Box, Capsule, Sphere
 from animtool.systems.springs.drawing import Curves, Faces, Shape
-from animtool.systems.springs.motion import warning
 
 # Looks at a surface over a whole motion: one takes as long as some steps do.
 LOOKS = 12

@@ -14,14 +14,14 @@ from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, OptionError, counted
 from animtool.core.options import OF_ENTRY, range_faults
 from animtool.documents.fields import record_of
-from animtool.systems.fields import Member, PinnedPoints
+from animtool.systems.framework.spec import Member, PinnedPoints
+from animtool.systems.framework.tied import OnBody
 from animtool.systems.springs import Family, Solver
 from animtool.systems.springs.bodies import BODIES, BodyEntry, SpringBody
 from animtool.systems.springs.checks import check_keeping_apart, check_options
 from animtool.systems.springs.drawing import Faces
 from animtool.systems.springs.pins import Join, Pin, air_of, numbered, read_pins
 from animtool.systems.springs.spec import FaceWindModel, SpringsModel
-from animtool.systems.tied import OnBody
 
 # Solvers that say what pins pull at rigid bodies.
 TIED_SOLVERS = (Solver.AUTO, Solver.BDF2, Solver.IMPLICIT_EULER)

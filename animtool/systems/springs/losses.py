@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from animtool.core.errors import Fault, percent
+from animtool.core.errors import Fault, percent, warning
 from animtool.core.quantities import plain
 from animtool.sim.system import Energy
-from animtool.systems.springs.motion import warning
 from animtool.systems.springs.records import Solver
 
 # Solvers of the first order, which take energy from all that moves.

@@ -8,10 +8,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
-from animtool.core.errors import Fault, Severity, counted
+from animtool.core.errors import Fault, counted, warning
 from animtool.sim.colliders.bodies import Wrenches
 from animtool.sim.trajectory import Trajectory
-from animtool.systems.simulation import growing, later
+from animtool.systems.framework.simulation import growing, later
 from animtool.systems.springs.body import Flags
 from animtool.systems.springs.records import Solver
 
@@ -154,10 +154,3 @@ def through_notices(through: Through, what: str = "the surface") -> list[Fault]:
             hint = f"{math.ceil(through.rate)} steps a second miss nothing"
         notices.append(warning("SIM165", message, hint))
     return notices
-
-
-def warning(
-    code: str, message: str, hint: str | None, where: str | None = None
-) -> Fault:
-    """Return a warning of a motion."""
-    return Fault(code, message, hint=hint, where=where, severity=Severity.WARNING)

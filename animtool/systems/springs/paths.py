@@ -10,11 +10,11 @@ from typing import Any, TypeAlias, TypeVar
 import numpy as np
 
 from animtool.core.array_types import ArrayLike, BoolArray, FloatArray, IntArray
-from animtool.core.errors import Fault
+from animtool.core.errors import Fault, warning
 from animtool.maths import so3
 from animtool.maths.faces import rigid_motion
 from animtool.systems.springs.body import Body
-from animtool.systems.springs.motion import Grid, warning
+from animtool.systems.springs.motion import Grid
 
 # Times ``(K,)`` [s], and positions ``(K, P, 3)`` [m].
 Path: TypeAlias = tuple[FloatArray, FloatArray]

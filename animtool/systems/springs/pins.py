@@ -15,6 +15,7 @@ from animtool.documents.document import Location
 from animtool.documents.fields import record_of
 from animtool.maths import so3
 from animtool.sim.colliders import Poses
+from animtool.systems.framework.tied import OnBody
 from animtool.systems.springs import Air, Pins, Targets
 from animtool.systems.springs.bodies import BodyEntry, SpringBody
 from animtool.systems.springs.drawing import least_turns
@@ -24,7 +25,6 @@ from animtool.systems.springs.spec import (
     PinModel,
     WindModel,
 )
-from animtool.systems.tied import OnBody
 
 # The first frame of what carries, in which it is when particles are bound to it.
 BOUND_AT = 0.0

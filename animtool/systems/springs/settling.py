@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from animtool.core.array_types import FloatArray
-from animtool.core.errors import Fault, Severity
+from animtool.core.errors import Fault, Severity, warning
 from animtool.core.quantities import length_text
-from animtool.systems.springs.motion import Grid, SpringState, warning
+from animtool.systems.springs.motion import Grid, SpringState
 from animtool.systems.springs.records import Solver, SpringOptions
 from animtool.systems.springs.solvers import SHORTEST_OF_AUTO, Choice, advance
 from animtool.systems.springs.system import SpringSystem

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from animtool.core.array_types import ArrayLike, FloatArray
-from animtool.core.errors import Fault, OptionError, Severity, counted, excerpt
+from animtool.core.errors import Fault, OptionError, Severity, counted, excerpt, warning
 from animtool.core.quantities import floored, length_text, plain
 from animtool.sim.checks import Watch, check_times
 from animtool.sim.colliders.bodies import Wrenches
@@ -22,7 +22,6 @@ from animtool.systems.springs.motion import (
     SpringMotion,
     SpringState,
     through_notices,
-    warning,
 )
 from animtool.systems.springs.records import Solver, SpringOptions
 from animtool.systems.springs.solvers import (

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Protocol
 
@@ -16,9 +16,8 @@ from animtool.motion.frames import PointsFrame
 from animtool.sim.colliders.bodies import Wrenches
 from animtool.sim.system import Energy
 from animtool.sim.trajectory import Status
-from animtool.systems.fields import Member
-from animtool.systems.run import ON_STEP
-from animtool.systems.simulation import (
+from animtool.systems.framework.run import ON_STEP
+from animtool.systems.framework.simulation import (
     Diagnostics,
     Progress,
     SimContext,
@@ -26,13 +25,14 @@ from animtool.systems.simulation import (
     StoppedError,
     TrialSettings,
 )
+from animtool.systems.framework.spec import Member
 from animtool.systems.springs.checks import check_options
 from animtool.systems.springs.losses import DAMPING, Losses
 from animtool.systems.springs.motion import Grid, SpringState
 from animtool.systems.springs.records import Solver, SpringOptions
 from animtool.systems.springs.settling import rest_of_xpbd
 from animtool.systems.springs.simulating import SpringRun, simulate_springs
-from animtool.systems.springs.solvers import advance, choose
+from animtool.systems.springs.solvers import Choice, advance, choose
 from animtool.systems.springs.system import SpringSystem
 from animtool.systems.springs.trials import trial_settings
 
@@ -62,61 +62,69 @@ class Shown(Protocol):
         """Draw it so that it can part where springs are torn in a later state."""
 
 
+@dataclass(frozen=True, slots=True)
+class SpringPlan:
+    """Springs as they begin, and the steps that they are taken in."""
+
+    system: SpringSystem
+    options: SpringOptions
+    choice: Choice
+    reason: str  # for the solver and its steps
+    error: float | None = None  # of positions, where it was asked for [m]
+    # What was told while they were found, and how long springs became [1].
+    told: Sequence[tuple[Sequence[Fault], float]] = ()
+
+
+def plan_springs(
+    system: SpringSystem, options: SpringOptions, context: SimContext, *, settled: bool
+) -> SpringPlan:
+    """Return the steps of springs, short enough for an error that is asked for.
+
+    Where they are ``settled`` and xpbd rests lower, they begin at its rest.
+    """
+    begin, reason, error = context.begin, "", None
+    told: list[tuple[Sequence[Fault], float]] = []
+    if options.error is not None:
+        times = np.linspace(begin, max(context.last, begin), COMPARED)
+        progress = _by_motions(context.phase, begin, float(times[-1]))
+        motion = simulate_springs(system, times, options, progress=progress)
+        if motion.stats.status is not Status.OK:
+            raise StoppedError(_as_errors(motion.notices), motion.stats)
+        told.append((motion.notices, motion.stretch))
+        error, reason = motion.stats.error, motion.reason
+        options = replace(options, solver=motion.solver, step=motion.step, error=None)
+    choice = choose(system, options, check_options(options), begin, system.state)
+    if settled and choice.solver is Solver.XPBD:
+        rested = rest_of_xpbd(system, options, choice, begin)
+        system, choice = rested.system, rested.choice
+        told.append((rested.notices, 0.0))
+    return SpringPlan(system, options, choice, reason or choice.reason, error, told)
+
+
 class SpringSimulation:
     """Springs in cells of time; what went on is counted for warnings alone."""
 
     checked = True
     views: Sequence[Shown] = ()
 
-    def __init__(
-        self,
-        system: SpringSystem,
-        options: SpringOptions,
-        begin: float,
-        context: SimContext,
-        *,
-        settled: bool = False,
-    ) -> None:
-        self.system, self.begin, self.last = system, begin, context.last
-        self.error: float | None = None  # of positions, where it was asked for [m]
+    def __init__(self, plan: SpringPlan, context: SimContext) -> None:
+        self.begin, self.last = context.begin, context.last
+        self.system, self.options, self.choice = plan.system, plan.options, plan.choice
+        self.reason, self.error = plan.reason, plan.error
         self._said: dict[str, Fault] = {}
         self._worst = 0.0
+        for notices, stretch in plan.told:
+            self._say(notices, stretch)
         self.clock: Progress = None
-        reason = ""
-        if options.error is not None:
-            options, reason = self._fine_enough(options, context)
-        self.options = options
-        solver = check_options(options)
-        self.choice = choose(system, options, solver, begin, system.state)
-        if settled and self.choice.solver is Solver.XPBD:
-            rested = rest_of_xpbd(system, options, self.choice, begin)
-            self.system, self.choice = rested.system, rested.choice
-            self._say(rested.notices, 0.0)
-        self.reason = reason or self.choice.reason
         self.step_length = self.choice.cell
         self.shortest, self.taken, self.stretch, self.unresolved = math.inf, 0, 0.0, 0
         self._measured: FloatArray | None = None
-        self._losses = Losses(float(system.free_masses.sum()))
+        self._losses = Losses(float(self.system.free_masses.sum()))
         start = self.initial()
-        self._take_note(self._run(start, begin), begin)
-        self.measure(start, begin)
+        self._take_note(self._run(start, self.begin), self.begin)
+        self.measure(start, self.begin)
         self._stretch_at_start = self.stretch
         self.clock = context.clock()
-
-    def _fine_enough(
-        self, options: SpringOptions, context: SimContext
-    ) -> tuple[SpringOptions, str]:
-        """Return options whose steps keep the error over the whole motion, and why."""
-        begin, last = self.begin, max(context.last, self.begin)
-        times = np.linspace(begin, last, COMPARED)
-        progress = _by_motions(context.phase, begin, last)
-        motion = simulate_springs(self.system, times, options, progress=progress)
-        if motion.stats.status is not Status.OK:
-            raise StoppedError(_as_errors(motion.notices), motion.stats)
-        self._say(motion.notices, motion.stretch)
-        self.error = motion.stats.error
-        fine = replace(options, solver=motion.solver, step=motion.step, error=None)
-        return fine, motion.reason
 
     def initial(self) -> SpringState:
         """Return the state that they begin in."""

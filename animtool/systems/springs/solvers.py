@@ -17,12 +17,12 @@ from animtool.maths import so3
 from animtool.sim.colliders import Collider, Colliders
 from animtool.sim.integrators import find_integrator
 from animtool.sim.modes import allowed_step
+from animtool.systems.framework.tied import TiedStep
 from animtool.systems.springs.checks import check_keeping_apart
 from animtool.systems.springs.motion import MAX_SUBSTEPS, Grid, SpringState, Through
 from animtool.systems.springs.records import Solver, SpringOptions
 from animtool.systems.springs.system import SpringSystem
 from animtool.systems.springs.ties import TiedCell, Ties
-from animtool.systems.tied import TiedStep
 
 # Steps of xpbd are not shorter than this [s], and those that auto takes not than the
 # other: what keeps surfaces apart from themselves is to keep springs short as well.

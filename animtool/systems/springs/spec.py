@@ -21,22 +21,22 @@ from animtool.documents.fields import (
     record_of,
     with_fields,
 )
-from animtool.systems.fields import (
+from animtool.systems.framework.fields import (
     ArrayEntry,
     CarryingBodyModel,
     CarryingJointModel,
     CarryingPrimModel,
     CarryingVertexModel,
-    CharacterModel,
-    MovingMeshModel,
+    Characters,
+    Colliders,
+    Meshes,
     NameEntry,
     PrimMeshModel,
     PrimName,
-    SystemColliderModel,
-    SystemSpec,
-    SystemSurfaceModel,
+    Surfaces,
     TimedVector,
 )
+from animtool.systems.framework.spec import SystemSpec
 from animtool.systems.springs import Air, Family, SelfContact, SpringOptions
 
 # What systems that are joined have in common, where one of them states it.
@@ -253,26 +253,10 @@ class SpringsModel(SolvedModel):
         0.01,
         default=0.005,
     )
-    colliders: list[SystemColliderModel] = key(
-        "Colliders it can hit.",
-        [{"shape": {"plane": None}, "friction": 0.4}],
-        default=[],
-    )
-    characters: list[CharacterModel] = key(
-        "Characters in motion that it runs into; none is written.",
-        [{"file": "walk.clip.yaml", "friction": 0.3}],
-        default=[],
-    )
-    systems: list[SystemSurfaceModel] = key(
-        "Cloth, volumes and rigid bodies of the scene that it runs into.",
-        [{"system": "crates", "two_way": True}],
-        default=[],
-    )
-    meshes: list[MovingMeshModel] = key(
-        "Meshes of USD files that it runs into, whose points may move.",
-        [{"file": "beast.usdc", "prim": "/beast/body", "closed": True}],
-        default=[],
-    )
+    colliders: Colliders = Field([])
+    characters: Characters = Field([])
+    systems: Surfaces = Field([])
+    meshes: Meshes = Field([])
     speed_limit: Annotated[Real, above(0, "SIM050")] = key(
         "Pins that go faster were put elsewhere, and take along what hangs "
         "on them [m/s].",

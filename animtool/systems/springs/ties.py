@@ -10,14 +10,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.maths import so3
 from animtool.sim.colliders.bodies import Wrenches
-from animtool.systems.tied import TiedBodies, TiedStep, to_world
+from animtool.systems.framework.tied import TiedBodies, TiedStep, to_world
 
 # How far bodies are moved to see how the pull changes, in mean lengths of springs [1].
 TRIAL = 1e-6
@@ -60,22 +60,12 @@ class Ties:
         """Name and mass [kg] of the lightest body that moves; None where none does."""
         found = []
         for tie in self.ties:
-            system = self.carriers[tie.carrier].system
+            system = self.carriers[tie.carrier].system.shared
             rows = np.flatnonzero(system.dynamic == tie.body)
             mass = float(self.carriers[tie.carrier].masses[rows].min(initial=np.inf))
             found.append((mass, system.names[tie.body]))
         mass, name = min(found)
         return None if mass == np.inf else (name, mass)
-
-
-class Crossed(Protocol):
-    """What springs come to in a cell, with what held particles were pulled by."""
-
-    lost: bool
-
-    @property
-    def pulls(self) -> FloatArray:
-        """Impulses and moments about the origin ``(H, 6)``."""
 
 
 class _Pulled(NamedTuple):
@@ -140,7 +130,7 @@ class TiedCell:
         """Yield the bodies that move by themselves and carry anything."""
         carriers = self._ties.carriers
         for k, step in enumerate(self._steps):
-            dynamic = carriers[k].system.dynamic
+            dynamic = carriers[k].system.shared.dynamic
             for number, body in enumerate(dynamic.tolist()):
                 ties = self._ties.ties
                 own = [

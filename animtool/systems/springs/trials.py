@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 from animtool.sim.trials.trial import FINER, Setting, stepwise
-from animtool.systems.simulation import TrialSettings
+from animtool.systems.framework.simulation import TrialSettings
 from animtool.systems.springs.records import Solver, SpringOptions
 from animtool.systems.springs.solvers import choose
 from animtool.systems.springs.system import SpringSystem

@@ -8,14 +8,14 @@ from dataclasses import dataclass
 from typing import Any, cast
 
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
-from animtool.core.errors import Fault, Severity, counted, percent
+from animtool.core.errors import Fault, Severity, counted, percent, warning
 from animtool.core.quantities import length_text, plain
 from animtool.motion.frames import Frame, MeshFrame
-from animtool.systems.fields import Member
-from animtool.systems.simulation import Diagnostics
+from animtool.systems.framework.simulation import Diagnostics
+from animtool.systems.framework.spec import Member
 from animtool.systems.springs.crossings import SelfCrossings, thin_notices, widest_gap
 from animtool.systems.springs.drawing import Faces, Tearing
-from animtool.systems.springs.motion import SpringState, warning
+from animtool.systems.springs.motion import SpringState
 from animtool.systems.springs.simulation import SpringSimulation
 
 

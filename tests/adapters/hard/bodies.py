@@ -10,8 +10,8 @@ from support.faults import raises
 
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import OptionError, ToleranceError
+from animtool.systems.framework.run import SimulationRun
 from animtool.systems.nbody.nbody import Nbody
-from animtool.systems.run import SimulationRun
 
 __all__ = ["BODIES"]
 

@@ -11,7 +11,7 @@ from animtool.core.errors import FormatError
 from animtool.documents.check import validated
 from animtool.documents.document import document_of
 from animtool.scene.file.schema import SystemModel, model_for, whole_model
-from animtool.systems.kinds import SYSTEM_KINDS
+from animtool.systems.framework.kinds import SYSTEM_KINDS
 
 ROPE = "{rope: {from: [0, 2, 0], to: [1, 2, 0], count: 5, mass: 1}}"
 # What systems may be given as; keys before are those of a scene.

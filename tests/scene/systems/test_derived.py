@@ -25,11 +25,11 @@ from animtool.scene.tables.simulation import SimulationTable
 from animtool.sim.colliders import Plane
 from animtool.sim.trials.measuring import measure
 from animtool.sim.trials.trial import Setting
-from animtool.systems.kinds import SYSTEM_KINDS, system_kind
+from animtool.systems.framework.kinds import SYSTEM_KINDS, SystemKind
+from animtool.systems.framework.run import SimulationRun
 from animtool.systems.particles import Disc, Point
 from animtool.systems.particles.forces.air import Wind
 from animtool.systems.particles.forces.pulls import Gravity
-from animtool.systems.run import SimulationRun
 
 FLOOR = {"shape": {"plane": None}, "at": [0, 0.25, 0]}
 TIMES = np.array([0.0, 0.3, 0.77, 1.0])
@@ -38,7 +38,7 @@ TIMES = np.array([0.0, 0.3, 0.77, 1.0])
 @pytest.fixture(autouse=True)
 def _kind(monkeypatch: pytest.MonkeyPatch) -> None:
     example: dict[str, Any] = {"speed": 2}
-    kind = system_kind(
+    kind = SystemKind(
         "support.swing:Spec", "support.swing:build", "A point on a circle.", example
     )
     monkeypatch.setitem(SYSTEM_KINDS, "swing", kind)

@@ -22,7 +22,7 @@ from animtool.core.plugins import load_object
 from animtool.core.units import LengthUnit
 from animtool.maths import so3
 from animtool.sim.trajectory import Status
-from animtool.systems.kinds import SYSTEM_KINDS
+from animtool.systems.framework.kinds import SYSTEM_KINDS
 
 # Times of frames that are multiples of every step [s].
 FRAMES = [k / 16 for k in range(7)]

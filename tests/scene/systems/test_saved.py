@@ -16,8 +16,8 @@ from support.simulated import Simulator
 from animtool import BakeOptions
 from animtool.core.errors import FormatError
 from animtool.scene.systems.simulation import clocked, open_systems
-from animtool.systems.run import SimulationRun
-from animtool.systems.saved import write_states
+from animtool.systems.framework.run import SimulationRun
+from animtool.systems.framework.saved import write_states
 
 SCENE = """\
 scene: animtool/1

@@ -15,7 +15,7 @@ from animtool.maths import so3
 from animtool.scene.file.read import load_scene
 from animtool.scene.systems.surroundings import moving_sheet
 from animtool.sim.colliders import Poses
-from animtool.systems.fields import MovingMeshModel
+from animtool.systems.framework.fields import MovingMeshModel
 
 HEAD = "scene: animtool/1\nfps: 24\nrange: [1, 25]\noutput: {file: o.usdc}\nsystems:\n"
 PARTICLES = "- particles:\n    step: 0.005\n    emitters: [%s]\n"

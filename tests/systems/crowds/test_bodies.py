@@ -18,9 +18,10 @@ from animtool.rig.kinematics import forward
 from animtool.rig.skeleton import Joint, Rig
 from animtool.scene.systems.gaits import GaitsSource
 from animtool.systems.crowds.agents import Going
-from animtool.systems.crowds.bodies import Bodies, BodyState
+from animtool.systems.crowds.bodies import Bodies
 from animtool.systems.crowds.cast import part
 from animtool.systems.crowds.cycles import gaits_of
+from animtool.systems.crowds.footing import BodyState
 from animtool.systems.crowds.gaits import Gaits
 from animtool.systems.crowds.ground import about_up
 from animtool.systems.crowds.poses import TILT, _tilts, poses_of

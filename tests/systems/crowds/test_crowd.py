@@ -14,7 +14,7 @@ from support.simulated import Simulator
 from animtool.core.errors import AnimtoolError
 from animtool.scene.systems.run import SystemRun
 from animtool.scene.systems.simulation import open_systems
-from animtool.systems.run import SimulationRun
+from animtool.systems.framework.run import SimulationRun
 
 FPS = 20
 RADIUS = 0.25

@@ -21,7 +21,7 @@ from animtool.scene.systems.run import SystemRun
 from animtool.scene.systems.simulation import open_systems
 from animtool.systems.flocks.spacing import least_distance
 from animtool.systems.flocks.spec import SpeciesModel
-from animtool.systems.run import Reached, SimulationRun
+from animtool.systems.framework.run import Reached, SimulationRun
 
 FRAMES = (np.arange(24) / 24).tolist()
 BIRD = {"name": "bird", "count": 30, "seed": 3}

@@ -16,6 +16,7 @@ from support.suite import nightly
 from animtool.core.errors import AnimtoolError, ToleranceError
 from animtool.scene.systems.simulation import open_systems
 from animtool.sim.colliders import Poses
+from animtool.systems.framework.run import Reached, SimulationRun
 from animtool.systems.molecules.atoms import BOLTZMANN, COULOMB, Atoms, Box, mixed
 from animtool.systems.molecules.molecules import (
     MEGAPASCALS,
@@ -25,7 +26,6 @@ from animtool.systems.molecules.molecules import (
     bath_factor,
 )
 from animtool.systems.molecules.spec import MoleculesModel, ThermostatModel
-from animtool.systems.run import Reached, SimulationRun
 
 ARGON = {"name": "argon", "count": 256}
 # Of solid argon at its melting point [nm].

@@ -14,6 +14,7 @@ from support.simulated import Simulator
 
 from animtool.core.errors import AnimtoolError, ToleranceError
 from animtool.scene.systems.simulation import open_systems
+from animtool.systems.framework.run import Reached, SimulationRun
 from animtool.systems.nbody.galaxies import (
     Profile,
     build_galaxy,
@@ -22,7 +23,6 @@ from animtool.systems.nbody.galaxies import (
     on_orbit,
 )
 from animtool.systems.nbody.spec import EncounterModel, GalaxyModel
-from animtool.systems.run import Reached, SimulationRun
 
 DISC = {"count": 700, "mass": 1, "radius": 1, "cutoff": 4}
 BULGE = {"count": 150, "mass": 0.3, "radius": 0.2}

@@ -14,7 +14,7 @@ from support.rigid import FLOOR, GRAVITY, Rigid, ball, box
 from support.suite import at_night
 
 from animtool.maths import so3
-from animtool.systems.run import Reached
+from animtool.systems.framework.run import Reached
 
 CUBE = (1, 1, 1)
 AWAKE = {"sleep": {"speed": 0}}

@@ -332,7 +332,7 @@ def test_energy_never_rises_in_a_limp_one() -> None:
             return super().step(state, t, dt)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("animtool.systems.rigid.take_pass.RigidSimulation", Watched)
+        patch.setattr("animtool.systems.rigid.ragdoll_motion.RigidSimulation", Watched)
         fallen(take, colliders=(GROUND,))
     assert len(energies) > 130
     size = energies[0] - min(energies)

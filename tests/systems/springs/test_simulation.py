@@ -22,7 +22,7 @@ from animtool.rig.kinematics import forward
 from animtool.scene.file.read import load_scene
 from animtool.scene.systems.run import SystemRun
 from animtool.scene.systems.simulation import open_systems
-from animtool.systems.kinds import SYSTEM_KINDS
+from animtool.systems.framework.kinds import SYSTEM_KINDS
 from animtool.systems.springs import Family, Pins, SpringSystem, rope, simulate_springs
 
 HEAD = "scene: animtool/1\nfps: 24\nrange: [1, 12]\nsystems:\n"
@@ -754,10 +754,11 @@ def test_only_what_a_scene_has_is_loaded(walk: Path, tmp_path: Path) -> None:
     lines = [line for line in done.stdout.splitlines() if line.startswith("[")]
     nothing, springs, particles = map(json.loads, lines)
     # What keys share and count is part of reading scenes.
-    shared = ["sim.contact", "systems.conversion", "systems.fields", "systems.kinds"]
-    assert nothing == [f"animtool.{name}" for name in shared]
+    above = "animtool.systems.framework"
+    shared = [f"{above}.{name}" for name in ("conversion", "fields", "kinds", "spec")]
+    assert nothing == ["animtool.sim.contact", above, *shared]
     assert "animtool.systems.springs.system" in springs
-    assert "animtool.systems.particles.run" in particles
+    assert "animtool.systems.particles.simulation" in particles
     specs = [kind.spec.partition(":")[0] for kind in SYSTEM_KINDS.values()]
     assert set(springs).intersection(specs) == {"animtool.systems.springs.spec"}
     assert set(particles).intersection(specs) == {"animtool.systems.particles.spec"}

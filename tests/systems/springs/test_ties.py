@@ -17,7 +17,7 @@ from animtool import BakeOptions
 from animtool.core.errors import FormatError, ToleranceError
 from animtool.maths import so3
 from animtool.scene.systems.simulation import open_systems
-from animtool.systems.run import EntryRun
+from animtool.systems.framework.run import EntryRun
 
 FALL: dict[str, Any] = {"forces": [{"gravity": None}]}
 
@@ -73,7 +73,7 @@ class Tied:
         x, v = self.tow.run.state.state.motion.copy()
         for tie in system.ties.ties:
             own = system.pinned[tie.columns]
-            (n,) = np.flatnonzero(simulation.dynamic == tie.body)
+            (n,) = np.flatnonzero(simulation.shared.dynamic == tie.body)
             speeds, centre = simulation.speeds(reached)[n], reached.motion[n, :3]
             v[own] = speeds[:3] + so3.cross(speeds[3:], x[own] - centre)
         masses, springs = system.body.masses[:, None], system.body.springs
@@ -81,7 +81,7 @@ class Tied:
         energy = simulation.energy(reached).total + 0.5 * float((masses * v**2).sum())
         energy += 0.5 * float(springs.stiffness @ longer**2)
         energy -= float((masses * x).sum(axis=0) @ system.gravity)
-        motion, own = reached.motion, simulation.masses[:, None]
+        motion, own = reached.motion, simulation.shared.masses[:, None]
         momenta = own * motion[:, 7:10]
         turned = so3.cross(motion[:, :3], momenta) + motion[:, 10:13]
         whole = (masses * v).sum(axis=0) + momenta.sum(axis=0)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any, Generic, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
-from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.maths.faces import triangulated
 from animtool.motion.frames import MeshFrame
 from animtool.sim.colliders import Collider
@@ -35,20 +35,61 @@ class Watched(Protocol):
         """Note who hangs on some of its bodies."""
 
 
+@dataclass(frozen=True, eq=False)
+class SystemBodies:
+    """B rigid bodies of a simulation, as others run into them, whatever their state."""
+
+    names: Sequence[str]  # (B,)
+    dynamic: IntArray  # those that can be pushed (count,)
+    masses: FloatArray  # of these (count,) [kg]
+    reaches: Sequence[float]  # how far each reaches from its centre (B,) [m]
+    shapes: Sequence[Collider]  # of all (C,)
+    shape_bodies: IntArray  # the body that each shape is of (C,)
+
+    @property
+    def count(self) -> int:
+        """Bodies that can be pushed."""
+        return len(self.dynamic)
+
+    @property
+    def owners(self) -> IntArray:
+        """The number of each shape's body among them, -1 of what nothing pushes."""
+        numbers = np.full(len(self.names), -1)
+        numbers[self.dynamic] = np.arange(self.count)
+        return numbers[self.shape_bodies]
+
+
 @runtime_checkable
 class RigidSystem(Protocol):
-    """A simulation of rigid bodies, which others run into as such, and may push."""
+    """A simulation of rigid bodies, which others run into, push and hang on."""
 
-    shapes: Sequence[Collider]  # of all bodies (C,)
-    owners: IntArray  # the body that each shape is of, -1 of what nothing pushes (C,)
-    count: int  # bodies that can be pushed
-    masses: FloatArray  # of these ``(count,)`` [kg]
+    @property
+    def shared(self) -> SystemBodies:
+        """Its bodies."""
+
+    def initial(self) -> Any:
+        """Return the state at the time of the first step."""
+
+    def step(self, state: Any, t: float, dt: float) -> Any:
+        """Return a new state, a step [s] after a time [s]."""
+
+    def frames(self, state: Any, t: float) -> FloatArray:
+        """Return where the frames of all bodies are ``(B, 7)`` at a time [s]."""
 
     def poses(self, state: Any, t: float) -> FloatArray:
         """Return where the frames of the shapes are ``(C, 7)`` at a time [s]."""
 
+    def speeds(self, state: Any) -> FloatArray:
+        """Return velocities of centres and angular ones ``(count, 6)``."""
+
+    def free(self, t: float) -> BoolArray:
+        """Return which bodies move by themselves from a time [s] on ``(count,)``."""
+
     def pushed(self, state: Any, wrenches: Wrenches) -> Any:
         """Return a state after impulses on its bodies."""
+
+    def push_between(self, state: Any, other: Any) -> Wrenches:
+        """Return the push that leads from a state to another of the same time."""
 
     def inverse_masses(
         self, state: Any, owners: IntArray, points: FloatArray, ways: FloatArray
@@ -144,13 +185,16 @@ class Bodies(_Watcher):
         two_way: bool,
     ) -> None:
         super().__init__(run)
-        self._simulation = simulation
+        self._simulation, shared = simulation, simulation.shared
         self.colliders: Sequence[Collider] = [
             replace(one, restitution=restitution, friction=friction)
-            for one in simulation.shapes
+            for one in shared.shapes
         ]
-        self.owners, self.count = simulation.owners, simulation.count
-        self.masses = simulation.masses
+        self.owners, self.count, self.masses = (
+            shared.owners,
+            shared.count,
+            shared.masses,
+        )
         if not two_way:
             self.owners, self.count = np.full_like(self.owners, -1), 0
             self.masses = np.zeros(0)

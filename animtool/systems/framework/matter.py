@@ -12,7 +12,7 @@ from animtool.core.array_types import FloatArray
 from animtool.core.errors import refuse, refuse_all
 from animtool.maths import so3
 from animtool.maths.rows import Rows
-from animtool.systems.fields import PlacementModel
+from animtool.systems.framework.fields import PlacementModel
 
 
 def unit_quaternion(wxyz: Sequence[float]) -> FloatArray:

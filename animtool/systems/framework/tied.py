@@ -2,52 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
-from animtool.core.array_types import BoolArray, FloatArray, IntArray
+from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, OptionError, listed
 from animtool.core.names import nearest
 from animtool.maths import so3
 from animtool.sim.colliders import Colliders, Poses
 from animtool.sim.colliders.bodies import Wrenches
-from animtool.systems.surfaces import Bodies, RigidSystem, Watched
+from animtool.systems.framework.surfaces import Bodies, RigidSystem, Watched
 
 # Of how far a pull over a step takes a body, over the step and the speed that it gives:
 # half of it is even over the step, and a little more lets what is stiff come to rest.
 SHARE = 0.52
-
-
-class CarryingSystem(RigidSystem, Protocol):
-    """A simulation of rigid bodies, which may carry particles of others."""
-
-    names: Sequence[str]  # of all bodies (B,)
-    shape_bodies: IntArray  # the body that each shape is of (C,)
-    dynamic: IntArray  # the bodies that can be pushed (count,)
-
-    def initial(self) -> Any:
-        """Return the state at the time of the first step."""
-
-    def step(self, state: Any, t: float, dt: float) -> Any:
-        """Return a new state, a step [s] after a time [s]."""
-
-    def push_between(self, state: Any, other: Any) -> Wrenches:
-        """Return the push that leads from a state to another of the same time."""
-
-    def frames(self, state: Any, t: float) -> FloatArray:
-        """Return where the frames of all bodies are ``(B, 7)`` at a time [s]."""
-
-    def speeds(self, state: Any) -> FloatArray:
-        """Return velocities of centres and angular ones ``(count, 6)``."""
-
-    def free(self, t: float) -> BoolArray:
-        """Return which bodies move by themselves from a time [s] on ``(count,)``."""
-
-    def size(self, number: int) -> float:
-        """Return how far a body reaches from its centre [m]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +38,7 @@ class TiedBodies(Bodies):
     """
 
     def __init__(
-        self, run: Watched, simulation: CarryingSystem, begin: float, step: float
+        self, run: Watched, simulation: RigidSystem, begin: float, step: float
     ) -> None:
         super().__init__(run, simulation, 0.0, 0.0, two_way=True)
         self.system = simulation
@@ -77,7 +47,7 @@ class TiedBodies(Bodies):
 
     def number(self, carrier: OnBody) -> int:
         """Return the number of a body; raise SIM162 where there is none of the name."""
-        names = list(self.system.names)
+        names = list(self.system.shared.names)
         if carrier.body in names:
             return names.index(carrier.body)
         message = f"no body of {carrier.system!r} is {carrier.body!r}"
@@ -96,9 +66,9 @@ class TiedBodies(Bodies):
 
         That is from its surface, 0 inside; with the size of the body.
         """
-        made, number = self.system, self.number(carrier)
+        made, number = self.system.shared, self.number(carrier)
         (own,) = np.nonzero(made.shape_bodies == number)
-        poses = made.poses(self._start, self.begin)
+        poses = self.system.poses(self._start, self.begin)
         shapes = [
             replace(made.shapes[i], poses=Poses.fixed(poses[i, :3], poses[i, 3:]))
             for i in own.tolist()
@@ -106,7 +76,7 @@ class TiedBodies(Bodies):
         if not shapes:
             return 0.0, np.inf
         nearest_by = Colliders(shapes).sample(points, self.begin).distances
-        return max(float(nearest_by.min()), 0.0), made.size(number)
+        return max(float(nearest_by.min()), 0.0), float(made.reaches[number])
 
     def pushed_by(self, pusher: Any) -> None:
         """Take note of who hangs on them."""
@@ -142,7 +112,7 @@ class TiedStep:
     """Bodies over a step in which particles pull them."""
 
     def __init__(
-        self, simulation: CarryingSystem, begins: Any, ends: Any, t0: float, t1: float
+        self, simulation: RigidSystem, begins: Any, ends: Any, t0: float, t1: float
     ) -> None:
         self._simulation, self._ends, self._t1 = simulation, ends, t1
         self.begins = simulation.frames(begins, t0)  # frames of all ``(B, 7)``

@@ -16,7 +16,7 @@ from animtool.core.errors import Fault, FormatError, OptionError, listed
 from animtool.core.files.output import replacing
 from animtool.core.files.placing import output_error
 from animtool.documents.arrays import Archives
-from animtool.systems.run import Reached
+from animtool.systems.framework.run import Reached
 
 FORMAT = "animtool-system/1"
 # Whole numbers up to here are the same as floats.

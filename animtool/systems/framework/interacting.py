@@ -22,9 +22,9 @@ from animtool.sim.integrating import integrate
 from animtool.sim.options import IntegrateOptions, check_options
 from animtool.sim.system import Energy, SecondOrder
 from animtool.sim.trajectory import Checkpoint, Status
-from animtool.systems.colours import Colouring, Quantities, log_density
-from animtool.systems.matter import Bodies
-from animtool.systems.simulation import Diagnostics, SimContext, StoppedError
+from animtool.systems.framework.colours import Colouring, Quantities, log_density
+from animtool.systems.framework.matter import Bodies
+from animtool.systems.framework.simulation import Diagnostics, SimContext, StoppedError
 
 # Energy gained or lost, in what there was of either kind, from which on it blew up.
 GROWTH = 0.5

@@ -23,8 +23,8 @@ from animtool.sim.trajectory import Stats
 
 if TYPE_CHECKING:
     from animtool.sim.trials.trial import Setting
-    from animtool.systems.fields import Member
-    from animtool.systems.tied import TiedBodies
+    from animtool.systems.framework.spec import Member
+    from animtool.systems.framework.tied import TiedBodies
 
 State = TypeVar("State")
 # Told how far work is; None where nobody looks.
@@ -54,6 +54,7 @@ class Stepped(Generic[State]):
 
     state: State
     wrenches: Sequence[Wrenches] = ()  # of each of the colliders' `bodies`
+    notices: Sequence[Fault] = ()  # warnings of it; a run tells the first of each code
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,15 +7,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Generic, TypeVar
 
-import numpy as np
-
-from animtool.core.array_types import FloatArray, IntArray
-from animtool.core.errors import Fault, OptionError, ToleranceError
-from animtool.core.quantities import floored, plain
-from animtool.motion.frames import Frame, TransformsFrame
+from animtool.core.errors import Fault, OptionError
+from animtool.motion.frames import Frame
 from animtool.sim.colliders import MovingBodies
 from animtool.sim.colliders.bodies import Pusher, Wrenches
-from animtool.systems.simulation import (
+from animtool.systems.framework.bounds import check_bounds, check_finite
+from animtool.systems.framework.simulation import (
     Diagnostics,
     ManySteps,
     Simulation,
@@ -23,24 +20,13 @@ from animtool.systems.simulation import (
     Stepped,
     SystemView,
 )
-from animtool.systems.surfaces import Bodies, RigidSystem, Surface
-from animtool.systems.tied import TiedBodies
+from animtool.systems.framework.surfaces import Bodies, RigidSystem, Surface
+from animtool.systems.framework.tied import TiedBodies
 
 Watcher = TypeVar("Watcher", Surface, Bodies)
 
 # A time that is as near to the end of a step is that end [steps].
 ON_STEP = 1e-9
-# Numbers of a frame beyond this are in no scene; files hold up to 3e38, in any unit.
-BOUND = 1e30
-# What is looked at beside primvars, and its unit.
-UNITS = {
-    "points": "m",
-    "velocities": "m/s",
-    "spins": "rad/s",
-    "rotations": "",
-    "scales": "",
-    "radii": "m",
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,10 +44,18 @@ class EntryRun:
         name: Of the entry.
         run: What takes it, and what it is joined to, through time.
         simulation: What it shows of it; of an entry alone, the simulation itself.
+        speaks: Whether warnings of steps are told with it; of joined ones, the first.
     """
 
-    def __init__(self, name: str, run: SimulationRun, view: SystemView[Any]) -> None:
-        self.name, self.run = name, run
+    def __init__(
+        self,
+        name: str,
+        run: SimulationRun,
+        view: SystemView[Any],
+        *,
+        speaks: bool = True,
+    ) -> None:
+        self.name, self.run, self.speaks = name, run, speaks
         self.simulation: Any = view
         self._empty: bool | None = None  # None before the first look
 
@@ -73,7 +67,7 @@ class EntryRun:
             ToleranceError: It blew up (SIM102), or the method could not go on.
         """
         frame: Frame = self.simulation.frame(*self.run.reach(t))
-        _check_bounds(self.run, self.name, frame, t)
+        check_bounds(self.name, frame, t, self.run.step_length)
         self._empty = self._empty is not False and not len(frame.points)
         return frame
 
@@ -110,7 +104,8 @@ class EntryRun:
     def notices(self) -> list[Fault]:
         """Warnings so far."""
         found = self.diagnostics
-        return [*found.notices, *(found.if_empty if self._empty else ())]
+        told = self.run.told if self.speaks else ()
+        return [*found.notices, *told, *(found.if_empty if self._empty else ())]
 
     def report(self) -> dict[str, object]:
         """Return what became of it, as plain values."""
@@ -119,31 +114,6 @@ class EntryRun:
             return {}
         steps = {} if "steps" in values else {"steps": self.run.taken}
         return {"name": self.name, **steps, **values}
-
-
-def _check_bounds(run: SimulationRun, name: str, frame: Frame, t: float) -> None:
-    """Raise where a frame holds a number that no file is to hold (SIM102)."""
-    primvars = {f"primvars:{key}": rows for key, rows in _primvars(frame)}
-    arrays = {what: getattr(frame, what, None) for what in UNITS} | primvars
-    for what, rows in arrays.items():
-        if rows is None or not rows.size or rows.dtype.kind != "f":
-            continue
-        if rows.min() >= -BOUND and rows.max() <= BOUND:
-            continue
-        place = np.argwhere(~(np.abs(rows) <= BOUND))[0]
-        value = f"{float(rows[tuple(place)]):.3g} {UNITS.get(what, '')}".rstrip()
-        message = f"{name} blew up at {t:g} s: {what}[{int(place[0])}] is {value}"
-        hint = f"step: {_half(run.step_length)}, or weaker forces"
-        raise ToleranceError(Fault("SIM102", message, hint=hint))
-
-
-def _half(step: float) -> str:
-    """Return half a step [s], as it is written."""
-    return plain(floored(step / 2))
-
-
-def _primvars(frame: Frame) -> list[tuple[str, FloatArray | IntArray]]:
-    return sorted(getattr(frame, "primvars", {}).items())
 
 
 class SimulationRun(EntryRun):
@@ -160,6 +130,7 @@ class SimulationRun(EntryRun):
         step_length: Of every step [s].
         state: At the end of the last whole step.
         taken: Steps and parts of steps so far.
+        told: Warnings of these, the first of each code.
     """
 
     def __init__(
@@ -174,6 +145,7 @@ class SimulationRun(EntryRun):
         self.begin, self.step_length = begin, step_length
         self.state = Reached(0, simulation.initial()) if state is None else state
         self.taken = 0
+        self.told: list[Fault] = []
         # States that who looks at the surface may still ask for, from the latest.
         self._kept: list[Reached[Any]] | None = None
         self._watchers: list[Surface | Bodies] = []
@@ -237,6 +209,7 @@ class SimulationRun(EntryRun):
             step = self.step_length
             made = self._steps(self.state.state, self.time(steps), step, count)
             self.state, self.taken = Reached(whole, made.state), self.taken + count
+            self._tell(made.notices)
         while self.state.steps < whole:
             self._go_on()
         return whole
@@ -321,6 +294,12 @@ class SimulationRun(EntryRun):
         self._watchers.append(watcher)
         return watcher
 
+    def _tell(self, notices: Sequence[Fault]) -> None:
+        """Keep warnings of a step whose codes no step had before."""
+        for one in notices:
+            if one.code not in {each.code for each in self.told}:
+                self.told.append(one)
+
     def time(self, steps: int) -> float:
         """Return when a number of steps ends [s]."""
         return self.begin + steps * self.step_length
@@ -364,17 +343,9 @@ class SimulationRun(EntryRun):
         after = self.simulation.step(state.state, now, until - now)
         after = after if isinstance(after, Stepped) else Stepped(after)
         self.taken += 1
+        self._tell(after.notices)
         if getattr(self.simulation, "checked", False):
             return Reached(state.steps + 1, after.state), after.wrenches
         frame = self.simulation.frame(after.state, until)
-        # Velocities of a field may have no value where no frame is.
-        arrays = [frame.points]
-        if isinstance(frame, TransformsFrame):
-            arrays += [frame.rotations, frame.scales]
-        if not all(np.isfinite(array).all() for array in arrays):
-            finite = np.isfinite(np.concatenate(arrays, axis=1))
-            (bad,) = np.nonzero(~finite.all(axis=1))
-            message = f"{self.name} blew up at {until:g} s: point {int(bad[0])} is"
-            hint = f"step: {_half(self.step_length)}, or weaker forces"
-            raise ToleranceError(Fault("SIM102", f"{message} not finite", hint=hint))
+        check_finite(self.name, frame, until, self.step_length)
         return Reached(state.steps + 1, after.state), after.wrenches

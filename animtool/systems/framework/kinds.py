@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class SystemKind:
     """A kind of system, its parts as ``module:object``."""
 
@@ -18,18 +18,9 @@ class SystemKind:
     rigid: bool = False  # whether it is of rigid bodies, which others may push
     weldable: bool = False  # whether particles of it can be one with those of others
 
-
-def system_kind(
-    spec: str,
-    build: str,
-    description: str,
-    example: dict[str, Any],
-    *,
-    surface: bool = False,
-    rigid: bool = False,
-) -> SystemKind:
-    """Return a kind by its `SystemKind` parts; rigid bodies have surfaces."""
-    return SystemKind(spec, build, description, example, surface or rigid, rigid)
+    def __post_init__(self) -> None:
+        """Note that rigid bodies have surfaces."""
+        object.__setattr__(self, "surface", self.surface or self.rigid)
 
 
 def _springs(
@@ -46,13 +37,13 @@ def _springs(
 
 
 SYSTEM_KINDS: dict[str, SystemKind] = {
-    "particles": system_kind(
+    "particles": SystemKind(
         "animtool.systems.particles.spec:ParticlesModel",
         "animtool.systems.particles.spec:build",
         "Particles that are born, moved, stopped and removed.",
         {"emitters": [{"rate": 100, "speed": 2, "lifetime": 1}]},
     ),
-    "crowds": system_kind(
+    "crowds": SystemKind(
         "animtool.systems.crowds.spec:CrowdsModel",
         "animtool.systems.crowds.crowd:Crowd",
         "Crowds: agents that walk to goals, around obstacles and each other.",
@@ -62,13 +53,13 @@ SYSTEM_KINDS: dict[str, SystemKind] = {
             "populations": [{"name": "visitors", "count": 50, "route": ["gate"]}],
         },
     ),
-    "flocks": system_kind(
+    "flocks": SystemKind(
         "animtool.systems.flocks.spec:FlocksModel",
         "animtool.systems.flocks.flock:Flock",
         "Flocks that attract, align and repel: birds, fish, and who hunts them.",
         {"name": "birds", "species": [{"name": "starling", "count": 200}]},
     ),
-    "fluid": system_kind(
+    "fluid": SystemKind(
         "animtool.systems.fluid.spec:FluidModel",
         "animtool.systems.fluid.fluid:Fluid",
         "Fluids that flow, splash and carry bodies.",
@@ -87,7 +78,7 @@ SYSTEM_KINDS: dict[str, SystemKind] = {
             ],
         },
     ),
-    "molecules": system_kind(
+    "molecules": SystemKind(
         "animtool.systems.molecules.spec:MoleculesModel",
         "animtool.systems.molecules.molecules:Molecules",
         "Atoms that attract, repel and carry charges in a periodic box.",
@@ -98,7 +89,7 @@ SYSTEM_KINDS: dict[str, SystemKind] = {
             "temperature": 80,
         },
     ),
-    "nbody": system_kind(
+    "nbody": SystemKind(
         "animtool.systems.nbody.spec:NbodyModel",
         "animtool.systems.nbody.nbody:Nbody",
         "Bodies that attract each other: planets, star clusters, galaxies.",
@@ -109,7 +100,7 @@ SYSTEM_KINDS: dict[str, SystemKind] = {
             ],
         },
     ),
-    "rigid": system_kind(
+    "rigid": SystemKind(
         "animtool.systems.rigid.spec:RigidModel",
         "animtool.systems.rigid.simulation:RigidSimulation.of",
         "Rigid bodies: they fall, tumble, collide, stack and hang on joints.",

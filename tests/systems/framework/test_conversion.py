@@ -18,13 +18,13 @@ from animtool.core.plugins import load_object
 from animtool.motion.passes import find_pass
 from animtool.scene.file.read import load_scene
 from animtool.sim.colliders import SHAPES
-from animtool.systems.conversion import (
+from animtool.systems.framework.conversion import (
     PASS_UNITS,
     RECORD_UNITS,
     SceneUnits,
     powers,
 )
-from animtool.systems.kinds import SYSTEM_KINDS
+from animtool.systems.framework.kinds import SYSTEM_KINDS
 from animtool.systems.particles.forces import FORCES, find_force
 from animtool.systems.particles.places import PLACES
 

@@ -15,7 +15,7 @@ from typing import Any, TypeVar, get_args
 
 from animtool.core.units import LengthUnit
 from animtool.documents.check import FileModel
-from animtool.systems.fields import TimedVector
+from animtool.systems.framework.fields import TimedVector
 
 # Powers of the length in units with a name; of all others it is 0.
 _POWERS = {"m": 1, "N": 1, "J": 2, "V": 2, "Pa": -1}

@@ -1,0 +1,1 @@
+"""What all kinds of systems share: keys, kinds, runs, saved states, coupling."""

@@ -1,0 +1,328 @@
+"""Particles in steps: who is born, moves, is stopped and removed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from animtool.core.array_types import BoolArray, FloatArray
+from animtool.core.errors import Fault, Severity, warning
+from animtool.motion.frames import PointsFrame
+from animtool.sim.checks import check_fit, check_start, ending, step_notices
+from animtool.sim.colliders.bodies import Wrenches
+from animtool.sim.colliders.colliding import Colliders, Contacts, Touch
+from animtool.sim.equations import Equations
+from animtool.sim.integrating import advance, checkpoint_of, stats_of
+from animtool.sim.integrators import find_integrator
+from animtool.sim.integrators.implicit import Before
+from animtool.sim.modes import allowed_step, modes_at
+from animtool.sim.options import check_options
+from animtool.sim.run import Run
+from animtool.sim.system import Energy
+from animtool.sim.trajectory import Status
+from animtool.systems.framework.simulation import (
+    Diagnostics,
+    Stepped,
+    StoppedError,
+    growing,
+    later,
+)
+from animtool.systems.particles.moving import (
+    DivergenceCheck,
+    ParticleFlow,
+    ParticleForces,
+    particle_system,
+    spawned,
+)
+from animtool.systems.particles.setup import Particles
+from animtool.systems.particles.state import ParticleState
+
+_NONE = np.zeros((2, 0, 3))
+# Motions that are faster by less than this share need no other steps [1].
+NOTABLE = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class ParticleRunState:
+    """Where a simulation stands at the end of a step, to go on from."""
+
+    particles: ParticleState = field(metadata=growing())  # who lives
+    # Positions, then velocities ``(2, N, 3)``.
+    state: FloatArray = field(metadata=growing(1))
+    born: int = 0  # how many were born so far
+    missed: int = 0  # how many were not, for want of room
+    # What the method takes along, as long as the same particles live.
+    memory: object = field(default=None, metadata=later(Before))
+    # The step to try next [s].
+    trial: float | None = field(default=None, metadata=later())
+
+
+class ParticleSimulation:
+    """Particles in steps by one method; what moved them is kept for warnings alone.
+
+    Raises:
+        OptionError: Something makes no sense (SIM001, SIM004 to SIM006, SIM020 to
+            SIM024).
+    """
+
+    def __init__(self, setup: Particles, begin: float) -> None:
+        setup.check()
+        self.setup, self.begin = setup, begin
+        self.colliders = Colliders(setup.colliders, setup.sheets, setup.bodies)
+        self.contacts: Contacts | None = None  # as in `ParticleRun`
+        self._taken = 0  # steps of the method so far
+        self._kills = [Colliders([kill.region.volume()]) for kill in setup.kills]
+        self._integrator = check_options(setup.options)
+        nobody = ParticleRunState(ParticleState.none(), _NONE)
+        check_fit(Equations(self._system(nobody)), self._integrator)
+        self._watch = DivergenceCheck(setup, self.colliders)
+        self._fastest: FloatArray | None = None
+        self._too_long: list[Fault] = []
+        self._notices: list[Fault] = self.colliders.notices()
+        self._start = self._with_born(nobody, None, begin, begin, self._notices)
+
+    def initial(self) -> ParticleRunState:
+        """Return those who are born at the very beginning."""
+        return self._start
+
+    def step(
+        self, state: ParticleRunState, t: float, dt: float
+    ) -> Stepped[ParticleRunState]:
+        """Return who lives a step later, or a part of one [s].
+
+        Those who are born in the step push nothing yet.
+
+        Raises:
+            OptionError: A force or a field is no number (SIM003).
+            StoppedError: It blew up, or the method could not go on (SIM101 to SIM105).
+        """
+        same, until, notices = state.particles, t + dt, list[Fault]()
+        wrenches: Sequence[Wrenches] = ()
+        if len(same):
+            state, wrenches = self._moved(state, t, until, notices)
+        state = self._with_born(state, t, t, until, notices)
+        state = self._without_dead(state, until)
+        if state.particles is same:
+            return Stepped(state, wrenches, notices)
+        if not np.isfinite(state.state).all():
+            system = self._system(state)
+            check_start(Equations(system), until, system.state)
+        return Stepped(replace(state, memory=None, trial=None), wrenches, notices)
+
+    def _system(self, state: ParticleRunState) -> ParticleForces | ParticleFlow:
+        setup, colliders = self.setup, self.colliders
+        return particle_system(setup, colliders, state.particles, state.state)
+
+    def _moved(
+        self,
+        state: ParticleRunState,
+        now: float,
+        until: float,
+        notices: list[Fault],
+    ) -> tuple[ParticleRunState, Sequence[Wrenches]]:
+        """Return particles at the end of a step [s], and what they pushed bodies by."""
+        system, options = self._system(state), self.setup.options
+        first = system.state
+        with np.errstate(all="ignore"):
+            self._watch.look_at(state.particles, state.state)
+            self._look_at_steps(system, now, until)
+            notices += self._too_long
+            run = Run(
+                self._integrator,
+                Equations(system),
+                options,
+                self._watch,
+                until,
+                now,
+                first,
+                state.memory,
+                state.trial,
+            )
+            status = advance(run, until)
+            self._taken += run.steps
+            if status is not Status.OK:
+                self._stop(run, status, [(now, first), (run.time, run.state)])
+        end = run.state
+        if isinstance(system, ParticleFlow):
+            end = np.stack([end, system.rate(until, end)])
+        self.contacts = met = system.contacts
+        if met is not None:
+            # Of colliders that change their shape nobody knows how fast they are.
+            driven = met.colliders >= len(self.colliders)
+            self._watch.restart(driven | (met.touches == Touch.UNRESOLVED), end)
+            notices += self._held(state.particles, met, until)
+        after = checkpoint_of(run, status, until, run.state)
+        state = replace(state, state=end, memory=after.memory, trial=after.trial)
+        return state, system.wrenches
+
+    def _look_at_steps(
+        self, system: ParticleForces | ParticleFlow, now: float, until: float
+    ) -> None:
+        """Note once that steps are too long, looking where motions became faster."""
+        modes = None if self._too_long else system.frequencies(now, system.state)
+        if modes is None:
+            return
+        known = self._fastest
+        faster = np.ones(1, bool)
+        if known is not None and known.shape == modes.shape:
+            faster = np.abs(modes - known) > NOTABLE * known
+        if not faster.any():
+            return
+        self._fastest = modes
+        self._too_long = step_notices(
+            Equations(system),
+            self._integrator,
+            self.setup.options,
+            np.array([now, until]),
+            system.state,
+        )
+        self._watch.too_long = bool(self._too_long)
+
+    def _stop(
+        self, run: Run, status: Status, places: list[tuple[float, FloatArray]]
+    ) -> None:
+        # A force that is no number at once is no blow-up.
+        check_start(run.equations, *places[0])
+        stats = stats_of(run, status, places)
+        why = [*self._too_long, ending(self._integrator, self.setup.options, stats)]
+        raise StoppedError(
+            [replace(each, severity=Severity.ERROR) for each in why], stats
+        )
+
+    def _with_born(
+        self,
+        state: ParticleRunState,
+        after: float | None,
+        now: float,
+        until: float,
+        notices: list[Fault],
+    ) -> ParticleRunState:
+        """Return a state with those who are born in a step, at its end."""
+        room = max(self.setup.max_particles - len(state.particles), 0)
+        particles, born, beyond = self._born(after, until, state.born, room)
+        made = len(particles) + beyond
+        missed = max(made - room, 0)
+        if missed and not state.missed:
+            most = self.setup.max_particles
+            message = f"there is room for {most} particles, from {until:g} s on for "
+            hint = "raise max_particles, or lower rates or lifetimes"
+            notices.append(
+                warning("SIM121", f"{message}no more", hint, self.setup.name)
+            )
+        state = replace(state, born=state.born + made, missed=state.missed + missed)
+        kept = np.arange(len(particles))[:room]
+        particles, born = particles.select(kept), born[:, kept]
+        if not len(particles):
+            return state
+        if until > now:
+            born = spawned(self.setup, self.colliders, particles, born, now, until)
+        elif self.setup.velocity is not None:
+            born[1] = self.setup.velocity.velocity(until, born[0], particles)
+        return replace(
+            state,
+            particles=ParticleState.joined([state.particles, particles]),
+            state=np.concatenate([state.state, born], axis=1),
+        )
+
+    def _born(
+        self, after: float | None, until: float, first: int, room: int
+    ) -> tuple[ParticleState, FloatArray, int]:
+        """Return who is born, with ids in the order of births, and how.
+
+        Of each emitter no more are made than there is room for; last is how many more
+        there would be.
+        """
+        particle_sets, states, beyond = [], [], 0
+        for emitter in self.setup.emitters:
+            births = emitter.births(self.begin, after, until, room)
+            beyond += births.missed
+            if not len(births.times):
+                continue
+            x, v, lifetimes, radii = emitter.drawn(births)
+            count = len(x)
+            particle_sets.append(
+                ParticleState(
+                    np.zeros(count, np.int64),
+                    np.full(count, float(emitter.mass)),
+                    np.full(count, float(emitter.charge)),
+                    radii,
+                    births.times,
+                    births.times + lifetimes,
+                    x,
+                )
+            )
+            states.append(np.stack([x, v]))
+        if not states:
+            return ParticleState.none(), np.zeros((2, 0, 3)), beyond
+        particles = ParticleState.joined(particle_sets)
+        state = np.concatenate(states, axis=1)
+        order = np.argsort(particles.births, kind="stable")
+        particles, state = particles.select(order), state[:, order]
+        ids = first + np.arange(len(particles), dtype=np.int64)
+        return replace(particles, ids=ids), state, beyond
+
+    def _held(
+        self, particles: ParticleState, met: Contacts, t: float
+    ) -> Iterator[Fault]:
+        """Yield that particles stay inside colliders, where they do (SIM123)."""
+        (held,) = np.nonzero(met.touches == Touch.UNRESOLVED)
+        if not len(held):
+            return
+        who = f"particle {int(particles.ids[held[0]])}"
+        which, solid = int(met.colliders[held[0]]), self.setup.colliders
+        what = [
+            *(one.name or f"colliders[{i}]" for i, one in enumerate(solid)),
+            *(one.name for own in self.setup.bodies for one in own.colliders),
+            *(one.name or f"sheets[{i}]" for i, one in enumerate(self.setup.sheets)),
+        ][which]
+        message = f"{who} is inside {what!r} at {t:g} s, and cannot be moved out at "
+        hint = "particles begin inside, or colliders close in on them from several "
+        yield warning("SIM123", f"{message}once", f"{hint}sides", self.setup.name)
+
+    def _without_dead(self, state: ParticleRunState, t: float) -> ParticleRunState:
+        kept: BoolArray = state.particles.deaths > t
+        for region in self._kills:
+            kept = kept & (region.sample(state.state[0], t).distances[0] >= 0)
+        if kept.all():
+            return state
+        return replace(
+            state, particles=state.particles.select(kept), state=state.state[:, kept]
+        )
+
+    def frame(self, state: ParticleRunState, t: float) -> PointsFrame:
+        """Return the particles of a state at its time [s]."""
+        particles, (points, velocities) = state.particles, state.state
+        ages = {"age": t - particles.births}
+        return PointsFrame(particles.ids, points, velocities, particles.radii, ages)
+
+    def diagnostics(self, state: ParticleRunState, t: float) -> Diagnostics:
+        """Return the energy, where nothing takes or brings any, and warnings."""
+        hint = "give emitters a rate or bursts, and a start and a lifetime by which "
+        hint += "their particles are there in the range"
+        message = "there is no particle at any frame"
+        nobody = warning("SIM188", message, hint)
+        return Diagnostics(
+            self._energy(state, t),
+            notices=self._notices,
+            if_empty=[nobody],
+            steps=self._taken,
+            stable_step=lambda: self._stable_step(state),
+        )
+
+    def _energy(self, state: ParticleRunState, t: float) -> Energy | None:
+        system, forces = self._system(state), self.setup.forces
+        if isinstance(system, ParticleFlow) or self.colliders.active:
+            return None
+        damping = (force.damping(state.state[1], state.particles) for force in forces)
+        return None if any(damping) else system.energy(t, state.state)
+
+    def _stable_step(self, state: ParticleRunState) -> float | None:
+        """Return the largest step that is stable for a state [s]."""
+        integrator = find_integrator(self.setup.options.method)
+        if integrator.limit is None or not len(state.particles):
+            return None
+        system = self._system(state)
+        modes = modes_at(Equations(system), self.begin, system.state)
+        return None if modes is None else allowed_step(integrator, modes)

@@ -1,0 +1,62 @@
+"""What a state of rigid bodies tells: swings, breaks, and bodies in each other."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+
+import numpy as np
+
+from animtool.core.errors import Fault, Severity, excerpt, warning
+from animtool.core.quantities import floored, plain
+from animtool.systems.rigid.joints import Joints
+from animtool.systems.rigid.shared import RigidState
+
+# Bodies that begin deeper in each other than this share of their size are a warning.
+DEEP = 0.02
+# What is that deep, over its size, is held from several sides.
+HELD = 0.25
+
+
+def swing_notices(state: RigidState, joints: Joints, step: float) -> Iterator[Fault]:
+    """Yield the drive that swings faster than steps [s] can follow (SIM171)."""
+    if state.swinging < 0:
+        return
+    name = excerpt(joints.names[state.swinging])
+    message = f"the drive of joint {name} swings too fast for a step of "
+    message += f"{plain(step)} s: it may lose energy or be out of time"
+    shorter = plain(floored(state.follows))
+    hint = f"step: {shorter}, or more damping, or less stiffness"
+    yield warning("SIM171", message, hint)
+
+
+def break_notices(state: RigidState, joints: Joints) -> Iterator[Fault]:
+    """Yield which joints broke, and when (SIM197)."""
+    order = np.argsort(state.broken[:, 0], kind="stable")
+    for k in order[np.isfinite(state.broken[order, 0])].tolist():
+        t, force, torque = state.broken[k].tolist()
+        message = f"joint {joints.names[k]!r} broke at {t:.4g} s, with "
+        message += f"{force:.4g} N and {torque:.4g} N m"
+        yield Fault("SIM197", message, severity=Severity.NOTE)
+
+
+def depth_notices(
+    state: RigidState, size: float, names: Callable[[], Sequence[str]]
+) -> Iterator[Fault]:
+    """Yield how deep bodies began in each other, or came (SIM126, SIM123).
+
+    ``size``: how far the smallest reaches [m]; ``names``: of all shapes.
+    """
+
+    def pair(k: int) -> str:
+        return " and ".join(excerpt(names()[i]) for i in state.deepest_pairs[k])
+
+    ever, begin = state.deepest.tolist()
+    if begin > DEEP * size:
+        message = f"{pair(1)} begin {begin:g} m inside each other: "
+        message += "they are moved apart no faster than 2 m/s"
+        yield warning("SIM126", message, "begin with a little room between them")
+    elif ever > HELD * size:
+        message = f"{pair(0)} came {ever:g} m into each other: from "
+        message += "several sides, or faster than they get out"
+        hint = "leave room between what closes in; take shorter steps"
+        yield warning("SIM123", message, hint)
