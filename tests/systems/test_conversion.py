@@ -25,7 +25,7 @@ from animtool.systems.conversion import (
     powers,
 )
 from animtool.systems.kinds import SYSTEM_KINDS
-from animtool.systems.particles.forces import FORCES, find_force
+from animtool.systems.particles.forces.table import FORCES, find_force
 from animtool.systems.particles.places import PLACES
 
 

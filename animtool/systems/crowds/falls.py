@@ -15,7 +15,7 @@ from animtool.rig.skeleton import Rig
 from animtool.sim.colliders import Collider, Colliders, Mesh, Plane, Poses
 from animtool.sim.colliders.on_joints import Capsules
 from animtool.systems.crowds.ground import Frame, Ground
-from animtool.systems.particles.forces import find_force
+from animtool.systems.particles.forces.table import find_force
 from animtool.systems.rigid.ragdoll import (
     Ragdoll,
     RagdollOptions,

@@ -14,8 +14,8 @@ from animtool.sim.checks import check_start
 from animtool.sim.colliders.bodies import Wrenches
 from animtool.sim.colliders.colliding import Colliders, Contacts, Touch
 from animtool.sim.equations import Equations
-from animtool.sim.integrators import find_integrator
 from animtool.sim.integrators.implicit import Before
+from animtool.sim.integrators.table import find_integrator
 from animtool.sim.modes import allowed_step, modes_at
 from animtool.sim.system import Energy
 from animtool.systems.particles.moving import (

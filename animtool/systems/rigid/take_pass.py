@@ -27,7 +27,7 @@ from animtool.rig.kinematics import WorldTransforms, forward
 from animtool.rig.limits import RangeLimit
 from animtool.rig.skeleton import JointType
 from animtool.sim.colliders import Collider, Colliders
-from animtool.systems.particles.forces import find_force
+from animtool.systems.particles.forces.table import find_force
 from animtool.systems.rigid.ragdoll import (
     Ragdoll,
     RagdollOptions,
