@@ -403,6 +403,7 @@ def test_the_table(place: Path) -> None:
     assert text.stdout.count("\n") == 1 + 2 * 2 + 7 + len(IkMethod)
 
 
+@pytest.mark.slow(0.5)
 def test_the_table_is_drawn(place: Path) -> None:
     pytest.importorskip("matplotlib", reason="no matplotlib (extra: preview)")
     done = run(place, "-t", "reach.targets.yaml", "--table", "--plot", "reach.svg")
@@ -464,6 +465,7 @@ def test_a_pose_loads_neither_usd_nor_what_is_for_clips(place: Path) -> None:
     assert done.stdout.strip() == "[]"
 
 
+@pytest.mark.slow(1)
 def test_the_installed_command(place: Path) -> None:
     done = animtool_process(
         "ik", BIPED, "-t", "far.targets.yaml", "--strict", cwd=place

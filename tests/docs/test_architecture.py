@@ -27,7 +27,7 @@ def test_every_package_has_a_line(page: str, root: Path) -> None:
 
 
 def test_each_thing_to_add_names_its_file(page: str) -> None:
-    section = page.split("## How to add …")[1].split("\n## ")[0]
+    section = page.split("## How to add …")[1].split("\n## ", maxsplit=1)[0]
     entries = re.findall(r"^\*\*(.+?)\*\*(.+?)(?=^\*\*|\Z)", section, re.M | re.S)
     assert "A keyframe interpolation." in dict(entries)
     assert [name for name, text in entries if "`animtool/" not in text] == []

@@ -535,6 +535,7 @@ def edit(root: Any, data: st.DataObject) -> None:
         break
 
 
+@pytest.mark.slow(0.5)
 @given(st.data())
 @settings(deadline=None, max_examples=examples(60))
 @pytest.mark.parametrize("kind", ["whole", "sidecar"])

@@ -78,6 +78,7 @@ def test_drivers_act_on_every_motion(made: Path, name: str) -> None:
     check_driven(open_source(made / f"{name}.usdc").collect())
 
 
+@pytest.mark.slow(0.5)
 def test_the_tip_touches_the_points(made: Path) -> None:
     rig = Rig.load(SAMPLE / "arm.rig.yaml")
     tracks = load_targets(SAMPLE / "touch.targets.yaml", rig)
