@@ -20,6 +20,7 @@ from support.printed import (
     run_printed,
     shorten,
 )
+from support.suite import some_quick
 
 from animtool.motion.passes import PASSES, find_pass
 
@@ -58,7 +59,7 @@ SECONDS = {
 
 def section_parameters() -> list[object]:
     """Return each section with commands."""
-    return [
+    parameters = [
         pytest.param(
             document,
             title,
@@ -68,6 +69,7 @@ def section_parameters() -> list[object]:
         for document, sections in SECTIONS.items()
         for title in sections
     ]
+    return some_quick(parameters, 2)
 
 
 def output_of(command: str) -> str | None:
