@@ -26,7 +26,7 @@ def test_every_package_has_a_line(page: str, root: Path) -> None:
     assert len(listed) == len(set(listed))
 
 
-def test_each_thing_to_add_names_its_file(page: str) -> None:
+def test_each_entry_of_the_list_names_its_file(page: str) -> None:
     section = page.split("## How to add …")[1].split("\n## ", maxsplit=1)[0]
     entries = re.findall(r"^\*\*(.+?)\*\*(.+?)(?=^\*\*|\Z)", section, re.M | re.S)
     assert "A keyframe interpolation." in dict(entries)
