@@ -51,8 +51,10 @@ SECONDS = {
     "Fewer samples, curves kept": 1,
     "Capture as keys": 1,
     "Rigid bodies": 1,
+    "Secondary motion": 1,
     "cape": 1,
     "capture": 1,
+    "drape": 2,
     "face": 1,
 }
 
