@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import gc
 import os
 import signal
 import sys
@@ -62,12 +61,6 @@ def data_folder(name: str) -> Path | None:
     root = os.environ.get("ANIMTOOL_DATA")
     folder = Path(root or "", name)
     return folder if root and folder.is_dir() else None
-
-
-def pytest_collection_finish() -> None:
-    """Leave what was collected out of the search for garbage: it lives to the end."""
-    gc.collect()
-    gc.freeze()
 
 
 def pytest_report_header() -> str:

@@ -8,9 +8,9 @@ from animtool.core.plugins import lazy_names
 
 if TYPE_CHECKING:
     from animtool.sim.integrating import integrate as integrate
-    from animtool.sim.integrators import INTEGRATORS as INTEGRATORS
-    from animtool.sim.integrators import find_integrator as find_integrator
     from animtool.sim.integrators.integrator import Integrator as Integrator
+    from animtool.sim.integrators.table import INTEGRATORS as INTEGRATORS
+    from animtool.sim.integrators.table import find_integrator as find_integrator
     from animtool.sim.options import IntegrateOptions as IntegrateOptions
     from animtool.sim.system import Energy as Energy
     from animtool.sim.system import FirstOrder as FirstOrder
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from animtool.sim.trajectory import Trajectory as Trajectory
 
 _PUBLIC = {
-    "INTEGRATORS": "animtool.sim.integrators",
+    "INTEGRATORS": "animtool.sim.integrators.table",
     "Checkpoint": "animtool.sim.trajectory",
     "Energy": "animtool.sim.system",
     "FirstOrder": "animtool.sim.system",
@@ -37,7 +37,7 @@ _PUBLIC = {
     "Status": "animtool.sim.trajectory",
     "System": "animtool.sim.system",
     "Trajectory": "animtool.sim.trajectory",
-    "find_integrator": "animtool.sim.integrators",
+    "find_integrator": "animtool.sim.integrators.table",
     "integrate": "animtool.sim.integrating",
 }
 

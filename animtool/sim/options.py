@@ -7,9 +7,9 @@ from typing import Annotated
 
 from animtool.core.errors import Fault, OptionError
 from animtool.core.options import above, at_least, range_faults
-from animtool.sim.integrators import find_integrator
 from animtool.sim.integrators.adaptive import doubled
 from animtool.sim.integrators.integrator import Control, Integrator
+from animtool.sim.integrators.table import find_integrator
 
 # Of methods that choose their steps, where nothing else is said.
 TOLERANCE = 1e-6

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 from support.cli import animtool, animtool_process
+from support.printed import NO_INPUT
 from support.usd import joint_positions, open_stage, validation_errors
 
 from animtool import Rig, open_source
@@ -46,7 +47,7 @@ FAR = REACH.replace("[-10, 20, 20]", "[-10, 20, 320]")
 def place(root: Path, tmp_path: Path) -> Path:
     """Return a project with a rig, two takes and three files of targets."""
     for name in ("rigs/biped", "samples/stride", "samples/walk"):
-        shutil.copytree(root / name, tmp_path / name)
+        shutil.copytree(root / name, tmp_path / name, ignore=NO_INPUT)
     (tmp_path / "animtool.toml").touch()
     for name, text in (("reach", REACH), ("feet", FEET), ("far", FAR)):
         (tmp_path / f"{name}.targets.yaml").write_text(text, "utf-8")
@@ -403,6 +404,7 @@ def test_the_table(place: Path) -> None:
     assert text.stdout.count("\n") == 1 + 2 * 2 + 7 + len(IkMethod)
 
 
+@pytest.mark.slow(0.5)
 def test_the_table_is_drawn(place: Path) -> None:
     pytest.importorskip("matplotlib", reason="no matplotlib (extra: preview)")
     done = run(place, "-t", "reach.targets.yaml", "--table", "--plot", "reach.svg")
@@ -464,6 +466,7 @@ def test_a_pose_loads_neither_usd_nor_what_is_for_clips(place: Path) -> None:
     assert done.stdout.strip() == "[]"
 
 
+@pytest.mark.slow(1)
 def test_the_installed_command(place: Path) -> None:
     done = animtool_process(
         "ik", BIPED, "-t", "far.targets.yaml", "--strict", cwd=place

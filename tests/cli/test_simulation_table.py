@@ -13,7 +13,7 @@ from support.cli import animtool
 from animtool.core.errors import OptionError
 from animtool.scene.file.read import load_scene
 from animtool.scene.tables.simulation import simulates, simulation_table
-from animtool.sim.integrators import INTEGRATORS
+from animtool.sim.integrators.table import INTEGRATORS
 
 SCENE = """\
 scene: animtool/1

@@ -27,6 +27,7 @@ def faces() -> list[object]:
     return [p for p in found if ".truth" not in (p.id or "")]
 
 
+@pytest.mark.slow(1)
 @pytest.mark.parametrize("path", some_quick(faces(), 3))
 def test_weights_and_poses(path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     capture = read_capture(path)

@@ -78,6 +78,7 @@ def test_a_trc_is_read_as_the_c3d_of_it(path: Path) -> None:
     np.testing.assert_allclose(trc.positions, c3d.positions, atol=1e-5)
 
 
+@pytest.mark.slow(1)
 @pytest.mark.parametrize("truth", some_quick(clouds(), 6))
 def test_points_get_their_names(truth: Path, record_property: Record) -> None:
     path = cloud_of(truth)

@@ -103,6 +103,7 @@ def _lies(take: Take) -> bool:
     return body_axis(MotionSubject(take, lambda *_: Fault("", ""))) is not None
 
 
+@pytest.mark.slow(0.5)
 @pytest.mark.skipif(data_folder("bvh") is None, reason="no $ANIMTOOL_DATA/bvh")
 @pytest.mark.parametrize("name", some_quick(CASES, 6, 1))
 def test_faults_in_captures(name: str, record_property: Any) -> None:

@@ -17,7 +17,9 @@ FOLDER = data_folder("retarget")
 CONVENTIONS: dict[str, dict[str, Any]] = {
     name: entry
     for path in sorted(FOLDER.glob("*.yaml") if FOLDER else ())
-    for name, entry in yaml.safe_load(path.read_text("utf-8"))["conventions"].items()
+    for name, entry in yaml.load(path.read_text("utf-8"), yaml.CSafeLoader)[
+        "conventions"
+    ].items()
     if "hips" in entry["joints"]
 }
 PARTS = {

@@ -112,7 +112,7 @@ def error_of(problem: Problem, found: Trajectory) -> float:
     return float(np.abs(found.positions - reference).max())
 
 
-@pytest.mark.parametrize(("problem", "name"), some_quick(problems_and_integrators(), 3))
+@pytest.mark.parametrize(("problem", "name"), some_quick(problems_and_integrators(), 6))
 def test_what_is_said_of_the_error_is_true(
     problem: Problem, name: str, record_property: Callable[[str, object], None]
 ) -> None:
@@ -143,6 +143,7 @@ def test_what_is_said_of_the_error_is_true(
 EXACT = {"stiff_ode": ("radau", 1e-10, 1e-14)}
 
 
+@pytest.mark.slow(0.5)
 @pytest.mark.parametrize("problem", some_quick(problems(), 6))
 def test_references_are_reached(
     problem: Problem, record_property: Callable[[str, object], None]

@@ -24,3 +24,10 @@ def test_every_package_has_a_line(page: str, root: Path) -> None:
     folders = {path.parent.name for path in (root / "animtool").glob("*/__init__.py")}
     assert set(listed) == folders | {"kernels"}
     assert len(listed) == len(set(listed))
+
+
+def test_each_entry_of_the_list_names_its_file(page: str) -> None:
+    section = page.split("## How to add …")[1].split("\n## ", maxsplit=1)[0]
+    entries = re.findall(r"^\*\*(.+?)\*\*(.+?)(?=^\*\*|\Z)", section, re.M | re.S)
+    assert "A keyframe interpolation." in dict(entries)
+    assert [name for name, text in entries if "`animtool/" not in text] == []

@@ -20,6 +20,7 @@ from support.printed import (
     run_printed,
     shorten,
 )
+from support.suite import some_quick
 
 from animtool.motion.passes import PASSES, find_pass
 
@@ -41,13 +42,36 @@ DOCUMENTS_WITH = Counter(
 )
 
 
+# What the commands of a section take, where that is long [s].
+SECONDS = {
+    "What it does": 7,
+    "Springs": 2,
+    "Inverse kinematics": 2,
+    "Time against error": 1,
+    "Fewer samples, curves kept": 1,
+    "Capture as keys": 1,
+    "Rigid bodies": 1,
+    "Secondary motion": 1,
+    "cape": 1,
+    "capture": 1,
+    "drape": 2,
+    "face": 1,
+}
+
+
 def section_parameters() -> list[object]:
     """Return each section with commands."""
-    return [
-        pytest.param(document, title, id=f"{document}: {title}")
+    parameters = [
+        pytest.param(
+            document,
+            title,
+            id=f"{document}: {title}",
+            marks=[pytest.mark.slow(SECONDS[title])] if title in SECONDS else [],
+        )
         for document, sections in SECTIONS.items()
         for title in sections
     ]
+    return some_quick(parameters, 2)
 
 
 def output_of(command: str) -> str | None:
@@ -116,6 +140,11 @@ def test_printed_commands(
             printed.copy(command, workplace)
         else:
             run_printed(command, workplace)
+
+
+def test_slow_sections_are_there() -> None:
+    titles = {title for sections in SECTIONS.values() for title in sections}
+    assert SECONDS.keys() <= titles
 
 
 @pytest.mark.parametrize("document", DOCUMENTS)

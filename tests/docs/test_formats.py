@@ -15,6 +15,7 @@ import yaml
 from pydantic import Field, TypeAdapter
 from support.key_tables import PAGE, field_of, filled, keys_of, marked, models_of
 from support.people import named, person
+from support.suite import some_quick
 
 from animtool import Clip, Rig, bake
 from animtool.batch.discover import find_batch
@@ -32,7 +33,7 @@ from animtool.rig.parts import AttachKind
 from animtool.rig.skeleton import Joint
 from animtool.scene.file.read import load_scene
 from animtool.scene.solves.start import rest_take
-from animtool.systems.particles.forces import FORCES, find_force
+from animtool.systems.particles.forces.table import FORCES, find_force
 from animtool.systems.particles.velocity_field import VARIABLES
 
 TEXT = PAGE.read_text("utf-8")
@@ -226,7 +227,7 @@ def test_the_roles_of_maps_are_listed() -> None:
     assert named == bare | {"_l", "_r"} | set(DIGITS[2:])
 
 
-@pytest.mark.parametrize("text", WHOLE["scene"])
+@pytest.mark.parametrize("text", some_quick(WHOLE["scene"], 2))
 def test_scenes_load(project: Path, text: str) -> None:
     (project / "one.scene.yaml").write_text(text, "utf-8")
     scene = load_scene(project / "one.scene.yaml")

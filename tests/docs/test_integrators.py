@@ -17,6 +17,7 @@ def test_what_methods_are() -> None:
     assert listed(TEXT, "properties") == properties(), AGAIN
 
 
+@pytest.mark.slow(0.5)
 def test_their_errors_and_what_these_take(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("support.integrator_tables.RUNS", 0)
     said, found = listed(TEXT, "errors"), errors()

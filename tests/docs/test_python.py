@@ -11,6 +11,7 @@ import pytest
 import animtool
 
 
+@pytest.mark.slow(0.5)
 @pytest.mark.parametrize("name", ["README.md", "animtool/docs/python.md"])
 def test_the_examples(
     root: Path, workplace: Path, monkeypatch: pytest.MonkeyPatch, name: str

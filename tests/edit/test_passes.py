@@ -12,6 +12,7 @@ import pytest
 from numpy.testing import assert_array_equal
 from support.faults import raises
 from support.small_takes import content, small, with_tracks
+from support.suite import some_quick
 
 from animtool.core.errors import OptionError
 from animtool.edit.retiming import trim
@@ -102,7 +103,7 @@ def applied(name: str, take: Take, blocks: int, options: dict[str, Any]) -> Take
     return apply_pass(stream, found, settings, context).collect()
 
 
-@pytest.fixture(params=["small", "walk"])
+@pytest.fixture(params=some_quick(["small", "walk"], 2))
 def take(request: pytest.FixtureRequest, walk: Path) -> Take:
     return small() if request.param == "small" else read_bvh(walk).collect()
 

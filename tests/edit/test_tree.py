@@ -207,5 +207,5 @@ def test_a_joint_below_one_that_is_scaled_to_zero_is_refused() -> None:
     motion = Motion(*map(Channel.from_dense, (moves, turns, scales)))
     clock = Clock(Fraction(24), Fraction(1), Fraction(1), FRAMES)
     ends = np.tile([[0.0, 1.0, 0.0], [0.0, 0.5, 0.0]], (FRAMES, 1, 1))
-    with raises(OptionError, "SIM192", match="scaled to 0 at frame 3"):
+    with raises(OptionError, "SIM192", match="frame 3"):
         hang(Take(RIG, clock, motion), "lamp", ends)

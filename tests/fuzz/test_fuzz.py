@@ -7,7 +7,7 @@ import re
 from pathlib import Path
 
 import pytest
-from support.suite import examples
+from support.suite import examples, some_quick
 
 from fuzz.engine import fuzz, targets
 
@@ -15,7 +15,7 @@ CASES = 30
 
 
 @pytest.mark.skipif(os.name == "nt", reason="a case is contained by a fork")
-@pytest.mark.parametrize("name", targets())
+@pytest.mark.parametrize("name", some_quick(targets(), 4))
 def test_spoiled_inputs_end_in_a_result_or_a_typed_error(name: str) -> None:
     cases = examples(CASES)
     outcome = fuzz(name, cases)

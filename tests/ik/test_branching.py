@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import starmap
 
 import numpy as np
 import pytest
 from support.ik import arm
+from support.suite import some_quick
 
 from animtool.core.array_types import FloatArray
 from animtool.ik import Goal, Problem, Targets, build, follow
@@ -145,7 +147,10 @@ def pulled(weight: float, priority: int) -> tuple[FloatArray, FloatArray]:
 
 
 @pytest.mark.parametrize(
-    ("weight", "priority"), [(0.02, 0), (0.1, 0), (0.3, 0), (1.0, 1), (4.0, 0)]
+    ("weight", "priority"),
+    some_quick(
+        starmap(pytest.param, [(0.02, 0), (0.1, 0), (0.3, 0), (1.0, 1), (4.0, 0)]), 3
+    ),
 )
 def test_the_nearest_heeds_weights_and_priorities(weight: float, priority: int) -> None:
     found, least = pulled(weight, priority)

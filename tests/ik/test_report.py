@@ -36,6 +36,7 @@ def solved(tmp_path_factory: pytest.TempPathFactory) -> TakeIk:
     return solve_take(take, tracks_of(folder, goals, take.rig, HEAD))
 
 
+@pytest.mark.slow(0.5)
 def test_figures_are_over_the_frames_that_ask(solved: TakeIk) -> None:
     left, right = goal_reports(solved, 1e-4, 1e-3)
     assert [miss.part for miss in left.misses] == ["position"]

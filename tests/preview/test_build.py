@@ -132,8 +132,8 @@ def test_hostile_names_stay_names(tmp_path: Path) -> None:
     assert scripts[0] == scripts[1]
 
 
-def test_five_thousand_curves_share_a_stream(tmp_path: Path) -> None:
-    count = 5000
+def test_a_thousand_curves_share_a_stream(tmp_path: Path) -> None:
+    count = 1000
     controls = "\n".join(f"- {{name: c{i}, range: [0, 1]}}" for i in range(count))
     joints = "joints:\n- {name: a, type: free}\n"
     text = f"rig: animtool/1\nname: many\n{joints}controls:\n{controls}\n"
@@ -150,9 +150,9 @@ def test_five_thousand_curves_share_a_stream(tmp_path: Path) -> None:
     assert len({channel["values"] for channel in channels_of}) == 1
     values = page.values(channels_of[0]["values"])
     assert values.shape == (3, count)
-    np.testing.assert_allclose(values[:, 4999], [0, 0.5, 1], atol=1e-6)
-    assert channels_of[4999]["keys"] == [[1.0, 0.0], [3.0, 1.0]]
-    assert len(page.text) < 1_000_000
+    np.testing.assert_allclose(values[:, 999], [0, 0.5, 1], atol=1e-6)
+    assert channels_of[999]["keys"] == [[1.0, 0.0], [3.0, 1.0]]
+    assert len(page.text) < 200_000
 
 
 def test_one_frame_and_no_joints(tmp_path: Path) -> None:
@@ -267,6 +267,7 @@ def test_scenes_are_shown_as_their_bake_has_them(root: Path, scene: str) -> None
     assert {one["name"].split("/")[0] for one in manifest["instances"]} == {"Props"}
 
 
+@pytest.mark.slow(1)
 def test_copies_are_where_their_stage_has_them(root: Path, tmp_path: Path) -> None:
     baked = tmp_path / "dominoes.usdc"
     bake(root / "samples/dominoes/dominoes.scene.yaml", baked)
@@ -286,6 +287,7 @@ def test_copies_are_where_their_stage_has_them(root: Path, tmp_path: Path) -> No
     assert np.abs(found - expected[kinds == 0]).max() <= limit
 
 
+@pytest.mark.slow(1)
 def test_points_that_come_and_go_are_gaps(root: Path, tmp_path: Path) -> None:
     baked = tmp_path / "embers.usdc"
     bake(root / "samples/embers/embers.scene.yaml", baked)

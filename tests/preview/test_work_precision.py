@@ -55,6 +55,7 @@ def test_a_picture_is_drawn_and_the_same_each_time(tmp_path: Path, suffix: str) 
     assert sorted(path.stem for path in tmp_path.iterdir()) == ["a", "b"]
 
 
+@pytest.mark.slow(0.5)
 def test_a_vector_picture_has_its_words(tmp_path: Path) -> None:
     mpl = pytest.importorskip("matplotlib", reason="no matplotlib (extra: preview)")
     with mpl.rc_context({"svg.fonttype": "none"}):

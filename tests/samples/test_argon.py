@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 from pxr import Usd, UsdGeom
 from scipy.spatial import cKDTree
 from support.printed import Printed
@@ -14,6 +15,7 @@ from animtool.validation.run import validate
 FOLDER = Path(__file__).parents[2] / "samples/argon"
 
 
+@pytest.mark.slow(1)
 def test_argon_melts(printed: Printed) -> None:
     command = "animtool bake samples/argon/argon.scene.yaml -o argon.usdc"
     output = printed(command) / "argon.usdc"

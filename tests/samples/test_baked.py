@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from pxr import Usd, UsdGeom, UsdSkel
 from support.cli import animtool
+from support.suite import some_quick
 from support.usd import joint_transforms, open_stage, skeleton_query, validation_errors
 
 from animtool import open_source
@@ -37,7 +38,9 @@ class Baked:
     stages: dict[str, Any]
 
 
-@pytest.fixture(scope="module", params=SAMPLES, ids=lambda path: path.parent.name)
+@pytest.fixture(
+    scope="module", params=some_quick(SAMPLES, 3), ids=lambda path: path.parent.name
+)
 def baked(
     request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 ) -> Baked:

@@ -37,6 +37,7 @@ def test_a_giant_walks_as_the_cameras_saw(tmp_path: Path) -> None:
     assert "reprojection" in done.stderr
 
 
+@pytest.mark.slow(1)
 def test_the_walk_comes_back(printed: Printed) -> None:
     command = "animtool bake samples/capture/capture.scene.yaml -o capture.usdc"
     assert "warning: " not in printed.stderr(command)

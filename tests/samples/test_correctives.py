@@ -78,6 +78,7 @@ def test_drivers_act_on_every_motion(made: Path, name: str) -> None:
     check_driven(open_source(made / f"{name}.usdc").collect())
 
 
+@pytest.mark.slow(0.5)
 def test_the_tip_touches_the_points(made: Path) -> None:
     rig = Rig.load(SAMPLE / "arm.rig.yaml")
     tracks = load_targets(SAMPLE / "touch.targets.yaml", rig)
@@ -94,6 +95,7 @@ def test_the_tip_touches_the_points(made: Path) -> None:
             assert away < 2e-6
 
 
+@pytest.mark.slow(0.5)
 def test_to_bake_again_changes_nothing(made: Path) -> None:
     done = animtool("bake", "wave.usdc", "-o", "again.usdc", cwd=made)
     assert done.code == 0

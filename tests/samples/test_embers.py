@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 from pxr import Usd, UsdGeom
 from support.printed import Printed
 
@@ -13,6 +14,7 @@ from animtool.validation.run import validate
 FOLDER = Path(__file__).parents[2] / "samples/embers"
 
 
+@pytest.mark.slow(1)
 def test_embers_bounce_down_the_stairs(printed: Printed) -> None:
     command = "animtool bake samples/embers/embers.scene.yaml -o embers.usdc"
     output = printed(command) / "embers.usdc"

@@ -13,6 +13,9 @@ from support.printed import Printed
 from animtool.maths import so3
 from animtool.validation.run import validate
 
+# Each takes a whole bake.
+pytestmark = pytest.mark.slow(1)
+
 
 def baked(printed: Printed, name: str) -> Path:
     scene = f"samples/{name}/{name}.scene.yaml"

@@ -346,5 +346,5 @@ def test_a_singular_bind_of_a_joint_that_nothing_follows_is_no_fault() -> None:
 def test_a_joint_that_is_not_finite_is_named(method: SkinMethod) -> None:
     case = random_case(0).with_method(method)
     case.world.linear[2, 3, 0, 0] = np.nan
-    with raises(FormatError, "SKIN003", match="joint 3 is not finite in frame 2"):
+    with raises(FormatError, "SKIN003", match=r"joint 3.*frame 2"):
         skinned(case)

@@ -66,11 +66,11 @@ def make_project(folder: Path) -> None:
 
 
 def shorten(folder: Path) -> None:
-    """Leave a project a quarter of the frames that are simulated or solved for."""
+    """Leave a project a dozen frames of simulations, and a quarter of captures."""
     for path in sorted(folder.glob("samples/*/*.scene.yaml")):
         text = path.read_text("utf-8")
         if "\nsystems:" in text:
-            text = re.sub(r"(?<=^range: \[)1, (\d+)", _quarter, text, flags=re.M)
+            text = re.sub(r"(?<=^range: \[)1, (\d+)", _dozen, text, flags=re.M)
             text = re.sub(r"(preroll): \S+", r"\1: 0.1", text)
         elif re.search("ragdoll|simulate", text):
             # One cycle of the walk, where several are done.
@@ -84,9 +84,8 @@ def shorten(folder: Path) -> None:
         np.savez(path, **arrays)
 
 
-def _quarter(found: re.Match[str]) -> str:
-    last = int(found[1])
-    return f"1, {max(last // 4, min(last, 12))}"
+def _dozen(found: re.Match[str]) -> str:
+    return f"1, {min(int(found[1]), 12)}"
 
 
 def run_printed(command: str, folder: Path) -> Done:

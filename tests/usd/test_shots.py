@@ -10,6 +10,7 @@ import numpy.typing as npt
 import pytest
 from pxr import Usd, UsdSkel
 from support.bvh import random_rows, read_reference, small_bvh
+from support.suite import some_quick
 
 from animtool.core.errors import AnimtoolError, OptionError
 from animtool.scene.bake.bake import bake
@@ -211,7 +212,9 @@ BINDINGS = {
 
 
 @pytest.mark.parametrize("binding", BINDINGS)
-@pytest.mark.parametrize("way", ["sublayer", "reference", "shot", "library"])
+@pytest.mark.parametrize(
+    "way", some_quick(["sublayer", "reference", "shot", "library"], 2)
+)
 def test_the_layer_binds_where_the_rig_does(
     take: Path, tmp_path: Path, binding: str, way: str
 ) -> None:

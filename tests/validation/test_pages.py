@@ -12,6 +12,7 @@ import pytest
 import yaml
 from support.cli import animtool
 from support.page_stage import CAPTURE, HOPS, make_stage
+from support.suite import some_quick
 
 import animtool as animtool_package
 from animtool.core.errors import AnimtoolError
@@ -65,7 +66,9 @@ def stage(tmp_path: Path) -> Path:
     return tmp_path
 
 
-@pytest.mark.parametrize("code", [c for c in PAGES if examples(c, "yaml")])
+@pytest.mark.parametrize(
+    "code", some_quick((c for c in PAGES if examples(c, "yaml")), 4)
+)
 def test_the_examples_are_true(code: str, stage: Path) -> None:
     wrong, right = examples(code, "yaml")
     assert codes(wrong, stage, FOUND_TOO.get(code, set())) == {code}
@@ -103,7 +106,7 @@ def said(commands: str, folder: Path) -> list[str]:
     ]
 
 
-@pytest.mark.parametrize("code", [c for c in PAGES if examples(c, "sh")])
+@pytest.mark.parametrize("code", some_quick((c for c in PAGES if examples(c, "sh")), 3))
 def test_commands_are_true(code: str, tmp_path: Path) -> None:
     found = []
     for i, commands in enumerate(examples(code, "sh")):

@@ -149,7 +149,7 @@ class EntryReader:
 
     def force(self, at: Location, entry: Named) -> Force | None:
         """Return a force of the table, its numbers in their ranges."""
-        from animtool.systems.particles.forces import find_force
+        from animtool.systems.particles.forces.table import find_force
 
         ((name, options),) = entry.items()
         kind = self.opened((*at, name), lambda: find_force(name))

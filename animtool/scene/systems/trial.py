@@ -22,8 +22,8 @@ from animtool.scene.systems.simulation import (
     located_systems,
     run_entries,
 )
-from animtool.sim.integrators import INTEGRATORS, find_integrator
 from animtool.sim.integrators.integrator import Control
+from animtool.sim.integrators.table import INTEGRATORS, find_integrator
 from animtool.sim.options import TOLERANCE
 from animtool.sim.trajectory import Status
 from animtool.sim.trials.trial import (

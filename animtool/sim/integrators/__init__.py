@@ -1,54 +1,5 @@
-"""The table of integrators: a file a family, imported when used."""
+"""Integrators: a file a family, and the table of their names."""
 
-from __future__ import annotations
-
-from typing import cast
-
-from animtool.core.errors import Fault, OptionError, excerpt
-from animtool.core.plugins import load_object
-from animtool.sim.integrators.integrator import Integrator
+from animtool.sim.integrators.table import INTEGRATORS, find_integrator
 
 __all__ = ["INTEGRATORS", "find_integrator"]
-
-_FOLDER = "animtool.sim.integrators"
-# The file of each, in the order in which they are listed: from the simplest on.
-_FAMILIES = {
-    "euler": "explicit",
-    "modified_euler": "explicit",
-    "midpoint": "explicit",
-    "heun": "explicit",
-    "symplectic_euler": "symplectic",
-    "velocity_verlet": "symplectic",
-    "position_verlet": "symplectic",
-    "rk4": "explicit",
-    "adaptive_doubling": "adaptive",
-    "rk45": "adaptive",
-    "implicit_euler": "implicit",
-    "trapezoid": "implicit",
-    "bdf2": "implicit",
-    "dop853": "adaptive",
-    "lsoda": "adaptive",
-    "radau": "adaptive",
-}
-INTEGRATORS: dict[str, str] = {
-    name: f"{_FOLDER}.{family}:{name.upper()}" for name, family in _FAMILIES.items()
-}
-
-
-def find_integrator(name: str) -> Integrator:
-    """Return an integrator by its name.
-
-    Raises:
-        OptionError: There is none of that name (SIM001).
-
-    >>> find_integrator("rk4").order
-    4
-    """
-    if name not in INTEGRATORS:
-        from animtool.core.names import nearest
-
-        message = f"no integrator is named {excerpt(name)}"
-        raise OptionError(
-            Fault("SIM001", message, hint=nearest(name, list(INTEGRATORS)))
-        )
-    return cast(Integrator, load_object(INTEGRATORS[name]))

@@ -8,9 +8,9 @@ from animtool.core.plugins import lazy_names
 
 if TYPE_CHECKING:
     from animtool.systems.particles.emitter import Emitter as Emitter
-    from animtool.systems.particles.forces import FORCES as FORCES
-    from animtool.systems.particles.forces import find_force as find_force
     from animtool.systems.particles.forces.base import Force as Force
+    from animtool.systems.particles.forces.table import FORCES as FORCES
+    from animtool.systems.particles.forces.table import find_force as find_force
     from animtool.systems.particles.places import BoxPlace as BoxPlace
     from animtool.systems.particles.places import Disc as Disc
     from animtool.systems.particles.places import MeshSurface as MeshSurface
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 _MODULES = {
     "emitter": ("Emitter",),
-    "forces": ("FORCES", "find_force"),
+    "forces.table": ("FORCES", "find_force"),
     "forces.base": ("Force",),
     "places": ("BoxPlace", "Disc", "MeshSurface", "Point", "SpherePlace"),
     "run": ("ParticleFrame", "ParticleRun"),

@@ -17,8 +17,8 @@ from animtool.sim.colliders.colliding import Colliders
 from animtool.sim.colliders.sheets import Sheet
 from animtool.sim.options import IntegrateOptions, check_options
 from animtool.systems.particles.emitter import Emitter
-from animtool.systems.particles.forces import FORCES
 from animtool.systems.particles.forces.base import Force
+from animtool.systems.particles.forces.table import FORCES
 from animtool.systems.particles.velocity_field import VelocityField
 
 # Twice over for a film frame, and for its half.

@@ -15,7 +15,7 @@ from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, OptionError
 from animtool.maths import so3
 from animtool.sim.colliders import Collider, Colliders
-from animtool.sim.integrators import find_integrator
+from animtool.sim.integrators.table import find_integrator
 from animtool.sim.modes import allowed_step
 from animtool.systems.framework.tied import TiedStep
 from animtool.systems.springs.checks import check_keeping_apart

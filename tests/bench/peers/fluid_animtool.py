@@ -14,7 +14,7 @@ from clock import timed
 from animtool.sim.colliders import Box, Collider, Colliders, Poses
 from animtool.systems.fluid.fluid import Fluid
 from animtool.systems.fluid.spec import FluidModel
-from animtool.systems.particles.forces import find_force
+from animtool.systems.particles.forces.table import find_force
 
 STEPS = 4
 

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from support.stage import changed, look_at, observed, ring, walkers
+from support.suite import some_quick
 
 from animtool import _kernels
 from animtool.capture.cameras import (
@@ -161,7 +162,7 @@ def test_two_cameras_name_the_frames_in_which_they_disagree() -> None:
 
 
 @pytest.mark.parametrize("count", [3, 4, 6])
-@pytest.mark.parametrize("first", [0, 60, 120, 180])
+@pytest.mark.parametrize("first", some_quick([0, 60, 120, 180], 2))
 def test_a_moved_camera_left_out_is_no_worse_than_kept(count: int, first: int) -> None:
     cameras = ring(count)
     points = walkers(240, 14)

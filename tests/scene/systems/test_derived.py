@@ -192,7 +192,7 @@ def test_a_file_with_a_method_is_simulated_by_it(tmp_path: Path) -> None:
 def test_what_blows_up_is_stopped(tmp_path: Path) -> None:
     with (
         np.errstate(all="ignore"),
-        raises(ToleranceError, "SIM102", match="it blew up.*point 0"),
+        raises(ToleranceError, "SIM102", match="point 0"),
     ):
         run(tmp_path, speed=1e18).at(1.0)
 
@@ -227,7 +227,7 @@ def test_copies_that_turn_are_shown_and_stopped(tmp_path: Path, speed: float) ->
         return
     with (
         np.errstate(all="ignore"),
-        raises(ToleranceError, "SIM102", match="it blew up.*point 0"),
+        raises(ToleranceError, "SIM102", match="point 0"),
     ):
         opened.at(1.0)
 
@@ -250,7 +250,7 @@ def test_numbers_that_no_file_holds_are_said_by_the_simulation(
     frame = opened.at(0.05)
     changed = replace(frame, **value)
     monkeypatch.setattr(type(opened.simulation), "frame", lambda *_: changed)
-    with pytest.raises(ToleranceError, match=rf"SIM102.*{field}\[0\]") as caught:
+    with raises(ToleranceError, "SIM102", match=rf"{field}\[0\]") as caught:
         opened.at(0.1)
     step = float((caught.value.faults[-1].hint or "").split()[1].rstrip(","))
     assert 0.4 * opened.run.step_length <= step <= 0.5 * opened.run.step_length

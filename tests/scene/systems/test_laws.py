@@ -143,6 +143,7 @@ def test_all_of_an_example_shows(kind: str, simulator: Simulator) -> None:
         assert not np.array_equal(other, whole), changes
 
 
+@pytest.mark.slow(0.5)
 def test_the_frame_rate_changes_nothing(kind: str, simulator: Simulator) -> None:
     often = np.union1d(FRAMES, np.arange(1, 4) * 1001 / 10000).tolist()
     for systems in methods(kind, 0):
@@ -151,6 +152,7 @@ def test_the_frame_rate_changes_nothing(kind: str, simulator: Simulator) -> None
         assert_same(rows, [found[often.index(t)] for t in FRAMES])
 
 
+@pytest.mark.slow(0.5)
 def test_chunks_and_parts_show_what_the_whole_shows(
     kind: str, simulator: Simulator
 ) -> None:

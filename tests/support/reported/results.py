@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -132,6 +133,7 @@ def falls(bounce: float, *, frames: int = 90) -> Any:
     return np.stack([np.zeros(frames), heights, np.zeros(frames)], axis=1)[:, None]
 
 
+@cache
 def swing(frames: int, start: float, substeps: int = 200) -> Any:
     """Return the angle of a pendulum of 1 m from a start at rest [rad]."""
     dt, angle, rate, found = 1 / 24 / substeps, start, 0.0, []
@@ -144,23 +146,24 @@ def swing(frames: int, start: float, substeps: int = 200) -> Any:
     return np.array(found)
 
 
-SWING = swing(49, np.radians(-40))
-
-
 def cradle(left: float) -> Any:
     """Return three balls of which the outer ones swing, with a share of the angle."""
-    angles = np.stack([SWING.clip(None, 0), 0 * SWING, left * SWING.clip(0)], axis=1)
+    angle = swing(49, np.radians(-40))
+    angles = np.stack([angle.clip(None, 0), 0 * angle, left * angle.clip(0)], axis=1)
     pivots = 0.2 * np.arange(3)
     return np.stack([pivots + np.sin(angles), 2 - np.cos(angles), 0 * angles], axis=2)
 
 
 def pendulum_rope(left: float) -> Make:
     """Return a straight rope that swings by 20 degrees, and by a share of it late."""
-    angles = swing(480, np.radians(20)) * np.linspace(1, left, 480)
-    along = np.linspace(0, 1, 5)
-    x, y = np.outer(np.sin(angles), along), 2 - np.outer(np.cos(angles), along)
-    points = np.stack([x, y, 0 * x], axis=2)
-    return lambda out: made_rope(out / "o.usda", points)
+
+    def make(out: Path) -> Done | None:
+        angles = swing(480, np.radians(20)) * np.linspace(1, left, 480)
+        along = np.linspace(0, 1, 5)
+        x, y = np.outer(np.sin(angles), along), 2 - np.outer(np.cos(angles), along)
+        return made_rope(out / "o.usda", np.stack([x, y, 0 * x], axis=2))
+
+    return make
 
 
 def cloth(*heights: float, lift: float = 0.0, tilt: float = 0.0) -> Make:

@@ -45,6 +45,13 @@ class Row:
         verbs = [word for word in self.commands[0][:2] if word.isalpha()]
         return f"{self.file.as_posix()}-{'-'.join(verbs)}"
 
+    @property
+    def simulates(self) -> bool:
+        """Whether systems of a scene are simulated."""
+        if self.commands[0][0] != "bake" or not self.file.name.endswith(".scene.yaml"):
+            return False
+        return b"\nsystems:" in (self.root / self.file).read_bytes()
+
 
 def read_rows(table: Path) -> list[Row]:
     """Return the rows of an ``expected.json``."""
@@ -72,5 +79,7 @@ def reported_rows(owed: Collection[str]) -> list[Any]:
             seen[row.name] += 1
             number = f"-{seen[row.name]}" if seen[row.name] > 1 else ""
             if row.control or row.folder in owed:
-                parameters.append(pytest.param(row, id=f"{row.name}{number}"))
+                marks = [pytest.mark.slow] if row.simulates else []
+                name = f"{row.name}{number}"
+                parameters.append(pytest.param(row, id=name, marks=marks))
     return parameters

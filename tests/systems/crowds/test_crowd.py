@@ -247,6 +247,7 @@ def test_two_streams_in_a_corridor_get_by_each_other(
     assert closest(track) > 2 * 0.22 - TOUCHING
 
 
+@pytest.mark.slow(0.5)
 def test_queues_serve_one_at_a_time_and_doors_let_nobody_through_shut(
     simulator: Simulator,
 ) -> None:

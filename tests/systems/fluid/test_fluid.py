@@ -127,6 +127,7 @@ def test_a_pool_comes_to_rest(
     assert rows[-1].points[:, 1].mean() == pytest.approx(deep / 2, rel=0.04)
 
 
+@pytest.mark.slow(1)
 @pytest.mark.parametrize(("radius", "at"), [(0.12, 0.3), (0.18, 0.3), (0.1, 0.1)])
 def test_water_under_a_ball_on_the_floor_comes_to_rest(
     simulator: Simulator, radius: float, at: float
@@ -401,6 +402,7 @@ def stretched(points: np.ndarray) -> float:
     return float((off[:, 2] ** 2 - (off[:, 0] ** 2 + off[:, 1] ** 2) / 2).mean())
 
 
+@pytest.mark.slow(0.5)
 @pytest.mark.parametrize("radius", [0.002, 0.01, 0.05])
 def test_a_drop_swings_as_rayleigh_says_at_any_size(
     simulator: Simulator, radius: float

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from animtool.systems.particles.forces import FORCES, find_force
 from animtool.systems.particles.forces.base import Force
+from animtool.systems.particles.forces.table import FORCES, find_force
 from animtool.systems.particles.state import ParticleState
 
 OPTIONS: list[tuple[str, dict[str, Any]]] = [

@@ -11,6 +11,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from support.faults import raises
 from support.rigid import FLOOR, ball, box
 from support.simulated import Simulator
+from support.suite import some_quick
 
 from animtool import BakeOptions
 from animtool.core.errors import FormatError
@@ -34,7 +35,7 @@ def shots(
     }
 
 
-@pytest.mark.parametrize("mass", [1e-3, 1.0, 50.0])
+@pytest.mark.parametrize("mass", some_quick([1e-3, 1.0, 50.0], 3))
 @pytest.mark.parametrize("restitution", [0.0, 0.6, 1.0])
 def test_two_that_meet_part_as_the_textbook_says(
     tmp_path: Path, mass: float, restitution: float
@@ -121,6 +122,7 @@ def test_frames_do_not_matter(tmp_path: Path, step: float) -> None:
     assert np.abs(coarse["it"][-1].points - alone["it"][-1].points).max() > 1e-3
 
 
+@pytest.mark.slow(0.5)
 def test_saved_states_go_on_bit_for_bit(tmp_path: Path) -> None:
     rigid = {**bodies(CRATE, colliders=[FLOOR], **FALL)["rigid"], "step": 1 / 240}
     rain = {**shots(RAIN, **FALL)["particles"], "step": 1 / 120}
@@ -174,6 +176,7 @@ def sheet(**keys: Any) -> dict[str, Any]:
     }  # fmt: skip
 
 
+@pytest.mark.slow(0.5)
 @pytest.mark.parametrize("solver", ["symplectic_euler", "xpbd", "bdf2"])
 def test_cloth_and_ball_keep_their_momentum(tmp_path: Path, solver: str) -> None:
     thrown = ball(0.15, mass=2.0, at=[0.05, 0.3, 0.02], velocity=[0.2, -2, 0.1])
@@ -201,6 +204,7 @@ def caught(folder: Path, rate: int) -> np.ndarray:
     return np.array([row.points[0, 1] for row in rows])
 
 
+@pytest.mark.slow(0.5)
 def test_shorter_steps_come_nearer_to_how_a_hammock_catches(tmp_path: Path) -> None:
     heights = [caught(tmp_path, rate) for rate in (240, 480, 960)]
     first, second = (float(np.abs(heights[k + 1] - heights[k]).max()) for k in range(2))

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from support.rigid import FLOOR, GRAVITY, Rigid, ball, box
+from support.suite import some_quick
 
 AWAKE = {"sleep": {"speed": 0}}
 FREE = {"forces": [], **AWAKE}
@@ -29,7 +30,7 @@ LYING: dict[str, tuple[Any, float]] = {
 
 
 @pytest.mark.parametrize("step", [1 / 60, 1 / 240])
-@pytest.mark.parametrize("e", [0.2, 0.5, 0.8, 1.0])
+@pytest.mark.parametrize("e", some_quick([0.2, 0.5, 0.8, 1.0], 2))
 @pytest.mark.parametrize("name", LYING)
 def test_what_falls_flat_rises_and_does_not_turn(
     tmp_path: Path, name: str, e: float, step: float
@@ -70,6 +71,7 @@ def test_a_bounce_is_the_same_at_any_place_attitude_and_size(
     assert np.abs(found.spins()).max() < 1e-5
 
 
+@pytest.mark.slow(0.5)
 @pytest.mark.parametrize("step", [None, 1 / 240, 1 / 1000])
 def test_energy_is_kept_and_never_grows(tmp_path: Path, step: float | None) -> None:
     """A box that tumbles, a capsule, and five boxes above each other, without loss."""

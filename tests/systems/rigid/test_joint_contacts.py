@@ -10,6 +10,7 @@ import pytest
 from numpy.testing import assert_allclose
 from support.rigid import Rigid, ball, box
 from support.simulated import Simulator
+from support.suite import some_quick
 
 from animtool import BakeOptions
 from animtool.maths import so3
@@ -38,7 +39,7 @@ def joined(folder: Path, kind: str, motion: dict[str, Any], **joint: Any) -> Rig
     )  # fmt: skip
 
 
-@pytest.mark.parametrize("motion", MOTIONS)
+@pytest.mark.parametrize("motion", some_quick(MOTIONS, 2))
 @pytest.mark.parametrize("kind", TYPES)
 def test_a_joint_holds_what_overlaps(tmp_path: Path, kind: str, motion: str) -> None:
     found = joined(tmp_path, kind, MOTIONS[motion])

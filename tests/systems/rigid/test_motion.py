@@ -129,6 +129,7 @@ def test_spinning_bodies_collide_and_keep_momentum(tmp_path: Path) -> None:
     assert found.energy() < energy
 
 
+@pytest.mark.slow(0.5)
 def test_a_compound_pendulum_swings_as_it_should(tmp_path: Path) -> None:
     length, thick = 1.0, 0.1
     joint = {"type": "pin", "body": "box", "axis": [0, 0, 1]}

@@ -102,6 +102,7 @@ def test_before_it_begins_all_stays() -> None:
         assert_array_equal(was, now)
 
 
+@pytest.mark.slow(0.5)
 def test_it_comes_to_rest_on_the_ground_and_bones_keep_their_length() -> None:
     begun = still(chain(), 145)
     turns = begun.motion.rotations.dense()

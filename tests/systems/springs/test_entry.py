@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from pxr import Usd, UsdGeom
+from support.suite import some_quick
 
 from animtool.core.errors import Fault, FormatError
 from animtool.scene.file.read import load_scene
@@ -250,7 +251,7 @@ CASES = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", some_quick(CASES, 3))
 def test_a_fault_has_its_code_and_place(folder: Path, name: str) -> None:
     old, new, expected = CASES[name]
     assert old in SCENE

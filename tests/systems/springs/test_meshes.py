@@ -125,6 +125,7 @@ def test_a_mesh_that_is_attached_is_one_whose_points_move(solver: Solver) -> Non
     assert one.stats.status is same.stats.status is Status.OK
 
 
+@pytest.mark.slow(0.5)
 @settings(max_examples=examples(10))
 @given(order=st.permutations(range(len(BALL_FACES))), turns=st.integers(0, 2))
 def test_the_order_of_triangles_makes_no_difference(

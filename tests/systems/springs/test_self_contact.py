@@ -84,6 +84,7 @@ def dropped_fold(contact: SelfContact | None, gap: float = 3 * EDGE) -> SpringSy
 TIMES = np.arange(20) / 24
 
 
+@pytest.mark.slow(0.5)
 @pytest.mark.parametrize("thickness", [0.2, 0.5, 1.0])
 def test_a_folded_sheet_lies_on_itself(thickness: float) -> None:
     system = dropped_fold(SelfContact(thickness * EDGE))
@@ -375,6 +376,7 @@ def shares(p: FloatArray, corners: FloatArray) -> FloatArray:
     return min(found, key=lambda share: float(np.linalg.norm(p - share @ corners)))
 
 
+@pytest.mark.slow(0.5)
 @given(st.integers(0, 2**32 - 1))
 @settings(max_examples=examples(60))
 def test_each_pair_is_moved_as_the_formula_says(seed: int) -> None:
@@ -542,6 +544,7 @@ def heavy(tip: float, light: float) -> SpringSystem:
     )
 
 
+@pytest.mark.slow(0.5)
 def test_auto_takes_shorter_steps_rather_than_warn() -> None:
     system = heavy(3.0, 1e-5)
     asked = simulate_springs(system, [0, 0.4], XPBD)
@@ -554,6 +557,7 @@ def test_auto_takes_shorter_steps_rather_than_warn() -> None:
     assert {notice.code for notice in motion.notices} <= {"SIM161"}
 
 
+@pytest.mark.slow(1)
 def test_auto_refuses_what_its_shortest_steps_do_not_keep() -> None:
     motion = simulate_springs(heavy(30.0, 1e-6), [0, 0.4])
     assert motion.stats.status is Status.NOT_SOLVED

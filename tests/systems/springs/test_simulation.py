@@ -382,6 +382,7 @@ def between_layers(stage: Usd.Stage) -> float:
     return float(grid[2:-2, 11:14, 1].mean() - grid[2:-2, 3:6, 1].mean())
 
 
+@pytest.mark.slow(0.5)
 @pytest.mark.parametrize("solver", ["", "    solver: xpbd\n"])
 def test_folds_keep_apart_where_they_are_to(tmp_path: Path, solver: str) -> None:
     longer = HEAD.replace("12", "48")

@@ -95,6 +95,7 @@ def pull_on(run: EntryRun, t: float) -> np.ndarray:
     return np.asarray(found / run.run.step_length)
 
 
+@pytest.mark.slow(0.5)
 @pytest.mark.parametrize(("mass", "own"), [(100.0, 0.1), (1e-3, 1.0)])
 def test_a_rope_bears_the_weight_of_a_lamp(
     tmp_path: Path, mass: float, own: float
@@ -140,6 +141,7 @@ def period(folder: Path, rate: int) -> float:
     return 2 * float(crossed[-1] - crossed[0]) / (len(crossed) - 1)
 
 
+@pytest.mark.slow(0.5)
 def test_a_ball_on_a_rope_swings_as_a_pendulum(tmp_path: Path) -> None:
     a, b = 1.0, math.cos(math.pi / 12)
     for _ in range(9):
@@ -149,6 +151,7 @@ def test_a_ball_on_a_rope_swings_as_a_pendulum(tmp_path: Path) -> None:
     assert_allclose(period(tmp_path, 60), exact, rtol=4e-4)
 
 
+@pytest.mark.slow(0.5)
 @pytest.mark.parametrize(
     ("rate", "until", "share"), [(60, 1.2, 0.015), (240, 0.4, 0.0002)]
 )
@@ -164,6 +167,7 @@ def test_a_pendulum_keeps_its_energy(
         )
 
 
+@pytest.mark.slow(0.5)
 @pytest.mark.parametrize("mass", [5.0])
 def test_a_wrecking_ball_hits_as_hard_as_it_falls(tmp_path: Path, mass: float) -> None:
     block = box([0.2, 0.4, 0.2], name="block", mass=mass, at=[-0.151, -2, 0],
@@ -189,6 +193,7 @@ def thrown(folder: Path, **keys: Any) -> None:
     Simulator(folder).simulate([bodies(lamp, **FALL, **keys), {"rope": tow}], times)
 
 
+@pytest.mark.slow(1)
 def test_a_step_that_works_is_proposed(tmp_path: Path) -> None:
     with pytest.raises(ToleranceError) as caught:
         thrown(tmp_path)
@@ -199,6 +204,7 @@ def test_a_step_that_works_is_proposed(tmp_path: Path) -> None:
     thrown(tmp_path, step=float(found[1]))
 
 
+@pytest.mark.slow(1)
 def test_a_body_that_is_thrown_about_is_named(tmp_path: Path) -> None:
     crumb = ball(0.01, name="crumb", mass=1e-9, at=[0.5, 1, 0])
     tow = rope(HOOK, tied("end", "crumb"), to=[0.49, 1, 0], mass=0.05)
@@ -234,6 +240,7 @@ def test_two_bodies_on_a_rope_keep_their_momenta(
         assert_allclose(sums[3:], begun[3:], atol=1e-3 * np.linalg.norm(begun[3:]))
 
 
+@pytest.mark.slow(0.5)
 @pytest.mark.parametrize(("mass", "own"), [(1e-3, 1.0), (1000.0, 1.0)])
 def test_no_ratio_of_masses_brings_energy(
     tmp_path: Path, mass: float, own: float
@@ -275,6 +282,7 @@ def swinging(folder: Path, frames: int, rate: int, **keys: Any) -> dict[str, Any
     return Simulator(folder).simulate(entries, times)
 
 
+@pytest.mark.slow(0.5)
 @pytest.mark.parametrize("step", [1 / 240, 0.01])
 def test_frames_do_not_matter(tmp_path: Path, step: float) -> None:
     coarse = swinging(tmp_path, 5, 24, step=step)
@@ -294,6 +302,7 @@ def test_within_a_step_a_body_is_where_its_rope_is(tmp_path: Path) -> None:
         assert_allclose(gap, [0, 0.1, 0], atol=4e-4)
 
 
+@pytest.mark.slow(0.5)
 @pytest.mark.parametrize("step", [1 / 240, 0.01])
 def test_saved_states_go_on_bit_for_bit(tmp_path: Path, step: float) -> None:
     lamp = box([0.2, 0.2, 0.2], name="lamp", mass=0.5, at=[0.8, 1.1, 0])
@@ -326,6 +335,7 @@ def test_a_kinematic_body_carries_its_rope(tmp_path: Path) -> None:
     assert_allclose(starts, [[0, 1, 0], [0.1, 1.1, 0], [0, 1.2, 0]], atol=1e-9)
 
 
+@pytest.mark.slow(0.5)
 def test_two_ropes_of_one_body_are_simulated_as_one(tmp_path: Path) -> None:
     seat = box([1.0, 0.1, 0.3], name="seat", mass=4.0, at=[0, -0.05, 0])
     pins = [HOOK, tied("end", "seat")]

@@ -57,7 +57,7 @@ def test_the_good_layer_has_no_finding(good: Path) -> None:
     assert check_layer(good) == []
 
 
-@pytest.mark.parametrize("case", some_quick(BROKEN, 2), ids=lambda case: case.id)
+@pytest.mark.parametrize("case", some_quick(BROKEN, 4), ids=lambda case: case.id)
 def test_a_broken_layer_is_found(
     case: Case, good: Path, tmp_path: Path, record_property: Any
 ) -> None:
@@ -85,7 +85,7 @@ def test_a_broken_layer_is_found(
     )
 
 
-@pytest.mark.parametrize("case", some_quick(NEAR, 2), ids=lambda case: case.id)
+@pytest.mark.parametrize("case", some_quick(NEAR, 4, 1), ids=lambda case: case.id)
 def test_a_near_miss_has_no_finding(case: Case, good: Path, tmp_path: Path) -> None:
     found = check_layer(changed(case, good, tmp_path))
     assert [str(fault) for fault in found if fault.code == case.code] == []

@@ -170,7 +170,7 @@ def test_points_beyond_float32_are_named() -> None:
     points[1, 2, 0] = 3.3999999e38
     assert rounded(points, 1.0, labels, codes)[0].max() < np.inf
     points[1, 2, 0] = np.nan
-    with raises(OutputError, "USD170", match="is nan"):
+    with raises(OutputError, "USD170", match="nan"):
         rounded(points, 1.0, labels, codes)
     with raises(OutputError, "USD170", match="point 1"):
         narrowed(np.array([[0.0], [1e39]]), "f", labels)

@@ -121,7 +121,7 @@ def test_props_of_a_source_keep_their_distance_to_its_character(
 
 
 @pytest.mark.parametrize("up", "YZ")
-@pytest.mark.parametrize("where", ["set", "char", "skel"])
+@pytest.mark.parametrize("where", some_quick(["set", "char", "skel"], 3))
 def test_what_is_simulated_goes_where_its_rig_is(
     tmp_path: Path, where: str, up: str
 ) -> None:

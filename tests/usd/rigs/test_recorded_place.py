@@ -13,6 +13,7 @@ from support.placed import (
     over,
     stage_text,
 )
+from support.suite import some_quick
 
 from animtool import open_source
 from animtool.core.errors import FormatError
@@ -23,7 +24,7 @@ from animtool.scene.sources.open import SourceOptions
 
 WRITTEN = ("usda", "bvh")
 PLACED = [
-    (where, kind, moves, up, suffix)
+    pytest.param(where, kind, moves, up, suffix)
     for where, kind, moves, up, suffix in itertools.product(
         ("set", "char", "skel"), ("translate", "all"), (False, True), "YZ", WRITTEN
     )
@@ -32,7 +33,9 @@ PLACED = [
 ]
 
 
-@pytest.mark.parametrize(("where", "kind", "moves", "up", "suffix"), PLACED)
+@pytest.mark.parametrize(
+    ("where", "kind", "moves", "up", "suffix"), some_quick(PLACED, 3)
+)
 def test_what_was_written_from_a_placed_source_rides_on_it_once(
     tmp_path: Path, where: str, kind: str, moves: bool, up: str, suffix: str
 ) -> None:

@@ -528,6 +528,7 @@ def test_meshes_stand_in_the_extent_of_each_take(tmp_path: Path) -> None:
             assert_allclose(extent, np.array(computed), rtol=1e-5, atol=1e-6)
 
 
+@pytest.mark.slow(0.5)
 @settings(max_examples=examples(25))
 @given(takes(), st.integers(2, 9), st.integers(0, 2**31), st.booleans())
 def test_any_takes_come_back_as_if_alone(

@@ -166,6 +166,7 @@ def lost_at(take: Take, names: tuple[str, ...], frame: int) -> Take:
     return edited(take, rotations=turns)
 
 
+@pytest.mark.slow(0.5)
 def test_a_limb_that_skips_a_frame_is_no_lost_frame(walking: Take) -> None:
     every = tuple(walking.rig.names)
     whole = [f for f in range(20, 40) if "MOT205" in codes(lost_at(walking, every, f))]

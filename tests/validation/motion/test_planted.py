@@ -96,7 +96,7 @@ def findings(take: Take) -> list[Fault]:
 
 @pytest.mark.parametrize(
     "case",
-    some_quick([*TAKES, *LAYERS], 2),
+    some_quick([*TAKES, *LAYERS], 4),
     ids=lambda case: f"{case.sample}-{case.name}",
 )
 def test_a_planted_fault_is_found(
@@ -128,6 +128,7 @@ def test_the_clean_samples_have_no_finding(name: str, outcomes: Outcomes) -> Non
     assert [str(f) for f in found if f.severity is not Severity.NOTE] == []
 
 
+@pytest.mark.slow(1)
 def test_precision_and_recall(outcomes: Outcomes, record_property: Any) -> None:
     cases = [*TAKES, *LAYERS]
     hits = sum(any(f.code == c.code for f in outcomes.of(c)) for c in cases)

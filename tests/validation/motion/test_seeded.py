@@ -123,6 +123,7 @@ def recall(plant: Plant, code: str, seed: int) -> tuple[int, int]:
     return sum(found), len(found)
 
 
+@pytest.mark.slow(0.5)
 @pytest.mark.parametrize("name", some_quick(CASES, 4))
 def test_faults_at_random_are_found(name: str, record_property: Any) -> None:
     plant, code = CASES[name]
