@@ -26,6 +26,8 @@ export class View {
     /** Index of the shot's camera that it looks through, −1 for none. */
     this.shot = -1;
     this.follow = false;
+    /** Whether fingers or a button move it. */
+    this.held = false;
     /** @type {number[]|null} Where the followed joint was last. */
     this.followed = null;
     this.width = this.height = this.ratio = 1;
@@ -165,6 +167,7 @@ export function steer(element, view, changed, picked) {
   element.addEventListener('pointerdown', (event) => {
     element.setPointerCapture(event.pointerId);
     if (!fingers.size) travelled = 0;
+    view.held = true;
     fingers.set(event.pointerId, [event.offsetX, event.offsetY]);
   });
   element.addEventListener('pointermove', (event) => {
@@ -187,6 +190,8 @@ export function steer(element, view, changed, picked) {
     if (fingers.delete(event.pointerId) && travelled <= 4 && event.type === 'pointerup') {
       picked(event.offsetX, event.offsetY);
     }
+    view.held = fingers.size > 0;
+    changed(false);
   };
   element.addEventListener('pointerup', up);
   element.addEventListener('pointercancel', up);

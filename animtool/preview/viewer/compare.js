@@ -40,7 +40,7 @@ export class Compare {
     if (this.poses.length > 1) dot.style.background = css(SERIES[i % SERIES.length]);
     const check = make('input', {
       type: 'checkbox', checked: true, change: (event) => {
-        pose.visible = event.target instanceof HTMLInputElement && event.target.checked;
+        pose.wanted = event.target instanceof HTMLInputElement && event.target.checked;
         this.app.invalidate(true);
       },
     });

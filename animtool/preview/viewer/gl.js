@@ -135,6 +135,42 @@ export function drawTable(gl, corners) {
   gl.drawArrays(gl.TRIANGLES, 0, corners);
 }
 
+/** What is drawn into: the canvas, through a picture with smooth edges where it is to be fine. */
+export class Picture {
+  /** @param {WebGL2RenderingContext} gl */
+  constructor(gl) {
+    this.gl = gl;
+    this.frame = gl.createFramebuffer();
+    this.parts = [gl.RGB8, gl.DEPTH_COMPONENT24].map((format) => ({ format, buffer: gl.createRenderbuffer() }));
+    this.size = '';
+  }
+
+  /** @param {number} width @param {number} height @param {boolean} fine */
+  begin(width, height, fine) {
+    const { gl } = this, size = `${width} ${height}`;
+    gl.bindFramebuffer(gl.FRAMEBUFFER, fine ? this.frame : null);
+    if (fine && size !== this.size) {
+      this.size = size;
+      this.parts.forEach(({ format, buffer }, i) => {
+        gl.bindRenderbuffer(gl.RENDERBUFFER, buffer);
+        gl.renderbufferStorageMultisample(gl.RENDERBUFFER, 4, format, width, height);
+        gl.framebufferRenderbuffer(gl.FRAMEBUFFER, [gl.COLOR_ATTACHMENT0, gl.DEPTH_ATTACHMENT][i], gl.RENDERBUFFER, buffer);
+      });
+    }
+    gl.viewport(0, 0, width, height);
+  }
+
+  /** @param {number} width @param {number} height @param {boolean} fine */
+  end(width, height, fine) {
+    const { gl } = this;
+    if (!fine) return;
+    gl.bindFramebuffer(gl.DRAW_FRAMEBUFFER, null);
+    gl.blitFramebuffer(0, 0, width, height, 0, 0, width, height, gl.COLOR_BUFFER_BIT, gl.NEAREST);
+    gl.invalidateFramebuffer(gl.READ_FRAMEBUFFER, [gl.COLOR_ATTACHMENT0, gl.DEPTH_ATTACHMENT]);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+  }
+}
+
 /** GLSL: cell `i` of a table. */
 export const CELL = `
 vec4 cell(sampler2D table, int i) { int w = textureSize(table, 0).x; return texelFetch(table, ivec2(i % w, i / w), 0); }`;

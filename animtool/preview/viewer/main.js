@@ -22,8 +22,8 @@ const page = /** @type {Window & {animtool: Page}} */ (/** @type {unknown} */ (w
 
 /** How near to a joint a click selects it [CSS pixels]. */
 const NEAR = 14;
-/** Most takes of which the first is followed: with more it is a crowd. */
-const CAST = 4;
+/** Edges are smooth while pictures come as soon as this, and crowds have skins as soon as that [ms]. */
+const QUICK = 20, LONG = 50;
 
 export class App {
   /** @param {import('./types.js').Manifest} manifest @param {WebGL2RenderingContext} gl */
@@ -31,6 +31,7 @@ export class App {
     this.manifest = manifest;
     this.gl = gl;
     this.canvas = need('view', HTMLCanvasElement);
+    this.cameras = need('camera', HTMLSelectElement);
     this.streams = new Streams(manifest, (block) => need(`b${block}`, HTMLScriptElement).text);
     this.scene = new Scene(gl, this.streams, manifest);
     this.view = new View();
@@ -49,6 +50,9 @@ export class App {
     this.awake = true;
     this.inset = 0;
     this.before = 0;
+    /** How soon pictures follow one another while it plays [ms], and whether edges are smooth then. */
+    this.pace = 0;
+    this.fine = true;
     /** @type {(() => void)[]} Who waits for the next picture. */
     this.waiting = [];
   }
@@ -63,6 +67,7 @@ export class App {
     connect(this);
     await this.#frameAll();
     describe(this);
+    this.setSimple(this.scene.simple);
     this.awake = false;
     if (this.compare.beside) this.compare.arrange(true);
     steer(this.canvas, this.view, (moved) => {
@@ -108,7 +113,7 @@ export class App {
     }
     this.#fit();
     const { at: now } = parts[parts.length - 1], box = new Box();
-    const follow = !!pose?.count && scene.poses.length <= CAST && parts.some(({ at }) => Math.hypot(at[0] - now[0], at[2] - now[2]) > pose.extent);
+    const follow = !!pose?.count && !scene.crowd && parts.some(({ at }) => Math.hypot(at[0] - now[0], at[2] - now[2]) > pose.extent);
     for (const { box: { low, high, empty }, at } of parts) {
       const shift = follow ? [now[0] - at[0], 0, now[2] - at[2]] : [0, 0, 0];
       if (!empty) for (const corner of [low, high]) box.add(corner, 0, shift);
@@ -125,7 +130,6 @@ export class App {
   preset(name) {
     this.view.preset(name);
     if (name === 'home') this.home();
-    need('camera', HTMLSelectElement).value = '-1';
     this.invalidate();
     this.remember();
   }
@@ -178,6 +182,7 @@ export class App {
     this.stale ||= stale;
     this.dirty = true;
     if (this.awake) return;
+    this.pace = 0;
     this.awake = true;
     this.before = 0;
     requestAnimationFrame((now) => this.#tick(now));
@@ -198,6 +203,7 @@ export class App {
       if (timeline.playing) {
         const last = timeline.sample;
         timeline.advance(this.before ? (now - this.before) / 1000 : 0);
+        this.#hurry(now);
         this.stale ||= last !== timeline.sample;
         this.before = now;
       }
@@ -218,6 +224,30 @@ export class App {
     }
     this.awake = timeline.playing || this.waiting.length > 0 || this.stale;
     if (this.awake) requestAnimationFrame((time) => this.#tick(time));
+  }
+
+  /** Draw less well what comes late. @param {number} now */
+  #hurry(now) {
+    if (!this.before) return;
+    const last = now - this.before;
+    this.pace += (last - (this.pace || last)) / 8;
+    if (this.pace > QUICK) this.fine = false;
+    if (this.pace > LONG && this.scene.crowd && this.scene.bodies.length && !this.chosen) this.setSimple(true);
+  }
+
+  /** @param {boolean} simple Whether a crowd is drawn as bones. */
+  setSimple(simple) {
+    const { scene } = this, note = button('simple');
+    note.hidden = !scene.crowd || !scene.bodies.length;
+    scene.simple = !note.hidden && simple;
+    note.textContent = scene.simple ? 'crowd drawn as bones; key M draws meshes' : 'key M draws the crowd as bones';
+    this.invalidate(true);
+  }
+
+  /** The user's word is the last. */
+  toggleSimple() {
+    this.chosen = true;
+    this.setSimple(!this.scene.simple);
   }
 
   /** @param {number} sample */
@@ -241,10 +271,10 @@ export class App {
   draw() {
     this.dirty = false;
     const { view, scene } = this;
+    if (this.cameras.value !== `${view.shot}`) this.cameras.value = `${view.shot}`;
     this.#fit();
     view.update(scene.cameras[view.shot] ?? null, this.streams, scene.sample);
-    need('camera', HTMLSelectElement).value = String(view.shot);
-    scene.draw(view, this.show, this.colors, this.selected);
+    scene.draw(view, this.show, this.colors, this.selected, this.fine || !(this.timeline.playing || view.held));
     this.overlay.draw();
   }
 }
@@ -262,7 +292,7 @@ function fail(error) {
 async function open() {
   if (!('DecompressionStream' in window)) throw new Error('This browser is too old for the page: it cannot inflate data.');
   const canvas = need('view', HTMLCanvasElement);
-  const gl = canvas.getContext('webgl2', { alpha: false, antialias: true });
+  const gl = canvas.getContext('webgl2', { alpha: false, antialias: false });
   if (!gl) throw new Error('This browser shows no WebGL2, which the page draws with.');
   canvas.addEventListener('webglcontextrestored', () => location.reload());
   const app = new App(JSON.parse(need('manifest', HTMLScriptElement).text), gl);
@@ -274,6 +304,7 @@ const opened = open();
 opened.catch(fail);
 /** Resolves when the first picture is drawn, and curves stand beneath it. */
 page.ready = opened.then((app) => void Object.assign(page, {
+  app,
   frame: () => app.timeline.frameOf(app.timeline.sample),
   seek: (/** @type {number} */ frame) => {
     app.timeline.seek(app.timeline.sampleOf(frame));

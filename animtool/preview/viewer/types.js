@@ -14,7 +14,7 @@
  * @typedef {{name: string, skeleton: {names: string[], parents: number[], rest: Locals,
  *   tips?: number[][]}, moving: {t?: number[], r?: number[], s?: number[]}, still?: Locals|null,
  *   span?: number[], t?: number|null, r?: number|null, s?: number|null, shapes?: ShapeTrack|null,
- *   contacts?: Contact[], trails?: number[], offset?: Vec}} TakeRecord
+ *   contacts?: Contact[], trails?: number[], offset?: Vec, visible?: number|null}} TakeRecord
  * @typedef {{palette: number[], joints: number, weights: number, bind: number}} Skin
  * @typedef {{name: string, column: number, vertices: number, offsets: number}} Shape
  * @typedef {{name: string, take?: number|null, points: number, faces: number,

@@ -112,7 +112,7 @@ function keyboard(app) {
     ArrowDown: () => timeline.faster(-1), f: () => app.setFollow(!app.view.follow),
     1: () => app.preset('front'), 3: () => app.preset('side'), 7: () => app.preset('top'),
     0: () => app.preset('home'), l: () => timeline.setLoop(!timeline.loop),
-    '?': () => help.showModal(), Escape: () => app.select(null),
+    m: () => app.toggleSimple(), '?': () => help.showModal(), Escape: () => app.select(null),
   };
   addEventListener('keydown', (event) => {
     const { target } = event;
@@ -125,6 +125,7 @@ function keyboard(app) {
     act();
   });
   button('help-open').addEventListener('click', () => help.showModal());
+  button('simple').addEventListener('click', () => app.toggleSimple());
   button('help-close').addEventListener('click', () => help.close());
 }
 
