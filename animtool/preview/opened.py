@@ -66,6 +66,7 @@ class OpenTake:
     surfaces: tuple[Surface, ...] = ()
     strands: tuple[Strands, ...] = ()
     clip: Clip | None = None
+    prim: str = ""  # its Skeleton, on the stage of its file
 
 
 @dataclass(slots=True)
@@ -222,7 +223,9 @@ def _open_stage(path: Path, name: str, source: SourceOptions) -> OpenFile:
         bones = contents.bone_names
         own = [surface for surface in meshes.surfaces if surface.name not in bones]
         surfaces = contents.turned_surfaces(own)
-        opened.takes.append(OpenTake(label, turned, bind, surfaces, meshes.strands))
+        opened.takes.append(
+            OpenTake(label, turned, bind, surfaces, meshes.strands, prim=prim)
+        )
     return opened
 
 

@@ -21,6 +21,7 @@ from animtool.preview.streams import (
     quantized_range,
     quantized_units,
 )
+from animtool.preview.visibility import visibility_stream
 from animtool.usd.caches.reader import PointSample
 from animtool.usd.caches.shown import Faces, ShownPrim, StageContents
 from animtool.usd.layers.sdf import usd_errors
@@ -132,10 +133,7 @@ def _cache(draft: Draft, prim: ShownPrim, codes: FloatArray, count: int) -> int:
 
 
 def _visible(draft: Draft, prim: ShownPrim, codes: FloatArray) -> int | None:
-    shown = prim.visible(codes)
-    if shown.all():
-        return None
-    return draft.packer.add(Quantized(shown[:, None].astype("<u1"), "u8"))
+    return visibility_stream(draft, prim.visible(codes))
 
 
 def _add_curves(draft: Draft, prim: ShownPrim, codes: FloatArray) -> None:

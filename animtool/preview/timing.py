@@ -40,7 +40,7 @@ class TimedPart:
     gathered: Gathered
     first: Fraction  # frame of the page that its first one is
     origin: Fraction  # the same of its file's first frame, which may be left out
-    shifted: bool = False  # whether it is shown at other frames than its own
+    shift: Fraction = Fraction(0)  # from its own frames to those that it is shown at
 
     @property
     def last(self) -> Fraction:
@@ -109,8 +109,9 @@ def align(parts: list[TimedPart]) -> list[Fault]:
                 f"and is shown from frame {frame_label(lead.first)}"
             )
             notices.append(Fault("PRV104", message, severity=Severity.NOTE))
-            part.origin += lead.first - part.first
-            part.first, part.shifted = lead.first, True
+            part.shift = lead.first - part.first
+            part.origin += part.shift
+            part.first = lead.first
     return notices
 
 
@@ -164,7 +165,7 @@ def _within(
     part: TimedPart, stated: tuple[Fraction, Fraction] | None
 ) -> tuple[Fraction, Fraction]:
     """Return the frames of a take, without those that its stage does not count."""
-    if stated is None or part.shifted:
+    if stated is None or part.shift:
         return part.first, part.last
     first, last = max(part.first, stated[0]), min(part.last, stated[1])
     return (first, last) if first <= last else (part.first, part.last)
