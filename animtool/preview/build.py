@@ -206,6 +206,12 @@ def _drafted(
             add_stage(draft, file.contents)
         if file.markers is not None:
             _add_markers(draft, file.path.name, file.markers)
+        if file.targets is not None:
+            from animtool.preview.targets import add_targets
+
+            # Those of the first take, of which the others may be versions.
+            up = opened[shown[0][0].file].up if shown else UpAxis.Y
+            add_targets(draft, file.targets, shown[0][1] if shown else None, up)
     return draft, notices
 
 

@@ -24,6 +24,8 @@ from animtool.core.files.reading import note_input
 from animtool.core.names import is_named
 from animtool.core.units import UpAxis, unit_name
 from animtool.formats.marker_files import is_marker_file, open_markers
+from animtool.ik.file import load_targets
+from animtool.ik.tracks import TargetTracks
 from animtool.motion.markers import Markers
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.reorient import reorient
@@ -46,7 +48,6 @@ if TYPE_CHECKING:
 
 # Kinds of files that hold nothing to be seen by themselves, and what shows them.
 _UNSEEN = {
-    "targets": "animtool ik RIG --targets FILE -o OUT.usda solves them; look at that",
     "batch": "look at what it bakes",
     "cameras": "look at what it is used for",
     "landmarks": "look at what it is used for",
@@ -80,6 +81,7 @@ class OpenFile:
         takes: Its characters.
         contents: What its stage shows beside them; None of other files.
         markers: Its markers, Y up; None of other files.
+        targets: Its goals of inverse kinematics; None of other files.
         notices: Warnings and notes about it.
         folder: Where a scene was baked to; None of files that are read themselves.
     """
@@ -90,6 +92,7 @@ class OpenFile:
     takes: list[OpenTake] = field(default_factory=list)
     contents: StageContents | None = None
     markers: Markers | None = None
+    targets: TargetTracks | None = None
     notices: list[Fault] = field(default_factory=list)
     folder: Path | None = None
 
@@ -111,6 +114,8 @@ class OpenFile:
             return self.takes[0].stream.fps
         if self.markers is not None:
             return self.markers.clock.fps
+        if self.targets is not None:
+            return self.targets.clock.fps
         return None if self.contents is None else self.contents.fps
 
 
@@ -137,6 +142,8 @@ def open_file(
         return _open_scene(path, options, held)
     if is_named(path, "rig"):
         return _open_rig(path)
+    if is_named(path, "targets"):
+        return _open_targets(path, alone=len(others) == 1)
     source = replace(
         fitting_options(options.source, path, others), prim_path=options.prim_path
     )
@@ -181,6 +188,20 @@ def _open_rig(path: Path) -> OpenFile:
     opened = OpenFile(path, unit_name(rig.meters_per_unit), rig.up)
     opened.notices += rig.notices
     opened.takes.append(own_take(rig.name, resting(rig)))
+    return opened
+
+
+def _open_targets(path: Path, *, alone: bool) -> OpenFile:
+    note_input(path)
+    opened = OpenFile(path, targets=load_targets(path))
+    assert opened.targets is not None
+    opened.notices += opened.targets.notices
+    if alone:
+        message = "targets are shown without a rig: in metres, Y up, joints at 0"
+        hint = f"animtool preview RIG {path.name} shows them with it"
+        opened.notices.append(
+            Fault("PRV107", message, str(path), (), hint, Severity.NOTE)
+        )
     return opened
 
 

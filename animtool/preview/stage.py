@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
-from animtool.core.errors import AnimtoolError, counted
 from animtool.core.units import UpAxis
 from animtool.maths import so3
 from animtool.motion.transforms import PropRequest, Track
-from animtool.preview.draft import Draft
+from animtool.preview.draft import Draft, skipped
 from animtool.preview.meshes import mesh_entry
 from animtool.preview.streams import (
     Quantized,
@@ -347,18 +345,6 @@ def add_camera(draft: Draft, track: Track, times: FloatArray) -> None:
             "clip": clip,
         }
     )
-
-
-@contextmanager
-def skipped(draft: Draft, what: str) -> Iterator[None]:
-    """Leave out what cannot be read, and note why."""
-    try:
-        yield
-    except AnimtoolError as error:
-        more = len(error.faults) - 1
-        others = f", and {counted(more, 'more fault')}" if more else ""
-        fault = error.faults[0]
-        draft.note(f"{what} is left out: {fault.code} {fault.message}{others}")
 
 
 _ADD: dict[str, Callable[[Draft, ShownPrim, FloatArray], None]] = {

@@ -141,6 +141,11 @@ def timeline_of(
             ratio = fps / clock.fps
             last = clock.start + (clock.count - 1) * clock.step
             spans.append((clock.start * ratio, last * ratio))
+        if file.targets is not None and all(part.gathered.frames < 2 for part in parts):
+            clock = file.targets.clock
+            ratio = Fraction(1) if file.targets.fps is None else fps / clock.fps
+            last = clock.start + (clock.count - 1) * clock.step
+            spans.append((clock.start * ratio, last * ratio))
     first = min((a for a, _ in spans), default=parts[0].first if parts else Fraction(1))
     last = max((b for _, b in spans), default=first)
     frames = options.frame_range

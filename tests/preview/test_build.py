@@ -323,7 +323,7 @@ def test_findings_have_their_frame_and_joint(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "text", "code"),
     [
-        ("a.targets.yaml", "targets: animtool/1\n", "PRV001"),
+        ("a.batch.yaml", "batch: animtool/1\n", "PRV001"),
         ("a.cameras.yaml", "cameras: animtool/1\n", "PRV001"),
         ("a.fbm", "", "IO002"),
     ],
