@@ -93,7 +93,7 @@ def gathered_part(
         message = f"has {rate_label(take.stream.fps)} and is shown at {rate_label(fps)}"
         note = Fault("PRV103", message, str(file.path), severity=Severity.NOTE)
         notices.append(note)
-    gathered = Gathered(stream.blocks)
+    gathered = Gathered(stream.blocks, stream.rig.meters_per_unit)
     notices += map(file.located, stream.notices)
     return TimedPart(number, take, stream, gathered, start, origin)
 
