@@ -281,7 +281,7 @@ def _other_takes(path: Path, stream: TakeStream) -> list[Fault]:
 
 def _open_scene(path: Path, options: PreviewOptions, held: ExitStack) -> OpenFile:
     """Bake a scene to a temporary layer, and open that."""
-    from animtool.scene.bake.bake import bake_file
+    from animtool.scene.bake.outputs import bake_scene
     from animtool.scene.file.read import load_scene
     from animtool.usd.layers.view import write_view
 
@@ -292,14 +292,25 @@ def _open_scene(path: Path, options: PreviewOptions, held: ExitStack) -> OpenFil
         raise OptionError(Fault("PRV004", message, str(path), (), hint))
     output = scene.outputs[0]
     usual = replace(output.bake, form=None, chunk=None, overwrite=False, take=None)
-    scene = replace(scene, outputs=(replace(output, path=None, bake=usual),))
     folder = Path(held.enter_context(tempfile.TemporaryDirectory("animtool")))
     layer = folder / f"{source_stem(path)}.usdc"
-    report = bake_file(scene, layer)
+    bones = folder / "bones" / layer.name
+    outputs = [replace(output, path=layer, bake=usual)]
+    if usual.deform and scene.sources:
+        bones.parent.mkdir()
+        joints = replace(usual, deform=False)
+        outputs.append(replace(output, path=bones, bake=joints, systems=()))
+    reports = bake_scene(replace(scene, outputs=tuple(outputs)))
     shown = layer
     if usual.rig_layer is not None:
         shown = write_view(folder / "view.usda", layer, usual.rig_layer)
     opened = _open_stage(shown, path.name, SourceOptions())
     opened.path, opened.folder = path, folder
-    opened.notices += report.notices
+    if len(outputs) > 1:
+        # Its meshes are points: the skeleton that moved them is in a layer of its own.
+        takes = _open_stage(bones, path.name, SourceOptions()).takes
+        opened.takes += [
+            replace(one, surfaces=(), strands=(), prim="") for one in takes
+        ]
+    opened.notices += reports[0].notices
     return opened

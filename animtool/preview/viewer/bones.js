@@ -1,6 +1,6 @@
 /** Skeletons: bones as octahedra, joints as balls, and the axes of joints. */
 
-import { CELL, SHADE, Table, attribute, drawTable, makeBuffer, makeProgram } from './gl.js';
+import { CELL, SHADE, Table, attribute, drawTable, makeBuffer, makeProgram, use } from './gl.js';
 import { Lines } from './lines.js';
 import { Sprites } from './points.js';
 import { sub, unit } from './maths.js';
@@ -134,8 +134,7 @@ export class Bones {
     }
     gl.bindBuffer(gl.ARRAY_BUFFER, this.ends);
     gl.bufferData(gl.ARRAY_BUFFER, values, gl.STREAM_DRAW);
-    gl.useProgram(thin.program);
-    gl.uniformMatrix4fv(thin.at('viewProjection'), false, view.viewProjection);
+    use(gl, thin, view, {});
     gl.bindVertexArray(this.array);
     gl.drawArrays(gl.LINES, 0, at / 6);
   }
@@ -146,11 +145,7 @@ export class Bones {
     table.grow(bones.length / 4);
     table.values.set(bones);
     table.send(bones.length / 4);
-    gl.useProgram(program.program);
-    table.bind(0, program.at('bones'));
-    gl.uniformMatrix4fv(program.at('viewProjection'), false, view.viewProjection);
-    gl.uniformMatrix4fv(program.at('view'), false, view.view);
-    gl.uniform1f(program.at('thickest'), size * 0.03);
+    use(gl, program, view, { bones: table, thickest: size * 0.03 });
     drawTable(gl, bones.length * 2);
   }
 

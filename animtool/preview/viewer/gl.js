@@ -16,11 +16,21 @@ vec3 heatColor(float h) {
     : mix(vec3(.93, .82, .42), vec3(.80, .18, .16), h * 2. - 1.);
 }`;
 
+/** @type {Map<string, Program>} */
+const programs = new Map();
+
 /**
  * @param {WebGL2RenderingContext} gl @param {string} vertex @param {string} fragment
- * @returns {Program}
+ * @returns {Program} One for each text.
  */
 export function makeProgram(gl, vertex, fragment) {
+  const made = programs.get(vertex + fragment) ?? compiled(gl, vertex, fragment);
+  programs.set(vertex + fragment, made);
+  return made;
+}
+
+/** @param {WebGL2RenderingContext} gl @param {string} vertex @param {string} fragment @returns {Program} */
+function compiled(gl, vertex, fragment) {
   const program = gl.createProgram();
   for (const [type, text] of /** @type {[number, string][]} */ ([
     [gl.VERTEX_SHADER, vertex], [gl.FRAGMENT_SHADER, fragment]])) {
@@ -118,8 +128,22 @@ export class Table {
   }
 }
 
-/** What is drawn of tables alone has no attributes. @type {WeakMap<WebGL2RenderingContext, WebGLVertexArrayObject>} */
-const empty = new WeakMap();
+/**
+ * Draw with a program from now on.
+ *
+ * @param {WebGL2RenderingContext} gl @param {Program} program @param {import('./camera.js').View} view
+ * @param {Record<string, number|ArrayLike<number>|Table|undefined>} uniforms
+ */
+export function use(gl, { program, at }, view, uniforms) {
+  gl.useProgram(program);
+  gl.uniformMatrix4fv(at('viewProjection'), false, view.viewProjection);
+  gl.uniformMatrix4fv(at('view'), false, view.view);
+  for (const [name, value] of Object.entries(uniforms)) {
+    if (value instanceof Table) value.bind(0, at(name));
+    else if (typeof value === 'number') gl.uniform1f(at(name), value);
+    else if (value) gl[value.length === 2 ? 'uniform2fv' : value.length === 3 ? 'uniform3fv' : 'uniform4fv'](at(name), Array.from(value));
+  }
+}
 
 /**
  * Draw triangles whose corners a vertex shader finds in a table.
@@ -129,9 +153,7 @@ const empty = new WeakMap();
  * @param {WebGL2RenderingContext} gl @param {number} corners
  */
 export function drawTable(gl, corners) {
-  const array = empty.get(gl) ?? gl.createVertexArray();
-  empty.set(gl, array);
-  gl.bindVertexArray(array);
+  gl.bindVertexArray(null);
   gl.drawArrays(gl.TRIANGLES, 0, corners);
 }
 

@@ -4,7 +4,7 @@ import { View, steer } from './camera.js';
 import { Compare } from './compare.js';
 import { Curves } from './curves.js';
 import { Streams } from './data.js';
-import { button, fit, need, themeColors } from './dom.js';
+import { button, fit, need, press, themeColors } from './dom.js';
 import { Findings } from './findings.js';
 import { Box } from './maths.js';
 import { readFragment, writeFragment } from './fragment.js';
@@ -137,7 +137,7 @@ export class App {
   /** @param {boolean} on */
   setFollow(on) {
     this.view.follow = on;
-    button('follow').setAttribute('aria-pressed', String(on));
+    press(button('follow'), on);
   }
 
   /** @param {Selected|null} selected */

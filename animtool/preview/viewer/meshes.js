@@ -1,6 +1,6 @@
 /** Meshes: skins in the vertex shader, blend shapes that have a weight, and points that move as cached. */
 
-import { CELL, SHADE, Table, attribute, makeBuffer, makeProgram } from './gl.js';
+import { CELL, SHADE, Table, attribute, makeBuffer, makeProgram, use } from './gl.js';
 import { multiply } from './maths.js';
 import { display } from './points.js';
 
@@ -49,9 +49,9 @@ void main() {
 }`;
 
 const FRAGMENT = `${SHADE}
-in vec3 n; in vec3 tint; in vec3 eye; in float heat; uniform bool flat_; out vec4 result;
+in vec3 n; in vec3 tint; in vec3 eye; in float heat; uniform float faceted; out vec4 result;
 void main() {
-  vec3 m = normalize(flat_ || dot(n, n) < 1e-12 ? cross(dFdx(eye), dFdy(eye)) : n);
+  vec3 m = normalize(faceted > 0. || dot(n, n) < 1e-12 ? cross(dFdx(eye), dFdy(eye)) : n);
   if (dot(m, eye) > 0.) m = -m;
   result = vec4(shade(heat >= 0. ? heatColor(heat) : tint, m), 1.);
 }`;
@@ -60,17 +60,10 @@ void main() {
 const SMOOTH_FROM = 200;
 export const COLOR = [0.4, 0.43, 0.48];
 
-/** @type {Map<string, import('./gl.js').Program>} */
-const programs = new Map();
-
 /** @param {WebGL2RenderingContext} gl @param {Kind} kind */
 function programOf(gl, kind) {
   const names = Object.entries(kind).filter(([, on]) => on).map(([name]) => name.toUpperCase());
-  const key = names.join();
-  const made = programs.get(key)
-    ?? makeProgram(gl, names.map((name) => `#define ${name}\n`).join('') + VERTEX, FRAGMENT);
-  programs.set(key, made);
-  return made;
+  return makeProgram(gl, names.map((name) => `#define ${name}\n`).join('') + VERTEX, FRAGMENT);
 }
 
 /** @param {Values} points @param {Values} faces @returns {Float32Array<ArrayBuffer>} Normals of points, as large faces as much. */
@@ -220,13 +213,9 @@ export class Mesh {
   draw(view, instances = 1) {
     if (this.hidden) return;
     const { gl, program, record, geometry: { array, faces, smooth } } = this;
-    gl.useProgram(program.program);
-    gl.uniformMatrix4fv(program.at('viewProjection'), false, view.viewProjection);
-    gl.uniformMatrix4fv(program.at('view'), false, view.view);
-    gl.uniform3fv(program.at('color'), display(record.color ?? COLOR).map((x) => x / 255));
-    gl.uniform3fv(program.at('shift'), this.pose?.shift ?? [0, 0, 0]);
-    gl.uniform1i(program.at('flat_'), smooth ? 0 : 1);
-    this.palette?.bind(0, program.at('palette'));
+    use(gl, program, view, {
+      color: display(record.color ?? COLOR).map((x) => x / 255), shift: this.pose?.shift ?? [0, 0, 0],
+      faceted: smooth ? 0 : 1, palette: this.palette });
     gl.bindVertexArray(array);
     gl.drawElementsInstanced(gl.TRIANGLES, faces.length, gl.UNSIGNED_INT, 0, instances);
   }

@@ -24,7 +24,7 @@
  * @typedef {{name: string, counts: number, points: number, width?: number, take?: number|null,
  *   joint?: number|null, bind?: number[]|null, color?: Vec|null}} StrandsRecord
  * @typedef {{name: string, positions: number, radius?: number, radii?: number|null,
- *   color?: Vec|null, colors?: number|null}} PointsRecord
+ *   color?: Vec|null, colors?: number|null, names?: string[]|null}} PointsRecord
  * @typedef {{name: string, mesh: number, t: number, r?: number|null, s?: number|null,
  *   visible?: number|null, color?: Vec|null}} InstancesRecord
  * @typedef {{name: string, t: number, r: number, focal_mm: number,
