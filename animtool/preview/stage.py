@@ -26,6 +26,8 @@ from animtool.usd.layers.sdf import usd_errors
 from animtool.usd.layers.stderr import without_usd_warnings
 from animtool.usd.props.reader import open_prop
 
+# So many copies are small on a page: without a colour of their own they are dark.
+MANY, DARK = 100, (0.03, 0.04, 0.06)
 # Scales of copies may be off by as much [1].
 SCALE_ERROR = 1e-4
 
@@ -255,7 +257,9 @@ def _add_copies(draft: Draft, prim: ShownPrim, codes: FloatArray) -> None:
         for i, (faces, matrix) in enumerate(parts):
             name = f"{prim.name} {k + 1}" + (f".{i + 1}" if len(parts) > 1 else "")
             placed = faces.points @ matrix[:3, :3].T + matrix[:3, 3]
-            own = replace(faces, points=placed, color=faces.color or prim.color)
+            dark = DARK if len(columns) > MANY else None
+            color = faces.color or prim.color or dark
+            own = replace(faces, points=placed, color=color)
             draft.meshes.append(_entry(draft, name, own) | {"prototype": True})
             visible = shown[:, columns]
             draft.instances.append(

@@ -1,7 +1,7 @@
 /** Meshes: skins in the vertex shader, blend shapes that have a weight, and points that move as cached. */
 
 import { CELL, SHADE, Table, attribute, makeBuffer, makeProgram, use } from './gl.js';
-import { multiply } from './maths.js';
+import { multiply, transform } from './maths.js';
 import { display } from './points.js';
 
 /** @typedef {import('./camera.js').View} View */
@@ -58,6 +58,8 @@ void main() {
 
 /** Meshes with fewer points are shaded by face: boxes keep their edges. */
 const SMOOTH_FROM = 200;
+/** Vertices of a skin that say how large it is. */
+const BOUNDS = 200;
 export const COLOR = [0.4, 0.43, 0.48];
 
 /** @param {WebGL2RenderingContext} gl @param {Kind} kind */
@@ -91,6 +93,8 @@ export class Geometry {
     this.rest = new Float32Array(0);
     this.faces = new Uint32Array(0);
     this.bind = new Float32Array(0);
+    /** First joint of vertices, in the palette. */
+    this.joints = new Uint16Array(0);
     /** Greatest coordinate [m]. */
     this.reach = 0;
     this.smooth = false;
@@ -110,7 +114,7 @@ export class Geometry {
     attribute(gl, 1, this.normals, 3);
     if (skin) {
       const weights = new Float32Array(await streams.whole(skin.weights));
-      const joints = new Uint16Array(await streams.whole(skin.joints));
+      const joints = this.joints = new Uint16Array(await streams.whole(skin.joints));
       this.bind = new Float32Array(await streams.whole(skin.bind));
       gl.bindVertexArray(array);
       attribute(gl, 2, makeBuffer(gl, joints), 4, { type: gl.UNSIGNED_SHORT, whole: true });
@@ -206,6 +210,22 @@ export class Mesh {
     if (cached) {
       this.shown = cached;
       this.geometry.place(cached);
+    }
+  }
+
+  /** Add where it is to a box: of skins some vertices, each with its first joint. @param {import('./maths.js').Box} box */
+  bound(box) {
+    const { pose, palette, shown, record: { skin }, geometry: { rest, joints, bind } } = this;
+    if (this.instances || pose?.visible === false) return;
+    if (!pose || !palette || !skin) {
+      for (let i = 0; i < shown.length; i += 3) box.add(shown, i);
+      return;
+    }
+    const m = new Float32Array(16), step = Math.ceil(rest.length / 3 / BOUNDS);
+    for (let v = 0; v * 3 < rest.length; v += step) {
+      const j = joints[v * 4];
+      multiply(m, 0, pose.world, skin.palette[j] * 16, bind, j * 16);
+      box.add(transform(m, [rest[v * 3], rest[v * 3 + 1], rest[v * 3 + 2]]), 0);
     }
   }
 

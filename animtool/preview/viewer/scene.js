@@ -96,10 +96,7 @@ export class Scene {
     for (const pose of this.poses) {
       for (let j = 0; pose.visible && j < pose.count; j++) box.add(pose.world, j * 16 + 12);
     }
-    for (const mesh of this.meshes) {
-      if (mesh.instances || mesh.pose?.visible === false) continue;
-      for (let i = 0; i < mesh.shown.length; i += 3) box.add(mesh.shown, i);
-    }
+    for (const mesh of this.meshes) mesh.bound(box);
     for (const { matrices, shown, mesh: { geometry: { reach } } } of this.instances) {
       for (let i = 0; i < shown; i++) {
         const size = reach * Math.hypot(...matrices.subarray(i * 16, i * 16 + 3));
@@ -144,7 +141,7 @@ export class Scene {
     gl.enable(gl.DEPTH_TEST);
     gl.disable(gl.BLEND);
     gl.depthRange(0.1, 1);
-    const solid = show.meshes && !this.simple && this.meshes.some((mesh) => !mesh.instances && mesh.pose);
+    const solid = show.meshes && !this.simple && this.meshes.some((mesh) => mesh.pose || mesh.record.cache != null);
     if (show.meshes) {
       for (const each of this.#solids) if (!(each instanceof Mesh && each.instances)) each.draw(view);
     }
