@@ -20,7 +20,7 @@ from measuring import HERE
 sys.path.insert(0, str(HERE.parent))
 from support.browser import CHROMIUM, chromium
 
-PICTURES = 40
+PICTURES = 12
 # Draws pictures one after another, each to its end, as edges are while a page plays.
 DRAW = """async (count) => {
   const { app } = animtool, { gl, timeline, view, streams, scene } = app;
