@@ -22,9 +22,9 @@ from animtool.rig.skeleton import Joint, Rig
 
 # Columns of the weights of targets, colours as display has them, and sizes [m].
 _KINDS = {
-    "position": ("positions", 0, (0.70, 0.04, 0.10), 0.014),
-    "aim": ("aims", 2, (0.75, 0.30, 0.02), 0.01),
-    "pole": ("poles", 3, (0.10, 0.20, 0.62), 0.01),
+    "position": ("positions", 0, (0.70, 0.04, 0.10), 0.024),
+    "aim": ("aims", 2, (0.75, 0.30, 0.02), 0.018),
+    "pole": ("poles", 3, (0.10, 0.20, 0.62), 0.018),
 }
 
 

@@ -69,7 +69,8 @@ export class Compare {
   /** Measure the takes of a sample that is posed. */
   update() {
     const [first, ...others] = this.poses;
-    if (!others.length) return;
+    // Those of a crowd are no versions of one motion.
+    if (!others.length || this.app.scene.crowd && !this.heat && !first.heat) return;
     first.heat = this.heat ? new Float32Array(first.count) : null;
     /** @type {Float32Array[]} */
     const apart = [];

@@ -108,15 +108,17 @@ export class App {
     for (const i of [0, 0.25, 0.5, 0.75, 1].map((x) => Math.round(x * (count - 1))).concat(sample)) {
       await streams.load(i);
       scene.update(i);
-      scene.prepare(this.show, this.colors);
-      parts.push({ box: scene.box(), at: pose?.count ? pose.position(pose.root) : [0, 0, 0] });
+      parts.push({ i, at: pose?.count ? pose.position(pose.root) : [0, 0, 0] });
     }
     this.#fit();
-    const { at: now } = parts[parts.length - 1], box = new Box();
+    const { at: now } = parts[parts.length - 1], all = new Box(), cast = new Box();
     const follow = !!pose?.count && !scene.crowd && parts.some(({ at }) => Math.hypot(at[0] - now[0], at[2] - now[2]) > pose.extent);
-    for (const { box: { low, high, empty }, at } of parts) {
-      const shift = follow ? [now[0] - at[0], 0, now[2] - at[2]] : [0, 0, 0];
-      if (!empty) for (const corner of [low, high]) box.add(corner, 0, shift);
+    let box = all;
+    for (const { i, at } of parts) {
+      await streams.load(i);
+      scene.update(i);
+      scene.prepare(this.show, this.colors);
+      box = scene.box(all, cast, follow ? [now[0] - at[0], 0, now[2] - at[2]] : undefined);
     }
     this.view.frame(box);
     scene.ground = new Ground(this.gl, box.radius);

@@ -22,6 +22,8 @@ import { SERIES } from './dom.js';
 const CAST = 4;
 /** Corners of triangles that are drawn without asking, and the longest that a picture of more may take [ms]. */
 const SMALL = 3e5, LONG = 50;
+/** So many times as large as its characters, a stage is not shown as a whole at first. */
+const WIDE = 4;
 
 export class Scene {
   /** @param {WebGL2RenderingContext} gl @param {Streams} streams @param {Manifest} manifest */
@@ -90,13 +92,27 @@ export class Scene {
 
   get joints() { return this.poses.some((pose) => pose.count); }
 
-  /** @returns {Box} Around all that is shown. */
-  box() {
-    const box = new Box();
+  /**
+   * Grow boxes around all that is shown and around its characters.
+   *
+   * @param {Box} [box] @param {Box} [cast] @param {number[]} [shift] How they are moved.
+   * @returns {Box} That of the characters, where the other is far larger.
+   */
+  box(box = new Box(), cast = new Box(), shift = [0, 0, 0]) {
+    const own = new Box(), around = new Box();
+    this.#bound(own, around);
+    if (!around.empty) for (const corner of [around.low, around.high]) cast.add(corner, 0, shift);
+    if (!own.empty) for (const corner of [own.low, own.high]) box.add(corner, 0, shift);
+    return !cast.empty && box.radius > WIDE * cast.radius ? cast : box;
+  }
+
+  /** @param {Box} box @param {Box} cast */
+  #bound(box, cast) {
     for (const pose of this.poses) {
-      for (let j = 0; pose.visible && j < pose.count; j++) box.add(pose.world, j * 16 + 12);
+      for (let j = 0; pose.visible && j < pose.count; j++) cast.add(pose.world, j * 16 + 12);
     }
-    for (const mesh of this.meshes) mesh.bound(box);
+    for (const mesh of this.meshes) mesh.bound(mesh.palette ? cast : box);
+    if (!cast.empty) for (const corner of [cast.low, cast.high]) box.add(corner, 0);
     for (const { matrices, shown, mesh: { geometry: { reach } } } of this.instances) {
       for (let i = 0; i < shown; i++) {
         const size = reach * Math.hypot(...matrices.subarray(i * 16, i * 16 + 3));
@@ -105,7 +121,6 @@ export class Scene {
     }
     for (const { points } of this.clouds) for (let i = 0; i < points.length; i += 3) if (points[i] < 1e29) box.add(points, i);
     for (const { points } of this.strands) for (let i = 0; points && i < points.length; i += 3) box.add(points, i);
-    return box;
   }
 
   /** Put everything where it is at a sample. @param {number} sample */
