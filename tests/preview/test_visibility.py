@@ -43,3 +43,15 @@ def test_a_mesh_of_a_character_is_hidden_alone(tmp_path: Path) -> None:
     hidden = [m["visible"] for m in page.manifest["meshes"] if m.get("visible")]
     assert len(hidden) == 1
     assert np.flatnonzero(page.values(hidden[0])[:, 0] == 0).tolist() == [1, 2]
+
+
+def test_a_scene_whose_meshes_are_points_has_its_skeleton(tmp_path: Path) -> None:
+    clip = write_pair(tmp_path)
+    scene = tmp_path / "points.scene.yaml"
+    scene.write_text(
+        f"scene: animtool/1\nsource: {{file: {clip.name}}}\noutput: {{deform: true}}\n"
+    )
+    manifest = make_page([scene], PLAIN).manifest
+    assert manifest["takes"][0]["moving"]["r"]
+    assert any(mesh["cache"] is not None for mesh in manifest["meshes"])
+    assert all(mesh["take"] is None for mesh in manifest["meshes"])
