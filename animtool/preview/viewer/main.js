@@ -9,6 +9,7 @@ import { Findings } from './findings.js';
 import { Box } from './maths.js';
 import { readFragment, writeFragment } from './fragment.js';
 import { Overlay } from './overlay.js';
+import { Pace } from './pace.js';
 import { Scene } from './scene.js';
 import { Timeline } from './timeline.js';
 import { Ground } from './trails.js';
@@ -22,8 +23,6 @@ const page = /** @type {Window & {animtool: Page}} */ (/** @type {unknown} */ (w
 
 /** How near to a joint a click selects it [CSS pixels]. */
 const NEAR = 14;
-/** Edges are smooth while pictures come as soon as this, and crowds have skins as soon as that [ms]. */
-const QUICK = 20, LONG = 50;
 
 export class App {
   /** @param {import('./types.js').Manifest} manifest @param {WebGL2RenderingContext} gl */
@@ -50,9 +49,7 @@ export class App {
     this.awake = true;
     this.inset = 0;
     this.before = 0;
-    /** How soon pictures follow one another while it plays [ms], and whether edges are smooth then. */
-    this.pace = 0;
-    this.fine = true;
+    this.pace = new Pace(this);
     /** @type {(() => void)[]} Who waits for the next picture. */
     this.waiting = [];
   }
@@ -67,7 +64,7 @@ export class App {
     connect(this);
     await this.#frameAll();
     describe(this);
-    this.setSimple(this.scene.simple);
+    this.pace.setSimple(this.scene.simple);
     this.awake = false;
     if (this.compare.beside) this.compare.arrange(true);
     steer(this.canvas, this.view, (moved) => {
@@ -184,7 +181,7 @@ export class App {
     this.stale ||= stale;
     this.dirty = true;
     if (this.awake) return;
-    this.pace = 0;
+    this.pace.reset();
     this.awake = true;
     this.before = 0;
     requestAnimationFrame((now) => this.#tick(now));
@@ -205,7 +202,7 @@ export class App {
       if (timeline.playing) {
         const last = timeline.sample;
         timeline.advance(this.before ? (now - this.before) / 1000 : 0);
-        this.#hurry(now);
+        this.pace.hurry(now, this.before);
         this.stale ||= last !== timeline.sample;
         this.before = now;
       }
@@ -226,30 +223,6 @@ export class App {
     }
     this.awake = timeline.playing || this.waiting.length > 0 || this.stale;
     if (this.awake) requestAnimationFrame((time) => this.#tick(time));
-  }
-
-  /** Draw less well what comes late. @param {number} now */
-  #hurry(now) {
-    if (!this.before) return;
-    const last = now - this.before;
-    this.pace += (last - (this.pace || last)) / 8;
-    if (this.pace > QUICK) this.fine = false;
-    if (this.pace > LONG && this.scene.crowd && this.scene.bodies.length && !this.chosen) this.setSimple(true);
-  }
-
-  /** @param {boolean} simple Whether a crowd is drawn as bones. */
-  setSimple(simple) {
-    const { scene } = this, note = button('simple');
-    note.hidden = !scene.crowd || !scene.bodies.length;
-    scene.simple = !note.hidden && simple;
-    note.textContent = scene.simple ? 'crowd drawn as bones; key M draws meshes' : 'key M draws the crowd as bones';
-    this.invalidate(true);
-  }
-
-  /** The user's word is the last. */
-  toggleSimple() {
-    this.chosen = true;
-    this.setSimple(!this.scene.simple);
   }
 
   /** @param {number} sample */
@@ -276,7 +249,7 @@ export class App {
     if (this.cameras.value !== `${view.shot}`) this.cameras.value = `${view.shot}`;
     this.#fit();
     view.update(scene.cameras[view.shot] ?? null, this.streams, scene.sample);
-    scene.draw(view, this.show, this.colors, this.selected, this.fine || !(this.timeline.playing || view.held));
+    scene.draw(view, this.show, this.colors, this.selected, this.pace.fine || !(this.timeline.playing || view.held));
     this.overlay.draw();
   }
 }

@@ -109,7 +109,7 @@ function keyboard(app) {
     ArrowDown: () => timeline.faster(-1), f: () => app.setFollow(!app.view.follow),
     1: () => app.preset('front'), 3: () => app.preset('side'), 7: () => app.preset('top'),
     0: () => app.preset('home'), l: () => timeline.setLoop(!timeline.loop),
-    m: () => app.toggleSimple(), '?': () => help.showModal(), Escape: () => app.select(null),
+    m: () => app.pace.toggle(), '?': () => help.showModal(), Escape: () => app.select(null),
   };
   addEventListener('keydown', (event) => {
     const { target } = event;
@@ -122,7 +122,7 @@ function keyboard(app) {
     act();
   });
   click('help-open', () => help.showModal());
-  click('simple', () => app.toggleSimple());
+  click('simple', () => app.pace.toggle());
   click('help-close', () => help.close());
 }
 
