@@ -50,6 +50,8 @@ class Fault:
         column: 1-based column of the chief line.
         where: Place inside a structured file, such as ``joints[3].axis``.
         brief: Shorter message for a terminal without ``-v``; empty is the message.
+        frame: Frame at fault, as the file numbers it; the first of several.
+        joint: Name of the joint at fault.
     """
 
     code: str
@@ -61,6 +63,8 @@ class Fault:
     column: int | None = None
     where: str | None = None
     brief: str = field(default="", repr=False, compare=False)
+    frame: float | None = field(default=None, repr=False)
+    joint: str | None = field(default=None, repr=False)
 
     def __str__(self) -> str:
         """Return ``file:line:column: CODE where: message, hint``, as far as known.
@@ -87,6 +91,8 @@ class Fault:
             "lines": list(self.lines),
             "column": self.column,
             "where": self.where,
+            "frame": self.frame,
+            "joint": self.joint,
             "hint": self.hint,
         }
 

@@ -7,7 +7,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -32,9 +32,7 @@ from animtool.preview.page import page_parts
 from animtool.preview.streams import quantized_range
 from animtool.preview.takes import Shown, add_take
 from animtool.preview.timing import FEWER, TimedPart, align, gathered_part, timeline_of
-
-if TYPE_CHECKING:
-    pass
+from animtool.preview.visibility import add_visibility
 
 # Bytes of its streams before they are deflated.
 MAX_BYTES = 1_000_000_000
@@ -199,6 +197,7 @@ def _drafted(
     shown = [(part, _add_part(draft, part)) for part in parts]
     for part, one in shown:
         add_character(draft, part.take, one)
+        add_visibility(draft, opened[part.file], part, one)
         add_channels(draft, one, part.take.clip, part.origin)
     for file in opened:
         if file.contents is not None:
@@ -207,6 +206,12 @@ def _drafted(
             add_stage(draft, file.contents)
         if file.markers is not None:
             _add_markers(draft, file.path.name, file.markers)
+        if file.targets is not None:
+            from animtool.preview.targets import add_targets
+
+            # Those of the first take, of which the others may be versions.
+            up = opened[shown[0][0].file].up if shown else UpAxis.Y
+            add_targets(draft, file.targets, shown[0][1] if shown else None, up)
     return draft, notices
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from fractions import Fraction
 from typing import Any
@@ -10,6 +12,7 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray
 from animtool.core.clock import time_codes
+from animtool.core.errors import AnimtoolError, counted
 from animtool.core.rates import rate_label
 from animtool.preview.streams import Packer
 
@@ -117,6 +120,18 @@ class Draft:
             "channels": self.channels,
             "findings": self.findings,
         }, blocks
+
+
+@contextmanager
+def skipped(draft: Draft, what: str) -> Iterator[None]:
+    """Leave out what cannot be read, and note why."""
+    try:
+        yield
+    except AnimtoolError as error:
+        more = len(error.faults) - 1
+        others = f", and {counted(more, 'more fault')}" if more else ""
+        fault = error.faults[0]
+        draft.note(f"{what} is left out: {fault.code} {fault.message}{others}")
 
 
 def rounded_up(error: float) -> float:

@@ -11,7 +11,6 @@ from animtool.core.errors import AnimtoolError, Fault, Severity
 from animtool.validation.options import ValidateOptions
 from animtool.validation.run import validate_files
 
-_FRAME = re.compile(r"\bframes? (-?\d+(?:\.\d+)?)")
 _QUOTED = re.compile(r"'((?:[^'\\]|\\.)*)'|\"((?:[^\"\\]|\\.)*)\"")
 # More are counted, not listed.
 MAX_FINDINGS = 500
@@ -37,17 +36,17 @@ def finding_entry(
     takes: by path of a file, the number of its take and the names of its joints.
     """
     take, joints = takes.get(fault.path or "", (None, ()))
-    text = f"{fault.where or ''} {fault.message}"
-    named = [a or b for a, b in _QUOTED.findall(fault.message)]
-    known = set(joints)
-    joint = next((name for name in named if name in known), None)
-    frame = _FRAME.search(text)
+    joint = fault.joint
+    if joint is None:
+        # Rules of files quote the joints that they are about.
+        named = [a or b for a, b in _QUOTED.findall(fault.message)]
+        joint = next((name for name in named if name in set(joints)), None)
     hint = f", {fault.hint}" if fault.hint else ""
     return {
         "code": fault.code,
         "severity": str(fault.severity),
         "message": f"{fault.message}{hint}",
-        "frame": None if frame is None else float(frame[1]),
+        "frame": fault.frame,
         "joint": joint,
         "take": take,
     }

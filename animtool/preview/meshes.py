@@ -10,7 +10,7 @@ import numpy as np
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.maths.faces import triangulated
 from animtool.preview.draft import Draft
-from animtool.preview.opened import OpenTake
+from animtool.preview.opened import ShownTake
 from animtool.preview.streams import Quantized, plain, quantized_range
 from animtool.preview.takes import Shown
 from animtool.rig.surfaces import Surface
@@ -30,7 +30,7 @@ STRAND_WIDTH = 0.001
 WEIGHT_ERROR = 1e-4
 
 
-def add_character(draft: Draft, character: OpenTake, shown: Shown) -> None:
+def add_character(draft: Draft, character: ShownTake, shown: Shown) -> None:
     """Add the meshes and strands of a take to a page."""
     names = [shape.name for shape in shown.rig.shapes]
     meshes = character_meshes(

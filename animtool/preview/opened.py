@@ -24,6 +24,8 @@ from animtool.core.files.reading import note_input
 from animtool.core.names import is_named
 from animtool.core.units import UpAxis, unit_name
 from animtool.formats.marker_files import is_marker_file, open_markers
+from animtool.ik.file import load_targets
+from animtool.ik.tracks import TargetTracks
 from animtool.motion.markers import Markers
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.reorient import reorient
@@ -42,11 +44,11 @@ from animtool.scene.sources.open import (
 )
 
 if TYPE_CHECKING:
+    from animtool.scene.scene import Scene
     from animtool.usd.caches.shown import StageContents
 
 # Kinds of files that hold nothing to be seen by themselves, and what shows them.
 _UNSEEN = {
-    "targets": "animtool ik RIG --targets FILE -o OUT.usda solves them; look at that",
     "batch": "look at what it bakes",
     "cameras": "look at what it is used for",
     "landmarks": "look at what it is used for",
@@ -57,7 +59,7 @@ _UNSEEN = {
 
 
 @dataclass(frozen=True, slots=True)
-class OpenTake:
+class ShownTake:
     """A take of a file, Y up, with what its joints carry."""
 
     name: str
@@ -66,6 +68,7 @@ class OpenTake:
     surfaces: tuple[Surface, ...] = ()
     strands: tuple[Strands, ...] = ()
     clip: Clip | None = None
+    prim: str = ""  # its Skeleton, on the stage of its file
 
 
 @dataclass(slots=True)
@@ -79,6 +82,7 @@ class OpenFile:
         takes: Its characters.
         contents: What its stage shows beside them; None of other files.
         markers: Its markers, Y up; None of other files.
+        targets: Its goals of inverse kinematics; None of other files.
         notices: Warnings and notes about it.
         folder: Where a scene was baked to; None of files that are read themselves.
     """
@@ -86,9 +90,10 @@ class OpenFile:
     path: Path
     unit: str = "m"
     up: str = "Y"
-    takes: list[OpenTake] = field(default_factory=list)
+    takes: list[ShownTake] = field(default_factory=list)
     contents: StageContents | None = None
     markers: Markers | None = None
+    targets: TargetTracks | None = None
     notices: list[Fault] = field(default_factory=list)
     folder: Path | None = None
 
@@ -110,6 +115,8 @@ class OpenFile:
             return self.takes[0].stream.fps
         if self.markers is not None:
             return self.markers.clock.fps
+        if self.targets is not None:
+            return self.targets.clock.fps
         return None if self.contents is None else self.contents.fps
 
 
@@ -136,6 +143,8 @@ def open_file(
         return _open_scene(path, options, held)
     if is_named(path, "rig"):
         return _open_rig(path)
+    if is_named(path, "targets"):
+        return _open_targets(path, alone=len(others) == 1)
     source = replace(
         fitting_options(options.source, path, others), prim_path=options.prim_path
     )
@@ -154,14 +163,14 @@ def open_file(
     return opened
 
 
-def own_take(name: str, stream: TakeStream, clip: Clip | None = None) -> OpenTake:
+def own_take(name: str, stream: TakeStream, clip: Clip | None = None) -> ShownTake:
     """Return a take with the meshes of its own rig."""
     stream = reorient(stream, UpAxis.Y)
     rig = stream.rig
     if not rig.meshes and not rig.attach:
-        return OpenTake(name, stream, bind_matrices(rig), clip=clip)
+        return ShownTake(name, stream, bind_matrices(rig), clip=clip)
     bind = bind_matrices(rig)
-    return OpenTake(name, stream, bind, surfaces_of(rig), strands_of(rig), clip)
+    return ShownTake(name, stream, bind, surfaces_of(rig), strands_of(rig), clip)
 
 
 def resting(rig: Rig) -> TakeStream:
@@ -180,6 +189,20 @@ def _open_rig(path: Path) -> OpenFile:
     opened = OpenFile(path, unit_name(rig.meters_per_unit), rig.up)
     opened.notices += rig.notices
     opened.takes.append(own_take(rig.name, resting(rig)))
+    return opened
+
+
+def _open_targets(path: Path, *, alone: bool) -> OpenFile:
+    note_input(path)
+    opened = OpenFile(path, targets=load_targets(path))
+    assert opened.targets is not None
+    opened.notices += opened.targets.notices
+    if alone:
+        message = "targets are shown without a rig: in metres, Y up, joints at 0"
+        hint = f"animtool preview RIG {path.name} shows them with it"
+        opened.notices.append(
+            Fault("PRV107", message, str(path), (), hint, Severity.NOTE)
+        )
     return opened
 
 
@@ -214,7 +237,7 @@ def _open_stage(path: Path, name: str, source: SourceOptions) -> OpenFile:
         label = source_stem(Path(name)) if len(streams) == 1 else prim
         turned = reorient(stream, UpAxis.Y)
         if not prim:
-            opened.takes.append(OpenTake(label, turned, bind_matrices(turned.rig)))
+            opened.takes.append(ShownTake(label, turned, bind_matrices(turned.rig)))
             continue
         meshes = source_meshes(path, prim)
         opened.notices += meshes.notices
@@ -222,7 +245,9 @@ def _open_stage(path: Path, name: str, source: SourceOptions) -> OpenFile:
         bones = contents.bone_names
         own = [surface for surface in meshes.surfaces if surface.name not in bones]
         surfaces = contents.turned_surfaces(own)
-        opened.takes.append(OpenTake(label, turned, bind, surfaces, meshes.strands))
+        opened.takes.append(
+            ShownTake(label, turned, bind, surfaces, meshes.strands, prim=prim)
+        )
     return opened
 
 
@@ -255,9 +280,16 @@ def _other_takes(path: Path, stream: TakeStream) -> list[Fault]:
     return [Fault("PRV101", message, str(path), (), hint, Severity.NOTE)]
 
 
+def shown_scene(scene: Scene) -> Scene:
+    """Return a scene with one output, which is shown and not written."""
+    output = scene.outputs[0]
+    usual = replace(output.bake, form=None, chunk=None, overwrite=False, take=None)
+    return replace(scene, outputs=(replace(output, path=None, bake=usual),))
+
+
 def _open_scene(path: Path, options: PreviewOptions, held: ExitStack) -> OpenFile:
     """Bake a scene to a temporary layer, and open that."""
-    from animtool.scene.bake.bake import bake_stage
+    from animtool.scene.bake.bake import bake_outputs
     from animtool.scene.file.read import load_scene
     from animtool.usd.layers.view import write_view
 
@@ -266,16 +298,27 @@ def _open_scene(path: Path, options: PreviewOptions, held: ExitStack) -> OpenFil
         message = f"saves {', '.join(sorted({kept.name for kept in scene.kept}))}"
         hint = "bake it, and look at its output"
         raise OptionError(Fault("PRV004", message, str(path), (), hint))
-    output = scene.outputs[0]
-    usual = replace(output.bake, form=None, chunk=None, overwrite=False, take=None)
-    scene = replace(scene, outputs=(replace(output, path=None, bake=usual),))
+    output = shown_scene(scene).outputs[0]
+    usual = output.bake
     folder = Path(held.enter_context(tempfile.TemporaryDirectory("animtool")))
     layer = folder / f"{source_stem(path)}.usdc"
-    report = bake_stage(scene, layer)
+    bones = folder / "bones" / layer.name
+    outputs = [replace(output, path=layer, bake=usual)]
+    if usual.deform and scene.sources:
+        bones.parent.mkdir()
+        joints = replace(usual, deform=False)
+        outputs.append(replace(output, path=bones, bake=joints, systems=()))
+    reports = bake_outputs(replace(scene, outputs=tuple(outputs)))
     shown = layer
     if usual.rig_layer is not None:
         shown = write_view(folder / "view.usda", layer, usual.rig_layer)
     opened = _open_stage(shown, path.name, SourceOptions())
     opened.path, opened.folder = path, folder
-    opened.notices += report.notices
+    if len(outputs) > 1:
+        # Its meshes are points: the skeleton that moved them is in a layer of its own.
+        takes = _open_stage(bones, path.name, SourceOptions()).takes
+        opened.takes += [
+            replace(one, surfaces=(), strands=(), prim="") for one in takes
+        ]
+    opened.notices += reports[0].notices
     return opened

@@ -23,7 +23,13 @@ class PreviewOptions:
     """
 
     source: SourceOptions = field(default_factory=SourceOptions)
-    prim_path: str | None = None
+    prim_path: str | None = option(
+        None,
+        "text",
+        "--prim-path",
+        metavar="PATH",
+        help="What to show of a USD file.  [default: all]",
+    )
     frame_range: FrameRange | None = option(
         None,
         "range",
@@ -37,3 +43,34 @@ class PreviewOptions:
         help="Whether findings of validate are on the page.  [default: --findings]",
     )
     variables: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class ShowOptions:
+    """What becomes of a page.
+
+    Attributes:
+        opened: Whether a browser opens it; None is where somebody would see it.
+        watch: Whether it is served, and made again when a file changes.
+        plan: Whether it is described alone, and not made.
+    """
+
+    opened: bool | None = option(
+        None,
+        "answer",
+        "--no-open",
+        help="Open the page in the browser, or print its path.  [default: open it, "
+        "but not over ssh, without a display, or with -o]",
+    )
+    watch: bool = option(
+        False,
+        "switch",
+        "--watch",
+        help="Serve the page on this machine alone, and reload it when a file changes.",
+    )
+    plan: bool = option(
+        False,
+        "switch",
+        "--plan",
+        help="Write nothing; print what the page would show, and where it would be.",
+    )

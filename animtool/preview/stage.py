@@ -2,31 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
-from animtool.core.errors import AnimtoolError, counted
 from animtool.core.units import UpAxis
 from animtool.maths import so3
 from animtool.motion.transforms import PropRequest, Track
-from animtool.preview.draft import Draft
+from animtool.preview.draft import Draft, skipped
 from animtool.preview.meshes import mesh_entry
 from animtool.preview.streams import (
     Quantized,
     quantized_range,
     quantized_units,
 )
+from animtool.preview.visibility import visibility_stream
 from animtool.usd.caches.reader import PointSample
 from animtool.usd.caches.shown import Faces, ShownPrim, StageContents
 from animtool.usd.layers.sdf import usd_errors
 from animtool.usd.layers.stderr import without_usd_warnings
 from animtool.usd.props.reader import open_prop
 
+# So many copies are small on a page: without a colour of their own they are dark.
+MANY, DARK = 100, (0.03, 0.04, 0.06)
 # Scales of copies may be off by as much [1].
 SCALE_ERROR = 1e-4
 
@@ -132,10 +133,7 @@ def _cache(draft: Draft, prim: ShownPrim, codes: FloatArray, count: int) -> int:
 
 
 def _visible(draft: Draft, prim: ShownPrim, codes: FloatArray) -> int | None:
-    shown = prim.visible(codes)
-    if shown.all():
-        return None
-    return draft.packer.add(Quantized(shown[:, None].astype("<u1"), "u8"))
+    return visibility_stream(draft, prim.visible(codes))
 
 
 def _add_curves(draft: Draft, prim: ShownPrim, codes: FloatArray) -> None:
@@ -259,7 +257,9 @@ def _add_copies(draft: Draft, prim: ShownPrim, codes: FloatArray) -> None:
         for i, (faces, matrix) in enumerate(parts):
             name = f"{prim.name} {k + 1}" + (f".{i + 1}" if len(parts) > 1 else "")
             placed = faces.points @ matrix[:3, :3].T + matrix[:3, 3]
-            own = replace(faces, points=placed, color=faces.color or prim.color)
+            dark = DARK if len(columns) > MANY else None
+            color = faces.color or prim.color or dark
+            own = replace(faces, points=placed, color=color)
             draft.meshes.append(_entry(draft, name, own) | {"prototype": True})
             visible = shown[:, columns]
             draft.instances.append(
@@ -349,18 +349,6 @@ def add_camera(draft: Draft, track: Track, times: FloatArray) -> None:
             "clip": clip,
         }
     )
-
-
-@contextmanager
-def skipped(draft: Draft, what: str) -> Iterator[None]:
-    """Leave out what cannot be read, and note why."""
-    try:
-        yield
-    except AnimtoolError as error:
-        more = len(error.faults) - 1
-        others = f", and {counted(more, 'more fault')}" if more else ""
-        fault = error.faults[0]
-        draft.note(f"{what} is left out: {fault.code} {fault.message}{others}")
 
 
 _ADD: dict[str, Callable[[Draft, ShownPrim, FloatArray], None]] = {

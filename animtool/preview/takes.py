@@ -67,9 +67,15 @@ class Shown:
 
 
 class Gathered:
-    """The motion of a take in memory: float32, what does not move once."""
+    """The motion of a take in memory: float32, what does not move once.
 
-    def __init__(self, blocks: Iterator[Motion]) -> None:
+    Numbers are those that a USD layer of the take would hold, so that a motion makes
+    the same page whatever file it is read from.
+    """
+
+    def __init__(self, blocks: Iterator[Motion], unit: float) -> None:
+        """Read a motion; unit: of length of its rig [m]."""
+        self._unit = unit
         self._rest: dict[str, Channel] = {}
         self._parts: dict[str, list[Float32Array]] = {}
         self.frames = 0
@@ -79,15 +85,28 @@ class Gathered:
                 channel: Channel | None = getattr(block, name)
                 if channel is not None:
                     self._rest.setdefault(name, channel)
-                    part = channel.values.astype(np.float32)
+                    part = self._stored(name, channel.values)
                     self._parts.setdefault(name, []).append(part)
+
+    def _stored(self, name: str, values: FloatArray) -> Float32Array:
+        """Return values as they are after a way through a layer."""
+        if name == "translations":
+            exact = (values / self._unit).astype(np.float32).astype(np.float64)
+            return (exact * self._unit).astype(np.float32)
+        if name == "rotations":
+            # What is read was made of unit length once more: then it stays as it is.
+            stored = values.astype(np.float32)
+            for _ in range(3):
+                stored = so3.normalize(stored.astype(np.float64)).astype(np.float32)
+            return stored
+        return values.astype(np.float32)
 
     def track(self, name: str) -> Track | None:
         """Return a channel; joints whose values are all equal do not move."""
         if name not in self._rest:
             return None
         first, values = self._rest[name], np.concatenate(self._parts.pop(name))
-        still = first.rest.astype(np.float32).astype(np.float64)
+        still = self._stored(name, first.rest).astype(np.float64)
         moves = np.zeros(len(first.animated), bool)
         if self.frames:
             moves = (values != values[:1]).any(axis=(0, 2))
@@ -153,6 +172,7 @@ def add_take(
         "shapes": None,
         "contacts": _named_spans(draft, contacts, first),
         "offset": [0.0, 0.0, 0.0],
+        "visible": None,
         "span": [first, first + gathered.frames - 1],
     }
     draft.takes.append(entry)

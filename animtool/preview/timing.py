@@ -15,7 +15,7 @@ from animtool.core.rates import rate_label
 from animtool.core.shot import FrameRange
 from animtool.motion.take import TakeStream
 from animtool.preview.draft import Timeline
-from animtool.preview.opened import OpenFile, OpenTake
+from animtool.preview.opened import OpenFile, ShownTake
 from animtool.preview.options import PreviewOptions
 from animtool.preview.takes import Gathered
 from animtool.scene.bake.first_frame import frame_start
@@ -35,12 +35,12 @@ class TimedPart:
     """A take, read, with where it is on the timeline."""
 
     file: int
-    take: OpenTake
+    take: ShownTake
     stream: TakeStream
     gathered: Gathered
     first: Fraction  # frame of the page that its first one is
     origin: Fraction  # the same of its file's first frame, which may be left out
-    shifted: bool = False  # whether it is shown at other frames than its own
+    shift: Fraction = Fraction(0)  # from its own frames to those that it is shown at
 
     @property
     def last(self) -> Fraction:
@@ -51,7 +51,7 @@ class TimedPart:
 def gathered_part(
     number: int,
     file: OpenFile,
-    take: OpenTake,
+    take: ShownTake,
     fps: Fraction,
     options: PreviewOptions,
     notices: list[Fault],
@@ -96,7 +96,7 @@ def gathered_part(
         message = f"has {rate_label(take.stream.fps)} and is shown at {rate_label(fps)}"
         note = Fault("PRV103", message, str(file.path), severity=Severity.NOTE)
         notices.append(note)
-    gathered = Gathered(stream.blocks)
+    gathered = Gathered(stream.blocks, stream.rig.meters_per_unit)
     notices += map(file.located, stream.notices)
     return TimedPart(number, take, stream, gathered, start, origin)
 
@@ -112,8 +112,9 @@ def align(parts: list[TimedPart]) -> list[Fault]:
                 f"and is shown from frame {frame_label(lead.first)}"
             )
             notices.append(Fault("PRV104", message, severity=Severity.NOTE))
-            part.origin += lead.first - part.first
-            part.first, part.shifted = lead.first, True
+            part.shift = lead.first - part.first
+            part.origin += part.shift
+            part.first = lead.first
     return notices
 
 
@@ -143,6 +144,11 @@ def timeline_of(
             ratio = fps / clock.fps
             last = clock.start + (clock.count - 1) * clock.step
             spans.append((clock.start * ratio, last * ratio))
+        if file.targets is not None and all(part.gathered.frames < 2 for part in parts):
+            clock = file.targets.clock
+            ratio = Fraction(1) if file.targets.fps is None else fps / clock.fps
+            last = clock.start + (clock.count - 1) * clock.step
+            spans.append((clock.start * ratio, last * ratio))
     first = min((a for a, _ in spans), default=parts[0].first if parts else Fraction(1))
     last = max((b for _, b in spans), default=first)
     frames = options.frame_range
@@ -167,7 +173,7 @@ def _within(
     part: TimedPart, stated: tuple[Fraction, Fraction] | None
 ) -> tuple[Fraction, Fraction]:
     """Return the frames of a take, without those that its stage does not count."""
-    if stated is None or part.shifted:
+    if stated is None or part.shift:
         return part.first, part.last
     first, last = max(part.first, stated[0]), min(part.last, stated[1])
     return (first, last) if first <= last else (part.first, part.last)

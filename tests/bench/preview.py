@@ -11,15 +11,20 @@ import sys
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from figures import Bound, Clock, Row
 from measuring import HERE, ROOT, Run, begin, on_one_thread, parser, run
+from preview_pictures import browsers, pictures
 
 OWN = "animtool preview"
 JOINTS, RATE = 60, 60
 # Frames of takes of 60 joints, with bounds: bytes of the page, and CPU time beyond that
 # of a page of one frame [s].
 TAKES: dict[int, tuple[float, float | None]] = {600: (400e3, 0.5), 10_000: (12e6, None)}
+# CPU time of a picture: 60 a second of a skeleton and 15 of skins, on two processors
+# [ms].
+SKELETON, SKINS = 2 * 1000 / 60, 2 * 1000 / 15
 SAMPLES = (
     "walk/walk.bvh",
     "stride/stride.clip.yaml",
@@ -82,6 +87,20 @@ def rows_of(
     return rows
 
 
+def picture_rows(section: str, browser: Any, page: Path, most: float) -> list[Row]:
+    """Return what a page costs in a browser; most: CPU time a picture [ms]."""
+    if browser is None:
+        return []
+    shown = pictures(browser, page)
+    bound = Bound(at_least=False, bound=most)
+    return [
+        Row(section, OWN, "first picture [s]", [shown.opened], clock=Clock.WALL),
+        Row(section, OWN, "CPU a picture [ms]", [shown.cpu], bound, Clock.CPU),
+        Row(section, OWN, "wall a picture [ms]", [shown.wall], clock=Clock.WALL),
+        Row(section, OWN, "heap of JavaScript [MB]", [shown.heap]),
+    ]
+
+
 def previewed(path: Path, output: Path) -> Run:
     """Make a page in a process of its own."""
     words = [sys.executable, "-P", "-m", "animtool", "preview", str(path)]
@@ -96,7 +115,7 @@ def main() -> None:
     on_one_thread()
     session = begin(options, (sys.executable, ["animtool", "numpy", "usd-core"]))
     rows: list[Row] = []
-    with tempfile.TemporaryDirectory() as name:
+    with tempfile.TemporaryDirectory() as name, browsers() as browser:
         folder = Path(name)
         page = folder / "page.html"
         files = [folder / f"{frames}.bvh" for frames in (1, *TAKES)]
@@ -109,12 +128,15 @@ def main() -> None:
         for path, (most, beyond) in zip(files[1:], TAKES.values(), strict=True):
             section = f"{JOINTS} joints, {path.stem} frames"
             rows += rows_of(section, runs[path], runs[files[0]], most, beyond)
+            previewed(path, page)
+            rows += picture_rows(section, browser, page, SKELETON)
         for part in ("samples", "rigs"):
             shutil.copytree(ROOT / part, folder / part)
         (folder / "animtool.toml").touch()
         for sample in SAMPLES:
             made = [previewed(folder / "samples" / sample, page)]
             rows += rows_of(sample, made)
+            rows += picture_rows(sample, browser, page, SKINS)
     session.finish(options.csv, rows)
 
 

@@ -80,3 +80,17 @@ def test_what_makes_no_sense_is_usage(walk: Path, tmp_path: Path) -> None:
     assert animtool("preview", walk, "--watch", "-o", tmp_path / "o.html").code == 2
     assert animtool("preview", walk, "--frames", "9-1").code == 2
     assert animtool("preview", tmp_path / "none.bvh", "--no-open").code == 3
+
+
+def test_a_plan_writes_nothing(walk: Path, root: Path, tmp_path: Path) -> None:
+    output = tmp_path / "walk.html"
+    scene = root / "samples/rope/lantern.scene.yaml"
+    done = animtool("preview", walk, scene, "--plan", "-o", output, "--format", "json")
+    steps = json.loads(done.stdout)["steps"]
+    assert (done.code, output.exists()) == (0, False)
+    assert steps[0]["kind"] == "source"
+    assert "64 frames" in " ".join(steps[0]["makes"])
+    assert steps[-1]["kind"] == "output"
+    assert steps[-1]["makes"] == [str(output)]
+    assert any(step["kind"] == "system" for step in steps)
+    assert animtool("preview", walk, "--plan", "--watch").code == 2

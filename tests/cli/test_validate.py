@@ -7,7 +7,9 @@ import json
 import os
 from pathlib import Path
 
+import numpy as np
 import pytest
+from support.bvh import small_bvh
 from support.cli import animtool, animtool_process
 
 from animtool.core.errors import Severity
@@ -294,3 +296,14 @@ def test_a_difference_shows_the_findings_that_stay(mendable: Path) -> None:
     assert (done.code, done.stdout) == (1, "")
     assert "RIG007" in done.stderr
     assert "nothing to change" in done.stderr
+
+
+def test_findings_of_motion_have_their_frame_and_joint(tmp_path: Path) -> None:
+    rows = np.zeros((24, 9))
+    rows[:, 6] = np.linspace(0, 4, 24)
+    rows[12:, 6] += 120
+    path = tmp_path / "pop.bvh"
+    path.write_text(small_bvh(rows))
+    done = animtool("validate", path, "--format", "json")
+    found = [f for f in json.loads(done.stdout)["findings"] if f["joint"]]
+    assert {(f["joint"], f["frame"]) for f in found} >= {("Spine", 12.0)}

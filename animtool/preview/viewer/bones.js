@@ -1,6 +1,6 @@
 /** Skeletons: bones as octahedra, joints as balls, and the axes of joints. */
 
-import { CELL, SHADE, Table, drawTable, makeProgram } from './gl.js';
+import { CELL, SHADE, Table, attribute, drawTable, makeBuffer, makeProgram, use } from './gl.js';
 import { Lines } from './lines.js';
 import { Sprites } from './points.js';
 import { sub, unit } from './maths.js';
@@ -36,6 +36,15 @@ const FRAGMENT = `${SHADE}
 in vec3 n; in vec3 tint; out vec4 result;
 void main() { result = vec4(shade(tint, normalize(n)), 1.); }`;
 
+const THIN_VERTEX = `
+layout(location=0) in vec3 point; layout(location=1) in vec3 color; uniform mat4 viewProjection; out vec3 tint;
+void main() { gl_Position = viewProjection * vec4(point, 1.); tint = color; }`;
+
+const THIN_FRAGMENT = 'in vec3 tint; out vec4 result; void main() { result = vec4(tint, 1.); }';
+
+/** Most joints that are drawn with thick bones: those of a crowd are lines. */
+const THICK = 1500;
+
 /** @param {number} h 0…1 @returns {number[]} From calm blue over yellow to red, 0…255. */
 export function heatColor(h) {
   const stops = [[41, 115, 184], [237, 209, 107], [204, 46, 41]];
@@ -51,6 +60,11 @@ export class Bones {
     this.table = new Table(gl);
     this.balls = new Sprites(gl);
     this.axes = new Lines(gl);
+    this.thin = makeProgram(gl, THIN_VERTEX, THIN_FRAGMENT);
+    this.array = gl.createVertexArray();
+    this.ends = makeBuffer(gl);
+    gl.bindVertexArray(this.array);
+    for (const i of [0, 1]) attribute(gl, i, this.ends, 3, { stride: 24, offset: i * 12 });
   }
 
   /**
@@ -61,6 +75,10 @@ export class Bones {
    * @param {{bones: boolean, axes: boolean}} show
    */
   draw(view, poses, color, selected, accent, show) {
+    if (show.bones && poses.reduce((sum, { count }) => sum + count, 0) > THICK) {
+      this.#lines(view, poses, color, selected, accent);
+      return;
+    }
     /** @type {number[]} */
     const bones = [], balls = [];
     /** @type {number[]} */
@@ -93,17 +111,41 @@ export class Bones {
     this.axes.draw(view, { width: 1.5 });
   }
 
+  /**
+   * Draw many skeletons as thin lines.
+   *
+   * @param {View} view @param {Pose[]} poses @param {(take: number) => number[]} color
+   * @param {{take: number}|null} selected @param {number[]} accent
+   */
+  #lines(view, poses, color, selected, accent) {
+    const { gl, thin } = this, values = new Float32Array(12 * poses.reduce((sum, { count }) => sum + count, 0));
+    let at = 0;
+    for (const { index, parents, world, count } of poses) {
+      const tint = (index === selected?.take ? accent : color(index)).map((x) => x / 255);
+      for (let j = 0; j < count; j++) {
+        for (const end of parents[j] < 0 ? [] : [j, parents[j]]) {
+          for (let k = 0; k < 3; k++, at++) {
+            values[at] = world[end * 16 + 12 + k];
+            values[at + 3] = tint[k];
+          }
+          at += 3;
+        }
+      }
+    }
+    gl.bindBuffer(gl.ARRAY_BUFFER, this.ends);
+    gl.bufferData(gl.ARRAY_BUFFER, values, gl.STREAM_DRAW);
+    use(gl, thin, view, {});
+    gl.bindVertexArray(this.array);
+    gl.drawArrays(gl.LINES, 0, at / 6);
+  }
+
   /** @param {View} view @param {number[]} bones Three cells each. @param {number} size */
   #octahedra(view, bones, size) {
     const { gl, program, table } = this;
     table.grow(bones.length / 4);
     table.values.set(bones);
     table.send(bones.length / 4);
-    gl.useProgram(program.program);
-    table.bind(0, program.at('bones'));
-    gl.uniformMatrix4fv(program.at('viewProjection'), false, view.viewProjection);
-    gl.uniformMatrix4fv(program.at('view'), false, view.view);
-    gl.uniform1f(program.at('thickest'), size * 0.03);
+    use(gl, program, view, { bones: table, thickest: size * 0.03 });
     drawTable(gl, bones.length * 2);
   }
 

@@ -1,5 +1,6 @@
 /** The camera: it orbits a target, or looks through a camera of the shot. */
 
+import { gestures } from './gestures.js';
 import { add, clamp, compose, identity, invertRigid, lookAt, multiply, perspective, sub, transform } from './maths.js';
 
 /** @typedef {import('./types.js').CameraRecord} CameraRecord */
@@ -26,6 +27,8 @@ export class View {
     /** Index of the shot's camera that it looks through, −1 for none. */
     this.shot = -1;
     this.follow = false;
+    /** Whether fingers or a button move it. */
+    this.held = false;
     /** @type {number[]|null} Where the followed joint was last. */
     this.followed = null;
     this.width = this.height = this.ratio = 1;
@@ -159,42 +162,24 @@ export class View {
  * @param {(moved: boolean) => void} changed @param {(x: number, y: number) => void} picked
  */
 export function steer(element, view, changed, picked) {
-  /** @type {Map<number, number[]>} */
-  const fingers = new Map();
-  let travelled = 0;
-  element.addEventListener('pointerdown', (event) => {
-    element.setPointerCapture(event.pointerId);
-    if (!fingers.size) travelled = 0;
-    fingers.set(event.pointerId, [event.offsetX, event.offsetY]);
-  });
-  element.addEventListener('pointermove', (event) => {
-    const last = fingers.get(event.pointerId);
-    if (!last) return;
-    const dx = event.offsetX - last[0], dy = event.offsetY - last[1];
-    travelled += Math.abs(dx) + Math.abs(dy);
-    const other = [...fingers].find(([id]) => id !== event.pointerId)?.[1];
-    if (other) {
-      const gap = (/** @type {number[]} */ p) => Math.hypot(p[0] - other[0], p[1] - other[1]) || 1;
-      view.zoom(gap(last) / gap([event.offsetX, event.offsetY]));
-      view.pan(dx / 2, dy / 2);
-    } else if (event.buttons & 6 || event.shiftKey) view.pan(dx, dy);
-    else view.orbit(dx, dy);
-    fingers.set(event.pointerId, [event.offsetX, event.offsetY]);
-    if (travelled > 4) view.shot = -1;
-    changed(travelled > 4);
-  });
-  const up = (/** @type {PointerEvent} */ event) => {
-    if (fingers.delete(event.pointerId) && travelled <= 4 && event.type === 'pointerup') {
-      picked(event.offsetX, event.offsetY);
-    }
-  };
-  element.addEventListener('pointerup', up);
-  element.addEventListener('pointercancel', up);
-  element.addEventListener('contextmenu', (event) => event.preventDefault());
-  element.addEventListener('wheel', (event) => {
-    event.preventDefault();
+  const moved = () => {
     view.shot = -1;
-    view.zoom(Math.exp(clamp(event.deltaY, -200, 200) * 0.0015));
     changed(true);
-  }, { passive: false });
+  };
+  gestures(element, {
+    drag: (dx, dy, pans) => {
+      if (pans) view.pan(dx, dy);
+      else view.orbit(dx, dy);
+      moved();
+    },
+    zoom: (factor) => {
+      view.zoom(factor);
+      moved();
+    },
+    tap: picked,
+    hold: (held) => {
+      view.held = held;
+      changed(false);
+    },
+  });
 }

@@ -1,7 +1,7 @@
 /** Several takes: beside or over one another, and how far they are from the first. */
 
 import { Box, roundUp } from './maths.js';
-import { SERIES, button, css, make, named, need, number } from './dom.js';
+import { SERIES, button, click, css, make, named, need, number, press } from './dom.js';
 
 /** @typedef {import('./main.js').App} App */
 /** @typedef {import('./skeleton.js').Pose} Pose */
@@ -24,9 +24,9 @@ export class Compare {
     need('takes', HTMLElement).append(...this.poses.map((pose, i) => this.#entry(pose, i)));
     const several = this.poses.length > 1;
     need('layouts', HTMLElement).hidden = !several;
-    button('over').addEventListener('click', () => this.arrange(false));
-    button('beside').addEventListener('click', () => this.arrange(true));
-    button('heat').addEventListener('click', () => {
+    click('over', () => this.arrange(false));
+    click('beside', () => this.arrange(true));
+    click('heat', () => {
       this.heat = !this.heat;
       this.show();
       app.invalidate(true);
@@ -40,7 +40,7 @@ export class Compare {
     if (this.poses.length > 1) dot.style.background = css(SERIES[i % SERIES.length]);
     const check = make('input', {
       type: 'checkbox', checked: true, change: (event) => {
-        pose.visible = event.target instanceof HTMLInputElement && event.target.checked;
+        pose.wanted = event.target instanceof HTMLInputElement && event.target.checked;
         this.app.invalidate(true);
       },
     });
@@ -69,7 +69,8 @@ export class Compare {
   /** Measure the takes of a sample that is posed. */
   update() {
     const [first, ...others] = this.poses;
-    if (!others.length) return;
+    // Those of a crowd are no versions of one motion.
+    if (!others.length || this.app.scene.crowd && !this.heat && !first.heat) return;
     first.heat = this.heat ? new Float32Array(first.count) : null;
     /** @type {Float32Array[]} */
     const apart = [];
@@ -99,9 +100,9 @@ export class Compare {
   }
 
   show() {
-    button('over').setAttribute('aria-pressed', String(!this.beside));
-    button('beside').setAttribute('aria-pressed', String(this.beside));
-    button('heat').setAttribute('aria-pressed', String(this.heat));
+    press(button('over'), !this.beside);
+    press(button('beside'), this.beside);
+    press(button('heat'), this.heat);
     need('heat-scale', HTMLElement).hidden = !this.heat;
   }
 }

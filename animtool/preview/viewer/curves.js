@@ -1,11 +1,12 @@
 /** Curves of controls and channels over time, with the playhead. */
 
+import { gestures } from './gestures.js';
 import { clamp } from './maths.js';
 import { SERIES, css, fit, make, named, need, number, short, themeColors } from './dom.js';
 
 /** @typedef {import('./types.js').Channel} Channel */
 /** @typedef {import('./main.js').App} App */
-/** @typedef {{channel: Channel, color: number[], values: Float32Array, first: number, low: number, high: number}} Curve */
+/** @typedef {{channel: Channel, color: number[], values: Float32Array, first: number}} Curve */
 
 /** Most names of channels in the list, and curves in the chart. */
 const LISTED = 200, DRAWN = 6;
@@ -22,6 +23,9 @@ export class Curves {
     this.playhead = need('playhead', HTMLElement);
     /** Width of the chart [px]. */
     this.wide = 0;
+    /** First and last sample that are seen. */
+    this.from = 0;
+    this.to = Math.max(app.timeline.count - 1, 1);
     /** @type {Text[]} Values at the playhead. */
     this.values = [];
     this.canvas = need('chart', HTMLCanvasElement);
@@ -75,12 +79,7 @@ export class Curves {
       const color = SERIES.find((each) => !used.has(each)) ?? SERIES[0];
       const values = await this.app.streams.column(channel.values, channel.column ?? 0);
       const first = this.app.scene.poses[channel.take ?? -1]?.span[0] ?? 0;
-      let low = Infinity, high = -Infinity;
-      for (const value of values) {
-        if (value < low) low = value;
-        if (value > high) high = value;
-      }
-      this.shown.set(i, { channel, color, values, first, low, high });
+      this.shown.set(i, { channel, color, values, first });
     }
     this.resize();
     this.show();
@@ -102,24 +101,43 @@ export class Curves {
     this.app.invalidate();
   }
 
-  /** Scrub on the chart. */
+  /** @param {number} sample @returns {number} Where it is on the chart [CSS pixels]. */
+  #x(sample) { return LEFT + (sample - this.from) / (this.to - this.from) * (this.wide - LEFT - RIGHT); }
+
+  /** @param {number} x @returns {number} The sample there. */
+  #at(x) { return this.from + (x - LEFT) / (this.wide - LEFT - RIGHT) * (this.to - this.from); }
+
+  /** Scrub on the chart; zoom and pan it in time. */
   #scrubbing() {
-    const go = (/** @type {PointerEvent} */ event) => {
-      const wide = this.canvas.clientWidth - LEFT - RIGHT;
-      this.app.timeline.seek((event.offsetX - LEFT) / wide * (this.app.timeline.count - 1));
-    };
-    this.canvas.addEventListener('pointerdown', (event) => {
-      this.canvas.setPointerCapture(event.pointerId);
-      go(event);
+    const go = (/** @type {number} */ x) => this.app.timeline.seek(this.#at(x));
+    gestures(this.canvas, {
+      drag: (dx, _, pans, x) => (pans ? this.look(1, x, dx) : go(x)),
+      zoom: (factor, x) => this.look(factor, x, 0),
+      tap: go,
     });
-    this.canvas.addEventListener('pointermove', (event) => { if (event.buttons) go(event); });
+    this.canvas.addEventListener('dblclick', () => this.look(Infinity, 0, 0));
+  }
+
+  /** See more or less of the time, or earlier or later. @param {number} factor @param {number} x What stays where it is. @param {number} dx [CSS pixels] */
+  look(factor, x, dx) {
+    const last = Math.max(this.app.timeline.count - 1, 1), span = this.to - this.from;
+    const wide = clamp(span * factor, Math.min(4, last), last), stays = this.#at(x);
+    const from = stays - (stays - this.from) * wide / span - dx / (this.wide - LEFT - RIGHT) * wide;
+    this.from = wide === last ? 0 : clamp(from, 0, last - wide);
+    this.to = this.from + wide;
+    this.draw();
   }
 
   /** @returns {Map<string, number[]>} Least and greatest value by unit. */
   #ranges() {
     /** @type {Map<string, number[]>} */
     const out = new Map();
-    for (const { channel, low, high } of this.shown.values()) {
+    for (const { channel, values, first } of this.shown.values()) {
+      let low = Infinity, high = -Infinity;
+      for (let i = Math.max(0, Math.floor(this.from - first)); i <= this.to - first + 1 && i < values.length; i++) {
+        if (values[i] < low) low = values[i];
+        if (values[i] > high) high = values[i];
+      }
       const [a, b] = out.get(channel.unit) ?? [Infinity, -Infinity];
       out.set(channel.unit, [Math.min(a, low), Math.max(b, high)]);
     }
@@ -134,10 +152,9 @@ export class Curves {
     if (this.section.hidden) return;
     const ratio = fit(this.canvas), pen = this.canvas.getContext('2d');
     if (!pen) return;
-    const { count } = this.app.timeline, colors = themeColors();
+    const colors = themeColors();
     const width = this.wide = this.canvas.clientWidth, height = this.canvas.clientHeight;
     const right = width - RIGHT, bottom = height - BOTTOM;
-    const x = (/** @type {number} */ i) => LEFT + i / Math.max(count - 1, 1) * (right - LEFT);
     pen.setTransform(ratio, 0, 0, ratio, 0, 0);
     pen.clearRect(0, 0, width, height);
     pen.font = '11px system-ui, sans-serif';
@@ -153,10 +170,15 @@ export class Curves {
       pen.stroke();
       pen.fillText(number(main[0] + (main[1] - main[0]) * k / 2, 2), LEFT - 6, y + 4);
     }
+    pen.save();
+    pen.beginPath();
+    pen.rect(LEFT - 4, 0, right - LEFT + 8, height);
+    pen.clip();
     for (const curve of this.shown.values()) {
       const [low, high] = ranges.get(curve.channel.unit) ?? [0, 1];
-      this.#curve(pen, curve, x, (v) => bottom - (v - low) / (high - low) * (bottom - TOP));
+      this.#curve(pen, curve, (v) => bottom - (v - low) / (high - low) * (bottom - TOP));
     }
+    pen.restore();
     this.values = [...this.shown.values()].map(() => new Text());
     this.legend.replaceChildren(...[...this.shown.values()].map(({ channel, color }, i) => {
       const dot = make('i', { class: 'dot' });
@@ -169,27 +191,29 @@ export class Curves {
   /** Put the playhead where the frame is, and write the values there. */
   move() {
     if (this.section.hidden) return;
-    const { count, sample } = this.app.timeline;
-    const x = LEFT + sample / Math.max(count - 1, 1) * (this.wide - LEFT - RIGHT);
-    this.playhead.style.transform = `translateX(${x}px)`;
+    const { sample } = this.app.timeline;
+    this.playhead.hidden = sample < this.from || sample > this.to;
+    this.playhead.style.transform = `translateX(${this.#x(sample)}px)`;
     [...this.shown.values()].forEach(({ channel, values, first }, i) => {
       const value = values[clamp(sample - first, 0, values.length - 1)] ?? NaN;
-      if (this.values[i]) this.values[i].data = `${number(value)} ${channel.unit}`;
+      const text = `${number(value)} ${channel.unit}`;
+      if (this.values[i] && this.values[i].data !== text) this.values[i].data = text;
     });
   }
 
   /**
-   * @param {CanvasRenderingContext2D} pen @param {Curve} curve
-   * @param {(sample: number) => number} x @param {(value: number) => number} y
+   * @param {CanvasRenderingContext2D} pen @param {Curve} curve @param {(value: number) => number} y
    */
-  #curve(pen, { values, color, channel, first: start }, x, y) {
+  #curve(pen, { values, color, channel, first: start }, y) {
+    const x = (/** @type {number} */ sample) => this.#x(sample);
     pen.strokeStyle = pen.fillStyle = css(color);
     pen.lineWidth = 1.5;
     pen.lineJoin = 'round';
     pen.beginPath();
     // Of many samples in a pixel, the least and the greatest are drawn.
-    const each = Math.max(1, Math.floor(values.length / 2000));
-    for (let i = 0; i < values.length; i += each) {
+    const each = Math.max(1, Math.floor(Math.min(this.to - this.from, values.length) / 2000));
+    const last = Math.min(values.length, Math.ceil(this.to - start) + each + 1);
+    for (let i = Math.max(0, Math.floor((this.from - start) / each) * each); i < last; i += each) {
       let low = values[i], high = low;
       for (let k = i + 1; k < i + each && k < values.length; k++) {
         low = Math.min(low, values[k]);

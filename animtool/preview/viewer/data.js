@@ -6,7 +6,8 @@
 /** @typedef {Map<number, Values>} Block Values by stream, all of one sample after another. */
 
 const BYTES = { u8: 1, i16: 2, u16: 2, u32: 4, f32: 4 };
-const KEPT = 8;
+/** Decoded blocks that are kept [bytes], and those that a frame needs beside. */
+const KEPT = 32e6;
 
 /** @param {string} text Base64. @returns {Promise<Uint8Array>} What it holds, inflated. */
 async function inflate(text) {
@@ -51,6 +52,9 @@ function unpack(bytes, at, { kind, width, coding, scale, offset, gaps }, samples
   return out;
 }
 
+/** @param {Block} block @returns {number} Its size [bytes]. */
+const sizeOf = (block) => [...block.values()].reduce((sum, { byteLength }) => sum + byteLength, 0);
+
 export class Streams {
   /** @param {Manifest} manifest @param {(block: number) => string} text Base64 of a block. */
   constructor(manifest, text) {
@@ -74,7 +78,10 @@ export class Streams {
     this.constant = new Map();
     /** @type {Map<number, number>} Streams that frames draw, and the frame of their first sample. */
     this.drawn = new Map();
-    this.kept = KEPT;
+    /** Most bytes of decoded blocks. */
+    this.most = KEPT;
+    /** Size of decoded blocks [bytes], and most blocks that a frame needs. */
+    this.size = this.needed = 0;
   }
 
   /** Draw streams in every frame. @param {(number|null|undefined)[]} ids @param {number} [first] */
@@ -120,7 +127,12 @@ export class Streams {
       else values.set(stream.id, part);
     }
     this.blocks.set(block, values);
-    while (this.blocks.size > this.kept) this.blocks.delete([...this.blocks.keys()][0]);
+    this.size += sizeOf(values);
+    for (const [oldest, held] of this.blocks) {
+      if (this.size <= this.most || this.blocks.size <= 2 * this.needed) break;
+      this.blocks.delete(oldest);
+      this.size -= sizeOf(held);
+    }
     return values;
   }
 
@@ -138,7 +150,7 @@ export class Streams {
       const entry = this.#entry(id, sample - first);
       if (entry && !this.constant.has(id)) needed.add(entry[0]);
     }
-    this.kept = Math.max(this.kept, 2 * needed.size);
+    this.needed = Math.max(this.needed, needed.size);
     return [...needed].filter((block) => !this.blocks.has(block));
   }
 

@@ -10,6 +10,12 @@ export function need(id, kind) {
 /** @param {string} id */
 export const button = (id) => need(id, HTMLButtonElement);
 
+/** Whether a button is down. @param {HTMLElement} element @param {boolean} on */
+export const press = (element, on) => element.setAttribute('aria-pressed', String(on));
+
+/** @param {string} id @param {() => void} act */
+export const click = (id, act) => button(id).addEventListener('click', act);
+
 /**
  * @param {string} tag @param {Record<string, string|boolean|((event: Event) => void)>} [attributes]
  * @param {...(Node|string)} children @returns {HTMLElement}

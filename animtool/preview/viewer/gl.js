@@ -16,11 +16,21 @@ vec3 heatColor(float h) {
     : mix(vec3(.93, .82, .42), vec3(.80, .18, .16), h * 2. - 1.);
 }`;
 
+/** @type {Map<string, Program>} */
+const programs = new Map();
+
 /**
  * @param {WebGL2RenderingContext} gl @param {string} vertex @param {string} fragment
- * @returns {Program}
+ * @returns {Program} One for each text.
  */
 export function makeProgram(gl, vertex, fragment) {
+  const made = programs.get(vertex + fragment) ?? compiled(gl, vertex, fragment);
+  programs.set(vertex + fragment, made);
+  return made;
+}
+
+/** @param {WebGL2RenderingContext} gl @param {string} vertex @param {string} fragment @returns {Program} */
+function compiled(gl, vertex, fragment) {
   const program = gl.createProgram();
   for (const [type, text] of /** @type {[number, string][]} */ ([
     [gl.VERTEX_SHADER, vertex], [gl.FRAGMENT_SHADER, fragment]])) {
@@ -118,8 +128,22 @@ export class Table {
   }
 }
 
-/** What is drawn of tables alone has no attributes. @type {WeakMap<WebGL2RenderingContext, WebGLVertexArrayObject>} */
-const empty = new WeakMap();
+/**
+ * Draw with a program from now on.
+ *
+ * @param {WebGL2RenderingContext} gl @param {Program} program @param {import('./camera.js').View} view
+ * @param {Record<string, number|ArrayLike<number>|Table|undefined>} uniforms
+ */
+export function use(gl, { program, at }, view, uniforms) {
+  gl.useProgram(program);
+  gl.uniformMatrix4fv(at('viewProjection'), false, view.viewProjection);
+  gl.uniformMatrix4fv(at('view'), false, view.view);
+  for (const [name, value] of Object.entries(uniforms)) {
+    if (value instanceof Table) value.bind(0, at(name));
+    else if (typeof value === 'number') gl.uniform1f(at(name), value);
+    else if (value) gl[value.length === 2 ? 'uniform2fv' : value.length === 3 ? 'uniform3fv' : 'uniform4fv'](at(name), Array.from(value));
+  }
+}
 
 /**
  * Draw triangles whose corners a vertex shader finds in a table.
@@ -129,10 +153,44 @@ const empty = new WeakMap();
  * @param {WebGL2RenderingContext} gl @param {number} corners
  */
 export function drawTable(gl, corners) {
-  const array = empty.get(gl) ?? gl.createVertexArray();
-  empty.set(gl, array);
-  gl.bindVertexArray(array);
+  gl.bindVertexArray(null);
   gl.drawArrays(gl.TRIANGLES, 0, corners);
+}
+
+/** What is drawn into: the canvas, through a picture with smooth edges where it is to be fine. */
+export class Picture {
+  /** @param {WebGL2RenderingContext} gl */
+  constructor(gl) {
+    this.gl = gl;
+    this.frame = gl.createFramebuffer();
+    this.parts = [gl.RGB8, gl.DEPTH_COMPONENT24].map((format) => ({ format, buffer: gl.createRenderbuffer() }));
+    this.size = '';
+  }
+
+  /** @param {number} width @param {number} height @param {boolean} fine */
+  begin(width, height, fine) {
+    const { gl } = this, size = `${width} ${height}`;
+    gl.bindFramebuffer(gl.FRAMEBUFFER, fine ? this.frame : null);
+    if (fine && size !== this.size) {
+      this.size = size;
+      this.parts.forEach(({ format, buffer }, i) => {
+        gl.bindRenderbuffer(gl.RENDERBUFFER, buffer);
+        gl.renderbufferStorageMultisample(gl.RENDERBUFFER, 4, format, width, height);
+        gl.framebufferRenderbuffer(gl.FRAMEBUFFER, [gl.COLOR_ATTACHMENT0, gl.DEPTH_ATTACHMENT][i], gl.RENDERBUFFER, buffer);
+      });
+    }
+    gl.viewport(0, 0, width, height);
+  }
+
+  /** @param {number} width @param {number} height @param {boolean} fine */
+  end(width, height, fine) {
+    const { gl } = this;
+    if (!fine) return;
+    gl.bindFramebuffer(gl.DRAW_FRAMEBUFFER, null);
+    gl.blitFramebuffer(0, 0, width, height, 0, 0, width, height, gl.COLOR_BUFFER_BIT, gl.NEAREST);
+    gl.invalidateFramebuffer(gl.READ_FRAMEBUFFER, [gl.COLOR_ATTACHMENT0, gl.DEPTH_ATTACHMENT]);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+  }
 }
 
 /** GLSL: cell `i` of a table. */

@@ -53,7 +53,7 @@ export class Instances {
   /** @param {View} view */
   draw(view) {
     const { gl } = this;
-    gl.bindVertexArray(this.mesh.array);
+    gl.bindVertexArray(this.mesh.geometry.array);
     for (let c = 0; c < 4; c++) attribute(gl, 5 + c, this.places, 4, { stride: 64, offset: c * 16, each: 1 });
     attribute(gl, 9, this.colors, 3, { type: gl.UNSIGNED_BYTE, normal: true, each: 1 });
     this.mesh.draw(view, this.shown);

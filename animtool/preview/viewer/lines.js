@@ -1,9 +1,9 @@
 /** Lines of any width on the screen or in the world. */
 
-import { CELL, Table, drawTable, makeProgram } from './gl.js';
+import { CELL, Table, drawTable, makeProgram, use } from './gl.js';
 
 /** @typedef {import('./camera.js').View} View */
-/** @typedef {{width?: number, world?: number, fade?: number[]|null, alpha?: number}} Look */
+/** @typedef {{width?: number, world?: number, fade?: number[]|null}} Look */
 
 /** Cells of a segment: its ends and its colour. */
 const CELLS = 3;
@@ -32,22 +32,18 @@ void main() {
 }`;
 
 const FRAGMENT = `
-in vec4 tint; in vec3 where; uniform vec4 fade; uniform float alpha; out vec4 result;
+in vec4 tint; in vec3 where; uniform vec4 fade; out vec4 result;
 void main() {
   float away = fade.w > 0. ? 1. - smoothstep(.25, 1., distance(where, fade.xyz) / fade.w) : 1.;
-  result = vec4(tint.rgb, tint.a * away * alpha);
+  result = vec4(tint.rgb, tint.a * away);
 }`;
-
-/** @type {WeakMap<WebGL2RenderingContext, import('./gl.js').Program>} */
-const programs = new WeakMap();
 
 /** Segments that are drawn together. */
 export class Lines {
   /** @param {WebGL2RenderingContext} gl */
   constructor(gl) {
     this.gl = gl;
-    this.program = programs.get(gl) ?? makeProgram(gl, VERTEX, FRAGMENT);
-    programs.set(gl, this.program);
+    this.program = makeProgram(gl, VERTEX, FRAGMENT);
     this.table = new Table(gl);
     this.count = 0;
     /** @type {number[]} */
@@ -93,18 +89,11 @@ export class Lines {
   }
 
   /** @param {View} view @param {Look} [look] Widths in pixels and in metres, fade around a point. */
-  draw(view, { width = 1.5, world = 0, fade = null, alpha = 1 } = {}) {
+  draw(view, { width = 1.5, world = 0, fade = null } = {}) {
     if (!this.count) return;
-    const { gl, program } = this;
-    gl.useProgram(program.program);
-    gl.uniformMatrix4fv(program.at('viewProjection'), false, view.viewProjection);
-    gl.uniform2f(program.at('size'), view.width, view.height);
-    gl.uniform1f(program.at('width'), width * view.ratio);
-    gl.uniform1f(program.at('world'), world);
-    gl.uniform1f(program.at('perMetre'), view.perMetre);
-    gl.uniform4fv(program.at('fade'), fade ?? [0, 0, 0, 0]);
-    gl.uniform1f(program.at('alpha'), alpha);
-    this.table.bind(0, program.at('segments'));
-    drawTable(gl, this.count * 6);
+    use(this.gl, this.program, view, {
+      size: [view.width, view.height], width: width * view.ratio, world, perMetre: view.perMetre,
+      fade: fade ?? [0, 0, 0, 0], segments: this.table });
+    drawTable(this.gl, this.count * 6);
   }
 }

@@ -4,11 +4,12 @@ import { View, steer } from './camera.js';
 import { Compare } from './compare.js';
 import { Curves } from './curves.js';
 import { Streams } from './data.js';
-import { button, fit, need, themeColors } from './dom.js';
+import { button, fit, need, press, themeColors } from './dom.js';
 import { Findings } from './findings.js';
 import { Box } from './maths.js';
 import { readFragment, writeFragment } from './fragment.js';
 import { Overlay } from './overlay.js';
+import { Pace } from './pace.js';
 import { Scene } from './scene.js';
 import { Timeline } from './timeline.js';
 import { Ground } from './trails.js';
@@ -22,8 +23,6 @@ const page = /** @type {Window & {animtool: Page}} */ (/** @type {unknown} */ (w
 
 /** How near to a joint a click selects it [CSS pixels]. */
 const NEAR = 14;
-/** Most takes of which the first is followed: with more it is a crowd. */
-const CAST = 4;
 
 export class App {
   /** @param {import('./types.js').Manifest} manifest @param {WebGL2RenderingContext} gl */
@@ -31,6 +30,7 @@ export class App {
     this.manifest = manifest;
     this.gl = gl;
     this.canvas = need('view', HTMLCanvasElement);
+    this.cameras = need('camera', HTMLSelectElement);
     this.streams = new Streams(manifest, (block) => need(`b${block}`, HTMLScriptElement).text);
     this.scene = new Scene(gl, this.streams, manifest);
     this.view = new View();
@@ -49,6 +49,7 @@ export class App {
     this.awake = true;
     this.inset = 0;
     this.before = 0;
+    this.pace = new Pace(this);
     /** @type {(() => void)[]} Who waits for the next picture. */
     this.waiting = [];
   }
@@ -63,6 +64,7 @@ export class App {
     connect(this);
     await this.#frameAll();
     describe(this);
+    this.pace.setSimple(this.scene.simple);
     this.awake = false;
     if (this.compare.beside) this.compare.arrange(true);
     steer(this.canvas, this.view, (moved) => {
@@ -103,15 +105,17 @@ export class App {
     for (const i of [0, 0.25, 0.5, 0.75, 1].map((x) => Math.round(x * (count - 1))).concat(sample)) {
       await streams.load(i);
       scene.update(i);
-      scene.prepare(this.show, this.colors);
-      parts.push({ box: scene.box(), at: pose?.count ? pose.position(pose.root) : [0, 0, 0] });
+      parts.push({ i, at: pose?.count ? pose.position(pose.root) : [0, 0, 0] });
     }
     this.#fit();
-    const { at: now } = parts[parts.length - 1], box = new Box();
-    const follow = !!pose?.count && scene.poses.length <= CAST && parts.some(({ at }) => Math.hypot(at[0] - now[0], at[2] - now[2]) > pose.extent);
-    for (const { box: { low, high, empty }, at } of parts) {
-      const shift = follow ? [now[0] - at[0], 0, now[2] - at[2]] : [0, 0, 0];
-      if (!empty) for (const corner of [low, high]) box.add(corner, 0, shift);
+    const { at: now } = parts[parts.length - 1], all = new Box(), cast = new Box();
+    const follow = !!pose?.count && !scene.crowd && parts.some(({ at }) => Math.hypot(at[0] - now[0], at[2] - now[2]) > pose.extent);
+    let box = all;
+    for (const { i, at } of parts) {
+      await streams.load(i);
+      scene.update(i);
+      scene.prepare(this.show, this.colors);
+      box = scene.box(all, cast, follow ? [now[0] - at[0], 0, now[2] - at[2]] : undefined);
     }
     this.view.frame(box);
     scene.ground = new Ground(this.gl, box.radius);
@@ -125,7 +129,6 @@ export class App {
   preset(name) {
     this.view.preset(name);
     if (name === 'home') this.home();
-    need('camera', HTMLSelectElement).value = '-1';
     this.invalidate();
     this.remember();
   }
@@ -133,7 +136,7 @@ export class App {
   /** @param {boolean} on */
   setFollow(on) {
     this.view.follow = on;
-    button('follow').setAttribute('aria-pressed', String(on));
+    press(button('follow'), on);
   }
 
   /** @param {Selected|null} selected */
@@ -178,6 +181,7 @@ export class App {
     this.stale ||= stale;
     this.dirty = true;
     if (this.awake) return;
+    this.pace.reset();
     this.awake = true;
     this.before = 0;
     requestAnimationFrame((now) => this.#tick(now));
@@ -198,6 +202,7 @@ export class App {
       if (timeline.playing) {
         const last = timeline.sample;
         timeline.advance(this.before ? (now - this.before) / 1000 : 0);
+        this.pace.hurry(now, this.before);
         this.stale ||= last !== timeline.sample;
         this.before = now;
       }
@@ -241,10 +246,10 @@ export class App {
   draw() {
     this.dirty = false;
     const { view, scene } = this;
+    if (this.cameras.value !== `${view.shot}`) this.cameras.value = `${view.shot}`;
     this.#fit();
     view.update(scene.cameras[view.shot] ?? null, this.streams, scene.sample);
-    need('camera', HTMLSelectElement).value = String(view.shot);
-    scene.draw(view, this.show, this.colors, this.selected);
+    scene.draw(view, this.show, this.colors, this.selected, this.pace.fine || !(this.timeline.playing || view.held));
     this.overlay.draw();
   }
 }
@@ -262,7 +267,7 @@ function fail(error) {
 async function open() {
   if (!('DecompressionStream' in window)) throw new Error('This browser is too old for the page: it cannot inflate data.');
   const canvas = need('view', HTMLCanvasElement);
-  const gl = canvas.getContext('webgl2', { alpha: false, antialias: true });
+  const gl = canvas.getContext('webgl2', { alpha: false, antialias: false });
   if (!gl) throw new Error('This browser shows no WebGL2, which the page draws with.');
   canvas.addEventListener('webglcontextrestored', () => location.reload());
   const app = new App(JSON.parse(need('manifest', HTMLScriptElement).text), gl);
@@ -274,6 +279,7 @@ const opened = open();
 opened.catch(fail);
 /** Resolves when the first picture is drawn, and curves stand beneath it. */
 page.ready = opened.then((app) => void Object.assign(page, {
+  app,
   frame: () => app.timeline.frameOf(app.timeline.sample),
   seek: (/** @type {number} */ frame) => {
     app.timeline.seek(app.timeline.sampleOf(frame));

@@ -52,12 +52,23 @@ export class Overlay {
     if (pose && selected) {
       this.#label(pen, pose.position(selected.joint), pose.names[selected.joint], app.colors.accent, true);
     }
+    if (show.names) this.#points(pen);
     let written = 0;
     for (const each of scene.poses) {
       if (!each.visible || !show.names) continue;
       for (let j = 0; j < each.count && written < NAMES; j++, written++) {
         this.#label(pen, each.position(j), each.names[j], app.colors.soft);
       }
+    }
+  }
+
+  /** @param {CanvasRenderingContext2D} pen Names of markers and targets. */
+  #points(pen) {
+    for (const { points, record: { names } } of this.app.scene.clouds) {
+      (names ?? []).slice(0, NAMES).forEach((name, i) => {
+        const at = points.subarray(i * 3, i * 3 + 3);
+        if (at[0] < 1e29) this.#label(pen, [...at], name, this.app.colors.soft);
+      });
     }
   }
 

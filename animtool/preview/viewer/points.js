@@ -1,6 +1,6 @@
 /** Balls that face the view: particles, markers and joints. */
 
-import { SHADE, attribute, makeBuffer, makeProgram } from './gl.js';
+import { SHADE, attribute, makeBuffer, makeProgram, use } from './gl.js';
 
 /** @typedef {import('./camera.js').View} View */
 /** @typedef {import('./data.js').Streams} Streams */
@@ -28,15 +28,11 @@ void main() {
 /** Where points without a position go: outside of every view. */
 const FAR = 1e30;
 
-/** @type {WeakMap<WebGL2RenderingContext, import('./gl.js').Program>} */
-const programs = new WeakMap();
-
 export class Sprites {
   /** @param {WebGL2RenderingContext} gl */
   constructor(gl) {
     this.gl = gl;
-    this.program = programs.get(gl) ?? makeProgram(gl, VERTEX, FRAGMENT);
-    programs.set(gl, this.program);
+    this.program = makeProgram(gl, VERTEX, FRAGMENT);
     this.array = gl.createVertexArray();
     this.positions = makeBuffer(gl);
     this.colors = makeBuffer(gl);
@@ -70,11 +66,7 @@ export class Sprites {
   draw(view, radius, least) {
     if (!this.count) return;
     const { gl, program } = this;
-    gl.useProgram(program.program);
-    gl.uniformMatrix4fv(program.at('viewProjection'), false, view.viewProjection);
-    gl.uniform1f(program.at('radius'), radius);
-    gl.uniform1f(program.at('least'), least * 2 * view.ratio);
-    gl.uniform1f(program.at('perMetre'), view.perMetre);
+    use(gl, program, view, { radius, least: least * 2 * view.ratio, perMetre: view.perMetre });
     gl.bindVertexArray(this.array);
     gl.drawArrays(gl.POINTS, 0, this.count);
   }

@@ -1,6 +1,8 @@
 /** Everything that is drawn in space, and the order in which it is drawn. */
 
 import { Bones } from './bones.js';
+import { View } from './camera.js';
+import { Picture } from './gl.js';
 import { Instances } from './instances.js';
 import { Lines } from './lines.js';
 import { Mesh } from './meshes.js';
@@ -11,11 +13,17 @@ import { Ground, Trails } from './trails.js';
 import { Box, add } from './maths.js';
 import { SERIES } from './dom.js';
 
-/** @typedef {import('./camera.js').View} View */
 /** @typedef {import('./data.js').Streams} Streams */
 /** @typedef {import('./types.js').Manifest} Manifest */
 /** @typedef {ReturnType<typeof import('./dom.js').themeColors>} Colors */
 /** @typedef {Record<'bones'|'axes'|'names'|'meshes'|'trails'|'contacts'|'grid'|'cameras', boolean>} Show */
+
+/** Most takes that are looked at one by one: with more it is a crowd. */
+const CAST = 4;
+/** Corners of triangles that are drawn without asking, and the longest that a picture of more may take [ms]. */
+const SMALL = 3e5, LONG = 50;
+/** So many times as large as its characters, a stage is not shown as a whole at first. */
+const WIDE = 4;
 
 export class Scene {
   /** @param {WebGL2RenderingContext} gl @param {Streams} streams @param {Manifest} manifest */
@@ -24,8 +32,9 @@ export class Scene {
     this.streams = streams;
     this.manifest = manifest;
     this.poses = (manifest.takes ?? []).map((take, i) => new Pose(streams, take, i));
+    const known = new Map();
     this.meshes = (manifest.meshes ?? []).map((mesh) => new Mesh(
-      gl, streams, mesh, this.poses[mesh.take ?? -1] ?? null, !!mesh.prototype));
+      gl, streams, mesh, this.poses[mesh.take ?? -1] ?? null, known));
     this.instances = (manifest.instances ?? []).filter((each) => this.meshes[each.mesh])
       .map((each) => new Instances(gl, streams, each, this.meshes[each.mesh]));
     this.clouds = (manifest.points ?? []).map((each) => new PointCloud(gl, streams, each));
@@ -37,11 +46,16 @@ export class Scene {
     this.frusta = new Lines(gl);
     this.ground = new Ground(gl, 1);
     this.sample = 0;
+    this.picture = new Picture(gl);
+    /** Whether there are too many takes for paths and close looks at each. */
+    this.crowd = this.poses.length > CAST;
+    /** Whether a crowd is drawn as bones alone. */
+    this.simple = false;
   }
 
   /** Decode what is static, and pose the first sample. @param {number} sample */
   async load(sample) {
-    await Promise.all([this.streams.load(sample), 
+    await Promise.all([this.streams.load(sample),
       ...[...this.meshes, ...this.clouds, ...this.strands].map((each) => each.load())]);
     this.update(sample);
     for (const pose of this.poses) {
@@ -49,21 +63,57 @@ export class Scene {
       for (let j = 0; j < pose.count; j++) box.add(pose.world, j * 16 + 12);
       pose.extent = box.empty || box.radius <= 1e-3 ? 1 : box.radius;
     }
+    this.simple = this.crowd && this.#cost() > LONG;
+  }
+
+  /** Meshes of characters. */
+  get bodies() { return this.meshes.filter((mesh) => mesh.palette); }
+
+  /** @returns {number} How long the meshes of all characters take to be drawn, by the first of them [ms]. */
+  #cost() {
+    const { gl, bodies } = this, view = new View(), pixel = new Uint8Array(4);
+    const total = bodies.reduce((sum, { geometry }) => sum + geometry.faces.length, 0);
+    if (total < SMALL) return 0;
+    let before = 0;
+    // The first time, the program is made ready.
+    for (const count of [1, 4]) {
+      before = performance.now();
+      for (let i = 0; i < count; i++) bodies[0].draw(view);
+      gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, pixel);
+    }
+    return (performance.now() - before) / 4 * total / bodies[0].geometry.faces.length;
+  }
+
+  /** What is drawn as shapes. */
+  get #solids() {
+    const all = [...this.meshes, ...this.instances, ...this.clouds, ...this.strands];
+    return this.simple ? all.filter((each) => !('pose' in each && each.pose)) : all;
   }
 
   get joints() { return this.poses.some((pose) => pose.count); }
 
-  /** @returns {Box} Around all that is shown. */
-  box() {
-    const box = new Box();
+  /**
+   * Grow boxes around all that is shown and around its characters.
+   *
+   * @param {Box} [box] @param {Box} [cast] @param {number[]} [shift] How they are moved.
+   * @returns {Box} That of the characters, where the other is far larger.
+   */
+  box(box = new Box(), cast = new Box(), shift = [0, 0, 0]) {
+    const own = new Box(), around = new Box();
+    this.#bound(own, around);
+    if (!around.empty) for (const corner of [around.low, around.high]) cast.add(corner, 0, shift);
+    if (!own.empty) for (const corner of [own.low, own.high]) box.add(corner, 0, shift);
+    return !cast.empty && box.radius > WIDE * cast.radius ? cast : box;
+  }
+
+  /** @param {Box} box @param {Box} cast */
+  #bound(box, cast) {
     for (const pose of this.poses) {
-      for (let j = 0; pose.visible && j < pose.count; j++) box.add(pose.world, j * 16 + 12);
+      for (let j = 0; pose.visible && j < pose.count; j++) cast.add(pose.world, j * 16 + 12);
     }
-    for (const mesh of this.meshes) {
-      if (mesh.instances || mesh.pose?.visible === false) continue;
-      for (let i = 0; i < mesh.shown.length; i += 3) box.add(mesh.shown, i);
-    }
-    for (const { matrices, shown, mesh: { reach } } of this.instances) {
+    for (const mesh of this.meshes) mesh.bound(mesh.palette ? cast : box);
+    if (!cast.empty) for (const corner of [cast.low, cast.high]) box.add(corner, 0);
+    for (const { matrices, shown, mesh: { geometry: { reach } } } of this.instances) {
       for (let i = 0; i < shown; i++) {
         const size = reach * Math.hypot(...matrices.subarray(i * 16, i * 16 + 3));
         for (const side of [-size, size]) box.add(matrices, i * 16 + 12, [side, side, side]);
@@ -71,7 +121,6 @@ export class Scene {
     }
     for (const { points } of this.clouds) for (let i = 0; i < points.length; i += 3) if (points[i] < 1e29) box.add(points, i);
     for (const { points } of this.strands) for (let i = 0; points && i < points.length; i += 3) box.add(points, i);
-    return box;
   }
 
   /** Put everything where it is at a sample. @param {number} sample */
@@ -87,30 +136,29 @@ export class Scene {
   prepare(show, colors) {
     const { sample } = this, visible = this.poses.filter((pose) => pose.visible);
     if (show.meshes) {
-      for (const each of [...this.meshes, ...this.instances, ...this.clouds, ...this.strands]) each.update(sample);
+      for (const each of this.#solids) each.update(sample);
     }
     const pick = (/** @type {number} */ take) => (this.poses.length > 1 ? this.color(take, colors) : colors.accent);
-    this.trails.update(visible, sample, pick, colors.contact, show);
+    this.trails.update(this.crowd ? [] : visible, sample, pick, colors.contact, show);
   }
 
   /**
    * @param {View} view @param {Show} show @param {Colors} colors
-   * @param {{take: number, joint: number}|null} selected
+   * @param {{take: number, joint: number}|null} selected @param {boolean} fine Whether edges are smooth.
    */
-  draw(view, show, colors, selected) {
+  draw(view, show, colors, selected, fine) {
     const { gl } = this;
     const [r, g, b] = colors.back.map((x) => x / 255);
-    gl.viewport(0, 0, view.width, view.height);
+    this.picture.begin(view.width, view.height, fine);
     gl.clearColor(r, g, b, 1);
     gl.depthMask(true);
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
     gl.enable(gl.DEPTH_TEST);
     gl.disable(gl.BLEND);
     gl.depthRange(0.1, 1);
-    const solid = show.meshes && this.meshes.some((mesh) => !mesh.instances && mesh.pose);
+    const solid = show.meshes && !this.simple && this.meshes.some((mesh) => mesh.pose || mesh.record.cache != null);
     if (show.meshes) {
-      for (const mesh of this.meshes) if (!mesh.instances) mesh.draw(view);
-      for (const each of [...this.instances, ...this.clouds, ...this.strands]) each.draw(view);
+      for (const each of this.#solids) if (!(each instanceof Mesh && each.instances)) each.draw(view);
     }
     gl.enable(gl.BLEND);
     gl.blendFunc(gl.SRC_ALPHA, gl.ONE_MINUS_SRC_ALPHA);
@@ -132,7 +180,8 @@ export class Scene {
       gl.blendFunc(gl.CONSTANT_ALPHA, gl.ONE_MINUS_CONSTANT_ALPHA);
     }
     const visible = this.poses.filter((pose) => pose.visible);
-    this.bones.draw(view, visible, (take) => this.color(take, colors), selected, colors.accent, show);
+    this.bones.draw(view, visible, (take) => this.color(take, colors), selected, colors.accent, { ...show, bones: show.bones || this.simple });
+    this.picture.end(view.width, view.height, fine);
   }
 
   /** @param {View} view @param {number[]} color */

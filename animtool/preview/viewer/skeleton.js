@@ -48,10 +48,11 @@ export class Pose {
       this.moving.push({ part, stream, joints });
       streams.use([stream], this.span[0]);
     }
-    streams.use([record.shapes?.weights], this.span[0]);
+    streams.use([record.shapes?.weights, record.visible], this.span[0]);
     /** Where the take stands beside the others [m]. */
     this.shift = [0, 0, 0];
-    this.visible = true;
+    /** Whether it is drawn at the sample, and whether it is wanted at all. */
+    this.visible = this.wanted = true;
     /** @type {Float32Array|null} How far each joint is from its like in the first take, 0…1. */
     this.heat = null;
     this.scratch = new Float32Array(16);
@@ -91,6 +92,8 @@ export class Pose {
 
   /** Pose the skeleton. @param {number} sample @returns {boolean} False where it is not decoded. */
   update(sample) {
+    const { visible } = this.record;
+    this.visible = this.wanted && (visible == null || this.streams.at(visible, sample)?.[0] !== 0);
     if (!this.#read(sample)) return false;
     const { t, r, s } = this.values, { world, local, parents } = this;
     for (const j of this.order) {

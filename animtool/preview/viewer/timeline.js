@@ -1,6 +1,6 @@
 /** Time: playing, stepping and scrubbing in frames of the shot. */
 
-import { button, make, need, number } from './dom.js';
+import { button, click, make, need, number, press } from './dom.js';
 import { clamp } from './maths.js';
 
 /** @typedef {import('./types.js').Manifest} Manifest */
@@ -32,12 +32,12 @@ export class Timeline {
     this.scrub.addEventListener('input', () => this.seek(Number(this.scrub.value)));
     this.field.addEventListener('change', () => this.seek(this.sampleOf(Number(this.field.value))));
     this.speeds.addEventListener('change', () => { this.speed = Number(this.speeds.value); });
-    button('play').addEventListener('click', () => this.toggle());
-    button('first').addEventListener('click', () => this.seek(0));
-    button('back').addEventListener('click', () => this.seek(this.sample - 1));
-    button('next').addEventListener('click', () => this.seek(this.sample + 1));
-    button('last').addEventListener('click', () => this.seek(this.count - 1));
-    button('loop').addEventListener('click', () => this.setLoop(!this.loop));
+    click('play', () => this.toggle());
+    click('first', () => this.seek(0));
+    click('back', () => this.seek(this.sample - 1));
+    click('next', () => this.seek(this.sample + 1));
+    click('last', () => this.seek(this.count - 1));
+    click('loop', () => this.setLoop(!this.loop));
     this.#ticks(findings.map((each) => each.frame));
     this.show();
   }
@@ -110,6 +110,6 @@ export class Timeline {
     const play = button('play'), name = this.playing ? 'Pause' : 'Play';
     if (play.getAttribute('aria-label') !== name) play.setAttribute('aria-label', name);
     play.dataset.on = String(this.playing);
-    button('loop').setAttribute('aria-pressed', String(this.loop));
+    press(button('loop'), this.loop);
   }
 }

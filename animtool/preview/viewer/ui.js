@@ -1,13 +1,10 @@
 /** Buttons, panels, theme and keyboard. */
 
-import { button, make, need, number, short } from './dom.js';
+import { button, click, make, need, number, press, short } from './dom.js';
 
 /** @typedef {import('./main.js').App} App */
 
 const PANELS = ['findings', 'takes', 'channels'];
-
-/** @param {HTMLElement} element @param {boolean} on */
-const press = (element, on) => element.setAttribute('aria-pressed', String(on));
 
 /** Light or dark: as the system, until it is chosen. @param {App} app */
 function theme(app) {
@@ -19,14 +16,14 @@ function theme(app) {
   };
   apply(dark.matches);
   dark.addEventListener('change', () => apply(dark.matches));
-  button('theme').addEventListener('click', () => apply(document.documentElement.dataset.theme !== 'dark'));
+  click('theme', () => apply(document.documentElement.dataset.theme !== 'dark'));
 }
 
 /** What may be shown or not; buttons of what the page has not are left out. @param {App} app */
 function toggles(app) {
   const { scene, show, manifest } = app, { joints } = scene;
   const there = {
-    bones: joints, axes: joints, names: joints, trails: joints,
+    bones: joints, axes: joints, names: joints || scene.clouds.some(({ record }) => record.names), trails: joints,
     meshes: !!(scene.meshes.length + scene.clouds.length + scene.strands.length),
     contacts: (manifest.takes ?? []).some((take) => take.contacts?.length),
     grid: true, cameras: scene.cameras.length > 0,
@@ -46,9 +43,9 @@ function toggles(app) {
 /** Presets, follow, and the shot's cameras. @param {App} app */
 function cameras(app) {
   for (const name of ['front', 'side', 'top', 'home']) {
-    button(`cam-${name}`).addEventListener('click', () => app.preset(name));
+    click(`cam-${name}`, () => app.preset(name));
   }
-  button('follow').addEventListener('click', () => app.setFollow(!app.view.follow));
+  click('follow', () => app.setFollow(!app.view.follow));
   button('follow').hidden = !app.scene.joints;
   const list = need('camera', HTMLSelectElement);
   list.hidden = !app.scene.cameras.length;
@@ -78,7 +75,7 @@ function panels(app) {
   PANELS.forEach((name, i) => {
     button(`tab-${name}`).append(make('span', { class: 'count' }, counts[i] > 9999 ? '9999+' : String(counts[i])));
     button(`tab-${name}`).hidden = !counts[i];
-    button(`tab-${name}`).addEventListener('click', () => {
+    click(`tab-${name}`, () => {
       open = open === name ? '' : name;
       show();
     });
@@ -112,7 +109,7 @@ function keyboard(app) {
     ArrowDown: () => timeline.faster(-1), f: () => app.setFollow(!app.view.follow),
     1: () => app.preset('front'), 3: () => app.preset('side'), 7: () => app.preset('top'),
     0: () => app.preset('home'), l: () => timeline.setLoop(!timeline.loop),
-    '?': () => help.showModal(), Escape: () => app.select(null),
+    m: () => app.pace.toggle(), '?': () => help.showModal(), Escape: () => app.select(null),
   };
   addEventListener('keydown', (event) => {
     const { target } = event;
@@ -124,8 +121,9 @@ function keyboard(app) {
     event.preventDefault();
     act();
   });
-  button('help-open').addEventListener('click', () => help.showModal());
-  button('help-close').addEventListener('click', () => help.close());
+  click('help-open', () => help.showModal());
+  click('simple', () => app.pace.toggle());
+  click('help-close', () => help.close());
 }
 
 /** @param {App} app */

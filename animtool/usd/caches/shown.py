@@ -30,6 +30,7 @@ from animtool.usd.caches.reader import (
 )
 from animtool.usd.layers.sdf import usd_errors
 from animtool.usd.layers.stderr import without_usd_warnings
+from animtool.usd.rigs.mesh_read import bound_meshes
 from animtool.usd.rigs.prims import (
     find_skeletons,
     numbers,
@@ -198,16 +199,7 @@ class ShownPrim:
 
     def visible(self, codes: FloatArray) -> BoolArray:
         """Return at which time codes it is not hidden ``(F,)``."""
-        image = UsdGeom.Imageable(self.prim)
-        hidden = UsdGeom.Tokens.invisible
-        if not any(
-            UsdGeom.Imageable(prim).GetVisibilityAttr().ValueMightBeTimeVarying()
-            for prim in upwards(self.prim)
-            if UsdGeom.Imageable(prim)
-        ):
-            return np.full(len(codes), image.ComputeVisibility() != hidden)
-        times = [Usd.TimeCode(code) for code in codes.tolist()]
-        return np.array([image.ComputeVisibility(t) != hidden for t in times])
+        return _visible(self.prim, codes)
 
 
 class StageContents:
@@ -290,6 +282,18 @@ class StageContents:
                 continue
             yield prim
 
+    def visible(self, path: str, codes: FloatArray) -> BoolArray:
+        """Return at which time codes a prim is not hidden ``(F,)``."""
+        return _visible(self.stage.GetPrimAtPath(path), codes)
+
+    def visible_meshes(self, path: str, codes: FloatArray) -> dict[str, BoolArray]:
+        """Return the same of the meshes of a Skeleton, by their names."""
+        skeleton = UsdSkel.Skeleton(self.stage.GetPrimAtPath(path))
+        return {
+            name: _visible(query.GetPrim(), codes)
+            for name, query in bound_meshes(skeleton)
+        }
+
     def is_animation(self) -> bool:
         """Return whether it has an animation of joints and no Skeleton."""
         prims = all_prims(self.stage)
@@ -349,6 +353,19 @@ def open_contents(path: Path, prim_path: str | None = None) -> StageContents:
         stage = open_stage(path)
         below = "/" if prim_path is None else prim_below(stage, prim_path)
         return StageContents(path, stage, below)
+
+
+def _visible(prim: Any, codes: FloatArray) -> BoolArray:
+    """Return at which time codes a prim is not hidden ``(F,)``."""
+    image, hidden = UsdGeom.Imageable(prim), UsdGeom.Tokens.invisible
+    if not any(
+        UsdGeom.Imageable(one).GetVisibilityAttr().ValueMightBeTimeVarying()
+        for one in upwards(prim)
+        if UsdGeom.Imageable(one)
+    ):
+        return np.full(len(codes), image.ComputeVisibility() != hidden)
+    times = [Usd.TimeCode(code) for code in codes.tolist()]
+    return np.array([image.ComputeVisibility(t) != hidden for t in times])
 
 
 def _kind(prim: Any) -> str:

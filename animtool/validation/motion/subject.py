@@ -64,7 +64,8 @@ class MotionSubject:
         """Return a fault of a joint at a frame, both by index."""
         name = "" if joint is None else self.take.rig.joints[joint].name
         at = None if frame is None else float(self.times[frame])
-        return self.fault_at(code, name, at, message, hint)
+        found = self.fault_at(code, name, at, message, hint)
+        return replace(found, frame=at, joint=name or None)
 
     @property
     def frames(self) -> int:

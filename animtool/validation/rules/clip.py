@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 
 import numpy as np
 
@@ -70,7 +71,8 @@ def half_turns(subject: ClipSubject) -> Iterator[Fault]:
             )
             hint = "a key between them says which; euler: XYZ turns as far as it says"
             at = ("channels", i, "keys", k + 1, "v")
-            yield subject.fault("CLIP202", at, message, hint)
+            found = subject.fault("CLIP202", at, message, hint)
+            yield replace(found, frame=float(channel.times[k]))
 
 
 # How far values lie beyond what is allowed, signed or not.
@@ -111,7 +113,8 @@ def overshoot(subject: ClipSubject) -> Iterator[Fault]:
                 message = _beyond(channel, k, times[frames], over[frames])
                 hint = "tangents: auto_clamped, shorter handles, or a key between"
                 at = ("channels", i, "keys", k)
-                yield subject.fault("CLIP205", at, message, hint)
+                found = subject.fault("CLIP205", at, message, hint)
+                yield replace(found, frame=float(times[frames[0]]))
 
 
 def _beyond(channel: ClipChannel, k: int, frames: FloatArray, over: FloatArray) -> str:
@@ -172,7 +175,8 @@ def angle_flips(subject: ClipSubject) -> Iterator[Fault]:
             message += f"; {len(flips) - 1} times more, up to frames {frames}"
         at = ("channels", i, "keys", k + 1, "v")
         hint = _unwrapping(channel, k, subject.units.angle)
-        yield subject.fault("CLIP206", at, message, hint)
+        found = subject.fault("CLIP206", at, message, hint)
+        yield replace(found, frame=float(channel.times[k]))
 
 
 def _round(channel: ClipChannel, k: int) -> str:

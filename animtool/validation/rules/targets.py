@@ -6,7 +6,7 @@ A targets file names no rig. These look at the scenes that name both.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import combinations
 
@@ -233,7 +233,8 @@ def out_of_reach(subject: SceneSubject) -> Iterator[Fault]:
             if len(frames) > 1:
                 message += f"; so it is in {len(frames)} frames"
             hint = "bring it nearer, or let joints above move: root, or goals of theirs"
-            yield asked.fault("TGT205", e, "position", message, hint)
+            found = asked.fault("TGT205", e, "position", message, hint)
+            yield replace(found, frame=float(times[worst]))
 
 
 def _moving(rig: Rig, goals: Sequence[GoalTrack]) -> frozenset[int]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
@@ -58,7 +59,7 @@ def spikes(subject: MarkersSubject) -> Iterator[Fault]:
             f"largest, {1000 * worst.size:.3g} mm, of {worst.marker} at frame {frame}"
         )
         hint = "animtool mocap fill takes them out"
-        yield subject.fault("MKR202", message, hint)
+        yield replace(subject.fault("MKR202", message, hint), frame=float(frame))
 
 
 def unlabelled(subject: MarkersSubject) -> Iterator[Fault]:

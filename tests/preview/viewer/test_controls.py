@@ -101,6 +101,35 @@ def test_scrubbing(tmp_path: Path, browser: Browser) -> None:
         assert opened.frame == 1001
 
 
+def test_the_chart_zooms_and_pans_in_time(tmp_path: Path, browser: Browser) -> None:
+    seen = "[animtool.app.curves.from, animtool.app.curves.to]"
+    with browser.open(page(tmp_path / "a.html")) as opened:
+        mouse, keys = opened.page.mouse, opened.page.keyboard
+        chart = opened.page.locator("#chart").bounding_box()
+        middle = chart["x"] + 46 + (chart["width"] - 58) / 2
+        assert opened.run(seen) == [0, 47]
+        mouse.move(middle, chart["y"] + 60)
+        mouse.wheel(0, -200)
+        opened.drawn()
+        first, last = opened.run(seen)
+        assert last - first < 40
+        assert (first + last) / 2 == pytest.approx(23.5, abs=0.2)
+        mouse.click(chart["x"] + 46, chart["y"] + 60)
+        assert opened.frame == 1001 + round(first)
+        mouse.move(middle, chart["y"] + 60)
+        keys.down("Shift")
+        mouse.down()
+        mouse.move(middle - 60, chart["y"] + 60, steps=4)
+        mouse.up()
+        keys.up("Shift")
+        moved = opened.run(seen)
+        assert moved[0] > first
+        assert moved[1] - moved[0] == pytest.approx(last - first)
+        assert opened.frame == 1001 + round(first)
+        mouse.dblclick(middle, chart["y"] + 60)
+        assert opened.run(seen) == [0, 47]
+
+
 def test_orbit_pan_and_zoom(tmp_path: Path, browser: Browser) -> None:
     with browser.open(page(tmp_path / "a.html")) as opened:
         mouse = opened.page.mouse

@@ -10,7 +10,6 @@ from typing import Any, get_args, get_type_hints
 
 import numpy as np
 import pytest
-from animtool.systems.kinds import SYSTEM_KINDS
 from pydantic import BaseModel
 from support.simulated import Simulator, View
 from support.system_examples import EXAMPLES
@@ -26,7 +25,6 @@ from animtool.systems.framework.conversion import (
     powers,
 )
 from animtool.systems.framework.kinds import SYSTEM_KINDS
-from animtool.systems.particles.forces import FORCES, find_force
 from animtool.systems.particles.forces.table import FORCES, find_force
 from animtool.systems.particles.places import PLACES
 

@@ -1,0 +1,131 @@
+"""What ``animtool preview`` does with a page: write it, serve it, or describe it."""
+
+from __future__ import annotations
+
+import sys
+import threading
+from pathlib import Path
+
+from animtool.cli.console import Console
+from animtool.cli.plan_summary import steps_json, steps_text
+from animtool.core.errors import AnimtoolError, counted
+from animtool.preview.build import Page, check_page_output, make_page, write_page
+from animtool.preview.options import PreviewOptions, ShowOptions
+from animtool.preview.plan import page_steps
+from animtool.preview.serve import PageServer, Watched, follow
+from animtool.preview.show import has_browser, open_browser, temporary_page
+
+
+def plan(
+    console: Console,
+    files: tuple[Path, ...],
+    output: Path | None,
+    options: PreviewOptions,
+    *,
+    as_json: bool,
+) -> None:
+    """Print what a page would show and where it would be."""
+    if output is not None:
+        check_page_output(output, files, overwrite=True)
+    steps = page_steps(files, output, options)
+    if as_json:
+        console.result_json(steps_json(steps))
+    else:
+        console.result(*steps_text(steps))
+
+
+def write(
+    console: Console,
+    files: tuple[Path, ...],
+    output: Path | None,
+    options: PreviewOptions,
+    shows: ShowOptions,
+    *,
+    overwrite: bool,
+    as_json: bool,
+) -> None:
+    """Write a page, and open it where somebody would see it."""
+    opens = shows.opened
+    if opens is None:
+        opens = output is None and has_browser()
+    if output is not None:
+        check_page_output(output, files, overwrite=overwrite)
+    target = temporary_page() if output is None else output
+    with console.progress(f"preview {files[0].name}"):
+        report = write_page(files, target, options, overwrite=overwrite)
+    console.faults(report.page.notices)
+    if as_json:
+        console.result_json(report.as_dict())
+    else:
+        _say(console, report.page)
+        console.say(f"{target}: {_size(report.size)}")
+    if opens and not open_browser(target.resolve().as_uri()):
+        console.say("no browser was found")
+        opens = False
+    if output is None and not opens and not as_json:
+        console.result(str(target))
+
+
+def watch(
+    console: Console,
+    files: tuple[Path, ...],
+    options: PreviewOptions,
+    shows: ShowOptions,
+) -> None:
+    """Serve a page until the command is interrupted."""
+    opens = has_browser() if shows.opened is None else shows.opened
+    watched = Watched(lambda: make_page(files, options))
+    watched.build()
+    assert watched.page is not None
+    console.faults(watched.page.notices)
+    with PageServer(watched) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        if not opens or not open_browser(server.address):
+            console.result(server.address)
+            sys.stdout.flush()
+        console.say("watching; interrupt (Ctrl-C) to end")
+
+        def failed(error: AnimtoolError) -> None:
+            console.faults(error.faults)
+
+        def made(page: Page) -> None:
+            console.faults(page.notices)
+            console.say(f"reloaded: page {watched.version}")
+
+        try:
+            follow(watched, failed, made, threading.Event().wait)
+        finally:
+            server.shutdown()
+
+
+def _say(console: Console, page: Page) -> None:
+    """Say what a page shows, how exactly, and what it does not show."""
+    manifest = page.manifest
+    nouns = (
+        ("takes", "take", ""),
+        ("meshes", "mesh", "meshes"),
+        ("curves3d", "set of curves", "sets of curves"),
+        ("points", "set of points", "sets of points"),
+        ("instances", "set of copies", "sets of copies"),
+        ("cameras", "camera", ""),
+        ("channels", "curve", ""),
+        ("findings", "finding", ""),
+    )
+    parts = [counted(manifest["time"]["count"], "frame")]
+    parts += [
+        counted(len(manifest[key]), *filter(None, words))
+        for key, *words in nouns
+        if manifest[key]
+    ]
+    console.say(", ".join(parts))
+    errors = manifest["errors"]
+    console.say(
+        f"  exact within {errors['position_mm']:g} mm and "
+        f"{errors['rotation_deg']:g} degrees"
+    )
+    for notice in manifest["notices"]:
+        console.say(f"  {notice}")
+
+
+def _size(count: int) -> str:
+    return f"{count / 1e6:.3g} MB" if count >= 1e6 else f"{count / 1e3:.3g} kB"

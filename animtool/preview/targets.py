@@ -1,0 +1,131 @@
+"""Targets of inverse kinematics on a page, as markers."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.clock import Clock
+from animtool.core.units import UpAxis, up_from_up
+from animtool.ik.file import load_targets
+from animtool.ik.goals import Targets
+from animtool.ik.tracks import TargetTracks
+from animtool.maths import so3
+from animtool.preview.draft import Draft, skipped
+from animtool.preview.streams import quantized_range
+from animtool.preview.takes import Shown
+from animtool.rig.kinematics import WorldTransforms, bind_matrices
+from animtool.rig.skeleton import Joint, Rig
+
+# Columns of the weights of targets, colours as display has them, and sizes [m].
+_KINDS = {
+    "position": ("positions", 0, (0.70, 0.04, 0.10), 0.024),
+    "aim": ("aims", 2, (0.75, 0.30, 0.02), 0.018),
+    "pole": ("poles", 3, (0.10, 0.20, 0.62), 0.018),
+}
+
+
+def add_targets(
+    draft: Draft, tracks: TargetTracks, shown: Shown | None, up: UpAxis | str
+) -> None:
+    """Add where goals are to be as markers, in the frames in which they are asked.
+
+    Args:
+        draft: The page.
+        tracks: The goals, read without a rig.
+        shown: The take whose rig and joints they are for; None of none.
+        up: Up axis of that take's file.
+    """
+    with skipped(draft, f"targets {tracks.path.name!r}"):
+        frames = _frames(draft, tracks)
+        if not len(frames):
+            draft.note(f"targets {tracks.path.name!r} are of other frames")
+            return
+        turn = up_from_up(UpAxis.Y, UpAxis(up))
+        rig, world = _posed(tracks, shown, frames, turn)
+        rig = replace(rig, up=UpAxis(up))
+        if shown is not None:
+            tracks = load_targets(tracks.path, rig)
+        clock = _clock(draft, tracks, frames)
+        found = tracks.placed(clock).sample(rig, clock, world)
+        _add_markers(draft, tracks, found, frames, turn)
+
+
+def _frames(draft: Draft, tracks: TargetTracks) -> IntArray:
+    """Return the samples of the page that the file is about ``(A,)``."""
+    codes = draft.timeline.codes * _ratio(draft, tracks)
+    first = -np.inf if tracks.first is None else float(tracks.first)
+    last = np.inf if tracks.last is None else float(tracks.last)
+    return np.flatnonzero((codes >= first - 1e-6) & (codes <= last + 1e-6))
+
+
+def _ratio(draft: Draft, tracks: TargetTracks) -> float:
+    return 1.0 if tracks.fps is None else float(tracks.fps / draft.timeline.fps)
+
+
+def _clock(draft: Draft, tracks: TargetTracks, frames: IntArray) -> Clock:
+    timeline = draft.timeline
+    fps = tracks.fps or timeline.fps
+    ratio = fps / timeline.fps
+    first = (timeline.first + int(frames[0]) * timeline.step) * ratio
+    return Clock(fps, first, timeline.step * ratio, len(frames))
+
+
+def _posed(
+    tracks: TargetTracks, shown: Shown | None, frames: IntArray, turn: object
+) -> tuple[Rig, WorldTransforms]:
+    """Return the rig that targets are for, and its joints, as its file has its axes."""
+    if shown is None or not shown.frames:
+        names = dict.fromkeys(goal.goal.joint for goal in tracks.goals)
+        rig = Rig(Path(tracks.path).stem, tuple(Joint(name, -1) for name in names))
+        still = bind_matrices(rig)[None].repeat(len(frames), axis=0)
+        return rig, WorldTransforms(still[..., :3, 3], still[..., :3, :3])
+    own = np.clip(frames - shown.first, 0, shown.frames - 1)
+    world = shown.world(slice(int(own.min()), int(own.max()) + 1))
+    own = own - own.min()
+    positions, linear = world.positions[own], world.linear[own]
+    if turn is not None:
+        back = so3.to_matrix(np.array(turn)).T
+        positions, linear = positions @ back.T, back @ linear
+    return shown.rig, WorldTransforms(positions, linear)
+
+
+def _add_markers(
+    draft: Draft,
+    tracks: TargetTracks,
+    found: Targets,
+    frames: IntArray,
+    turn: object,
+) -> None:
+    weights = np.asarray(found.weights)
+    for kind, (values, column, color, radius) in _KINDS.items():
+        chosen = [
+            e for e, track in enumerate(tracks.goals) if track.goal.weights[column] > 0
+        ]
+        if not chosen:
+            continue
+        points: FloatArray = np.asarray(getattr(found, values), np.float64)[:, chosen]
+        if turn is not None:
+            points = so3.rotate(np.array(turn), points)
+        points = np.where(weights[:, chosen, column, None] > 0, points, np.nan)
+        rows = np.full((draft.timeline.count, len(chosen) * 3), np.nan)
+        rows[frames] = points.reshape(len(frames), -1)
+        if not np.isfinite(rows).any():
+            continue
+        label = "" if kind == "position" else f" {kind}"
+        stored = quantized_range(rows, period=3)
+        draft.off(position=stored.error)
+        draft.points.append(
+            {
+                "name": f"{tracks.path.name}{label}",
+                "positions": draft.packer.add(stored),
+                "radius": radius,
+                "radii": None,
+                "color": list(color),
+                "colors": None,
+                "names": [f"{tracks.goals[e].name}{label}" for e in chosen],
+            }
+        )

@@ -1,0 +1,47 @@
+"""When characters of a stage, and their meshes, are hidden."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from animtool.core.array_types import BoolArray
+from animtool.core.clock import time_codes
+from animtool.preview.draft import Draft
+from animtool.preview.opened import OpenFile
+from animtool.preview.streams import Quantized
+from animtool.preview.takes import Shown
+from animtool.preview.timing import TimedPart
+
+
+def add_visibility(draft: Draft, file: OpenFile, part: TimedPart, shown: Shown) -> None:
+    """Add to a take and its meshes the frames in which they are visible.
+
+    Args:
+        draft: The page, which has the take and its meshes.
+        file: What the take is of.
+        part: When its frames are.
+        shown: The take on the page.
+    """
+    contents, prim = file.contents, part.take.prim
+    if contents is None or not prim:
+        return
+    codes = time_codes(part.first - part.shift, part.stream.step, shown.frames)
+    codes = codes * float(contents.fps / draft.timeline.fps)
+    whole = contents.visible(prim, codes)
+    shown.entry["visible"] = visibility_stream(draft, whole)
+    if not whole.any():
+        draft.note(f"{part.take.name!r} is hidden in every frame: it is not drawn")
+    meshes = [mesh for mesh in draft.meshes if mesh["take"] == shown.index]
+    seen = contents.visible_meshes(prim, codes) if meshes else {}
+    for mesh in meshes:
+        own = seen.get(mesh["name"], whole)
+        if not np.array_equal(own, whole):
+            mesh["visible"] = visibility_stream(draft, own)
+
+
+def visibility_stream(draft: Draft, visible: BoolArray) -> int | None:
+    """Return the stream of when something is visible ``(F,)``; None is always."""
+    if visible.all():
+        return None
+    rows = visible[:, None] if visible.any() else visible[:1, None]
+    return draft.packer.add(Quantized(rows.astype("<u1"), "u8"))
