@@ -687,7 +687,7 @@ class Steps {
   static constexpr double RIPPLED = 0.5;
 
   const FluidFunctions& loops_ =
-      fluid_in_quads() ? *fluid_in_quads() : FluidLoops<PlainRows>::functions;
+      fluid_in_quads() ? *fluid_in_quads() : FluidLoops<Plain>::functions;
   const Rule rule_;
   const double sound_;
   double relaxed_ = 0;

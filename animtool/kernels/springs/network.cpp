@@ -6,6 +6,7 @@
 #include <utility>
 
 #include "base/checks.h"
+#include "springs/loops.h"
 
 namespace animtool {
 
@@ -281,10 +282,9 @@ void SpringRun::accelerate(const double* at, const double* going, double* out) {
   lines().pulls.set(at, going, room_, out);
   network.add_anchor_forces(points.data(), speeds.data(), at, going, out);
   network.add_air_forces(wind, at, going, out);
-  static const AccelerateRows quads = accelerate_rows_in_quads();
   const double fall[ROW] = {network.gravity[0], network.gravity[1], network.gravity[2], 0};
   const ParticleColumns particles{network.inverse_masses.data(), network.drags.data()};
-  (quads ? quads : accelerate_rows<PlainRows>)(particles, network.particles(), fall, going, out);
+  spring_loops().accelerate(particles, network.particles(), fall, going, out);
 }
 
 namespace {

@@ -7,6 +7,7 @@
 #include <thread>
 
 #include "base/checks.h"
+#include "springs/loops.h"
 #include "springs/steps.h"
 
 namespace animtool {
@@ -123,14 +124,11 @@ class Bundles {
         goals_((plan.cells + 1) * width()),
         meetings_(plan.points * (plan.colliders + 2)),
         near_(plan.colliders),
-        touched_(plan.cells * plan.substeps) {
-    cross_ = cross_bundle_in_quads();
-    if (!cross_) cross_ = cross_bundle<PlainRows>;
-  }
+        touched_(plan.cells * plan.substeps) {}
 
   void cross(std::size_t index) {
     StrandBundle bundle = begun(index);
-    cross_(plan_, bundle);
+    spring_loops().cross_bundle(plan_, bundle);
     put_back(index, bundle.x, out_);
     put_back(index, bundle.v, out_ + 3 * particles());
     inside += bundle.inside;
@@ -198,7 +196,6 @@ class Bundles {
   std::vector<double> rows_, goals_, meetings_;
   std::vector<std::size_t> near_;
   std::vector<std::int64_t> touched_;
-  CrossBundle cross_;
 };
 
 // Bundles that are worth a thread of their own.
