@@ -109,9 +109,35 @@ struct Registers {
   }
 };
 
+#if defined(__GNUC__)
+// Two doubles, for which every processor has registers.
+template <>
+struct Registers<double, 2, Plain> {
+  using Row = double __attribute__((vector_size(16)));
+
+  template <class Function>
+  static Row each(Function function) {
+    return Row{function(0), function(1)};
+  }
+  static Row load(const double* from) { return Row{from[0], from[1]}; }
+  static void store(Row row, double* to) { to[0] = row[0], to[1] = row[1]; }
+  static Row spread(double value) { return Row{value, value}; }
+  static Row negate(Row a) { return -a; }
+  static Row add(Row a, Row b) { return a + b; }
+  static Row subtract(Row a, Row b) { return a - b; }
+  static Row multiply(Row a, Row b) { return a * b; }
+  static Row divide(Row a, Row b) { return a / b; }
+  static Row below(Row a, Row b) { return reinterpret_cast<Row>(a < b); }
+  static Row chosen(Row where, Row a, Row b) {
+    return reinterpret_cast<decltype(a < b)>(where) ? a : b;
+  }
+};
+#endif
+
 template <class T, std::size_t N, class On>
 struct Wide {
   using Of = Registers<T, N, On>;
+  static constexpr std::size_t LANES = N;
   typename Of::Row row;
 
   Wide() = default;
@@ -190,14 +216,14 @@ Four<On> dots(const Four<On>* a, const Four<On>* b) {
 
 // Rows in memory as columns.
 template <class On>
-void gather(const double* from, const std::int32_t* rows, Four<On>* columns) {
+inline void gather(const double* from, const std::int32_t* rows, Four<On>* columns) {
   for (std::size_t k = 0; k < WIDE; ++k) columns[k] = Four<On>::of(from + 4 * rows[k]);
   turn(columns, columns);
 }
 
 // Takes columns away from rows in memory, one after the other.
 template <class On>
-void scatter(const Four<On>* columns, const std::int32_t* rows, double* to) {
+inline void scatter(const Four<On>* columns, const std::int32_t* rows, double* to) {
   Four<On> parts[WIDE];
   turn(columns, parts);
   for (std::size_t k = 0; k < WIDE; ++k)

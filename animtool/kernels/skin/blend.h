@@ -35,6 +35,9 @@ void interleave(const double* const (&tables)[N], std::size_t count, double* out
     for (std::size_t l = 0; l < N; ++l) *out++ = tables[l][i];
 }
 
+// Of two frames, for which every processor has registers.
+using Pair = Wide<double, 2, Plain>;
+
 // A vector of each of some frames.
 template <class N>
 Vector3<N> gather(const double* const* frames, std::size_t at) {
@@ -52,22 +55,25 @@ void scatter(const Vector3<Wide<double, N, On>>& of, double* const* frames, std:
   }
 }
 
-template <class On>
+template <class N>
 void blend_frames(const Influences& in, const double* palette, const double* const* points,
                   double* const* out) {
-  using N = Four<On>;
+  constexpr std::size_t parts = FRAMES / N::LANES;
   for (std::size_t v = 0; v < in.vertices; ++v) {
-    const FourVec<On> p = gather<N>(points, 3 * v);
-    FourVec<On> sum;
+    Vector3<N> p[parts], sum[parts];
+    for (std::size_t h = 0; h < parts; ++h) p[h] = gather<N>(points + h * N::LANES, 3 * v);
     for (std::int64_t k = in.first[v]; k < in.first[v + 1]; ++k) {
-      const N w = in.weights[k], x = w * p.x, y = w * p.y, z = w * p.z;
+      const N w = in.weights[k];
       const double* a = palette + 12 * FRAMES * in.joints[k];
-      const auto row = [&](const double* of) {
-        return x * N::of(of) + y * N::of(of + 4) + z * N::of(of + 8) + w * N::of(of + 12);
-      };
-      sum += FourVec<On>{row(a), row(a + 16), row(a + 32)};
+      for (std::size_t h = 0; h < parts; ++h, a += N::LANES) {
+        const N x = w * p[h].x, y = w * p[h].y, z = w * p[h].z;
+        const auto row = [&](const double* of) {
+          return x * N::of(of) + y * N::of(of + 4) + z * N::of(of + 8) + w * N::of(of + 12);
+        };
+        sum[h] += Vector3<N>{row(a), row(a + 16), row(a + 32)};
+      }
     }
-    scatter(sum, out, 3 * v);
+    for (std::size_t h = 0; h < parts; ++h) scatter(sum[h], out + h * N::LANES, 3 * v);
   }
 }
 

@@ -4,6 +4,6 @@
 
 namespace animtool {
 
-BlendFrames blend_in_quads() { return has_quads() ? blend_frames<Quads> : nullptr; }
+BlendFrames blend_in_quads() { return has_quads() ? blend_frames<Four<Quads>> : nullptr; }
 
 }  // namespace animtool

@@ -28,13 +28,14 @@ void check_offsets(const In<double, 3>& points, const In<double, 2>& weights,
 void add_frames(std::size_t vertices, const std::int64_t* first, const std::int32_t* columns,
                 const double* offsets, const double* weights,
                 const double* const (&from)[FRAMES], double* const (&to)[FRAMES]) {
-  using N = Four<Plain>;
   for (std::size_t v = 0; v < vertices; ++v) {
     // All frames are read before any is written: the last may stand here twice.
-    FourVec<Plain> p = gather<N>(from, 3 * v);
+    Vector3<Pair> p[2] = {gather<Pair>(from, 3 * v), gather<Pair>(from + 2, 3 * v)};
     for (std::int64_t k = first[v]; k < first[v + 1]; ++k)
-      p += FourVec<Plain>::spread(offsets + 3 * k) * N::of(weights + FRAMES * columns[k]);
-    scatter(p, to, 3 * v);
+      for (int h = 0; h < 2; ++h)
+        p[h] += Vector3<Pair>::spread(offsets + 3 * k) *
+                Pair::of(weights + FRAMES * columns[k] + 2 * h);
+    for (int h = 0; h < 2; ++h) scatter(p[h], to + 2 * h, 3 * v);
   }
 }
 

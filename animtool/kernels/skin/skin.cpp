@@ -58,8 +58,6 @@ void dual_quaternions(const double* q, const double* t, std::size_t joints, doub
 constexpr double SHORTEST = 1e-10;
 
 // Of two frames: more would not stay in registers.
-using Pair = Wide<double, 2, Plain>;
-
 template <bool Stretched>
 void dual_frames(const Influences& in, const double* palette, const double* stretches,
                  const double* const (&points)[2], double* const (&out)[2], bool normalize) {
@@ -116,7 +114,7 @@ void skin_linear(In<double, 3> points, In<std::int64_t, 1> first,
   check::shape("out", out, {frames, in.vertices, 3});
   double* const result = out.data();
   std::vector<double> palette(FRAMES * width);
-  const BlendFrames quads = blend_in_quads(), blend = quads ? quads : blend_frames<Plain>;
+  const BlendFrames quads = blend_in_quads(), blend = quads ? quads : blend_frames<Pair>;
   for (std::size_t f = 0; f < frames; f += FRAMES) {
     const double *tables[FRAMES], *sources[FRAMES];
     double* targets[FRAMES];
