@@ -42,17 +42,8 @@ their distance more. ``period`` is as in `flock_accelerations`.
 Returns ``(points, overlap, pairs)``: what is left in each other [m], and how many pairs there
 were to look at; where these are more than ``most``, it stops.)");
 
-  m.def("crowd_step",
-        gathered<CrowdStep, In<double, 2>, In<double, 2>, In<double, 2>, In<double, 1>,
-                 In<double, 1>, In<double, 1>, In<double, 2>, double, In<std::int32_t, 1>,
-                 In<std::uint8_t, 1>, In<std::int32_t, 1>, In<double, 2>, double, std::int64_t,
-                 double, double, double, double, double, double, std::int64_t,
-                 double>(&crowd_step),
-        Unlocked(), "points"_a, "velocities"_a, "preferred"_a, "radii"_a, "most"_a, "gives"_a,
-        "shoulders"_a, "depth"_a, "groups"_a, "does"_a, "starts"_a, "walls"_a, "sight"_a,
-        "nearest"_a, "horizon"_a, "space"_a, "push"_a, "headway"_a, "side"_a, "step"_a,
-        "rounds"_a, "enough"_a,
-        R"(Where N agents are a step [s] later ``(N, 2)`` [m], and their velocities.
+  define(m, "crowd_step", &crowd_step,
+         R"(Where N agents are a step [s] later ``(N, 2)`` [m], and their velocities.
 
 They would go at ``preferred`` ``(N, 2)`` [m/s], slower where less than ``headway`` [s] is
 between them and who goes the same way ahead of them, and ``push`` [m/s] away from those
@@ -70,7 +61,18 @@ is ``enough`` [m].
 an ellipse that is ``depth`` times as thick as it is wide.
 
 Returns ``(points, velocities, overlap, pressed)``: how far each is to turn its shoulders, to
-who is on its left, or below 0 on its right, -1 to 1 ``(N,)``.)");
+who is on its left, or below 0 on its right, -1 to 1 ``(N,)``.)",
+         Field{"points", &CrowdStep::points}, Field{"velocities", &CrowdStep::velocities},
+         Field{"preferred", &CrowdStep::preferred}, Field{"radii", &CrowdStep::radii},
+         Field{"most", &CrowdStep::most}, Field{"gives", &CrowdStep::gives},
+         Field{"shoulders", &CrowdStep::shoulders}, Field{"depth", &CrowdStep::depth},
+         Field{"groups", &CrowdStep::groups}, Field{"does", &CrowdStep::does},
+         Field{"starts", &CrowdStep::starts}, Field{"walls", &CrowdStep::walls},
+         Field{"sight", &CrowdStep::sight}, Field{"nearest", &CrowdStep::nearest},
+         Field{"horizon", &CrowdStep::horizon}, Field{"space", &CrowdStep::space},
+         Field{"push", &CrowdStep::push}, Field{"headway", &CrowdStep::headway},
+         Field{"side", &CrowdStep::side}, Field{"step", &CrowdStep::step},
+         Field{"rounds", &CrowdStep::rounds}, Field{"enough", &CrowdStep::enough});
 
   m.def("travel_distances", &travel_distances, Unlocked(), "free"_a, "cell"_a, "seeds"_a,
         "starts"_a,

@@ -7,26 +7,31 @@
 namespace animtool {
 
 void bind_springs(nb::module_& m) {
-  nb::class_<SpringNetwork>(m, "SpringNetwork",
-                            R"(Particles, springs between them and what acts on them.
+  nb::class_<SpringNetwork> network(m, "SpringNetwork",
+                                    R"(Particles, springs between them and what acts on them.
 
 Inverse masses ``(N,)`` of particles that are held are 0; ``drags``
 ``(N,)`` slow them, a second. Springs join ``ends`` ``(S, 2)``; ``limit`` is the length at
 which they tear. ``air_drag`` and ``air_lift`` of the air on ``triangles`` ``(T, 3)`` are over
 the area and the square of the speed. Over the times of ``knots`` ``(K,)``: where ``held``
 particles are ``(K or 1, P, 3)``; the points ``(K or 1, A, 3)`` that ``anchors`` are drawn to;
-the wind ``(K or 1, 1, 3)``.)")
-      .def("__init__",
-           made_of<SpringNetwork, SpringArrays, In<double, 1>, In<double, 1>,
-                   In<std::int64_t, 2>, In<double, 1>, In<double, 1>, In<double, 1>,
-                   In<double, 1>, In<std::int64_t, 2>, In<double, 1>, double, double,
-                   In<double, 1>, In<std::int64_t, 1>, In<double, 3>, In<std::int64_t, 1>,
-                   In<double, 1>, In<double, 1>, In<double, 3>, In<double, 3>>(),
-           "inverse_masses"_a, "drags"_a, "ends"_a, "rest"_a, "stiffness"_a, "damping"_a,
-           "limit"_a, "triangles"_a, "gravity"_a, "air_drag"_a, "air_lift"_a, "knots"_a,
-           "held"_a, "held_path"_a, "anchors"_a, "anchor_stiffness"_a, "anchor_damping"_a,
-           "anchor_path"_a, "winds"_a)
-      .def("lead", &SpringNetwork::lead, "held_path"_a, "anchor_path"_a,
+the wind ``(K or 1, 1, 3)``.)");
+  define_made(network,
+              Field{"inverse_masses", &SpringArrays::inverse_masses},
+              Field{"drags", &SpringArrays::drags}, Field{"ends", &SpringArrays::ends},
+              Field{"rest", &SpringArrays::rest}, Field{"stiffness", &SpringArrays::stiffness},
+              Field{"damping", &SpringArrays::damping}, Field{"limit", &SpringArrays::limit},
+              Field{"triangles", &SpringArrays::triangles},
+              Field{"gravity", &SpringArrays::gravity},
+              Field{"air_drag", &SpringArrays::air_drag},
+              Field{"air_lift", &SpringArrays::air_lift}, Field{"knots", &SpringArrays::knots},
+              Field{"held", &SpringArrays::held}, Field{"held_path", &SpringArrays::held_path},
+              Field{"anchors", &SpringArrays::anchors},
+              Field{"anchor_stiffness", &SpringArrays::anchor_stiffness},
+              Field{"anchor_damping", &SpringArrays::anchor_damping},
+              Field{"anchor_path", &SpringArrays::anchor_path},
+              Field{"winds", &SpringArrays::winds});
+  network.def("lead", &SpringNetwork::lead, "held_path"_a, "anchor_path"_a,
            "Put paths of held particles and anchors in the place of those over the knots.");
 
   nb::class_<SpringLayers>(m, "SpringLayers",

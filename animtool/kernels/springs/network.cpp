@@ -6,6 +6,7 @@
 #include <utility>
 
 #include "base/checks.h"
+#include "base/groups.h"
 #include "springs/loops.h"
 
 namespace animtool {
@@ -293,37 +294,23 @@ namespace {
 // is to be near in memory.
 constexpr std::int64_t BLOCK = 512, LARGEST_BLOCK = 8192;
 
-std::vector<std::int64_t> components(const std::int64_t* ends, std::size_t springs,
-                                     std::size_t particles) {
-  std::vector<std::int64_t> root(particles);
-  for (std::size_t n = 0; n < particles; ++n) root[n] = static_cast<std::int64_t>(n);
-  const auto find = [&](std::int64_t n) {
-    const auto at = [&](std::int64_t m) -> std::int64_t& {
-      return root[static_cast<std::size_t>(m)];
-    };
-    while (at(n) != n) n = at(n) = at(at(n));
-    return n;
-  };
-  for (std::size_t s = 0; s < springs; ++s) {
-    const std::int64_t a = find(ends[2 * s]), b = find(ends[2 * s + 1]);
-    root[static_cast<std::size_t>(std::max(a, b))] = std::min(a, b);
-  }
-  for (std::size_t n = 0; n < particles; ++n) root[n] = find(static_cast<std::int64_t>(n));
-  return root;
-}
-
 }  // namespace
 
 std::vector<std::int64_t> order_springs(const std::int64_t* ends, std::size_t springs,
                                         std::size_t particles) {
-  const std::vector<std::int64_t> component = components(ends, springs, particles);
+  Groups components(particles);
+  for (std::size_t s = 0; s < springs; ++s)
+    components.join(static_cast<std::size_t>(ends[2 * s]), static_cast<std::size_t>(ends[2 * s + 1]));
   const auto low = [&](std::int64_t s) { return std::min(ends[2 * s], ends[2 * s + 1]); };
+  std::vector<std::int64_t> component(springs);
+  for (std::size_t s = 0; s < springs; ++s)
+    component[s] = static_cast<std::int64_t>(components.first_of(static_cast<std::size_t>(ends[2 * s])));
   const auto high = [&](std::int64_t s) { return std::max(ends[2 * s], ends[2 * s + 1]); };
   std::vector<std::int64_t> order(springs), level(springs), block(springs);
   for (std::size_t s = 0; s < springs; ++s) order[s] = static_cast<std::int64_t>(s);
   std::sort(order.begin(), order.end(), [&](std::int64_t a, std::int64_t b) {
     const auto key = [&](std::int64_t s) {
-      return std::array<std::int64_t, 4>{component[static_cast<std::size_t>(low(s))], low(s),
+      return std::array<std::int64_t, 4>{component[static_cast<std::size_t>(s)], low(s),
                                          high(s), s};
     };
     return key(a) < key(b);
@@ -332,7 +319,7 @@ std::vector<std::int64_t> order_springs(const std::int64_t* ends, std::size_t sp
   std::vector<std::int64_t> waits(particles, 0);
   std::int64_t whole = 0, filled = 0, last = -1;
   for (const std::int64_t s : order) {
-    const std::int64_t from = component[static_cast<std::size_t>(low(s))];
+    const std::int64_t from = component[static_cast<std::size_t>(s)];
     if ((from != last && filled >= BLOCK) || filled >= LARGEST_BLOCK) ++whole, filled = 0;
     last = from;
     ++filled;
