@@ -6,6 +6,7 @@
 namespace animtool {
 
 void bind_crowds(nb::module_& m) {
+  using S = CrowdStep;
   m.def("flock_accelerations", &flock_accelerations, Unlocked(), "points"_a, "velocities"_a,
         "members"_a.none(), "others"_a.none(), "radius"_a, "cosine"_a, "nearest"_a,
         "attraction"_a, "alignment"_a, "repulsion"_a, "softening"_a, "period"_a, "most"_a,
@@ -62,17 +63,14 @@ an ellipse that is ``depth`` times as thick as it is wide.
 
 Returns ``(points, velocities, overlap, pressed)``: how far each is to turn its shoulders, to
 who is on its left, or below 0 on its right, -1 to 1 ``(N,)``.)",
-         Field{"points", &CrowdStep::points}, Field{"velocities", &CrowdStep::velocities},
-         Field{"preferred", &CrowdStep::preferred}, Field{"radii", &CrowdStep::radii},
-         Field{"most", &CrowdStep::most}, Field{"gives", &CrowdStep::gives},
-         Field{"shoulders", &CrowdStep::shoulders}, Field{"depth", &CrowdStep::depth},
-         Field{"groups", &CrowdStep::groups}, Field{"does", &CrowdStep::does},
-         Field{"starts", &CrowdStep::starts}, Field{"walls", &CrowdStep::walls},
-         Field{"sight", &CrowdStep::sight}, Field{"nearest", &CrowdStep::nearest},
-         Field{"horizon", &CrowdStep::horizon}, Field{"space", &CrowdStep::space},
-         Field{"push", &CrowdStep::push}, Field{"headway", &CrowdStep::headway},
-         Field{"side", &CrowdStep::side}, Field{"step", &CrowdStep::step},
-         Field{"rounds", &CrowdStep::rounds}, Field{"enough", &CrowdStep::enough});
+         Field{"points", &S::points}, Field{"velocities", &S::velocities},
+         Field{"preferred", &S::preferred}, Field{"radii", &S::radii}, Field{"most", &S::most},
+         Field{"gives", &S::gives}, Field{"shoulders", &S::shoulders}, Field{"depth", &S::depth},
+         Field{"groups", &S::groups}, Field{"does", &S::does}, Field{"starts", &S::starts},
+         Field{"walls", &S::walls}, Field{"sight", &S::sight}, Field{"nearest", &S::nearest},
+         Field{"horizon", &S::horizon}, Field{"space", &S::space}, Field{"push", &S::push},
+         Field{"headway", &S::headway}, Field{"side", &S::side}, Field{"step", &S::step},
+         Field{"rounds", &S::rounds}, Field{"enough", &S::enough});
 
   m.def("travel_distances", &travel_distances, Unlocked(), "free"_a, "cell"_a, "seeds"_a,
         "starts"_a,

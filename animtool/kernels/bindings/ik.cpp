@@ -6,6 +6,9 @@
 namespace animtool {
 
 void bind_ik(nb::module_& m) {
+  using P = IkProblems;
+  using S = IkSmoothing;
+  using F = IkFitting;
   // Of Python's table a test compares: name, residuals, width of a target, whether what it
   // misses is a length, and whether cyclic coordinate descent heeds it.
   m.attr("IK_GOAL_KINDS") = nb::tuple(nb::cast(ik_goal_kinds()));
@@ -36,17 +39,15 @@ Returns ``(coordinates, misses, reports, seconds)``: ``(B, Q)``; what each goal 
 ``(B, E, K)``; status (0 reached, 1 nearest, 2 budget, 3 not finite, 4 given way to harder
 goals or the rest, 5 goals that contradict each other, 6 a method without headway),
 iterations and descents ``(B, 3)``; time of each ``(B,)``.)",
-         Field{"nodes", &IkProblems::nodes}, Field{"numbers", &IkProblems::numbers},
-         Field{"goals", &IkProblems::goals}, Field{"goal_numbers", &IkProblems::goal_numbers},
-         Field{"starts", &IkProblems::starts}, Field{"targets", &IkProblems::targets},
-         Field{"sought", &IkProblems::sought}, Field{"stretches", &IkProblems::stretches},
-         Field{"rests", &IkProblems::rests}, Field{"rest_weight", &IkProblems::rest_weight},
-         Field{"length_tolerance", &IkProblems::length_tolerance},
-         Field{"angle_tolerance", &IkProblems::angle_tolerance},
-         Field{"damping", &IkProblems::damping}, Field{"iterations", &IkProblems::iterations},
-         Field{"restarts", &IkProblems::restarts}, Field{"seed", &IkProblems::seed},
-         Field{"seconds", &IkProblems::seconds}, Field{"ordered", &IkProblems::ordered},
-         Field{"warm", &IkProblems::warm}, Field{"method", &IkProblems::method});
+         Field{"nodes", &P::nodes}, Field{"numbers", &P::numbers}, Field{"goals", &P::goals},
+         Field{"goal_numbers", &P::goal_numbers}, Field{"starts", &P::starts},
+         Field{"targets", &P::targets}, Field{"sought", &P::sought},
+         Field{"stretches", &P::stretches}, Field{"rests", &P::rests},
+         Field{"rest_weight", &P::rest_weight}, Field{"length_tolerance", &P::length_tolerance},
+         Field{"angle_tolerance", &P::angle_tolerance}, Field{"damping", &P::damping},
+         Field{"iterations", &P::iterations}, Field{"restarts", &P::restarts},
+         Field{"seed", &P::seed}, Field{"seconds", &P::seconds}, Field{"ordered", &P::ordered},
+         Field{"warm", &P::warm}, Field{"method", &P::method});
 
   m.def("linearize_ik", &linearize_ik, Unlocked(), "nodes"_a, "numbers"_a, "goals"_a,
         "goal_numbers"_a, "starts"_a, "targets"_a, "steps"_a,
@@ -66,16 +67,15 @@ Goals that are reached stay so; where one is missed, all stay where the frame ha
 
 Returns ``(coordinates, misses, rounds, before, after)``: ``(F, Q)``, ``(F, E, K)``, steps
 taken, and half the sum before and after them.)",
-         Field{"nodes", &IkSmoothing::nodes}, Field{"numbers", &IkSmoothing::numbers},
-         Field{"goals", &IkSmoothing::goals}, Field{"goal_numbers", &IkSmoothing::goal_numbers},
-         Field{"path", &IkSmoothing::path}, Field{"targets", &IkSmoothing::targets},
-         Field{"sought", &IkSmoothing::sought}, Field{"stretches", &IkSmoothing::stretches},
-         Field{"drifts", &IkSmoothing::drifts}, Field{"anchor", &IkSmoothing::anchor},
-         Field{"speed", &IkSmoothing::speed}, Field{"acceleration", &IkSmoothing::acceleration},
-         Field{"first", &IkSmoothing::first}, Field{"end", &IkSmoothing::end},
-         Field{"length_tolerance", &IkSmoothing::length_tolerance},
-         Field{"angle_tolerance", &IkSmoothing::angle_tolerance},
-         Field{"damping", &IkSmoothing::damping}, Field{"rounds", &IkSmoothing::rounds});
+         Field{"nodes", &S::nodes}, Field{"numbers", &S::numbers}, Field{"goals", &S::goals},
+         Field{"goal_numbers", &S::goal_numbers}, Field{"path", &S::path},
+         Field{"targets", &S::targets}, Field{"sought", &S::sought},
+         Field{"stretches", &S::stretches}, Field{"drifts", &S::drifts},
+         Field{"anchor", &S::anchor}, Field{"speed", &S::speed},
+         Field{"acceleration", &S::acceleration}, Field{"first", &S::first},
+         Field{"end", &S::end}, Field{"length_tolerance", &S::length_tolerance},
+         Field{"angle_tolerance", &S::angle_tolerance}, Field{"damping", &S::damping},
+         Field{"rounds", &S::rounds});
 
   define(m, "fit_ik", &fit_ik,
          R"(Fit a path ``(F, Q)`` of one chain to goals by weight, arrays as for `solve_ik`.
@@ -90,15 +90,14 @@ share ``homing`` of the way to their rest. Where too little fits, it is looked f
 Returns ``(coordinates, misses, searched, taken, rounds, before, after)``: ``(F, Q)``;
 ``(F, E, K)``; which frames begin at a start of their own ``(F,)``; whose target each goal has
 ``(F, E)``, -1 for none; steps taken, and half the sum before and after them.)",
-         Field{"nodes", &IkFitting::nodes}, Field{"numbers", &IkFitting::numbers},
-         Field{"goals", &IkFitting::goals}, Field{"goal_numbers", &IkFitting::goal_numbers},
-         Field{"path", &IkFitting::path}, Field{"targets", &IkFitting::targets},
-         Field{"starts", &IkFitting::starts}, Field{"anchor", &IkFitting::anchor},
-         Field{"speed", &IkFitting::speed}, Field{"acceleration", &IkFitting::acceleration},
-         Field{"robust", &IkFitting::robust}, Field{"rest_weight", &IkFitting::rest_weight},
-         Field{"homing", &IkFitting::homing}, Field{"first", &IkFitting::first},
-         Field{"end", &IkFitting::end}, Field{"iterations", &IkFitting::iterations},
-         Field{"rounds", &IkFitting::rounds}, Field{"tracked", &IkFitting::tracked});
+         Field{"nodes", &F::nodes}, Field{"numbers", &F::numbers}, Field{"goals", &F::goals},
+         Field{"goal_numbers", &F::goal_numbers}, Field{"path", &F::path},
+         Field{"targets", &F::targets}, Field{"starts", &F::starts}, Field{"anchor", &F::anchor},
+         Field{"speed", &F::speed}, Field{"acceleration", &F::acceleration},
+         Field{"robust", &F::robust}, Field{"rest_weight", &F::rest_weight},
+         Field{"homing", &F::homing}, Field{"first", &F::first}, Field{"end", &F::end},
+         Field{"iterations", &F::iterations}, Field{"rounds", &F::rounds},
+         Field{"tracked", &F::tracked});
 
   m.def("cheapest_ik_path", &cheapest_ik_path, Unlocked(), "nodes"_a, "numbers"_a, "paths"_a,
         "costs"_a, "drifts"_a, "easy"_a, "open"_a, "closed"_a,

@@ -7,6 +7,7 @@
 namespace animtool {
 
 void bind_springs(nb::module_& m) {
+  using A = SpringArrays;
   nb::class_<SpringNetwork> network(m, "SpringNetwork",
                                     R"(Particles, springs between them and what acts on them.
 
@@ -17,20 +18,15 @@ the area and the square of the speed. Over the times of ``knots`` ``(K,)``: wher
 particles are ``(K or 1, P, 3)``; the points ``(K or 1, A, 3)`` that ``anchors`` are drawn to;
 the wind ``(K or 1, 1, 3)``.)");
   define_made(network,
-              Field{"inverse_masses", &SpringArrays::inverse_masses},
-              Field{"drags", &SpringArrays::drags}, Field{"ends", &SpringArrays::ends},
-              Field{"rest", &SpringArrays::rest}, Field{"stiffness", &SpringArrays::stiffness},
-              Field{"damping", &SpringArrays::damping}, Field{"limit", &SpringArrays::limit},
-              Field{"triangles", &SpringArrays::triangles},
-              Field{"gravity", &SpringArrays::gravity},
-              Field{"air_drag", &SpringArrays::air_drag},
-              Field{"air_lift", &SpringArrays::air_lift}, Field{"knots", &SpringArrays::knots},
-              Field{"held", &SpringArrays::held}, Field{"held_path", &SpringArrays::held_path},
-              Field{"anchors", &SpringArrays::anchors},
-              Field{"anchor_stiffness", &SpringArrays::anchor_stiffness},
-              Field{"anchor_damping", &SpringArrays::anchor_damping},
-              Field{"anchor_path", &SpringArrays::anchor_path},
-              Field{"winds", &SpringArrays::winds});
+         Field{"inverse_masses", &A::inverse_masses}, Field{"drags", &A::drags},
+         Field{"ends", &A::ends}, Field{"rest", &A::rest}, Field{"stiffness", &A::stiffness},
+         Field{"damping", &A::damping}, Field{"limit", &A::limit},
+         Field{"triangles", &A::triangles}, Field{"gravity", &A::gravity},
+         Field{"air_drag", &A::air_drag}, Field{"air_lift", &A::air_lift},
+         Field{"knots", &A::knots}, Field{"held", &A::held}, Field{"held_path", &A::held_path},
+         Field{"anchors", &A::anchors}, Field{"anchor_stiffness", &A::anchor_stiffness},
+         Field{"anchor_damping", &A::anchor_damping}, Field{"anchor_path", &A::anchor_path},
+         Field{"winds", &A::winds});
   network.def("lead", &SpringNetwork::lead, "held_path"_a, "anchor_path"_a,
            "Put paths of held particles and anchors in the place of those over the knots.");
 

@@ -509,8 +509,7 @@ FittedFace fit_face(In<double, 3> neutral, In<double, 3> deltas, In<double, 3> o
   check::positive("enough", enough);
   check::between("rounds", rounds, 1, 1000);
   if (camera) {
-    check::shape("camera", *camera, {4});
-    check::finite("camera", *camera);
+    check::numbers("camera", *camera, {4});
     check::positive("camera", camera->data()[0]);
     check::positive("camera", camera->data()[1]);
   }

@@ -420,8 +420,7 @@ std::vector<Camera> read_cameras(In<double, 2> numbers, const double* noise) {
 void check_views(const In<double, 4>& pixels, const In<double, 2>& cameras) {
   check::shape("pixels", pixels, {check::ANY, check::ANY, check::ANY, 2});
   check::between("cameras", pixels.shape(1), std::size_t{0}, std::size_t{256});
-  check::shape("cameras", cameras, {pixels.shape(1), CAMERA_NUMBERS});
-  check::finite("cameras", cameras);
+  check::numbers("cameras", cameras, {pixels.shape(1), CAMERA_NUMBERS});
   for (std::size_t c = 0; c < cameras.shape(0); ++c) {
     check::positive("cameras", cameras.data()[c * CAMERA_NUMBERS]);
     check::positive("cameras", cameras.data()[c * CAMERA_NUMBERS + 1]);

@@ -83,12 +83,10 @@ std::tuple<Out<double, 2>, Out<double, 1>, double> molecule_forces(
       check::refuse("starts", "index " + check::text(i) + " is not a multiple of four");
   check::indices("partners", partners, 0, static_cast<std::int64_t>(count) + 1);
   check::shape("kinds", kinds, {count});
-  check::shape("forces", forces, {several, several, 2});
-  check::finite("forces", forces);
+  check::numbers("forces", forces, {several, several, 2});
   check::indices("kinds", kinds, 0, static_cast<std::int64_t>(several));
   if (charges) {
-    check::shape("charges", *charges, {count});
-    check::finite("charges", *charges);
+    check::numbers("charges", *charges, {count});
   }
   check::positive("cutoff", cutoff);
   check::between("onset", onset, 0, cutoff);

@@ -115,13 +115,11 @@ MovingColliders::MovingColliders(const std::optional<SpringColliders>& colliders
   if (!colliders) return;
   const auto& [arrays, poses, radius, depths, tolerance, surfaces] = *colliders;
   colliders_ = read_colliders(arrays);
-  check::shape("colliders.poses", poses, {static_cast<std::size_t>(cells), colliders_.size(), 2, 7});
-  check::finite("colliders.poses", poses);
+  check::numbers("colliders.poses", poses, {static_cast<std::size_t>(cells), colliders_.size(), 2, 7});
   check::not_negative("colliders.radius", radius);
   check::not_negative("colliders.tolerance", tolerance);
   if (depths) {
-    check::shape("colliders.depths", *depths, {colliders_.size(), particles});
-    check::finite("colliders.depths", *depths);
+    check::numbers("colliders.depths", *depths, {colliders_.size(), particles});
   }
   poses_ = poses.data();
   radius_ = radius;

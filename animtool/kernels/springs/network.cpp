@@ -63,8 +63,7 @@ SpringNetwork::SpringNetwork(const SpringArrays& given)
   check::shape("inverse_masses", masses, {count});
   check::at_most("inverse_masses", count, check::MOST_ROWS);
   for (const double inverse : inverse_masses) check::not_negative("inverse_masses", inverse);
-  check::shape("drags", slowing, {count});
-  check::finite("drags", slowing);
+  check::numbers("drags", slowing, {count});
   check::shape("ends", ends, {check::ANY, 2});
   check::at_most("ends", springs, check::MOST_ROWS);
   check::indices("ends", ends, 0, static_cast<std::int64_t>(count));
@@ -74,8 +73,7 @@ SpringNetwork::SpringNetwork(const SpringArrays& given)
   check_column("limit", limit, springs, false);
   check::shape("triangles", faces, {check::ANY, 3});
   check::at_most("triangles", faces.shape(0), check::MOST_ROWS);
-  check::shape("gravity", pull, {3});
-  check::finite("gravity", pull);
+  check::numbers("gravity", pull, {3});
   check::finite("air_drag", drag);
   check::finite("air_lift", lift);
   check::shape("knots", times, {check::ANY});

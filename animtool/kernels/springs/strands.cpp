@@ -244,8 +244,7 @@ SpringStrands::SpringStrands(In<double, 2> rests, In<double, 2> folds, In<double
   for (std::size_t k = 0; k < rests.size(); ++k) check::not_negative("rests", rests.data()[k]);
   check::shape("folds", folds, {strands_, points_ - std::min<std::size_t>(points_, 2)});
   for (std::size_t k = 0; k < folds.size(); ++k) check::not_negative("folds", folds.data()[k]);
-  check::shape("gravity", gravity, {3});
-  check::finite("gravity", gravity);
+  check::numbers("gravity", gravity, {3});
   check::finite("drag", drag);
   check::not_negative("stiffness", stiffness);
   check::not_negative("fold_stiffness", fold_stiffness);
@@ -281,8 +280,7 @@ StrandsFollowed follow_strands(const SpringStrands& strands, In<double, 3> targe
                                const std::optional<SpringColliders>& colliders,
                                std::size_t threads) {
   const std::size_t count = strands.strands() * strands.points();
-  check::shape("state", state, {2, count, 3});
-  check::finite("state", state);
+  check::numbers("state", state, {2, count, 3});
   check::shape("targets", targets, {check::ANY, count, 3});
   if (targets.shape(0) < 2) check::refuse("targets", "there is no cell between two of them");
   check::finite("targets", targets);
