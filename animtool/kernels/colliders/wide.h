@@ -23,6 +23,20 @@ struct Rod {
   double rise;
 };
 
+// One particle by itself is numbers that are not side by side.
+[[maybe_unused]] static double root(double a) { return std::sqrt(a); }
+[[maybe_unused]] static double inverse(double a) { return a > 0 ? 1 / a : 0; }
+[[maybe_unused]] static double least(double a, double b) { return a < b ? a : b; }
+[[maybe_unused]] static double most(double a, double b) { return a > b ? a : b; }
+[[maybe_unused]] static double below(double a, double b) { return a < b; }
+[[maybe_unused]] static double chosen(double where, double a, double b) {
+  return where != 0 ? a : b;
+}
+[[maybe_unused]] static Vec chosen(double where, const Vec& a, const Vec& b) {
+  return where != 0 ? a : b;
+}
+[[maybe_unused]] static unsigned bits(double where) { return where != 0; }
+
 template <class N>
 struct WideSample {
   N distance;

@@ -29,9 +29,6 @@ constexpr std::size_t PUSH = 7;
 // Of the size of a mesh, how far what is near a particle serves at first.
 constexpr double FINE = 1e-3;
 
-Vector3<One<Plain>> one(Vec a) { return {a.x, a.y, a.z}; }
-Vec vec(const Vector3<One<Plain>>& a) { return {a.x.row.at[0], a.y.row.at[0], a.z.row.at[0]}; }
-
 double thickness_of(const Collider& c, double radius) {
   if (c.container) return collide::FAR;
   switch (c.shape) {
@@ -69,8 +66,8 @@ Rod::Axis axis_between(Vec a, Vec b) {
 Sample sampled(const StepCollider& c, const Rod::Axis& axis, const Pose& pose, Vec point,
                double radius) {
   if (!c.is_rod) return sample(c.collider, pose, point, radius, collide::FAR);
-  const auto found = collide::sample_rod(axis, c.rod.radius, one(point));
-  return {found.distance.row.at[0], vec(found.normal)};
+  const auto found = collide::sample_rod(axis, c.rod.radius, point);
+  return {found.distance, found.normal};
 }
 
 }  // namespace
@@ -442,12 +439,7 @@ bool SpringContacts::push(std::size_t index, std::size_t n, Vec from, Vec& to,
   const double begun = look(index, n, false, from).sample.distance;
   Rod rod = c.rod;
   if (c.surface >= 0) store(way, rod.travel);
-  auto place = one(to), stood = one(still);
-  const bool out = collide::push_out<One<Plain>>(rod, {found.distance, one(found.normal)},
-                                                 begun, depth, one(from), place, stood);
-  to = vec(place);
-  still = vec(stood);
-  return out;
+  return collide::push_out(rod, {found.distance, found.normal}, begun, depth, from, to, still);
 }
 
 }  // namespace animtool
