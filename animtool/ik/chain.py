@@ -42,6 +42,11 @@ class Chain:
     degrees: int  # degrees of freedom
     length: float  # [m]
 
+    @property
+    def arrays(self) -> tuple[IntArray, FloatArray, IntArray, FloatArray]:
+        """What the kernels first take of a chain and its goals."""
+        return self.nodes, self.numbers, self.goals, self.goal_numbers
+
     @cached_property
     def turning(self) -> IntArray:
         """Columns of the joints that turn all the way round."""

@@ -95,22 +95,24 @@ class Path:
         rounds: int,
     ) -> tuple[FloatArray, FloatArray]:
         chain = self.problem.chain
+        anchor, speed, acceleration = weights
+        first, end = moving
         smoothed = _kernels.smooth_ik(
-            chain.nodes,
-            chain.numbers,
-            chain.goals,
-            chain.goal_numbers,
-            unwound(chain, poses),
-            self.targets,
-            self.limbs.sought,
-            self.limbs.scales,
-            self.drifts,
-            *weights,
-            *moving,
-            self.options.tolerance,
-            self.options.angle_tolerance,
-            WARM_DAMPING,
-            rounds,
+            *chain.arrays,
+            path=unwound(chain, poses),
+            targets=self.targets,
+            sought=self.limbs.sought,
+            stretches=self.limbs.scales,
+            drifts=self.drifts,
+            anchor=anchor,
+            speed=speed,
+            acceleration=acceleration,
+            first=first,
+            end=end,
+            length_tolerance=self.options.tolerance,
+            angle_tolerance=self.options.angle_tolerance,
+            damping=WARM_DAMPING,
+            rounds=rounds,
         )
         return smoothed[0], smoothed[1]
 

@@ -217,13 +217,10 @@ class _Calibrating:
         chain = problem.chain
         count, degrees = len(poses), problem.degrees
         _, residuals, slopes, _ = _kernels.linearize_ik(
-            chain.nodes,
-            chain.numbers,
-            chain.goals,
-            chain.goal_numbers,
-            chain.from_rig(poses),
-            targets,
-            np.zeros((count, degrees)),
+            *chain.arrays,
+            starts=chain.from_rig(poses),
+            targets=targets,
+            steps=np.zeros((count, degrees)),
         )
         columns = self._columns(poses)
         off = np.linalg.norm(residuals.reshape(count, -1, 3), axis=2)

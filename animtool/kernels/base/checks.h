@@ -80,6 +80,13 @@ void finite(const char* name, const Array& array) {
   finite(name, array.data(), array.size());
 }
 
+// A shape, and no number that is not finite.
+template <class Array>
+void numbers(const char* name, const Array& array, std::initializer_list<std::size_t> sizes) {
+  shape(name, array, sizes);
+  finite(name, array);
+}
+
 // Indices from `low` to before `end`, of int32, int64 and uint8.
 template <class T>
 void indices(const char* name, const T* values, std::size_t count, std::int64_t low,

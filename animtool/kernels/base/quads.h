@@ -1,39 +1,67 @@
-// Registers of four doubles, for sources that the build lets the compiler use them in: these
-// have ANIMTOOL_QUADS, and ask the processor before they run.
+// Registers of four doubles, for sources that the build lets the compiler use them in, and that
+// ask the processor before they run. In a build that does not let it, Quads is nothing else
+// than Plain.
 #pragma once
 
-#include "base/processor.h"
-#include "base/rows.h"
+#include <cstdlib>
+
+#include "base/wide.h"
 
 #if defined(__AVX2__) && defined(__GNUC__)
 #define ANIMTOOL_QUADS
 #include <immintrin.h>
+#endif
 
 namespace animtool {
 
+// Whether registers of four doubles may be used. ANIMTOOL_PORTABLE, set to anything, goes
+// without, as on processors that have none. Static: a source built for newer processors
+// must not give its copy to the others.
+[[maybe_unused]] static bool has_quads() {
+#ifdef ANIMTOOL_QUADS
+  return __builtin_cpu_supports("avx2") && !std::getenv("ANIMTOOL_PORTABLE");
+#else
+  return false;
+#endif
+}
+
+#ifndef ANIMTOOL_QUADS
+
+using Quads = Plain;
+
+#else
+
 namespace {
 
-struct QuadRows {
+struct Quads {};
+
+}  // namespace
+
+template <>
+struct Registers<double, 4, Quads> {
   using Row = __m256d;
 
+  template <class Function>
+  static Row each(Function function) {
+    return _mm256_setr_pd(function(0), function(1), function(2), function(3));
+  }
   static Row load(const double* from) { return _mm256_loadu_pd(from); }
   static void store(Row row, double* to) { _mm256_storeu_pd(to, row); }
   static Row spread(double value) { return _mm256_set1_pd(value); }
   static Row add(Row a, Row b) { return _mm256_add_pd(a, b); }
   static Row subtract(Row a, Row b) { return _mm256_sub_pd(a, b); }
   static Row multiply(Row a, Row b) { return _mm256_mul_pd(a, b); }
-  static Row where_apart(Row a, Row value) {
-    return _mm256_and_pd(_mm256_cmp_pd(a, spread(ONE_PLACE), _CMP_GT_OQ), value);
-  }
-  static Row inverse(Row a) { return where_apart(a, _mm256_div_pd(_mm256_set1_pd(1), a)); }
-  static Row root(Row a) { return _mm256_sqrt_pd(a); }
   static Row divide(Row a, Row b) { return _mm256_div_pd(a, b); }
+  static Row root(Row a) { return _mm256_sqrt_pd(a); }
   static Row least(Row a, Row b) { return _mm256_min_pd(a, b); }
   static Row most(Row a, Row b) { return _mm256_max_pd(a, b); }
   static Row below(Row a, Row b) { return _mm256_cmp_pd(a, b, _CMP_LT_OQ); }
   static Row chosen(Row where, Row a, Row b) { return _mm256_blendv_pd(b, a, where); }
   static Row kept(Row where, Row a) { return _mm256_and_pd(where, a); }
   static Row either(Row a, Row b) { return _mm256_or_pd(a, b); }
+  static unsigned bits(Row where) {
+    return static_cast<unsigned>(_mm256_movemask_pd(where));
+  }
   static double largest(Row a) {
     const __m128d two = _mm_max_pd(_mm256_castpd256_pd128(a), _mm256_extractf128_pd(a, 1));
     return _mm_cvtsd_f64(_mm_max_sd(two, _mm_unpackhi_pd(two, two)));
@@ -42,15 +70,10 @@ struct QuadRows {
     const __m128d two = _mm_min_pd(_mm256_castpd256_pd128(a), _mm256_extractf128_pd(a, 1));
     return _mm_cvtsd_f64(_mm_min_sd(two, _mm_unpackhi_pd(two, two)));
   }
-  static unsigned bits(Row where) {
-    return static_cast<unsigned>(_mm256_movemask_pd(where));
-  }
-  static Row dots(const Row* a, const Row* b) {
-    const Row low = _mm256_hadd_pd(_mm256_mul_pd(a[0], b[0]), _mm256_mul_pd(a[1], b[1]));
-    const Row high = _mm256_hadd_pd(_mm256_mul_pd(a[2], b[2]), _mm256_mul_pd(a[3], b[3]));
-    const Row crossed = _mm256_permute2f128_pd(low, high, 0x21);
-    const Row kept = _mm256_blend_pd(low, high, 0xC);
-    return _mm256_add_pd(kept, crossed);
+  static Row totals(const Row* rows) {
+    const Row low = _mm256_hadd_pd(rows[0], rows[1]), high = _mm256_hadd_pd(rows[2], rows[3]);
+    return _mm256_add_pd(_mm256_blend_pd(low, high, 0xC),
+                         _mm256_permute2f128_pd(low, high, 0x21));
   }
   static void turn(Row* rows) {
     const Row a = _mm256_unpacklo_pd(rows[0], rows[1]), b = _mm256_unpackhi_pd(rows[0], rows[1]);
@@ -62,8 +85,57 @@ struct QuadRows {
   }
 };
 
-}  // namespace
+template <>
+struct Registers<float, 8, Quads> {
+  using Row = __m256;
 
-}  // namespace animtool
+  template <class Doubles>
+  static Row converted(const Doubles& a) {
+    return _mm256_set_m128(_mm256_cvtpd_ps(a.high), _mm256_cvtpd_ps(a.low));
+  }
+  static Row load(const float* from) { return _mm256_loadu_ps(from); }
+  static Row spread(float value) { return _mm256_set1_ps(value); }
+  static Row add(Row a, Row b) { return _mm256_add_ps(a, b); }
+  static Row subtract(Row a, Row b) { return _mm256_sub_ps(a, b); }
+  static Row multiply(Row a, Row b) { return _mm256_mul_ps(a, b); }
+  static Row divide(Row a, Row b) { return _mm256_div_ps(a, b); }
+  static Row root(Row a) { return _mm256_sqrt_ps(a); }
+  static Row most(Row a, Row b) { return _mm256_max_ps(a, b); }
+  static Row below(Row a, Row b) { return _mm256_cmp_ps(a, b, _CMP_LT_OQ); }
+  static Row kept(Row where, Row a) { return _mm256_and_ps(where, a); }
+};
+
+// Eight doubles, in two registers.
+template <>
+struct Registers<double, 8, Quads> {
+  using Half = Registers<double, 4, Quads>;
+  struct Row {
+    __m256d low, high;
+  };
+
+  static Row converted(__m256 a) {
+    return {_mm256_cvtps_pd(_mm256_castps256_ps128(a)),
+            _mm256_cvtps_pd(_mm256_extractf128_ps(a, 1))};
+  }
+  static Row load(const double* from) { return {Half::load(from), Half::load(from + 4)}; }
+  static void store(const Row& row, double* to) {
+    Half::store(row.low, to), Half::store(row.high, to + 4);
+  }
+  static Row spread(double value) { return {Half::spread(value), Half::spread(value)}; }
+  static Row add(const Row& a, const Row& b) {
+    return {Half::add(a.low, b.low), Half::add(a.high, b.high)};
+  }
+  static Row subtract(const Row& a, const Row& b) {
+    return {Half::subtract(a.low, b.low), Half::subtract(a.high, b.high)};
+  }
+  static Row multiply(const Row& a, const Row& b) {
+    return {Half::multiply(a.low, b.low), Half::multiply(a.high, b.high)};
+  }
+  static Row most(const Row& a, const Row& b) {
+    return {Half::most(a.low, b.low), Half::most(a.high, b.high)};
+  }
+};
 
 #endif
+
+}  // namespace animtool

@@ -1,99 +1,237 @@
-// Numbers and vectors of several things side by side, whichever way a processor holds them.
+// Several numbers side by side, whichever way a processor holds them, and vectors of such.
 //
-// Nothing here is shared between source files, which are built for other processors: W is
-// another type in each.
+// What works on them is a template over `On`: Plain is any processor, and base/quads.h has
+// Quads. Nothing of it is shared between source files that are built for other processors:
+// Quads is another type in each, and those that use it make nothing for Plain, nor with plain
+// vectors.
 #pragma once
 
+#include <cmath>
 #include <cstddef>
 #include <cstdint>
-#include <type_traits>
+#include <limits>
+#include <utility>
 
-#include "base/rows.h"
 #include "base/vector.h"
 
 namespace animtool {
 
-template <class W>
-struct Wide {
-  using Row = typename W::Row;
-  Row row;
+// Numbers that are worked on at once.
+constexpr std::size_t WIDE = 4;
+// Up to this square of their distance two ends are at one place; one over more is finite.
+constexpr double ONE_PLACE = std::numeric_limits<double>::min();
 
-  Wide() = default;
-  Wide(const Row& from) : row(from) {}
-  Wide(double value) requires(!std::is_same_v<Row, double>) : row(W::spread(value)) {}
+struct Plain {};
 
-  static Wide of(const double* from) { return W::load(from); }
-  void store(double* to) const { W::store(row, to); }
+// Rows of N numbers and what is done with them. Rows that say where something is so are not 0
+// there; they are for `chosen`, `kept`, `either` and `bits`.
+template <class T, std::size_t N, class On>
+struct Registers {
+  struct Row {
+    T at[N];
+  };
 
-  friend Wide operator+(const Wide& a, const Wide& b) { return W::add(a.row, b.row); }
-  friend Wide operator-(const Wide& a, const Wide& b) { return W::subtract(a.row, b.row); }
-  friend Wide operator*(const Wide& a, const Wide& b) { return W::multiply(a.row, b.row); }
-  friend Wide operator/(const Wide& a, const Wide& b) { return W::divide(a.row, b.row); }
-  friend Wide root(const Wide& a) { return W::root(a.row); }
-  // One over what is above 0, else 0.
-  friend Wide inverse(const Wide& a) { return W::inverse(a.row); }
-  friend Wide least(const Wide& a, const Wide& b) { return W::least(a.row, b.row); }
-  friend Wide most(const Wide& a, const Wide& b) { return W::most(a.row, b.row); }
-  // What `chosen` and `bits` take.
-  friend Wide below(const Wide& a, const Wide& b) { return W::below(a.row, b.row); }
-  friend Wide chosen(const Wide& where, const Wide& a, const Wide& b) {
-    return W::chosen(where.row, a.row, b.row);
+  template <class Function>
+  static Row each(Function function) {
+    Row row;
+    for (std::size_t l = 0; l < N; ++l) row.at[l] = function(l);
+    return row;
   }
-  // A value where `below` says so, else 0.
-  friend Wide kept(const Wide& where, const Wide& a) { return W::kept(where.row, a.row); }
-  friend Wide either(const Wide& a, const Wide& b) { return W::either(a.row, b.row); }
-  friend unsigned bits(const Wide& where) { return W::bits(where.row); }
-  friend double largest(const Wide& a) { return W::largest(a.row); }
-  friend double smallest(const Wide& a) { return W::smallest(a.row); }
+  template <class Other>
+  static Row converted(const Other& a) {
+    return each([&](std::size_t l) { return static_cast<T>(a.at[l]); });
+  }
+  static Row load(const T* from) {
+    return each([&](std::size_t l) { return from[l]; });
+  }
+  static void store(const Row& row, T* to) {
+    for (std::size_t l = 0; l < N; ++l) to[l] = row.at[l];
+  }
+  static Row spread(T value) {
+    return each([&](std::size_t) { return value; });
+  }
+  static Row negate(const Row& a) {
+    return each([&](std::size_t l) { return -a.at[l]; });
+  }
+  static Row add(const Row& a, const Row& b) {
+    return each([&](std::size_t l) { return a.at[l] + b.at[l]; });
+  }
+  static Row subtract(const Row& a, const Row& b) {
+    return each([&](std::size_t l) { return a.at[l] - b.at[l]; });
+  }
+  static Row multiply(const Row& a, const Row& b) {
+    return each([&](std::size_t l) { return a.at[l] * b.at[l]; });
+  }
+  static Row divide(const Row& a, const Row& b) {
+    return each([&](std::size_t l) { return a.at[l] / b.at[l]; });
+  }
+  static Row root(const Row& a) {
+    return each([&](std::size_t l) { return std::sqrt(a.at[l]); });
+  }
+  static Row least(const Row& a, const Row& b) {
+    return each([&](std::size_t l) { return a.at[l] < b.at[l] ? a.at[l] : b.at[l]; });
+  }
+  static Row most(const Row& a, const Row& b) {
+    return each([&](std::size_t l) { return a.at[l] > b.at[l] ? a.at[l] : b.at[l]; });
+  }
+  static Row below(const Row& a, const Row& b) {
+    return each([&](std::size_t l) { return T(a.at[l] < b.at[l]); });
+  }
+  static Row chosen(const Row& where, const Row& a, const Row& b) {
+    return each([&](std::size_t l) { return where.at[l] != 0 ? a.at[l] : b.at[l]; });
+  }
+  static Row kept(const Row& where, const Row& a) { return chosen(where, a, spread(0)); }
+  static Row either(const Row& a, const Row& b) {
+    return each([&](std::size_t l) { return T(a.at[l] != 0 || b.at[l] != 0); });
+  }
+  static unsigned bits(const Row& where) {
+    unsigned found = 0;
+    for (std::size_t l = 0; l < N; ++l) found |= (where.at[l] != 0 ? 1u : 0u) << l;
+    return found;
+  }
+  // By halves, as registers do it.
+  static T largest(Row a) {
+    for (std::size_t half = N / 2; half; half /= 2)
+      for (std::size_t l = 0; l < half; ++l)
+        a.at[l] = a.at[l] > a.at[l + half] ? a.at[l] : a.at[l + half];
+    return a.at[0];
+  }
+  static T smallest(const Row& a) { return -largest(negate(a)); }
+  static Row totals(const Row* rows) {
+    return each([&](std::size_t l) {
+      const T* of = rows[l].at;
+      return (of[0] + of[1]) + (of[2] + of[3]);
+    });
+  }
+  static void turn(Row* rows) {
+    for (std::size_t k = 0; k < N; ++k)
+      for (std::size_t l = 0; l < k; ++l) std::swap(rows[k].at[l], rows[l].at[k]);
+  }
 };
 
-template <class W>
-double total(const Wide<W>& a) {
-  double of[WIDE];
-  a.store(of);
-  return (of[0] + of[1]) + (of[2] + of[3]);
-}
+#if defined(__GNUC__)
+// Two doubles, for which every processor has registers.
+template <>
+struct Registers<double, 2, Plain> {
+  using Row = double __attribute__((vector_size(16)));
 
-// Four rows to their columns.
-template <class W>
-void turn(const Wide<W>* rows, Wide<W>* columns) {
-  typename W::Row at[WIDE] = {rows[0].row, rows[1].row, rows[2].row, rows[3].row};
-  W::turn(at);
-  for (std::size_t k = 0; k < WIDE; ++k) columns[k] = at[k];
-}
+  template <class Function>
+  static Row each(Function function) {
+    return Row{function(0), function(1)};
+  }
+  static Row load(const double* from) { return Row{from[0], from[1]}; }
+  static void store(Row row, double* to) { to[0] = row[0], to[1] = row[1]; }
+  static Row spread(double value) { return Row{value, value}; }
+  static Row negate(Row a) { return -a; }
+  static Row add(Row a, Row b) { return a + b; }
+  static Row subtract(Row a, Row b) { return a - b; }
+  static Row multiply(Row a, Row b) { return a * b; }
+  static Row divide(Row a, Row b) { return a / b; }
+  static Row below(Row a, Row b) { return reinterpret_cast<Row>(a < b); }
+  static Row chosen(Row where, Row a, Row b) {
+    return reinterpret_cast<decltype(a < b)>(where) ? a : b;
+  }
+};
+#endif
 
-// The total of each of four.
-template <class W>
-Wide<W> totals(const Wide<W>* rows) {
-  Wide<W> of[WIDE];
-  turn(rows, of);
-  return (of[0] + of[1]) + (of[2] + of[3]);
+template <class T, std::size_t N, class On>
+struct Wide {
+  using Of = Registers<T, N, On>;
+  static constexpr std::size_t LANES = N;
+  typename Of::Row row;
+
+  Wide() = default;
+  Wide(const typename Of::Row& from) : row(from) {}
+  Wide(T value) : row(Of::spread(value)) {}
+  // Of the other kind of number.
+  template <class U>
+  explicit Wide(const Wide<U, N, On>& other) : row(Of::converted(other.row)) {}
+
+  static Wide of(const T* from) { return Of::load(from); }
+  // function(lane) of each.
+  template <class Function>
+  static Wide each(Function function) {
+    return Of::each(function);
+  }
+  void store(T* to) const { Of::store(row, to); }
+
+  friend Wide operator-(const Wide& a) { return Of::negate(a.row); }
+  friend Wide operator+(const Wide& a, const Wide& b) { return Of::add(a.row, b.row); }
+  friend Wide operator-(const Wide& a, const Wide& b) { return Of::subtract(a.row, b.row); }
+  friend Wide operator*(const Wide& a, const Wide& b) { return Of::multiply(a.row, b.row); }
+  friend Wide operator/(const Wide& a, const Wide& b) { return Of::divide(a.row, b.row); }
+  friend Wide& operator+=(Wide& a, const Wide& b) { return a = a + b; }
+  friend Wide root(const Wide& a) { return Of::root(a.row); }
+  friend Wide least(const Wide& a, const Wide& b) { return Of::least(a.row, b.row); }
+  friend Wide most(const Wide& a, const Wide& b) { return Of::most(a.row, b.row); }
+  friend Wide below(const Wide& a, const Wide& b) { return Of::below(a.row, b.row); }
+  friend Wide chosen(const Wide& where, const Wide& a, const Wide& b) {
+    return Of::chosen(where.row, a.row, b.row);
+  }
+  // A value where it is so, else 0.
+  friend Wide kept(const Wide& where, const Wide& a) { return Of::kept(where.row, a.row); }
+  friend Wide either(const Wide& a, const Wide& b) { return Of::either(a.row, b.row); }
+  friend unsigned bits(const Wide& where) { return Of::bits(where.row); }
+  friend T largest(const Wide& a) { return Of::largest(a.row); }
+  friend T smallest(const Wide& a) { return Of::smallest(a.row); }
+
+  // A value of two ends by the square of their distance: 0 where they are at one place.
+  friend Wide where_apart(const Wide& square, const Wide& value) {
+    return kept(below(T(ONE_PLACE), square), value);
+  }
+  // One over the square of a distance, 0 of ends at one place.
+  friend Wide inverse(const Wide& square) { return where_apart(square, T(1) / square); }
+
+  // The total of each of four.
+  friend Wide totals(const Wide* rows) {
+    const typename Of::Row of[WIDE] = {rows[0].row, rows[1].row, rows[2].row, rows[3].row};
+    return Of::totals(of);
+  }
+  // Four rows to their columns.
+  friend void turn(const Wide* rows, Wide* columns) {
+    typename Of::Row of[WIDE] = {rows[0].row, rows[1].row, rows[2].row, rows[3].row};
+    Of::turn(of);
+    for (std::size_t k = 0; k < WIDE; ++k) columns[k] = of[k];
+  }
+  friend T total(const Wide& a) {
+    T of[WIDE];
+    a.store(of);
+    return (of[0] + of[1]) + (of[2] + of[3]);
+  }
+};
+
+template <class On>
+using Four = Wide<double, WIDE, On>;
+template <class On>
+using FourVec = Vector3<Four<On>>;
+// Numbers from one vector of four to the next in memory.
+constexpr std::size_t WIDE_VECTOR = 12;
+
+// The products of four pairs of rows.
+template <class On>
+Four<On> dots(const Four<On>* a, const Four<On>* b) {
+  const Four<On> products[WIDE] = {a[0] * b[0], a[1] * b[1], a[2] * b[2], a[3] * b[3]};
+  return totals(products);
 }
 
 // Rows in memory as columns.
-template <class W>
-void gather(const double* from, const std::int32_t* rows, Wide<W>* columns) {
-  for (std::size_t k = 0; k < WIDE; ++k) columns[k] = Wide<W>::of(from + 4 * rows[k]);
+template <class On>
+inline void gather(const double* from, const std::int32_t* rows, Four<On>* columns) {
+  for (std::size_t k = 0; k < WIDE; ++k) columns[k] = Four<On>::of(from + 4 * rows[k]);
   turn(columns, columns);
 }
 
 // Takes columns away from rows in memory, one after the other.
-template <class W>
-void scatter(const Wide<W>* columns, const std::int32_t* rows, double* to) {
-  Wide<W> parts[WIDE];
+template <class On>
+inline void scatter(const Four<On>* columns, const std::int32_t* rows, double* to) {
+  Four<On> parts[WIDE];
   turn(columns, parts);
   for (std::size_t k = 0; k < WIDE; ++k)
-    (Wide<W>::of(to + 4 * rows[k]) - parts[k]).store(to + 4 * rows[k]);
+    (Four<On>::of(to + 4 * rows[k]) - parts[k]).store(to + 4 * rows[k]);
 }
 
-// Numbers from one vector of four to the next in memory.
-constexpr std::size_t WIDE_VECTOR = 12;
-
-template <class W>
-using WideVec = Vector3<Wide<W>>;
-
-template <class W>
-WideVec<W> chosen(const Wide<W>& where, const WideVec<W>& a, const WideVec<W>& b) {
+template <class N>
+Vector3<N> chosen(const N& where, const Vector3<N>& a, const Vector3<N>& b) {
   return {chosen(where, a.x, b.x), chosen(where, a.y, b.y), chosen(where, a.z, b.z)};
 }
 

@@ -18,15 +18,34 @@ using namespace nanobind::literals;
 // Kernels run without the lock of the interpreter.
 using Unlocked = nb::call_guard<nb::gil_scoped_release>;
 
-// A kernel that takes a struct, called with the members of it, in order; and what is made of
-// such a struct.
-template <class Given, class... Members, class Result>
-auto gathered(Result (*kernel)(const Given&)) {
-  return [kernel](Members... members) { return kernel(Given{members...}); };
+// An argument that is a member of what a kernel takes.
+template <class Given, class Member>
+struct Field {
+  const char* name;
+  Member Given::*member;
+
+  nb::arg arg() const { return nb::arg(name); }
+};
+
+// Binds a kernel that takes many things as one, or a class that is made of such.
+template <class Result, class Given, class... Members>
+void define(nb::module_& m, const char* name, Result (*kernel)(const Given&), const char* doc,
+            Field<Given, Members>... fields) {
+  const auto call = [=](Members... members) {
+    Given given{};
+    ((given.*fields.member = members), ...);
+    return kernel(given);
+  };
+  m.def(name, call, Unlocked(), fields.arg()..., doc);
 }
 template <class Made, class Given, class... Members>
-auto made_of() {
-  return [](Made* made, Members... members) { new (made) Made(Given{members...}); };
+void define_made(nb::class_<Made>& made, Field<Given, Members>... fields) {
+  const auto make = [=](Made* room, Members... members) {
+    Given given{};
+    ((given.*fields.member = members), ...);
+    new (room) Made(given);
+  };
+  made.def("__init__", make, fields.arg()...);
 }
 
 }  // namespace animtool

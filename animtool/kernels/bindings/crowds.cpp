@@ -6,6 +6,7 @@
 namespace animtool {
 
 void bind_crowds(nb::module_& m) {
+  using S = CrowdStep;
   m.def("flock_accelerations", &flock_accelerations, Unlocked(), "points"_a, "velocities"_a,
         "members"_a.none(), "others"_a.none(), "radius"_a, "cosine"_a, "nearest"_a,
         "attraction"_a, "alignment"_a, "repulsion"_a, "softening"_a, "period"_a, "most"_a,
@@ -42,17 +43,8 @@ their distance more. ``period`` is as in `flock_accelerations`.
 Returns ``(points, overlap, pairs)``: what is left in each other [m], and how many pairs there
 were to look at; where these are more than ``most``, it stops.)");
 
-  m.def("crowd_step",
-        gathered<CrowdStep, In<double, 2>, In<double, 2>, In<double, 2>, In<double, 1>,
-                 In<double, 1>, In<double, 1>, In<double, 2>, double, In<std::int32_t, 1>,
-                 In<std::uint8_t, 1>, In<std::int32_t, 1>, In<double, 2>, double, std::int64_t,
-                 double, double, double, double, double, double, std::int64_t,
-                 double>(&crowd_step),
-        Unlocked(), "points"_a, "velocities"_a, "preferred"_a, "radii"_a, "most"_a, "gives"_a,
-        "shoulders"_a, "depth"_a, "groups"_a, "does"_a, "starts"_a, "walls"_a, "sight"_a,
-        "nearest"_a, "horizon"_a, "space"_a, "push"_a, "headway"_a, "side"_a, "step"_a,
-        "rounds"_a, "enough"_a,
-        R"(Where N agents are a step [s] later ``(N, 2)`` [m], and their velocities.
+  define(m, "crowd_step", &crowd_step,
+         R"(Where N agents are a step [s] later ``(N, 2)`` [m], and their velocities.
 
 They would go at ``preferred`` ``(N, 2)`` [m/s], slower where less than ``headway`` [s] is
 between them and who goes the same way ahead of them, and ``push`` [m/s] away from those
@@ -70,7 +62,15 @@ is ``enough`` [m].
 an ellipse that is ``depth`` times as thick as it is wide.
 
 Returns ``(points, velocities, overlap, pressed)``: how far each is to turn its shoulders, to
-who is on its left, or below 0 on its right, -1 to 1 ``(N,)``.)");
+who is on its left, or below 0 on its right, -1 to 1 ``(N,)``.)",
+         Field{"points", &S::points}, Field{"velocities", &S::velocities},
+         Field{"preferred", &S::preferred}, Field{"radii", &S::radii}, Field{"most", &S::most},
+         Field{"gives", &S::gives}, Field{"shoulders", &S::shoulders}, Field{"depth", &S::depth},
+         Field{"groups", &S::groups}, Field{"does", &S::does}, Field{"starts", &S::starts},
+         Field{"walls", &S::walls}, Field{"sight", &S::sight}, Field{"nearest", &S::nearest},
+         Field{"horizon", &S::horizon}, Field{"space", &S::space}, Field{"push", &S::push},
+         Field{"headway", &S::headway}, Field{"side", &S::side}, Field{"step", &S::step},
+         Field{"rounds", &S::rounds}, Field{"enough", &S::enough});
 
   m.def("travel_distances", &travel_distances, Unlocked(), "free"_a, "cell"_a, "seeds"_a,
         "starts"_a,

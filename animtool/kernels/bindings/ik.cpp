@@ -6,6 +6,9 @@
 namespace animtool {
 
 void bind_ik(nb::module_& m) {
+  using P = IkProblems;
+  using S = IkSmoothing;
+  using F = IkFitting;
   // Of Python's table a test compares: name, residuals, width of a target, whether what it
   // misses is a length, and whether cyclic coordinate descent heeds it.
   m.attr("IK_GOAL_KINDS") = nb::tuple(nb::cast(ik_goal_kinds()));
@@ -16,16 +19,8 @@ void bind_ik(nb::module_& m) {
 Lengths are divided by ``length``, rotations brought to length 1, one without length to
 the identity, and seen from the nodes: ``frames`` ``(E, 4)`` are node_from_joint.)");
 
-  m.def("solve_ik",
-        gathered<IkProblems, In<std::int64_t, 2>, In<double, 2>, In<std::int64_t, 2>,
-                 In<double, 2>, In<double, 2>, In<double, 3>, In<double, 3>, In<double, 2>,
-                 In<double, 2>, double, double, double, double, int, int, std::uint64_t, double,
-                 bool, bool, int>(&solve_ik),
-        Unlocked(), "nodes"_a, "numbers"_a, "goals"_a, "goal_numbers"_a,
-        "starts"_a, "targets"_a, "sought"_a, "stretches"_a, "rests"_a, "rest_weight"_a,
-        "length_tolerance"_a, "angle_tolerance"_a, "damping"_a, "iterations"_a, "restarts"_a,
-        "seed"_a, "seconds"_a, "ordered"_a, "warm"_a, "method"_a,
-        R"(Solve B inverse kinematics problems of one chain.
+  define(m, "solve_ik", &solve_ik,
+         R"(Solve B inverse kinematics problems of one chain.
 
 ``nodes`` ``(N, 4)``: kind (0 pin, 1 slide, 2 ball), parent, first coordinate, whether
 that belongs to an earlier node. ``numbers`` ``(N, 18)``: rest rotation by rows, offset,
@@ -43,7 +38,16 @@ CCD, 4 FABRIK, without slides; only the first heeds levels, the last two no rest
 Returns ``(coordinates, misses, reports, seconds)``: ``(B, Q)``; what each goal misses
 ``(B, E, K)``; status (0 reached, 1 nearest, 2 budget, 3 not finite, 4 given way to harder
 goals or the rest, 5 goals that contradict each other, 6 a method without headway),
-iterations and descents ``(B, 3)``; time of each ``(B,)``.)");
+iterations and descents ``(B, 3)``; time of each ``(B,)``.)",
+         Field{"nodes", &P::nodes}, Field{"numbers", &P::numbers}, Field{"goals", &P::goals},
+         Field{"goal_numbers", &P::goal_numbers}, Field{"starts", &P::starts},
+         Field{"targets", &P::targets}, Field{"sought", &P::sought},
+         Field{"stretches", &P::stretches}, Field{"rests", &P::rests},
+         Field{"rest_weight", &P::rest_weight}, Field{"length_tolerance", &P::length_tolerance},
+         Field{"angle_tolerance", &P::angle_tolerance}, Field{"damping", &P::damping},
+         Field{"iterations", &P::iterations}, Field{"restarts", &P::restarts},
+         Field{"seed", &P::seed}, Field{"seconds", &P::seconds}, Field{"ordered", &P::ordered},
+         Field{"warm", &P::warm}, Field{"method", &P::method});
 
   m.def("linearize_ik", &linearize_ik, Unlocked(), "nodes"_a, "numbers"_a, "goals"_a,
         "goal_numbers"_a, "starts"_a, "targets"_a, "steps"_a,
@@ -53,11 +57,8 @@ Returns ``(coordinates, residuals, Jacobians, curvatures)``: ``(B, Q)``; what is
 weighted ``(B, M)``; minus its derivatives ``(B, M, D)``; and the Hessian of half the
 squared residual there, times the step ``(B, D)``.)");
 
-  m.def("smooth_ik", &smooth_ik, Unlocked(), "nodes"_a, "numbers"_a, "goals"_a,
-        "goal_numbers"_a, "path"_a, "targets"_a, "sought"_a, "stretches"_a, "drifts"_a,
-        "anchor"_a, "speed"_a, "acceleration"_a, "first"_a, "end"_a, "length_tolerance"_a,
-        "angle_tolerance"_a, "damping"_a, "rounds"_a,
-        R"(Make a path ``(F, Q)`` of one chain smoother, arrays as for `solve_ik`.
+  define(m, "smooth_ik", &smooth_ik,
+         R"(Make a path ``(F, Q)`` of one chain smoother, arrays as for `solve_ik`.
 
 Frames from ``first`` to ``end`` move, in at most ``rounds`` steps of all at once, so that
 ``anchor |q - path|^2 + speed |v|^2 + acceleration |a|^2`` summed over the frames goes
@@ -65,13 +66,19 @@ down: v is the motion to the next frame less ``drifts`` ``(F - 1, D)``, a its ch
 Goals that are reached stay so; where one is missed, all stay where the frame has them.
 
 Returns ``(coordinates, misses, rounds, before, after)``: ``(F, Q)``, ``(F, E, K)``, steps
-taken, and half the sum before and after them.)");
+taken, and half the sum before and after them.)",
+         Field{"nodes", &S::nodes}, Field{"numbers", &S::numbers}, Field{"goals", &S::goals},
+         Field{"goal_numbers", &S::goal_numbers}, Field{"path", &S::path},
+         Field{"targets", &S::targets}, Field{"sought", &S::sought},
+         Field{"stretches", &S::stretches}, Field{"drifts", &S::drifts},
+         Field{"anchor", &S::anchor}, Field{"speed", &S::speed},
+         Field{"acceleration", &S::acceleration}, Field{"first", &S::first},
+         Field{"end", &S::end}, Field{"length_tolerance", &S::length_tolerance},
+         Field{"angle_tolerance", &S::angle_tolerance}, Field{"damping", &S::damping},
+         Field{"rounds", &S::rounds});
 
-  m.def("fit_ik", &fit_ik, Unlocked(), "nodes"_a, "numbers"_a, "goals"_a, "goal_numbers"_a,
-        "path"_a, "targets"_a, "starts"_a, "anchor"_a, "speed"_a, "acceleration"_a, "robust"_a,
-        "rest_weight"_a, "homing"_a, "first"_a, "end"_a, "iterations"_a, "rounds"_a,
-        "tracked"_a,
-        R"(Fit a path ``(F, Q)`` of one chain to goals by weight, arrays as for `solve_ik`.
+  define(m, "fit_ik", &fit_ik,
+         R"(Fit a path ``(F, Q)`` of one chain to goals by weight, arrays as for `solve_ik`.
 
 Frames from ``first`` to ``end`` move. If ``tracked``, each is first looked for from where
 those before it lead to, which draws it with ``rest_weight``; joints without a goal go the
@@ -82,7 +89,15 @@ share ``homing`` of the way to their rest. Where too little fits, it is looked f
 
 Returns ``(coordinates, misses, searched, taken, rounds, before, after)``: ``(F, Q)``;
 ``(F, E, K)``; which frames begin at a start of their own ``(F,)``; whose target each goal has
-``(F, E)``, -1 for none; steps taken, and half the sum before and after them.)");
+``(F, E)``, -1 for none; steps taken, and half the sum before and after them.)",
+         Field{"nodes", &F::nodes}, Field{"numbers", &F::numbers}, Field{"goals", &F::goals},
+         Field{"goal_numbers", &F::goal_numbers}, Field{"path", &F::path},
+         Field{"targets", &F::targets}, Field{"starts", &F::starts}, Field{"anchor", &F::anchor},
+         Field{"speed", &F::speed}, Field{"acceleration", &F::acceleration},
+         Field{"robust", &F::robust}, Field{"rest_weight", &F::rest_weight},
+         Field{"homing", &F::homing}, Field{"first", &F::first}, Field{"end", &F::end},
+         Field{"iterations", &F::iterations}, Field{"rounds", &F::rounds},
+         Field{"tracked", &F::tracked});
 
   m.def("cheapest_ik_path", &cheapest_ik_path, Unlocked(), "nodes"_a, "numbers"_a, "paths"_a,
         "costs"_a, "drifts"_a, "easy"_a, "open"_a, "closed"_a,

@@ -7,26 +7,27 @@
 namespace animtool {
 
 void bind_springs(nb::module_& m) {
-  nb::class_<SpringNetwork>(m, "SpringNetwork",
-                            R"(Particles, springs between them and what acts on them.
+  using A = SpringArrays;
+  nb::class_<SpringNetwork> network(m, "SpringNetwork",
+                                    R"(Particles, springs between them and what acts on them.
 
 Inverse masses ``(N,)`` of particles that are held are 0; ``drags``
 ``(N,)`` slow them, a second. Springs join ``ends`` ``(S, 2)``; ``limit`` is the length at
 which they tear. ``air_drag`` and ``air_lift`` of the air on ``triangles`` ``(T, 3)`` are over
 the area and the square of the speed. Over the times of ``knots`` ``(K,)``: where ``held``
 particles are ``(K or 1, P, 3)``; the points ``(K or 1, A, 3)`` that ``anchors`` are drawn to;
-the wind ``(K or 1, 1, 3)``.)")
-      .def("__init__",
-           made_of<SpringNetwork, SpringArrays, In<double, 1>, In<double, 1>,
-                   In<std::int64_t, 2>, In<double, 1>, In<double, 1>, In<double, 1>,
-                   In<double, 1>, In<std::int64_t, 2>, In<double, 1>, double, double,
-                   In<double, 1>, In<std::int64_t, 1>, In<double, 3>, In<std::int64_t, 1>,
-                   In<double, 1>, In<double, 1>, In<double, 3>, In<double, 3>>(),
-           "inverse_masses"_a, "drags"_a, "ends"_a, "rest"_a, "stiffness"_a, "damping"_a,
-           "limit"_a, "triangles"_a, "gravity"_a, "air_drag"_a, "air_lift"_a, "knots"_a,
-           "held"_a, "held_path"_a, "anchors"_a, "anchor_stiffness"_a, "anchor_damping"_a,
-           "anchor_path"_a, "winds"_a)
-      .def("lead", &SpringNetwork::lead, "held_path"_a, "anchor_path"_a,
+the wind ``(K or 1, 1, 3)``.)");
+  define_made(network,
+         Field{"inverse_masses", &A::inverse_masses}, Field{"drags", &A::drags},
+         Field{"ends", &A::ends}, Field{"rest", &A::rest}, Field{"stiffness", &A::stiffness},
+         Field{"damping", &A::damping}, Field{"limit", &A::limit},
+         Field{"triangles", &A::triangles}, Field{"gravity", &A::gravity},
+         Field{"air_drag", &A::air_drag}, Field{"air_lift", &A::air_lift},
+         Field{"knots", &A::knots}, Field{"held", &A::held}, Field{"held_path", &A::held_path},
+         Field{"anchors", &A::anchors}, Field{"anchor_stiffness", &A::anchor_stiffness},
+         Field{"anchor_damping", &A::anchor_damping}, Field{"anchor_path", &A::anchor_path},
+         Field{"winds", &A::winds});
+  network.def("lead", &SpringNetwork::lead, "held_path"_a, "anchor_path"_a,
            "Put paths of held particles and anchors in the place of those over the knots.");
 
   nb::class_<SpringLayers>(m, "SpringLayers",

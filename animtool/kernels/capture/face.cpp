@@ -11,6 +11,8 @@
 #include <vector>
 
 #include "base/checks.h"
+#include "base/cholesky.h"
+#include "base/quaternions.h"
 #include "capture/capture.h"
 
 namespace animtool {
@@ -28,10 +30,9 @@ constexpr double UNSEEN = 1e-9;
 using Mat3 = std::array<double, 9>;
 
 Mat3 matrix(const double* q) {
-  const double x = q[0], y = q[1], z = q[2], w = q[3];
-  return {1 - 2 * (y * y + z * z), 2 * (x * y - w * z),     2 * (x * z + w * y),
-          2 * (x * y + w * z),     1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
-          2 * (x * z - w * y),     2 * (y * z + w * x),     1 - 2 * (x * x + y * y)};
+  Mat3 made;
+  ik::to_matrix(q, made.data());
+  return made;
 }
 
 void turn(double* q, const double* v) {
@@ -47,39 +48,17 @@ void turn(double* q, const double* v) {
   for (int i = 0; i < 4; ++i) q[i] = made[i] / size;
 }
 
-// Lower Cholesky factor of the n × n block in `a` with a row of `stride`; what has no positive
-// pivot is given none, and its row and column count for nothing.
-void factor(double* a, std::size_t n, std::size_t stride, double floor) {
-  for (std::size_t i = 0; i < n; ++i) {
-    double* row = a + i * stride;
-    for (std::size_t j = 0; j < i; ++j) {
-      const double* other = a + j * stride;
-      double sum = row[j];
-      for (std::size_t k = 0; k < j; ++k) sum -= row[k] * other[k];
-      row[j] = sum / other[j];
-    }
-    double pivot = row[i];
-    for (std::size_t k = 0; k < i; ++k) pivot -= row[k] * row[k];
-    row[i] = pivot > floor ? std::sqrt(pivot) : HUGE_VAL;
-  }
+// Of the n × n block in `a` with a row of `stride`; what has no positive pivot counts for
+// nothing. `column` holds n.
+void factor(double* a, std::size_t n, std::size_t stride, double floor, double* column) {
+  using namespace cholesky;
+  cholesky::factor<Roots, Small::COUNTS_FOR_NOTHING>(a, n, stride, column,
+                                                     [&](std::size_t) { return floor; });
 }
 
-// x becomes L^-1 x from `first` on, before which it is 0.
-void forward_solve(const double* l, std::size_t n, std::size_t stride, double* x,
+void solve_forward(const double* l, std::size_t n, std::size_t stride, double* x,
                    std::size_t first = 0) {
-  for (std::size_t i = first; i < n; ++i) {
-    double sum = x[i];
-    for (std::size_t k = first; k < i; ++k) sum -= l[i * stride + k] * x[k];
-    x[i] = sum / l[i * stride + i];
-  }
-}
-
-// x becomes L^-T x.
-void backward_solve(const double* l, std::size_t n, std::size_t stride, double* x) {
-  for (std::size_t i = n; i-- > 0;) {
-    x[i] /= l[i * stride + i];
-    for (std::size_t k = 0; k < i; ++k) x[k] -= l[i * stride + k] * x[i];
-  }
+  cholesky::solve_forward<cholesky::Roots>(cholesky::Rows{l, stride}, n, x, first);
 }
 
 // What a frame asks of its weights: half of w' H w - g' w, 0 to 1.
@@ -164,7 +143,7 @@ struct Quadratics {
 
   // The weights at which what is at no bound has no slope, the rest staying: `step_`.
   void newton(const double* w) {
-    std::vector<double> slopes(shapes), right(shapes);
+    std::vector<double> slopes(shapes), right(shapes), pivots(shapes);
     std::vector<std::size_t> places(shapes, shapes), before(shapes, shapes);
     for (std::size_t f = 0; f < frames; ++f) {
       const double* hf = h.data() + f * shapes * shapes;
@@ -197,7 +176,7 @@ struct Quadratics {
           if (at == shapes) continue;
           std::fill(column, column + m, 0.0);
           column[at] = smooth;
-          forward_solve(lb, m, shapes, column, at);
+          solve_forward(lb, m, shapes, column, at);
           double sum = 0;
           for (std::size_t k = at; k < m; ++k) sum += column[k] * kept[k];
           right[i] += sum;
@@ -211,8 +190,8 @@ struct Quadratics {
           }
         }
       }
-      factor(l, n, shapes, 1e-14 * trace);
-      forward_solve(l, n, shapes, right.data());
+      factor(l, n, shapes, 1e-14 * trace, pivots.data());
+      solve_forward(l, n, shapes, right.data());
       std::copy(right.begin(), right.begin() + static_cast<std::ptrdiff_t>(n),
                 kept_.begin() + static_cast<std::ptrdiff_t>(f * shapes));
     }
@@ -225,10 +204,10 @@ struct Quadratics {
       if (f + 1 < frames && smooth > 0) {
         std::fill(right.begin(), right.end(), 0.0);
         for (std::size_t i = 0; i < n; ++i) right[i] = smooth * step_[(f + 1) * shapes + own[i]];
-        forward_solve(l, n, shapes, right.data());
+        solve_forward(l, n, shapes, right.data());
         for (std::size_t i = 0; i < n; ++i) x[i] += right[i];
       }
-      backward_solve(l, n, shapes, x);
+      cholesky::solve_backward<cholesky::Roots>(cholesky::Rows{l, shapes}, n, x);
       for (std::size_t i = 0; i < n; ++i) step_[f * shapes + own[i]] = x[i];
     }
   }
@@ -396,18 +375,19 @@ class Linear {
     double largest = 0;
     for (std::size_t i = 0; i < POSE; ++i) largest = std::max(largest, pose_h_[i * POSE + i]);
     std::copy(pose_h_, pose_h_ + POSE * POSE, factor_);
-    factor(factor_, POSE, POSE, UNSEEN * largest);
+    double pivots[POSE];
+    factor(factor_, POSE, POSE, UNSEEN * largest, pivots);
     if (largest == 0) return;
     // H - C P^-1 C' by the rows of L^-1 C'.
     std::vector<double>& solved = solved_;
     solved.resize(POSE * shapes);
     double right[POSE];
     std::copy(pose_g_, pose_g_ + POSE, right);
-    forward_solve(factor_, POSE, POSE, right);
+    solve_forward(factor_, POSE, POSE, right);
     for (std::size_t s = 0; s < shapes; ++s) {
       double column[POSE];
       for (std::size_t i = 0; i < POSE; ++i) column[i] = cross_[i * shapes + s];
-      forward_solve(factor_, POSE, POSE, column);
+      solve_forward(factor_, POSE, POSE, column);
       for (std::size_t i = 0; i < POSE; ++i) {
         solved[i * shapes + s] = column[i];
         g[s] -= column[i] * right[i];
@@ -426,7 +406,7 @@ class Linear {
       for (std::size_t s = 0; s < face_.shapes; ++s) sum -= solved_[i * face_.shapes + s] * w[s];
       step[i] = sum;
     }
-    backward_solve(factor_, POSE, POSE, step);
+    cholesky::solve_backward<cholesky::Roots>(cholesky::Rows{factor_, POSE}, POSE, step);
     moved(step, pose);
   }
 
@@ -529,8 +509,7 @@ FittedFace fit_face(In<double, 3> neutral, In<double, 3> deltas, In<double, 3> o
   check::positive("enough", enough);
   check::between("rounds", rounds, 1, 1000);
   if (camera) {
-    check::shape("camera", *camera, {4});
-    check::finite("camera", *camera);
+    check::numbers("camera", *camera, {4});
     check::positive("camera", camera->data()[0]);
     check::positive("camera", camera->data()[1]);
   }

@@ -11,6 +11,7 @@
 #include <vector>
 
 #include "base/checks.h"
+#include "base/cholesky.h"
 #include "base/vector.h"
 #include "capture/capture.h"
 
@@ -55,32 +56,29 @@ struct Normal {
   }
 };
 
-// The Cholesky factor of a symmetric matrix: the diagonal inverted.
+// The factor of a symmetric matrix, with the inverses of its diagonal.
 struct Factor {
-  double a, b, c, d, e, f;  // 1/l00, l10, l20, 1/l11, l21, 1/l22
+  double l[9];
 
   bool of(const Normal& n) {
-    if (!(n.xx > 0)) return false;
-    a = 1 / std::sqrt(n.xx), b = n.xy * a, c = n.xz * a;
-    const double second = n.yy - b * b;
-    if (!(second > SINGULAR * n.yy)) return false;
-    d = 1 / std::sqrt(second), e = (n.yz - b * c) * d;
-    const double third = n.zz - c * c - e * e;
-    if (!(third > SINGULAR * n.zz)) return false;
-    f = 1 / std::sqrt(third);
-    return true;
+    using namespace cholesky;
+    const double least[3] = {0, SINGULAR * n.yy, SINGULAR * n.zz};
+    double column[3];
+    l[0] = n.xx, l[3] = n.xy, l[4] = n.yy, l[6] = n.xz, l[7] = n.yz, l[8] = n.zz;
+    return factor<Inverses, Small::FAILS>(l, 3, 3, column, [&](std::size_t i) { return least[i]; });
   }
 
   // The rows of the inverse of the factor, times a vector.
   Vec half(double x, double y, double z) const {
-    const double p = x * a, q = (y - b * p) * d;
-    return {p, q, (z - c * p - e * q) * f};
+    double to[3] = {x, y, z};
+    cholesky::solve_forward<cholesky::Inverses>(cholesky::Rows{l, 3}, 3, to);
+    return {to[0], to[1], to[2]};
   }
 
   Vec solve(double x, double y, double z) const {
     const Vec h = half(x, y, z);
-    const double r = h.z * f, q = (h.y - e * r) * d;
-    return {(h.x - b * q - c * r) * a, q, r};
+    const double r = h.z * l[8], q = (h.y - l[7] * r) * l[4];
+    return {(h.x - l[3] * q - l[6] * r) * l[0], q, r};
   }
 
   // The trace of the inverse of the matrix.
@@ -422,8 +420,7 @@ std::vector<Camera> read_cameras(In<double, 2> numbers, const double* noise) {
 void check_views(const In<double, 4>& pixels, const In<double, 2>& cameras) {
   check::shape("pixels", pixels, {check::ANY, check::ANY, check::ANY, 2});
   check::between("cameras", pixels.shape(1), std::size_t{0}, std::size_t{256});
-  check::shape("cameras", cameras, {pixels.shape(1), CAMERA_NUMBERS});
-  check::finite("cameras", cameras);
+  check::numbers("cameras", cameras, {pixels.shape(1), CAMERA_NUMBERS});
   for (std::size_t c = 0; c < cameras.shape(0); ++c) {
     check::positive("cameras", cameras.data()[c * CAMERA_NUMBERS]);
     check::positive("cameras", cameras.data()[c * CAMERA_NUMBERS + 1]);

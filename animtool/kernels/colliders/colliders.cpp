@@ -6,7 +6,6 @@
 
 #include "base/checks.h"
 #include "colliders/arrays.h"
-#include "springs/contacts.h"
 
 namespace animtool {
 
@@ -78,8 +77,10 @@ void check_arrays(const ColliderArrays& in) {
   check_nodes(nodes, triangles.shape(0));
 }
 
+}  // namespace
+
 // Colliders as the core has them, of arrays with one row each.
-std::vector<Collider> colliders_of(const ColliderArrays& in) {
+std::vector<Collider> read_colliders(const ColliderArrays& in) {
   const auto& [kinds, sizes, materials, poses, points, triangles, corner_normals,
                edge_normals, bounds, nodes] = in;
   check_arrays(in);
@@ -105,8 +106,6 @@ std::vector<Collider> colliders_of(const ColliderArrays& in) {
   return made;
 }
 
-}  // namespace
-
 Collided collide_particles(ColliderArrays colliders, In<double, 3> before,
                            In<double, 3> after, In<double, 1> radii,
                            In<double, 1> begins, double step) {
@@ -116,7 +115,7 @@ Collided collide_particles(ColliderArrays colliders, In<double, 3> before,
   check::shape("radii", radii, {count});
   check::shape("begins", begins, {count});
   check::not_negative("step", step);
-  const std::vector<Collider> made = colliders_of(colliders);
+  const std::vector<Collider> made = read_colliders(colliders);
   Out<double, 3> state(2, count, 3);
   Out<double, 2> normals(count, 3);
   Out<std::int64_t, 2> touches(count, 2);
@@ -143,7 +142,7 @@ ColliderSamples sample_colliders(ColliderArrays colliders, In<double, 2> points,
   check::shape("points", points, {check::ANY, 3});
   check::between("share", share, 0, 1);
   check::not_negative("step", step);
-  const std::vector<Collider> made = colliders_of(colliders);
+  const std::vector<Collider> made = read_colliders(colliders);
   Out<double, 2> distances(made.size(), count);
   Out<double, 3> normals(made.size(), count, 3), velocities(made.size(), count, 3);
   const double rate = step > 0 ? 1 / step : 0.0;
@@ -158,10 +157,6 @@ ColliderSamples sample_colliders(ColliderArrays colliders, In<double, 2> points,
     }
   }
   return {std::move(distances), std::move(normals), std::move(velocities)};
-}
-
-std::vector<Collider> read_colliders(const ColliderArrays& arrays) {
-  return colliders_of(arrays);
 }
 
 }  // namespace animtool

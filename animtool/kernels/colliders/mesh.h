@@ -245,11 +245,9 @@ inline bool crosses_triangle(const Mesh& mesh, std::int32_t triangle, Vec from, 
   return left[0] == left[1] && left[1] == left[2];
 }
 
-// Whether a straight way ends on the other side of the triangles under a node.
-inline bool crosses_mesh(const Mesh& mesh, std::int32_t root, Vec from, Vec to) {
-  const Vec low{std::min(from.x, to.x), std::min(from.y, to.y), std::min(from.z, to.z)};
-  const Vec high{std::max(from.x, to.x), std::max(from.y, to.y), std::max(from.z, to.z)};
-  bool odd = false;
+// Calls with the triangles under a node whose boxes overlap another, in order.
+template <class Call>
+void visit_overlapping(const Mesh& mesh, std::int32_t root, Vec low, Vec high, Call call) {
   std::int32_t stack[DEEPEST];
   int depth = 0;
   stack[depth++] = root;
@@ -260,13 +258,20 @@ inline bool crosses_mesh(const Mesh& mesh, std::int32_t root, Vec from, Vec to) 
         box[4] < low.y || box[5] < low.z)
       continue;
     const std::int32_t left = mesh.nodes[2 * node], right = mesh.nodes[2 * node + 1];
-    if (left >= 0) {
+    if (left >= 0)
       stack[depth++] = right, stack[depth++] = left;
-      continue;
-    }
-    for (std::int32_t t = -1 - left; t < -1 - left + right; ++t)
-      odd ^= crosses_triangle(mesh, t, from, to);
+    else
+      for (std::int32_t t = -1 - left; t < -1 - left + right; ++t) call(t);
   }
+}
+
+// Whether a straight way ends on the other side of the triangles under a node.
+inline bool crosses_mesh(const Mesh& mesh, std::int32_t root, Vec from, Vec to) {
+  const Vec low{std::min(from.x, to.x), std::min(from.y, to.y), std::min(from.z, to.z)};
+  const Vec high{std::max(from.x, to.x), std::max(from.y, to.y), std::max(from.z, to.z)};
+  bool odd = false;
+  visit_overlapping(mesh, root, low, high,
+                    [&](std::int32_t t) { odd ^= crosses_triangle(mesh, t, from, to); });
   return odd;
 }
 

@@ -23,16 +23,29 @@ struct Rod {
   double rise;
 };
 
-template <class W>
+// One particle by itself is numbers that are not side by side.
+[[maybe_unused]] static double root(double a) { return std::sqrt(a); }
+[[maybe_unused]] static double inverse(double a) { return a > 0 ? 1 / a : 0; }
+[[maybe_unused]] static double least(double a, double b) { return a < b ? a : b; }
+[[maybe_unused]] static double most(double a, double b) { return a > b ? a : b; }
+[[maybe_unused]] static double below(double a, double b) { return a < b; }
+[[maybe_unused]] static double chosen(double where, double a, double b) {
+  return where != 0 ? a : b;
+}
+[[maybe_unused]] static Vec chosen(double where, const Vec& a, const Vec& b) {
+  return where != 0 ? a : b;
+}
+[[maybe_unused]] static unsigned bits(double where) { return where != 0; }
+
+template <class N>
 struct WideSample {
-  Wide<W> distance;
-  WideVec<W> normal;
+  N distance;
+  Vector3<N> normal;
 };
 
-template <class W>
-WideSample<W> sample_rod(const Rod::Axis& axis, double radius, const WideVec<W>& p) {
-  using N = Wide<W>;
-  using V = WideVec<W>;
+template <class N>
+WideSample<N> sample_rod(const Rod::Axis& axis, double radius, const Vector3<N>& p) {
+  using V = Vector3<N>;
   const V off = p - V::spread(axis.from), along = V::spread(axis.along);
   const N share = least(most(dot(off, along) * axis.inverse, N(0.0)), N(1.0));
   const V away = off - along * share;
@@ -45,12 +58,10 @@ WideSample<W> sample_rod(const Rod::Axis& axis, double radius, const WideVec<W>&
 // that began too deep, and friction takes from their way along it. Being moved out slowly is
 // no speed: of those that began too deep, where they stood still goes along. Returns which are
 // moved.
-template <class W>
-unsigned push_out(const Rod& rod, const WideSample<W>& found, const Wide<W>& begun,
-                  const Wide<W>& depth, const WideVec<W>& from, WideVec<W>& to,
-                  WideVec<W>& still) {
-  using N = Wide<W>;
-  using V = WideVec<W>;
+template <class N>
+unsigned push_out(const Rod& rod, const WideSample<N>& found, const N& begun, const N& depth,
+                  const Vector3<N>& from, Vector3<N>& to, Vector3<N>& still) {
+  using V = Vector3<N>;
   const N slow = least(begun + rod.rise, depth);
   const auto deep = below(begun, depth - INSIDE);
   const N goal = chosen(deep, slow, depth);

@@ -447,8 +447,7 @@ CrowdStepped crowd_step(const CrowdStep& given) {
   check::shape("radii", radii, {count});
   check::shape("most", most, {count});
   check::shape("gives", gives, {count});
-  check::shape("shoulders", shoulders, {count, 2});
-  check::finite("shoulders", shoulders);
+  check::numbers("shoulders", shoulders, {count, 2});
   check::between("depth", depth, 0, 1);
   check::shape("groups", groups, {count});
   check::shape("does", does, {count});
@@ -543,8 +542,7 @@ Out<double, 2> travel_distances(In<bool, 2> free, double cell, In<std::int64_t, 
   check::at_most("free", count, check::MOST_ROWS);
   check::positive("cell", cell);
   check::indices("seeds", seeds, 0, static_cast<std::int64_t>(count));
-  check::shape("starts", starts, {seeds.shape(0)});
-  check::finite("starts", starts);
+  check::numbers("starts", starts, {seeds.shape(0)});
   Out<double, 2> out(rows, columns);
   constexpr double never = std::numeric_limits<double>::infinity();
   double* distances = out.get();

@@ -157,8 +157,7 @@ std::tuple<Out<double, 2>, Out<std::int32_t, 1>, double> flock_accelerations(In<
   check::between("cosine", cosine, -1, 1);
   check::between("nearest", nearest, 0, std::numeric_limits<std::int32_t>::max());
   check::not_negative("softening", softening);
-  check::shape("period", period, {2, 3});
-  check::finite("period", period);
+  check::numbers("period", period, {2, 3});
   const double* periods = period.data() + 3;
   for (std::size_t k = 0; k < 3; ++k)
     if (periods[k] != 0 && !(periods[k] >= 2 * radius))

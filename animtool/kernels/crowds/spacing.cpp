@@ -81,10 +81,8 @@ struct Pair {
 };
 
 void check_spaced(const In<double, 1>& least, std::size_t count, const In<double, 2>& period) {
-  check::shape("least", least, {count});
-  check::finite("least", least);
-  check::shape("period", period, {2, 3});
-  check::finite("period", period);
+  check::numbers("least", least, {count});
+  check::numbers("period", period, {2, 3});
 }
 
 void push(double* values, const Pair& pair, const Spaced::Gap& gap, double size) {

@@ -4,6 +4,7 @@
 #include <vector>
 
 #include "base/checks.h"
+#include "base/turns.h"
 #include "base/vector.h"
 #include "curves/curves.h"
 
@@ -11,20 +12,9 @@ namespace animtool {
 
 namespace {
 
-struct Quat {
-  double x, y, z, w;
-};
-
-Quat product(const Quat& a, const Quat& b) {
-  return {a.w * b.x + a.x * b.w + a.y * b.z - a.z * b.y,
-          a.w * b.y - a.x * b.z + a.y * b.w + a.z * b.x,
-          a.w * b.z + a.x * b.y - a.y * b.x + a.z * b.w,
-          a.w * b.w - a.x * b.x - a.y * b.y - a.z * b.z};
-}
-
 double squared(const Vec& a) { return dot(a, a); }
 
-Vec turned(const Quat& q, const Vec& p) {
+Vec turned(const Turn& q, const Vec& p) {
   const double x = 2 * (q.y * p.z - q.z * p.y), y = 2 * (q.z * p.x - q.x * p.z),
                z = 2 * (q.x * p.y - q.y * p.x);
   return {p.x + q.w * x + q.y * z - q.z * y, p.y + q.w * y + q.z * x - q.x * z,
@@ -45,18 +35,18 @@ struct Chain {
   std::size_t count, moving;
   const std::int64_t *parents, *numbers;  // of each its place in a pose, -1 at rest
   const Vec* places;
-  const Quat *before, *rest;
+  const Turn *before, *rest;
 
-  void places_of(const Quat* pose, Quat* world, Vec* made) const {
+  void places_of(const Turn* pose, Turn* world, Vec* made) const {
     for (std::size_t j = 0; j < count; ++j) {
-      const Quat own = product(before[j], numbers[j] < 0 ? rest[j] : pose[numbers[j]]);
+      const Turn own = before[j] * (numbers[j] < 0 ? rest[j] : pose[numbers[j]]);
       if (parents[j] < 0) {
         world[j] = own, made[j] = places[j];
         continue;
       }
       const std::size_t above = static_cast<std::size_t>(parents[j]);
       made[j] = made[above] + turned(world[above], places[j]);
-      world[j] = product(world[above], own);
+      world[j] = world[above] * own;
     }
   }
 };
@@ -64,7 +54,7 @@ struct Chain {
 // Evenly from one rotation to another.
 class Between {
  public:
-  void set(const Quat* a, const Quat* b, std::size_t count) {
+  void set(const Turn* a, const Turn* b, std::size_t count) {
     a_ = a, b_ = b, count_ = count;
     angles_.resize(count), sines_.resize(count);
     for (std::size_t m = 0; m < count; ++m) {
@@ -74,7 +64,7 @@ class Between {
     }
   }
 
-  void at(double share, Quat* out) const {
+  void at(double share, Turn* out) const {
     for (std::size_t m = 0; m < count_; ++m) {
       double p, q;
       if (angles_[m] < SMALL) {
@@ -89,7 +79,7 @@ class Between {
   }
 
  private:
-  const Quat *a_ = nullptr, *b_ = nullptr;
+  const Turn *a_ = nullptr, *b_ = nullptr;
   std::size_t count_ = 0;
   std::vector<double> angles_, sines_;
 };
@@ -103,15 +93,11 @@ std::tuple<Out<bool, 1>, Out<double, 3>> fitting_spans(
     double standing, double hips) {
   const std::size_t frames = turns.shape(0), moving = turns.shape(1), count = parents.shape(0);
   check::at_most("turns", frames * moving, check::MOST_ROWS);
-  check::shape("turns", turns, {check::ANY, check::ANY, 4});
-  check::finite("turns", turns);
+  check::numbers("turns", turns, {check::ANY, check::ANY, 4});
   check::shape("numbers", numbers, {count});
-  check::shape("places", places, {count, 3});
-  check::finite("places", places);
-  check::shape("before", before, {count, 4});
-  check::finite("before", before);
-  check::shape("rest", rest, {count, 4});
-  check::finite("rest", rest);
+  check::numbers("places", places, {count, 3});
+  check::numbers("before", before, {count, 4});
+  check::numbers("rest", rest, {count, 4});
   check::shape("feet", feet, {2});
   check::shape("stands", stands, {frames, 2});
   check::indices("numbers", numbers, -1, static_cast<std::int64_t>(moving));
@@ -128,10 +114,10 @@ std::tuple<Out<bool, 1>, Out<double, 3>> fitting_spans(
                     parents.data(),
                     numbers.data(),
                     reinterpret_cast<const Vec*>(places.data()),
-                    reinterpret_cast<const Quat*>(before.data()),
-                    reinterpret_cast<const Quat*>(rest.data())};
-  const Quat* poses = reinterpret_cast<const Quat*>(turns.data());
-  std::vector<Quat> world(count), pose(moving);
+                    reinterpret_cast<const Turn*>(before.data()),
+                    reinterpret_cast<const Turn*>(rest.data())};
+  const Turn* poses = reinterpret_cast<const Turn*>(turns.data());
+  std::vector<Turn> world(count), pose(moving);
   std::vector<Vec> exact(frames * count), made(count);
   for (std::size_t f = 0; f < frames; ++f)
     chain.places_of(poses + f * moving, world.data(), exact.data() + f * count);

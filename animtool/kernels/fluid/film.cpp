@@ -4,6 +4,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "base/groups.h"
+
 namespace animtool::fluid {
 
 using collide::Vec;
@@ -247,24 +249,15 @@ void Film::pull(const double* rows, std::size_t count, double scale, double* mov
 // Which drop each block is of: those that touch are of one.
 void Film::part_drops() {
   const std::size_t size = blocks_.size();
-  std::vector<std::int32_t> first(size);
-  for (std::size_t b = 0; b < size; ++b) first[b] = static_cast<std::int32_t>(b);
-  const auto found = [&](std::int32_t b) {
-    while (first[static_cast<std::size_t>(b)] != b)
-      b = first[static_cast<std::size_t>(b)] =
-          first[static_cast<std::size_t>(first[static_cast<std::size_t>(b)])];
-    return b;
-  };
+  Groups drops_of(size);
   for (std::size_t b = 1; b < size; ++b)
     for (const std::size_t k : {1, 2, 4})
-      if (const std::int32_t next = after_[8 * b + k]) {
-        const std::int32_t one = found(static_cast<std::int32_t>(b)), other = found(next);
-        first[static_cast<std::size_t>(std::max(one, other))] = std::min(one, other);
-      }
+      if (const std::int32_t next = after_[8 * b + k])
+        drops_of.join(b, static_cast<std::size_t>(next));
   drop_of_block_.assign(size, 0);
   std::int32_t drops = 0;
   for (std::size_t b = 1; b < size; ++b) {
-    const std::size_t from = static_cast<std::size_t>(found(static_cast<std::int32_t>(b)));
+    const std::size_t from = drops_of.first_of(b);
     drop_of_block_[b] = from == b ? ++drops : drop_of_block_[from];
   }
   drops_.resize(static_cast<std::size_t>(drops) + 1);

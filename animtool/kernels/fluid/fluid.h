@@ -84,4 +84,16 @@ class Walls {
   double flat_[KNOTS][2];
 };
 
+const Walls& walls();
+
+// What a collider adds to the density of a particle, as a share of all that may be there.
+struct Beyond {
+  double share = 0, distance = 0;
+  Vec slope;   // of the share, in the world [1/m]
+  Vec push;    // what of it presses: see `beyond_box`
+  Vec normal;  // the way out of the collider
+};
+
+Beyond beyond(const collide::Collider& c, const collide::Pose& pose, Vec point, double radius);
+
 }  // namespace animtool::fluid

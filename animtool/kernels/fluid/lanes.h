@@ -1,12 +1,8 @@
-// What neighbours in a fluid do to each other, whichever way a processor holds four numbers.
-//
-// Nothing here is shared between source files, which are built for other processors: W is
-// another type in each.
+// What neighbours in a fluid do to each other, four at a time.
 #pragma once
 
 #include <cstdint>
 
-#include "base/rows.h"
 #include "base/wide.h"
 
 namespace animtool {
@@ -34,9 +30,9 @@ struct FluidFunctions {
 };
 const FluidFunctions* fluid_in_quads();  // null where the processor has no such registers
 
-template <class W>
+template <class On>
 struct FluidLoops {
-  using D = Wide<W>;
+  using D = Four<On>;
 
   // Calls with each particle's partners, four at a time: the place of the first, the rows
   // from them to it, and what it takes from them; they take the same but of the

@@ -1,20 +1,11 @@
-// What neighbours in a fluid do to each other, for processors with registers of four doubles;
-// the build says where the compiler may use them, and the processor is asked before it runs.
+// What neighbours in a fluid do to each other, for processors with registers of four doubles.
 #include "base/quads.h"
 #include "fluid/lanes.h"
 
 namespace animtool {
 
-#ifdef ANIMTOOL_QUADS
-
 const FluidFunctions* fluid_in_quads() {
-  return has_quads() ? &FluidLoops<QuadRows>::functions : nullptr;
+  return has_quads() ? &FluidLoops<Quads>::functions : nullptr;
 }
-
-#else
-
-const FluidFunctions* fluid_in_quads() { return nullptr; }
-
-#endif
 
 }  // namespace animtool

@@ -66,16 +66,6 @@ class BlockBand {
   double* inverse(int t) { return inverse_.data() + t * square_; }
   double* near(int t) { return near_.data() + t * square_; }
 
-  // In sums that the processor adds side by side.
-  static double inner(const double* a, const double* b, int first, int last) {
-    double sums[4] = {0, 0, 0, 0};
-    int i = first;
-    for (; i + 4 <= last; i += 4)
-      for (int n = 0; n < 4; ++n) sums[n] += a[i + n] * b[i + n];
-    for (; i < last; ++i) sums[0] += a[i] * b[i];
-    return (sums[0] + sums[1]) + (sums[2] + sums[3]);
-  }
-
   // factor_ -= scale^2 U U^T
   void take_square(const double* u, double scale) {
     for (int i = 0; i < width_; ++i)

@@ -531,11 +531,10 @@ constexpr double FIT_DAMPING = 1e-3;
 
 using namespace ik;
 
-IkFitted fit_ik(In<std::int64_t, 2> nodes, In<double, 2> numbers, In<std::int64_t, 2> goals,
-                In<double, 2> goal_numbers, In<double, 2> path, In<double, 3> targets,
-                In<double, 2> starts, double anchor, double speed, double acceleration,
-                double robust, double rest_weight, double homing, std::size_t first,
-                std::size_t end, int iterations, int rounds, bool tracked) {
+IkFitted fit_ik(const IkFitting& given) {
+  const auto& [nodes, numbers, goals, goal_numbers, path, targets, starts, anchor, speed,
+               acceleration, robust, rest_weight, homing, first, end, iterations, rounds,
+               tracked] = given;
   Task task = read_task(nodes, numbers, goals, goal_numbers, rest_weight);
   const std::size_t frames = path.shape(0), width = path.shape(1), e = goals.shape(0);
   check_poses("path", task, frames, path);
@@ -558,12 +557,11 @@ IkFitted fit_ik(In<std::int64_t, 2> nodes, In<double, 2> numbers, In<std::int64_
   Out<double, 3> misses(frames, e, PARTS);
   Out<std::int64_t, 1> searched(frames);
   Out<std::int64_t, 2> taken(frames, e);
-  FitOutcome outcome;
   std::copy(path.data(), path.data() + frames * width, fitted.get());
   std::fill(searched.get(), searched.get() + frames, 0);
   PathFit fit(task, settings, over, static_cast<int>(frames), targets.data(), starts.data());
   for (std::size_t i = 0; i < frames * e; ++i) taken.get()[i] = static_cast<std::int64_t>(i % e);
-  outcome = fit.run(fitted.get(), searched.get(), taken.get());
+  const FitOutcome outcome = fit.run(fitted.get(), searched.get(), taken.get());
   State state(task);
   for (std::size_t t = 0; t < frames; ++t) {
     std::copy(fitted.get() + t * width, fitted.get() + (t + 1) * width, state.q.begin());
@@ -571,9 +569,8 @@ IkFitted fit_ik(In<std::int64_t, 2> nodes, In<double, 2> numbers, In<std::int64_
     measure(task, fit.targets(static_cast<int>(t)), state);
     std::copy(state.misses.begin(), state.misses.end(), misses.get() + t * e * PARTS);
   }
-  return {std::move(fitted), std::move(misses), std::move(searched),
-          std::move(taken),
-          outcome.rounds, outcome.before, outcome.after};
+  return {std::move(fitted), std::move(misses), std::move(searched), std::move(taken),
+          outcome.rounds,    outcome.before,    outcome.after};
 }
 
 }  // namespace animtool

@@ -4,7 +4,7 @@
 #include <cstdint>
 #include <vector>
 
-#include "ik/kinds.h"
+#include "ik/goal_kinds.h"
 
 namespace animtool::ik {
 

@@ -1,35 +1,19 @@
 // The cost around a pose, and its systems.
 #include "ik/linear.h"
 
+#include "base/cholesky.h"
+
 namespace animtool::ik {
 
 bool factor_cholesky(double* a, double* column, int m) {
-  for (int j = 0; j < m; ++j) {
-    const double pivot = a[j * m + j];
-    if (!(pivot > 0)) return false;
-    const double inverse = 1 / std::sqrt(pivot);
-    a[j * m + j] = inverse;
-    for (int i = j + 1; i < m; ++i) column[i] = a[i * m + j] *= inverse;
-    for (int i = j + 1; i < m; ++i) {
-      const double at = column[i];
-      double* row = a + i * m;
-      for (int k = j + 1; k <= i; ++k) row[k] -= at * column[k];
-    }
-  }
-  return true;
+  using namespace cholesky;
+  return factor<Inverses, Small::FAILS>(a, m, m, column, [](std::size_t) { return 0.0; });
 }
 
 void solve_factored(const double* a, double* b, int m) {
-  for (int i = 0; i < m; ++i) {
-    const double* row = a + i * m;
-    double sum = b[i];
-    for (int j = 0; j < i; ++j) sum -= row[j] * b[j];
-    b[i] = sum * row[i];
-  }
-  for (int j = m; j-- > 0;) {
-    b[j] *= a[j * m + j];
-    for (int i = 0; i < j; ++i) b[i] -= a[j * m + i] * b[j];
-  }
+  const cholesky::Rows rows{a, static_cast<std::size_t>(m)};
+  cholesky::solve_forward<cholesky::Inverses>(rows, m, b);
+  cholesky::solve_backward<cholesky::Inverses>(rows, m, b);
 }
 
 double rest_pull(const Task& task, const double* q, const double* rest, double weight,
@@ -65,13 +49,7 @@ void multiply_columns(const Task& task, const Linearized& linear, double* normal
       const double* other = linear.columns.data() + static_cast<std::size_t>(k) * task.rows;
       const int first = std::max(linear.first[d], linear.first[k]);
       const int last = std::min(linear.last[d], linear.last[k]);
-      // In four sums, that the processor adds side by side.
-      double sums[4] = {0, 0, 0, 0};
-      int i = first;
-      for (; i + 4 <= last; i += 4)
-        for (int n = 0; n < 4; ++n) sums[n] += own[i + n] * other[i + n];
-      for (; i < last; ++i) sums[0] += own[i] * other[i];
-      normal[static_cast<std::size_t>(d) * dofs + k] = (sums[0] + sums[1]) + (sums[2] + sums[3]);
+      normal[static_cast<std::size_t>(d) * dofs + k] = inner(own, other, first, last);
     }
   }
 }

@@ -7,13 +7,22 @@
 
 namespace animtool::ik {
 
-// Factors a symmetric positive definite A (m, m) in place, of which the lower triangle is
-// read and overwritten; the inverse of the diagonal is kept. False where it is not. By
-// columns, so that every inner loop adds to what lies side by side; `column` holds m.
+// Factors a symmetric positive definite A (m, m), see base/cholesky.h; `column` holds m. False
+// where it is not.
 bool factor_cholesky(double* a, double* column, int m);
 
 // Solves A x = b in place with the factor of A.
 void solve_factored(const double* a, double* b, int m);
+
+// In four sums, that the processor adds side by side.
+inline double inner(const double* a, const double* b, int first, int last) {
+  double sums[4] = {0, 0, 0, 0};
+  int i = first;
+  for (; i + 4 <= last; i += 4)
+    for (int n = 0; n < 4; ++n) sums[n] += a[i + n] * b[i + n];
+  for (; i < last; ++i) sums[0] += a[i] * b[i];
+  return (sums[0] + sums[1]) + (sums[2] + sums[3]);
+}
 
 // The cost around a pose: columns of the Jacobian, the smaller of the two matrices made of
 // them, the gradient.

@@ -413,12 +413,10 @@ class PathSmoother {
 
 using namespace ik;
 
-IkSmoothed smooth_ik(In<std::int64_t, 2> nodes, In<double, 2> numbers,
-                     In<std::int64_t, 2> goals, In<double, 2> goal_numbers, In<double, 2> path,
-                     In<double, 3> targets, In<double, 3> sought, In<double, 2> stretches,
-                     In<double, 2> drifts, double anchor, double speed, double acceleration,
-                     std::size_t first, std::size_t end, double length_tolerance,
-                     double angle_tolerance, double damping, int rounds) {
+IkSmoothed smooth_ik(const IkSmoothing& given) {
+  const auto& [nodes, numbers, goals, goal_numbers, path, targets, sought, stretches, drifts,
+               anchor, speed, acceleration, first, end, length_tolerance, angle_tolerance,
+               damping, rounds] = given;
   Task task = read_task(nodes, numbers, goals, goal_numbers, 0);
   const Chain plain = task.chain;
   const std::size_t frames = path.shape(0), width = path.shape(1), e = goals.shape(0);
@@ -440,11 +438,10 @@ IkSmoothed smooth_ik(In<std::int64_t, 2> nodes, In<double, 2> numbers,
                           static_cast<int>(first), static_cast<int>(end), rounds};
   Out<double, 2> smoothed(frames, width);
   Out<double, 3> misses(frames, e, PARTS);
-  PathOutcome outcome;
   std::copy(path.data(), path.data() + frames * width, smoothed.get());
   PathSmoother smoother(task, settings, over, static_cast<int>(frames), sought.data(),
                         stretches.data(), drifts.data());
-  outcome = smoother.run(smoothed.get());
+  const PathOutcome outcome = smoother.run(smoothed.get());
   State state(task);
   for (std::size_t t = 0; t < frames; ++t) {
     std::copy(smoothed.get() + t * width, smoothed.get() + (t + 1) * width, state.q.begin());
@@ -453,8 +450,7 @@ IkSmoothed smooth_ik(In<std::int64_t, 2> nodes, In<double, 2> numbers,
     measure(task, targets.data() + t * e * TARGET_WIDTH, state);
     std::copy(state.misses.begin(), state.misses.end(), misses.get() + t * e * PARTS);
   }
-  return {std::move(smoothed), std::move(misses), outcome.rounds,
-          outcome.before, outcome.after};
+  return {std::move(smoothed), std::move(misses), outcome.rounds, outcome.before, outcome.after};
 }
 
 }  // namespace animtool

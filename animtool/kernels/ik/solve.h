@@ -41,21 +41,36 @@ IkLinearized linearize_ik(In<std::int64_t, 2> nodes, In<double, 2> numbers,
 
 // coordinates, misses, rounds, cost before and after
 using IkSmoothed = std::tuple<Out<double, 2>, Out<double, 3>, int, double, double>;
-IkSmoothed smooth_ik(In<std::int64_t, 2> nodes, In<double, 2> numbers,
-                     In<std::int64_t, 2> goals, In<double, 2> goal_numbers, In<double, 2> path,
-                     In<double, 3> targets, In<double, 3> sought, In<double, 2> stretches,
-                     In<double, 2> drifts, double anchor, double speed, double acceleration,
-                     std::size_t first, std::size_t end, double length_tolerance,
-                     double angle_tolerance, double damping, int rounds);
+struct IkSmoothing {
+  In<std::int64_t, 2> nodes;
+  In<double, 2> numbers;
+  In<std::int64_t, 2> goals;
+  In<double, 2> goal_numbers, path;
+  In<double, 3> targets, sought;
+  In<double, 2> stretches, drifts;
+  double anchor, speed, acceleration;
+  std::size_t first, end;
+  double length_tolerance, angle_tolerance, damping;
+  int rounds;
+};
+IkSmoothed smooth_ik(const IkSmoothing& given);
 
 // coordinates, misses, searched, taken, rounds, cost before and after
 using IkFitted = std::tuple<Out<double, 2>, Out<double, 3>, Out<std::int64_t, 1>,
                             Out<std::int64_t, 2>, int, double, double>;
-IkFitted fit_ik(In<std::int64_t, 2> nodes, In<double, 2> numbers, In<std::int64_t, 2> goals,
-                In<double, 2> goal_numbers, In<double, 2> path, In<double, 3> targets,
-                In<double, 2> starts, double anchor, double speed, double acceleration,
-                double robust, double rest_weight, double homing, std::size_t first,
-                std::size_t end, int iterations, int rounds, bool tracked);
+struct IkFitting {
+  In<std::int64_t, 2> nodes;
+  In<double, 2> numbers;
+  In<std::int64_t, 2> goals;
+  In<double, 2> goal_numbers, path;
+  In<double, 3> targets;
+  In<double, 2> starts;
+  double anchor, speed, acceleration, robust, rest_weight, homing;
+  std::size_t first, end;
+  int iterations, rounds;
+  bool tracked;
+};
+IkFitted fit_ik(const IkFitting& given);
 
 Out<std::int64_t, 1> cheapest_ik_path(In<std::int64_t, 2> nodes, In<double, 2> numbers,
                                       In<double, 3> paths, In<double, 2> costs,

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <vector>
 
+#include "base/cholesky.h"
 #include "ik/step.h"
 
 namespace animtool::ik {
@@ -60,7 +61,7 @@ class GoalSpace {
     }
     const double* rows = basis_.data();
     work.felt.resize(rows_);
-    for (int i = 0; i < rows_; ++i) work.felt[i] = inner(rows + i * width_, x, width_);
+    for (int i = 0; i < rows_; ++i) work.felt[i] = inner(rows + i * width_, x, 0, width_);
     for (int i = 0; i < rows_; ++i) {
       const double* row = rows + i * width_;
       const double along = work.felt[i];
@@ -74,39 +75,24 @@ class GoalSpace {
 
   // basis_ <- L^-1 basis_, where L L^T is the damped Gram matrix.
   void orthonormalize(Work& work) {
+    using namespace cholesky;
     const int m = rows_;
+    double* gram = work.gram.data();
+    for (int i = 0; i < m; ++i) gram[i * m + i] += DAMPING;
+    work.felt.resize(m);
+    factor<Inverses, Small::COUNTS_FOR_NOTHING>(gram, m, m, work.felt.data(),
+                                                [](std::size_t) { return DAMPING / 2; });
+    solve_forward<Inverses>(Rows{gram, static_cast<std::size_t>(m)}, m, work.missing.data());
     for (int i = 0; i < m; ++i) {
-      double* own = &work.gram[static_cast<std::size_t>(i) * m];
+      const double* own = gram + static_cast<std::size_t>(i) * m;
       double* row = basis_.data() + static_cast<std::size_t>(i) * width_;
       for (int j = 0; j < i; ++j) {
-        const double* other = &work.gram[static_cast<std::size_t>(j) * m];
-        for (int k = 0; k < j; ++k) own[j] -= own[k] * other[k];
-        own[j] *= other[j];
         const double* done = basis_.data() + static_cast<std::size_t>(j) * width_;
         for (int d = 0; d < width_; ++d) row[d] -= own[j] * done[d];
-        work.missing[i] -= own[j] * work.missing[j];
       }
-      double pivot = own[i] + DAMPING;
-      for (int k = 0; k < i; ++k) pivot -= own[k] * own[k];
-      // The diagonal holds its inverse.
-      own[i] = pivot > DAMPING / 2 ? 1 / std::sqrt(pivot) : 0;
       for (int d = 0; d < width_; ++d) row[d] *= own[i];
-      work.missing[i] *= own[i];
-    }
-    for (int i = 0; i < m; ++i) {
-      const double* row = basis_.data() + static_cast<std::size_t>(i) * width_;
       for (int d = 0; d < width_; ++d) step[d] += work.missing[i] * row[d];
     }
-  }
-
-  // In four sums, that the processor adds side by side.
-  static double inner(const double* a, const double* b, int count) {
-    double sums[4] = {0, 0, 0, 0};
-    int i = 0;
-    for (; i + 4 <= count; i += 4)
-      for (int k = 0; k < 4; ++k) sums[k] += a[i + k] * b[i + k];
-    for (; i < count; ++i) sums[0] += a[i] * b[i];
-    return (sums[0] + sums[1]) + (sums[2] + sums[3]);
   }
 
   int rows_ = 0, width_ = 0;

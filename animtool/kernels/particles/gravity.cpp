@@ -20,48 +20,6 @@ namespace animtool {
 
 namespace {
 
-struct PlainFloats {
-  using F = PlainFloats;
-  float of[GRAVITY_LANES];
-
-  PlainFloats() = default;
-  PlainFloats(float value) { std::fill_n(of, GRAVITY_LANES, value); }
-  explicit PlainFloats(const float* from) { std::copy_n(from, GRAVITY_LANES, of); }
-
-  template <class Do>
-  static F each(Do make) {
-    F row;
-    for (std::size_t k = 0; k < GRAVITY_LANES; ++k) row.of[k] = make(k);
-    return row;
-  }
-  static F narrow(const PlainRows::Row& low, const PlainRows::Row& high) {
-    return each([&](std::size_t k) {
-      return static_cast<float>(k < WIDE ? low.at[k] : high.at[k - WIDE]);
-    });
-  }
-  void widen(PlainRows::Row& low, PlainRows::Row& high) const {
-    for (std::size_t k = 0; k < WIDE; ++k) low.at[k] = of[k], high.at[k] = of[WIDE + k];
-  }
-  friend F operator+(const F& a, const F& b) {
-    return each([&](std::size_t k) { return a.of[k] + b.of[k]; });
-  }
-  friend F operator-(const F& a, const F& b) {
-    return each([&](std::size_t k) { return a.of[k] - b.of[k]; });
-  }
-  friend F operator*(const F& a, const F& b) {
-    return each([&](std::size_t k) { return a.of[k] * b.of[k]; });
-  }
-  friend F most(const F& a, const F& b) {
-    return each([&](std::size_t k) { return a.of[k] > b.of[k] ? a.of[k] : b.of[k]; });
-  }
-  friend F inverse_root(const F& a) {
-    return each([&](std::size_t k) { return 1.0f / std::sqrt(a.of[k]); });
-  }
-  friend F where_above(const F& a, float least, const F& value) {
-    return each([&](std::size_t k) { return a.of[k] > least ? value.of[k] : 0.0f; });
-  }
-};
-
 // Bodies of a cell that is not divided, and of a group that walks the tree together.
 constexpr std::size_t LEAF = 16, GROUP = 128;
 // Levels of cells: three such coordinates are a key of 63 bits.
@@ -395,7 +353,7 @@ std::tuple<Out<double, 2>, Out<double, 1>, Out<double, 1>> gravity(
   Out<double, 1> potentials(count), rates(count);
   if (count) {
     const GravityFunctions* quads = gravity_in_quads();
-    const GravityFunctions& loops = quads ? *quads : GravityLoops<PlainRows, PlainFloats>::functions;
+    const GravityFunctions& loops = quads ? *quads : GravityLoops<Plain>::functions;
     Bodies bodies(points.data(), masses.data(), count, softening);
     bodies.acceleration = accelerations.get();
     bodies.potential = potentials.get();

@@ -1,12 +1,8 @@
-// Sums of gravity, whichever way a processor holds eight numbers.
-//
-// Nothing here is shared between source files, which are built for other processors: W, rows of
-// four doubles, is another type in each, and so is L, eight floats.
+// Sums of gravity, eight numbers at a time.
 #pragma once
 
 #include <algorithm>
 
-#include "base/rows.h"
 #include "base/wide.h"
 #include "particles/gravity.h"
 
@@ -17,40 +13,18 @@ constexpr std::size_t GRAVITY_BLOCK = 64;
 // Bodies whose squared distance is below do not act on each other: they are at one place.
 constexpr float GRAVITY_APART = 1e-37f;
 
-// Eight doubles, as two rows.
-template <class W>
-struct GravityDoubles {
-  Wide<W> low, high;
-
-  GravityDoubles() = default;
-  GravityDoubles(Wide<W> low, Wide<W> high) : low(low), high(high) {}
-  GravityDoubles(double value) : low(value), high(value) {}
-  explicit GravityDoubles(const double* from)
-      : low(Wide<W>::of(from)), high(Wide<W>::of(from + WIDE)) {}
-  void store(double* to) const { low.store(to), high.store(to + WIDE); }
-
-  using D = GravityDoubles;
-  friend D operator+(const D& a, const D& b) { return {a.low + b.low, a.high + b.high}; }
-  friend D operator-(const D& a, const D& b) { return {a.low - b.low, a.high - b.high}; }
-  friend D operator*(const D& a, const D& b) { return {a.low * b.low, a.high * b.high}; }
-  friend D most(const D& a, const D& b) { return {most(a.low, b.low), most(a.high, b.high)}; }
-};
-
-template <class W, class L>
+template <class On>
 struct GravityLoops {
-  using F = L;
-  using D = GravityDoubles<W>;
+  using F = Wide<float, GRAVITY_LANES, On>;
+  using D = Wide<double, GRAVITY_LANES, On>;
 
-  static void add(const D& a, double* to) { (D(to) + a).store(to); }
-  static void raise(const D& a, double* to) { most(D(to), a).store(to); }
-  static D widen(const F& a) {
-    D wide;
-    a.widen(wide.low.row, wide.high.row);
-    return wide;
+  static void add(const D& a, double* to) { (D::of(to) + a).store(to); }
+  static void raise(const D& a, double* to) { most(D::of(to), a).store(to); }
+  static F inverse_root(const F& a) { return 1.0f / root(a); }
+  // A value of bodies that are apart, else 0.
+  static F where_apart(const F& squared, const F& value) {
+    return kept(below(GRAVITY_APART, squared), value);
   }
-  static F narrow(const D& a) { return F::narrow(a.low.row, a.high.row); }
-
-  static const D& widen(const D& a) { return a; }
 
   // What pairs do, in numbers of either kind.
   template <class T>
@@ -66,24 +40,24 @@ struct GravityLoops {
       rate = most(rate, (mass + own) * cubed);
     }
     void into(GravitySums& sums) const {
-      add(widen(x), sums.x);
-      add(widen(y), sums.y);
-      add(widen(z), sums.z);
-      add(widen(potential), sums.potential);
-      raise(widen(rate), sums.rate);
+      add(D(x), sums.x);
+      add(D(y), sums.y);
+      add(D(z), sums.z);
+      add(D(potential), sums.potential);
+      raise(D(rate), sums.rate);
     }
   };
 
   static void exact(const GravityBodies& from, GravityRun run, double softened,
                     const GravityTargets& to, GravitySums& sums) {
-    const D here[3] = {D(to.x), D(to.y), D(to.z)}, own = D(to.mass), soft = softened;
+    const D here[3] = {D::of(to.x), D::of(to.y), D::of(to.z)}, own = D::of(to.mass), soft = softened;
     Partial<D> part;
     for (std::size_t j = run.begin; j < run.end; ++j) {
       const D off[3] = {D(from.x[j]) - here[0], D(from.y[j]) - here[1], D(from.z[j]) - here[2]};
       const D squared = off[0] * off[0] + off[1] * off[1] + off[2] * off[2];
       const D reach = squared + soft;
-      const F first = inverse_root(narrow(reach));
-      const D root = widen(where_above(narrow(squared), GRAVITY_APART, first));
+      const F first = inverse_root(F(reach));
+      const D root = D(where_apart(F(squared), first));
       // The third-order step of Halley: from seven digits to all.
       const D rest = 1.0 - reach * root * root;
       part.pull(off, from.mass[j], own, root + root * rest * (0.5 + 0.375 * rest));
@@ -93,17 +67,17 @@ struct GravityLoops {
 
   static void near(const GravityBodies& from, GravityRun run, double softened,
                    const GravityTargets& to, GravitySums& sums) {
-    const D here[3] = {D(to.x), D(to.y), D(to.z)};
-    const F own = narrow(D(to.mass)), soft = static_cast<float>(softened);
+    const D here[3] = {D::of(to.x), D::of(to.y), D::of(to.z)};
+    const F own = F(D::of(to.mass)), soft = static_cast<float>(softened);
     for (std::size_t first = run.begin; first < run.end; first += GRAVITY_BLOCK) {
       Partial<F> part;
       for (std::size_t j = first; j < std::min(run.end, first + GRAVITY_BLOCK); ++j) {
-        const F off[3] = {narrow(D(from.x[j]) - here[0]), narrow(D(from.y[j]) - here[1]),
-                          narrow(D(from.z[j]) - here[2])};
+        const F off[3] = {F(D(from.x[j]) - here[0]), F(D(from.y[j]) - here[1]),
+                          F(D(from.z[j]) - here[2])};
         const F squared = off[0] * off[0] + off[1] * off[1] + off[2] * off[2];
         const F inverse = inverse_root(squared + soft);
         part.pull(off, static_cast<float>(from.mass[j]), own,
-                  where_above(squared, GRAVITY_APART, inverse));
+                  where_apart(squared, inverse));
       }
       part.into(sums);
     }
@@ -112,7 +86,8 @@ struct GravityLoops {
   // Of the potential 1/s, s² = r² + ε², by Taylor to second order about the centre of mass.
   static void far(const float* cells, std::size_t count, float softened,
                   const GravityTargets& to, GravitySums& sums) {
-    const F here[3] = {F(to.from_middle[0]), F(to.from_middle[1]), F(to.from_middle[2])};
+    const F here[3] = {F::of(to.from_middle[0]), F::of(to.from_middle[1]),
+                       F::of(to.from_middle[2])};
     const F soft = softened;
     for (std::size_t first = 0; first < count; first += GRAVITY_BLOCK) {
       Partial<F> part;

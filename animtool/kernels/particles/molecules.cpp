@@ -83,12 +83,10 @@ std::tuple<Out<double, 2>, Out<double, 1>, double> molecule_forces(
       check::refuse("starts", "index " + check::text(i) + " is not a multiple of four");
   check::indices("partners", partners, 0, static_cast<std::int64_t>(count) + 1);
   check::shape("kinds", kinds, {count});
-  check::shape("forces", forces, {several, several, 2});
-  check::finite("forces", forces);
+  check::numbers("forces", forces, {several, several, 2});
   check::indices("kinds", kinds, 0, static_cast<std::int64_t>(several));
   if (charges) {
-    check::shape("charges", *charges, {count});
-    check::finite("charges", *charges);
+    check::numbers("charges", *charges, {count});
   }
   check::positive("cutoff", cutoff);
   check::between("onset", onset, 0, cutoff);
@@ -119,7 +117,7 @@ std::tuple<Out<double, 2>, Out<double, 1>, double> molecule_forces(
       charges ? charge.get() : nullptr, {box.data()[0], box.data()[1], box.data()[2]},
       cutoff * cutoff, onset * onset, damping};
   const MoleculeFunction quads = molecules_in_quads();
-  if (count) virial = (quads ? quads : MoleculeLoops<PlainRows>::run)(system, out.get());
+  if (count) virial = (quads ? quads : MoleculeLoops<Plain>::run)(system, out.get());
   for (std::size_t i = 0; i < count; ++i) {
     const std::size_t which = static_cast<std::size_t>(order.data()[i]);
     for (std::size_t k = 0; k < 3; ++k) result.get()[3 * which + k] = out[4 * i + k];

@@ -1,12 +1,8 @@
-// Forces between molecules, whichever way a processor holds four numbers.
-//
-// Nothing here is shared between source files, which are built for other processors: W is
-// another type in each.
+// Forces between molecules, four at a time.
 #pragma once
 
 #include <cmath>
 
-#include "base/rows.h"
 #include "base/wide.h"
 #include "particles/molecules.h"
 
@@ -16,9 +12,9 @@ namespace animtool {
 constexpr double MOLECULE_ROUND = 6755399441055744.0;
 constexpr double ROOT_PI = 1.7724538509055160273;
 
-template <class W>
+template <class On>
 struct MoleculeLoops {
-  using D = Wide<W>;
+  using D = Four<On>;
 
   // What is the same for all pairs.
   struct Law {

@@ -17,7 +17,7 @@ using rigid::Vec;
 
 constexpr std::size_t STATE = 14, JOINT = 27, CONTACT = 6, POSE = 7;
 
-Turn turn(const double* p) { return rigid::unit({p[0], p[1], p[2], p[3]}); }
+Turn turn(const double* p) { return unit(Turn{p[0], p[1], p[2], p[3]}); }
 
 void check_turn(const char* name, const double* p) {
   if (!(p[0] * p[0] + p[1] * p[1] + p[2] * p[2] + p[3] * p[3] > 1e-20))
@@ -44,15 +44,12 @@ RigidBodies::RigidBodies(In<double, 2> inertias, In<std::int64_t, 1> bodies,
                          In<std::int64_t, 2> joints, In<double, 2> joint_numbers,
                          In<std::int64_t, 2> apart) {
   const std::size_t count = inertias.shape(0), shapes = bodies.shape(0);
-  check::shape("inertias", inertias, {check::ANY, 4});
-  check::finite("inertias", inertias);
+  check::numbers("inertias", inertias, {check::ANY, 4});
   check::at_most("inertias", count, check::MOST_ROWS);
   check::at_most("bodies", shapes, check::MOST_ROWS);
   check::indices("bodies", bodies, 0, static_cast<std::int64_t>(count));
-  check::shape("numbers", numbers, {shapes, 3});
-  check::finite("numbers", numbers);
-  check::shape("points", points, {check::ANY, 3});
-  check::finite("points", points);
+  check::numbers("numbers", numbers, {shapes, 3});
+  check::numbers("points", points, {check::ANY, 3});
   check_starts("point_starts", point_starts, shapes, points.shape(0));
   const std::size_t faces = corner_starts.shape(0) ? corner_starts.shape(0) - 1 : 0;
   check_starts("face_starts", face_starts, shapes, faces);
@@ -111,8 +108,7 @@ RigidBodies::RigidBodies(In<double, 2> inertias, In<std::int64_t, 1> bodies,
 void RigidBodies::read_joints(const In<std::int64_t, 2>& joints, const In<double, 2>& numbers) {
   const std::size_t count = joints.shape(0);
   check::shape("joints", joints, {check::ANY, 3});
-  check::shape("joint_numbers", numbers, {count, JOINT});
-  check::finite("joint_numbers", numbers);
+  check::numbers("joint_numbers", numbers, {count, JOINT});
   const auto bodies = static_cast<std::int64_t>(world_.bodies.size());
   for (std::size_t k = 0; k < count; ++k) {
     const std::int64_t* in = joints.data() + 3 * k;
@@ -149,17 +145,12 @@ RigidStepped step_rigid(const RigidBodies& bodies, In<double, 2> state, In<std::
   const rigid::World& world = bodies.world();
   const std::size_t count = world.bodies.size(), joints = world.joints.size();
   const std::size_t kept_count = pairs.shape(0);
-  check::shape("state", state, {count, STATE});
-  check::finite("state", state);
+  check::numbers("state", state, {count, STATE});
   check::shape("pairs", pairs, {check::ANY, 2});
-  check::shape("contacts", contacts, {kept_count, CONTACT});
-  check::finite("contacts", contacts);
-  check::shape("held", held, {joints, rigid::ROWS});
-  check::finite("held", held);
-  check::shape("forces", forces, {count, 6});
-  check::finite("forces", forces);
-  check::shape("anchors", anchors, {joints, 2, POSE});
-  check::finite("anchors", anchors);
+  check::numbers("contacts", contacts, {kept_count, CONTACT});
+  check::numbers("held", held, {joints, rigid::ROWS});
+  check::numbers("forces", forces, {count, 6});
+  check::numbers("anchors", anchors, {joints, 2, POSE});
   check::positive("step", step);
   check::between("method", method, 0, 3);
   check::between("substeps", substeps, 1, 1000);

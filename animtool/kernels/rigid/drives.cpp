@@ -4,6 +4,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "base/cholesky.h"
+
 namespace animtool::rigid {
 
 namespace {
@@ -108,11 +110,10 @@ class Masses {
   // A row of Cholesky's triangle, without its last.
   std::vector<double> coupled(const Joint& joint, const Row& row) const {
     std::vector<double> line(rows_.size());
-    for (std::size_t i = 0; i < rows_.size(); ++i) {
-      double sum = over(joint, row, *rows_[i].joint, *rows_[i].row);
-      for (std::size_t k = 0; k < i; ++k) sum -= line[k] * lines_[i][k];
-      line[i] = sum / lines_[i][i];
-    }
+    for (std::size_t i = 0; i < rows_.size(); ++i)
+      line[i] = over(joint, row, *rows_[i].joint, *rows_[i].row);
+    cholesky::solve_forward<cholesky::Roots>([&](std::size_t i) { return lines_[i].data(); },
+                                             line.size(), line.data());
     return line;
   }
 

@@ -410,24 +410,11 @@ class Finder {
       local = joined(local, {at, at});
     }
     const double r = p.core->radius + reach;
-    const Box wide{local.low - Vec{r, r, r}, local.high + Vec{r, r, r}};
     const std::size_t before = found_.size();
     bool behind = false;
-    std::int32_t stack[collide::DEEPEST];
-    int depth = 0;
-    stack[depth++] = collider.root;
-    while (depth > 0) {
-      const std::int32_t node = stack[--depth];
-      const double* bounds = mesh.bounds + 6 * node;
-      if (!overlap({load(bounds), load(bounds + 3)}, wide)) continue;
-      const std::int32_t left = mesh.nodes[2 * node], right = mesh.nodes[2 * node + 1];
-      if (left >= 0) {
-        stack[depth++] = right, stack[depth++] = left;
-        continue;
-      }
-      for (std::int32_t t = -1 - left; t < -1 - left + right; ++t)
-        behind |= !meet_triangle(s, c, t, pose, reach);
-    }
+    collide::visit_overlapping(
+        mesh, collider.root, local.low - Vec{r, r, r}, local.high + Vec{r, r, r},
+        [&](std::int32_t t) { behind |= !meet_triangle(s, c, t, pose, reach); });
     if (behind && found_.size() == before) meet_inside(s, c, pose, reach);
   }
 

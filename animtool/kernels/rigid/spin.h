@@ -12,31 +12,15 @@
 #include <cstdint>
 
 #include "base/poses.h"
+#include "base/turns.h"
 
 namespace animtool::rigid {
 
+using animtool::Turn;
 using collide::Vec;
 using collide::length;
 
 enum class Method : std::int64_t { SPLITTING, RK4, SYMPLECTIC_EULER, EULER };
-
-struct Turn {
-  double x = 0, y = 0, z = 0, w = 1;
-};
-
-inline Turn operator*(const Turn& a, const Turn& b) {
-  return {a.w * b.x + a.x * b.w + a.y * b.z - a.z * b.y,
-          a.w * b.y - a.x * b.z + a.y * b.w + a.z * b.x,
-          a.w * b.z + a.x * b.y - a.y * b.x + a.z * b.w,
-          a.w * b.w - a.x * b.x - a.y * b.y - a.z * b.z};
-}
-
-inline Turn conjugate(const Turn& q) { return {-q.x, -q.y, -q.z, q.w}; }
-
-inline Turn unit(const Turn& q) {
-  const double s = 1 / std::sqrt(q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w);
-  return {q.x * s, q.y * s, q.z * s, q.w * s};
-}
 
 inline Vec rotate(const Turn& q, Vec a) {
   const Vec u{q.x, q.y, q.z}, t = cross(u, a) * 2;

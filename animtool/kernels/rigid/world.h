@@ -117,13 +117,8 @@ struct Contact {
 inline Pose pose_of(const State& s) {
   Pose pose;
   pose.origin = s.at;
-  const Turn& q = s.turn;
-  const double xx = q.x * q.x, yy = q.y * q.y, zz = q.z * q.z;
-  pose.turn[0] = 1 - 2 * (yy + zz), pose.turn[1] = 2 * (q.x * q.y - q.z * q.w);
-  pose.turn[2] = 2 * (q.x * q.z + q.y * q.w), pose.turn[3] = 2 * (q.x * q.y + q.z * q.w);
-  pose.turn[4] = 1 - 2 * (xx + zz), pose.turn[5] = 2 * (q.y * q.z - q.x * q.w);
-  pose.turn[6] = 2 * (q.x * q.z - q.y * q.w), pose.turn[7] = 2 * (q.y * q.z + q.x * q.w);
-  pose.turn[8] = 1 - 2 * (xx + yy);
+  const double q[4] = {s.turn.x, s.turn.y, s.turn.z, s.turn.w};
+  ik::to_matrix(q, pose.turn);
   return pose;
 }
 

@@ -1,9 +1,11 @@
-// Linear blend skinning of four frames at once, written for registers of any width. No
-// fused operations, so every width gives the same numbers.
+// Linear blend skinning of four frames at once. No fused operations, so every processor gives
+// the same numbers.
 #pragma once
 
 #include <cstddef>
 #include <cstdint>
+
+#include "base/wide.h"
 
 namespace animtool {
 
@@ -16,7 +18,7 @@ struct Influences {
 };
 
 // Frames that linear blending works on at once.
-constexpr std::size_t FRAMES = 4;
+constexpr std::size_t FRAMES = WIDE;
 
 // Points and results of each frame, (V, 3); the palette has the transforms of the joints,
 // (U, 12), the frames of a number together.
@@ -24,51 +26,55 @@ using BlendFrames = void (*)(const Influences&, const double* palette,
                              const double* const* points, double* const* out);
 
 // For processors that have registers of four doubles; null on others.
-BlendFrames blend_in_quads(bool still);
+BlendFrames blend_in_quads();
 
-// Nothing here is shared between source files, which are built for other processors.
-namespace {
+// Some frames of a table (F, rows, width), the numbers of a place together.
+template <std::size_t N>
+void interleave(const double* const (&tables)[N], std::size_t count, double* out) {
+  for (std::size_t i = 0; i < count; ++i)
+    for (std::size_t l = 0; l < N; ++l) *out++ = tables[l][i];
+}
 
-template <typename Lanes>
-struct Lane {
-  Lanes x, y, z;
-};
+// Of two frames, for which every processor has registers.
+using Pair = Wide<double, 2, Plain>;
 
-// Still points share the products with their weights between all frames.
-template <typename Registers, bool Still>
-void blend_frames(const Influences& in, const double* palette, const double* const* points,
-                  double* const* out) {
-  using Lanes = typename Registers::Lanes;
-  constexpr std::size_t lanes = sizeof(Lanes) / sizeof(double), parts = FRAMES / lanes;
-  const auto fetch = [](const double* from) { return Registers::fetch(from); };
-  for (std::size_t v = 0; v < in.vertices; ++v) {
-    Lane<Lanes> p[parts], sum[parts] = {};
-    for (std::size_t h = 0; h < parts; ++h) {
-      const double* const* rows = points + h * lanes;
-      p[h] = {Registers::gather(rows, 3 * v), Registers::gather(rows, 3 * v + 1),
-              Registers::gather(rows, 3 * v + 2)};
-    }
-    for (std::int64_t k = in.first[v]; k < in.first[v + 1]; ++k) {
-      const Lanes w = Registers::spread(in.weights[k]);
-      const double* a = palette + 12 * FRAMES * in.joints[k];
-      for (std::size_t h = 0; h < parts; ++h, a += lanes) {
-        const Lane<Lanes>& q = p[Still ? 0 : h];
-        const Lanes x = w * q.x, y = w * q.y, z = w * q.z;
-        sum[h].x += x * fetch(a) + y * fetch(a + 4) + z * fetch(a + 8) + w * fetch(a + 12);
-        sum[h].y +=
-            x * fetch(a + 16) + y * fetch(a + 20) + z * fetch(a + 24) + w * fetch(a + 28);
-        sum[h].z +=
-            x * fetch(a + 32) + y * fetch(a + 36) + z * fetch(a + 40) + w * fetch(a + 44);
-      }
-    }
-    for (std::size_t h = 0; h < parts; ++h)
-      for (std::size_t l = 0; l < lanes; ++l) {
-        double* to = out[h * lanes + l] + 3 * v;
-        to[0] = sum[h].x[l], to[1] = sum[h].y[l], to[2] = sum[h].z[l];
-      }
+// A vector of each of some frames.
+template <class N>
+Vector3<N> gather(const double* const* frames, std::size_t at) {
+  return {N::each([&](std::size_t l) { return frames[l][at]; }),
+          N::each([&](std::size_t l) { return frames[l][at + 1]; }),
+          N::each([&](std::size_t l) { return frames[l][at + 2]; })};
+}
+template <std::size_t N, class On>
+void scatter(const Vector3<Wide<double, N, On>>& of, double* const* frames, std::size_t at) {
+  double x[N], y[N], z[N];
+  of.x.store(x), of.y.store(y), of.z.store(z);
+  for (std::size_t l = 0; l < N; ++l) {
+    double* to = frames[l] + at;
+    to[0] = x[l], to[1] = y[l], to[2] = z[l];
   }
 }
 
-}  // namespace
+template <class N>
+void blend_frames(const Influences& in, const double* palette, const double* const* points,
+                  double* const* out) {
+  constexpr std::size_t parts = FRAMES / N::LANES;
+  for (std::size_t v = 0; v < in.vertices; ++v) {
+    Vector3<N> p[parts], sum[parts];
+    for (std::size_t h = 0; h < parts; ++h) p[h] = gather<N>(points + h * N::LANES, 3 * v);
+    for (std::int64_t k = in.first[v]; k < in.first[v + 1]; ++k) {
+      const N w = in.weights[k];
+      const double* a = palette + 12 * FRAMES * in.joints[k];
+      for (std::size_t h = 0; h < parts; ++h, a += N::LANES) {
+        const N x = w * p[h].x, y = w * p[h].y, z = w * p[h].z;
+        const auto row = [&](const double* of) {
+          return x * N::of(of) + y * N::of(of + 4) + z * N::of(of + 8) + w * N::of(of + 12);
+        };
+        sum[h] += Vector3<N>{row(a), row(a + 16), row(a + 32)};
+      }
+    }
+    for (std::size_t h = 0; h < parts; ++h) scatter(sum[h], out + h * N::LANES, 3 * v);
+  }
+}
 
 }  // namespace animtool

@@ -4,15 +4,12 @@
 #include <vector>
 
 #include "base/checks.h"
-#include "base/pair.h"
+#include "skin/blend.h"
 #include "skin/skin.h"
 
 namespace animtool {
 
 namespace {
-
-// Frames worked on at once: what keeps the sums of a vertex in registers.
-constexpr std::size_t LANES = 4;
 
 void check_offsets(const In<double, 3>& points, const In<double, 2>& weights,
                    const In<std::int64_t, 1>& first, const In<std::int32_t, 1>& columns,
@@ -29,22 +26,16 @@ void check_offsets(const In<double, 3>& points, const In<double, 2>& weights,
 }
 
 void add_frames(std::size_t vertices, const std::int64_t* first, const std::int32_t* columns,
-                const double* offsets, const Pair* weights,
-                const double* const (&from)[LANES], double* const (&to)[LANES]) {
+                const double* offsets, const double* weights,
+                const double* const (&from)[FRAMES], double* const (&to)[FRAMES]) {
   for (std::size_t v = 0; v < vertices; ++v) {
     // All frames are read before any is written: the last may stand here twice.
-    Vector p[2] = {load(from[0] + 3 * v, from[1] + 3 * v),
-                   load(from[2] + 3 * v, from[3] + 3 * v)};
-    for (std::int64_t k = first[v]; k < first[v + 1]; ++k) {
-      const Pair* w = weights + 2 * columns[k];
-      const double* d = offsets + 3 * k;
-      for (int h = 0; h < 2; ++h) {
-        p[h].x += w[h] * both(d[0]);
-        p[h].y += w[h] * both(d[1]);
-        p[h].z += w[h] * both(d[2]);
-      }
-    }
-    for (int h = 0; h < 2; ++h) store(p[h], to[2 * h] + 3 * v, to[2 * h + 1] + 3 * v);
+    Vector3<Pair> p[2] = {gather<Pair>(from, 3 * v), gather<Pair>(from + 2, 3 * v)};
+    for (std::int64_t k = first[v]; k < first[v + 1]; ++k)
+      for (int h = 0; h < 2; ++h)
+        p[h] += Vector3<Pair>::spread(offsets + 3 * k) *
+                Pair::of(weights + FRAMES * columns[k] + 2 * h);
+    for (int h = 0; h < 2; ++h) scatter(p[h], to + 2 * h, 3 * v);
   }
 }
 
@@ -58,20 +49,17 @@ void add_sparse(In<double, 3> points, In<double, 2> weights, In<std::int64_t, 1>
   const std::size_t vertices = points.shape(1), row = vertices * 3;
   check::shape("out", out, {frames, vertices, 3});
   const std::size_t stride = points.shape(0) == 1 ? 0 : row;
-  std::vector<Pair> table(shapes * 2);
-  for (std::size_t f = 0; f < frames; f += LANES) {
-    const double *rows[LANES], *from[LANES];
-    double* to[LANES];
-    for (std::size_t l = 0; l < LANES; ++l) {
+  std::vector<double> table(shapes * FRAMES);
+  for (std::size_t f = 0; f < frames; f += FRAMES) {
+    const double *rows[FRAMES], *from[FRAMES];
+    double* to[FRAMES];
+    for (std::size_t l = 0; l < FRAMES; ++l) {
       const std::size_t g = std::min(f + l, frames - 1);
       rows[l] = weights.data() + g * shapes;
       from[l] = points.data() + g * stride;
       to[l] = out.data() + g * row;
     }
-    for (std::size_t c = 0; c < shapes; ++c) {
-      table[2 * c] = Pair{rows[0][c], rows[1][c]};
-      table[2 * c + 1] = Pair{rows[2][c], rows[3][c]};
-    }
+    interleave(rows, shapes, table.data());
     add_frames(vertices, first.data(), columns.data(), offsets.data(), table.data(), from,
                to);
   }

@@ -4,7 +4,6 @@
 #include <vector>
 
 #include "base/checks.h"
-#include "base/pair.h"
 #include "skin/blend.h"
 #include "skin/skin.h"
 
@@ -44,40 +43,6 @@ inline void unit(double* v) {
   for (int i = 0; i < 3; ++i) v[i] /= length;
 }
 
-inline void store(const Vector& p, double* a, double* b, bool normalize) {
-  store(p, a, b);
-  if (!normalize) return;
-  unit(a);
-  if (b != a) unit(b);
-}
-
-// Two frames of a table (F, rows, width), side by side.
-void interleave(const double* a, const double* b, std::size_t count, Pair* out) {
-  for (std::size_t i = 0; i < count; ++i) out[i] = Pair{a[i], b[i]};
-}
-
-// The transforms of four frames, (U, 12) each, the frames of a number together.
-void interleave_four(const double* const (&tables)[FRAMES], std::size_t count, double* out) {
-  for (std::size_t i = 0; i < count; ++i)
-    for (std::size_t l = 0; l < FRAMES; ++l) *out++ = tables[l][i];
-}
-
-// What every processor has.
-struct Pairs {
-  using Lanes = Pair;
-
-  static Pair spread(double value) { return both(value); }
-  static Pair fetch(const double* from) { return Pair{from[0], from[1]}; }
-  static Pair gather(const double* const* rows, std::size_t at) {
-    return Pair{rows[0][at], rows[1][at]};
-  }
-};
-
-BlendFrames widest_blend(bool still) {
-  if (const BlendFrames quads = blend_in_quads(still)) return quads;
-  return still ? blend_frames<Pairs, true> : blend_frames<Pairs, false>;
-}
-
 // Rotation x y z w, then the dual part x y z w, of each joint.
 void dual_quaternions(const double* q, const double* t, std::size_t joints, double* out) {
   for (std::size_t j = 0; j < joints; ++j, q += 4, t += 3, out += 8) {
@@ -92,44 +57,46 @@ void dual_quaternions(const double* q, const double* t, std::size_t joints, doub
 // A blend shorter than this turns nothing, as in UsdSkel.
 constexpr double SHORTEST = 1e-10;
 
+// Of two frames: more would not stay in registers.
 template <bool Stretched>
-void dual_frames(const Influences& in, const Pair* palette, const Pair* stretches,
-                 const double* p0, const double* p1, double* out0, double* out1,
-                 bool normalize) {
+void dual_frames(const Influences& in, const double* palette, const double* stretches,
+                 const double* const (&points)[2], double* const (&out)[2], bool normalize) {
   for (std::size_t v = 0; v < in.vertices; ++v) {
     const std::int64_t begin = in.first[v], end = in.first[v + 1];
     Pair d[8] = {}, s[6] = {};
     for (std::int64_t k = begin; k < end; ++k) {
-      const Pair* a = palette + 8 * in.joints[k];
-      Pair w = both(in.weights[k]);
+      const double* a = palette + 16 * in.joints[k];
+      Pair w = in.weights[k];
       if constexpr (Stretched) {
-        const Pair* stretch = stretches + 9 * in.joints[k];
-        for (int i = 0, from[6] = {0, 1, 2, 4, 5, 8}; i < 6; ++i) s[i] += w * stretch[from[i]];
+        const double* stretch = stretches + 18 * in.joints[k];
+        for (int i = 0, from[6] = {0, 1, 2, 4, 5, 8}; i < 6; ++i)
+          s[i] += w * Pair::of(stretch + 2 * from[i]);
       }
       if (k > begin) {
-        const Pair* pivot = palette + 8 * in.joints[begin];
-        const Pair dot =
-            a[0] * pivot[0] + a[1] * pivot[1] + a[2] * pivot[2] + a[3] * pivot[3];
-        w = where_below(dot, both(0), -w, w);
+        const double* pivot = palette + 16 * in.joints[begin];
+        Pair sum = Pair::of(a) * Pair::of(pivot);
+        for (int i = 2; i < 8; i += 2) sum += Pair::of(a + i) * Pair::of(pivot + i);
+        w = chosen(below(sum, 0.0), -w, w);
       }
-      for (int i = 0; i < 8; ++i) d[i] += w * a[i];
+      for (int i = 0; i < 8; ++i) d[i] += w * Pair::of(a + 2 * i);
     }
-    Vector p = load(p0 + 3 * v, p1 + 3 * v);
+    Vector3<Pair> p = gather<Pair>(points, 3 * v);
     if constexpr (Stretched)
       p = {s[0] * p.x + s[1] * p.y + s[2] * p.z, s[1] * p.x + s[3] * p.y + s[4] * p.z,
            s[2] * p.x + s[4] * p.y + s[5] * p.z};
     const Pair squared = d[0] * d[0] + d[1] * d[1] + d[2] * d[2] + d[3] * d[3];
-    const Pair f =
-        where_below(squared, both(SHORTEST * SHORTEST), both(0), both(2) / squared);
-    const Vector axis = {d[0], d[1], d[2]};
-    const Vector across = cross(axis, p);
-    const Vector turned = cross(
+    const Pair f = chosen(below(squared, SHORTEST * SHORTEST), 0.0, 2.0 / squared);
+    const Vector3<Pair> axis = {d[0], d[1], d[2]}, across = cross(axis, p);
+    const Vector3<Pair> turned = cross(
         axis, {across.x + d[3] * p.x + d[4], across.y + d[3] * p.y + d[5],
                across.z + d[3] * p.z + d[6]});
-    const Vector moved = {p.x + f * (turned.x + d[3] * d[4] - d[7] * d[0]),
+    scatter(Vector3<Pair>{p.x + f * (turned.x + d[3] * d[4] - d[7] * d[0]),
                           p.y + f * (turned.y + d[3] * d[5] - d[7] * d[1]),
-                          p.z + f * (turned.z + d[3] * d[6] - d[7] * d[2])};
-    store(moved, out0 + 3 * v, out1 + 3 * v, normalize);
+                          p.z + f * (turned.z + d[3] * d[6] - d[7] * d[2])},
+            out, 3 * v);
+    if (!normalize) continue;
+    unit(out[0] + 3 * v);
+    if (out[1] != out[0]) unit(out[1] + 3 * v);
   }
 }
 
@@ -147,7 +114,7 @@ void skin_linear(In<double, 3> points, In<std::int64_t, 1> first,
   check::shape("out", out, {frames, in.vertices, 3});
   double* const result = out.data();
   std::vector<double> palette(FRAMES * width);
-  const BlendFrames blend = widest_blend(points.shape(0) == 1);
+  const BlendFrames quads = blend_in_quads(), blend = quads ? quads : blend_frames<Pair>;
   for (std::size_t f = 0; f < frames; f += FRAMES) {
     const double *tables[FRAMES], *sources[FRAMES];
     double* targets[FRAMES];
@@ -157,7 +124,7 @@ void skin_linear(In<double, 3> points, In<std::int64_t, 1> first,
       sources[l] = source.frame(g);
       targets[l] = result + g * row;
     }
-    interleave_four(tables, width, palette.data());
+    interleave(tables, width, palette.data());
     blend(in, palette.data(), sources, targets);
     for (std::size_t g = f; normalize && g < std::min(f + FRAMES, frames); ++g)
       for (std::size_t v = 0; v < in.vertices; ++v) unit(result + g * row + 3 * v);
@@ -179,26 +146,24 @@ void skin_dual_quaternion(In<double, 3> points, In<std::int64_t, 1> first,
   const std::size_t row = in.vertices * 3, width = count * 8;
   check::shape("out", out, {frames, in.vertices, 3});
   double* const result = out.data();
-  std::vector<double> duals(2 * width);
-  std::vector<Pair> palette(width), scaling(stretches ? count * 9 : 0);
+  std::vector<double> duals(2 * width), palette(2 * width);
+  std::vector<double> scaling(stretches ? 2 * count * 9 : 0);
   for (std::size_t f = 0; f < frames; f += 2) {
-    const std::size_t g = std::min(f + 1, frames - 1);
-    const std::size_t both_frames[2] = {f, g};
+    const std::size_t both[2] = {f, std::min(f + 1, frames - 1)};
     for (int i = 0; i < 2; ++i)
-      dual_quaternions(rotations.data() + both_frames[i] * count * 4,
-                       translations.data() + both_frames[i] * count * 3, count,
+      dual_quaternions(rotations.data() + both[i] * count * 4,
+                       translations.data() + both[i] * count * 3, count,
                        duals.data() + i * width);
-    interleave(duals.data(), duals.data() + width, width, palette.data());
-    double *out0 = result + f * row, *out1 = result + g * row;
+    interleave({duals.data(), duals.data() + width}, width, palette.data());
+    const double* const from[2] = {source.frame(both[0]), source.frame(both[1])};
+    double* const to[2] = {result + both[0] * row, result + both[1] * row};
     if (stretches) {
-      interleave(stretches->data() + f * count * 9, stretches->data() + g * count * 9,
-                 count * 9, scaling.data());
-      dual_frames<true>(in, palette.data(), scaling.data(), source.frame(f),
-                        source.frame(g), out0, out1, normalize);
-    } else {
-      dual_frames<false>(in, palette.data(), nullptr, source.frame(f), source.frame(g),
-                         out0, out1, normalize);
+      const double* of = stretches->data();
+      interleave({of + both[0] * count * 9, of + both[1] * count * 9}, count * 9,
+                 scaling.data());
     }
+    (stretches ? dual_frames<true> : dual_frames<false>)(in, palette.data(), scaling.data(),
+                                                         from, to, normalize);
   }
 }
 

@@ -53,96 +53,82 @@ constexpr std::size_t ALIKE = WIDE, TOGETHER = 3;
 // Zeros before and after the forces that are kept, for those of other offsets.
 constexpr std::size_t EDGE = ALIKE + WIDE, KEPT = BAND_PIECE + 2 * EDGE;
 
-template <class W>
+template <class On>
 void rows_to_planes(const double* rows, std::size_t count, std::size_t height, double* planes) {
-  typename W::Row four[WIDE];
+  Four<On> four[WIDE];
   for (std::size_t n = 0; n < count; n += WIDE) {
     for (std::size_t l = 0; l < WIDE; ++l)
-      four[l] = n + l < count ? W::load(rows + ROW * (n + l)) : W::spread(0);
-    W::turn(four);
-    for (std::size_t k = 0; k < 3; ++k) W::store(four[k], planes + k * height + n);
+      four[l] = n + l < count ? Four<On>::of(rows + ROW * (n + l)) : 0.0;
+    turn(four, four);
+    for (std::size_t k = 0; k < 3; ++k) four[k].store(planes + k * height + n);
   }
 }
 
-template <class W>
+template <class On>
 void planes_to_rows(const double* planes, std::size_t count, std::size_t height, double* rows) {
-  typename W::Row four[WIDE];
+  Four<On> four[WIDE];
   for (std::size_t n = 0; n < count; n += WIDE) {
-    for (std::size_t k = 0; k < 3; ++k) four[k] = W::load(planes + k * height + n);
-    four[3] = W::spread(0);
-    W::turn(four);
-    for (std::size_t l = 0; l < WIDE && n + l < count; ++l)
-      W::store(four[l], rows + ROW * (n + l));
+    for (std::size_t k = 0; k < 3; ++k) four[k] = Four<On>::of(planes + k * height + n);
+    four[3] = 0.0;
+    turn(four, four);
+    for (std::size_t l = 0; l < WIDE && n + l < count; ++l) four[l].store(rows + ROW * (n + l));
   }
 }
 
 // Forces of a piece's springs: they are kept, and taken from where the springs begin.
-template <class W>
+template <class On>
 void pull_begins(const BandPieces& springs, const BandPiece& piece, const BandPlanes& planes) {
-  using Row = typename W::Row;
+  using N = Four<On>;
   const std::size_t height = planes.height, count = piece.count, end = piece.end;
   const std::size_t* offsets = springs.offsets + piece.first;
   const double* numbers = springs.numbers + piece.number;
+  const auto column = [height](const double* from) {
+    return Vector3<N>{N::of(from), N::of(from + height), N::of(from + 2 * height)};
+  };
   for (std::size_t n = piece.begin; n < end; n += WIDE) {
     const double *x = planes.x + n, *v = planes.v + n;
     double *f = planes.f + n, *kept = planes.kept + EDGE + (n - piece.begin);
-    Row here[3], speed[3], sum[3];
-    for (std::size_t k = 0; k < 3; ++k) {
-      here[k] = W::load(x + k * height);
-      speed[k] = W::load(v + k * height);
-      sum[k] = W::load(f + k * height);
+    const Vector3<N> here = column(x), speed = column(v);
+    Vector3<N> sum = column(f);
+    for (std::size_t b = 0; b < count; ++b, numbers += 3 * WIDE, kept += 3 * KEPT) {
+      const Vector3<N> d = here - column(x + offsets[b]), e = speed - column(v + offsets[b]);
+      const Vector3<N> force =
+          d * pull_of(N::of(numbers), N::of(numbers + WIDE), N::of(numbers + 2 * WIDE),
+                      dot(d, d), dot(d, e));
+      sum -= force;
+      force.x.store(kept), force.y.store(kept + KEPT), force.z.store(kept + 2 * KEPT);
     }
-    for (std::size_t b = 0; b < count; ++b, numbers += 3 * WIDE) {
-      const double *y = x + offsets[b], *w = v + offsets[b];
-      Row d[3], e[3];
-      for (std::size_t k = 0; k < 3; ++k) {
-        d[k] = W::subtract(here[k], W::load(y + k * height));
-        e[k] = W::subtract(speed[k], W::load(w + k * height));
-      }
-      const auto along = [&](const Row* other) {
-        return W::add(W::add(W::multiply(d[0], other[0]), W::multiply(d[1], other[1])),
-                      W::multiply(d[2], other[2]));
-      };
-      const Row pull = pull_of<W>(
-          {W::load(numbers), W::load(numbers + WIDE), W::load(numbers + 2 * WIDE)}, along(d),
-          along(e));
-      for (std::size_t k = 0; k < 3; ++k) {
-        const Row force = W::multiply(pull, d[k]);
-        sum[k] = W::subtract(sum[k], force);
-        W::store(force, kept + (3 * b + k) * KEPT);
-      }
-    }
-    for (std::size_t k = 0; k < 3; ++k) W::store(sum[k], f + k * height);
+    sum.x.store(f), sum.y.store(f + height), sum.z.store(f + 2 * height);
   }
 }
 
 // Add what was kept of some offsets to forces where their springs end.
-template <class W, std::size_t... B>
+template <class On, std::size_t... B>
 void pull_alike(std::index_sequence<B...>, const std::size_t* offsets, const double* kept,
                 std::size_t begin, std::size_t end, double* forces) {
   const std::size_t last = offsets[sizeof...(B) - 1];
   const std::size_t back[] = {begin + offsets[B]...};
   for (std::size_t n = (begin + offsets[0]) / WIDE * WIDE; n < end + last; n += WIDE) {
-    auto sum = W::load(forces + n);
-    ((sum = W::add(sum, W::load(kept + 3 * B * KEPT + (EDGE + n - back[B])))), ...);
-    W::store(sum, forces + n);
+    Four<On> sum = Four<On>::of(forces + n);
+    ((sum += Four<On>::of(kept + 3 * B * KEPT + (EDGE + n - back[B]))), ...);
+    sum.store(forces + n);
   }
 }
 
 // Forces of a piece's springs where these end. They are added when all are known: reading at
 // once what was just stored a few places further on would wait for it.
-template <class W>
+template <class On>
 void pull_ends(const BandPieces& springs, const BandPiece& piece, const BandPlanes& planes) {
   for (std::size_t row = 0; row < 3 * piece.count; ++row)
     for (std::size_t n = 0; n < EDGE; n += WIDE)
-      W::store(W::spread(0), planes.kept + row * KEPT + EDGE + (piece.end - piece.begin) + n);
+      Four<On>(0.0).store(planes.kept + row * KEPT + EDGE + (piece.end - piece.begin) + n);
   const std::size_t* offsets = springs.offsets + piece.first;
   for (std::size_t b = 0, count; b < piece.count; b += count) {
     for (count = 1; count < TOGETHER && b + count < piece.count; ++count)
       if (offsets[b + count] > offsets[b] + ALIKE) break;
     for (std::size_t k = 0; k < 3; ++k) {
       const auto add = [&](auto alike) {
-        pull_alike<W>(alike, offsets + b, planes.kept + (3 * b + k) * KEPT, piece.begin,
+        pull_alike<On>(alike, offsets + b, planes.kept + (3 * b + k) * KEPT, piece.begin,
                       piece.end, planes.f + k * planes.height);
       };
       if (count == 1) add(std::make_index_sequence<1>());
@@ -154,59 +140,43 @@ void pull_ends(const BandPieces& springs, const BandPiece& piece, const BandPlan
 
 // Go on with a piece's particles by the forces on them, which then are none: velocities first,
 // and places with the new ones. Those that are held stay.
-template <class W>
+template <class On>
 void advance_piece(const BandPiece& piece, const PlaneSteps& steps, const BandPlanes& planes) {
-  const auto zero = W::spread(0), time = W::spread(steps.h);
+  using N = Four<On>;
+  const N zero = 0.0;
   for (std::size_t n = piece.begin; n < piece.end; n += WIDE) {
-    const auto inverse = W::load(steps.inverse_masses + n), drag = W::load(steps.drags + n);
-    const auto free = W::below(zero, inverse);
+    const N inverse = N::of(steps.inverse_masses + n), drag = N::of(steps.drags + n);
+    const N free = below(zero, inverse);
     for (std::size_t k = 0; k < 3; ++k) {
       const std::size_t at = k * planes.height + n;
-      const auto x = W::load(planes.x + at), v = W::load(planes.v + at);
-      const auto slowed = W::subtract(W::spread(steps.fall[k]), W::multiply(drag, v));
-      const auto rate = W::add(W::multiply(W::load(planes.f + at), inverse), slowed);
-      const auto speed = W::add(v, W::multiply(time, rate));
-      W::store(W::chosen(free, speed, v), planes.v + at);
-      W::store(W::chosen(free, W::add(x, W::multiply(time, speed)), x), planes.x + at);
-      W::store(zero, planes.f + at);
+      const N x = N::of(planes.x + at), v = N::of(planes.v + at);
+      const N rate = N::of(planes.f + at) * inverse + (steps.fall[k] - drag * v);
+      const N speed = v + steps.h * rate;
+      chosen(free, speed, v).store(planes.v + at);
+      chosen(free, x + steps.h * speed, x).store(planes.x + at);
+      zero.store(planes.f + at);
     }
   }
 }
 
 // Add the forces of springs to planes of forces.
-template <class W>
+template <class On>
 void pull_planes(const BandPieces& springs, const BandPlanes& planes) {
   for (std::size_t p = 0; p < springs.count; ++p) {
-    pull_begins<W>(springs, springs.pieces[p], planes);
-    pull_ends<W>(springs, springs.pieces[p], planes);
+    pull_begins<On>(springs, springs.pieces[p], planes);
+    pull_ends<On>(springs, springs.pieces[p], planes);
   }
 }
 
 // One step of particles that springs and the planes of forces pull. Pieces come in the order of
 // their particles: none reads those of an earlier one, which may go on.
-template <class W>
+template <class On>
 void step_planes(const BandPieces& springs, const PlaneSteps& steps, const BandPlanes& planes) {
   for (std::size_t p = 0; p < springs.count; ++p) {
-    pull_begins<W>(springs, springs.pieces[p], planes);
-    pull_ends<W>(springs, springs.pieces[p], planes);
-    advance_piece<W>(springs.pieces[p], steps, planes);
+    pull_begins<On>(springs, springs.pieces[p], planes);
+    pull_ends<On>(springs, springs.pieces[p], planes);
+    advance_piece<On>(springs.pieces[p], steps, planes);
   }
 }
-
-// Loops over planes, and between these and rows.
-struct PlaneLoops {
-  void (*read)(const double* rows, std::size_t count, std::size_t height, double* planes);
-  void (*write)(const double* planes, std::size_t count, std::size_t height, double* rows);
-  void (*pull)(const BandPieces&, const BandPlanes&);
-  void (*step)(const BandPieces&, const PlaneSteps&, const BandPlanes&);
-};
-
-template <class W>
-constexpr PlaneLoops plane_loops() {
-  return {rows_to_planes<W>, planes_to_rows<W>, pull_planes<W>, step_planes<W>};
-}
-
-// Those for registers of four doubles, where the processor has them.
-PlaneLoops plane_loops_here();
 
 }  // namespace animtool

@@ -66,11 +66,6 @@ struct StrandBundle {
   double stretch;
 };
 
-using CrossBundle = void (*)(const StrandSteps&, StrandBundle&);
-
-// Where the processor has registers of four doubles, a loop that uses them; else null.
-CrossBundle cross_bundle_in_quads();
-
 // Corrections of lengths in a step, the first of all strands.
 constexpr int CORRECTIONS = 4;
 // Corrections of what colliders made too long, each with colliders behind it.
@@ -80,10 +75,10 @@ constexpr int ROUNDS_OUT = 3;
 // Colliders that are farther off than this at the begin of a frame [m] are hardly met in it.
 constexpr double NEAR = 0.1;
 
-template <class W>
+template <class On>
 class BundleCrossing {
-  using N = Wide<W>;
-  using V = WideVec<W>;
+  using N = Four<On>;
+  using V = FourVec<On>;
 
  public:
   BundleCrossing(const StrandSteps& plan, StrandBundle& bundle) : plan_(plan), b_(bundle) {}
@@ -401,7 +396,7 @@ class BundleCrossing {
     return N::of(found);
   }
 
-  collide::WideSample<W> sample(std::size_t row, std::size_t c, bool end, const V& at) const {
+  collide::WideSample<N> sample(std::size_t row, std::size_t c, bool end, const V& at) const {
     const collide::Rod& rod = plan_.rods[row];
     if (plan_.is_rod[c])
       return collide::sample_rod(end ? rod.end : rod.begin, rod.radius, at);
@@ -488,9 +483,9 @@ class BundleCrossing {
   unsigned allowed_bits_ = 0;
 };
 
-template <class W>
+template <class On>
 void cross_bundle(const StrandSteps& plan, StrandBundle& bundle) {
-  BundleCrossing<W>(plan, bundle).cross();
+  BundleCrossing<On>(plan, bundle).cross();
 }
 
 }  // namespace animtool

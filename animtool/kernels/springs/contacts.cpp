@@ -29,31 +29,6 @@ constexpr std::size_t PUSH = 7;
 // Of the size of a mesh, how far what is near a particle serves at first.
 constexpr double FINE = 1e-3;
 
-// One particle by itself, for what is written for several.
-struct OneRow {
-  using Row = double;
-
-  static double spread(double value) { return value; }
-  static double add(double a, double b) { return a + b; }
-  static double subtract(double a, double b) { return a - b; }
-  static double multiply(double a, double b) { return a * b; }
-  static double divide(double a, double b) { return a / b; }
-  static double inverse(double a) { return a > 0 ? 1 / a : 0; }
-  static double root(double a) { return std::sqrt(a); }
-  static double least(double a, double b) { return a < b ? a : b; }
-  static double most(double a, double b) { return a > b ? a : b; }
-  static double below(double a, double b) { return a < b; }
-  static double chosen(double where, double a, double b) { return where != 0 ? a : b; }
-  static double either(double a, double b) { return a != 0 || b != 0; }
-  static unsigned bits(double where) { return where != 0; }
-};
-
-using One = Wide<OneRow>;
-using OneVec = WideVec<OneRow>;
-
-OneVec one(Vec a) { return {a.x, a.y, a.z}; }
-Vec vec(const OneVec& a) { return {a.x.row, a.y.row, a.z.row}; }
-
 double thickness_of(const Collider& c, double radius) {
   if (c.container) return collide::FAR;
   switch (c.shape) {
@@ -91,8 +66,8 @@ Rod::Axis axis_between(Vec a, Vec b) {
 Sample sampled(const StepCollider& c, const Rod::Axis& axis, const Pose& pose, Vec point,
                double radius) {
   if (!c.is_rod) return sample(c.collider, pose, point, radius, collide::FAR);
-  const auto found = collide::sample_rod<OneRow>(axis, c.rod.radius, one(point));
-  return {found.distance.row, vec(found.normal)};
+  const auto found = collide::sample_rod(axis, c.rod.radius, point);
+  return {found.distance, found.normal};
 }
 
 }  // namespace
@@ -137,13 +112,11 @@ MovingColliders::MovingColliders(const std::optional<SpringColliders>& colliders
   if (!colliders) return;
   const auto& [arrays, poses, radius, depths, tolerance, surfaces] = *colliders;
   colliders_ = read_colliders(arrays);
-  check::shape("colliders.poses", poses, {static_cast<std::size_t>(cells), colliders_.size(), 2, 7});
-  check::finite("colliders.poses", poses);
+  check::numbers("colliders.poses", poses, {static_cast<std::size_t>(cells), colliders_.size(), 2, 7});
   check::not_negative("colliders.radius", radius);
   check::not_negative("colliders.tolerance", tolerance);
   if (depths) {
-    check::shape("colliders.depths", *depths, {colliders_.size(), particles});
-    check::finite("colliders.depths", *depths);
+    check::numbers("colliders.depths", *depths, {colliders_.size(), particles});
   }
   poses_ = poses.data();
   radius_ = radius;
@@ -466,12 +439,7 @@ bool SpringContacts::push(std::size_t index, std::size_t n, Vec from, Vec& to,
   const double begun = look(index, n, false, from).sample.distance;
   Rod rod = c.rod;
   if (c.surface >= 0) store(way, rod.travel);
-  OneVec place = one(to), stood = one(still);
-  const bool out = collide::push_out<OneRow>(rod, {found.distance, one(found.normal)}, begun,
-                                             depth, one(from), place, stood);
-  to = vec(place);
-  still = vec(stood);
-  return out;
+  return collide::push_out(rod, {found.distance, found.normal}, begun, depth, from, to, still);
 }
 
 }  // namespace animtool

@@ -2,6 +2,7 @@
 #include <algorithm>
 
 #include "base/checks.h"
+#include "springs/loops.h"
 #include "springs/steps.h"
 
 namespace animtool {
@@ -123,13 +124,11 @@ class Explicit {
 
  private:
   void step_rows(double t, double h, int j) {
-    static const AdvanceRows quads = advance_rows_in_quads();
     const SpringNetwork& network = run_.network;
     run_.look(t, h);
     run_.accelerate(run_.x.data(), run_.v.data(), rate_.data());
     keep_rows();
-    (quads ? quads : advance_rows<PlainRows>)(network.particles(), h, rate_.data(),
-                                              run_.x.data(), run_.v.data());
+    spring_loops().advance(network.particles(), h, rate_.data(), run_.x.data(), run_.v.data());
     network.place_held(t + h, h, before_.data(), run_.x.data(), run_.v.data());
     contacts_.settle(network, j, before_, run_.x, &run_.v);
   }

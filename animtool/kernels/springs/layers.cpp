@@ -88,8 +88,7 @@ SpringLayers::SpringLayers(const SpringNetwork& network, In<double, 2> rest,
       particles_(network.particles()),
       corners_(network.triangles),
       beside_starts_{0} {
-  check::shape("rest", rest, {particles_, 3});
-  check::finite("rest", rest);
+  check::numbers("rest", rest, {particles_, 3});
   check::positive("thickness", thickness);
   check::not_negative("friction", friction);
   check::not_negative("speed", speed);

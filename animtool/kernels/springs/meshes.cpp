@@ -109,8 +109,7 @@ MovingSurface::MovingSurface(const SpringSurface& surface, std::int64_t cells)
   check::between("colliders.surfaces", lasts_, 1, MOST_LASTING);
   check::between("colliders.surfaces", first_, 0, lasts_ - 1);
   const std::int64_t knots = (first_ + cells + lasts_ - 1) / lasts_ + 1;
-  check::shape("colliders.surfaces", points_, {static_cast<std::size_t>(knots), surface_->points(), 3});
-  check::finite("colliders.surfaces", points_);
+  check::numbers("colliders.surfaces", points_, {static_cast<std::size_t>(knots), surface_->points(), 3});
   check::finite("colliders.surfaces", numbers_.data(), numbers_.size());
   ways_.resize(3 * surface_->points());
   surface_->fit(points_.data(), points_.data(), bounds_);

@@ -6,6 +6,8 @@
 #include <utility>
 
 #include "base/checks.h"
+#include "base/groups.h"
+#include "springs/loops.h"
 
 namespace animtool {
 
@@ -61,8 +63,7 @@ SpringNetwork::SpringNetwork(const SpringArrays& given)
   check::shape("inverse_masses", masses, {count});
   check::at_most("inverse_masses", count, check::MOST_ROWS);
   for (const double inverse : inverse_masses) check::not_negative("inverse_masses", inverse);
-  check::shape("drags", slowing, {count});
-  check::finite("drags", slowing);
+  check::numbers("drags", slowing, {count});
   check::shape("ends", ends, {check::ANY, 2});
   check::at_most("ends", springs, check::MOST_ROWS);
   check::indices("ends", ends, 0, static_cast<std::int64_t>(count));
@@ -72,8 +73,7 @@ SpringNetwork::SpringNetwork(const SpringArrays& given)
   check_column("limit", limit, springs, false);
   check::shape("triangles", faces, {check::ANY, 3});
   check::at_most("triangles", faces.shape(0), check::MOST_ROWS);
-  check::shape("gravity", pull, {3});
-  check::finite("gravity", pull);
+  check::numbers("gravity", pull, {3});
   check::finite("air_drag", drag);
   check::finite("air_lift", lift);
   check::shape("knots", times, {check::ANY});
@@ -281,10 +281,9 @@ void SpringRun::accelerate(const double* at, const double* going, double* out) {
   lines().pulls.set(at, going, room_, out);
   network.add_anchor_forces(points.data(), speeds.data(), at, going, out);
   network.add_air_forces(wind, at, going, out);
-  static const AccelerateRows quads = accelerate_rows_in_quads();
   const double fall[ROW] = {network.gravity[0], network.gravity[1], network.gravity[2], 0};
   const ParticleColumns particles{network.inverse_masses.data(), network.drags.data()};
-  (quads ? quads : accelerate_rows<PlainRows>)(particles, network.particles(), fall, going, out);
+  spring_loops().accelerate(particles, network.particles(), fall, going, out);
 }
 
 namespace {
@@ -293,37 +292,23 @@ namespace {
 // is to be near in memory.
 constexpr std::int64_t BLOCK = 512, LARGEST_BLOCK = 8192;
 
-std::vector<std::int64_t> components(const std::int64_t* ends, std::size_t springs,
-                                     std::size_t particles) {
-  std::vector<std::int64_t> root(particles);
-  for (std::size_t n = 0; n < particles; ++n) root[n] = static_cast<std::int64_t>(n);
-  const auto find = [&](std::int64_t n) {
-    const auto at = [&](std::int64_t m) -> std::int64_t& {
-      return root[static_cast<std::size_t>(m)];
-    };
-    while (at(n) != n) n = at(n) = at(at(n));
-    return n;
-  };
-  for (std::size_t s = 0; s < springs; ++s) {
-    const std::int64_t a = find(ends[2 * s]), b = find(ends[2 * s + 1]);
-    root[static_cast<std::size_t>(std::max(a, b))] = std::min(a, b);
-  }
-  for (std::size_t n = 0; n < particles; ++n) root[n] = find(static_cast<std::int64_t>(n));
-  return root;
-}
-
 }  // namespace
 
 std::vector<std::int64_t> order_springs(const std::int64_t* ends, std::size_t springs,
                                         std::size_t particles) {
-  const std::vector<std::int64_t> component = components(ends, springs, particles);
+  Groups components(particles);
+  for (std::size_t s = 0; s < springs; ++s)
+    components.join(static_cast<std::size_t>(ends[2 * s]), static_cast<std::size_t>(ends[2 * s + 1]));
   const auto low = [&](std::int64_t s) { return std::min(ends[2 * s], ends[2 * s + 1]); };
+  std::vector<std::int64_t> component(springs);
+  for (std::size_t s = 0; s < springs; ++s)
+    component[s] = static_cast<std::int64_t>(components.first_of(static_cast<std::size_t>(ends[2 * s])));
   const auto high = [&](std::int64_t s) { return std::max(ends[2 * s], ends[2 * s + 1]); };
   std::vector<std::int64_t> order(springs), level(springs), block(springs);
   for (std::size_t s = 0; s < springs; ++s) order[s] = static_cast<std::int64_t>(s);
   std::sort(order.begin(), order.end(), [&](std::int64_t a, std::int64_t b) {
     const auto key = [&](std::int64_t s) {
-      return std::array<std::int64_t, 4>{component[static_cast<std::size_t>(low(s))], low(s),
+      return std::array<std::int64_t, 4>{component[static_cast<std::size_t>(s)], low(s),
                                          high(s), s};
     };
     return key(a) < key(b);
@@ -332,7 +317,7 @@ std::vector<std::int64_t> order_springs(const std::int64_t* ends, std::size_t sp
   std::vector<std::int64_t> waits(particles, 0);
   std::int64_t whole = 0, filled = 0, last = -1;
   for (const std::int64_t s : order) {
-    const std::int64_t from = component[static_cast<std::size_t>(low(s))];
+    const std::int64_t from = component[static_cast<std::size_t>(s)];
     if ((from != last && filled >= BLOCK) || filled >= LARGEST_BLOCK) ++whole, filled = 0;
     last = from;
     ++filled;

@@ -6,6 +6,7 @@
 #include <limits>
 
 #include "base/checks.h"
+#include "springs/loops.h"
 #include "springs/self.h"
 #include "springs/steps.h"
 
@@ -38,10 +39,7 @@ class Projection {
         contacts_(contacts),
         self_(self),
         cell_(cell),
-        before_(run.size),
-        project_all_(project_all_in_quads()) {
-    if (!project_all_) project_all_ = project_all<PlainRows>;
-  }
+        before_(run.size) {}
 
   // One cell in a number of steps; returns the largest stretch of a spring that is not for
   // the most part what its own stiffness gives under what it bears.
@@ -121,8 +119,8 @@ class Projection {
     const SpringLines& lines = run_.lines();
     const GiveColumns columns{lines.ends.data(), lines.rest.data(), lengths_.data(),
                               changes_.data(), weights_.data()};
-    project_all_(columns, lines.runs.data(), lines.runs.size(), run_.x.data(), before_.data(),
-                 kept);
+    spring_loops().project(columns, lines.runs.data(), lines.runs.size(), run_.x.data(),
+                           before_.data(), kept);
   }
 
   void pull_anchors() {
@@ -165,7 +163,6 @@ class Projection {
   std::vector<double> before_, forces_, lengths_, changes_, weights_;
   std::vector<double> gives_;  // by how much springs are longer right after their own turn
   std::vector<Give> anchor_gives_;
-  ProjectAll project_all_;
 };
 
 }  // namespace

@@ -5,6 +5,8 @@
 #include <numeric>
 #include <utility>
 
+#include "springs/loops.h"
+
 namespace animtool {
 
 namespace {
@@ -33,12 +35,12 @@ std::vector<std::size_t> by_offset(const std::vector<Spring>& springs) {
   return order;
 }
 
-const PlaneLoops& loops() {
-  static const PlaneLoops here = plane_loops_here();
-  return here;
-}
-
 }  // namespace
+
+const SpringLoops& spring_loops() {
+  static const SpringLoops* const quads = springs_in_quads();
+  return quads ? *quads : spring_loops_on<Plain>;
+}
 
 void SpringPulls::Numbers::add(double length, double stiff, double damps) {
   rest.push_back(length);
@@ -150,11 +152,11 @@ void SpringPulls::make(PullRoom& room) const {
 }
 
 void SpringPulls::read(const double* rows, std::vector<double>& columns) const {
-  loops().read(rows, particles_, plane_height(particles_), columns.data());
+  spring_loops().to_planes(rows, particles_, plane_height(particles_), columns.data());
 }
 
 void SpringPulls::write(const std::vector<double>& columns, double* rows) const {
-  loops().write(columns.data(), particles_, plane_height(particles_), rows);
+  spring_loops().to_rows(columns.data(), particles_, plane_height(particles_), rows);
 }
 
 void SpringPulls::set(const double* x, const double* v, PullRoom& room,
@@ -165,21 +167,20 @@ void SpringPulls::set(const double* x, const double* v, PullRoom& room,
     make(room);
     read(x, room.x);
     read(v, room.v);
-    loops().pull(pieces(), planes(room));
+    spring_loops().pull_planes(pieces(), planes(room));
     write(room.f, forces);
   }
   add_loose(x, v, forces);
 }
 
 void SpringPulls::add_loose(const double* x, const double* v, double* forces) const {
-  static const AddPulls quads = add_pulls_in_quads();
   const SpringColumns columns{loose_ends_.data(), loose_.rest.data(), loose_.stiffness.data(),
                               loose_.damping.data()};
-  (quads ? quads : add_pulls<PlainRows>)(columns, loose_.rest.size(), x, v, forces);
+  spring_loops().add_pulls(columns, loose_.rest.size(), x, v, forces);
 }
 
 void SpringPulls::step(const PlaneSteps& steps, PullRoom& room) const {
-  loops().step(pieces(), steps, planes(room));
+  spring_loops().step_planes(pieces(), steps, planes(room));
 }
 
 }  // namespace animtool

@@ -4,7 +4,7 @@
 #include <cstddef>
 #include <cstdint>
 
-#include "base/rows.h"
+#include "base/wide.h"
 
 namespace animtool {
 
@@ -25,71 +25,66 @@ struct GiveColumns {
   const double* weights;
 };
 
-// Of four springs.
-template <class Row>
-struct FourSprings {
-  Row rest, stiffness, damping;
-};
-
 // Forces of springs over their lengths, from the squares of these and from how their ends
 // move apart times these. Ends at one place have no direction, and no force.
-template <class W>
-typename W::Row pull_of(const FourSprings<typename W::Row>& springs,
-                        const typename W::Row& square, const typename W::Row& closing) {
-  const auto inverse = W::inverse(square);
-  const auto length = W::multiply(springs.rest, W::multiply(W::root(square), inverse));
-  return W::add(W::multiply(springs.stiffness, W::subtract(W::spread(1), length)),
-                W::multiply(springs.damping, W::multiply(closing, inverse)));
+template <class N>
+N pull_of(const N& rest, const N& stiffness, const N& damping, const N& square,
+          const N& closing) {
+  const N over = inverse(square), length = rest * (root(square) * over);
+  return stiffness * (1.0 - length) + damping * (closing * over);
+}
+
+// One particle or spring by itself, for what is written for several.
+template <class On>
+using One = Wide<double, 1, On>;
+
+template <class On>
+Vector3<One<On>> row_at(const double* from) {
+  return {from[0], from[1], from[2]};
+}
+template <class On>
+void add_to_row(const Vector3<One<On>>& way, double* row) {
+  (One<On>::of(row) + way.x).store(row);
+  (One<On>::of(row + 1) + way.y).store(row + 1);
+  (One<On>::of(row + 2) + way.z).store(row + 2);
 }
 
 // Add the forces of springs to rows of particles.
-template <class W>
+template <class On>
 void add_pulls(const SpringColumns& springs, std::size_t count, const double* x,
                const double* v, double* forces) {
-  using Row = typename W::Row;
+  using N = Four<On>;
   std::size_t s = 0;
   for (; s + WIDE <= count; s += WIDE) {
     const std::int32_t* ends = springs.ends + 2 * s;
-    Row d[WIDE], e[WIDE];
+    N d[WIDE], e[WIDE];
     for (std::size_t l = 0; l < WIDE; ++l) {
       const std::size_t i = ROW * static_cast<std::size_t>(ends[2 * l]);
       const std::size_t j = ROW * static_cast<std::size_t>(ends[2 * l + 1]);
-      d[l] = W::subtract(W::load(x + j), W::load(x + i));
-      e[l] = W::subtract(W::load(v + j), W::load(v + i));
+      d[l] = N::of(x + j) - N::of(x + i);
+      e[l] = N::of(v + j) - N::of(v + i);
     }
-    const Row pull =
-        pull_of<W>({W::load(springs.rest + s), W::load(springs.stiffness + s),
-                    W::load(springs.damping + s)},
-                   W::dots(d, d), W::dots(d, e));
     double pulls[WIDE];
-    W::store(pull, pulls);
+    pull_of(N::of(springs.rest + s), N::of(springs.stiffness + s), N::of(springs.damping + s),
+            dots(d, d), dots(d, e))
+        .store(pulls);
     for (std::size_t l = 0; l < WIDE; ++l) {
       double* f = forces + ROW * static_cast<std::size_t>(ends[2 * l]);
       double* g = forces + ROW * static_cast<std::size_t>(ends[2 * l + 1]);
-      const Row force = W::multiply(W::spread(pulls[l]), d[l]);
-      W::store(W::add(W::load(f), force), f);
-      W::store(W::subtract(W::load(g), force), g);
+      const N force = pulls[l] * d[l];
+      (N::of(f) + force).store(f);
+      (N::of(g) - force).store(g);
     }
   }
   for (; s < count; ++s) {
     const std::size_t i = ROW * static_cast<std::size_t>(springs.ends[2 * s]);
     const std::size_t j = ROW * static_cast<std::size_t>(springs.ends[2 * s + 1]);
-    double d[3], e[3];
-    for (std::size_t k = 0; k < 3; ++k) {
-      d[k] = x[j + k] - x[i + k];
-      e[k] = v[j + k] - v[i + k];
-    }
-    const double square = d[0] * d[0] + d[1] * d[1] + d[2] * d[2];
-    const double closing = d[0] * e[0] + d[1] * e[1] + d[2] * e[2];
-    const double inverse = square > ONE_PLACE ? 1 / square : 0;
-    const double length = springs.rest[s] * (std::sqrt(square) * inverse);
-    const double pull =
-        springs.stiffness[s] * (1 - length) + springs.damping[s] * (closing * inverse);
-    for (std::size_t k = 0; k < 3; ++k) {
-      const double force = pull * d[k];
-      forces[i + k] += force;
-      forces[j + k] -= force;
-    }
+    const auto d = row_at<On>(x + j) - row_at<On>(x + i);
+    const auto e = row_at<On>(v + j) - row_at<On>(v + i);
+    const auto force = d * pull_of<One<On>>(springs.rest[s], springs.stiffness[s],
+                                            springs.damping[s], dot(d, d), dot(d, e));
+    add_to_row<On>(force, forces + i);
+    add_to_row<On>(-force, forces + j);
   }
 }
 
@@ -100,59 +95,54 @@ struct ParticleColumns {
 
 // Turn rows of forces into accelerations: those of held particles are 0. What falls freely is
 // a row.
-template <class W>
+template <class On>
 void accelerate_rows(const ParticleColumns& particles, std::size_t count, const double* fall,
                      const double* v, double* rows) {
-  const auto falling = W::load(fall);
+  using N = Four<On>;
+  const N falling = N::of(fall);
   for (std::size_t n = 0; n < count; ++n, v += ROW, rows += ROW) {
     const double inverse = particles.inverse_masses[n];
-    const auto slowed = W::multiply(W::spread(particles.drags[n]), W::load(v));
-    const auto pulled = W::multiply(W::load(rows), W::spread(inverse));
-    const auto whole = W::add(pulled, W::subtract(falling, slowed));
-    W::store(inverse > 0 ? whole : W::spread(0), rows);
+    const N whole = N::of(rows) * inverse + (falling - particles.drags[n] * N::of(v));
+    (inverse > 0 ? whole : N(0.0)).store(rows);
   }
 }
 
 // Go on for a time: velocities first, and places with the new ones.
-template <class W>
+template <class On>
 void advance_rows(std::size_t count, double h, const double* rates, double* x, double* v) {
-  const auto time = W::spread(h);
+  using N = Four<On>;
   for (std::size_t k = 0; k < ROW * count; k += ROW) {
-    const auto speed = W::add(W::load(v + k), W::multiply(time, W::load(rates + k)));
-    W::store(speed, v + k);
-    W::store(W::add(W::load(x + k), W::multiply(time, speed)), x + k);
+    const N speed = N::of(v + k) + h * N::of(rates + k);
+    speed.store(v + k);
+    (N::of(x + k) + h * speed).store(x + k);
   }
 }
 
 // Move the ends of four springs that share none together, and keep by how much these are longer
 // than at rest right after.
-template <class W>
+template <class On>
 void project_four(const GiveColumns& springs, std::size_t s, double* x, const double* before,
                   double* kept) {
-  using Row = typename W::Row;
+  using N = Four<On>;
   const std::int32_t* ends = springs.ends + 2 * s;
-  Row d[WIDE], e[WIDE];
+  N d[WIDE], e[WIDE];
   for (std::size_t l = 0; l < WIDE; ++l) {
     const std::size_t i = ROW * static_cast<std::size_t>(ends[2 * l]);
     const std::size_t j = ROW * static_cast<std::size_t>(ends[2 * l + 1]);
-    d[l] = W::subtract(W::load(x + j), W::load(x + i));
-    e[l] = W::subtract(d[l], W::subtract(W::load(before + j), W::load(before + i)));
+    d[l] = N::of(x + j) - N::of(x + i);
+    e[l] = d[l] - (N::of(before + j) - N::of(before + i));
   }
-  const Row square = W::dots(d, d), went = W::dots(d, e);
-  const Row inverse = W::inverse(square), root = W::root(square);
-  const Row beyond = W::subtract(
-      W::spread(1), W::multiply(W::load(springs.rest + s), W::multiply(root, inverse)));
+  const N square = dots(d, d), over = inverse(square), size = root(square);
+  const N beyond = where_apart(square, 1.0 - N::of(springs.rest + s) * (size * over));
   // The pull over the length, with which the ends come together.
-  const Row pull = W::add(
-      W::multiply(W::load(springs.length + s), W::where_apart(square, beyond)),
-      W::multiply(W::load(springs.change + s), W::multiply(went, inverse)));
   double pulls[WIDE];
-  W::store(pull, pulls);
+  (N::of(springs.length + s) * beyond + N::of(springs.change + s) * (dots(d, e) * over))
+      .store(pulls);
   const double* weights = springs.weights + 2 * s;
   if (kept) {
     double longer[WIDE], lengths[WIDE];
-    W::store(W::multiply(W::where_apart(square, beyond), root), longer);
-    W::store(root, lengths);
+    (beyond * size).store(longer);
+    size.store(lengths);
     for (std::size_t l = 0; l < WIDE; ++l)
       kept[s + l] =
           longer[l] - pulls[l] * (weights[2 * l] + weights[2 * l + 1]) * lengths[l];
@@ -160,34 +150,26 @@ void project_four(const GiveColumns& springs, std::size_t s, double* x, const do
   for (std::size_t l = 0; l < WIDE; ++l) {
     double* p = x + ROW * static_cast<std::size_t>(ends[2 * l]);
     double* q = x + ROW * static_cast<std::size_t>(ends[2 * l + 1]);
-    W::store(W::add(W::load(p), W::multiply(W::spread(pulls[l] * weights[2 * l]), d[l])), p);
-    W::store(W::subtract(W::load(q),
-                         W::multiply(W::spread(pulls[l] * weights[2 * l + 1]), d[l])),
-             q);
+    (N::of(p) + pulls[l] * weights[2 * l] * d[l]).store(p);
+    (N::of(q) - pulls[l] * weights[2 * l + 1] * d[l]).store(q);
   }
 }
 
-template <class W>
-void project_one(const GiveColumns& springs, std::size_t s, double* x,
-                        const double* before, double* kept) {
+template <class On>
+void project_one(const GiveColumns& springs, std::size_t s, double* x, const double* before,
+                 double* kept) {
+  using N = One<On>;
   const std::size_t i = ROW * static_cast<std::size_t>(springs.ends[2 * s]);
   const std::size_t j = ROW * static_cast<std::size_t>(springs.ends[2 * s + 1]);
-  double d[3], e[3];
-  for (std::size_t k = 0; k < 3; ++k) {
-    d[k] = x[j + k] - x[i + k];
-    e[k] = d[k] - (before[j + k] - before[i + k]);
-  }
-  const double square = d[0] * d[0] + d[1] * d[1] + d[2] * d[2];
-  const double went = d[0] * e[0] + d[1] * e[1] + d[2] * e[2];
-  const double inverse = square > ONE_PLACE ? 1 / square : 0, root = std::sqrt(square);
-  const double beyond = square > ONE_PLACE ? 1 - springs.rest[s] * (root * inverse) : 0;
-  const double pull = springs.length[s] * beyond + springs.change[s] * (went * inverse);
-  const double both = springs.weights[2 * s] + springs.weights[2 * s + 1];
-  if (kept) kept[s] = (beyond - pull * both) * root;
-  for (std::size_t k = 0; k < 3; ++k) {
-    x[i + k] += pull * springs.weights[2 * s] * d[k];
-    x[j + k] -= pull * springs.weights[2 * s + 1] * d[k];
-  }
+  const auto d = row_at<On>(x + j) - row_at<On>(x + i);
+  const auto e = d - (row_at<On>(before + j) - row_at<On>(before + i));
+  const N square = dot(d, d), over = inverse(square), size = root(square);
+  const N beyond = where_apart(square, 1.0 - springs.rest[s] * (size * over));
+  const N pull = springs.length[s] * beyond + springs.change[s] * (dot(d, e) * over);
+  const double *weights = springs.weights + 2 * s;
+  if (kept) ((beyond - pull * (weights[0] + weights[1])) * size).store(kept + s);
+  add_to_row<On>(d * (pull * weights[0]), x + i);
+  add_to_row<On>(-(d * (pull * weights[1])), x + j);
 }
 
 // Runs of springs, of which each four share no end or are done one by one.
@@ -195,30 +177,16 @@ struct SpringRunLength {
   std::size_t begin, fours, ones;
 };
 
-template <class W>
+template <class On>
 void project_all(const GiveColumns& springs, const SpringRunLength* runs, std::size_t count,
                  double* x, const double* before, double* kept) {
   for (std::size_t r = 0; r < count; ++r) {
     std::size_t s = runs[r].begin;
     for (std::size_t n = 0; n < runs[r].fours; ++n, s += WIDE)
-      project_four<W>(springs, s, x, before, kept);
+      project_four<On>(springs, s, x, before, kept);
     for (std::size_t n = 0; n < runs[r].ones; ++n, ++s)
-      project_one<W>(springs, s, x, before, kept);
+      project_one<On>(springs, s, x, before, kept);
   }
 }
-
-using AddPulls = void (*)(const SpringColumns&, std::size_t, const double*, const double*,
-                          double*);
-using AccelerateRows = void (*)(const ParticleColumns&, std::size_t, const double*,
-                                const double*, double*);
-using AdvanceRows = void (*)(std::size_t, double, const double*, double*, double*);
-using ProjectAll = void (*)(const GiveColumns&, const SpringRunLength*, std::size_t, double*,
-                            const double*, double*);
-
-// Where the processor has registers of four doubles, loops that use them; else null.
-AddPulls add_pulls_in_quads();
-AccelerateRows accelerate_rows_in_quads();
-AdvanceRows advance_rows_in_quads();
-ProjectAll project_all_in_quads();
 
 }  // namespace animtool

@@ -295,8 +295,7 @@ class HeldPulls {
     of_.resize(run.network.particles(), -1);
     for (std::size_t p = 0; p < held_.size(); ++p)
       of_[static_cast<std::size_t>(held_[p])] = static_cast<std::int32_t>(p);
-    check::shape("pulls", *last, {held_.size(), WIDTH});
-    check::finite("pulls", *last);
+    check::numbers("pulls", *last, {held_.size(), WIDTH});
     last_.assign(last->data(), last->data() + last->size());
     sum_.resize(last_.size());
     forces_.resize(run.size);
@@ -443,8 +442,7 @@ SpringsSolved solve_springs(const SpringNetwork& network, In<double, 3> state,
   check::finite("state", state);
   SpringRun run = begin_springs(network, state, torn);
   if (earlier) {
-    check::shape("before", *earlier, {2, network.particles(), 3});
-    check::finite("before", *earlier);
+    check::numbers("before", *earlier, {2, network.particles(), 3});
   }
   SpringContacts contacts(colliders, network.particles(), cells);
   HeldPulls pulls(run, given);

@@ -7,6 +7,7 @@
 #include <thread>
 
 #include "base/checks.h"
+#include "springs/loops.h"
 #include "springs/steps.h"
 
 namespace animtool {
@@ -123,14 +124,11 @@ class Bundles {
         goals_((plan.cells + 1) * width()),
         meetings_(plan.points * (plan.colliders + 2)),
         near_(plan.colliders),
-        touched_(plan.cells * plan.substeps) {
-    cross_ = cross_bundle_in_quads();
-    if (!cross_) cross_ = cross_bundle<PlainRows>;
-  }
+        touched_(plan.cells * plan.substeps) {}
 
   void cross(std::size_t index) {
     StrandBundle bundle = begun(index);
-    cross_(plan_, bundle);
+    spring_loops().cross_bundle(plan_, bundle);
     put_back(index, bundle.x, out_);
     put_back(index, bundle.v, out_ + 3 * particles());
     inside += bundle.inside;
@@ -198,7 +196,6 @@ class Bundles {
   std::vector<double> rows_, goals_, meetings_;
   std::vector<std::size_t> near_;
   std::vector<std::int64_t> touched_;
-  CrossBundle cross_;
 };
 
 // Bundles that are worth a thread of their own.
@@ -247,8 +244,7 @@ SpringStrands::SpringStrands(In<double, 2> rests, In<double, 2> folds, In<double
   for (std::size_t k = 0; k < rests.size(); ++k) check::not_negative("rests", rests.data()[k]);
   check::shape("folds", folds, {strands_, points_ - std::min<std::size_t>(points_, 2)});
   for (std::size_t k = 0; k < folds.size(); ++k) check::not_negative("folds", folds.data()[k]);
-  check::shape("gravity", gravity, {3});
-  check::finite("gravity", gravity);
+  check::numbers("gravity", gravity, {3});
   check::finite("drag", drag);
   check::not_negative("stiffness", stiffness);
   check::not_negative("fold_stiffness", fold_stiffness);
@@ -284,8 +280,7 @@ StrandsFollowed follow_strands(const SpringStrands& strands, In<double, 3> targe
                                const std::optional<SpringColliders>& colliders,
                                std::size_t threads) {
   const std::size_t count = strands.strands() * strands.points();
-  check::shape("state", state, {2, count, 3});
-  check::finite("state", state);
+  check::numbers("state", state, {2, count, 3});
   check::shape("targets", targets, {check::ANY, count, 3});
   if (targets.shape(0) < 2) check::refuse("targets", "there is no cell between two of them");
   check::finite("targets", targets);

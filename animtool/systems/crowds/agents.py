@@ -191,10 +191,12 @@ def separated(
     still, radius = np.zeros_like(x), float(agents.radii.max(initial=1.0))
     count = len(x)
     moved, _, overlap, _ = _kernels.crowd_step(
-        x, still, still, agents.radii, np.zeros(count), agents.gives,
-        np.zeros((count, 2)), 1.0, agents.groups,
-        np.zeros(count, np.uint8), starts, walls, radius, 0, 1.0, 0.0, 0.0, 0.0, 0.0,
-        1.0, ROUNDS, ENOUGH * radius,
+        points=x, velocities=still, preferred=still,
+        radii=agents.radii, most=np.zeros(count), gives=agents.gives,
+        shoulders=np.zeros((count, 2)), depth=1.0, groups=agents.groups,
+        does=np.zeros(count, np.uint8), starts=starts, walls=walls,
+        sight=radius, nearest=0, horizon=1.0, space=0.0, push=0.0, headway=0.0,
+        side=0.0, step=1.0, rounds=ROUNDS, enough=ENOUGH * radius,
     )  # fmt: skip
     return moved, overlap
 

@@ -220,12 +220,14 @@ class Crowd:
             raise ToleranceError(Fault("SIM102", message, hint="take shorter steps"))
         shoulders = self._shoulders(state, down)
         points, velocities, overlap, pressed = _kernels.crowd_step(
-            x, v, relaxed, agents.radii, agents.most, agents.gives,
-            lines(state.headings, shoulders), DEPTH, agents.groups,
-            does, walls.starts,
-            walls.rows, rules.sight, rules.nearest, rules.horizon, rules.space,
-            rules.push, rules.headway, SIDES[rules.side], dt, APART,
-            ENOUGH * float(agents.radii.min()),
+            points=x, velocities=v, preferred=relaxed,
+            radii=agents.radii, most=agents.most, gives=agents.gives,
+            shoulders=lines(state.headings, shoulders), depth=DEPTH,
+            groups=agents.groups, does=does, starts=walls.starts, walls=walls.rows,
+            sight=rules.sight, nearest=rules.nearest, horizon=rules.horizon,
+            space=rules.space, push=rules.push, headway=rules.headway,
+            side=SIDES[rules.side], step=dt, rounds=APART,
+            enough=ENOUGH * float(agents.radii.min()),
         )  # fmt: skip
         progress = self._steering.advanced(state.progress, points, dt)
         headings = self._turned(state.headings, wanted, velocities, dt)

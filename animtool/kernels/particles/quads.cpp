@@ -1,9 +1,18 @@
-// Distances four at a time for processors with registers of four doubles; the build says where
-// the compiler may use them, and the processor is asked before it runs.
+// Particles four or eight at a time, for processors with registers of four doubles.
 #include "base/quads.h"
+#include "particles/gravity_lanes.h"
+#include "particles/molecules_lanes.h"
 #include "particles/neighbours.h"
 
 namespace animtool {
+
+const GravityFunctions* gravity_in_quads() {
+  return has_quads() ? &GravityLoops<Quads>::functions : nullptr;
+}
+
+MoleculeFunction molecules_in_quads() {
+  return has_quads() ? MoleculeLoops<Quads>::run : nullptr;
+}
 
 #ifdef ANIMTOOL_QUADS
 
@@ -18,17 +27,15 @@ constexpr std::int32_t COUNTS[16] = {0, 1, 1, 2, 1, 2, 2, 3, 1, 2, 2, 3, 2, 3, 3
 
 std::int32_t* near_four(const NearPlaces& places, const NearRun* run, const NearRun* last,
                         const double* at, std::int32_t* next) {
-  const __m256d here[3] = {_mm256_set1_pd(at[0]), _mm256_set1_pd(at[1]), _mm256_set1_pd(at[2])};
-  const __m256d most = _mm256_set1_pd(places.most);
+  const FourVec<Quads> here = FourVec<Quads>::spread(at);
+  const Four<Quads> most = places.most;
   for (; run < last; ++run)
     for (std::size_t i = run->begin; i < run->end; i += 4) {
-      const __m256d x = _mm256_sub_pd(_mm256_loadu_pd(places.x + i), here[0]);
-      const __m256d y = _mm256_sub_pd(_mm256_loadu_pd(places.y + i), here[1]);
-      const __m256d z = _mm256_sub_pd(_mm256_loadu_pd(places.z + i), here[2]);
-      const __m256d squares = _mm256_add_pd(
-          _mm256_add_pd(_mm256_mul_pd(x, x), _mm256_mul_pd(y, y)), _mm256_mul_pd(z, z));
-      unsigned bits =
-          static_cast<unsigned>(_mm256_movemask_pd(_mm256_cmp_pd(squares, most, _CMP_LE_OQ)));
+      const FourVec<Quads> there{Four<Quads>::of(places.x + i), Four<Quads>::of(places.y + i),
+                                 Four<Quads>::of(places.z + i)};
+      const FourVec<Quads> off = there - here;
+      unsigned bits = static_cast<unsigned>(
+          _mm256_movemask_pd(_mm256_cmp_pd(dot(off, off).row, most.row, _CMP_LE_OQ)));
       if (run->end - i < 4) bits &= (1u << (run->end - i)) - 1;
       const __m128i found =
           _mm_add_epi32(_mm_load_si128(reinterpret_cast<const __m128i*>(PACKED[bits])),

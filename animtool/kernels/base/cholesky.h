@@ -1,0 +1,80 @@
+// Cholesky's factor of a symmetric matrix, and what is solved with it.
+//
+// All subtract products in the same order: results depend on nothing but what is kept of the
+// pivots. Factors of bands take no root of a pivot, which is another rounding, and so are not
+// made of this: springs/chain.h, and ik/path_cost.h, which divides by pivots where the former
+// multiplies by one over them.
+#pragma once
+
+#include <cmath>
+#include <cstddef>
+
+namespace animtool::cholesky {
+
+// What stands on the diagonal of a factor: the root of a pivot, or one over it, which is faster
+// to go on with; and what stands there for a pivot that counts for nothing.
+struct Roots {
+  static constexpr double NOTHING = HUGE_VAL;
+  static double of(double pivot) { return std::sqrt(pivot); }
+  static double over(double value, double kept) { return value / kept; }
+};
+struct Inverses {
+  static constexpr double NOTHING = 0;
+  static double of(double pivot) { return 1 / std::sqrt(pivot); }
+  static double over(double value, double kept) { return value * kept; }
+};
+
+enum class Small { FAILS, COUNTS_FOR_NOTHING };
+
+// Factors a matrix (n, n) in place, of which the lower triangle is read and overwritten; returns
+// false where a pivot fails, one that is not above `least(its number)`. By columns, so that
+// every inner loop adds to what lies side by side; `column` holds n.
+template <class Kept, Small SMALL, class Least>
+bool factor(double* a, std::size_t n, std::size_t stride, double* column, Least least) {
+  for (std::size_t j = 0; j < n; ++j) {
+    double kept = Kept::NOTHING;
+    const double pivot = a[j * stride + j];
+    if (pivot > least(j)) kept = Kept::of(pivot);
+    else if (SMALL == Small::FAILS) return false;
+    a[j * stride + j] = kept;
+    for (std::size_t i = j + 1; i < n; ++i)
+      column[i] = a[i * stride + j] = Kept::over(a[i * stride + j], kept);
+    for (std::size_t i = j + 1; i < n; ++i) {
+      const double at = column[i];
+      double* row = a + i * stride;
+      for (std::size_t k = j + 1; k <= i; ++k) row[k] -= at * column[k];
+    }
+  }
+  return true;
+}
+
+// The rows of a matrix, as the following take them.
+struct Rows {
+  const double* a;
+  std::size_t stride;
+
+  const double* operator()(std::size_t i) const { return a + i * stride; }
+};
+
+// x becomes L^-1 x from `first` on, before which it is 0.
+template <class Kept, class RowOf>
+void solve_forward(RowOf row_of, std::size_t n, double* x, std::size_t first = 0) {
+  for (std::size_t i = first; i < n; ++i) {
+    const double* row = row_of(i);
+    double sum = x[i];
+    for (std::size_t k = first; k < i; ++k) sum -= row[k] * x[k];
+    x[i] = Kept::over(sum, row[i]);
+  }
+}
+
+// x becomes L^-T x.
+template <class Kept, class RowOf>
+void solve_backward(RowOf row_of, std::size_t n, double* x) {
+  for (std::size_t i = n; i-- > 0;) {
+    const double* row = row_of(i);
+    x[i] = Kept::over(x[i], row[i]);
+    for (std::size_t k = 0; k < i; ++k) x[k] -= row[k] * x[i];
+  }
+}
+
+}  // namespace animtool::cholesky

@@ -1,0 +1,30 @@
+// Things that are joined to groups, which are named after the first in each.
+#pragma once
+
+#include <algorithm>
+#include <cstddef>
+#include <numeric>
+#include <vector>
+
+namespace animtool {
+
+class Groups {
+ public:
+  explicit Groups(std::size_t count = 0) : above_(count) {
+    std::iota(above_.begin(), above_.end(), std::size_t{0});
+  }
+
+  std::size_t first_of(std::size_t i) {
+    while (above_[i] != i) i = above_[i] = above_[above_[i]];
+    return i;
+  }
+  void join(std::size_t i, std::size_t j) {
+    i = first_of(i), j = first_of(j);
+    if (i != j) above_[std::max(i, j)] = std::min(i, j);
+  }
+
+ private:
+  std::vector<std::size_t> above_;
+};
+
+}  // namespace animtool

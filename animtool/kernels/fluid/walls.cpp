@@ -1,0 +1,194 @@
+// What walls and other colliders add to the density of a fluid.
+#include "fluid/fluid.h"
+
+#include <algorithm>
+
+namespace animtool::fluid {
+
+using collide::Collider;
+using collide::Pose;
+using collide::Sample;
+using collide::Shape;
+
+namespace {
+
+// Zeros of a Legendre polynomial and their weights, on [0, 1].
+template <int N>
+void gauss(double* at, double* weight) {
+  for (int i = 0; i < N; ++i) {
+    double x = std::cos(3.14159265358979323846 * (i + 0.75) / (N + 0.5)), slope = 1;
+    for (int round = 0; round < 50; ++round) {
+      double p = 1, before = 0;
+      for (int k = 1; k <= N; ++k) {
+        const double next = ((2 * k - 1) * x * p - (k - 1) * before) / k;
+        before = p, p = next;
+      }
+      slope = N * (x * p - before) / (x * x - 1);
+      x -= p / slope;
+    }
+    at[i] = (1 + x) / 2;
+    weight[i] = 1 / ((1 - x * x) * slope * slope);
+  }
+}
+
+// Calls with the coordinates of each place of a lattice about one, and how far off it is, in
+// radii.
+template <class Act>
+void each_place(Act act) {
+  const int far = static_cast<int>(std::ceil(REACH));
+  for (int x = -far; x <= far; ++x)
+    for (int y = -far; y <= far; ++y)
+      for (int z = -far; z <= far; ++z)
+        act(x, y, std::sqrt(static_cast<double>(x * x + y * y + z * z)) / REACH);
+}
+
+// Sum of weights over those places of a lattice whose first coordinates are below 0, as many
+// as are asked for.
+double lattice_beyond(int coordinates) {
+  double sum = 0;
+  each_place([&](int x, int y, double q) {
+    const int below = coordinates > 1 ? std::max(x, y) : coordinates > 0 ? x : -1;
+    if (q < 1 && below < 0) sum += Weight::at(q);
+  });
+  return sum;
+}
+
+}  // namespace
+
+double Walls::lattice() { return lattice_beyond(0); }
+
+double Walls::steepness() {
+  double sum = 0;
+  each_place([&](int, int, double q) {
+    const double slope = q < 1 ? Weight::slope(q) : 0.0;
+    sum += slope * slope;
+  });
+  return sum / (lattice_beyond(0) * lattice_beyond(0));
+}
+
+double Walls::virial() {
+  double sum = 0;
+  each_place([&](int x, int, double q) {
+    if (x < 0 && q < 1) sum -= Weight::slope(q) * q / 3;
+  });
+  return sum / lattice_beyond(1);
+}
+
+Walls::Walls() {
+  gauss<SHELLS>(radii_, weights_);
+  const double wall = lattice_beyond(1), edge = lattice_beyond(2);
+  // Of an edge both walls see the same corner: as much of it as their product says.
+  whole_ = wall * wall / edge;
+  // The wall of a lattice adds what the layers would that it is in place of.
+  double least = 0.5, most = 2, value, slope;
+  for (int round = 0; round < 60; ++round) {
+    scale_ = (least + most) / 2;
+    integral(0.5 / REACH, 0, value, slope);
+    (value > wall / whole_ ? least : most) = scale_;
+  }
+  for (int i = 0; i < KNOTS; ++i)
+    integral(2.0 * i / (KNOTS - 1) - 1, 0, flat_[i][0], flat_[i][1]);
+}
+
+// Over shells about the particle: each is cut by the surface in a circle.
+void Walls::integral(double distance, double curved, double& value, double& slope) const {
+  const double d = std::clamp(distance * scale_, -1.0, 1.0), curvature = curved / scale_, from = std::fabs(d), span = 1 - from;
+  // One over the integral of the weight over the ball.
+  const double norm = 210.0 / 23;
+  value = slope = 0;
+  const double stretch = std::max(1 + curvature * d, 1e-3);
+  for (int i = 0; i < SHELLS; ++i) {
+    const double r = from + span * radii_[i];
+    const double shell = 4 * r * r * Weight::at(r) * weights_[i] * span * norm;
+    const double top = 2 * d + curvature * (d * d + r * r), under = 2 * r * stretch;
+    const double cosine = top / under;
+    if (cosine >= 1) continue;
+    value += shell * (1 - std::max(cosine, -1.0)) / 2;
+    if (cosine > -1)
+      slope -= shell * ((2 + 2 * curvature * d) / under - cosine * curvature / stretch) / 2;
+  }
+  if (d < 0)  // shells that are wholly beyond it
+    for (int i = 0; i < SHELLS; ++i) {
+      const double r = from * radii_[i];
+      value += 4 * r * r * Weight::at(r) * weights_[i] * from * norm;
+    }
+  slope *= scale_;
+}
+
+void Walls::share(double distance, double curvature, double& value, double& slope) const {
+  if (distance >= 1) {
+    value = slope = 0;
+    return;
+  }
+  if (curvature != 0) return integral(distance, curvature, value, slope);
+  const double at = (std::max(distance, -1.0) + 1) * ((KNOTS - 1) / 2);
+  const int knot = std::min(static_cast<int>(at), KNOTS - 2);
+  const double part = at - knot;
+  value = flat_[knot][0] * (1 - part) + flat_[knot + 1][0] * part;
+  slope = flat_[knot][1] * (1 - part) + flat_[knot + 1][1] * part;
+}
+
+const Walls& walls() {
+  static const Walls made;
+  return made;
+}
+
+namespace {
+
+double curvature(const Collider& c) {
+  double radius = 0;
+  if (c.shape == Shape::SPHERE) radius = c.size[3];
+  // A cylinder is half as curved as a ball.
+  if (c.shape == Shape::CAPSULE) radius = 2 * c.size[6];
+  return radius > 0 ? 1 / (c.container ? -radius : radius) : 0.0;
+}
+
+// Layers of a fluid in motion lie looser than a lattice does: it would keep as much further from
+// a wall, and more from a body that it goes around, in radii.
+double nearer(const Collider& c) {
+  return (c.container || c.shape == Shape::PLANE ? LOOSE : LOOSE_AROUND) / REACH;
+}
+
+// A box presses through the face that a particle is before: what of the share changes along
+// a face would make it wider than it is.
+void beyond_box(const Collider& c, const Pose& pose, Vec point, double radius, Beyond& out) {
+  const Vec local = pose.to_local(point);
+  const double at[3] = {local.x, local.y, local.z};
+  double inside[3], slopes[3];
+  for (int k = 0; k < 3; ++k) {
+    const double half = std::max(
+        c.size[k] + (nearer(c) * radius - c.margin) * (c.container ? 1 : -1), 0.0);
+    double high, low, falls, rises;
+    walls().share((half - at[k]) / radius, 0, high, falls);
+    walls().share((half + at[k]) / radius, 0, low, rises);
+    inside[k] = std::max(1 - high - low, 0.0);
+    slopes[k] = (falls - rises) / radius;
+  }
+  const Vec slope{slopes[0] * inside[1] * inside[2], inside[0] * slopes[1] * inside[2],
+                  inside[0] * inside[1] * slopes[2]};
+  const double product = inside[0] * inside[1] * inside[2];
+  out.share = c.container ? 1 - product : product;
+  out.slope = pose.rotated(c.container ? -slope : slope);
+  const auto before = [&](int k) { return std::fabs(at[k]) > c.size[k] ? 1.0 : 0.0; };
+  const Vec push{slope.x * before(0), slope.y * before(1), slope.z * before(2)};
+  out.push = c.container ? out.slope : pose.rotated(push);
+}
+
+}  // namespace
+
+Beyond beyond(const Collider& c, const Pose& pose, Vec point, double radius) {
+  const Sample found = collide::sample(c, pose, point, 0, radius);
+  Beyond out;
+  out.distance = found.distance, out.normal = found.normal;
+  if (!(found.distance < radius)) return out;
+  if (c.shape == Shape::BOX) {
+    beyond_box(c, pose, point, radius, out);
+    return out;
+  }
+  double slope;
+  walls().share(found.distance / radius + nearer(c), curvature(c) * radius, out.share, slope);
+  out.slope = out.push = found.normal * (slope / radius);
+  return out;
+}
+
+}  // namespace animtool::fluid

@@ -1,0 +1,214 @@
+// Points of contact in a step: where they are, what they hold, and their corrections.
+#include "rigid/solver.h"
+
+namespace animtool::rigid {
+
+namespace {
+
+// Speed at which bodies that begin inside each other are moved apart at most [m/s].
+constexpr double PUSH = 2;
+// A point of contact is the one of the step before where it is as near, over the size.
+constexpr double SAME = 0.1;
+// Arms of contacts follow bodies that turn by more than this share of their size.
+constexpr double TURNED = 1e-3;
+// Friction this near its limit slides.
+constexpr double SLIDING = 1e-6;
+
+}  // namespace
+
+void Solver::note_held(const Patch& patch) {
+  if (!(patch.friction > 0)) return;
+  int count = 0;
+  for (std::size_t k = patch.begin; k < patch.end; ++k) {
+    const Point& p = points_[k];
+    const double limit = patch.friction * p.force * (1 - SLIDING);
+    count += p.across[0] * p.across[0] + p.across[1] * p.across[1] < limit * limit;
+  }
+  const Contact& c = *patch.contact;
+  if (world_.shapes[c.first].core.faces()) held_at_[patch.a] += count;
+  if (patch.b < count_ && world_.shapes[static_cast<std::size_t>(c.second)].core.faces())
+    held_at_[patch.b] += count;
+}
+
+void Solver::add_patch(const Contact& c) {
+  Patch patch;
+  patch.a = c.a, patch.b = c.b < 0 ? count_ : static_cast<std::size_t>(c.b);
+  patch.contact = &c;
+  const Vec n = patch.normal = c.normal;
+  patch.tangents[0] = collide::across(n);
+  patch.tangents[1] = cross(n, patch.tangents[0]);
+  patch.friction = c.material.friction, patch.restitution = c.material.restitution;
+  patch.push = c.depenetration > 0 ? c.depenetration : PUSH;
+  patch.begin = points_.size();
+  patch.skin = c.radius + c.other_radius;
+  const double size = TURNED * world_.bodies[c.a].reach;
+  patch.turned = size * size;
+  const Pose& pose_a = turns_[c.a];
+  const Pose still = c.b < 0 ? c.motion->at(0) : turns_[patch.b];
+  for (std::size_t k = 0; k < static_cast<std::size_t>(c.count); ++k) {
+    Point& p = points_.emplace_back();
+    p.own = c.own[k], p.other = c.other[k], p.gap = c.gaps[k];
+    const Pose& pose_b = c.b < 0 ? still : turns_[patch.b];
+    set_arms(patch, p, touching_point(patch, pose_a.to_world(p.own), pose_b.to_world(p.other)));
+  }
+  patch.end = points_.size();
+  find_kept(patch);
+  patches_.push_back(patch);
+}
+
+void Solver::set_arms(const Patch& patch, Point& p, Vec at) {
+  const Vec at_a = p.arm_a = at - states_[patch.a].at;
+  const Vec at_b = p.arm_b = patch.b < count_ ? at - states_[patch.b].at : Vec{};
+  const Speed &sa = speeds_[patch.a], &sb = speeds_[patch.b];
+  const Vec lines[3] = {patch.normal, patch.tangents[0], patch.tangents[1]};
+  for (int d = 0; d < 3; ++d) {
+    p.arms_a[d] = cross(at_a, lines[d]), p.arms_b[d] = cross(at_b, lines[d]);
+    p.turns_a[d] = sa.turned(p.arms_a[d]), p.turns_b[d] = sb.turned(p.arms_b[d]);
+    const double k = sa.ease + sb.ease + dot(p.arms_a[d], p.turns_a[d]) +
+                     dot(p.arms_b[d], p.turns_b[d]);
+    (d ? p.masses[d - 1] : p.mass) = k > 0 ? 1 / k : 0;
+  }
+  // One for both, so that friction is straight against what slides.
+  p.masses[0] = p.masses[1] = std::min(p.masses[0], p.masses[1]);
+}
+
+void Solver::find_kept(Patch& patch) {
+  const Contact& c = *patch.contact;
+  const auto first = static_cast<std::int64_t>(c.first);
+  auto begin = std::lower_bound(kept_.begin(), kept_.end(), c, [&](const Kept& k, const Contact&) {
+    return k.first != first ? k.first < first : k.second < c.second;
+  });
+  const double size = SAME * world_.bodies[c.a].reach;
+  std::uint32_t taken = 0;
+  for (std::size_t k = patch.begin; k < patch.end; ++k) {
+    Point& p = points_[k];
+    double least = size * size;
+    int best = -1, i = 0;
+    for (auto it = begin; it != kept_.end() && it->first == first && it->second == c.second &&
+                          i < 32; ++it, ++i) {
+      const Vec off = it->at - p.own;
+      if (!(taken >> i & 1) && dot(off, off) < least) least = dot(off, off), best = i;
+    }
+    if (best < 0) continue;
+    taken |= 1u << best;
+    const Vec force = turns_[c.a].rotated((begin + best)->force) * h_;
+    p.force = std::max(dot(force, patch.normal), 0.0);
+    p.across[0] = dot(force, patch.tangents[0]), p.across[1] = dot(force, patch.tangents[1]);
+  }
+}
+
+void Solver::save(const Patch& patch) {
+  for (std::size_t k = patch.begin; k < patch.end; ++k) {
+    const Point& p = points_[k];
+    const Vec force = patch.normal * p.force + patch.tangents[0] * p.across[0] +
+                      patch.tangents[1] * p.across[1];
+    // In the frame of the body where the step begins; it turns little in one.
+    const Vec own = turns_[patch.a].unrotated(force) * (1 / small_);
+    saved_.push_back({static_cast<std::int64_t>(patch.contact->first), patch.contact->second,
+                      p.own, own});
+    if (-p.now > report_.deepest) {
+      report_.deepest = -p.now;
+      report_.first = static_cast<std::int64_t>(patch.contact->first);
+      report_.second = patch.contact->second;
+    }
+    if (p.force > 0) ++report_.contacts;
+  }
+}
+
+void Solver::look(double share) {
+  for (Patch& patch : patches_) {
+    const Vec at = states_[patch.a].at;
+    const Pose& pose = turns_[patch.a];
+    const bool fixed = patch.b == count_;
+    const collide::Motion* motion = patch.contact->motion;
+    const Pose other = fixed ? motion->at(share) : turns_[patch.b];
+    for (std::size_t k = patch.begin; k < patch.end; ++k) {
+      Point& p = points_[k];
+      const Vec own = at + pose.rotated(p.own), far = other.to_world(p.other);
+      p.now = p.gap + dot(patch.normal, far - own) - patch.skin;
+      const Vec mid = touching_point(patch, own, far), off = mid - at - p.arm_a;
+      const Vec far_off = fixed ? Vec{} : mid - states_[patch.b].at - p.arm_b;
+      if (dot(off, off) + dot(far_off, far_off) > patch.turned) set_arms(patch, p, mid);
+      if (fixed && motion->moves()) p.slide = motion->displacement(far, other) * (1 / step_);
+      p.given = dot(p.slide, patch.normal);
+    }
+  }
+}
+
+void Solver::begin_warm(Patch& patch, double scale) {
+  for (std::size_t k = patch.begin; k < patch.end; ++k) {
+    Point& p = points_[k];
+    p.force *= scale / 2, p.across[0] *= scale / 2, p.across[1] *= scale / 2;
+    p.half[0] = p.force, p.half[1] = p.across[0], p.half[2] = p.across[1];
+    hold(patch, p);
+  }
+}
+
+void Solver::end_warm(Patch& patch) {
+  for (std::size_t k = patch.begin; k < patch.end; ++k) {
+    Point& p = points_[k];
+    if (p.force == 0) continue;
+    p.force += p.half[0], p.across[0] += p.half[1], p.across[1] += p.half[2];
+    hold(patch, p);
+  }
+}
+
+void Solver::hold(const Patch& patch, const Point& p) {
+  if (p.half[0] == 0) return;
+  apply(patch.a, patch.b, patch.normal, p.turns_a[0], p.turns_b[0], p.half[0]);
+  for (int d = 0; d < 2; ++d)
+    apply(patch.a, patch.b, patch.tangents[d], p.turns_a[d + 1], p.turns_b[d + 1],
+          p.half[d + 1]);
+}
+
+double Solver::correct(Patch& patch, bool pushing) {
+  double most = 0;
+  const double h = h_;
+  for (std::size_t k = patch.begin; k < patch.end; ++k) {
+    Point& p = points_[k];
+    if (p.flies) continue;
+    double bias = 0, mass = 1, leak = 0;
+    if (p.now > 0) {
+      // Who is on the way has not arrived: only places count.
+      if (!pushing && p.force == 0) continue;
+      bias = pushing ? p.now / h : 0;
+    } else if (pushing) {
+      bias = std::max(contact_.bias * p.now, -patch.push);
+      mass = contact_.mass, leak = contact_.leak;
+    }
+    const double speed = approach(patch, p);
+    const double change = -p.mass * mass * (speed + bias) - leak * p.force;
+    const double force = std::max(p.force + change, 0.0), by = force - p.force;
+    p.force = force;
+    if (by != 0) {
+      apply(patch.a, patch.b, patch.normal, p.turns_a[0], p.turns_b[0], by);
+      most = std::max(most, std::fabs(by) / p.mass);
+    }
+  }
+  if (!(patch.friction > 0)) return most;
+  for (std::size_t k = patch.begin; k < patch.end; ++k) {
+    Point& p = points_[k];
+    if (p.force == 0 && p.across[0] == 0 && p.across[1] == 0) continue;
+    const Speed &a = speeds_[patch.a], &b = speeds_[patch.b];
+    const Vec off = b.v - a.v + p.slide;
+    double to[2];
+    for (int d = 0; d < 2; ++d) {
+      const double speed = dot(patch.tangents[d], off) + dot(p.arms_b[d + 1], b.w) -
+                           dot(p.arms_a[d + 1], a.w);
+      to[d] = p.across[d] - p.masses[d] * speed;
+    }
+    const double limit = patch.friction * p.force;
+    const double size = std::sqrt(to[0] * to[0] + to[1] * to[1]);
+    const double share = size > limit ? limit / size : 1;
+    for (int d = 0; d < 2; ++d) {
+      const double by = to[d] * share - p.across[d];
+      p.across[d] += by;
+      if (by == 0) continue;
+      apply(patch.a, patch.b, patch.tangents[d], p.turns_a[d + 1], p.turns_b[d + 1], by);
+      most = std::max(most, std::fabs(by) / p.masses[d]);
+    }
+  }
+  return most;
+}
+
+}  // namespace animtool::rigid
