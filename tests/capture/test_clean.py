@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -141,22 +142,24 @@ def test_what_would_be_most_of_a_channel_is_no_spike() -> None:
     assert found == tuple(np.flatnonzero(large).tolist())
 
 
-def test_the_noise_of_a_rotation_is_an_angle() -> None:
-    """Of 20 mrad about each axis, and of 3 mm: half an angle is in a quaternion.
-
-    Its fourth number hardly shakes: the mean of all four is a sixth less.
-    """
-    still = small(300)
+@pytest.mark.parametrize("rate", [24, 60, 240])
+def test_the_noise_of_a_rotation_is_an_angle(rate: int) -> None:
+    """Of 20 mrad about each axis, and of 3 mm, over ten seconds of a slow swing."""
+    count = 10 * rate
+    still = small(count)
+    swing = np.zeros((count, 3, 3))
+    swing[..., 0] = np.sin(2 * np.pi * 0.3 * np.arange(count) / rate)[:, None]
     motion = replace(
         still.motion,
-        rotations=Channel.from_dense(np.tile(so3.IDENTITY, (300, 3, 1))),
-        translations=Channel.from_dense(np.zeros((300, 3, 3))),
+        rotations=Channel.from_dense(so3.exp(swing)),
+        translations=Channel.from_dense(swing),
     )
-    dirty = noisy(replace(still, motion=motion), 0.02, 0.003)
+    clock = replace(still.clock, fps=Fraction(rate))
+    dirty = noisy(replace(still, motion=motion, clock=clock), 0.02, 0.003)
     _, signals = cleaned_take(dirty, CleanOptions(keep_noise=True))
-    for rotation, expected in ((True, 5 / 6 * 0.02), (False, 0.003)):
+    for rotation, expected in ((True, 0.02), (False, 0.003)):
         found = [one.noise for one in signals if one.rotation == rotation]
-        assert np.mean(found) == pytest.approx(expected, rel=0.15)
+        assert np.mean(found) == pytest.approx(expected, rel=0.05)
 
 
 def test_how_rough_a_motion_is_is_told_by_as_many_frames_before_as_behind() -> None:
