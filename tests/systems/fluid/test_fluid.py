@@ -18,9 +18,9 @@ from animtool.motion.frames import MeshFrame
 from animtool.scene.systems.simulation import open_systems
 from animtool.sim.colliders import Box, Collider, Colliders, Plane, Poses, Sphere
 from animtool.sim.colliders.shapes import bounds
-from animtool.systems.fluid.filling import coarse_drops
+from animtool.systems.fluid.filling import JET, Nozzle, coarse_drops
 from animtool.systems.fluid.fluid import Fluid, Pressed
-from animtool.systems.fluid.spec import FluidModel
+from animtool.systems.fluid.spec import FluidEmitterModel, FluidModel
 from animtool.systems.run import SimulationRun
 
 FRAMES = (np.arange(13) / 24).tolist()
@@ -491,6 +491,58 @@ def test_a_drop_of_too_few_particles_says_so(radius: float, codes: list[str]) ->
         finer = float(str(fault.hint).removeprefix("spacing: "))
         finely = spec.model_copy(update={"spacing": finer})
         assert not list(coarse_drops(finely, [{"shape": Sphere(radius)}]))
+
+
+@pytest.mark.parametrize(("radius", "codes"), [(0.26, ["SIM175"]), (0.27, [])])
+def test_drops_of_a_jet_are_wider_than_it(radius: float, codes: list[str]) -> None:
+    """Rayleigh: 4.508 widths of a jet are in a drop, whose radius is 1.89 of its own."""
+    # The cylinder of length 4.508 d has the volume of a ball of (3/4 · 4.508 · 2)^(1/3).
+    assert pytest.approx((0.75 * 4.508 * 2) ** (1 / 3), rel=1e-3) == JET
+    tap = {"radius": radius, "speed": 1}
+    spec = FluidModel.model_validate(
+        {"name": "it", "spacing": 0.1, "tension": WATER, "emitters": [tap]}
+    )
+    found = list(coarse_drops(spec, []))
+    assert [fault.code for fault in found] == codes
+    for fault in found:
+        assert fault.message.startswith("a drop of nozzle 0")
+
+
+def test_a_nozzle_that_is_narrower_than_the_spacing_brings_one_by_one() -> None:
+    """Of 1 m by 5 cm every tenth of a second ten in a row, of 3 cm one."""
+    for size, expected in (
+        ({"size": [1.0, 0.05]}, np.arange(10) * 0.1 - 0.45),
+        ({"size": [0.03, 0.03]}, [0.0]),
+        ({"radius": 0.01}, [0.0]),
+    ):
+        tap = FluidEmitterModel.model_validate({"speed": 1, **size})
+        spec = FluidModel.model_validate(
+            {"name": "it", "spacing": 0.1, "emitters": [{"speed": 1, **size}]}
+        )
+        nozzle = Nozzle(spec, tap, Poses.fixed(), 0.0)
+        found = nozzle.inflow(0.0, 0.05, np.zeros(3), 1000)
+        assert found.missed == 0
+        assert_allclose(found.state[0, :, 0], expected, atol=1e-12)
+        assert_allclose(found.state[0, :, 2], 0, atol=1e-12)
+
+
+def test_before_its_first_step_nothing_is_dense_or_parted(
+    simulator: Simulator,
+) -> None:
+    """What is reported is the densest of all steps, and the parts of the last."""
+    (run,) = open_systems(simulator.scene(fluid(colliders=[TANK])).systems, 10.0)
+    assert isinstance(run, SimulationRun)
+    own = run.simulation
+    state = own.initial()
+    values = own.diagnostics(state, 0.0).values
+    assert (values["densest"], values["parts"], values["compression"]) == (0, 0, 0)
+    densest = 0.0
+    for k in range(3):
+        state = own.step(state, k / 48, 1 / 48).state
+        values = own.diagnostics(state, (k + 1) / 48).values
+        densest = max(densest, values["compression"])
+        assert values["densest"] == densest < 0.1
+        assert values["parts"] >= 1
 
 
 @pytest.mark.parametrize(
