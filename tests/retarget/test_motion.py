@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -93,6 +94,23 @@ def test_feet_stay_where_they_stand(walk: Take) -> None:
     assert free.drift_max > 0.005
     assert held.acceleration < 1.2
     assert held.bone_angle_mean < np.radians(0.7)
+
+
+def test_legs_without_limits_are_solved_once(
+    walk: Take, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An ankle gives way for its toe only where a limit stopped the foot."""
+    rows: list[int] = []
+    solved = motion.Retargeting._solved
+
+    def counted(self: motion.Retargeting, *given: Any) -> Any:
+        rows.append(len(given[-1]))
+        return solved(self, *given)
+
+    monkeypatch.setattr(motion.Retargeting, "_solved", counted)
+    made = onto_rig(walk, scaled(walk.rig, 1.0, shin=0.9))
+    assert made.standing.placed is not None
+    assert sum(rows) == walk.clock.count
 
 
 def test_no_limit_is_broken(onto: Retargeted, biped: Rig) -> None:

@@ -138,7 +138,7 @@ def test_two_that_close_in_brake_by_the_room_that_is_left(
 
 
 def test_a_step_ends_at_a_wall_and_is_itself_away_from_it() -> None:
-    """A plane holds a member's centre a radius off, and its speed towards it is lost."""
+    """A plane holds a member a radius off, and its speed towards it is lost."""
     own = members({"radius": 0.1}, count=2)
     floor = Colliders([Collider(Plane(), Poses.fixed())])
     forces = FlockForces(own, None, floor, (), (), np.zeros((2, 2, 3)))

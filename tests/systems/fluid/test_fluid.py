@@ -495,8 +495,8 @@ def test_a_drop_of_too_few_particles_says_so(radius: float, codes: list[str]) ->
 
 @pytest.mark.parametrize(("radius", "codes"), [(0.26, ["SIM175"]), (0.27, [])])
 def test_drops_of_a_jet_are_wider_than_it(radius: float, codes: list[str]) -> None:
-    """Rayleigh: 4.508 widths of a jet are in a drop, whose radius is 1.89 of its own."""
-    # The cylinder of length 4.508 d has the volume of a ball of (3/4 · 4.508 · 2)^(1/3).
+    """Rayleigh: 4.508 widths of a jet become a drop, of 1.89 of its radius."""
+    # A ball of as much volume: r³ is 3/4 of the radius squared times the length.
     assert pytest.approx((0.75 * 4.508 * 2) ** (1 / 3), rel=1e-3) == JET
     tap = {"radius": radius, "speed": 1}
     spec = FluidModel.model_validate(
