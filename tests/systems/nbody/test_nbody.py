@@ -350,6 +350,7 @@ def test_a_step_is_advised_by_how_soon_a_body_would_reach_the_centre() -> None:
     made = nbody(
         x, np.array([[9.0, 0, 0], [0, 0, -2]]), np.array([3.0, 1.0]), 2.0, 0.0, 0.01
     )
+    assert made._potential(made.initial(), 0.0) == pytest.approx(-2 * 3 * 1 / 4)
     expected = ADVISED * np.sqrt(4.0**3 / (2 * 4.0))
     assert made._advised(made.initial(), 0.0) == pytest.approx(expected)
 
