@@ -17,7 +17,7 @@ from animtool.core.units import UpAxis, up_from_up
 from animtool.edit import mirror
 from animtool.maths import so3
 from animtool.retarget import map_joints, motion
-from animtool.retarget.motion import Retargeted, retarget_take
+from animtool.retarget.motion import Retargeted, limbs_of, retarget_take
 from animtool.rig.limits import BallLimit, RangeLimit, swing_twist
 from animtool.rig.skeleton import JointType
 
@@ -52,6 +52,19 @@ def scaled(rig: Rig, size: float, shin: float = 1.0) -> Rig:
 
 def onto_rig(take: Take, rig: Rig) -> Retargeted:
     return retarget_take(take, rig, map_joints(take.rig, rig))
+
+
+def test_limbs_are_of_the_hips_on_whichever_joint_these_are(walk: Take) -> None:
+    """The first joint counts, too; spine, neck and head do not."""
+    made = onto_rig(walk, walk.rig)
+    person = made.transfer.target
+    limbs = limbs_of(person)
+    hips = person.first("hips")
+    assert hips == 0
+    assert hips in limbs
+    names = {walk.rig.names[j] for j in limbs}
+    assert not {name for name in names if "Spine" in name or "Head" in name}
+    assert {"LeftUpLeg", "RightLeg", "LeftFoot", "RightForeArm"} <= names
 
 
 def test_a_copy_of_the_skeleton_moves_as_the_source(walk: Take) -> None:
