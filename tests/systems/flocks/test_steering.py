@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from animtool.core.errors import Severity
 from animtool.sim.colliders import Collider, Colliders, Plane, Poses
 from animtool.systems.flocks.flock import FlockForces
 from animtool.systems.flocks.members import Members
@@ -150,6 +151,42 @@ def test_a_step_ends_at_a_wall_and_is_itself_away_from_it() -> None:
     assert_allclose(found[1][1], v[1])
     assert found[1][0, 1] >= 0
     assert_allclose(found[1][0, [0, 2]], [1, 0.5])
+
+
+def test_who_closes_in_is_slower_at_the_end_of_a_step() -> None:
+    """By the step times what stops both; who is far off keeps the step's speed."""
+    own = members({"radius": 0.1}, count=3)
+    spacing = Spacing(np.array([1.0, 1.0, 1.0]), np.zeros((2, 3)))
+    forces = FlockForces(
+        own, None, Colliders([]), (), (), np.zeros((2, 3, 3)), spacing=spacing
+    )
+    x = np.array([[5.0, 6, 7], [6.7, 6, 7], [50, 6, 7]])
+    before = np.array([[2.0, 0, 0], [0, 0, 0], [1, 1, 1]])
+    v = np.array([[3.0, 0, 0], [0, 0, 0], [2, 2, 2]])
+    each = 0.3 * 9 / (2 * 0.7) / 2
+    found = forces._braked(0.1, before, x, v)
+    expected = [[3 - 0.1 * each, 0, 0], [0.1 * each, 0, 0], [2, 2, 2]]
+    assert_allclose(found, expected, atol=1e-12)
+    settled = forces.settle(0.0, 0.1, np.stack([x, before]), np.stack([x, v]))
+    assert_allclose(settled, [x, expected], atol=1e-12)
+
+
+def test_who_is_moved_apart_is_named_where_a_file_gave_the_place() -> None:
+    """Both are warnings; of the others nobody is told but that there are too many."""
+    model = SpeciesModel.model_validate({"name": "s", "radius": 0.1})
+    rows = np.array([[0.0, 0, 0], [1, 0, 0], [1.05, 0, 0]])
+    for parts, codes in (({"points": rows}, ["SIM147"]), ({}, [])):
+        own = Members([model], [parts], [3], 0.0, rows, 0 * rows)
+        moved = rows + np.array([[0.0, 0, 0], [0, 0, 0], [0.15, 0, 0]])
+        found = own.spread(moved, 0.0)
+        assert [fault.code for fault in found] == codes
+        for fault in found:
+            assert fault.severity is Severity.WARNING
+            assert "1 member would" in fault.message
+            assert "member 2 of 's' first: moved apart, by 0.15 m" in fault.message
+        (crowded,) = own.spread(rows, 0.05)
+        assert (crowded.code, crowded.severity) == ("SIM147", Severity.WARNING)
+        assert "0.05 m nearer" in crowded.message
 
 
 def test_limits_of_turning_and_acceleration() -> None:

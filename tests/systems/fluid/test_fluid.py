@@ -18,7 +18,12 @@ from animtool.motion.frames import MeshFrame
 from animtool.scene.systems.simulation import open_systems
 from animtool.sim.colliders import Box, Collider, Colliders, Plane, Poses, Sphere
 from animtool.sim.colliders.shapes import bounds
-from animtool.systems.fluid.filling import JET, Nozzle, coarse_drops
+from animtool.systems.fluid.filling import (
+    JET,
+    Nozzle,
+    _given_points,
+    coarse_drops,
+)
 from animtool.systems.fluid.fluid import Fluid, Pressed
 from animtool.systems.fluid.spec import FluidEmitterModel, FluidModel
 from animtool.systems.run import SimulationRun
@@ -524,6 +529,35 @@ def test_a_nozzle_that_is_narrower_than_the_spacing_brings_one_by_one() -> None:
         assert found.missed == 0
         assert_allclose(found.state[0, :, 0], expected, atol=1e-12)
         assert_allclose(found.state[0, :, 2], 0, atol=1e-12)
+
+
+def test_points_of_a_file_that_are_no_numbers_are_named_by_their_row() -> None:
+    points = np.zeros((4, 3))
+    points[2, 1] = np.nan
+    (fill,) = FluidModel.model_validate(
+        {"name": "it", "spacing": 0.1, "fills": [{"points": "a.npz"}]}
+    ).fills
+    with pytest.raises(AnimtoolError, match="points of pool: row 2 is not") as error:
+        _given_points(fill, {"points": points}, "pool")
+    assert error.value.faults[0].code == "SIM064"
+    found = _given_points(fill, {"points": points[:2]}, "pool")
+    assert_array_equal(found, np.stack([points[:2], 0 * points[:2]]))
+
+
+@pytest.mark.parametrize(
+    ("opens", "refused"), [([1, 2], False), ([2, 2], False), ([2, 1.5], True)]
+)
+def test_a_nozzle_that_closes_before_it_opens_is_refused(
+    simulator: Simulator, opens: list[float], refused: bool
+) -> None:
+    tap = {"at": [0.3, 1.5, 0.3], "size": [0.2, 0.2], "speed": 1, "opens": [opens]}
+    systems = fluid(emitters=[tap])
+    if not refused:
+        simulator.scene(systems)
+        return
+    with pytest.raises(AnimtoolError, match=r"closes at 1\.5 s, before 2 s") as error:
+        open_systems(simulator.scene(systems).systems, 10.0)
+    assert error.value.faults[0].code == "SIM064"
 
 
 def test_before_its_first_step_nothing_is_dense_or_parted(
