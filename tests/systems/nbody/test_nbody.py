@@ -414,3 +414,33 @@ def test_what_attracts_from_outside_counts_in_energies_and_accelerations() -> No
     assert made._potential(state, 0.0) == pytest.approx(expected)
     momenta = [[2, 6, 6], [-16, 0, 0]]
     assert_allclose(made._momenta(state), momenta)
+
+
+@pytest.mark.parametrize(
+    ("accuracy", "count", "tree"),
+    [(2e-4, 1000, False), (2e-4, 1001, True), (2e-2, 159, True), (2e-2, 158, False)],
+)
+def test_a_tree_is_for_as_many_bodies_as_an_accuracy_asks(
+    accuracy: float, count: int, tree: bool
+) -> None:
+    """A thousand at 2e-4; a hundredfold error with a 0.4th power of it as many."""
+    x = np.random.default_rng(1).normal(size=(count, 3))
+    made = nbody(x, 0 * x, np.ones(count), 1.0, 0.1, 0.01, accuracy=accuracy)
+    assert made.tree is tree
+
+
+@pytest.mark.parametrize(("accuracy", "tree"), [(1e-6, True), (0.99e-6, False)])
+def test_finer_than_single_precision_is_summed_directly(
+    accuracy: float, tree: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("animtool.systems.nbody.nbody.CROSSOVER", 1.0)
+    x = np.random.default_rng(1).normal(size=(50, 3))
+    made = nbody(x, 0 * x, np.ones(50), 1.0, 0.1, 0.01, accuracy=accuracy)
+    assert made.tree is tree
+
+
+def test_one_body_beyond_numbers_is_refused() -> None:
+    x = np.array([[0.0, 0, 0], [np.inf, 0, 0]])
+    with pytest.raises(AnimtoolError) as error:
+        nbody(x, np.zeros((2, 3)), np.ones(2), 1.0, 0.1, 0.01)
+    assert error.value.faults[0].code == "SIM070"
