@@ -328,16 +328,14 @@ class _Open:
         """Note once that times are keys of a mapping, and how they are written."""
         if not self.times:
             return
-        from animtool.documents.yaml_text import flow_text
-
         entries = [
             {"t": time} | (value if isinstance(value, dict) else {"v": value})
             for time, place in self.times
             for value in [self.value[f"\0{place}"]]
         ]
-        hint = f"write {flow_text(TIMED, entries)}"
+        hint = f"write {TIMED}: {_flow(entries)}"
         if len(hint) > LONGEST_HINT:
-            hint = f"write {flow_text(TIMED, entries[:1])[:-1]}, …]"
+            hint = f"write {TIMED}: {_flow(entries[:1])[:-1]}, …]"
         message = f"a key is {self.times[0][0]!r}, not text: {TIMED} are a list"
         reader.fault("DOC010", message, self.times[0][1], hint[:LONGEST_HINT])
 
@@ -360,6 +358,22 @@ class _Open:
 
 def _cut(name: str) -> str:
     return name if len(name) <= LONGEST_NAME else name[:LONGEST_NAME] + "…"
+
+
+def _flow(value: Any) -> str:
+    """Return a value as YAML within a line, without the quotes that a text may need.
+
+    >>> _flow([{"t": 1, "v": [0.5, None]}])
+    '[{t: 1, v: [0.5, null]}]'
+    """
+    if isinstance(value, dict):
+        items = (f"{key}: {_flow(own)}" for key, own in value.items())
+        return f"{{{', '.join(items)}}}"
+    if isinstance(value, list):
+        return f"[{', '.join(map(_flow, value))}]"
+    if value is None or isinstance(value, bool):
+        return {None: "null", True: "true", False: "false"}[value]
+    return str(value)
 
 
 def _open_brackets(text: str) -> int:
