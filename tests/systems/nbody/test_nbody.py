@@ -16,6 +16,7 @@ from support.simulated import Simulator
 from animtool.core.errors import AnimtoolError, ToleranceError
 from animtool.scene.systems.simulation import open_systems
 from animtool.sim.colliders import Poses
+from animtool.systems.matter import Bodies
 from animtool.systems.nbody.galaxies import (
     Profile,
     build_galaxy,
@@ -439,8 +440,17 @@ def test_finer_than_single_precision_is_summed_directly(
     assert made.tree is tree
 
 
-def test_one_body_beyond_numbers_is_refused() -> None:
-    x = np.array([[0.0, 0, 0], [np.inf, 0, 0]])
-    with pytest.raises(AnimtoolError) as error:
-        nbody(x, np.zeros((2, 3)), np.ones(2), 1.0, 0.1, 0.01)
+def test_one_body_beyond_numbers_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As of a galaxy that is so far away that its place is none."""
+    spec = NbodyModel.model_validate(
+        {
+            "name": "it", "step": 0.01, "bodies": [{"points": "a.npz"}],
+            "galaxies": [{"name": "far", "nucleus": 1}],
+        }
+    )  # fmt: skip
+    context = _Context({"bodies": [{"points": TWO}]})
+    far = Bodies(np.array([[np.inf, 0, 0]]), np.zeros((1, 3)), np.ones(1))
+    monkeypatch.setattr("animtool.systems.nbody.nbody.built_galaxies", lambda _: [far])
+    with pytest.raises(AnimtoolError, match="numbers overflow") as error:
+        Nbody(spec, context)
     assert error.value.faults[0].code == "SIM070"
