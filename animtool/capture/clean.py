@@ -24,6 +24,7 @@ from animtool.maths.filters import (
     lowpass,
     lowpass_turns,
     noise_level,
+    noise_of_turns,
 )
 from animtool.motion.motion import Channel
 from animtool.motion.passes import OptionChecks, Pass, PassContext, Scope, TakePart
@@ -87,24 +88,26 @@ class _Cleaner:
             bad = _spikes(signal, self.options.spikes, least, rotation=rotation)
             if bad.any():
                 signal = bridged(signal, ~bad, rotation=rotation)
-            noise = noise_level(signal)
-            cutoff = self._cutoff(signal) if noise > NO_NOISE * least else None
+            noise = (noise_of_turns if rotation else noise_level)(signal)
+            # Half an angle is in a quaternion.
+            moved = noise / 2 if rotation else noise
+            shakes = moved > NO_NOISE * least
+            cutoff = self._cutoff(signal, rotation=rotation) if shakes else None
             if cutoff is not None:
                 run = lowpass_turns if rotation else lowpass
                 signal = run(signal, cutoff, self.rate)
             values[:, i] = signal
             frames = tuple(np.flatnonzero(bad).tolist())
-            size = 2 * noise if rotation else noise  # half an angle is in a quaternion
-            done = CleanedSignal(self.names[joint], rotation, frames, size, cutoff)
+            done = CleanedSignal(self.names[joint], rotation, frames, noise, cutoff)
             self.signals.append(done)
         return replace(channel, values=values).compact()
 
-    def _cutoff(self, signal: FloatArray) -> float | None:
+    def _cutoff(self, signal: FloatArray, *, rotation: bool) -> float | None:
         if self.options.keep_noise:
             return None
         if self.options.cutoff is not None:
             return self.options.cutoff
-        return best_cutoff(signal, self.rate)
+        return best_cutoff(signal, self.rate, rotation=rotation)
 
 
 def bridged(signal: FloatArray, known: BoolArray, *, rotation: bool) -> FloatArray:

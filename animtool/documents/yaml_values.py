@@ -31,6 +31,8 @@ MAX_DIGITS = 400
 LONGEST_HINT = 200
 LONGEST_NAME = 40
 LONGEST_KEY = 1000
+# The key whose list is taken for a mapping from times to values.
+TIMED = "keys"
 # How the names of files end that hold such text; others are likely of another kind.
 SUFFIXES = (".yaml", ".yml", ".json")
 
@@ -214,10 +216,12 @@ class _Reader:
                 value: Any = {} if kind is yaml.MappingStartEvent else []
                 if len(stack) > DEEPEST:
                     self._stop("DOC005", f"is nested deeper than {DEEPEST}", place)
+                timed = stack[-1].key == TIMED
                 stack[-1].put(value, place, self)
-                stack.append(_Open(value, flow=bool(event.flow_style)))
+                flow = bool(event.flow_style)
+                stack.append(_Open(value, flow=flow, timed=timed))
             elif kind is yaml.MappingEndEvent or kind is yaml.SequenceEndEvent:
-                stack.pop()
+                stack.pop().close(self)
             elif kind is yaml.AliasEvent:
                 place = self._spot(event)
                 self.places.append(place)
@@ -274,6 +278,9 @@ class _Open:
     key: str | None = None  # of a mapping, the one whose value comes next
     keys: dict[str, int] = field(default_factory=dict)  # line of each key
     flow: bool = False  # whether it stands between brackets
+    timed: bool = False  # whether it is what the key of a list of times holds
+    # Of that one, the numbers that are keys, and where each is.
+    times: list[tuple[float, tuple[int, int]]] = field(default_factory=list)
     # What commas may have cut a text into: a value with an open bracket, and the keys
     # behind it.
     pieces: list[str] = field(default_factory=list)
@@ -293,7 +300,10 @@ class _Open:
             if self.flow and (self.pieces or "(" in plain):
                 self._piece(value, place, reader, plain)
             return
-        if not isinstance(value, str):
+        if self.timed and type(value) in (int, float):
+            self.times.append((value, place))
+            value = f"\0{place}"
+        elif not isinstance(value, str):
             shown = "a collection" if isinstance(value, dict | list) else repr(value)
             reader.fault("DOC010", f"a key is {shown}, not text", place, "quote it")
             value = f"\0{place}"
@@ -314,6 +324,21 @@ class _Open:
             self.pieces.append(plain)
             self.brackets += _open_brackets(plain)
 
+    def close(self, reader: _Reader) -> None:
+        """Note once that times are keys of a mapping, and how they are written."""
+        if not self.times:
+            return
+        entries = [
+            {"t": time} | (value if isinstance(value, dict) else {"v": value})
+            for time, place in self.times
+            for value in [self.value[f"\0{place}"]]
+        ]
+        hint = f"write {TIMED}: {_flow(entries)}"
+        if len(hint) > LONGEST_HINT:
+            hint = f"write {TIMED}: {_flow(entries[:1])[:-1]}, …]"
+        message = f"a key is {self.times[0][0]!r}, not text: {TIMED} are a list"
+        reader.fault("DOC010", message, self.times[0][1], hint[:LONGEST_HINT])
+
     def _piece(
         self, value: Any, place: tuple[int, int], reader: _Reader, plain: str
     ) -> None:
@@ -333,6 +358,22 @@ class _Open:
 
 def _cut(name: str) -> str:
     return name if len(name) <= LONGEST_NAME else name[:LONGEST_NAME] + "…"
+
+
+def _flow(value: Any) -> str:
+    """Return a value as YAML within a line, without the quotes that a text may need.
+
+    >>> _flow([{"t": 1, "v": [0.5, None]}])
+    '[{t: 1, v: [0.5, null]}]'
+    """
+    if isinstance(value, dict):
+        items = (f"{key}: {_flow(own)}" for key, own in value.items())
+        return f"{{{', '.join(items)}}}"
+    if isinstance(value, list):
+        return f"[{', '.join(map(_flow, value))}]"
+    if value is None or isinstance(value, bool):
+        return {None: "null", True: "true", False: "false"}[value]
+    return str(value)
 
 
 def _open_brackets(text: str) -> int:

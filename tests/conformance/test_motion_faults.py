@@ -124,4 +124,5 @@ def test_faults_in_captures(name: str, record_property: Any) -> None:
     if not planted:
         pytest.skip("no capture is fit for it")
     record_property(HEADING, f"  {name:<24} {code} | {hits} | {planted}")
-    assert hits >= share * planted
+    # Of few captures as few may be found by chance.
+    assert hits >= share * planted - 2 * np.sqrt(planted * share * (1 - share))

@@ -86,8 +86,9 @@ def test_stiff_ropes(
             f"{case.name:14} {motion.solver:18} {off:8.1e} {stretch:8.2%} "
             f"{motion.stats.steps:6}",
         )
-        # What they truly stretch in falling, and what is allowed beside it.
-        assert stretch <= longest_of(case, true) + 0.01
+        # What they truly stretch in falling, seen at a few times, and what is allowed
+        # beside it.
+        assert stretch <= 2 * longest_of(case, true) + 0.01
         if step is None:
             assert off <= ROPE_RMS[motion.solver]
 
@@ -161,7 +162,14 @@ def test_large_sheets_come_to_rest(
             check_rest(case, record_property)
 
 
-# Steps a second, and RMS at frames 6 and 12 [mm].
+def first_half_second(case: Case) -> tuple[FloatArray, FloatArray]:
+    """Return times [s] and true positions of the frames of a motion's beginning."""
+    times = np.array(case.reference["frames"]) / case.fps
+    early = times <= 0.5 + 1e-9
+    return times[early], np.array(case.reference["positions"])[early]
+
+
+# Steps a second, and RMS up to a quarter and at half a second [mm].
 CLOTH_RMS = {
     (Solver.SYMPLECTIC_EULER, 2880): (0.6, 0.9),
     (Solver.XPBD, 3840): (0.9, 3.2),
@@ -179,28 +187,22 @@ def test_a_released_sheet_falls_as_it_must(
     record_property: Callable[[str, object], None],
 ) -> None:
     for case in read_springs(path):
-        listed = case.reference["frames"]
-        true = np.array(case.reference["positions"])
-        ends = [listed.index(6), listed.index(12)]
+        times, true = first_half_second(case)
         options = SpringOptions(solver, step=1 / rate)
-        times = np.array(listed[: ends[-1] + 1]) / case.fps
         motion = simulate_springs(case.system, times, options)
-        found = [1e3 * rms(motion.positions[i], true[i]) for i in ends]
+        found = [1e3 * rms(*each) for each in zip(motion.positions, true, strict=True)]
         record_property(
-            f"{'sheet':12} {'solver':18} {'rate':>5} {'6: mm':>7} {'12: mm':>7}",
-            f"{case.name:12} {solver:18} {rate:5} {found[0]:7.3f} {found[1]:7.3f}",
+            f"{'sheet':12} {'solver':18} {'rate':>5} {'s':>6} {'mm':>7}",
+            f"{case.name:12} {solver:18} {rate:5} {times[-1]:6.3f} {found[-1]:7.3f}",
         )
-        assert found[0] <= CLOTH_RMS[solver, rate][0]
-        assert found[1] <= CLOTH_RMS[solver, rate][1]
+        allowed = np.interp(times, [0.25, 0.5], CLOTH_RMS[solver, rate])
+        assert (found <= allowed).all()
 
 
 @pytest.mark.parametrize("path", RELEASES)
 def test_an_error_that_is_asked_for_is_kept(path: Path) -> None:
     for case in read_springs(path):
-        listed = case.reference["frames"]
-        last = listed.index(12)
-        true = np.array(case.reference["positions"])[: last + 1]
+        times, true = first_half_second(case)
         options = SpringOptions(error=1e-3)
-        times = np.array(listed[: last + 1]) / case.fps
         motion = simulate_springs(case.system, times, options)
         assert np.abs(motion.positions - true).max() <= 2e-3

@@ -126,6 +126,8 @@ TRAPS = {
         [("DOC002", 1), ("DOC002", 3)],
     ),
     "a number as key": ("a: 1\n1: 2", [("DOC010", 2)]),
+    "times as keys": ("keys: {1: 0, 24.5: [1, 2]}", [("DOC010", 1)]),
+    "times in lines": ("keys:\n  1: {v: 0}\n  a: 2\n  8: 3", [("DOC010", 2)]),
     "yes as key": ("a: 1\ntrue: 2", [("DOC010", 2)]),
     "nothing as key": ("~: 1", [("DOC010", 1)]),
     "a list as key": ("? [1, 2]\n: 3", [("DOC010", 1)]),
@@ -164,6 +166,27 @@ TRAPS = {
 def test_what_is_refused(tmp_path: Path, trap: str) -> None:
     text, wanted = TRAPS[trap]
     assert refused(tmp_path, text) == wanted
+
+
+@pytest.mark.parametrize(
+    ("given", "form"),
+    [
+        ("{1: 0}", "keys: [{t: 1, v: 0}]"),
+        ("{1: [0, 2], 24.5: a}", "keys: [{t: 1, v: [0, 2]}, {t: 24.5, v: a}]"),
+        ("{1: {v: 0, interp: linear}}", "keys: [{t: 1, v: 0, interp: linear}]"),
+        (f"{{{', '.join(f'{i}: 0' for i in range(1, 500))}}}", "{t: 1, v: 0}, …]"),
+    ],
+)
+def test_times_that_are_keys_are_told_as_a_list(
+    tmp_path: Path, given: str, form: str
+) -> None:
+    path = tmp_path / "a.yaml"
+    path.write_text(f"channels:\n- keys: {given}", "utf-8")
+    with pytest.raises(FormatError) as caught:
+        read_document(path)
+    (fault,) = caught.value.faults
+    assert fault.code == "DOC010"
+    assert (fault.hint or "").endswith(form)
 
 
 @pytest.mark.parametrize(

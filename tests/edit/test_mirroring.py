@@ -46,6 +46,17 @@ def test_partners_that_hang_elsewhere(walk: Path) -> None:
     assert error.value.code == "SCN019"
 
 
+@pytest.mark.parametrize("pair", [("Spine", "LeftHnad"), ("LeftHnad", "Spine")])
+def test_a_joint_of_a_pair_that_there_is_none_of_is_named(
+    walk: Path, pair: tuple[str, str]
+) -> None:
+    take = read_bvh(walk).collect()
+    with pytest.raises(OptionError, match="'LeftHnad'") as error:
+        mirror(take, pairs=[pair])
+    assert error.value.code == "SCN012"
+    assert "LeftHand" in (error.value.faults[0].hint or "")
+
+
 def test_a_stated_pair_whose_parents_are_no_partners_is_named() -> None:
     names = ["hips", "leg_l", "leg_r", "foot_l", "foot_r", "arm_l", "arm_r"]
     joints = [

@@ -18,7 +18,7 @@ from animtool.clip.channels import ClipUnits
 from animtool.clip.reduction.points import SHELL
 from animtool.core.errors import OptionError, Severity
 from animtool.ik import TakeOptions, Targets, TargetTracks, load_targets, solve_take
-from animtool.ik.match_take import chains_of, left_out, match_take
+from animtool.ik.match_take import AT_REST, _leaving, chains_of, left_out, match_take
 from animtool.ik.values import Keyed, Rows, Still
 from animtool.ik.write import targets_text
 from animtool.maths import so3
@@ -177,3 +177,21 @@ def test_what_the_targets_do_not_say_is_noted() -> None:
     assert "of ankle_l, which" in note.message
     stretching = [replace(chain, stretch=0.2) for chain in still.rig.ik]
     assert not left_out(replace(still, motion=motion), stretching)
+
+
+def test_joints_that_leave_their_rest_in_one_frame_are_told() -> None:
+    """The last frame alone, by a place or by a turn; what hardly moves stays."""
+    rest = np.array([[0.0, 1, 0], [2, 0, 0], [0, 0, 3]])
+    places = np.tile(rest, (4, 1, 1))
+    places[3, 1] += [0.0, 2 * AT_REST, 0.0]
+    places[0, 2] += [0.0, AT_REST / 2, 0.0]
+    shifts = Channel.from_dense(places)
+    assert _leaving(shifts, rest, {0, 1, 2}) == {1}
+    assert _leaving(shifts, rest, {0, 2}) == set()
+    own = np.tile(so3.IDENTITY, (3, 1))
+    turns = np.tile(own, (4, 1, 1))
+    turns[3, 2] = so3.exp(np.array([0.0, 2 * AT_REST, 0.0]))
+    assert _leaving(Channel.from_dense(turns), own, {0, 1, 2}) == {2}
+    # A quaternion and its opposite are one rotation.
+    turns[:, 0] *= -1
+    assert _leaving(Channel.from_dense(turns), own, {0, 1}) == set()

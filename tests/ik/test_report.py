@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import pytest
 from support.targets import HEAD, legs, tracks_of, walk_of
 
 from animtool.core.errors import Severity
+from animtool.ik import report
 from animtool.ik.jumps import Jump
 from animtool.ik.on_take import solve_take
 from animtool.ik.report import (
@@ -18,7 +20,9 @@ from animtool.ik.report import (
     limit_counts,
     missed_notices,
     status_counts,
+    status_text,
 )
+from animtool.ik.result import IkStatus
 from animtool.ik.take_run import Smoothing, TakeIk
 
 
@@ -137,3 +141,27 @@ def test_a_part_that_is_missed_is_reported_by_its_name(
     assert found[part] > 1.0
     assert report.spans[0].angle == found[part]
     assert report.spans[0].distance < 0.01
+
+
+@pytest.mark.parametrize(
+    ("counts", "text"),
+    [
+        ({"CONVERGED": 3}, "3 converged"),
+        ({"CONVERGED": 3, "NEAREST": 2}, f"3 converged, 2 {IkStatus.NEAREST}"),
+        (
+            {"CONVERGED": 3, "NEAREST": 2, "STEADIER": 4},
+            "3 converged, 6 out of reach "
+            "(4 of them on a steadier path than the nearest poses make)",
+        ),
+        (
+            {"STEADIER": 1},
+            "1 out of reach (1 of them on a steadier path than the nearest poses make)",
+        ),
+    ],
+)
+def test_how_frames_ended_in_words(
+    counts: dict[str, int], text: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = {str(IkStatus[name]): count for name, count in counts.items()}
+    monkeypatch.setattr(report, "status_counts", lambda _: found)
+    assert status_text(cast("TakeIk", None)) == text

@@ -14,6 +14,7 @@ from animtool.maths.filters import (
     lowpass,
     lowpass_turns,
     noise_level,
+    noise_of_turns,
     put_between,
 )
 
@@ -74,6 +75,24 @@ def test_cutoff_of_a_sine_in_noise(frequency: float, noise: float) -> None:
     away = (lowpass(noisy, cutoff, RATE) - clean)[120:-120]
     error = math.sqrt(np.mean(away**2))
     assert error < 1.2 * expected.min()
+
+
+@pytest.mark.parametrize("axes", [1, 2, 3])
+@pytest.mark.parametrize("frame", [[0.0, 0.0, 0.0], [0.3, 2.0, -1.0]])
+def test_noise_of_rotations_is_that_about_each_axis(
+    axes: int, frame: list[float]
+) -> None:
+    """As of a hinge, in whichever frame; the four numbers shake together."""
+    rng = np.random.default_rng(4)
+    swing = so3.exp(np.sin(0.02 * np.arange(4000))[:, None] * [1.0, 0.0, 0.0])
+    shake = np.zeros((4000, 3))
+    shake[:, :axes] = 0.02 * rng.standard_normal((4000, axes))
+    turns = so3.multiply(so3.exp(np.array(frame)), so3.multiply(swing, so3.exp(shake)))
+    turns = so3.align_signs(turns)
+    assert noise_of_turns(turns) == pytest.approx(0.02, rel=0.05)
+    # What is left of the noise at the best cut-off is that of so many axes.
+    assert best_cutoff(turns, RATE, rotation=True) is not None
+    assert noise_of_turns(turns[:1]) == 0.0
 
 
 def test_what_has_no_noise_is_left_alone() -> None:

@@ -6,7 +6,7 @@ import argparse
 import json
 import os
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from importlib import import_module
 from pathlib import Path
 
@@ -52,14 +52,23 @@ def main() -> int:
         return 0
     results = Results(given.state / "results.jsonl")
     equivalents = read_equivalents(EQUIVALENTS)
-    drawn = {name: _sample(name, given.packages) for name in _languages(given)}
+    drawn = {name: _sample(name, given) for name in _languages(given)}
     if given.do == "run":
         copies = [Copy(ROOT, given.state / f"copies/{i}") for i in range(given.jobs)]
         for name, mutants in drawn.items():
             language = import_module(f"mutation.{name}")
             find = language.Tests(ROOT, given.state)
             due = _due(mutants, results, equivalents, find.unfit, given.only)
-            run(language, due, find, copies, results, _tell, budget=given.budget)
+            run(
+                language,
+                due,
+                find,
+                copies,
+                results,
+                _tell,
+                budget=given.budget,
+                only_own=given.own,
+            )
     elif given.do == "confirm":
         return _confirm(given, drawn, results)
     whole = [mutant for mutants in drawn.values() for mutant in mutants]
@@ -83,6 +92,11 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--only", choices=["survived", "unfit"], help="run: these once more"
     )
+    parser.add_argument("--seed", type=int, default=0, help="of another sample")
+    parser.add_argument("--count", type=int, help="how many of each package")
+    parser.add_argument(
+        "--own", action="store_true", help="run: the tests of the package alone"
+    )
     parser.add_argument("--budget", type=float, default=BUDGET_SECONDS)
     parser.add_argument("-j", "--jobs", type=int, default=2)
     return parser
@@ -95,8 +109,9 @@ def _languages(given: argparse.Namespace) -> list[str]:
     return [given.language] if given.language else there
 
 
-def _sample(language: str, packages: Sequence[str]) -> list[Mutant]:
-    return sample(import_module(f"mutation.{language}"), ROOT, packages)
+def _sample(name: str, given: argparse.Namespace) -> list[Mutant]:
+    language = import_module(f"mutation.{name}")
+    return sample(language, ROOT, given.packages, seed=given.seed, count=given.count)
 
 
 def _due(

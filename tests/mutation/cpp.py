@@ -110,7 +110,8 @@ def build(
     source.mkdir(parents=True, exist_ok=True)
     # Files are written only if they differ, for ninja goes by their times.
     sources = copy.source / FOLDER
-    for path in [sources / "CMakeLists.txt", *source_files(sources)]:
+    lists = [sources / "CMakeLists.txt", *sorted(sources.glob("*/*.txt"))]
+    for path in [*lists, *source_files(sources)]:
         name = path.relative_to(sources)
         text = (changed or {}).get(name.as_posix(), path.read_text("utf-8"))
         target = source / name

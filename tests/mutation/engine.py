@@ -36,6 +36,17 @@ from mutation.mutants import Mutant, Result, Results, draw, mutants_of
 BUDGET_SECONDS = 300.0
 
 
+# Folders of tests of kernels whose folder has another name.
+KERNEL_TESTS = {
+    "colliders": ["tests/sim/"],
+    "crowds": ["tests/systems/flocks/"],
+    "curves": ["tests/clip/", "tests/maths/"],
+    "kinematics": ["tests/rig/"],
+    "particles": ["tests/systems/molecules/", "tests/systems/nbody/"],
+    "springs": ["tests/systems/attach/"],
+}
+
+
 class Finder(Protocol):
     """Finds the tests of a mutant."""
 
@@ -47,9 +58,22 @@ class Finder(Protocol):
 
 
 def sample(
-    language: ModuleType, root: Path, packages: Sequence[str] = (), *, seed: int = 0
+    language: ModuleType,
+    root: Path,
+    packages: Sequence[str] = (),
+    *,
+    seed: int = 0,
+    count: int | None = None,
 ) -> list[Mutant]:
-    """Return the sample of a language, of some packages or of all."""
+    """Return the sample of a language, of some packages or of all.
+
+    Args:
+        language: Its module.
+        root: The checkout.
+        packages: The names of those to sample; all of them without any.
+        seed: Another one draws another sample.
+        count: How many to draw of each package, for the usual number.
+    """
     drawn = []
     for name, files in language.packages(root).items():
         if packages and name not in packages:
@@ -63,8 +87,23 @@ def sample(
         def valid(mutant: Mutant, texts: Mapping[str, str] = texts) -> bool:
             return bool(language.valid(mutant.edit.apply(texts[mutant.path])))
 
-        drawn += draw(lines, language.size(len(lines)), seed, valid)
+        size = language.size(len(lines)) if count is None else count
+        drawn += draw(lines, size, seed, valid)
     return drawn
+
+
+def own(mutant: Mutant, tests: Iterable[str]) -> set[str]:
+    """Return the tests of a mutant's package, and the doctests of its module.
+
+    Those of the kernels are in the folder of their name, too: of `kernels/ik` in
+    `tests/kernels`, `tests/ik` and `tests/systems/ik`.
+    """
+    folders = [f"tests/{mutant.package}/"]
+    if mutant.package == "kernels":
+        name = Path(mutant.path).parent.name
+        folders += [f"tests/{name}/", f"tests/systems/{name}/"]
+        folders += KERNEL_TESTS.get(name, [])
+    return {name for name in tests if name.startswith((*folders, mutant.path))}
 
 
 def stages(
@@ -116,6 +155,7 @@ def run(
     tell: Callable[[Mutant, Result], None],
     *,
     budget: float = BUDGET_SECONDS,
+    only_own: bool = False,
 ) -> None:
     """Run mutants, as many side by side as there are copies, and keep each result."""
     free: queue.SimpleQueue[Copy] = queue.SimpleQueue()
@@ -126,6 +166,8 @@ def run(
     def one(mutant: Mutant) -> tuple[Mutant, Result]:
         with finding:
             tests = find(mutant) - find.unfit
+        if only_own:
+            tests = own(mutant, tests)
         chosen, left = stages(mutant, tests, find.seconds, budget)
         if not chosen:
             return mutant, Result("uncovered", tests=left, left=left)

@@ -16,11 +16,15 @@ FEWEST, LINES_FOR_ONE = 12, 200
 
 
 def packages(root: Path) -> dict[str, list[Path]]:
-    """Return the packages of animtool and their files; its modules are one more."""
+    """Return the packages of animtool and their files; its modules are one more.
+
+    Each kind of system is a package: ``systems/springs``.
+    """
     found: dict[str, list[Path]] = {}
     for path in sorted((root / "animtool").rglob("*.py")):
-        parts = path.relative_to(root / "animtool").parts
-        found.setdefault(parts[0] if len(parts) > 1 else "animtool", []).append(path)
+        parts = path.relative_to(root / "animtool").parts[:-1]
+        depth = 2 if parts[:1] == ("systems",) else 1
+        found.setdefault("/".join(parts[:depth]) or "animtool", []).append(path)
     return found
 
 

@@ -34,6 +34,8 @@ DROPPED = {
     "inverse", "invert", "lower", "normalize", "normalized", "norm", "rad2deg",
     "radians", "reversed", "sort", "sorted", "strip", "unwrap",
 }  # fmt: skip
+# Declares a key of a file: what stands before its default is documentation.
+KEY = "key"
 # Calls whose arguments have no order.
 UNORDERED = {
     "allclose", "array_equal", "gcd", "hypot", "isclose", "lcm", "max", "maximum",
@@ -279,6 +281,10 @@ class _Finder(ast.NodeVisitor):
         if isinstance(base, ast.Name) and base.id in LOGGERS:
             return
         name = getattr(function, "attr", getattr(function, "id", ""))
+        if name == KEY:
+            for keyword in node.keywords:
+                self.visit(keyword)
+            return
         if name in RIVALS and self.text(function):
             end = self.place(function.end_lineno, function.end_col_offset)
             line: int = function.end_lineno

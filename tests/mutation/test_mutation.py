@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from mutation import python, syntax
-from mutation.engine import stages
+from mutation.engine import own, stages
 from mutation.mutants import (
     Edit,
     Mutant,
@@ -57,6 +57,7 @@ def after(source: str) -> set[str]:
         ("for x in a: break", {"for x in a: continue"}),
         ("def f(): return a, b", {"def f(): return b, a"}),
         ("x: int = 2", {"x: int = 1", "x: int = 3"}),
+        ('x = key("a", 2, default=True)', {'x = key("a", 2, default=False)'}),
         ("élan = a < b", {"élan = a <= b"}),
     ],
 )
@@ -137,6 +138,37 @@ def test_near_tests_come_first_and_the_budget_bounds_the_rest() -> None:
         ["tests/cli/test_bake.py::one"],
     ]
     assert left == 1
+
+
+def test_own_tests_are_those_of_the_package_and_of_the_module() -> None:
+    edit = Edit(1, 0, 1, "x", "sign")
+    names = {
+        "tests/systems/rigid/test_a.py::b",
+        "tests/systems/springs/test_a.py::b",
+        "tests/kernels/test_a.py::b",
+        "tests/cli/test_a.py::b",
+        "animtool/systems/rigid/a.py::animtool.systems.rigid.a",
+    }
+    one = Mutant("systems/rigid", "animtool/systems/rigid/a.py", edit, "a", "x", 0)
+    assert own(one, names) == {name for name in names if "systems/rigid" in name}
+    one = Mutant("kernels", "animtool/kernels/springs/a.cpp", edit, "a", "x", 0)
+    assert own(one, names) == {
+        "tests/systems/springs/test_a.py::b",
+        "tests/kernels/test_a.py::b",
+    }
+
+
+def test_each_kind_of_system_is_a_package(tmp_path: Path) -> None:
+    for name in ("__main__", "ik/a", "ik/b/c", "systems/run", "systems/rigid/a"):
+        path = tmp_path / f"animtool/{name}.py"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.touch()
+    assert {name: len(files) for name, files in python.packages(tmp_path).items()} == {
+        "animtool": 1,
+        "ik": 2,
+        "systems": 1,
+        "systems/rigid": 1,
+    }
 
 
 def test_results_outlast_the_run_and_the_last_one_counts(tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from animtool.core.units import UpAxis, up_from_up
 from animtool.edit import mirror
 from animtool.maths import so3
 from animtool.retarget import map_joints, motion
-from animtool.retarget.motion import Retargeted, retarget_take
+from animtool.retarget.motion import Retargeted, limbs_of, retarget_take
 from animtool.rig.limits import BallLimit, RangeLimit, swing_twist
 from animtool.rig.skeleton import JointType
 
@@ -51,6 +52,19 @@ def scaled(rig: Rig, size: float, shin: float = 1.0) -> Rig:
 
 def onto_rig(take: Take, rig: Rig) -> Retargeted:
     return retarget_take(take, rig, map_joints(take.rig, rig))
+
+
+def test_limbs_are_of_the_hips_on_whichever_joint_these_are(walk: Take) -> None:
+    """The first joint counts, too; spine, neck and head do not."""
+    made = onto_rig(walk, walk.rig)
+    person = made.transfer.target
+    limbs = limbs_of(person)
+    hips = person.first("hips")
+    assert hips == 0
+    assert hips in limbs
+    names = {walk.rig.names[j] for j in limbs}
+    assert not {name for name in names if "Spine" in name or "Head" in name}
+    assert {"LeftUpLeg", "RightLeg", "LeftFoot", "RightForeArm"} <= names
 
 
 def test_a_copy_of_the_skeleton_moves_as_the_source(walk: Take) -> None:
@@ -93,6 +107,36 @@ def test_feet_stay_where_they_stand(walk: Take) -> None:
     assert free.drift_max > 0.005
     assert held.acceleration < 1.2
     assert held.bone_angle_mean < np.radians(0.7)
+
+
+def test_frames_whose_goals_stay_are_not_solved_again(
+    walk: Take, biped: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An ankle gives way for its toe only where a limit stops the foot."""
+    rows: list[int] = []
+    solved = motion.Retargeting._solved
+
+    def counted(self: motion.Retargeting, *given: Any) -> Any:
+        rows.append(len(given[-1]))
+        return solved(self, *given)
+
+    monkeypatch.setattr(motion.Retargeting, "_solved", counted)
+    made = onto_rig(walk, scaled(walk.rig, 1.0, shin=0.9))
+    assert made.standing.placed is not None
+    assert sum(rows) == walk.clock.count
+    # Ankles that bend by 15 degrees alone stop feet in some frames.
+    stiff = [
+        replace(joint, limits=replace(joint.limits, swing=(np.pi / 12, np.pi / 12)))
+        if joint.name.startswith("ankle_")
+        else joint
+        for joint in biped.joints
+    ]
+    rows.clear()
+    onto_rig(walk, replace(biped, joints=tuple(stiff)))
+    first, *others = rows
+    assert first == walk.clock.count
+    assert 0 < others[0] < first / 2
+    assert sorted(others, reverse=True) == others
 
 
 def test_no_limit_is_broken(onto: Retargeted, biped: Rig) -> None:

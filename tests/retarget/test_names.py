@@ -13,7 +13,7 @@ from support.people import named, person
 
 from animtool.core.errors import OptionError
 from animtool.retarget.anatomy import anatomy
-from animtool.retarget.names import find_preset, presets, read_names
+from animtool.retarget.names import best_preset, find_preset, presets, read_names
 from animtool.retarget.roles import ROLES, base_role
 
 PREFIXES = ["", "mixamorig1:", "mixamorig9:", "a:b:", "|root|x:", "Bip001 ", "hero_"]
@@ -162,3 +162,16 @@ def test_the_page_of_unknown_presets_lists_all(root: Path) -> None:
     page = (root / "animtool/docs/rules/MAP003.md").read_text("utf-8")
     listed = page.partition("The presets are ")[2]
     assert re.findall(r"`(\w+)`", listed) == sorted(presets())
+
+
+@pytest.mark.parametrize(("count", "known"), [(5, False), (6, True)])
+def test_a_convention_is_known_by_six_of_its_names(count: int, known: bool) -> None:
+    preset = presets()["mixamo"]
+    texts: dict[str, str] = {}
+    for text in sorted(preset.texts):
+        (name,) = read_names([text], np.array([-1]))
+        if name.key in preset.keys:
+            texts.setdefault(name.key, text)
+    chosen = list(texts.values())[:count]
+    found = best_preset(chosen, read_names(chosen, np.arange(count) - 1))
+    assert (found is not None) == known

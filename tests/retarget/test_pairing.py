@@ -109,6 +109,42 @@ def test_twist_joints_take_their_share() -> None:
     assert found.unmapped_target == ()
 
 
+def test_twist_joints_of_other_bones_have_no_share() -> None:
+    """One on the spine, before those of arms; one that lies beyond the bone has all."""
+    target, _ = person(named("ue5_manny"))
+    spine, arm = target.index("spine_01"), target.index("lowerarm_r")
+    length = float(np.linalg.norm(target.joints[target.index("hand_r")].translation))
+    extra = [
+        Joint("spine_twist_01", spine, translation=(0.0, 0.05, 0.0)),
+        Joint("lowerarm_twist_01_r", arm, translation=(0.0, length / 5, 0.0)),
+        Joint("lowerarm_twist_02_r", arm, translation=(1.5 * length, 0.0, 0.0)),
+    ]
+    target = replace(target, joints=(*target.joints, *extra))
+    source, _ = person()
+    found = map_joints(source, target)
+    shares = [(target.names[t.joint], t.bone, t.share) for t in found.twists]
+    assert shares == [
+        ("lowerarm_twist_01_r", arm, pytest.approx(0.2)),
+        ("lowerarm_twist_02_r", arm, 1.0),
+    ]
+
+
+def test_a_written_map_says_roles_where_there_are_any() -> None:
+    source, _ = person(named("mixamo"))
+    target, _ = person()
+    found = map_joints(source, target)
+    pairs_of = tuple(
+        replace(pair, role="") if i % 2 else pair for i, pair in enumerate(found.pairs)
+    )
+    text = map_text(replace(found, pairs=pairs_of), source, target)
+    rows = [row for row in text.split("\n") if row.startswith("- {source: ")]
+    with_roles = [row for row in rows if "role:" in row]
+    chained = {j for chain in found.chains for j in chain.target[1:]}
+    expected = [p for p in pairs_of if p.role and p.target not in chained]
+    assert len(with_roles) == len(expected)
+    assert all(f", role: {p.role}}}" in text for p in expected)
+
+
 def test_renaming_pairs_one_to_one() -> None:
     source, target = spined(3, "spine_a"), spined(5, "spine_b")
     found = map_joints(source, target, mode="rename")

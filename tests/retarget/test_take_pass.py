@@ -14,9 +14,10 @@ from animtool import Channel, Motion, Rig, Take, open_source
 from animtool.core.errors import OptionError
 from animtool.core.units import UpAxis, up_from_up
 from animtool.maths import so3
+from animtool.motion.passes import PassContext, apply_pass, find_pass
 from animtool.motion.take import TakeStream
 from animtool.retarget.options import RetargetOptions
-from animtool.retarget.take_pass import onto_rig
+from animtool.retarget.take_pass import RetargetPassOptions, onto_rig
 from animtool.rig.kinematics import forward
 
 
@@ -70,3 +71,20 @@ def test_a_convention_of_either_skeleton_can_be_said(root: Path, key: str) -> No
     walk = open_source(root / "samples/walk/walk.bvh").collect()
     with raises(OptionError, "MAP003"):
         onto_rig(TakeStream.of(walk), walk.rig, RetargetOptions(**{key: "mixamoo"}))
+
+
+@pytest.mark.parametrize(("frames", "codes"), [(2, ["MAP007"]), (40, [])])
+def test_a_take_in_which_no_foot_stands_says_so(
+    root: Path, frames: int, codes: list[str]
+) -> None:
+    """As of two frames, whose speeds nobody knows; by the pass, too."""
+    walk = open_source(root / "samples/walk/walk.bvh").collect()
+    clock = replace(walk.clock, count=frames)
+    short = replace(walk, clock=clock, motion=walk.motion.select(slice(frames)))
+    biped = Rig.load(root / "rigs/biped/biped.rig.yaml")
+    _, _, notices = onto_rig(TakeStream.of(short), biped, RetargetOptions())
+    assert [n.code for n in notices if n.code == "MAP007"] == codes
+    context = PassContext(open_source, root)
+    options = RetargetPassOptions(rig=str(root / "rigs/biped/biped.rig.yaml"))
+    apply_pass(TakeStream.of(short), find_pass("retarget"), options, context).collect()
+    assert [n.code for n in context.notices if n.code == "MAP007"] == codes

@@ -80,11 +80,13 @@ class ParticleForces(_Living, SecondOrder):
 
     def energy(self, t: float, state: FloatArray) -> Energy | None:  # noqa: ARG002
         """Return kinetic and potential energy, None where a force has none."""
-        found, known = energies(self.setup, self.particles, state)
-        if not known:
-            return None
-        kinetic, potential = found.sum(axis=1).tolist()
-        supply = float(self.particles.masses.sum()) * self._colliders.fastest**2
+        # A state that is resumed may hold masses whose energies are beyond numbers.
+        with np.errstate(over="ignore", invalid="ignore"):
+            found, known = energies(self.setup, self.particles, state)
+            if not known:
+                return None
+            kinetic, potential = found.sum(axis=1).tolist()
+            supply = float(self.particles.masses.sum()) * self._colliders.fastest**2
         return Energy(kinetic, potential, supply)
 
     def frequencies(self, t: float, state: FloatArray) -> FloatArray | None:  # noqa: ARG002

@@ -162,3 +162,25 @@ def test_faults_of_keypoints(tmp_path: Path) -> None:
     with pytest.raises(FormatError) as caught:
         read_keypoints(tmp_path / "empty", STAGE, fps=30)
     assert caught.value.code == "CAM010"
+
+
+@pytest.mark.parametrize(
+    ("text", "message", "hint"),
+    [
+        ('{"people": []}', "a folder of OpenPose keypoints", "mocap triangulate pose/"),
+        ('{"cameras": []}', "give it as --cameras a.json", "npz"),
+        ('[{"K": 1}]', "give it as --cameras a.json", "npz"),
+        ("{}", "is a JSON file; observations are", "npz"),
+    ],
+)
+def test_a_json_file_in_place_of_observations_is_told_what_it_is(
+    tmp_path: Path, text: str, message: str, hint: str
+) -> None:
+    path = tmp_path / "a.json"
+    path.write_text(text)
+    with pytest.raises(FormatError) as error:
+        read_observations(path)
+    (fault,) = error.value.faults
+    assert fault.code == "CAM010"
+    assert message in fault.message
+    assert hint in (fault.hint or "")

@@ -294,6 +294,10 @@ def test_weights_from_one_face_to_another() -> None:
     )
     moved = target.points(made.weights) - 2 * source.points(weights)
     assert np.sqrt((moved**2).mean()) < 0.002
+    assert made.fit is not None
+    assert_array_equal(made.weights, made.fit.weights)
+    assert made.links.links == ()
+    assert set(made.links.lost) == set(source.shapes)
     with raises(OptionError, "FAC009"):
         transfer_weights(weights, source.shapes, target.shapes)
     named = transfer_weights(weights[:, :2], ["JawOpen", "q"], ["jaw_open"])

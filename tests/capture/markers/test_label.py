@@ -12,8 +12,9 @@ from support.named import scores_of
 from support.suite import is_full
 
 from animtool.capture.markers.label import label
-from animtool.capture.markers.twins import told_apart
+from animtool.capture.markers.twins import exchanged_in, told_apart
 from animtool.core.errors import OptionError
+from animtool.maths import so3
 
 NAMED = 0.995
 SEEDS = range(1000, 1010)
@@ -73,6 +74,27 @@ def test_markers_that_lie_alike_are_named_with_their_frames() -> None:
     assert names.tolist() == [0, 1, 2, 3, 4]
     assert (3, 4) in {doubt.markers for doubt in doubts}
     assert all(doubt.score <= 0.0 for doubt in doubts)
+
+
+@pytest.mark.parametrize(("apart", "told"), [(0.0002, False), (0.001, True)])
+def test_twins_are_told_apart_by_shapes_that_are_off_by_more_than_noise(
+    apart: float, told: bool
+) -> None:
+    """Beside a line half a turn exchanges them, but for how far along it they are.
+
+    Exchanged they are off by 0.7 of that each; of a fifth of a millimetre that says
+    10 log(1 + 0.14), and of one millimetre 10 log(1 + 0.7), where 2 are wanted.
+    """
+    line = np.zeros((5, 3))
+    line[:, 2] = [-2.0, -1.5, 1.5, 2.0, 2.5]
+    twins = np.array([[0.1, 0.0, apart / 2], [-0.1, 0.0, -apart / 2]])
+    shape = np.concatenate([twins, line])
+    rng = np.random.default_rng(2)
+    turns = so3.exp(rng.standard_normal((40, 3)))
+    seen = so3.rotate(turns[:, None], shape) + rng.standard_normal((40, 1, 3))
+    assert not exchanged_in(seen, shape, (0, 1))
+    wrong = seen[:, [1, 0, 2, 3, 4, 5, 6]]
+    assert exchanged_in(wrong, shape, (0, 1)) == told
 
 
 def test_exchanged_twins_are_put_right() -> None:

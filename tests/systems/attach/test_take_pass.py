@@ -28,7 +28,8 @@ from animtool.motion.take import Take, TakeStream
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.skeleton import JointType
 from animtool.systems.attach.settings import SimulateOptions
-from animtool.systems.attach.take_pass import simulate
+from animtool.systems.attach.simulation import Simulation
+from animtool.systems.attach.take_pass import bodies_of, simulate
 
 RIGS = {"chain": tail_rig(3, 0.2), "strands": strands_rig(), "cloth": sheet_rig()}
 # Hangs still where it is put, without anything but gravity.
@@ -250,6 +251,35 @@ def test_a_cycle_that_does_not_come_round_is_named() -> None:
     take = take_of(tail_rig(3, 0.2), 24, 23 / 24, swing)
     _, codes = simulated(take, **LOOSE, loop=True, loop_repeats=2)
     assert codes[-1] == "SIM133"
+
+
+@pytest.mark.parametrize(
+    ("options", "frames"),
+    [
+        ({}, 12),
+        ({"preroll": 0.25}, 18),
+        ({"settle": 0.125}, 15),
+        ({"settle": 0.125, "preroll": 0.25}, 21),
+    ],
+)
+def test_what_is_done_is_told_in_even_parts_to_the_end(
+    options: dict[str, float], frames: int
+) -> None:
+    """Of 13 frames 12 are gone through, and those before the first besides."""
+    take = take_of(tail_rig(1), 24, 0.5, swing)
+    given, told = SimulateOptions(**{"settle": 0.0, **options}), list[float]()
+    simulation = Simulation(
+        take.rig,
+        bodies_of(take.rig, ("tail",)),
+        given,
+        take.clock.fps,
+        take.clock.start,
+        take.clock.step,
+        progress=told.append,
+    )
+    list(simulation.blocks(iter([take.motion])))
+    assert len(told) == frames
+    assert_allclose(told, (np.arange(frames) + 1) / (frames + 1), atol=1e-12)
 
 
 def test_a_way_into_the_first_frame() -> None:

@@ -96,6 +96,30 @@ def test_what_went_through_is_saved_and_counted(tmp_path: Path) -> None:
         assert np.isfinite(moved(found)).all()
 
 
+def test_passages_of_no_cloth_are_refused(tmp_path: Path) -> None:
+    """Of a particle that there is none of, or an index beyond what a kernel counts."""
+    path = tmp_path / "states.npz"
+    take = take_of(RIG, 24, 0.1)
+    options = {"gravity": 0.0, "thickness": f"{THICKNESS}m", **OPTIONS}
+    simulated(take, save=str(path), save_at=(1.0,), **options)
+    with np.load(path) as file:
+        arrays = dict(file)
+    for passage, refused in (
+        ([SIZE * SIZE - 1, 0, 1], False),
+        ([SIZE * SIZE, 0, 1], True),
+        ([0, 2**31 + 1, 1], True),
+        ([0, -(2**31) - 1, 1], True),
+    ):
+        arrays["1.0/flag/state/passages"] = np.array([passage])
+        np.savez(path, **arrays)
+        if not refused:
+            simulated(take, resume=path, **options)
+            continue
+        with pytest.raises(OptionError) as error:
+            simulated(take, resume=path, **options)
+        assert error.value.faults[0].code == "SIM035"
+
+
 def test_only_cloth_has_a_thickness() -> None:
     options = SimulateOptions(("hair",), thickness="5mm")
     kinds = ("cloth", "strands", "spring_chain")

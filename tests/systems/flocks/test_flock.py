@@ -144,6 +144,19 @@ def test_who_begins_in_a_collider_is_moved_out(simulator: Simulator) -> None:
     assert "member" in notice.message
 
 
+def test_who_finds_no_way_out_of_colliders_is_named(simulator: Simulator) -> None:
+    """The second of three, where two boxes overlap: each moves it into the other."""
+    boxes = [{"shape": {"box": {"size": [9, 9, 9]}}, "at": [x, 0, 0]} for x in (-4, 4)]
+    points = np.array([[0.0, 20, 0], [0, 0, 0], [0, -20, 0]])
+    np.savez(simulator.folder / "three.npz", points=points)
+    bird = {"name": "bird", "points": "three.npz", "radius": 0.1}
+    with pytest.raises(AnimtoolError) as error:
+        simulator.simulate(flock(bird, colliders=boxes), FRAMES[:2])
+    (fault,) = error.value.faults
+    assert fault.code == "SIM060"
+    assert "member 1 of 'bird' begins inside" in fault.message
+
+
 def test_a_domain_that_wraps_keeps_all_and_shows_no_seam(simulator: Simulator) -> None:
     domain = {"at": [1, 2, 3], "size": [6, 5, 7], "wrap": True}
     crowd = {**BIRD, "count": 80, "speed": {"cruise": 9}}

@@ -8,9 +8,12 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from animtool.core.errors import Severity
 from animtool.sim.colliders import Collider, Colliders, Plane, Poses
+from animtool.systems.flocks.flock import FlockForces
 from animtool.systems.flocks.members import Members
 from animtool.systems.flocks.rules import rules_of, wrapping
+from animtool.systems.flocks.spacing import Spacing
 from animtool.systems.flocks.spec import DomainModel, SpeciesModel
 from animtool.systems.flocks.steering import avoidance, kept_speeds, own_ways, steered
 
@@ -99,6 +102,91 @@ def test_a_wall_stops_who_comes_within_the_room_that_is_left(
     x, v = np.array([[0.0, height, 0.0]]), np.array([[1.0, speed, 0.0]])
     found = avoidance(own, floor, 0.0, x, v)
     assert_allclose(found, [[0, away, 0]], atol=1e-9)
+
+
+def test_a_wall_is_avoided_from_a_metre_and_a_half_on() -> None:
+    """Unless another distance is given; its push of 10 m/s² grows to the wall."""
+    floor = Colliders([Collider(Plane(), Poses.fixed())])
+    own = members({"radius": 0.1})
+    for gap, push in ((1.51, 0.0), (0.75, 2.5), (0.3, 6.4), (0.0, 10.0)):
+        x = np.array([[0.0, gap + 0.1, 0.0]])
+        found = avoidance(own, floor, 0.0, x, np.zeros((1, 3)))
+        assert_allclose(found, [[0, push, 0]], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("apart", "closing", "each"),
+    [
+        (1.7, 3.0, 0.3 * 9 / (2 * 0.7) / 2),
+        (1.05, 3.0, 0.95 * 9 / (2 * 0.1) / 2),  # a tenth of the distance at least
+        (0.9, 3.0, 9 / (2 * 0.1) / 2),
+        (1.7, -3.0, 0.0),
+        (2.1, 3.0, 0.0),  # beyond twice the distance
+    ],
+)
+def test_two_that_close_in_brake_by_the_room_that_is_left(
+    apart: float, closing: float, each: float
+) -> None:
+    """Of a least distance of a metre, off axis; one stands, both brake alike.
+
+    The less the nearer they are to twice the distance.
+    """
+    spacing = Spacing(np.array([1.0, 1.0]), np.zeros((2, 3)))
+    way = np.array([2.0, -1, 2]) / 3
+    x = np.array([[5.0, 6, 7], [5, 6, 7] + apart * way])
+    found = spacing.braking(x, np.array([closing * way, [0, 0, 0]]))
+    assert_allclose(found, each * np.array([-way, way]), atol=1e-9)
+
+
+def test_a_step_ends_at_a_wall_and_is_itself_away_from_it() -> None:
+    """A plane holds a member a radius off, and its speed towards it is lost."""
+    own = members({"radius": 0.1}, count=2)
+    floor = Colliders([Collider(Plane(), Poses.fixed())])
+    forces = FlockForces(own, None, floor, (), (), np.zeros((2, 2, 3)))
+    v = np.array([[1.0, -2, 0.5], [1, -2, 0.5]])
+    before = np.stack([np.array([[0.0, 0.3, 0], [3, 2, 0]]), v])
+    after = np.stack([before[0] + 0.125 * v, v])
+    found = forces.settle(0.5, 0.125, before, after)
+    assert_allclose(found[0], [[0.125, 0.1, 0.0625], [3.125, 1.75, 0.0625]])
+    assert_allclose(found[1][1], v[1])
+    assert found[1][0, 1] >= 0
+    assert_allclose(found[1][0, [0, 2]], [1, 0.5])
+
+
+def test_who_closes_in_is_slower_at_the_end_of_a_step() -> None:
+    """By the step times what stops both; who is far off keeps the step's speed."""
+    own = members({"radius": 0.1}, count=3)
+    spacing = Spacing(np.array([1.0, 1.0, 1.0]), np.zeros((2, 3)))
+    forces = FlockForces(
+        own, None, Colliders([]), (), (), np.zeros((2, 3, 3)), spacing=spacing
+    )
+    x = np.array([[5.0, 6, 7], [6.7, 6, 7], [50, 6, 7]])
+    before = np.array([[2.0, 0, 0], [0, 0, 0], [1, 1, 1]])
+    v = np.array([[3.0, 0, 0], [0, 0, 0], [2, 2, 2]])
+    each = 0.3 * 9 / (2 * 0.7) / 2
+    found = forces._braked(0.1, before, x, v)
+    expected = [[3 - 0.1 * each, 0, 0], [0.1 * each, 0, 0], [2, 2, 2]]
+    assert_allclose(found, expected, atol=1e-12)
+    settled = forces.settle(0.0, 0.1, np.stack([x, before]), np.stack([x, v]))
+    assert_allclose(settled, [x, expected], atol=1e-12)
+
+
+def test_who_is_moved_apart_is_named_where_a_file_gave_the_place() -> None:
+    """Both are warnings; of the others nobody is told but that there are too many."""
+    model = SpeciesModel.model_validate({"name": "s", "radius": 0.1})
+    rows = np.array([[0.0, 0, 0], [1, 0, 0], [1.05, 0, 0]])
+    for parts, codes in (({"points": rows}, ["SIM147"]), ({}, [])):
+        own = Members([model], [parts], [3], 0.0, rows, 0 * rows)
+        moved = rows + np.array([[0.0, 0, 0], [0, 0, 0], [0.15, 0, 0]])
+        found = own.spread(moved, 0.0)
+        assert [fault.code for fault in found] == codes
+        for fault in found:
+            assert fault.severity is Severity.WARNING
+            assert "1 member would" in fault.message
+            assert "member 2 of 's' first: moved apart, by 0.15 m" in fault.message
+        (crowded,) = own.spread(rows, 0.05)
+        assert (crowded.code, crowded.severity) == ("SIM147", Severity.WARNING)
+        assert "0.05 m nearer" in crowded.message
 
 
 def test_limits_of_turning_and_acceleration() -> None:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from animtool.systems.run import SimulationRun
 from numpy.testing import assert_allclose, assert_array_equal
 from pxr import Usd, UsdGeom, Vt
 from support.simulated import Array, Point, Simulator
@@ -18,9 +19,14 @@ from animtool.motion.frames import MeshFrame
 from animtool.scene.systems.simulation import open_systems
 from animtool.sim.colliders import Box, Collider, Colliders, Plane, Poses, Sphere
 from animtool.sim.colliders.shapes import bounds
-from animtool.systems.fluid.filling import coarse_drops
+from animtool.systems.fluid.filling import (
+    JET,
+    Nozzle,
+    _given_points,
+    coarse_drops,
+)
 from animtool.systems.fluid.fluid import Fluid, Pressed
-from animtool.systems.fluid.spec import FluidModel
+from animtool.systems.fluid.spec import FluidEmitterModel, FluidModel
 from animtool.systems.framework.run import SimulationRun
 
 FRAMES = (np.arange(13) / 24).tolist()
@@ -493,6 +499,87 @@ def test_a_drop_of_too_few_particles_says_so(radius: float, codes: list[str]) ->
         finer = float(str(fault.hint).removeprefix("spacing: "))
         finely = spec.model_copy(update={"spacing": finer})
         assert not list(coarse_drops(finely, [{"shape": Sphere(radius)}]))
+
+
+@pytest.mark.parametrize(("radius", "codes"), [(0.26, ["SIM175"]), (0.27, [])])
+def test_drops_of_a_jet_are_wider_than_it(radius: float, codes: list[str]) -> None:
+    """Rayleigh: 4.508 widths of a jet become a drop, of 1.89 of its radius."""
+    # A ball of as much volume: r³ is 3/4 of the radius squared times the length.
+    assert pytest.approx((0.75 * 4.508 * 2) ** (1 / 3), rel=1e-3) == JET
+    tap = {"radius": radius, "speed": 1}
+    spec = FluidModel.model_validate(
+        {"name": "it", "spacing": 0.1, "tension": WATER, "emitters": [tap]}
+    )
+    found = list(coarse_drops(spec, []))
+    assert [fault.code for fault in found] == codes
+    for fault in found:
+        assert fault.message.startswith("a drop of nozzle 0")
+
+
+def test_a_nozzle_that_is_narrower_than_the_spacing_brings_one_by_one() -> None:
+    """Of 1 m by 5 cm every tenth of a second ten in a row, of 3 cm one."""
+    for size, expected in (
+        ({"size": [1.0, 0.05]}, np.arange(10) * 0.1 - 0.45),
+        ({"size": [0.03, 0.03]}, [0.0]),
+        ({"radius": 0.01}, [0.0]),
+    ):
+        tap = FluidEmitterModel.model_validate({"speed": 1, **size})
+        spec = FluidModel.model_validate(
+            {"name": "it", "spacing": 0.1, "emitters": [{"speed": 1, **size}]}
+        )
+        nozzle = Nozzle(spec, tap, Poses.fixed(), 0.0)
+        found = nozzle.inflow(0.0, 0.05, np.zeros(3), 1000)
+        assert found.missed == 0
+        assert_allclose(found.state[0, :, 0], expected, atol=1e-12)
+        assert_allclose(found.state[0, :, 2], 0, atol=1e-12)
+
+
+def test_points_of_a_file_that_are_no_numbers_are_named_by_their_row() -> None:
+    points = np.zeros((4, 3))
+    points[2, 1] = np.nan
+    (fill,) = FluidModel.model_validate(
+        {"name": "it", "spacing": 0.1, "fills": [{"points": "a.npz"}]}
+    ).fills
+    with pytest.raises(AnimtoolError, match="points of pool: row 2 is not") as error:
+        _given_points(fill, {"points": points}, "pool")
+    assert error.value.faults[0].code == "SIM064"
+    found = _given_points(fill, {"points": points[:2]}, "pool")
+    assert_array_equal(found, np.stack([points[:2], 0 * points[:2]]))
+
+
+@pytest.mark.parametrize(
+    ("opens", "refused"), [([1, 2], False), ([2, 2], False), ([2, 1.5], True)]
+)
+def test_a_nozzle_that_closes_before_it_opens_is_refused(
+    simulator: Simulator, opens: list[float], refused: bool
+) -> None:
+    tap = {"at": [0.3, 1.5, 0.3], "size": [0.2, 0.2], "speed": 1, "opens": [opens]}
+    systems = fluid(emitters=[tap])
+    if not refused:
+        simulator.scene(systems)
+        return
+    with pytest.raises(AnimtoolError, match=r"closes at 1\.5 s, before 2 s") as error:
+        open_systems(simulator.scene(systems).systems, 10.0)
+    assert error.value.faults[0].code == "SIM064"
+
+
+def test_before_its_first_step_nothing_is_dense_or_parted(
+    simulator: Simulator,
+) -> None:
+    """What is reported is the densest of all steps, and the parts of the last."""
+    (run,) = open_systems(simulator.scene(fluid(colliders=[TANK])).systems, 10.0)
+    assert isinstance(run, SimulationRun)
+    own = run.simulation
+    state = own.initial()
+    values = own.diagnostics(state, 0.0).values
+    assert (values["densest"], values["parts"], values["compression"]) == (0, 0, 0)
+    densest = 0.0
+    for k in range(3):
+        state = own.step(state, k / 48, 1 / 48).state
+        values = own.diagnostics(state, (k + 1) / 48).values
+        densest = max(densest, values["compression"])
+        assert values["densest"] == densest < 0.1
+        assert values["parts"] >= 1
 
 
 @pytest.mark.parametrize(

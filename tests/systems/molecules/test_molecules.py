@@ -248,6 +248,7 @@ def test_mixtures_alternate_or_are_mixed() -> None:
 
 
 PLACES = np.array([[0.0, 0, 0], [0.5, 0, 0]])
+FARTHER = np.array([[0.9, 0, 0], [0, 0, 0], [0, 0, 0]])
 
 
 @pytest.mark.parametrize(
@@ -270,6 +271,10 @@ PLACES = np.array([[0.0, 0, 0], [0.5, 0, 0]])
             "atoms 0 and 1 begin 0 nm apart",
         ),
         ({"species": [{**ARGON, "points": 0.1 * PLACES}]}, "begin 0.05 nm apart"),
+        (
+            {"species": [{**ARGON, "points": 0.1 * PLACES[[0, 0, 1]] + FARTHER}]},
+            "atoms 1 and 2 begin 0.05 nm apart",
+        ),
         ({"species": [{**ARGON, "points": PLACES[:, :1]}]}, r"the shape \(2, 1\)"),
         ({"species": [{**ARGON, "velocities": PLACES}]}, "velocities are of points"),
     ],
@@ -358,3 +363,60 @@ def test_what_is_reported_of_a_few_atoms_leaves_out_the_whole() -> None:
     # Half of sigma, as large as a nanometre is shown.
     made = molecules(species=[{**ARGON, "count": 4}], scale=0.5)
     assert_allclose(made.atoms.radii, 0.3405 / 2 * 0.5)
+
+
+def test_a_step_is_judged_by_the_stiffest_kind() -> None:
+    """Of a crystal ω² is 8 k / m; k is how steeply force falls where two rest."""
+    kinds = [
+        {"name": "a", "sigma": 0.3, "epsilon": 0.5, "mass": 20.0, "count": 1},
+        {"name": "b", "sigma": 0.4, "epsilon": 2.0, "mass": 10.0, "count": 1},
+    ]
+    stiffest = 0.0
+    for one in kinds:
+        spec = MoleculesModel(
+            name="it", species=[one], box=[4, 4, 4], cutoff=1.9, switch=1.9, step=0.01
+        )
+        near = 2 ** (1 / 6) * one["sigma"]
+        two = np.zeros(2, np.int32)
+        pulls = []
+        for off in (-1e-6, 1e-6):
+            x = np.array([[2.0, 2, 2], [2, 2 + near + off, 2]])
+            atoms = Atoms(x, 0 * x, np.ones(2), two, np.zeros(2), np.ones(2))
+            pulls.append(Interactions(spec, atoms, Box(spec)).acting(x, x).forces[1, 1])
+        square = 8 * (pulls[0] - pulls[1]) / 2e-6 / one["mass"]
+        stiffest = max(stiffest, np.sqrt(square))
+        made = molecules(species=[one], box=[4, 4, 4], cutoff=1.9)
+        assert made._stiffest == pytest.approx(np.sqrt(square), rel=1e-4)
+    both = molecules(species=kinds, box=[4, 4, 4], cutoff=1.9)
+    assert both._stiffest == pytest.approx(stiffest, rel=1e-4)
+
+
+def test_lattices_have_as_long_cells_along_each_side() -> None:
+    """64 atoms of a face-centred one in 4 by 2 by 2 nm are 16 cells of a nanometre."""
+    species = [{**ARGON, "count": 64}]
+    x = molecules(species=species, box=[4, 2, 2], cutoff=0.8).atoms.points
+    for axis, count in enumerate((8, 4, 4)):
+        expected = 0.25 + 0.5 * np.arange(count)
+        assert_allclose(np.unique(np.round(x[:, axis], 9)), expected)
+    # A block is in the middle of the box, with cells of its own.
+    x = molecules(species=species, box=[4, 4, 4], block=[2, 1, 1]).atoms.points
+    low, high = x.min(axis=0), x.max(axis=0)
+    assert_allclose(low, [1.125, 1.625, 1.625])
+    assert_allclose(high - low, [1.75, 0.75, 0.75])
+    flat = {"box": [1000, 0.1, 0.1], "species": [{**ARGON, "count": 8}]}
+    with raises(AnimtoolError, "SIM071", match="8 atoms fill no lattice"):
+        molecules(**flat)
+
+
+def test_kinds_that_alternate_keep_the_order_of_the_lattice() -> None:
+    both = [{**ARGON, "count": 500}, {**ARGON, "name": "krypton", "count": 500}]
+    x = molecules(species=both, lattice="cubic", box=[5, 5, 5]).atoms.points
+    for kind in (x[:500], x[500:]):
+        assert_array_equal(np.lexsort(kind.T[::-1]), np.arange(500))
+
+
+def test_a_bath_warms_nothing_that_stands_still() -> None:
+    bath = ThermostatModel(temperatures=[[0, 100]], relaxation=0.2)
+    assert bath_factor(bath, 5, 0, 1.0, 0.1, 0.0, 30) == 1.0
+    assert bath_factor(bath, 5, 0, 1.0, 0.1, 2.0, 0) == 1.0
+    assert bath_factor(bath, 5, 0, 1.0, 0.0, 2.0, 30) == 1.0

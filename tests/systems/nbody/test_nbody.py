@@ -8,12 +8,16 @@ from typing import Any
 
 import numpy as np
 import pytest
+from adapters.nbody import _Context, nbody
+from animtool.systems.matter import Bodies
+from animtool.systems.run import Reached, SimulationRun
 from numpy.testing import assert_allclose, assert_array_equal
 from support.faults import raises
 from support.simulated import Simulator
 
 from animtool.core.errors import AnimtoolError, ToleranceError
 from animtool.scene.systems.simulation import open_systems
+from animtool.sim.colliders import Poses
 from animtool.systems.framework.run import Reached, SimulationRun
 from animtool.systems.nbody.galaxies import (
     Profile,
@@ -22,7 +26,8 @@ from animtool.systems.nbody.galaxies import (
     enclosed,
     on_orbit,
 )
-from animtool.systems.nbody.spec import EncounterModel, GalaxyModel
+from animtool.systems.nbody.nbody import ADVISED, PHASE, Nbody
+from animtool.systems.nbody.spec import EncounterModel, GalaxyModel, NbodyModel
 
 DISC = {"count": 700, "mass": 1, "radius": 1, "cutoff": 4}
 BULGE = {"count": 150, "mass": 0.3, "radius": 0.2}
@@ -198,6 +203,19 @@ def test_a_file_may_hold_no_bodies(simulator: Simulator) -> None:
     assert_array_equal(run.at(0.0).points, TWO)
 
 
+def test_bodies_are_drawn_with_the_radii_that_they_are_given(
+    simulator: Simulator,
+) -> None:
+    """2 cm without one, of files and of galaxies."""
+    points = [
+        {"name": n, "nucleus": 1, "at": [9, y, 0]} for n, y in (("a", 0), ("b", 5))
+    ]
+    given = [{"points": TWO}, {"points": TWO + 3, "radius": 0.3}]
+    points[0]["radius"] = 0.7
+    run = opened(simulator, bodies=given, galaxies=points)
+    assert_allclose(run.at(0.0).radii, [0.02, 0.02, 0.3, 0.3, 0.7, 0.02])
+
+
 @pytest.mark.parametrize(
     ("mass", "text"),
     [(0, "0 is not above 0"), (-1, "-1 is not above 0"), (1e-320, "is below 1e-36")],
@@ -310,3 +328,130 @@ def test_two_of_unequal_mass_meet_about_their_centre_of_mass() -> None:
     turning = np.linalg.norm(np.cross(y - x, w - v))
     assert turning == pytest.approx(np.sqrt(2 * 2 * 4 * 0.5))
     assert (y - x) @ (w - v) < 0
+
+
+@pytest.mark.parametrize(
+    ("kind", "mass"), [("disc", 3.0), ("bulge", 0.25), ("halo", 7.0)]
+)
+def test_as_much_is_within_radii_as_the_profile_says(kind: str, mass: float) -> None:
+    """Shares of the mass within each body's radius are even from 0 to 1."""
+    part = {"count": 4000, "mass": mass, "radius": 0.8, "cutoff": 4}
+    galaxy = GalaxyModel.model_validate({"name": "it", kind: part, "seed": 2})
+    made = build_galaxy(galaxy, 2.0, 0.0)
+    x = made.points - made.points.mean(axis=0)
+    r = np.linalg.norm(x[:, [0, 2]] if kind == "disc" else x, axis=1)
+    shares = np.sort(enclosed(getattr(galaxy, kind), r)) / mass
+    # Kolmogorov and Smirnov: in one of a thousand samples it is more.
+    assert np.abs(shares - (np.arange(4000) + 0.5) / 4000).max() < 1.95 / np.sqrt(4000)
+    assert made.masses.sum() == pytest.approx(mass)
+
+
+def test_a_step_is_advised_by_how_soon_a_body_would_reach_the_centre() -> None:
+    """Of two bodies d³/(G M) is the square of that time, however unequal they are."""
+    x = np.array([[1.0, 2, 3], [1, 6, 3]])
+    made = nbody(
+        x, np.array([[9.0, 0, 0], [0, 0, -2]]), np.array([3.0, 1.0]), 2.0, 0.0, 0.01
+    )
+    assert made._potential(made.initial(), 0.0) == pytest.approx(-2 * 3 * 1 / 4)
+    expected = ADVISED * np.sqrt(4.0**3 / (2 * 4.0))
+    assert made._advised(made.initial(), 0.0) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(
+    ("phase", "parts"), [(0.0, 1), (0.99, 1), (1.5, 2), (4.0, 4), (4.1, 8), (64.5, 128)]
+)
+def test_a_step_is_parted_until_the_closest_pair_turns_little(
+    phase: float, parts: int
+) -> None:
+    """A power of two; what is beyond the most parts is told by twice as many."""
+    x = np.array([[0.0, 0, 0], [4, 0, 0]])
+    made = nbody(x, 0 * x, np.ones(2), 2.0, 0.1, 0.01, substeps=64)
+    rates = np.array([0.0, (phase * PHASE / 0.02) ** 2])
+    assert made._parts(rates, 0.02) == parts
+    assert made._parts(rates[:0], 0.02) == 1
+    # A method that finds its steps by itself parts none.
+    adaptive = nbody(x, 0 * x, np.ones(2), 2.0, 0.1, 0.01, method="rk45")
+    assert adaptive._parts(rates, 0.02) == 1
+
+
+def test_a_step_that_ends_where_two_are_close_is_done_again_in_parts() -> None:
+    """Far apart as it begins; in the end ω² is G M / r³, of which it takes four."""
+    x = np.array([[1.0, 0.1, 0], [-1, -0.1, 0]])
+    v = np.array([[-10.0, 0, 0], [10, 0, 0]])
+    made = nbody(x, v, np.array([0.015, 0.005]), 1.0, 0.0, 0.1)
+    state = made.initial()
+    assert made._parts(state.pulls.rates, 0.1) == 1
+    after = made.step(state, 0.0, 0.1)
+    assert (after.encounters, after.divided) == (1, 4)
+    assert np.linalg.norm(np.subtract(*after.motion[0])) == pytest.approx(0.2, rel=0.01)
+    again = made.step(after, 0.1, 1e-4)
+    assert (again.encounters, again.divided) == (1, 4)
+
+
+def test_what_attracts_from_outside_counts_in_energies_and_accelerations() -> None:
+    """Of two bodies and a mass of 5 at (3, 0, 0), softened by 4 and by nothing."""
+    spec = NbodyModel.model_validate(
+        {
+            "name": "it", "gravity_constant": 2, "softening": 0, "step": 0.01,
+            "bodies": [{"points": "a.npz#x", "mass": 2}],
+            "attractors": [{"mass": 5, "softening": 4, "at": [3, 0, 0]}],
+        }
+    )  # fmt: skip
+    x, v = np.array([[0.0, 0, 0], [0, 0, 8]]), np.array([[1.0, 2, 0], [0, 1, 3]])
+    parts = {
+        "bodies": [{"points": x, "velocities": v}],
+        "attractors": [{"poses": Poses.fixed((3.0, 0.0, 0.0))}],
+    }
+    made = Nbody(spec, _Context(parts))
+    state = made.initial()
+    found = made._quantities(state, 0.0)
+    far = np.array([5.0, np.sqrt(9 + 64 + 16)])
+    potentials = -2 * 2 / 8 - 2 * 5 / far
+    assert_allclose(found["energy"](), np.array([2.5, 5.0]) + potentials)
+    pull = (2 * 5 / far**3)[:, None] * ([3.0, 0, 0] - x)
+    pull += 2 * 2 / 8**2 * np.array([[0.0, 0, 1], [0, 0, -1]])
+    assert_allclose(found["acceleration"](), np.linalg.norm(pull, axis=1))
+    # Of the pair one half is each body's; what is outside acts on masses.
+    expected = -2 * 2 * 2 / 8 - 2 * (2 * 5 / far).sum()
+    assert made._potential(state, 0.0) == pytest.approx(expected)
+    momenta = [[2, 6, 6], [-16, 0, 0]]
+    assert_allclose(made._momenta(state), momenta)
+
+
+@pytest.mark.parametrize(
+    ("accuracy", "count", "tree"),
+    [(2e-4, 1000, False), (2e-4, 1001, True), (2e-2, 159, True), (2e-2, 158, False)],
+)
+def test_a_tree_is_for_as_many_bodies_as_an_accuracy_asks(
+    accuracy: float, count: int, tree: bool
+) -> None:
+    """A thousand at 2e-4; a hundredfold error with a 0.4th power of it as many."""
+    x = np.random.default_rng(1).normal(size=(count, 3))
+    made = nbody(x, 0 * x, np.ones(count), 1.0, 0.1, 0.01, accuracy=accuracy)
+    assert made.tree is tree
+
+
+@pytest.mark.parametrize(("accuracy", "tree"), [(1e-6, True), (0.99e-6, False)])
+def test_finer_than_single_precision_is_summed_directly(
+    accuracy: float, tree: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("animtool.systems.nbody.nbody.CROSSOVER", 1.0)
+    x = np.random.default_rng(1).normal(size=(50, 3))
+    made = nbody(x, 0 * x, np.ones(50), 1.0, 0.1, 0.01, accuracy=accuracy)
+    assert made.tree is tree
+
+
+def test_one_body_beyond_numbers_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As of a galaxy that is so far away that its place is none."""
+    spec = NbodyModel.model_validate(
+        {
+            "name": "it", "step": 0.01, "bodies": [{"points": "a.npz"}],
+            "galaxies": [{"name": "far", "nucleus": 1}],
+        }
+    )  # fmt: skip
+    context = _Context({"bodies": [{"points": TWO}]})
+    far = Bodies(np.array([[np.inf, 0, 0]]), np.zeros((1, 3)), np.ones(1))
+    monkeypatch.setattr("animtool.systems.nbody.nbody.built_galaxies", lambda _: [far])
+    with pytest.raises(AnimtoolError, match="numbers overflow") as error:
+        Nbody(spec, context)
+    assert error.value.faults[0].code == "SIM070"

@@ -13,6 +13,7 @@ from animtool import _kernels
 from animtool.core.array_types import ArrayLike, FloatArray
 from animtool.core.errors import OptionError
 from animtool.sim import IntegrateOptions
+from animtool.sim.colliders import Colliders
 from animtool.systems.particles import (
     FORCES,
     Emitter,
@@ -22,6 +23,7 @@ from animtool.systems.particles import (
     ParticleState,
     find_force,
 )
+from animtool.systems.particles.moving import ParticleForces
 
 # One of each kind that does something.
 EXAMPLES: dict[str, dict[str, object]] = {
@@ -259,3 +261,50 @@ def test_the_energy_of_a_centre_is_the_work_against_it(
     two = replace(some(2), masses=np.array([2.0, 2.0]))
     near, far = force.potential(np.array([[0.0, 1, 0], [3, 0, 0]]), two)
     assert far - near == pytest.approx(2 * 5 * energy)
+
+
+def state_of(masses: list[float], charges: list[float]) -> ParticleState:
+    """Return particles of masses [kg] and charges [C]."""
+    count = len(masses)
+    return ParticleState(
+        np.arange(count), np.array(masses), np.array(charges), np.ones(count),
+        np.zeros(count), np.full(count, np.inf), np.zeros((count, 3)),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("linear", "quadratic", "share"),
+    [(0.5, 0.0, 0.5), (0.0, 2.0, 6.0), (0.5, 1.0, 3.5), (0.5, 2.0, 6.5)],
+)
+def test_drag_is_linear_and_quadratic_at_once(
+    linear: float, quadratic: float, share: float
+) -> None:
+    """At 3 m/s off every axis: a part of the velocity, against it."""
+    v = np.array([[1.0, -2, 2]])
+    drag = find_force("drag")(linear=linear, quadratic=quadratic)
+    found = drag.force(0.0, 0 * v, v, state_of([5.0], [0.0]))
+    assert_allclose(found, -share * v)
+
+
+def test_the_fastest_motions_are_those_of_the_lightest() -> None:
+    """Of springs ω² is k / m; of a field what turns is the charge over the mass."""
+    own = state_of([4.0, 3.0], [0.5, -0.9])
+    spring = find_force("spring")(anchor=(0, 0, 0), k=12.0, kd=2.0)
+    field = find_force("electromagnetic")(magnetic=(0.0, 3.0, 4.0))
+    drag = find_force("drag")(linear=6.0)
+    state = np.zeros((2, 2, 3))
+    for forces, rows in (
+        ([spring], [(2.0, 2 / 3 / (2 * 2.0))]),
+        ([spring, spring], [(np.sqrt(8), 4 / 3 / (2 * np.sqrt(8)))]),
+        ([field], [(1.5, 0.0)]),
+        ([field, spring], [(1.5, 0.0), (2.0, 1 / 6)]),
+        ([drag], [(2.0, 1.0)]),
+    ):
+        setup = Particles([Emitter()], forces)
+        found = ParticleForces(setup, Colliders([]), own, state).frequencies(0.0, state)
+        assert found is not None
+        assert_allclose(found, rows)
+    still = ParticleForces(
+        Particles([Emitter()], []), Colliders([]), own, state
+    ).frequencies(0.0, state)
+    assert still is None

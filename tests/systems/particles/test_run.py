@@ -323,3 +323,27 @@ def test_time_does_not_run_backwards() -> None:
     with pytest.raises(OptionError) as error:
         run.at(0.2)
     assert error.value.code == "SIM002"
+
+
+def test_energies_beyond_numbers_are_none_without_a_warning() -> None:
+    """A state may hold any masses: one high up and one far below sum to no number."""
+    setup = Particles([Emitter(bursts=[(0, 2)])], [GRAVITY])
+    run = ParticleRun(setup)
+    run.at(0.5)
+    state = run.state.state
+    heavy = replace(state.particles, masses=np.array([1e308, 1e308]))
+    places = np.array([[[0.0, 1e6, 0], [0, -1e6, 0]], np.zeros((2, 3))])
+    found = run.simulation.diagnostics(
+        replace(state, particles=heavy, state=places), 0.5
+    ).energy
+    assert found is not None
+    assert np.isnan(found.potential)
+    # Of those that there are: masses count, and each by itself.
+    light = replace(state.particles, masses=np.array([2.0, 3.0]))
+    places = np.array([[[0.0, 5, 0], [1, -2, 0]], [[1.0, 2, 2], [0, 0, 4]]])
+    found = run.simulation.diagnostics(
+        replace(state, particles=light, state=places), 0.5
+    ).energy
+    assert found is not None
+    assert found.kinetic == pytest.approx(2 * 9 / 2 + 3 * 16 / 2)
+    assert found.potential == pytest.approx(9.81 * (2 * 5 - 3 * 2), rel=1e-3)

@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 from support.rigid import Rigid, box
 
+from animtool.systems.rigid.locked import _loops
+
 X, Y, Z = [1, 0, 0], [0, 1, 0], [0, 0, 1]
 
 
@@ -86,3 +88,23 @@ def test_hinges_of_a_door_have_one_axis(tmp_path: Path, lean: float) -> None:
     found = Rigid(tmp_path, box((0.8, 2, 0.04)), joints=joints)
     said = [one for one in found.run.notices if one.code == "SIM172"]
     assert len(said) == (2 if lean else 0)
+
+
+@pytest.mark.parametrize(
+    ("ends", "loops"),
+    [
+        ([(0, 1), (1, 2)], []),  # a chain
+        ([(-1, 0), (0, 1)], []),  # one that hangs
+        ([(0, 1), (0, 1)], [[0, 1]]),
+        ([(0, 1), (1, 2), (2, 0), (2, 3)], [[0, 1, 2]]),  # with a branch
+        ([(-1, 0), (0, 1), (-1, 1)], [[0, 1, 2]]),  # through the world
+        ([(-1, 0), (-1, 0), (-1, 1), (-1, 1)], [[0, 1], [2, 3]]),  # each its own
+        ([(0, 1), (2, 3), (0, 1), (2, 3), (1, 2)], [[0, 1, 2, 3, 4]]),
+        ([], []),
+    ],
+)
+def test_loops_are_of_joints_without_ends_that_are_open(
+    ends: list[tuple[int, int]], loops: list[list[int]]
+) -> None:
+    rows = np.array([(0, *each) for each in ends], np.int64).reshape(-1, 3)
+    assert _loops(rows, 4) == loops

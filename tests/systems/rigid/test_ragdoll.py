@@ -31,7 +31,7 @@ from animtool.sim.colliders import Box, Plane, Poses, Shape
 from animtool.sim.colliders import Capsule as Shaft
 from animtool.sim.colliders import Collider as Obstacle
 from animtool.systems.rigid.cores import core_of, solid_of
-from animtool.systems.rigid.ragdoll import RagdollOptions
+from animtool.systems.rigid.ragdoll import RagdollOptions, _frames
 from animtool.systems.rigid.shared import RigidState
 from animtool.systems.rigid.simulation import RigidSimulation
 from animtool.systems.rigid.take_pass import ragdoll
@@ -382,3 +382,24 @@ def test_a_collider_without_a_size_is_refused() -> None:
 def test_a_rig_without_colliders_is_refused() -> None:
     with raises(OptionError, "SIM062"):
         fallen(still(replace(chain(), colliders=())))
+
+
+@pytest.mark.parametrize("rooted", [True, False])
+def test_a_slide_is_measured_from_where_it_is_at_rest(rooted: bool) -> None:
+    """Of a root and of a child alike: its frame is not where it slid to.
+
+    Others turn about where they are.
+    """
+    slide = Joint(
+        "slide", -1 if rooted else 0, JointType.PRISMATIC, translation=(1.0, 2.0, 3.0)
+    )
+    joints = (slide,) if rooted else (Joint("base", -1, JointType.FREE), slide)
+    rig = Rig("one", (*joints, Joint("ball", len(joints) - 1, JointType.BALL)))
+    turn = so3.exp(np.array([0.0, np.pi / 2, 0.0]))
+    positions = np.array([[5.0, 0, 0], [9, 9, 9], [7, 8, 6]])[-len(rig.joints) :]
+    turns = np.tile(turn, (len(rig.joints), 1))
+    which = np.arange(len(rig.joints))[-2:]
+    frames, _ = _frames(rig, positions, turns, which)
+    expected = [1, 2, 3] if rooted else [5 + 3, 2, -1]
+    assert_allclose(frames[0, :3], expected, atol=1e-12)
+    assert_allclose(frames[1, :3], [7, 8, 6])

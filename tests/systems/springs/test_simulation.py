@@ -764,3 +764,30 @@ def test_only_what_a_scene_has_is_loaded(walk: Path, tmp_path: Path) -> None:
     assert set(springs).intersection(specs) == {"animtool.systems.springs.spec"}
     assert set(particles).intersection(specs) == {"animtool.systems.particles.spec"}
     assert {p.stem for p in tmp_path.glob("*.usdc")} == {"plain", "rope", "rain"}
+
+
+@pytest.mark.parametrize(
+    ("diagonals", "across"),
+    [
+        ("", 0),
+        (", diagonals: {stiffness: 90}", 12),
+        (", diagonals: {stiffness: 90, ways: both}", 12),
+        (", diagonals: {stiffness: 90, ways: one}", 6),
+    ],
+)
+def test_cloth_has_a_spring_a_cell_or_two_that_cross(
+    tmp_path: Path, diagonals: str, across: int
+) -> None:
+    """Of four by three particles: 17 between neighbours, and a cell for six."""
+    text = (
+        "- cloth:\n    corner: [0, 0, 0]\n    across: [3, 0, 0]\n    up: [0, 2, 0]\n"
+        "    resolution: [4, 3]\n    mass: 1\n"
+        f"    springs: {{structural: {{stiffness: 100}}{diagonals}}}\n"
+    )
+    (run,) = open_systems(load_scene(written(tmp_path, text)).systems, 0.0)
+    run.at(0.0)
+    springs = run.run.simulation.system.body.springs
+    longer = springs.rest > 1.1
+    assert (int((~longer).sum()), int(longer.sum())) == (17, across)
+    np.testing.assert_allclose(springs.rest[longer], np.sqrt(2))
+    np.testing.assert_allclose(springs.stiffness[longer], 90)

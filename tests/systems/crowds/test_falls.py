@@ -1,0 +1,109 @@
+"""People who are knocked down: how they fly, when they rest, and their poses."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from animtool.maths import so3
+from animtool.rig.kinematics import WorldTransforms, forward
+from animtool.rig.skeleton import Rig
+from animtool.sim.colliders import Colliders
+from animtool.systems.crowds.falls import GRAVITY, REST_TIME, Falling, Falls, resting
+from animtool.systems.crowds.ground import Frame, Ground
+
+STEP = 1 / 96
+
+
+@pytest.fixture(scope="module")
+def biped(root: Path) -> Rig:
+    return Rig.load(root / "rigs/biped/biped.rig.yaml")
+
+
+def falling(rig: Rig) -> Falling:
+    """Return what moves two of a rig over a level ground that is turned about y."""
+    frame = Frame(np.array([1.0, 0.0, 2.0]), so3.exp(np.array([0.0, 0.7, 0.0])))
+    return Falling([rig, rig], frame, Ground(), Colliders([]), STEP)
+
+
+def pose(rig: Rig, place: list[float]) -> WorldTransforms:
+    """Return the rest pose of a rig, its first joint at a place, turned about y."""
+    places, turns = rig.rest_translations.copy(), rig.rest_rotations.copy()
+    places[0] = place
+    turns[0] = so3.multiply(so3.exp(np.array([0.0, 0.4, 0.0])), turns[0])
+    return forward(rig, places[None], turns[None])
+
+
+def thrown(rig: Rig, speed: list[float]) -> tuple[Falling, Falls]:
+    """Return one who begins to fall high up with a speed [m/s]."""
+    own = falling(rig)
+    first = np.array([3.0, 50.0, -2.0])
+    pair = [pose(rig, (first + k * STEP * np.array(speed)).tolist()) for k in (0, 1)]
+    begun = own.begun(own.none(), np.array([1]), [pair[0]], [pair[1]], STEP)
+    return own, begun
+
+
+def world(rig: Rig, own: Falling, falls: Falls) -> np.ndarray:
+    places, turns = own.poses(falls, 0)
+    return np.asarray(forward(rig, places[None], turns[None]).positions[0])
+
+
+def test_who_is_thrown_flies_as_a_stone_does(biped: Rig) -> None:
+    """All joints by the speed and half of g times the square of the time."""
+    speed = [2.0, 5.0, -1.0]
+    own, falls = thrown(biped, speed)
+    assert falls.agents.tolist() == [1]
+    begun = world(biped, own, falls)
+    assert_allclose(begun, falls.positions[0], atol=1e-9)
+    count = 24
+    for k in range(count):
+        falls = own.step(falls, k * STEP, STEP)
+    t = count * STEP
+    flown = world(biped, own, falls) - begun
+    expected = np.array(speed) * t - np.array([0, GRAVITY * t * t / 2, 0])
+    # Steps of 2.5 ms fall by half of one more.
+    assert_allclose(flown, np.broadcast_to(expected, flown.shape), atol=0.02)
+    # Who looks twice sees the same, and another time another one.
+    assert_allclose(world(biped, own, falls), begun + flown)
+    assert np.abs(world(biped, own, own.step(falls, t, STEP)) - begun - flown).max() > 0
+
+
+def test_who_is_slow_for_long_rests(biped: Rig) -> None:
+    """From rest one is slow for a step, as g times the step is below 15 cm/s."""
+    own, falls = thrown(biped, [0.0, 0.0, 0.0])
+    assert falls.slow.tolist() == [0.0]
+    falls = own.step(falls, 0.0, STEP)
+    assert falls.slow.tolist() == [pytest.approx(STEP)]
+    assert not resting(falls).any()
+    falls = own.step(falls, STEP, STEP)
+    assert falls.slow.tolist() == [0.0]
+    still = Falls(
+        falls.agents, falls.positions, falls.turns, falls.motion, np.array([REST_TIME])
+    )
+    assert resting(still).tolist() == [True]
+    after = own.step(still, 2 * STEP, STEP)
+    assert_allclose(after.motion, still.motion, rtol=0, atol=0)
+    assert after.slow.tolist() == [REST_TIME]
+
+
+def test_who_fell_lies_on_the_ground_and_rests(biped: Rig) -> None:
+    """Dropped by half a metre: still within three seconds, and nothing is below."""
+    own = falling(biped)
+    standing = pose(biped, [3.0, 1.4, -2.0])
+    tilt = so3.to_matrix(so3.exp(np.array([0.0, 0.0, 0.6])))
+    at = standing.positions[0, 0]
+    leaning = WorldTransforms(
+        (standing.positions - at) @ tilt.T + at, tilt @ standing.linear
+    )
+    falls = own.begun(own.none(), np.array([0]), [leaning], [leaning], STEP)
+    for k in range(3 * 96):
+        falls = own.step(falls, k * STEP, STEP)
+        if resting(falls).all():
+            break
+    assert resting(falls).all()
+    heights = world(biped, own, falls)[:, 1]
+    assert heights.max() < 0.6
+    assert heights.min() > -0.05
