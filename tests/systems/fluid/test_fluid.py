@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from animtool.systems.run import SimulationRun
 from numpy.testing import assert_allclose, assert_array_equal
 from pxr import Usd, UsdGeom, Vt
 from support.simulated import Array, Point, Simulator

@@ -9,8 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 from adapters.nbody import _Context, nbody
-from animtool.systems.matter import Bodies
-from animtool.systems.run import Reached, SimulationRun
 from numpy.testing import assert_allclose, assert_array_equal
 from support.faults import raises
 from support.simulated import Simulator
@@ -18,6 +16,7 @@ from support.simulated import Simulator
 from animtool.core.errors import AnimtoolError, ToleranceError
 from animtool.scene.systems.simulation import open_systems
 from animtool.sim.colliders import Poses
+from animtool.systems.framework.matter import Bodies
 from animtool.systems.framework.run import Reached, SimulationRun
 from animtool.systems.nbody.galaxies import (
     Profile,
