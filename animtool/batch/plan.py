@@ -14,6 +14,7 @@ from animtool.batch.item import Item
 from animtool.batch.ledger import History
 from animtool.batch.manifest import FileRecord, ItemRecord, digest_of, file_digest
 from animtool.batch.spec import made_by, named_from, place_of
+from animtool.core.arguments import argument
 from animtool.core.errors import Fault, FormatError, OptionError, OutputError
 from animtool.core.files.output import name_key
 from animtool.core.files.reading import FileState, Places
@@ -235,7 +236,13 @@ def check_overwrites(
 ) -> None:
     """Refuse to replace files that no run of the batch made."""
     faults = [
-        Fault("OUT001", "already exists", str(path), (), "--overwrite replaces it")
+        Fault(
+            "OUT001",
+            "already exists",
+            str(path),
+            (),
+            f"{argument('overwrite', True)} replaces it",
+        )
         for item in items
         for path in batch.outputs(item)
         if path.exists() and not known(path)

@@ -31,6 +31,7 @@ from animtool.batch.work import (
     needed_modules,
     serve,
 )
+from animtool.core.arguments import argument
 from animtool.core.errors import Fault, OutputError
 from animtool.core.files.leftovers import remove_leftovers
 from animtool.core.process.signals import without_interrupts
@@ -192,7 +193,7 @@ class _Pool:
             message = f"the process that made it {_how_it_ended(worker.process)}"
             hint = _HINTS.get(code)
             if self.limits.memory is not None:
-                hint = hint and f"raise --memory-limit; {_RESUME}"
+                hint = hint and f"raise {argument('memory_limit')}; {_RESUME}"
             yield self._lost(worker, Fault("BAT020", message, hint=hint))
 
     def _failed_to_start(self, worker: _Worker) -> None:

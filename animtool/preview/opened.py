@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from animtool.clip.clip import Clip
+from animtool.core.arguments import argument, flag
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import (
     Fault,
@@ -46,7 +47,8 @@ if TYPE_CHECKING:
 
 # Kinds of files that hold nothing to be seen by themselves, and what shows them.
 _UNSEEN = {
-    "targets": "animtool ik RIG --targets FILE -o OUT.usda solves them; look at that",
+    "targets": f"animtool ik RIG {flag('targets', 'FILE')} -o OUT.usda solves "
+    "them; look at that",
     "batch": "look at what it bakes",
     "cameras": "look at what it is used for",
     "landmarks": "look at what it is used for",
@@ -251,7 +253,7 @@ def _other_takes(path: Path, stream: TakeStream) -> list[Fault]:
         return []
     shown = stream.details.get("take")
     message = f"take {shown!r} is shown of {counted(len(names), 'take')}"
-    hint = f"--take shows another: {listed(names)}"
+    hint = f"{argument('source.take')} shows another: {listed(names)}"
     return [Fault("PRV101", message, str(path), (), hint, Severity.NOTE)]
 
 

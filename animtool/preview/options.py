@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from animtool.core.arguments import argument
 from animtool.core.options import option
 from animtool.core.shot import FrameRange
 from animtool.scene.sources.open import SourceOptions
@@ -27,13 +28,13 @@ class PreviewOptions:
     frame_range: FrameRange | None = option(
         None,
         "range",
-        "--frames",
+        flag="frames",
         help="Frames to show, such as 1-240, 1-240x2 or 12.  [default: all]",
     )
     findings: bool = option(
         True,
         "answer",
-        "--no-findings",
-        help="Whether findings of validate are on the page.  [default: --findings]",
+        help="Whether findings of validate are on the page.  [default: "
+        f"{argument('findings')}]",
     )
     variables: Mapping[str, str] = field(default_factory=dict)

@@ -10,6 +10,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
+from animtool.core.arguments import argument
 from animtool.core.config import find_config
 from animtool.core.errors import Fault, OptionError, Severity, listed, refuse_warnings
 from animtool.core.files.output import check_outputs, sparing_inputs, together
@@ -202,7 +203,10 @@ def plan_output(
         up = options.to_up or streams[0].rig.up
         streams = [reorient(stream, up) for stream in streams]
     if options.root_motion and not streams[0].rig.joints:
-        message = "--root-motion skelroot carries a joint's motion, and there is none"
+        message = (
+            f"{argument('root_motion', True)} carries a joint's motion, and there "
+            "is none"
+        )
         raise OptionError(Fault("CLI002", message, str(sources[0])))
     names = [take_name(options, sources[0]) if library else ""]
     if len(sources) > 1:
@@ -272,7 +276,10 @@ def _check_count(count: int, options: BakeOptions) -> None:
     elif options.shot is not None and count > 1:
         message = "a shot shows one take, and there are several"
     elif options.deform and count > 1:
-        message = "--deform writes the points of one take, and there are several"
+        message = (
+            f"{argument('deform', True)} writes the points of one take, and there "
+            "are several"
+        )
     if message:
         raise OptionError(Fault("CLI002", message))
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 from animtool.clip.reduction.tolerance import KEY_TOLERANCE
+from animtool.core.arguments import argument
 from animtool.core.clock import Clock, FrameSpan
 from animtool.core.errors import Fault, OptionError, Severity, listed, refuse_warnings
 from animtool.core.files.output import (
@@ -120,12 +121,16 @@ def convert(
     """
     source, output = Path(source), Path(output)
     _check_name(output)
-    given = {"--reduce": reduce, "--reduce-at": reduce_at, "--base": base}
+    given = {
+        argument("reduce"): reduce,
+        argument("reduce_at"): reduce_at,
+        argument("base"): base,
+    }
     to_clip = _is_clip(output)
     for name, value in given.items():
         if value and not to_clip:
             message = f"{name} is for keys, and this output holds samples"
-            hint = "write a .clip.yaml, or bake with --reduce"
+            hint = f"write a .clip.yaml, or bake with {argument('reduce')}"
             raise OptionError(Fault("CLI004", message, str(output), (), hint))
     if is_usd(output):
         return _to_usd(source, output, options, overwrite, strict, progress, opener)

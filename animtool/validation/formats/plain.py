@@ -16,6 +16,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TypeAlias
 
+from animtool.core.arguments import argument
 from animtool.core.errors import Fault, FormatError, Severity, counted
 from animtool.core.files.reading import read_input
 from animtool.core.junit import JunitCase, junit_xml
@@ -112,7 +113,11 @@ def summary(report: Report) -> str:
         if (count := report.count(severity))
     ]
     files = counted(len(report.files), "file")
-    fixable = f", --fix mends {len(report.fixable)}" if report.fixable else ""
+    fixable = (
+        f", {argument('fix', True)} mends {len(report.fixable)}"
+        if report.fixable
+        else ""
+    )
     return f"{files}: {', '.join(parts) or 'nothing found'}{fixable}"
 
 
