@@ -237,7 +237,7 @@ def _value(scope: _Scope, name: str) -> Any:
     else:
         value = next((_own(own, first) for own in scope if _has(own, first)), None)
     for other in others:
-        value = None if value is None else _own(value, other)
+        value = _own(value, other) if _has(value, other) else None
     return value
 
 
