@@ -1,7 +1,7 @@
 """The one renderer of reports: a record and templates of lines in, lines out.
 
 A template is a line with fields of the record in braces, each with how it is printed
-behind a colon (`PRINTED`, else as `format` has it)::
+behind a colon (`PRINTED`, with its width last, else as `format` has it)::
 
     "  joints    {joints:n joint} below {roots:list 4}[, {channels:n channel}]"
 
@@ -75,7 +75,10 @@ Printers: TypeAlias = Mapping[str, Callable[..., str]]
 
 
 def render(
-    record: object, lines: Sequence[Line], printers: Printers | None = None
+    record: object,
+    lines: Sequence[Line],
+    printers: Printers | None = None,
+    **facts: object,
 ) -> list[str]:
     """Return the lines of a record.
 
@@ -83,12 +86,15 @@ def render(
         record: A dataclass or a mapping.
         lines: Its templates.
         printers: More of `PRINTED`, which these templates have alone.
+        facts: What they name beside the fields of the record.
 
     >>> render({"path": "a.bvh", "joints": 1, "odd": []}, ["{path}: {joints:n joint}", \
 "  odd  [{odd:list}|nothing]"])
     ['a.bvh: 1 joint', '  odd  nothing']
     """
-    return list(_Renderer({**PRINTED, **(printers or {})}).lines((record,), lines))
+    return list(
+        _Renderer({**PRINTED, **(printers or {})}).lines((facts, record), lines)
+    )
 
 
 _Scope: TypeAlias = tuple[Any, ...]  # records, the innermost first
@@ -160,7 +166,8 @@ class _Renderer:
             return None
         word, *arguments = field.spec.split(" ")
         if word in self.printers:
-            return self.printers[word](value, *arguments) or None
+            width = arguments.pop() if arguments and arguments[-1][0] in "<>" else ""
+            return format(self.printers[word](value, *arguments), width) or None
         return format(value, field.spec)
 
 
@@ -269,6 +276,7 @@ def _digits(printer: Callable[..., str], scale: float = 1.0) -> Callable[..., st
 # How values are printed, by the first word of a template; others are arguments.
 PRINTED: dict[str, Callable[..., str]] = {
     "n": _count,
+    "len": lambda value: str(len(value)),
     "total": lambda value: str(sum(value.values())),
     "counts": lambda value: ", ".join(counted(n, noun) for noun, n in value.items()),
     "spans": lambda value: listed([span_label(*span) for span in value]),
