@@ -12,10 +12,11 @@ from animtool.batch.item import values_text
 from animtool.batch.report import BatchReport, ItemReport
 from animtool.batch.run import Listener
 from animtool.batch.work import Status
-from animtool.cli.console import Console, columns
+from animtool.cli.console import Console
 from animtool.core.arguments import Calling
 from animtool.core.errors import AnimtoolError, Fault, counted
 from animtool.core.quantities import escaped, json_printed, length_text
+from animtool.report.text import columns
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
