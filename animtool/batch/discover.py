@@ -354,7 +354,7 @@ class _Items:
         """Note an output with an unsafe name, at the file that states the name."""
         spec, name = self.spec, error.name
         source: Path | None = shot.media.path
-        hint = "rename the input, or leave the name out of -o"
+        hint = f"rename the input, or leave the name out of {argument('output')}"
         if name in shot.names:
             source = spec.cuts
             hint = "rename it in the edit, or write {shot}, which is always legal"
@@ -375,7 +375,7 @@ def _check_roots(spec: BatchSpec, items: Sequence[Item]) -> None:
         return
     folders = dict.fromkeys(folder for item in items for folder in item.folders)
     shown = listed([str(root) for root in spec.roots])
-    hint = "give -o, or add the folder to roots in animtool.toml"
+    hint = f"give {argument('output')}, or add the folder to roots in animtool.toml"
     faults = [
         Fault("DOC014", f"{str(folder)!r} is outside of {shown}", place, (), hint)
         for folder in folders

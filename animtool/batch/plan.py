@@ -189,7 +189,8 @@ def _clashes(
             where = place(path)
             if where in inputs:
                 message = "is an input of this very batch"
-                yield Fault("OUT003", message, str(path), (), "name another -o")
+                hint = f"name another {argument('output')}"
+                yield Fault("OUT003", message, str(path), (), hint)
             name = name_key(where)
             other = taken.setdefault(name, item)
             if other is not item:
@@ -205,9 +206,9 @@ def _clashes(
 def _apart(item: Item, other: Item) -> str:
     """Return what keeps the outputs of two items apart."""
     if item.shot is not None and item.shot != other.shot:
-        return "{shot} in -o keeps the shots apart"
+        return f"{{shot}} in {argument('output')} keeps the shots apart"
     if item.file != other.file:
-        return "{parent} in -o keeps the folders of inputs apart"
+        return f"{{parent}} in {argument('output')} keeps the folders of inputs apart"
     differing = [k for k, v in item.values.items() if other.values.get(k) != v]
     if not differing:
         return "these values are given twice: leave one out"

@@ -149,7 +149,7 @@ class ReportOptions:
         "output",
         short="-o",
         goes_with="fix",
-        lacking=f"-o {_FOR_FIX}",
+        lacking=f"{argument('output')} {_FOR_FIX}",
         help=f"With {argument('fix', True)} and one USD file: write the repaired "
         "copy there.",
     )
@@ -165,7 +165,7 @@ class ReportOptions:
         False,
         "switch",
         excludes={
-            "output": f"-o {_FOR_FIX}",
+            "output": f"{argument('output')} {_FOR_FIX}",
             "overwrite": f"{argument('overwrite', True)} {_FOR_FIX}",
             "report_format": _NO_REPORT,
             "output_file": _NO_REPORT,

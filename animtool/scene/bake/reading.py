@@ -206,7 +206,7 @@ def _library_clashes(
     options: BakeOptions, *, to_stdout: bool
 ) -> list[tuple[bool, str]]:
     """Return what a take of a library does not go with, and whether it is asked for."""
-    flags = ["-o -"] if to_stdout else []
+    flags = [argument("output", "-")] if to_stdout else []
     flags += refused_options(options, "library")
     return [(True, f"a take of a library goes without {flag}") for flag in flags]
 

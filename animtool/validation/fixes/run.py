@@ -139,6 +139,7 @@ def _kept(report: Report, paths: Sequence[Path]) -> Iterator[str]:
         if count:
             findings = counted(count, "finding")
             yield (
-                f"{path}: {findings} can be fixed: -o NEW.usdc writes a repaired copy, "
+                f"{path}: {findings} can be fixed: {argument('output')} NEW.usdc "
+                "writes a repaired copy, "
                 f"{argument('overwrite', True)} replaces the file"
             )

@@ -90,9 +90,8 @@ def text_report(report: Report, *, whole: bool = False) -> str:
         elif kind not in printed:
             printed.add(kind)
             more = counts[kind] - 1
-            lines.append(
-                f"{fault}" + (f" ({more} more like it, see -v)" if more else "")
-            )
+            others = f" ({more} more like it, see {argument('command.verbose')})"
+            lines.append(f"{fault}{others if more else ''}")
     return "".join(f"{escaped(line)}\n" for line in [*lines, summary(report)])
 
 
