@@ -71,13 +71,25 @@ def in_python(argument: Argument) -> str | None:
     return f"{argument.field}={argument.value}"
 
 
+# Keys of files that are not called as the argument is.
+KEYS = {
+    "source.unit": "units",
+    "source.prim_path": "prim",
+    "form": "as",
+    "frame_range": "range",
+    "rest_frame": "rest",
+    "set": "variables",
+}
+
+
 def in_file(argument: Argument) -> str:
     """Return an argument as scenes and batches have it.
 
     >>> in_file(Argument("source.fps")), in_file(Argument("form", "layer"))
-    ('fps:', 'form: layer')
+    ('fps:', 'as: layer')
     """
-    return f"{argument.field}: {argument.value or ''}".rstrip()
+    key = KEYS.get(argument.name, argument.field)
+    return f"{key}: {argument.value or ''}".rstrip()
 
 
 class Text(str):

@@ -8,6 +8,7 @@ from dataclasses import replace
 import pytest
 
 from animtool.core.arguments import (
+    KEYS,
     Argument,
     Text,
     argument,
@@ -18,6 +19,9 @@ from animtool.core.arguments import (
     worded,
 )
 from animtool.core.errors import Fault, FormatError
+from animtool.core.options import keys_of
+from animtool.scene.bake.options import BakeOptions
+from animtool.scene.sources.open import SourceOptions
 
 
 @pytest.mark.parametrize(
@@ -25,7 +29,7 @@ from animtool.core.errors import Fault, FormatError
     [
         ("source.fps", None, "fps", "fps:"),
         ("fps", "24", "fps=24", "fps: 24"),
-        ("form", "layer", 'form="layer"', "form: layer"),
+        ("form", "layer", 'form="layer"', "as: layer"),
         ("keep_samples", True, "keep_samples=True", "keep_samples: true"),
         ("normals", False, "normals=False", "normals: false"),
     ],
@@ -36,6 +40,13 @@ def test_an_argument_is_called_as_the_interface_calls_it(
     text = marked(f"{argument(name, value)} says it")
     assert text == f"{python} says it"
     assert worded(text, in_file) == f"{file} says it"
+
+
+def test_keys_are_those_that_scenes_have() -> None:
+    for prefix, record in (("", BakeOptions), ("source.", SourceOptions)):
+        for name, key in keys_of(record, "scene").items():
+            alias = KEYS.get(f"{prefix}{name}", name)
+            assert key.alias in {None, alias}, name
 
 
 def test_text_that_looks_like_a_flag_stays() -> None:
