@@ -26,32 +26,37 @@ def calling_of(command: click.Command) -> Calling:
     """Return what a command calls arguments that it has: its flags."""
 
     def called(argument: Argument) -> str | None:
-        option = _option(command, argument)
+        value = argument.value or ""
+        if argument.field == "form" and _option(command, (value,)) is not None:
+            return flag(value)  # --split
+        option = _option(command, _names(argument))
         if option is None:
             return None
-        name, value = option.opts[0], argument.value or ""
         if argument.switch is False and option.secondary_opts:
             return option.secondary_opts[0]
         if argument.switch is not None:
             kind = option.type
             value = str(kind.choices[-1]) if isinstance(kind, click.Choice) else ""
-        return f"{name} {value}".rstrip()
+        return f"{option.opts[0]} {value}".rstrip()
 
     return called
 
 
-def _option(command: click.Command, argument: Argument) -> click.Option | None:
-    """Return the option that an argument is, None where the command has none."""
+def _names(argument: Argument) -> tuple[str, ...]:
+    """Return what commands call an argument, the usual name first."""
     field = argument.field
-    names: list[str | None] = [field]
-    if argument.name.startswith("source."):
-        own = SOURCE_NAMES.get(field)
-        names = [own] if field == "fps" else [own, field]
-    flags = [f"--{argument.value}"] if field == "form" else []
-    flags.append(f"--{field.replace('_', '-')}")
+    own = SOURCE_NAMES.get(field) if argument.name.startswith("source.") else None
+    if own is None:
+        return (field,)
+    # What is called so without `source.` is of the output; of a path either is meant.
+    return (own,) if field == "fps" else (own, field)
+
+
+def _option(command: click.Command, names: tuple[str, ...]) -> click.Option | None:
+    """Return the option of the first name, None where the command has none."""
     options = [each for each in command.params if isinstance(each, click.Option)]
     for name in names:
         for option in options:
-            if option.name == name:
+            if option.name == name or f"--{name.replace('_', '-')}" in option.opts:
                 return option
-    return next((o for o in options if {*flags} & {*o.opts}), None)
+    return None

@@ -23,6 +23,7 @@ from animtool.core.arguments import Argument
         ("source.prim_path", None, "--source-prim"),
         ("prim_path", None, "--prim-path"),
         ("form", "layer", "--as layer"),
+        ("form", "split", "--split"),
         ("root_motion", "true", "--root-motion skelroot"),
         ("keep_samples", "true", "--keep-samples"),
         ("normals", "false", "--no-normals"),
