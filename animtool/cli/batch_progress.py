@@ -16,7 +16,6 @@ from animtool.cli.console import Console
 from animtool.core.arguments import Calling
 from animtool.core.errors import AnimtoolError, Fault, counted
 from animtool.core.quantities import escaped, json_printed, length_text
-from animtool.report.text import columns
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -289,6 +288,8 @@ def _pass_table(items: Sequence[ItemReport], place: tuple[str, str]) -> Iterator
         label = f"  {entry.item.output}{values_text(entry.item.values)}"
         rows.append((label, *(texts.get(name, "") for name in names), worse))
     yield f"{place[0]} ({place[1]}), the worst first:"
+    from animtool.report.text import columns
+
     yield from columns(rows, {0, len(names) + 1})
     if len(table_rows) > MAX_ROWS:
         rest = counted(len(table_rows) - MAX_ROWS, "item")

@@ -16,7 +16,6 @@ from animtool.cli.options import (
     read_values,
     record_option,
 )
-from animtool.core.arguments import worded
 from animtool.core.options import clashes
 from animtool.validation.options import ReportOptions, ValidateOptions
 
@@ -167,9 +166,8 @@ def _say(
     from animtool.validation.formats.plain import summary
 
     console.faults(report.broken)
-    told = report.worded(console.calling)
-    text = written(told, choices.report_format, whole=console.verbosity > 0)
-    text = worded(text, console.calling)
+    whole, calling = console.verbosity > 0, console.calling
+    text = written(report, choices.report_format, whole=whole, calling=calling)
     if choices.output_file is None:
         console.document(text)
     else:
