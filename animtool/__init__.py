@@ -15,7 +15,6 @@ if _signal.getsignal(_signal.SIGINT) is _signal.default_int_handler and (
 
 from typing import TYPE_CHECKING
 
-from animtool.core.errors import NAMING
 from animtool.core.old_names import keep_old_names
 from animtool.core.plugins import lazy_names
 
@@ -98,20 +97,6 @@ _PUBLIC = {
 __all__ = sorted(_PUBLIC)  # noqa: PLE0605 - the table above is the list
 
 
-def _as_arguments(text: str) -> str:
-    """Return the text of an error with arguments in place of flags."""
-    if "--" not in text:
-        return text
-    from animtool.core.options import as_arguments
-    from animtool.ik.options import TakeOptions
-    from animtool.scene.bake.options import BakeOptions
-    from animtool.scene.sources.open import SourceOptions
-
-    text = text.replace(", --skip-existing leaves it", "")  # of commands alone
-    return as_arguments(text, BakeOptions, SourceOptions, TakeOptions)
-
-
-NAMING.arguments = _as_arguments
 keep_old_names()
 
 if not TYPE_CHECKING:  # type checkers know the names that are imported, and no others

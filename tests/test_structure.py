@@ -314,3 +314,36 @@ def test_every_public_name_exists() -> None:
         assert getattr(animtool, name) is not None
     with pytest.raises(AttributeError, match="nothing_such"):
         _ = animtool.nothing_such
+
+
+# What writes command lines that others run.
+WRITES_COMMANDS = {PACKAGE / "batch/bundle.py"}
+FLAG = re.compile(r"(?<![\w-])--[a-z]")
+
+
+def documented(node: ast.AST) -> ast.expr | None:
+    """Return the docstring of what has one."""
+    kinds = ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef
+    if isinstance(node, kinds) and node.body and isinstance(node.body[0], ast.Expr):
+        return node.body[0].value
+    return None
+
+
+@pytest.mark.parametrize("folder", [name for name in MODULES if name != "cli"])
+def test_texts_of_the_library_name_arguments(folder: str) -> None:
+    faults = []
+    for path in MODULES[folder]:
+        text = path.read_text("utf-8")
+        if path in WRITES_COMMANDS or not FLAG.search(text):
+            continue
+        nodes = [*ast.walk(ast.parse(text))]
+        docstrings = {id(found) for node in nodes if (found := documented(node))}
+        faults += [
+            f"{path.relative_to(PACKAGE)}:{node.lineno} {node.value!r}"
+            for node in nodes
+            if isinstance(node, ast.Constant)
+            and isinstance(node.value, str)
+            and id(node) not in docstrings
+            and FLAG.search(node.value)
+        ]
+    assert faults == []

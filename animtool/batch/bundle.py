@@ -26,6 +26,7 @@ from animtool.batch.records import (
     text_in,
 )
 from animtool.batch.work import Status
+from animtool.core.arguments import argument, flag
 from animtool.core.errors import Fault, FormatError
 from animtool.core.files.output import check_outputs, together, write_parts
 from animtool.core.files.placing import output_error
@@ -80,11 +81,12 @@ def mean_seconds(path: Path) -> float:
             if text_in(item, "status") == Status.DONE
         ]
     except RecordError as error:
-        hint = "animtool batch JOB --items 1-20 --force --format json writes one"
+        options = (flag("items", "1-20"), flag("force"), flag("format", "json"))
+        hint = f"animtool batch JOB {' '.join(options)} writes one"
         message = f"is no report of a batch: {error}"
         raise FormatError(Fault("BAT037", message, str(path), (), hint)) from error
     if not seconds:
-        hint = "--force makes also what is up to date"
+        hint = f"{argument('force', True)} makes also what is up to date"
         fault = Fault("BAT037", "reports no item that was made", str(path), (), hint)
         raise FormatError(fault)
     return min(sum(seconds) / len(seconds), MAX_SECONDS)

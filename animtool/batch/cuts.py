@@ -41,6 +41,7 @@ from animtool.batch.timeline import (
     read_timeline,
     seconds_of,
 )
+from animtool.core.arguments import argument
 from animtool.core.config import find_config
 from animtool.core.errors import (
     Fault,
@@ -60,7 +61,8 @@ from animtool.scene.sources.open import source_stem
 # At which rate the shots of a timeline count frames.
 
 HOW = (
-    "state it: --fps {} (or {}), `fps` of the scene or the batch file's options, or "
+    f"state it: {argument('fps', '{}')} (or {{}}), `fps` of the scene or the batch "
+    "file's options, or "
     "`fps` under [timeline] in animtool.toml"
 )
 USUAL = HOW.format("24", "25, 30000/1001, 30")
@@ -230,7 +232,7 @@ def _named(
     if name is None:
         if len(names) == 1:
             return list(entries)
-        message = f"has {counted(len(names), 'shot')}: name one with --shot"
+        message = f"has {counted(len(names), 'shot')}: name one with {argument('shot')}"
         raise OptionError(Fault("BAT048", message, str(path), (), shots))
     if name not in names:
         near = nearest(name, names)

@@ -25,6 +25,7 @@ from animtool.batch.item import (
 from animtool.batch.overrides import Overridden, overridden
 from animtool.batch.spec import BatchSpec, Limits
 from animtool.batch.variants import file_name, name_problems, variant_pattern
+from animtool.core.arguments import argument
 from animtool.core.errors import (
     Fault,
     NothingFoundError,
@@ -82,7 +83,10 @@ def check_columns(spec: BatchSpec) -> None:
     taken = {*INPUT_NAMES, *shots, *spec.variables}
     path = spec.variants.path
     place, lines = (None, ()) if path is None else (str(path), (1,))
-    hint = f"names of inputs, shots and --set have a meaning: {listed(sorted(taken))}"
+    hint = (
+        f"names of inputs, shots and {argument('set')} have a meaning: "
+        f"{listed(sorted(taken))}"
+    )
     faults = [
         Fault("BAT063", message, place, lines, hint)
         for _, message in name_problems(spec.variants.names, taken)
@@ -102,7 +106,10 @@ def check_effects(
         if not is_named(path, "scene"):
             if names:
                 message = "variants are of scenes, and this is none"
-                hint = "--scene names a scene that uses ${input} and the variants"
+                hint = (
+                    f"{argument('scene')} names a scene that uses ${{input}} and "
+                    "the variants"
+                )
                 faults.append(Fault("BAT060", message, str(path), (), hint))
             continue
         if spec.scene is None and not names:
@@ -347,7 +354,7 @@ class _Items:
         """Note an output with an unsafe name, at the file that states the name."""
         spec, name = self.spec, error.name
         source: Path | None = shot.media.path
-        hint = "rename the input, or leave the name out of -o"
+        hint = f"rename the input, or leave the name out of {argument('output')}"
         if name in shot.names:
             source = spec.cuts
             hint = "rename it in the edit, or write {shot}, which is always legal"
@@ -368,7 +375,7 @@ def _check_roots(spec: BatchSpec, items: Sequence[Item]) -> None:
         return
     folders = dict.fromkeys(folder for item in items for folder in item.folders)
     shown = listed([str(root) for root in spec.roots])
-    hint = "give -o, or add the folder to roots in animtool.toml"
+    hint = f"give {argument('output')}, or add the folder to roots in animtool.toml"
     faults = [
         Fault("DOC014", f"{str(folder)!r} is outside of {shown}", place, (), hint)
         for folder in folders
@@ -393,7 +400,7 @@ def _cuts(spec: BatchSpec) -> CutList:
     if None not in {fps, spec.fps} and fps != spec.fps:
         assert fps is not None
         assert spec.fps is not None
-        message = f"--fps is {rate_label(spec.fps)}, and the scene has "
+        message = f"{argument('fps')} is {rate_label(spec.fps)}, and the scene has "
         raise OptionError(Fault("BAT051", f"{message}{rate_label(fps)}"))
     if start is not None and start.denominator != 1:
         message = f"start is {float(start):g}, and shots begin at a whole frame"
@@ -414,10 +421,12 @@ def _with_rate(spec: BatchSpec) -> BatchSpec:
     """
     flags = []
     if spec.cuts is None:
-        flags = [] if spec.cut_start is None else ["cut_start (--cut-start)"]
+        flags = (
+            [] if spec.cut_start is None else [f"cut_start ({argument('cut_start')})"]
+        )
         flags += [] if spec.first_timecode is None else ["first_timecode"]
         if spec.fps is not None and spec.scene is not None:
-            flags.append("--fps beside a scene")
+            flags.append(f"{argument('fps')} beside a scene")
     if flags:
         message = f"{listed(flags)}: for a timeline, and there is none"
         raise OptionError(Fault("CLI002", message))

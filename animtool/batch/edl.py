@@ -15,6 +15,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from animtool.batch.timeline import check_text
+from animtool.core.arguments import argument
 from animtool.core.errors import Fault, FormatError, Severity, excerpt
 from animtool.core.files.reading import read_input
 from animtool.core.rates import parse_rate, rate_label
@@ -202,7 +203,10 @@ class _Builder:
             frames = [self.frame(text) for text in event.times]
         except ValueError as error:
             message = f"{error}, at {rate_label(self.rate)}"
-            hint = "state the rate that its time codes count: --fps 30000/1001, say"
+            hint = (
+                "state the rate that its time codes count: "
+                f"{argument('fps', '30000/1001')}, say"
+            )
             place = str(self.edl.path), (event.line,)
             self.faults.append(Fault("BAT041", message, *place, hint))
             return None

@@ -11,6 +11,7 @@ from animtool.batch.item import Item, ItemTask
 from animtool.batch.pool import run_processes
 from animtool.batch.spec import Limits
 from animtool.batch.work import ItemBuilder, Outcome
+from animtool.core.arguments import argument
 from animtool.core.errors import Fault, OptionError, excerpt
 from animtool.core.names import nearest
 from animtool.core.plugins import load_object, load_plugin, plugin_points
@@ -100,7 +101,7 @@ EXECUTORS = {
 def processes(work: Work) -> Iterator[Outcome]:
     """Yield what becomes of items, made by several processes of this machine."""
     if work.argument:
-        raise _argument("processes", "-j says how many")
+        raise _argument("processes", f"{argument('jobs')} says how many")
     return run_processes(work.builder, work.items, work.limits, work.jobs)
 
 
@@ -110,7 +111,7 @@ def serial(work: Work) -> Iterator[Outcome]:
         raise _argument("serial", "it takes none")
     if work.limits != Limits():
         message = "serial makes items in its own process, which cannot be limited"
-        hint = "processes keeps limits, with -j 1 too"
+        hint = f"processes keeps limits, with {argument('jobs', 1)} too"
         raise OptionError(Fault("BAT031", message, hint=hint))
     return map(work.builder.build, work.items)
 

@@ -186,7 +186,7 @@ class BatchModel(FileModel):
         default=None,
     )
     variables: dict[str, Value] = key(
-        "What `${name}` stands for in the scene; `--set` of the command "
+        "What `${name}` stands for in the scene; `set` of the command "
         "line comes first.",
         {"shot": "sh010"},
         default={},

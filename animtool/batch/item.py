@@ -24,6 +24,7 @@ from animtool.batch.records import (
     text_in,
 )
 from animtool.batch.spec import BatchSpec, named_from
+from animtool.core.arguments import argument
 from animtool.core.errors import Fault, FormatError, OptionError, excerpt
 from animtool.core.files.output import inside, name_problem
 from animtool.core.files.reading import MatchedFile
@@ -346,7 +347,10 @@ class ItemTask:
         """Refuse a scene that names its outputs, where a pattern names them too."""
         if self._is_several(source):
             message = "the scene names its outputs, and the batch names one"
-            hint = "leave out the batch's output (-o), and use ${stem} in the scene's"
+            hint = (
+                f"leave out the batch's output ({argument('output')}), and use "
+                f"${{stem}} in the scene's"
+            )
             place = cast("Scene", source).outputs[-1].place
             raise OptionError(place.fault("SCN044", message, hint))
 

@@ -14,6 +14,7 @@ from animtool.batch.item import Item
 from animtool.batch.ledger import History
 from animtool.batch.manifest import FileRecord, ItemRecord, digest_of, file_digest
 from animtool.batch.spec import made_by, named_from, place_of
+from animtool.core.arguments import argument
 from animtool.core.errors import Fault, FormatError, OptionError, OutputError
 from animtool.core.files.output import name_key
 from animtool.core.files.reading import FileState, Places
@@ -188,7 +189,8 @@ def _clashes(
             where = place(path)
             if where in inputs:
                 message = "is an input of this very batch"
-                yield Fault("OUT003", message, str(path), (), "name another -o")
+                hint = f"name another {argument('output')}"
+                yield Fault("OUT003", message, str(path), (), hint)
             name = name_key(where)
             other = taken.setdefault(name, item)
             if other is not item:
@@ -204,9 +206,9 @@ def _clashes(
 def _apart(item: Item, other: Item) -> str:
     """Return what keeps the outputs of two items apart."""
     if item.shot is not None and item.shot != other.shot:
-        return "{shot} in -o keeps the shots apart"
+        return f"{{shot}} in {argument('output')} keeps the shots apart"
     if item.file != other.file:
-        return "{parent} in -o keeps the folders of inputs apart"
+        return f"{{parent}} in {argument('output')} keeps the folders of inputs apart"
     differing = [k for k, v in item.values.items() if other.values.get(k) != v]
     if not differing:
         return "these values are given twice: leave one out"
@@ -235,7 +237,13 @@ def check_overwrites(
 ) -> None:
     """Refuse to replace files that no run of the batch made."""
     faults = [
-        Fault("OUT001", "already exists", str(path), (), "--overwrite replaces it")
+        Fault(
+            "OUT001",
+            "already exists",
+            str(path),
+            (),
+            f"{argument('overwrite', True)} replaces it",
+        )
         for item in items
         for path in batch.outputs(item)
         if path.exists() and not known(path)

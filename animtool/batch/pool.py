@@ -31,6 +31,7 @@ from animtool.batch.work import (
     needed_modules,
     serve,
 )
+from animtool.core.arguments import argument
 from animtool.core.errors import Fault, OutputError
 from animtool.core.files.leftovers import remove_leftovers
 from animtool.core.process.signals import without_interrupts
@@ -63,8 +64,8 @@ TIMEOUT = 5.0
 # What may have happened to a process, by how it ended.
 _RESUME = "finished items are recorded, and the same command resumes with the rest"
 _HINTS = {
-    -9: f"lower -j or give it more memory or time; {_RESUME}",
-    -6: f"the system may have no memory left: lower -j; {_RESUME}",
+    -9: f"lower {argument('jobs')} or give it more memory or time; {_RESUME}",
+    -6: f"the system may have no memory left: lower {argument('jobs')}; {_RESUME}",
 }
 
 
@@ -192,7 +193,7 @@ class _Pool:
             message = f"the process that made it {_how_it_ended(worker.process)}"
             hint = _HINTS.get(code)
             if self.limits.memory is not None:
-                hint = hint and f"raise --memory-limit; {_RESUME}"
+                hint = hint and f"raise {argument('memory_limit')}; {_RESUME}"
             yield self._lost(worker, Fault("BAT020", message, hint=hint))
 
     def _failed_to_start(self, worker: _Worker) -> None:
@@ -350,7 +351,10 @@ def _number(worker: _Worker) -> int | None:
 
 def _unstartable(why: str) -> OutputError:
     message = f"processes that make items cannot be started: {why}"
-    hint = "allow more memory, or fewer at a time with -j; what was made is recorded"
+    hint = (
+        f"allow more memory, or fewer at a time with {argument('jobs')}; what was "
+        "made is recorded"
+    )
     return OutputError(Fault("BAT071", message, hint=hint))
 
 

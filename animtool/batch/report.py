@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from animtool.batch.discover import Batch
 from animtool.batch.item import Item
 from animtool.batch.plan import Reason
 from animtool.batch.work import Measured, Outcome, Status
+from animtool.core.arguments import Calling
 from animtool.core.errors import ExitCode, Fault, Severity
 from animtool.core.junit import JunitCase, junit_xml
 from animtool.motion.scores import PassScores, badness
@@ -51,13 +52,21 @@ class ItemReport:
             outcome.scores,
         )
 
+    def worded(self, calling: Calling) -> ItemReport:
+        """Return it with arguments called as an interface calls them."""
+        faults, notices = (
+            tuple(fault.worded(calling) for fault in own)
+            for own in (self.faults, self.notices)
+        )
+        return replace(self, faults=faults, notices=notices)
+
     @property
     def why(self) -> str:
         """Why it failed, in a line."""
         if not self.faults:
             return ""
         more = f" (and {len(self.faults) - 1} more)" if len(self.faults) > 1 else ""
-        return f"{self.faults[0].code} {self.faults[0].message}{more}"
+        return f"{self.faults[0].code} " + self.faults[0].message + more
 
     def as_dict(self) -> dict[str, object]:
         """Return it as plain values."""

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from decimal import Decimal, InvalidOperation
 from pathlib import Path
 
+from animtool.core.arguments import argument
 from animtool.core.errors import Fault, FormatError, OptionError, counted, excerpt
 from animtool.core.names import is_variable_name
 from animtool.documents.document import read_text
@@ -70,19 +71,21 @@ def variants_of_texts(texts: Sequence[str]) -> Variants:
     names = [text.partition("=")[0].strip() for text in texts]
     hint = "write NAME=1,2,5 or NAME=1..20"
     faults += [
-        Fault("BAT063", f"--vary {texts[i]}: {message}", hint=hint)
+        Fault("BAT063", f"{argument('vary', texts[i])}: {message}", hint=hint)
         for i, message in name_problems(names)
     ]
     for name, text in zip(names, texts, strict=True):
         try:
             columns[name] = values_of_text(text.partition("=")[2])
         except ValueError as error:
-            faults.append(Fault("BAT064", f"--vary {text}: {error}", hint=hint))
+            faults.append(
+                Fault("BAT064", f"{argument('vary', text)}: {error}", hint=hint)
+            )
     if not faults:
         try:
             return columns_variants(columns)
         except ValueError as error:
-            faults.append(Fault("BAT065", f"--vary: {error}"))
+            faults.append(Fault("BAT065", f"{argument('vary')}: {error}"))
     raise OptionError(faults)
 
 

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 from animtool.batch.item import Item, ItemTask
 from animtool.batch.manifest import FileRecord, record_of
 from animtool.batch.spec import named_from
+from animtool.core.arguments import argument
 from animtool.core.errors import AnimtoolError, Fault, excerpt
 from animtool.core.files.placing import output_error
 from animtool.core.files.reading import FileState, Inputs, note_input, recorded_inputs
@@ -97,7 +98,10 @@ class ItemBuilder:
         except Exception as error:
             kind, retired = type(error).__name__, True
             message = f"internal error: {kind}: {excerpt(str(error), 200)}"
-            hint = "please report it; --executor serial --debug shows where"
+            hint = (
+                f"please report it; {argument('executor', 'serial')} "
+                f"{argument('debug', True)} shows where"
+            )
             faults = (Fault("BAT023", message, _named(item), (), hint),)
         finally:
             _forget_layers()

@@ -22,14 +22,13 @@ class CleanOptions:
     spikes: int = option(
         3,
         "count",
-        "--spikes",
         metavar="FRAMES",
         help="Longest spike that is removed; 0 leaves them.",
     )
     keep_noise: bool = option(
         False,
         "switch",
-        "--noise",
+        flag="noise",
         choices=("filter", "keep"),
         help="Whether noise is filtered, each joint at the cut-off that its noise asks "
         "for, or kept.  [default: filter]",
@@ -37,7 +36,6 @@ class CleanOptions:
     cutoff: float | None = option(
         None,
         "amount",
-        "--cutoff",
         metavar="HZ",
         help="Filter every joint at this frequency instead.",
     )
@@ -59,14 +57,12 @@ class TriangulateOptions:
     noise: float | None = option(
         None,
         "amount",
-        "--noise",
         metavar="PIXELS",
         help="Standard deviation of observations.  [default: measured]",
     )
     gate: float = option(
         5.0,
         "amount",
-        "--gate",
         metavar="SIGMAS",
         help="Leave out observations that are farther off than this many standard "
         "deviations.",
@@ -74,7 +70,6 @@ class TriangulateOptions:
     min_angle: float = option(
         0.03490658503988659,
         "angle",
-        "--min-angle",
         help="Least angle between rays; points that only flatter ones see are left "
         "out.",
         written=2.0,
@@ -82,7 +77,7 @@ class TriangulateOptions:
     keep_moved: bool = option(
         False,
         "switch",
-        "--moved",
+        flag="moved",
         choices=("leave-out", "keep"),
         help="Whether cameras that moved after calibration are left out where they "
         "did, or kept.  [default: leave-out]",
@@ -105,14 +100,12 @@ class FaceOptions:
     smooth: float = option(
         1.0,
         "amount",
-        "--smooth",
         metavar="FACTOR",
         help="How much changes from frame to frame cost: 0 is nothing.",
     )
     head: str | None = option(
         None,
         "choice",
-        "--head",
         choices=("rotation", "pose", "none"),
         help="Head motion: turn the head joint, also move the root, or leave it out.  "
         "[default: rotation, of a head-mounted camera none]",
@@ -120,7 +113,6 @@ class FaceOptions:
     neutral: int | None = option(
         None,
         "count",
-        "--neutral",
         metavar="FRAME",
         help="Frame, from 0, in which the actor's face is neutral: proportions are "
         "then the actor's.",
@@ -141,14 +133,14 @@ class FillOptions:
     keep_gaps: bool = option(
         False,
         "switch",
-        "--gaps",
+        flag="gaps",
         choices=("fill", "keep"),
         help="Whether gaps are filled, or kept.  [default: fill]",
     )
     keep_spikes: bool = option(
         False,
         "switch",
-        "--spikes",
+        flag="spikes",
         choices=("remove", "keep"),
         help="Whether spikes are removed, and filled as gaps, or kept.  "
         "[default: remove]",
@@ -156,7 +148,7 @@ class FillOptions:
     keep_swaps: bool = option(
         False,
         "switch",
-        "--swaps",
+        flag="swaps",
         choices=("repair", "keep"),
         help="Whether names that were exchanged are put right, or kept.  "
         "[default: repair]",
@@ -164,7 +156,6 @@ class FillOptions:
     longest: Annotated[float | None, or_more(0, "CAP001", finite=True)] = option(
         None,
         "amount",
-        "--longest",
         metavar="SECONDS",
         help="Leave gaps that are longer.  [default: all are filled]",
     )
@@ -184,7 +175,6 @@ class SolveOptions:
     noise: float = option(
         0.0005,
         "length",
-        "--noise",
         written="0.5mm",
         metavar="LENGTH",
         help="How far a marker may be off its place on the bone; skin moves. More is "
@@ -193,14 +183,12 @@ class SolveOptions:
     acceleration: float = option(
         100.0,
         "amount",
-        "--acceleration",
         metavar="RAD/S²",
         help="Acceleration of joints that is usual; less is smoother.",
     )
     subject: str | None = option(
         None,
         "text",
-        "--subject",
         metavar="NAME",
         help="Whose markers count, where names begin with those of several: Ann:LFHD.",
     )

@@ -248,7 +248,7 @@ def batch(console: Console, /, inputs: tuple[str, ...], **params: Any) -> None:
     openjd = params["lines"] == "openjd"
     if openjd and params["report_format"] != "text":
         raise click.UsageError("--lines openjd and --format both write to stdout.")
-    with openjd_failure(asked=openjd):
+    with openjd_failure(console.calling, asked=openjd):
         batch_found = find_batch(_spec(inputs, params))
     console.faults(batch_found.notices)
     numbers = params["numbers"]
@@ -266,10 +266,10 @@ def batch(console: Console, /, inputs: tuple[str, ...], **params: Any) -> None:
     lines = params["report_format"] == "jsonl"
     try:
         with (
-            openjd_failure(asked=openjd),
+            openjd_failure(console.calling, asked=openjd),
             shown_progress(console, lines=lines) as listener,
         ):
-            listening = openjd_lines(listener) if openjd else listener
+            listening = openjd_lines(listener, console.calling) if openjd else listener
             report = run_batch(batch_found, options, listening)
     except (KeyboardInterrupt, TerminatedError):
         console.say("what was made is recorded; the same command goes on with the rest")
@@ -281,7 +281,8 @@ def batch(console: Console, /, inputs: tuple[str, ...], **params: Any) -> None:
         from animtool.core.files.output import check_outputs, write_parts
 
         check_outputs([params["junit"]], [], overwrite=True)
-        write_parts(params["junit"], [junit_report(report.items).encode()])
+        told = [entry.worded(console.calling) for entry in report.items]
+        write_parts(params["junit"], [junit_report(told).encode()])
     click.get_current_context().exit(int(report.exit_code))
 
 
@@ -409,7 +410,7 @@ def _tell_notices(console: Console, report: BatchReport) -> None:
         named = notice.path is not None and paths == {Path(notice.path).absolute()}
         of = [] if named else [f"  of {listed([e.item.label for e in entries])}"]
         if notice.severity is Severity.NOTE:
-            for line in (str(notice), *of):
+            for line in (str(notice.worded(console.calling)), *of):
                 console.detail(line)
             continue
         console.faults([notice])

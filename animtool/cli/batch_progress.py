@@ -12,7 +12,8 @@ from animtool.batch.item import values_text
 from animtool.batch.report import BatchReport, ItemReport
 from animtool.batch.run import Listener
 from animtool.batch.work import Status
-from animtool.cli.console import Console, columns
+from animtool.cli.console import Console
+from animtool.core.arguments import Calling
 from animtool.core.errors import AnimtoolError, Fault, counted
 from animtool.core.quantities import escaped, json_printed, length_text
 
@@ -91,7 +92,7 @@ def report_json(
     return {**report.as_dict(), "items": items}
 
 
-def openjd_lines(other: Listener) -> Listener:
+def openjd_lines(other: Listener, calling: Calling) -> Listener:
     """Return a listener that writes such lines to stdout, and tells another."""
 
     class Lines(Listener):
@@ -117,7 +118,8 @@ def openjd_lines(other: Listener) -> Listener:
             output, count = report.item.output, f"{self.ended_items} of {self.total}"
             if report.status is Status.FAILED:
                 self.failed += 1
-                _say("fail", f"{self.failed} failed, at last {output}: {report.why}")
+                why = report.worded(calling).why
+                _say("fail", f"{self.failed} failed, at last {output}: {why}")
             _say("progress", f"{100 * self.ended_items / self.total:.1f}")
             _say("status", f"{count}: {report.status} {output}")
             other.ended(report)
@@ -130,13 +132,13 @@ def openjd_lines(other: Listener) -> Listener:
 
 
 @contextmanager
-def openjd_failure(*, asked: bool) -> Iterator[None]:
+def openjd_failure(calling: Calling, *, asked: bool) -> Iterator[None]:
     """Say in such a line too what ends the whole, where that is asked for."""
     try:
         yield
     except AnimtoolError as error:
         if asked:
-            _say("fail", str(error.faults[0]))
+            _say("fail", str(error.faults[0].worded(calling)))
         raise
 
 
@@ -157,7 +159,7 @@ def shown_progress(console: Console, *, lines: bool) -> Iterator[Listener]:
     from rich.console import Console as RichConsole
     from rich.live import Live
 
-    shown, renderable = _table(lines=lines)
+    shown, renderable = _table(console, lines=lines)
     # Drawn a few times a second, whatever happens in between.
     with Live(
         get_renderable=renderable, console=RichConsole(stderr=True), transient=True
@@ -181,9 +183,10 @@ def _lines(console: Console, *, lines: bool) -> Listener:
             """Say what became of one."""
             self.ended_items += 1
             if lines:
-                _write(report)
+                _write(report.worded(console.calling))
             else:
-                console.say(ended_text(report, self.ended_items, self.due))
+                told = report.worded(console.calling)
+                console.say(ended_text(told, self.ended_items, self.due))
 
         def warned(self, notice: Fault) -> None:
             """Show a warning when it comes."""
@@ -193,7 +196,9 @@ def _lines(console: Console, *, lines: bool) -> Listener:
     return Lines()
 
 
-def _table(*, lines: bool) -> tuple[Listener, Callable[[], RenderableType]]:
+def _table(
+    console: Console, *, lines: bool
+) -> tuple[Listener, Callable[[], RenderableType]]:
     from rich.console import Group
     from rich.progress_bar import ProgressBar
     from rich.table import Table
@@ -224,11 +229,11 @@ def _table(*, lines: bool) -> tuple[Listener, Callable[[], RenderableType]]:
             self.failed += bool(report.faults)
             self.warning = ""
             if lines:
-                _write(report)
+                _write(report.worded(console.calling))
 
         def warned(self, notice: Fault) -> None:
             """Take a warning, which is shown until an item ends, and at the end."""
-            self.warning = str(notice)
+            self.warning = str(notice.worded(console.calling))
 
     shown = ProgressListener()
 
@@ -283,6 +288,8 @@ def _pass_table(items: Sequence[ItemReport], place: tuple[str, str]) -> Iterator
         label = f"  {entry.item.output}{values_text(entry.item.values)}"
         rows.append((label, *(texts.get(name, "") for name in names), worse))
     yield f"{place[0]} ({place[1]}), the worst first:"
+    from animtool.report.text import columns
+
     yield from columns(rows, {0, len(names) + 1})
     if len(table_rows) > MAX_ROWS:
         rest = counted(len(table_rows) - MAX_ROWS, "item")

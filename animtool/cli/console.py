@@ -2,43 +2,25 @@
 
 from __future__ import annotations
 
-import math
 import os
 import sys
 from collections.abc import (
     Callable,
-    Collection,
     Iterable,
     Iterator,
     Mapping,
-    Sequence,
 )
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import TextIO
 
+from animtool.cli.calling import as_flag
+from animtool.core.arguments import Calling, worded
 from animtool.core.errors import Fault, Severity
 from animtool.core.process.supervisor import note_said
 from animtool.core.quantities import escaped, json_printed
 
 _COLORS = {Severity.ERROR: "31", Severity.WARNING: "33", Severity.NOTE: "36"}
-
-
-def finite(value: float | None) -> float | None:
-    """Return a value; None where there is none, or JSON has no number for it."""
-    return value if value is not None and math.isfinite(value) else None
-
-
-def columns(rows: Sequence[Sequence[str]], left: Collection[int]) -> list[str]:
-    """Return rows of cells as lines in columns, those of some numbers flush left."""
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    return [
-        "  ".join(
-            cell.ljust(width) if i in left else cell.rjust(width)
-            for i, (cell, width) in enumerate(zip(row, widths, strict=True))
-        ).rstrip()
-        for row in rows
-    ]
 
 
 @dataclass(slots=True)
@@ -48,15 +30,18 @@ class Console:
     verbosity: int = 0  # -1 errors only, 0 the usual, 1 notes and timings too
     json_log: bool = False  # write each line on stderr as a JSON object
     debug: bool = False  # let a Python traceback through
+    calling: Calling = as_flag  # what the command calls arguments
 
     def result(self, *lines: str) -> None:
         """Write lines of a result to stdout; what is in them makes no other line."""
-        sys.stdout.write("".join(f"{escaped(line)}\n" for line in lines))
+        told = (escaped(worded(line, self.calling)) for line in lines)
+        sys.stdout.write("".join(f"{line}\n" for line in told))
         note_said()
 
     def result_json(self, value: object, *, line: bool = False) -> None:
         """Write a result to stdout as JSON, or as a line of JSON in ASCII."""
         indent = None if line else 2
+        value = self._worded(value)
         self.document(json_printed(value, indent=indent, ascii_only=line))
         sys.stdout.flush()
 
@@ -68,16 +53,17 @@ class Console:
     def say(self, text: str) -> None:
         """Write a line of the summary to stderr, unless quiet."""
         if self.verbosity >= 0:
-            self._line({"level": "info", "message": text}, text)
+            self._line("info", text)
 
     def detail(self, text: str) -> None:
         """Write a line to stderr, if verbose."""
         if self.verbosity > 0:
-            self._line({"level": "debug", "message": text}, text)
+            self._line("debug", text)
 
     def faults(self, faults: Iterable[Fault], *, fatal: bool = False) -> None:
         """Write faults to stderr: errors and what ends the work always."""
-        for fault in faults:
+        for unworded in faults:
+            fault = unworded.worded(self.calling)
             if fatal or self.verbosity >= 0 or fault.severity is Severity.ERROR:
                 code = self._color(escaped(fault.code), _COLORS[fault.severity])
                 entry = {"level": str(fault.severity), **fault.as_dict()}
@@ -109,9 +95,10 @@ class Console:
         for stage, spent in (seconds or {}).items():
             self.detail(f"{stage}: {spent:.3f} s")
 
-    def error(self, message: str, *more: str) -> None:
+    def error(self, message: str, *others: str) -> None:
         """Write an error that has no code to stderr, and further lines about it."""
         label = self._color("error", _COLORS[Severity.ERROR])
+        message, *more = (worded(text, self.calling) for text in (message, *others))
         lines = (f"{label}: {escaped(message)}", *map(escaped, more))
         whole = "\n".join((message, *more))
         self._write({"level": "error", "message": whole}, "\n".join(lines))
@@ -152,8 +139,19 @@ class Console:
         finally:
             bar.stop()
 
-    def _line(self, entry: dict[str, object], text: str) -> None:
-        self._write(entry, escaped(text))
+    def _worded(self, value: object) -> object:
+        """Return plain values whose texts call arguments as the command does."""
+        if isinstance(value, str):
+            return worded(value, self.calling)
+        if isinstance(value, Mapping):
+            return {key: self._worded(own) for key, own in value.items()}
+        if isinstance(value, list | tuple):
+            return [self._worded(own) for own in value]
+        return value
+
+    def _line(self, level: str, text: str) -> None:
+        text = worded(text, self.calling)
+        self._write({"level": level, "message": text}, escaped(text))
 
     def _write(self, entry: dict[str, object], text: str) -> None:
         """Write what is escaped, with colours of our own, or an entry as JSON."""

@@ -1,46 +1,58 @@
-"""The summary of a conversion, and what passes score, in words and in JSON."""
+"""The summary of a conversion, and what passes score, in lines and in JSON."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from animtool.core.errors import counted, listed
-from animtool.core.quantities import length_text, plain
+from animtool.core.errors import counted
+from animtool.core.quantities import plain
+from animtool.report.text import Each, Line, render
+from animtool.report.values import picked, plain_value
 
 if TYPE_CHECKING:
     from animtool.clip.key_report import ChannelError
-    from animtool.clip.reduction.keys import Reduction
     from animtool.motion.scores import PassScores
     from animtool.scene.bake.files import ConvertReport
     from animtool.scene.bake.prims import BakeReport
 
 # Errors of channels that are not worth a line, in their units.
 ROUNDING = 1e-9
-# Of names in a line.
-MAX_NAMED = 8
+SHOT = "[  {shot.label}]"
+# How `scores_lines` prints scores.
+SCORES = {
+    "scores": lambda scores: ", ".join(f"{one.name} {one.text}" for one in scores)
+}
 
 
-def shot_text(report: BakeReport | ConvertReport) -> list[str]:
-    """Return the line of the shot that was written, if it is one."""
-    return [] if report.shot is None else [f"  {report.shot.label}"]
+def scores_lines(indent: str) -> Each:
+    """Return the lines of the passes of a take: scores, and what they concern."""
+    names = Each("names", (indent + "  {key}: [{value:list 8}]",))
+    return Each("scores", (indent + "{pass_name}: [{scores:scores}]", names))
 
 
-def shot_json(report: BakeReport | ConvertReport) -> dict[str, object]:
-    """Return the shot that was written as plain values, if it is one."""
-    return {} if report.shot is None else {"shot": report.shot.as_dict()}
+_LINES: tuple[Line, ...] = (
+    "{output}: {frames:n frame}, {joints:n joint}",
+    "  {span}",
+    SHOT,
+    scores_lines("  "),
+    "[{?reduction.samples}  {reduction.samples:n sample} of what moves became "
+    "{reduction.keys:n key}: {reduction.samples_per_key:.3g} a key"
+    "|{?reduction}  nothing moves: [{?reduction.keys}{reduction.keys:n key}, for what "
+    "is not at rest|no keys]]",
+    "[  largest error: {reduction.error:length}[{?reduction.error} (joint "
+    "{reduction.joint:repr}, frame {frame} of {frames})]]",
+    "[{?reduction.weight_error}  largest error of a shape's weight: "
+    "{reduction.weight_error:plain}]",
+    Each("channels", ("  {self}",)),
+)
 
 
 def convert_text(report: ConvertReport) -> list[str]:
     """Return the lines of a summary of a conversion."""
-    frames, joints = counted(report.frames, "frame"), counted(report.joints, "joint")
-    lines = [f"{report.output}: {frames}, {joints}", f"  {report.span}"]
-    lines += shot_text(report)
-    lines += [f"  {line}" for line in scores_text(report.scores)]
-    if report.reduction is not None:
-        reduction = _reduction_text(report.reduction, report.frames)
-        lines += [f"  {line}" for line in reduction]
-    return lines + [f"  {line}" for line in channel_lines(report)]
+    frame = None if report.reduction is None else report.reduction.frame + 1
+    channels = channel_lines(report)
+    return render(report, _LINES, SCORES, frame=frame, channels=channels)
 
 
 def channel_lines(report: ConvertReport) -> list[str]:
@@ -70,88 +82,38 @@ def channel_lines(report: ConvertReport) -> list[str]:
 
 def convert_json(report: ConvertReport, command: str = "convert") -> dict[str, object]:
     """Return the summary of a conversion, or of what ends in one, as plain values."""
-    return {
+    values: dict[str, object] = {
         command: "animtool/1",
-        "output": str(report.output),
-        "frames": report.frames,
-        "start": float(report.span.first),
-        "end": float(report.span.last),
-        "fps": float(report.span.fps),
+        **picked(report, "output frames start=span.first end=span.last fps=span.fps"),
         "rate": str(report.span.fps),
         "joints": report.joints,
         **shot_json(report),
         **scores_json(report.scores),
-        **_reduction_json(report.reduction),
-        **channels_json(report),
-        "notices": [notice.as_dict() for notice in report.notices],
     }
+    reduction = report.reduction
+    if reduction is not None:
+        values["reduction"] = {
+            **picked(reduction, "samples keys"),
+            "error": picked(reduction, "meters=error joint"),
+            **picked(reduction, "weight_error held"),
+        }
+    return {**values, **channels_json(report), "notices": plain_value(report.notices)}
+
+
+def shot_json(report: BakeReport | ConvertReport) -> dict[str, object]:
+    """Return the shot that was written as plain values, if it is one."""
+    return {} if report.shot is None else {"shot": report.shot.as_dict()}
 
 
 def channels_json(report: ConvertReport) -> dict[str, object]:
     """Return the channels of a clip and their errors, nothing for other outputs."""
     if report.keyed is None:
         return {}
-    return {
-        "channels": [
-            {
-                "target": error.target,
-                "error": error.error,
-                "unit": error.unit or None,
-                "frame": error.frame,
-            }
-            for error in report.keyed.errors
-        ]
-    }
-
-
-def _reduction_text(reduction: Reduction, frames: int) -> list[str]:
-    """Return what a reduction came to, and its error where there is one."""
-    keys = counted(reduction.keys, "key")
-    if not reduction.samples:
-        text = f"{keys}, for what is not at rest" if reduction.keys else "no keys"
-        lines = [f"nothing moves: {text}"]
-    else:
-        lines = [
-            f"{counted(reduction.samples, 'sample')} of what moves became {keys}: "
-            f"{reduction.samples_per_key:.3g} a key"
-        ]
-    where = ""
-    if reduction.error:
-        where = f" (joint {reduction.joint!r}, frame {reduction.frame + 1} of {frames})"
-    lines.append(f"largest error: {length_text(reduction.error)}{where}")
-    if reduction.weight_error:
-        lines.append(
-            f"largest error of a shape's weight: {plain(reduction.weight_error)}"
-        )
-    return lines
-
-
-def _reduction_json(reduction: Reduction | None) -> dict[str, object]:
-    """Return what a reduction came to, nothing where there was none."""
-    if reduction is None:
-        return {}
-    return {
-        "reduction": {
-            "samples": reduction.samples,
-            "keys": reduction.keys,
-            "error": {"meters": reduction.error, "joint": reduction.joint},
-            "weight_error": reduction.weight_error,
-            "held": reduction.held,
-        }
-    }
-
-
-def scores_text(scores: Sequence[PassScores]) -> list[str]:
-    """Return the lines of the passes of a take."""
-    lines = []
-    for one in scores:
-        shown = ", ".join(f"{score.name} {score.text}" for score in one.scores)
-        lines.append(f"{one.pass_name}: {shown}")
-        lines += [
-            f"  {what}: {listed(list(names), MAX_NAMED)}"
-            for what, names in one.names.items()
-        ]
-    return lines
+    channels = [
+        {**picked(error, "target error unit frame"), "unit": error.unit or None}
+        for error in report.keyed.errors
+    ]
+    return {"channels": channels}
 
 
 def scores_json(scores: Sequence[PassScores]) -> dict[str, object]:

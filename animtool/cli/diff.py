@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
@@ -22,13 +22,40 @@ from animtool.cli.options import (
     source_options_record,
 )
 from animtool.core.errors import ExitCode, counted
-from animtool.core.quantities import length_text, plain
+from animtool.report.text import Each, Line, render
 
-if TYPE_CHECKING:
-    from animtool.report.compare import TakeDifference
-    from animtool.report.compare_points import PointsDifference
 
-_KINDS = ("world", "translation", "rotation", "scale")
+def _largest(kind: str, size: str, where: str) -> str:
+    """Return the line of the largest difference of a kind, and where it is."""
+    width = 14 if "prim" in where else 12
+    at = where.replace("@", kind)
+    return (
+        f"  {kind:<{width}}{{{kind}.value:{size}}}"
+        f"[{{?{kind}.value}}  {at}, time code {{{kind}.code:frame}}"
+        f"[, {{{kind}.skeleton}}]]"
+    )
+
+
+_JOINT, _POINT = "joint {@.joint:repr}", "{@.prim:repr}, point {@.point}"
+_FOUND = (Each("mismatches", ("  {self}",)), Each("notes", ("  note: {self}",)))
+_TAKES: tuple[Line, ...] = (
+    "[{skeletons:several}, ]{joints:n joint}, [{?shapes}{shapes:n shape}, ]"
+    "{frames:n frame} compared",
+    _largest("world", "length", _JOINT),
+    _largest("translation", "length", _JOINT),
+    _largest("rotation", "plain", _JOINT).replace("plain}", "plain} deg"),
+    _largest("scale", "plain", _JOINT),
+    f"[{{?shapes}}{_largest('weight', 'plain', 'shape {@.shape:repr}')}]",
+    *_FOUND,
+)
+_POINTS: tuple[Line, ...] = (
+    "{prims:n prim}, {samples:n sample} compared",
+    _largest("points", "length", _POINT),
+    _largest("orientations", "plain", _POINT).replace("plain}", "plain} deg"),
+    _largest("scales", "plain", _POINT),
+    *_FOUND,
+)
+_PRINTERS = {"several": lambda n: counted(n, "skeleton") if n > 1 else ""}
 
 
 def _choices(command: Command) -> Command:
@@ -103,21 +130,20 @@ def diff(console: Console, /, first: Path, second: Path, **params: Any) -> None:
         difference = compare_points(first, second)
     if difference is not None:
         same = difference.within(params["tol"], params["tol_degrees"])
-        text, notices = _points_text(difference), []
+        lines, notices = _POINTS, []
     else:
         difference = compare(first, second, *_options(first, second, params))
         same = difference.within(
             params["tol"], params["tol_degrees"], params["tol_weight"]
         )
-        text, notices = _text(difference), difference.notices
+        lines, notices = _TAKES, difference.notices
     if params["report_format"] == "json":
         values = {"diff": "animtool/1", "same": same, **asdict(difference)}
         if "notices" in values:
             values["notices"] = [notice.as_dict() for notice in notices]
         console.result_json(values)
     else:
-        text += [f"  {line}" for line in difference.mismatches]
-        text += [f"  note: {line}" for line in difference.notes]
+        text = render(difference, lines, _PRINTERS)
         console.result(*text, "same" if same else "different")
         console.faults(notices)
     click.get_current_context().exit(int(ExitCode.OK if same else ExitCode.FINDINGS))
@@ -136,64 +162,3 @@ def _options(first: Path, second: Path, params: dict[str, Any]) -> list[Any]:
         own = {n: v for n in names if (v := params[f"{n}_{side}"]) is not None}
         options.append(replace(fitting_options(shared, path, [first, second]), **own))
     return options
-
-
-def _text(difference: TakeDifference) -> list[str]:
-    """Return what was compared, and the largest differences."""
-    from animtool.core.clock import frame_label
-
-    compared = [
-        counted(difference.joints, "joint"),
-        counted(difference.frames, "frame"),
-    ]
-    if difference.shapes:
-        compared.insert(1, counted(difference.shapes, "shape"))
-    if difference.skeletons > 1:
-        compared.insert(0, counted(difference.skeletons, "skeleton"))
-    lines = [f"{', '.join(compared)} compared"]
-    for kind in _KINDS:
-        largest = getattr(difference, kind)
-        line = f"  {kind:<12}{_size(kind, largest.value)}"
-        if largest.value:
-            line += f"  joint {largest.joint!r}, time code {frame_label(largest.code)}"
-            line += f", {largest.skeleton}" * bool(largest.skeleton)
-        lines.append(line)
-    if difference.shapes:
-        weight = difference.weight
-        line = f"  {'weight':<12}{plain(weight.value)}"
-        if weight.value:
-            line += f"  shape {weight.shape!r}, time code {frame_label(weight.code)}"
-            line += f", {weight.skeleton}" * bool(weight.skeleton)
-        lines.append(line)
-    return lines
-
-
-def _points_text(difference: PointsDifference) -> list[str]:
-    """Return what was compared of points, and the largest differences."""
-    from animtool.core.clock import frame_label
-
-    prims, samples = (
-        counted(difference.prims, "prim"),
-        counted(difference.samples, "sample"),
-    )
-    lines = [f"{prims}, {samples} compared"]
-    sizes = {
-        "points": length_text(difference.points.value),
-        "orientations": f"{plain(difference.orientations.value)} deg",
-        "scales": plain(difference.scales.value),
-    }
-    for kind, size in sizes.items():
-        largest = getattr(difference, kind)
-        line = f"  {kind:<14}{size}"
-        if largest.value:
-            line += f"  {largest.prim!r}, point {largest.point}"
-            line += f", time code {frame_label(largest.code)}"
-        lines.append(line)
-    return lines
-
-
-def _size(kind: str, value: float) -> str:
-    """Return a difference of a kind in words."""
-    if kind in {"world", "translation"}:
-        return length_text(value)
-    return f"{plain(value)} deg" if kind == "rotation" else plain(value)

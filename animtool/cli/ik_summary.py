@@ -1,85 +1,111 @@
-"""What ``animtool ik`` reports, in words and in JSON."""
+"""What ``animtool ik`` reports, in lines and in JSON."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import asdict
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, cast
 
-from animtool.cli.console import finite
 from animtool.cli.convert_summary import channel_lines, channels_json
-from animtool.core.clock import frame_label
-from animtool.core.errors import counted, listed
-from animtool.core.quantities import angle_text, duration_text, length_text, plain
+from animtool.core.errors import counted
+from animtool.core.quantities import angle_text, length_text
 from animtool.ik.report import BEYOND, limit_counts, status_counts, status_text
+from animtool.report.text import Each, Line, render
+from animtool.report.values import picked, plain_value
 
 if TYPE_CHECKING:
-    from animtool.ik.report import GoalReport, Misses
+    from animtool.ik.report import Misses
     from animtool.ik.tracks import GoalTrack
     from animtool.scene.solves.ik import IkReport
     from animtool.scene.solves.ik_match import MatchReport
-    from animtool.scene.tables.ik import IkTable, IkTableRow
+    from animtool.scene.tables.ik import IkTable
 
-MAX_NAMED = 8
+_LINES: tuple[Line, ...] = (
+    "{solved.tracks.path}: [{goals:n goal}|0 goals], {span}",
+    "  {solved.problem.joints:n joint moves/joints move}, "
+    "{solved.problem.degrees:n degree} of freedom for "
+    "{solved.problem.rows:n condition}",
+    "  [{ends}]; {iterations:plain} iterations a frame, {restarts:n restart}, "
+    "{spent:duration} a frame",
+    Each(
+        "goals",
+        (
+            "[{!misses}  {name}: never asked for]",
+            Each(
+                "misses",
+                (
+                    "  {name} {part}: {self:size max} off at most (frame "
+                    "{frame:frame}), {self:size p95} in 95 %, {self:size mean} in the "
+                    "mean of {frames:n frame}",
+                ),
+            ),
+        ),
+    ),
+    "[  on their limits: {limits:list 8}]",
+    "[{?written}  written: {outputs:join}]",
+    Each("channels", ("    {self}",)),
+    "[{?moved}  frames of goals and joints are those solved, {solved.take.clock.span}; "
+    "frame {solved.take.clock.start:frame} is written as {span.first:frame}]",
+)
+_ROWS = (
+    "[{setting:>12}  cannot: {refused}|{setting:>12}{microseconds:plain >12}"
+    "{position:mm >12}{angle:degrees >12}{iterations:plain >12}{converged:>12.1%}]",
+)
+_HEADS = "    µs/frame    worst mm   worst deg  iterations   converged"
+_TABLE: tuple[Line, ...] = (
+    "{frames:n frame}, {degrees} degrees of freedom; tolerances in shares of the chain "
+    "and in radians",
+    "",
+    f"   tolerance{_HEADS}",
+    Each("tolerances", _ROWS),
+    "",
+    f"      method{_HEADS}",
+    Each("methods", _ROWS),
+)
+_MATCH: tuple[Line, ...] = (
+    "[{tracks.goals:n chain}|0 chains] matched, {clock.span}",
+    Each("tracks.goals", ("  {name}: [{self:parts}] of {goal.joint:repr}",)),
+    "  written: {outputs:join}",
+)
 
 
-def _size(miss: Misses, value: float) -> str:
+def _size(miss: Misses, name: str) -> str:
     """Return a miss as people read it."""
-    if miss.metric:
-        if not math.isfinite(value):
-            return f"over {BEYOND:g} m"
-        return length_text(value)
-    return angle_text(math.degrees(value))
+    value = getattr(miss, name)
+    if miss.metric and not math.isfinite(value):
+        return f"over {BEYOND:g} m"
+    return length_text(value) if miss.metric else angle_text(math.degrees(value))
+
+
+def _parts(goal: GoalTrack) -> list[str]:
+    return [part for part, value in goal.values.items() if value is not None]
+
+
+_PRINTERS: dict[str, Callable[..., str]] = {
+    "size": _size,
+    "parts": lambda goal: ", ".join(_parts(goal)),
+}
 
 
 def ik_text(report: IkReport) -> list[str]:
     """Return the lines of a summary."""
-    solved = report.solved
-    clock, problem = solved.take.clock, solved.problem
-    frames = len(solved.statuses)
-    ends = status_text(solved)
-    restarts = int((solved.descents - 1).clip(min=0).sum())
-    lines = [
-        f"{solved.tracks.path}: {counted(len(report.goals), 'goal')}, {report.span}",
-        f"  {counted(len(problem.joints), 'joint moves', 'joints move')}, "
-        f"{counted(problem.degrees, 'degree')} of freedom for "
-        f"{counted(problem.rows, 'condition')}",
-        f"  {ends}; {plain(solved.iterations.mean())} iterations a frame, "
-        f"{counted(restarts, 'restart')}, {duration_text(solved.seconds / frames)} a "
-        "frame",
-    ]
-    for goal in report.goals:
-        lines += _goal_text(goal)
-    limits = limit_counts(solved)
-    if limits:
-        most = sorted(limits.items(), key=lambda item: -item[1])
-        names = [f"{name} ({counted(count, 'frame')})" for name, count in most]
-        lines.append(f"  on their limits: {listed(names, MAX_NAMED)}")
-    if report.written is not None:
-        lines.append(f"  written: {', '.join(map(str, _outputs(report)))}")
-        if not hasattr(report.written, "result"):
-            lines += [f"    {line}" for line in channel_lines(report.written)]
-        if report.span.first != clock.start or report.span.fps != clock.fps:
-            lines.append(
-                f"  frames of goals and joints are those solved, {clock.span}; "
-                f"frame {frame_label(clock.start)} is written as "
-                f"{frame_label(report.span.first)}"
-            )
-    return lines
-
-
-def _goal_text(goal: GoalReport) -> list[str]:
-    if not goal.misses:
-        return [f"  {goal.name}: never asked for"]
-    lines = []
-    for miss in goal.misses:
-        sizes = [_size(miss, value) for value in (miss.mean, miss.p95, miss.max)]
-        lines.append(
-            f"  {goal.name} {miss.part}: {sizes[2]} off at most "
-            f"(frame {frame_label(miss.frame)}), {sizes[1]} in 95 %, "
-            f"{sizes[0]} in the mean of {counted(miss.frames, 'frame')}"
-        )
-    return lines
+    solved, span = report.solved, report.span
+    clock, written = solved.take.clock, cast(Any, report.written)
+    limits = sorted(limit_counts(solved).items(), key=lambda item: -item[1])
+    return render(
+        report,
+        _LINES,
+        _PRINTERS,
+        ends=status_text(solved),
+        iterations=solved.iterations.mean(),
+        restarts=_restarts(report),
+        spent=solved.seconds / len(solved.statuses),
+        limits=[f"{name} ({counted(count, 'frame')})" for name, count in limits],
+        outputs=_outputs(report),
+        channels=channel_lines(written) if _is_converted(written) else [],
+        moved=written is not None
+        and (span.first, span.fps) != (clock.start, clock.fps),
+    )
 
 
 def ik_details(report: IkReport) -> list[str]:
@@ -88,168 +114,97 @@ def ik_details(report: IkReport) -> list[str]:
     return [f"joints that move: {', '.join(report.solved.problem.joints)}", *spent]
 
 
+def _restarts(report: IkReport) -> int:
+    return int((report.solved.descents - 1).clip(min=0).sum())
+
+
+def _is_converted(written: Any) -> bool:
+    """Return whether what was written is no USD."""
+    return written is not None and not hasattr(written, "result")
+
+
 def _outputs(report: IkReport) -> list[str]:
     written: Any = report.written
     if written is None:
         return []
-    if hasattr(written, "result"):
-        return [str(path) for path in written.result.outputs] or ["stdout"]
-    return [str(written.output)]
+    if _is_converted(written):
+        return [str(written.output)]
+    return [str(path) for path in written.result.outputs] or ["stdout"]
 
 
 def ik_json(report: IkReport) -> dict[str, object]:
     """Return a summary as plain values; lengths in metres, angles in radians."""
-    solved = report.solved
+    solved, written = report.solved, cast(Any, report.written)
     clock, frames = solved.take.clock, len(solved.statuses)
     return {
         "ik": "animtool/1",
         "targets": str(solved.tracks.path),
         "outputs": _outputs(report),
         "frames": frames,
-        "first": float(report.span.first),
-        "last": float(report.span.last),
+        **picked(report.span, "first last"),
         "fps": str(report.span.fps),
-        "solved": {
-            "first": float(clock.span.first),
-            "last": float(clock.span.last),
-            "fps": str(clock.span.fps),
-        },
-        "joints": list(solved.problem.joints),
-        "degrees_of_freedom": solved.problem.degrees,
-        "conditions": solved.problem.rows,
+        "solved": {**picked(clock.span, "first last"), "fps": str(clock.span.fps)},
+        **picked(solved.problem, "joints degrees_of_freedom=degrees conditions=rows"),
         "statuses": status_counts(solved),
         "iterations": {
             "mean": float(solved.iterations.mean()),
             "max": int(solved.iterations.max()),
         },
-        "restarts": int((solved.descents - 1).clip(min=0).sum()),
+        "restarts": _restarts(report),
         "microseconds_per_frame": 1e6 * solved.seconds / frames,
-        "goals": [_goal_json(goal) for goal in report.goals],
+        "goals": [
+            {
+                **picked(goal, "effector=name joint"),
+                "residuals": {miss.part: _miss_json(miss) for miss in goal.misses},
+                "missed": plain_value(goal.spans),
+            }
+            for goal in report.goals
+        ],
         "on_limits": limit_counts(solved),
         "jumps": [
             {
                 "frame": float(clock.times[jump.frame]),
                 "joint": jump.joint,
                 "unit": "m" if jump.slides else "rad",
-                "size": jump.size,
-                "source": jump.source,
-                "by_goals": jump.by_goals,
+                **picked(jump, "size source by_goals"),
             }
             for jump in solved.jumps
         ],
-        **_written_json(report),
-        "notices": [notice.as_dict() for notice in report.notices],
-    }
-
-
-def _written_json(report: IkReport) -> dict[str, object]:
-    """Return the channels of a clip that was written, nothing for other outputs."""
-    written: Any = report.written
-    return (
-        {} if written is None or hasattr(written, "result") else channels_json(written)
-    )
-
-
-def _goal_json(goal: GoalReport) -> dict[str, object]:
-    spans = [
-        {
-            **asdict(span),
-            "distance": finite(span.distance),
-            "angle": finite(span.angle),
-            "status": str(span.status),
-        }
-        for span in goal.spans
-    ]
-    return {
-        "effector": goal.name,
-        "joint": goal.joint,
-        "residuals": {miss.part: _miss_json(miss) for miss in goal.misses},
-        "missed": spans,
+        **(channels_json(written) if _is_converted(written) else {}),
+        "notices": plain_value(report.notices),
     }
 
 
 def _miss_json(miss: Misses) -> dict[str, object]:
-    return {
-        "unit": "m" if miss.metric else "rad",
-        "frames": miss.frames,
-        "mean": finite(miss.mean),
-        "p95": finite(miss.p95),
-        "max": finite(miss.max),
-        "frame": miss.frame,
-    }
-
-
-_HEAD = ("µs/frame", "worst mm", "worst deg", "iterations", "converged")
+    unit = "m" if miss.metric else "rad"
+    return {"unit": unit, **picked(miss, "frames mean p95 max frame")}
 
 
 def ik_table_text(table: IkTable) -> list[str]:
     """Return the lines of a table of time against error."""
-    lines = [
-        f"{counted(table.frames, 'frame')}, {table.degrees} degrees of freedom; "
-        "tolerances in shares of the chain and in radians"
-    ]
-    for name, rows in (("tolerance", table.tolerances), ("method", table.methods)):
-        lines += ["", "".join(f"{head:>12}" for head in (name, *_HEAD))]
-        lines += [_row_text(row) for row in rows]
-    return lines
-
-
-def _row_text(row: IkTableRow) -> str:
-    if row.refused:
-        return f"{row.setting:>12}  cannot: {row.refused}"
-    cells = (
-        plain(row.microseconds),
-        plain(row.position * 1000),
-        plain(math.degrees(row.angle)),
-        plain(row.iterations),
-        f"{row.converged:.1%}",
-    )
-    return "".join(f"{cell:>12}" for cell in (row.setting, *cells))
+    return render(table, _TABLE)
 
 
 def ik_table_json(table: IkTable) -> dict[str, object]:
     """Return a table as plain values; lengths in metres, angles in radians."""
-    return {
-        "ik_table": "animtool/1",
-        "frames": table.frames,
-        "degrees_of_freedom": table.degrees,
-        "tolerances": [_row_json(row) for row in table.tolerances],
-        "methods": [_row_json(row) for row in table.methods],
-    }
-
-
-def _row_json(row: IkTableRow) -> dict[str, object]:
-    misses = {"position": finite(row.position), "angle": finite(row.angle)}
-    return {**asdict(row), **misses, "method": str(row.method)}
+    names = "frames degrees_of_freedom=degrees tolerances methods"
+    return {"ik_table": "animtool/1", **picked(table, names)}
 
 
 def match_text(report: MatchReport) -> list[str]:
     """Return the lines on what was matched."""
-    chains = counted(len(report.tracks.goals), "chain")
-    lines = [f"{chains} matched, {report.clock.span}"]
-    lines += [
-        f"  {goal.name}: {', '.join(_parts(goal))} of {goal.goal.joint!r}"
-        for goal in report.tracks.goals
-    ]
-    return [*lines, f"  written: {', '.join(map(str, report.outputs))}"]
-
-
-def _parts(goal: GoalTrack) -> list[str]:
-    return [part for part, value in goal.values.items() if value is not None]
+    return render(report, _MATCH, _PRINTERS)
 
 
 def match_json(report: MatchReport) -> dict[str, object]:
     """Return what was matched, for machines."""
-    clock = report.clock
     return {
         "ik": "animtool/1",
-        "outputs": [str(path) for path in report.outputs],
-        "frames": clock.count,
-        "first": float(clock.start),
-        "fps": str(clock.fps),
+        **picked(report, "outputs frames=clock.count first=clock.start"),
+        "fps": str(report.clock.fps),
         "matched": [
-            {"chain": goal.name, "joint": goal.goal.joint, "parts": _parts(goal)}
+            {**picked(goal, "chain=name joint=goal.joint"), "parts": _parts(goal)}
             for goal in report.tracks.goals
         ],
-        "notices": [notice.as_dict() for notice in report.notices],
+        "notices": plain_value(report.notices),
     }

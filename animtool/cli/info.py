@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -48,27 +47,25 @@ def info(console: Console, /, files: tuple[Path, ...], **params: Any) -> None:
     scene (.scene.yaml): its sources, passes and systems, and what would be baked.
     """
     from animtool.core.errors import AnimtoolError
-    from animtool.formats.marker_files import is_marker_file
 
-    described: list[tuple[Any, Callable[[Any], list[str]]]] = []
+    described: list[Any] = []
     errors: list[AnimtoolError] = []
     used: set[str] = set()
     for path in files:
         try:
-            if is_marker_file(path):
-                described.append(_markers(path, params))
-            else:
-                described.append(_described(path, params, used))
+            described.append(_described(path, params, used))
         except AnimtoolError as error:
             if console.debug:
                 raise
             errors.append(error)
     if params["report_format"] == "json":
-        files_json = [found.as_dict() for found, _ in described]
+        files_json = [found.as_dict() for found in described]
         console.result_json({"info": "animtool/1", "files": files_json})
     else:
-        for found, description in described:
-            console.result(*description(found))
+        from animtool.cli.info_summary import info_lines
+
+        for found in described:
+            console.result(*info_lines(found))
             console.faults(found.notices)
     for one in errors:
         console.faults(one.faults)
@@ -78,44 +75,44 @@ def info(console: Console, /, files: tuple[Path, ...], **params: Any) -> None:
     click.get_current_context().exit(code)
 
 
-def _described(
-    path: Path, params: dict[str, Any], used: set[str]
-) -> tuple[Any, Callable[[Any], list[str]]]:
-    """Return what a file holds, and what says it in words."""
-    from animtool.cli import info_summary
-    from animtool.scene.sources.open import SourceOptions, is_usd
+def _described(path: Path, params: dict[str, Any], used: set[str]) -> Any:
+    """Return what a file holds."""
+    from animtool.formats.marker_files import is_marker_file
+    from animtool.scene.sources.open import is_usd
 
+    if is_marker_file(path):
+        from animtool.cli.marker_files import read_marker_file
+        from animtool.report.describe_markers import describe_markers
+
+        return describe_markers(path, read_marker_file(path, params))
     if is_named(path, "scene"):
-        return _scene(path, params, used), info_summary.scene_text
+        return _scene(path, params, used)
     if is_named(path, "rig"):
-        return _rig(path), info_summary.rig_text
+        return _rig(path)
     if is_named(path, "targets"):
         from animtool.report.describe_rig import describe_targets
 
-        return describe_targets(path), info_summary.targets_text
+        return describe_targets(path)
+    if is_usd(path):
+        return _stage(path, params)
     from animtool.report.describe import describe
 
-    if not is_usd(path):
-        options = source_options_record(params, "positions")
-        return describe(path, options), info_summary.take_text
+    return describe(path, source_options_record(params, "positions"))
+
+
+def _stage(path: Path, params: dict[str, Any]) -> Any:
+    """Return what a USD file holds."""
+    from animtool.report.describe import describe
+    from animtool.scene.sources.open import SourceOptions
+
     if params["prim_path"] is None and params["take"] is None:
         from animtool.usd.caches.info import describe_points
 
         points = describe_points(path)
         if points is not None:
-            return points, info_summary.points_text
+            return points
     options = SourceOptions(prim_path=params["prim_path"], take=params["take"])
-    return describe(path, options), info_summary.take_text
-
-
-def _markers(
-    path: Path, params: dict[str, Any]
-) -> tuple[Any, Callable[[Any], list[str]]]:
-    from animtool.cli.info_summary import markers_text
-    from animtool.cli.marker_files import read_marker_file
-    from animtool.report.describe_markers import describe_markers
-
-    return describe_markers(path, read_marker_file(path, params)), markers_text
+    return describe(path, options)
 
 
 def _scene(path: Path, params: dict[str, Any], used: set[str]) -> Any:

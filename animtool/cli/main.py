@@ -12,6 +12,7 @@ import click
 from animtool.cli.console import Console
 from animtool.cli.groups import LazyGroup
 from animtool.cli.memory import crash_reason, is_out_of_memory, memory_fault
+from animtool.core.arguments import worded
 from animtool.core.errors import (
     AnimtoolError,
     ExitCode,
@@ -262,7 +263,7 @@ def _logs_json(arguments: Sequence[str]) -> bool:
 
 
 def _usage(console: Console, error: click.ClickException) -> None:
-    text = error.format_message()
+    text = worded(error.format_message(), console.calling)
     if console.json_log:
         console.error(text)
         return

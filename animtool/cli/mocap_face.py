@@ -20,13 +20,12 @@ from animtool.cli.options import (
     strict_option,
 )
 from animtool.cli.outputs import all_named, skipped, writing_options
-from animtool.core.errors import counted, listed
 from animtool.core.quantities import length_text
+from animtool.report.text import Line, render
+from animtool.report.values import picked, plain_value
 
 if TYPE_CHECKING:
     from animtool.scene.solves.face import FaceResult
-
-MAX_NAMED = 8
 
 
 @click.command(
@@ -118,30 +117,31 @@ def _residual(result: FaceResult, value: float) -> str:
     return f"{value:.3g} px ({length_text(value / result.pixels_per_meter)})"
 
 
+_LINES: tuple[Line, ...] = (
+    "{job.capture} onto {take.rig.name}: [{fit.weights:n frame}|0 frames], "
+    "{fit.model.names:n landmark}, {moved} of [{fit.model.shapes:n shape}|0 shapes] "
+    "move, {rate:.0f} frames a second",
+    "  landmarks within {fit.rms:residual} RMS; noise {fit.noise:residual} in each "
+    "direction",
+    "[  frames: {ends:list}]",
+    "[  shapes that the rig lacks: {links.lost:list 8}]",
+    "[  written: {written.files:join}]",
+)
+
+
 def face_text(result: FaceResult) -> list[str]:
     """Return the lines of a summary."""
     fit = result.fit
-    frames = len(fit.weights)
-    rate = frames / max(result.seconds["solve"], 1e-9)
-    moved = int((fit.weights.max(axis=0, initial=0) > 0).sum())
-    lines = [
-        f"{result.job.capture} onto {result.take.rig.name}: "
-        f"{counted(frames, 'frame')}, "
-        f"{counted(len(fit.model.names), 'landmark')}, {moved} of "
-        f"{counted(len(fit.model.shapes), 'shape')} move, {rate:.0f} frames a second",
-        f"  landmarks within {_residual(result, fit.rms)} RMS; noise "
-        f"{_residual(result, fit.noise)} in each direction",
-    ]
     counts = Counter(map(str, fit.status))
-    if set(counts) != {"solved"}:
-        shown = [f"{count} {name}" for name, count in sorted(counts.items())]
-        lines.append(f"  frames: {listed(shown)}")
-    if result.links.lost:
-        names = listed(result.links.lost, MAX_NAMED)
-        lines.append(f"  shapes that the rig lacks: {names}")
-    if result.written is not None:
-        lines.append(f"  written: {', '.join(map(str, result.written.files))}")
-    return lines
+    ends = [f"{count} {name}" for name, count in sorted(counts.items())]
+    return render(
+        result,
+        _LINES,
+        {"residual": lambda value: _residual(result, value)},
+        moved=int((fit.weights.max(axis=0, initial=0) > 0).sum()),
+        rate=len(fit.weights) / max(result.seconds["solve"], 1e-9),
+        ends=[] if set(counts) == {"solved"} else ends,
+    )
 
 
 def face_json(result: FaceResult) -> dict[str, object]:
@@ -155,16 +155,12 @@ def face_json(result: FaceResult) -> dict[str, object]:
     files = [] if result.written is None else result.written.files
     return {
         "mocap face": "animtool/1",
-        "source": str(result.job.capture),
-        "rig": str(result.job.rig),
-        "outputs": [str(path) for path in files],
+        **picked(result.job, "source=capture rig"),
+        "outputs": plain_value(files),
         "frames": len(fit.weights),
         "residual_unit": "px" if result.pixels else "m",
         "pixels_per_meter": result.pixels_per_meter or None,
-        "rms": fit.rms,
-        "noise": fit.noise,
-        "rounds": fit.rounds,
-        "change": fit.change,
+        **picked(fit, "rms noise rounds change"),
         "landmarks": [
             {
                 "name": name,
@@ -178,8 +174,8 @@ def face_json(result: FaceResult) -> dict[str, object]:
             {"name": name, "max": float(fit.weights[:, i].max(initial=0.0))}
             for i, name in enumerate(fit.model.shapes)
         ],
-        "status": [str(status) for status in fit.status],
+        "status": plain_value(fit.status),
         "lost": list(result.links.lost),
         "seconds": result.seconds,
-        "notices": [notice.as_dict() for notice in result.notices],
+        "notices": plain_value(result.notices),
     }

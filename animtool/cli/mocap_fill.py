@@ -12,6 +12,7 @@ from animtool.capture.options import FillOptions
 from animtool.cli.console import Console
 from animtool.cli.marker_files import marker_options, output_option, run_on_markers
 from animtool.cli.options import INPUT, read_values, record_option
+from animtool.report.text import Each, Line, Printers, render
 
 
 @click.command(
@@ -90,28 +91,35 @@ def fill(
     run_on_markers(console, "mocap fill", sources, output, params, work, _said)
 
 
+_LINES: tuple[Line, ...] = (
+    Each("swaps", ("  swapped: {markers:pair} in frames {first} to {last}",)),
+    Each(
+        "spikes", ("  spike: {marker} by {size:mm_whole} in frames {first} to {last}",)
+    ),
+    "  [{gaps:n gap}: {gaps:methods}|0 gaps]",
+    "  {filled} positions filled, {left} still missing",
+)
+_METHODS = {
+    "skeleton": "by the skeleton",
+    "curve": "by a curve",
+    "markers": "by other markers",
+    "": "left",
+}
+
+
 def _said(report: Any) -> list[str]:
     """Return what was done, in words."""
-    from animtool.core.errors import counted
+    return render(report, _LINES, _PRINTERS)
 
-    lines = []
-    for swap in report.swaps:
-        pair = " and ".join(swap.markers)
-        lines.append(f"  swapped: {pair} in frames {swap.first} to {swap.last}")
-    for spike in report.spikes:
-        where = f"frames {spike.first} to {spike.last}"
-        lines.append(
-            f"  spike: {spike.marker} by {1000 * spike.size:.0f} mm in {where}"
-        )
-    methods = Counter(gap.method for gap in report.gaps)
-    words = {
-        "skeleton": "by the skeleton",
-        "curve": "by a curve",
-        "markers": "by other markers",
-        "": "left",
-    }
-    parts = [f"{methods[m]} {words[m]}" for m in words if methods[m]]
-    gaps = counted(len(report.gaps), "gap")
-    lines.append(f"  {gaps}" + (f": {', '.join(parts)}" if parts else ""))
-    lines.append(f"  {report.filled} positions filled, {report.left} still missing")
-    return lines
+
+def _methods(gaps: Any) -> str:
+    """Return how gaps were filled."""
+    counts = Counter(gap.method for gap in gaps)
+    return ", ".join(f"{counts[m]} {word}" for m, word in _METHODS.items() if counts[m])
+
+
+_PRINTERS: Printers = {
+    "pair": " and ".join,
+    "off": lambda size: f"{1000 * size:.0f} mm",
+    "methods": _methods,
+}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -26,10 +25,13 @@ from animtool.cli.outputs import (
     written_options,
     written_options_record,
 )
-from animtool.core.errors import counted, listed, percent
-from animtool.core.quantities import duration_text, length_text
+from animtool.core.errors import listed, percent
+from animtool.core.quantities import length_text
+from animtool.report.text import Line, render
+from animtool.report.values import picked, plain_value
 
 if TYPE_CHECKING:
+    from animtool.capture.solve.calibration import Calibration
     from animtool.capture.solve.report import MarkerScore
     from animtool.scene.solves.mocap_solve import MocapSolveResult
 
@@ -134,42 +136,47 @@ def solve(
     )
 
 
+_LINES: tuple[Line, ...] = (
+    "{source} onto {solve.model.rig.name}: {score.frames:n frame}, "
+    "[{score.markers:n marker}|0 markers], {each:duration} a frame",
+    "[  calibrated over {calibration.frames:n frame} in {calibration.rounds:n step}: "
+    "bones {calibration:bones} times as long]",
+    "  markers {score.total:length} off (RMS); most: [{worst:names 3}]",
+    "[  do not fit in some frames: {strays:names}]",
+    "[  labels mixed up: {exchanged:names}]",
+    "[  not in the capture: {solve.match.missing:names}]",
+    "[  not in the template: {solve.match.unused:names}]",
+    "[  written: {outputs:join}]",
+)
+
+
 def solve_text(report: MocapSolveResult, most: int | None = MAX_NAMED) -> list[str]:
     """Return the lines of a summary; ``most``: names in a line, None is all."""
-    score, solve = report.solve.score, report.solve
-    frames = score.frames
-    each = duration_text(report.seconds["solve"] / max(frames, 1))
-    lines = [
-        f"{report.source} onto {solve.model.rig.name}: {counted(frames, 'frame')}, "
-        f"{counted(len(score.markers), 'marker')}, {each} a frame"
-    ]
-    if report.calibration is not None:
-        found = report.calibration
-        bones = found.scales[found.scales != 1.0]
-        lines.append(
-            f"  calibrated over {counted(found.frames, 'frame')} in "
-            f"{counted(found.rounds, 'step')}: bones {bones.min(initial=1.0):.3g} to "
-            f"{bones.max(initial=1.0):.3g} times as long"
-        )
+    score = report.solve.score
     worst = sorted(score.markers, key=lambda each: -each.rms if each.seen else 1.0)
-    lines.append(
-        f"  markers {length_text(score.total)} off (RMS); most: "
-        + listed([_marker(each) for each in worst[:3]], most or 3)
-    )
     strays = [each for each in score.markers if each.outliers > 0.01]
     strays.sort(key=lambda each: -each.outliers)
-    names = [f"{each.name} ({percent(each.outliers)})" for each in strays]
-    for what, items in (
-        ("do not fit in some frames", names),
-        ("labels mixed up", _exchanged(report)),
-        ("not in the capture", list(solve.match.missing)),
-        ("not in the template", list(solve.match.unused)),
-    ):
-        if items:
-            lines.append(f"  {what}: {listed(items, most or len(items))}")
-    if report.outputs:
-        lines.append(f"  written: {', '.join(map(str, report.outputs))}")
-    return lines
+    return render(
+        report,
+        _LINES,
+        {
+            "names": lambda names, usual="": listed(
+                list(names), most or int(usual or len(names))
+            ),
+            "bones": _bones,
+        },
+        score=score,
+        each=report.seconds["solve"] / max(score.frames, 1),
+        worst=[_marker(each) for each in worst[:3]],
+        strays=[f"{each.name} ({percent(each.outliers)})" for each in strays],
+        exchanged=_exchanged(report),
+    )
+
+
+def _bones(found: Calibration) -> str:
+    """Return how far bones were scaled, least and most."""
+    bones = found.scales[found.scales != 1.0]
+    return f"{bones.min(initial=1.0):.3g} to {bones.max(initial=1.0):.3g}"
 
 
 def _marker(each: MarkerScore) -> str:
@@ -192,51 +199,22 @@ def solve_json(report: MocapSolveResult) -> dict[str, object]:
     calibration = None
     if found is not None:
         calibration = {
-            "rounds": found.rounds,
-            "frames": found.frames,
-            "converged": found.converged,
+            **picked(found, "rounds frames converged"),
             "bones": dict(zip(found.rig.names, found.scales.tolist(), strict=True)),
             "shifts": dict(
-                zip(found.template.names, _plain(found.shifts), strict=True)
+                zip(found.template.names, plain_value(found.shifts), strict=True)
             ),
         }
     return {
         "mocap solve": "animtool/1",
-        "source": str(report.source),
-        "rig": str(report.rig),
-        "outputs": [str(path) for path in report.outputs],
-        "frames": score.frames,
-        "rms": _plain([score.total])[0],
-        "frame_rms": _plain(score.rms),
-        "sparse": score.sparse.tolist(),
-        "poor": score.poor.tolist(),
-        "searched": score.searched.tolist(),
-        "markers": [
-            {
-                "name": each.name,
-                "rms": _plain([each.rms])[0],
-                "seen": each.seen,
-                "outliers": each.outliers,
-            }
-            for each in score.markers
-        ],
+        **picked(report, "source rig outputs"),
+        **picked(score, "frames rms=total frame_rms=rms sparse poor searched"),
+        "markers": [picked(each, "name rms seen outliers") for each in score.markers],
         "exchanged": [
-            {
-                "marker": each.marker,
-                "label": each.label,
-                "first": each.first,
-                "last": each.last,
-            }
-            for each in score.exchanged
+            picked(each, "marker label first last") for each in score.exchanged
         ],
-        "missing": list(solve.match.missing),
-        "unused": list(solve.match.unused),
+        **picked(solve.match, "missing unused"),
         "calibration": calibration,
         "seconds": report.seconds,
-        "notices": [notice.as_dict() for notice in report.notices],
+        "notices": plain_value(report.notices),
     }
-
-
-def _plain(values: Any) -> list[float | None]:
-    """Return numbers, None in place of NaN."""
-    return [None if math.isnan(value) else float(value) for value in values]

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from animtool.capture.options import TriangulateOptions
-from animtool.cli.console import Console, columns, finite
+from animtool.cli.console import Console
 from animtool.cli.options import (
     INPUT,
     read_values,
@@ -19,6 +19,8 @@ from animtool.cli.options import (
 )
 from animtool.cli.outputs import all_named, skipped, writing_options
 from animtool.core.units import LengthUnit, UpAxis
+from animtool.report.text import Line, Table, render
+from animtool.report.values import picked, plain_value
 
 if TYPE_CHECKING:
     from animtool.capture.cameras.report import CameraReport, Triangulation
@@ -111,28 +113,24 @@ def triangulate(
     )
 
 
-def triangulation_text(found: Triangulation, output: Path) -> list[str]:
-    """Return a report in lines: what was found, and a table of the cameras."""
-    share = 100 * found.found / max(1, found.seen)
-    rows = [("camera", "seen", "used", "outliers", "error px", "error mm", "")]
-    rows += [
-        (
-            each.name,
-            f"{each.observed}",
-            f"{each.used}",
-            f"{100 * each.outliers:.2f} %",
-            f"{each.error_px:.3f}",
-            f"{each.error_mm:.3f}",
-            _remarks(each),
-        )
-        for each in found.cameras
-    ]
-    return [
-        f"{output}: {found.markers!r}".replace("<", "").replace(">", ""),
-        f"{found.found} of {found.seen} points that two cameras see ({share:.2f} %), "
-        f"reprojection {found.error_px:.3f} px ({found.error_mm:.3f} mm)",
-        *columns(rows, {0, 6}),
-    ]
+_LINES: tuple[Line, ...] = (
+    "{output}: {found_markers}",
+    "{found} of {seen} points that two cameras see ({share:.2f} %), "
+    "reprojection {error_px:.3f} px ({error_mm:.3f} mm)",
+    Table(
+        "cameras",
+        {
+            "camera": "{name}",
+            "seen": "{observed}",
+            "used": "{used}",
+            "outliers": "{outliers:hundredths2} %",
+            "error px": "{error_px:.3f}",
+            "error mm": "{error_mm:.3f}",
+            "": "{self:remarks}",
+        },
+        left=("camera", ""),
+    ),
+)
 
 
 def _remarks(report: CameraReport) -> str:
@@ -146,6 +144,21 @@ def _remarks(report: CameraReport) -> str:
     return ", ".join(said)
 
 
+def triangulation_text(found: Triangulation, output: Path) -> list[str]:
+    """Return a report in lines: what was found, and a table of the cameras."""
+    return render(
+        found,
+        _LINES,
+        {"remarks": _remarks, "hundredths2": lambda share: f"{100 * share:.2f}"},
+        output=output,
+        found_markers=f"{found.markers!r}".replace("<", "").replace(">", ""),
+        share=100 * found.found / max(1, found.seen),
+    )
+
+
+_REPROJECTION = "px=error_px mm=error_mm"
+
+
 def triangulation_json(
     found: Triangulation, observations: Path, output: Path
 ) -> dict[str, Any]:
@@ -155,49 +168,30 @@ def triangulation_json(
         "observations": str(observations),
         "output": str(output),
         "frames": len(found.markers),
-        "fps": float(found.markers.clock.rate),
-        "markers": list(found.markers.names),
-        "points": {"seen": found.seen, "found": found.found},
-        "reprojection": {
-            "px": finite(found.error_px),
-            "mm": finite(found.error_mm),
-        },
+        **picked(found.markers, "fps=clock.rate markers=names"),
+        "points": picked(found, "seen found"),
+        "reprojection": picked(found, _REPROJECTION),
         "cameras": [camera_json(each) for each in found.cameras],
-        "notices": [fault.as_dict() for fault in found.notices],
+        "notices": plain_value(found.notices),
     }
 
 
 def camera_json(report: CameraReport) -> dict[str, Any]:
     """Return the report of a camera as plain values."""
+    change = "angle_rad=angle distance_m=distance reprojection_px=error_px"
     return {
-        "name": report.name,
-        "observed": report.observed,
-        "used": report.used,
-        "outliers": report.outliers,
-        "noise_px": finite(report.noise_px),
-        "reprojection": {"px": finite(report.error_px), "mm": finite(report.error_mm)},
+        **picked(report, "name observed used outliers noise_px"),
+        "reprojection": picked(report, _REPROJECTION),
         "moved": [
             {
                 "first": each.first + 1,
-                "last": each.end,
-                "outliers": each.outliers,
-                "kept": each.kept,
-                "change": None
-                if each.change is None
-                else {
-                    "angle_rad": each.change.angle,
-                    "distance_m": each.change.distance,
-                    "reprojection_px": each.change.error_px,
-                },
+                **picked(each, "last=end outliers kept"),
+                "change": each.change and picked(each.change, change),
             }
             for each in report.moved
         ],
         "disagrees": [
-            {
-                "frame": each.frame + 1,
-                "outliers": each.outliers,
-                "error_px": finite(each.error_px),
-            }
+            {"frame": each.frame + 1, **picked(each, "outliers error_px")}
             for each in report.disagrees
         ],
     }

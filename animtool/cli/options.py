@@ -10,7 +10,9 @@ from typing import Any, TypeVar
 
 import click
 
+from animtool.cli.calling import SOURCE_NAMES, as_flag, calling_of
 from animtool.cli.console import Console
+from animtool.core.arguments import worded
 from animtool.core.errors import Severity
 from animtool.core.options import Option, options_of
 from animtool.core.process.supervisor import stdin_lines
@@ -139,6 +141,8 @@ TOLERANCE = Parsed("tolerance", _tolerance)
 def _set(name: str, value: Any) -> Callable[..., None]:
     def apply(ctx: click.Context, _: click.Parameter, chosen: Any) -> None:
         console = ctx.find_object(Console)
+        if console is not None:
+            console.calling = calling_of(ctx.command)
         if console is not None and chosen:
             setattr(console, name, value)
 
@@ -255,46 +259,50 @@ class _OneOf(click.ParamType[Any]):
 
 
 def declared(
-    option: Option, name: str, default: Any = None
+    option: Option, name: str, default: Any = None, called: str | None = None
 ) -> Callable[[Command], Command]:
-    """Return what adds an option that a record declares to a command."""
-    flag, shown = option.flag.split()[0], option.metavar
+    """Return what adds an option that a record declares to a command.
+
+    called: What the command calls it, if not as the record does.
+    """
+    word, shown = option.flag or name.replace("_", "-"), option.metavar
+    flag, text = f"--{word}", worded(option.help, as_flag)
+    param = called or name
     if option.kind == "answer":
-        flags = f"{flag.replace('--no-', '--')}/{flag}"
-        return click.option(flags, name, default=None, help=option.help)
+        return click.option(f"{flag}/--no-{word}", param, default=None, help=text)
     if option.choices and option.kind != "name":
         chosen = click.Choice(option.choices)
         usual = option.choices[0] if option.kind == "switch" else default
         shows = option.kind != "switch" and default is not None
         return click.option(
             flag,
-            name,
+            param,
             type=chosen,
             default=usual,
             show_default=shows,
-            help=option.help,
+            help=text,
         )
     if option.kind == "switch":
-        return click.option(flag, name, is_flag=True, help=option.help)
+        return click.option(flag, param, is_flag=True, help=text)
     if option.kind == "count":
         kind: Any = click.IntRange(option.least)
     elif option.kind == "name":
         kind = _OneOf(option.choices)
     else:
-        kind, word = _TYPES[option.kind]
-        shown = shown or word
+        kind, usual = _TYPES[option.kind]
+        shown = shown or usual
     default = default if option.written is None else option.written
     if option.kind == "processes":
         default = None  # a command takes what fits; a script has to ask for it
     return click.option(
         *filter(None, (option.short, flag)),
-        name,
+        param,
         type=kind,
         metavar=shown,
         default=default,
-        show_default=default not in {None, ()} and "[default: " not in option.help,
+        show_default=default not in {None, ()} and "[default: " not in text,
         multiple=option.kind in _MULTIPLE,
-        help=option.help,
+        help=text,
     )
 
 
@@ -313,7 +321,7 @@ def record_option(
 
     return stacked(
         *(
-            declared(options[name], (called or {}).get(name, name), defaults[name])
+            declared(options[name], name, defaults[name], (called or {}).get(name))
             for name in names or options
         )
     )
@@ -349,7 +357,7 @@ _READ: dict[str, Callable[[Any], Any]] = {
 
 def source_option(*names: str) -> Callable[[Command], Command]:
     """Return what adds some options of `SourceOptions`, in this order."""
-    return record_option(SourceOptions, *names, called=_SOURCE_NAMES)
+    return record_option(SourceOptions, *names, called=SOURCE_NAMES)
 
 
 def bake_option(*names: str) -> Callable[[Command], Command]:
@@ -357,8 +365,6 @@ def bake_option(*names: str) -> Callable[[Command], Command]:
     return record_option(BakeOptions, *names)
 
 
-# What commands call options of a source, where others of theirs have the name.
-_SOURCE_NAMES = {"fps": "source_fps", "prim_path": "source_prim", "unit": "units"}
 rig_layer_options = bake_option("rig_layer", "prim_path", "force_fit")
 source_options = source_option("unit", "up", "fps")
 
@@ -399,7 +405,7 @@ def source_options_record(
 ) -> SourceOptions:
     """Return what a BVH leaves open, more options by name, and values as they are."""
     read = {
-        name: read_value(option, params[_SOURCE_NAMES.get(name, name)])
+        name: read_value(option, params[SOURCE_NAMES.get(name, name)])
         for name, option in options_of(SourceOptions).items()
         if name in {"unit", "up", "fps", *names}
     }

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING
 
-from animtool.cli.console import columns
 from animtool.core.clock import frame_label
 from animtool.core.errors import counted, excerpt
 from animtool.core.quantities import duration_text, length_text, plain, size_text
+from animtool.report.text import columns
 
 if TYPE_CHECKING:
     from animtool.scene.bake.files import ConvertReport

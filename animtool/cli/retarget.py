@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -28,9 +27,11 @@ from animtool.cli.outputs import (
     written_options,
     written_options_record,
 )
-from animtool.core.errors import counted, listed, percent
+from animtool.core.errors import listed, percent
 from animtool.core.options import options_of
-from animtool.core.quantities import angle_text, duration_text, length_text
+from animtool.core.quantities import angle_text, length_text
+from animtool.report.text import Line, render
+from animtool.report.values import picked, plain_value
 from animtool.retarget.options import RetargetOptions
 
 if TYPE_CHECKING:
@@ -47,43 +48,37 @@ MAX_RUNS = 6
 NEGLIGIBLE = 1e-9
 
 
+_LINES: tuple[Line, ...] = (
+    "{verdict_text}",
+    "{source} onto {target.name}: {score.frames:n frame}, {score.pairs:n joint} "
+    "paired, scaled by {score.scale:.3g}, {each:duration} a frame",
+    "[{?score.contacts}  feet stand in {score.contacts:percent} of frames; they drift "
+    "{score.drift_mean:metres}, {score.drift_max:metres} at most (the source "
+    "{score.source_drift_max:metres}, scaled); soles within {score.sole_error:metres}]",
+    "  {fit}",
+    "[{?score.hand_error}  hands within {score.hand_error:length} of what they hold]",
+    "[{?score.lowered}  hips lowered by up to {score.lowered:length}: legs reach]",
+    "[  stopped by their limits: {held:names}]",
+    "[  not mapped, of the source: {score.unmapped_source:names}]",
+    "[  not mapped, of the rig: {score.unmapped_target:names}]",
+    "[  written: {outputs:join}]",
+)
+
+
 def retarget_text(report: RetargetResult, most: int | None = MAX_NAMED) -> list[str]:
     """Return the lines of a summary; ``most``: names in a line, None is all."""
-    score = report.score
-    frames, spent = score.frames, report.seconds["solve"]
-    each = duration_text(spent / max(frames, 1))
-    lines = [
-        verdict_text(report.verdict),
-        f"{report.source} onto {report.target.name}: {counted(frames, 'frame')}, "
-        f"{counted(score.pairs, 'joint')} paired, scaled by {score.scale:.3g}, "
-        f"{each} a frame",
-    ]
-    if score.contacts:
-        lines.append(
-            f"  feet stand in {percent(score.contacts)} of frames; they drift "
-            f"{_length(score.drift_mean)}, {_length(score.drift_max)} at most "
-            f"(the source {_length(score.source_drift_max)}, scaled); soles within "
-            f"{_length(score.sole_error)}"
-        )
-    lines.append(f"  {'; '.join(_fit(score))}")
-    if score.hand_error:
-        lines.append(
-            f"  hands within {length_text(score.hand_error)} of what they hold"
-        )
-    if score.lowered:
-        lines.append(
-            f"  hips lowered by up to {length_text(score.lowered)}: legs reach"
-        )
-    for what, names in (
-        ("stopped by their limits", _held(report)),
-        ("not mapped, of the source", score.unmapped_source),
-        ("not mapped, of the rig", score.unmapped_target),
-    ):
-        if names:
-            lines.append(f"  {what}: {listed(names, most or len(names))}")
-    if report.outputs:
-        lines.append(f"  written: {', '.join(map(str, report.outputs))}")
-    return lines
+    return render(
+        report,
+        _LINES,
+        {
+            "metres": _length,
+            "names": lambda names: listed(names, most or len(names)),
+        },
+        verdict_text=verdict_text(report.verdict),
+        each=report.seconds["solve"] / max(report.score.frames, 1),
+        fit="; ".join(_fit(report.score)),
+        held=_held(report),
+    )
 
 
 def verdict_text(verdict: Verdict) -> str:
@@ -139,28 +134,19 @@ def retarget_json(report: RetargetResult) -> dict[str, object]:
     return {
         **report.verdict.as_dict(),
         "retarget": "animtool/1",
-        "source": str(report.source),
-        "rig": str(report.rig),
-        "outputs": [str(path) for path in report.outputs],
-        **{name: _plain(value) for name, value in asdict(report.score).items()},
+        **picked(report, "source rig outputs"),
+        **plain_value(report.score),
         "joints": [
             {
                 "source": ours[pair.source],
                 "target": theirs[pair.target],
-                "role": pair.role,
-                "found": str(pair.found),
-                "confidence": pair.confidence,
+                **picked(pair, "role found confidence"),
             }
             for pair in report.joint_map.pairs
         ],
         "seconds": report.seconds,
-        "notices": [notice.as_dict() for notice in report.notices],
+        "notices": plain_value(report.notices),
     }
-
-
-def _plain(value: object) -> object:
-    """Return a value as JSON has it: null for a score of nothing."""
-    return None if isinstance(value, float) and math.isnan(value) else value
 
 
 # Options of retargeting that those of writing do not have.

@@ -1,15 +1,16 @@
-"""What a table of a simulation comes to, in words and in JSON."""
+"""What a table of a simulation comes to, in lines and in JSON."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable
 from dataclasses import asdict
 from typing import TYPE_CHECKING
 
-from animtool.cli.console import columns, finite
 from animtool.core.errors import listed
 from animtool.core.quantities import plain
+from animtool.report.text import Each, Line, Table, render
+from animtool.report.values import picked, plain_value
 
 if TYPE_CHECKING:
     from animtool.scene.tables.simulation import SimulationTable
@@ -17,94 +18,59 @@ if TYPE_CHECKING:
     from animtool.sim.trials.trial import Distances, Setting
 
 LEGEND = "> the file's own   * none as exact is faster   + to take in its place"
+_PART: tuple[Line, ...] = (
+    "{name}: {kind}, {span:plain 4} s simulated",
+    "[  compared with {reference.setting} at {instants} times, up to {points} points]",
+    "[  which may be off by {reference.error.rms:mm} mm itself (rms)"
+    "[; order {reference.order:.1f} seen]"
+    "[{?reference.sensitive}: error not small, the motion is sensitive]]",
+    Table(
+        "tried",
+        {
+            "": "{self:marks}",
+            "method": "{setting.method}",
+            "setting": "{setting.options:options}",
+            "seconds": "{seconds:plain}",
+            "sim s/s": "{self:speed}",
+            "steps": "{steps}",
+            "largest mm": "{error.largest:mm}",
+            "rms mm": "{error.rms:mm}",
+            "median mm": "{error.median:mm}",
+            "rms deg": "{error.angle:degrees}",
+            "lone %": "[{?lone}{error.apart:hundredths}]",
+            "energy %": "{energy_drift:hundredths}",
+            "stretch %": "{stretch:hundredths}",
+            " ": "{self:ending}",
+        },
+        left=("", "method", "setting", " "),
+        optional=("rms deg", "lone %", "energy %", "stretch %"),
+        indent="  ",
+    ),
+    Each("left_out", ("  left out: {value:list}: {key}",)),
+    "[  {advice}]",
+    "",
+)
 
 
 def simulation_table_text(table: SimulationTable) -> list[str]:
     """Return a table of settings, their cost and their error, for each simulation."""
     lines: list[str] = []
     for part in table.tables:
-        lines += [*_part_text(part), ""]
+        tried = [row for row in part.rows if row.status is not None]
+        lines += render(
+            part,
+            _PART,
+            {**_PRINTERS, "speed": lambda row, span=part.span: _speed(row, span)},
+            tried=tried,
+            lone=any(row.error and row.error.apart for row in tried),
+            left_out=_left_out(part),
+            advice=_advice(part),
+        )
     return [*lines, LEGEND]
 
 
-def _part_text(part: TrialTable) -> list[str]:
-    lines = [f"{part.name}: {part.kind}, {plain(part.span, 4)} s simulated"]
-    if part.reference is not None:
-        lines += _reference_text(part, part.reference)
-    lines += [f"  {line}" for line in _grid(part)]
-    lines += [f"  {reason}" for reason in _left_out(part)]
-    return lines + _advice(part)
-
-
-def _reference_text(part: TrialTable, reference: Reference) -> list[str]:
-    off = f"may be off by {_millimetres(reference.error.rms)} mm itself (rms)"
-    if reference.order is not None:
-        off += f"; order {reference.order:.1f} seen"
-    if reference.sensitive:
-        off += ": error not small, the motion is sensitive"
-    return [
-        f"  compared with {reference.setting} at {part.instants} times, "
-        f"up to {part.points} points",
-        f"  which {off}",
-    ]
-
-
-def _millimetres(meters: float) -> str:
-    return plain(meters * 1000)
-
-
-def _grid(part: TrialTable) -> list[str]:
-    """Return the rows that were simulated, in columns."""
-    rows = [row for row in part.rows if row.status is not None]
-    heads = ["", "method", "setting", "seconds", "sim s/s", "steps"]
-    heads += ["largest mm", "rms mm", "median mm"]
-    optional = _optional(rows)
-    lines = [[*heads, *optional, ""]]
-    for i, row in enumerate(rows):
-        own = [values[i] for values in optional.values()]
-        lines.append([*_cells(row, part.span), *own, _ending(row)])
-    return columns(lines, {0, 1, 2, len(lines[0]) - 1})
-
-
-def _cells(row: TrialRow, span: float) -> list[str]:
-    error = row.error
-    sizes = ["", "", ""]
-    if error is not None:
-        each = (error.largest, error.rms, error.median)
-        sizes = [_millimetres(size) for size in each]
-    return [
-        _marks(row),
-        row.setting.method,
-        ", ".join(f"{name} {value:.6g}" for name, value in row.setting.options),
-        plain(row.seconds),
-        plain(span / row.seconds) if row.seconds else "",
-        str(row.steps),
-        *sizes,
-    ]
-
-
-def _optional(rows: list[TrialRow]) -> dict[str, list[str]]:
-    """Return columns that only some simulations have."""
-    errors = [row.error for row in rows]
-    apart = [None if error is None else error.apart for error in errors]
-    columns = {
-        "rms deg": [
-            None if error is None or error.angle is None else math.degrees(error.angle)
-            for error in errors
-        ],
-        "lone %": _percent(apart if any(apart) else []),
-        "energy %": _percent([row.energy_drift for row in rows]),
-        "stretch %": _percent([row.stretch for row in rows]),
-    }
-    return {
-        head: ["" if value is None else plain(value) for value in values]
-        for head, values in columns.items()
-        if any(value is not None for value in values)
-    }
-
-
-def _percent(values: Sequence[float | None]) -> list[float | None]:
-    return [None if value is None else 100 * value for value in values]
+def _speed(row: TrialRow, span: float) -> str:
+    return plain(span / row.seconds) if row.seconds else ""
 
 
 def _marks(row: TrialRow) -> str:
@@ -131,7 +97,7 @@ def _status(row: TrialRow) -> str:
     return "blew up" if row.status == "unstable" else str(row.status)
 
 
-def _left_out(part: TrialTable) -> list[str]:
+def _left_out(part: TrialTable) -> dict[str, list[str]]:
     """Return why methods are not for it, each reason once."""
     causes: dict[str, dict[str, None]] = {}
     for row in part.rows:
@@ -139,25 +105,22 @@ def _left_out(part: TrialTable) -> list[str]:
             method = row.setting.method
             reason = row.reason.removeprefix(method).strip()
             causes.setdefault(reason, {})[method] = None
-    return [
-        f"left out: {listed(list(methods))}: {reason}"
-        for reason, methods in causes.items()
-    ]
+    return {reason: list(methods) for reason, methods in causes.items()}
 
 
-def _advice(part: TrialTable) -> list[str]:
-    """Return what to take in place of the chosen setting."""
+def _advice(part: TrialTable) -> str:
+    """Return what to take in place of the chosen setting, nothing where unknown."""
     chosen = next(row for row in part.rows if row.chosen)
     better = next((row for row in part.rows if row.recommended), None)
     if part.reference is None or part.reference.sensitive:
-        return []
+        return ""
     if better is None:
-        return ["  nothing tried is as exact and much faster than the file's own"]
+        return "nothing tried is as exact and much faster than the file's own"
     settings = listed([f"{name}: {value}" for name, value in _keys(better.setting)])
     if chosen.error is None:
-        return [f"  the file's own does not work; {settings} does"]
+        return f"the file's own does not work; {settings} does"
     share = better.seconds / chosen.seconds
-    return [f"  {settings} is as exact in {share:.0%} of the time"]
+    return f"{settings} is as exact in {share:.0%} of the time"
 
 
 def _keys(setting: Setting) -> list[tuple[str, str]]:
@@ -167,35 +130,35 @@ def _keys(setting: Setting) -> list[tuple[str, str]]:
     return named + options
 
 
+_PRINTERS: dict[str, Callable[..., str]] = {
+    "marks": _marks,
+    "ending": _ending,
+    "options": lambda options: ", ".join(f"{name} {own:.6g}" for name, own in options),
+}
+
+
 def simulation_table_json(table: SimulationTable) -> dict[str, object]:
     """Return a table as plain values: lengths in metres, angles in radians."""
     return {
         "simulation_table": "animtool/1",
         "source": str(table.source),
-        "simulated": [_part_json(part) for part in table.tables],
-        "notices": [notice.as_dict() for notice in table.notices],
+        "simulated": [
+            {
+                **picked(part, "name kind span instants points extent"),
+                "reference": part.reference and _reference_json(part.reference),
+                "rows": [_row_json(row, part.span) for row in part.rows],
+            }
+            for part in table.tables
+        ],
+        "notices": plain_value(table.notices),
     }
 
 
-def _part_json(part: TrialTable) -> dict[str, object]:
-    compared = part.reference
-    reference = None
-    if compared is not None:
-        reference = {
-            **_setting_json(compared.setting),
-            "error": _distances_json(compared.error),
-            "order": compared.order,
-            "sensitive": compared.sensitive,
-        }
+def _reference_json(reference: Reference) -> dict[str, object]:
     return {
-        "name": part.name,
-        "kind": part.kind,
-        "span": part.span,
-        "instants": part.instants,
-        "points": part.points,
-        "extent": part.extent,
-        "reference": reference,
-        "rows": [_row_json(row, part.span) for row in part.rows],
+        **_setting_json(reference.setting),
+        "error": _distances_json(reference.error),
+        **picked(reference, "order sensitive"),
     }
 
 
@@ -207,17 +170,12 @@ def _row_json(row: TrialRow, span: float) -> dict[str, object]:
     return {
         **_setting_json(row.setting),
         "status": _status(row),
-        "reason": row.reason,
-        "stable_step": finite(row.stable_step),
+        **picked(row, "reason stable_step"),
         "seconds": round(row.seconds, 6),
         "simulated_per_second": span / row.seconds if row.seconds else None,
         "steps": row.steps,
         "error": None if row.error is None else _distances_json(row.error),
-        "energy_drift": finite(row.energy_drift),
-        "stretch": finite(row.stretch),
-        "chosen": row.chosen,
-        "best": row.best,
-        "recommended": row.recommended,
+        **picked(row, "energy_drift stretch chosen best recommended"),
     }
 
 

@@ -5,29 +5,32 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from animtool.cli.console import columns, finite
 from animtool.cli.convert_summary import (
+    SCORES,
+    SHOT,
     convert_json,
     convert_text,
     scores_json,
-    scores_text,
+    scores_lines,
     shot_json,
-    shot_text,
 )
 from animtool.cli.plan_summary import mesh_json, mesh_text
 from animtool.core.clock import FrameSpan, frame_label
 from animtool.core.errors import counted, listed
-from animtool.core.quantities import duration_text, length_text, plain, size_text
+from animtool.core.quantities import length_text, plain
 from animtool.core.rates import rate_label
 from animtool.core.units import unit_name
+from animtool.report.text import Each, Line, Table, render
+from animtool.report.values import picked, plain_value
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
     from pathlib import Path
 
     from animtool.scene.bake.files import ConvertReport
     from animtool.scene.bake.prims import BakeReport, TakeReport
     from animtool.scene.tables.bake import BakeTable
+    from animtool.usd.takes.splines import CurveReport
 
 
 # A stage in three files names all; chunks can be thousands.
@@ -41,51 +44,95 @@ def _files_text(files: Sequence[Path]) -> str:
     return f"{files[-1]} and {len(files) - 1} more files"
 
 
+def _extras(indent: str) -> tuple[Line, ...]:
+    """Return the lines of what only some bakes do to a take."""
+    return (
+        scores_lines(indent),
+        f"[{indent}{{thinned.samples:n sample}} reduced to {{thinned.kept:len}}: "
+        "largest error between them {thinned.error:length}"
+        "[{?thinned.error} (joint {thinned_joint:repr}, frame {thinned.code:frame})]]",
+        f"[{indent}{{written.curves:n curve of a control/curves of controls}} kept, "
+        "{written.curves:knots}: largest difference {written.curves:difference}]",
+    )
+
+
+_LINES: tuple[Line, ...] = (
+    "{files}: {form}",
+    "  [{frames}|{takes:n take}, {span}]",
+    SHOT,
+    "[{?posed}  {result.joints:n joint}, {moving} animated]",
+    Each("parts", ("{self}",)),
+    "  {up} up, lengths in {unit}[{?unstated}; the source taken to be in cm (--units)]",
+    "  {result.bytes:size} written in {total:duration}"
+    "[{?posed}{?source_bytes}, {speed:size}/s of source]",
+    "[{?posed}  largest error of {worst:rounded}[{?beyond} (without values beyond it)]:"
+    " {worst:error}[{?many} (take {worst.written.name:repr}, {worst:place})"
+    "|{?worst.written.rounding.error} ({worst:place})]]",
+    Each("alone", _extras("  ")),
+    Each(
+        "several",
+        (
+            "  take {written.name}: {self:frames}",
+            "    error of {self:rounded}: {self:error}"
+            "[{?written.rounding.error} ({self:place})]",
+            *_extras("    "),
+        ),
+    ),
+)
+_DETAILS: tuple[Line, ...] = (
+    Each(
+        "takes",
+        (
+            "  source: [{details:stated}]",
+            "  animation: [{written.animation}]",
+            Each("simulated", ("  simulated: [{self:stated}]",)),
+        ),
+    ),
+    "  seconds: [{seconds:seconds}] (read runs beside author)",
+    "  skeleton at rest: {size:length 4} across",
+)
+_TABLE: tuple[Line, ...] = (
+    Table(
+        "rows",
+        {
+            "": "{kind}",
+            "setting": "{setting}",
+            "count": "{count}",
+            "seconds": "{seconds:.3f}",
+            "kB": "[{?bytes}{bytes:kB}]",
+            "error mm": "{error:mm}",
+            "worst": "{joint} at {time:.2f} s",
+        },
+        left=("", "setting", "worst"),
+    ),
+    "samples compared with the source at {instants} instants",
+)
+
+
 def bake_text(report: BakeReport) -> list[str]:
     """Return the lines of a summary."""
-    result, total = report.result, report.seconds["total"]
-    speed = report.source_bytes / total
-    files = _files_text(result.outputs)
-    unit = unit_name(report.meters_per_unit)
-    unstated = any(take.unit_assumed for take in report.takes)
-    assumed = "; the source taken to be in cm (--units)" if unstated else ""
-    takes = report.takes
+    takes, total = report.takes, report.seconds["total"]
     one = takes[0] if len(takes) == 1 else None
-    if one is not None and one.meshes and not one.written.animation:
-        return [
-            f"{files}: {report.form}",
-            f"  {_frames_text(report, one)}",
-            *shot_text(report),
-            *mesh_text(one),
-            *_props_text(report),
-            f"  {report.up} up, lengths in {unit}{assumed}",
-            f"  {size_text(result.bytes)} written in {duration_text(total)}",
-        ]
-    moving = " and ".join(result.sampled) or "nothing"
-    lines = [f"{files}: {report.form}"]
-    if one is not None:
-        lines.append(f"  {_frames_text(report, one)}")
-        lines += shot_text(report)
-    else:
-        lines.append(f"  {len(takes)} takes, {report.span}")
-    lines += [
-        f"  {counted(result.joints, 'joint')}, {moving} animated",
-        *_props_text(report),
-        *(mesh_text(one) if one and one.meshes else []),
-        f"  {report.up} up, lengths in {unit}{assumed}",
-        f"  {size_text(result.bytes)} written in {duration_text(total)}"
-        + (f", {size_text(speed)}/s of source" if speed else ""),
-        f"  largest error of {_rounded_to(report.worst)}{_clamped_text(report)}: "
-        + _error_text(report.worst, "" if one else report.worst.written.name),
-    ]
-    if one is not None:
-        return lines + [f"  {line}" for line in _extras_text(one)]
-    for take in takes:
-        lines.append(f"  take {take.written.name}: {_frames_text(report, take)}")
-        error = _error_text(take)
-        lines.append(f"    error of {_rounded_to(take)}: {error}")
-        lines += [f"    {line}" for line in _extras_text(take)]
-    return lines
+    posed = one is None or not one.meshes or bool(one.written.animation)
+    parts = [_props_text(report), mesh_text(one) if one and one.meshes else []]
+    return render(
+        report,
+        _LINES,
+        {**_PRINTERS, "frames": lambda take: _frames_text(report, take)},
+        files=_files_text(report.result.outputs),
+        frames=None if one is None else _frames_text(report, one),
+        posed=posed,
+        moving=" and ".join(report.result.sampled) or "nothing",
+        parts=[line for part in (parts if posed else parts[::-1]) for line in part],
+        unit=unit_name(report.meters_per_unit),
+        unstated=any(take.unit_assumed for take in takes),
+        total=total,
+        speed=report.source_bytes / total,
+        beyond=any(notice.code == "BVH104" for notice in report.notices),
+        many=one is None and report.worst.written.rounding.error,
+        alone=[] if one is None or not posed else takes,
+        several=takes if one is None else [],
+    )
 
 
 def _frames_text(report: BakeReport, take: TakeReport) -> str:
@@ -102,69 +149,36 @@ def _frames_text(report: BakeReport, take: TakeReport) -> str:
     return text
 
 
-def _rounded_to(take: TakeReport) -> str:
-    """Return what the numbers of a take were rounded to."""
-    return "float32 and half scales" if take.written.rounding.scales else "float32"
+def _place(take: TakeReport) -> str:
+    """Return where rounding moved a take most."""
+    frame = frame_label(take.written.rounding.code)
+    return f"joint {take.error_joint!r}, frame {frame}"
 
 
-def _clamped_text(report: BakeReport) -> str:
-    """Say that errors leave out values beyond float32, if there are any."""
-    beyond = any(notice.code == "BVH104" for notice in report.notices)
-    return " (without values beyond it)" if beyond else ""
+def _difference(curves: Sequence[CurveReport]) -> str:
+    """Return how far curves are off at most, and which."""
+    worst = max(curves, key=lambda curve: curve.difference)
+    where = f" (control {worst.name!r})" if worst.difference else ""
+    return f"{plain(worst.difference, 2)}{where}"
 
 
-def _error_text(take: TakeReport, name: str = "") -> str:
-    """Return the largest error of a take, and where; with its name, if given."""
-    rounding = take.written.rounding
-    text = length_text(rounding.error, 2)
-    if not rounding.error:
-        return text
-    of = f"take {name!r}, " if name else ""
-    return (
-        f"{text} ({of}joint {take.error_joint!r}, frame {frame_label(rounding.code)})"
-    )
-
-
-def _extras_text(take: TakeReport) -> list[str]:
-    """Return what only some bakes do to a take."""
-    lines, thinned = scores_text(take.scores), take.thinned
-    curves = take.written.curves
-    if thinned is not None:
-        where = f" (joint {take.thinned_joint!r}, frame {frame_label(thinned.code)})"
-        lines.append(
-            f"{counted(thinned.samples, 'sample')} reduced to {len(thinned.kept)}: "
-            f"largest error between them {length_text(thinned.error)}"
-            + (where if thinned.error else "")
-        )
-    if curves:
-        worst = max(curves, key=lambda curve: curve.difference)
-        where = f" (control {worst.name!r})" if worst.difference else ""
-        knots = counted(sum(curve.knots for curve in curves), "knot")
-        kept = "curve of a control" if len(curves) == 1 else "curves of controls"
-        lines.append(
-            f"{len(curves)} {kept} kept, {knots}: largest difference "
-            f"{plain(worst.difference, 2)}{where}"
-        )
-    return lines
+_PRINTERS: dict[str, Callable[..., str]] = {
+    **SCORES,
+    "rounded": lambda take: (
+        "float32 and half scales" if take.written.rounding.scales else "float32"
+    ),
+    "error": lambda take: length_text(take.written.rounding.error, 2),
+    "place": _place,
+    "knots": lambda curves: counted(sum(curve.knots for curve in curves), "knot"),
+    "difference": _difference,
+    "stated": lambda values: ", ".join(f"{key} {own}" for key, own in values.items()),
+    "seconds": lambda values: ", ".join(f"{k} {own:.3f}" for k, own in values.items()),
+}
 
 
 def bake_details(report: BakeReport) -> list[str]:
     """Return what only the verbose are told."""
-    seconds = ", ".join(f"{name} {value:.3f}" for name, value in report.seconds.items())
-    lines = []
-    for take in report.takes:
-        stated = ", ".join(f"{key} {value}" for key, value in take.details.items())
-        lines.append(f"  source: {stated}")
-        lines.append(f"  animation: {take.written.animation}")
-        lines += [
-            f"  simulated: {', '.join(f'{key} {value}' for key, value in one.items())}"
-            for one in take.simulated
-        ]
-    return [
-        *lines,
-        f"  seconds: {seconds} (read runs beside author)",
-        f"  skeleton at rest: {length_text(report.size, 4)} across",
-    ]
+    return render(report, _DETAILS, _PRINTERS)
 
 
 def _props_text(report: BakeReport) -> list[str]:
@@ -178,39 +192,25 @@ def bake_json(report: BakeReport) -> dict[str, object]:
 
     Of a library ``takes`` says what became of each; what stands beside it is of all.
     """
-    result, takes = report.result, report.takes
+    takes, span, stopped = report.takes, report.span, report.stopped
+    several = [_take_json(report, take) for take in takes] if len(takes) > 1 else []
     return {
         "bake": "animtool/1",
-        **(_take_json(report, takes[0]) if len(takes) == 1 else {}),
-        "outputs": [str(path) for path in result.outputs],
-        "form": report.form,
-        "samples": result.samples,
-        "start": float(report.span.first),
-        "end": float(report.span.last),
-        "fps": float(report.span.fps),
-        "rate": str(report.span.fps),
-        "joints": report.joints,
-        "joints_written": result.joints,
-        "animated": result.sampled,
+        **({} if several else _take_json(report, takes[0])),
+        **picked(report, "outputs=result.outputs form samples=result.samples"),
+        **picked(span, "start=first end=last fps"),
+        "rate": str(span.fps),
+        **picked(report, "joints joints_written=result.joints animated=result.sampled"),
         "meters_per_unit": report.meters_per_unit,
         "units": unit_name(report.meters_per_unit),
-        "up": report.up,
-        "bytes": result.bytes,
+        **picked(report, "up bytes=result.bytes"),
         **shot_json(report),
         "seconds": {name: round(value, 6) for name, value in report.seconds.items()},
         "megabytes_per_second": _speed(report),
         "error": _error_json(report, report.worst),
-        **(
-            {"takes": [_take_json(report, take) for take in takes]}
-            if len(takes) > 1
-            else {}
-        ),
-        "notices": [notice.as_dict() for notice in report.notices],
-        **(
-            {"stopped": [fault.as_dict() for fault in report.stopped.faults]}
-            if report.stopped is not None
-            else {}
-        ),
+        **({"takes": several} if several else {}),
+        "notices": plain_value(report.notices),
+        **({} if stopped is None else {"stopped": plain_value(stopped.faults)}),
     }
 
 
@@ -222,14 +222,16 @@ def _speed(report: BakeReport) -> float | None:
 
 
 def _error_json(report: BakeReport, take: TakeReport) -> dict[str, object]:
-    rounding = take.written.rounding
+    error = take.written.rounding.error
     return {
         **({"take": take.written.name} if take.written.name else {}),
-        "meters": finite(rounding.error),
-        "relative": finite(rounding.error / (report.size or math.inf)),
-        "joint": take.error_joint,
-        "frame": rounding.code,
-        "half_scales": rounding.scales,
+        "meters": plain_value(error),
+        "relative": plain_value(error / (report.size or math.inf)),
+        **picked(
+            take,
+            "joint=error_joint frame=written.rounding.code "
+            "half_scales=written.rounding.scales",
+        ),
     }
 
 
@@ -237,11 +239,9 @@ def _take_json(report: BakeReport, take: TakeReport) -> dict[str, object]:
     """Return what became of one source."""
     written = take.written
     values: dict[str, object] = {
-        "source": str(take.source),
-        "source_frames": take.source_frames,
+        **picked(take, "source source_frames"),
         "source_rate": str(take.source_fps),
-        "between_frames": take.between,
-        "animation": written.animation,
+        **picked(take, "between_frames=between animation=written.animation"),
         **({"props": written.props} if written.props else {}),
     }
     if "fit" in take.details:
@@ -250,11 +250,10 @@ def _take_json(report: BakeReport, take: TakeReport) -> dict[str, object]:
         values = {
             "take": written.name,
             **values,
-            "samples": written.samples,
-            "start": float(written.first),
-            "end": float(written.last),
-            "joints_written": written.joints,
-            "animated": written.sampled,
+            **picked(
+                written,
+                "samples start=first end=last joints_written=joints animated=sampled",
+            ),
             "error": _error_json(report, take),
         }
     if take.meshes:
@@ -266,24 +265,14 @@ def _take_json(report: BakeReport, take: TakeReport) -> dict[str, object]:
         values["reduction"] = {
             "samples": take.thinned.samples,
             "kept": len(take.thinned.kept),
-            "error": {
-                "meters": take.thinned.error,
-                "joint": take.thinned_joint,
-                "frame": take.thinned.code,
-            },
+            "error": picked(
+                take, "meters=thinned.error joint=thinned_joint frame=thinned.code"
+            ),
             "weight_error": take.thinned.weight_error,
         }
     if written.curves:
-        values["curves"] = [
-            {
-                "control": curve.name,
-                "knots": curve.knots,
-                "split": curve.split,
-                "difference": curve.difference,
-                "seam": curve.seam,
-            }
-            for curve in written.curves
-        ]
+        names = "control=name knots split difference seam"
+        values["curves"] = [picked(curve, names) for curve in written.curves]
     return values
 
 
@@ -307,37 +296,20 @@ def output_json(report: BakeReport | ConvertReport) -> dict[str, object]:
 
 def table_text(table: BakeTable) -> list[str]:
     """Return a table of settings, their cost and their error."""
-    heads = ("", "setting", "count", "seconds", "kB", "error mm", "worst")
-    rows = [
-        (
-            row.kind.value,
-            row.setting,
-            str(row.count),
-            f"{row.seconds:.3f}",
-            f"{row.bytes / 1e3:.0f}" if row.bytes else "",
-            plain(row.error * 1000),
-            f"{row.joint} at {row.time:.2f} s",
-        )
-        for row in table.rows
-    ]
-    lines = columns([heads, *rows], {0, 1, 6})
-    return [*lines, f"samples compared with the source at {table.instants} instants"]
+    return render(table, _TABLE)
 
 
 def table_json(table: BakeTable) -> dict[str, object]:
     """Return the table as plain values."""
     return {
         "table": "animtool/1",
-        "source": str(table.source),
-        "instants": table.instants,
+        **picked(table, "source instants"),
         "rows": [
             {
-                "kind": row.kind.value,
-                "setting": row.setting,
-                "count": row.count,
+                **picked(row, "kind setting count"),
                 "seconds": round(row.seconds, 6),
                 "bytes": row.bytes,
-                "error": {"meters": row.error, "joint": row.joint, "time": row.time},
+                "error": picked(row, "meters=error joint time"),
             }
             for row in table.rows
         ],

@@ -166,7 +166,8 @@ def _say(
     from animtool.validation.formats.plain import summary
 
     console.faults(report.broken)
-    text = written(report, choices.report_format, whole=console.verbosity > 0)
+    whole, calling = console.verbosity > 0, console.calling
+    text = written(report, choices.report_format, whole=whole, calling=calling)
     if choices.output_file is None:
         console.document(text)
     else:

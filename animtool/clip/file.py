@@ -12,6 +12,7 @@ from animtool.clip.channel_entries import ChannelReader
 from animtool.clip.channels import ClipChannel, ClipUnits, target_kind
 from animtool.clip.clip import Clip
 from animtool.clip.schema import ChannelModel, ClipModel
+from animtool.core.arguments import argument
 from animtool.core.config import project_roots
 from animtool.core.errors import Fault, FormatError, OptionError
 from animtool.core.files.reading import is_there
@@ -52,7 +53,10 @@ class ClipFile:
         if self.rig is None:
             check_clip(self)
             path = str(self.document.path)
-            hint = "write 'rig: hero.rig.yaml' into it, or give a rig (--rig)"
+            hint = (
+                "write 'rig: hero.rig.yaml' into it, or give a rig "
+                f"({argument('source.rig')})"
+            )
             raise OptionError(Fault("CLIP011", "names no rig", path, (), hint))
         return self.rig
 
@@ -106,7 +110,9 @@ def _note_missing(file: ClipFile) -> NoReturn:
     """Raise what is wrong with a clip whose rig is not there."""
     message = f"{file.model.rig!r} does not exist"
     near = missing_hint(file.document, file.model.rig or "")
-    hint = "; ".join(filter(None, [near, "--rig gives another rig"]))
+    hint = "; ".join(
+        filter(None, [near, f"{argument('source.rig')} gives another rig"])
+    )
     file.document.add("DOC015", ("rig",), message, hint)
     check_clip(file)
     raise AssertionError(message)

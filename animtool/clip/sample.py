@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from animtool.clip.channels import ClipChannel, evaluate_channels
+from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, FormatError, Severity, listed
 from animtool.maths import so3
@@ -217,7 +218,7 @@ def _range_notices(
     return notices
 
 
-_CLAMP = "--clamp brings it inside"
+_CLAMP = f"{argument('source.clamp', True)} brings it inside"
 _CLAMPED = ": clamped"
 
 

@@ -130,7 +130,7 @@ class ClipModel(FileModel):
         "What the clip is called. Not given: as the file.", "wave", default=None
     )
     rig: str | None = key(
-        "The rig: a rig file, USD file or BVH. Not given: `--rig` or the "
+        "The rig: a rig file, USD file or BVH. Not given: the command line or the "
         "scene names it.",
         "hero.rig.yaml",
         default=None,

@@ -6,12 +6,13 @@ import math
 from dataclasses import dataclass
 from fractions import Fraction
 from numbers import Rational
+from typing import TYPE_CHECKING
 
-import numpy as np
-
-from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, OptionError
 from animtool.core.rates import rate_label
+
+if TYPE_CHECKING:
+    from animtool.core.array_types import FloatArray
 
 # Days of animation: rather a number that is mistyped.
 MAX_FRAMES = 10_000_000
@@ -25,6 +26,8 @@ def time_codes(start: Fraction, step: Fraction, count: int) -> FloatArray:
     >>> time_codes(Fraction(1001), Fraction(1, 5), 3).tolist()
     [1001.0, 1001.2, 1001.4]
     """
+    import numpy as np
+
     common = start.denominator * step.denominator
     first = start.numerator * step.denominator
     each = step.numerator * start.denominator

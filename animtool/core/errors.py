@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import IntEnum, StrEnum
 from typing import ClassVar, NoReturn, TypeAlias
 
+from animtool.core.arguments import Calling, marked, worded
 from animtool.core.quantities import escaped
 
 # Names in a message in brief.
@@ -66,11 +67,24 @@ class Fault:
     frame: float | None = field(default=None, repr=False)
     joint: str | None = field(default=None, repr=False)
 
+    def __post_init__(self) -> None:
+        """Keep what the texts name as arguments."""
+        for name in ("message", "hint", "brief"):
+            text = getattr(self, name)
+            if text:
+                object.__setattr__(self, name, marked(text))
+
+    def worded(self, calling: Calling) -> Fault:
+        """Return it with its arguments called as an interface calls them."""
+        message, brief = (worded(text, calling) for text in (self.message, self.brief))
+        hint = self.hint and worded(self.hint, calling)
+        return replace(self, message=message, hint=hint, brief=brief)
+
     def __str__(self) -> str:
         """Return ``file:line:column: CODE where: message, hint``, as far as known.
 
         What is no error is said by its name, before the code. It is one line, with
-        escapes as `escaped` writes them.
+        escapes as `escaped` writes them, and calls arguments as Python does.
         """
         place = ""
         if self.path is not None:
@@ -104,16 +118,6 @@ def warning(
     return Fault(code, message, hint=hint, where=where, severity=Severity.WARNING)
 
 
-@dataclass(slots=True)
-class Naming:
-    """What the text of an error in Python calls the flags that faults name."""
-
-    arguments: Callable[[str], str] = str  # set by `animtool`, whose records have them
-
-
-NAMING = Naming()
-
-
 class AnimtoolError(Exception):
     """Base of every error that animtool raises on purpose.
 
@@ -129,10 +133,6 @@ class AnimtoolError(Exception):
             (faults,) if isinstance(faults, Fault) else tuple(faults)
         )
         super().__init__("\n".join(map(str, self.faults)))
-
-    def __str__(self) -> str:
-        """Return the faults, a line each; options are called as in Python."""
-        return NAMING.arguments("\n".join(map(str, self.faults)))
 
     def __reduce__(self) -> tuple[type[AnimtoolError], tuple[tuple[Fault, ...]]]:
         """Let an error come back from another process with its faults."""

@@ -17,6 +17,7 @@ from functools import cache
 from types import MappingProxyType
 from typing import Any, ClassVar, Literal, TypeAlias, TypeVar, cast, get_type_hints
 
+from animtool.core.arguments import argument
 from animtool.core.errors import Fault
 
 # What a value is, and so how files and the command line write it.
@@ -85,7 +86,7 @@ class Option:
     """What an option is, and where it applies."""
 
     kind: Kind
-    flag: str  # as refusals name it on the command line
+    flag: str  # word of the command line, where it is not the name of the field
     label: str  # as refusals name it in a scene
     not_for: frozenset[str]  # uses that refuse it
     over_layer: str  # why an animation layer refuses it; empty where it does not
@@ -110,8 +111,8 @@ NOTHING: Mapping[str, str] = MappingProxyType({})
 def option(
     default: Any,
     kind: Kind,
-    flag: str,
     *,
+    flag: str = "",
     default_factory: Any = MISSING,
     label: str = "",
     not_for: tuple[str, ...] = (),
@@ -205,35 +206,6 @@ def with_written(
     return add
 
 
-def as_arguments(text: str, *records: Any) -> str:
-    """Return a text in which flags are called as the arguments of records are.
-
-    The first record that has a flag names it; what none has stays.
-    """
-    names, flags = _arguments(records)
-    return flags.sub(lambda flag: names[flag[0]], text)
-
-
-@cache
-def _arguments(records: tuple[Any, ...]) -> tuple[dict[str, str], re.Pattern[str]]:
-    """Return what flags are in Python, and a pattern that finds them."""
-    names: dict[str, str] = {}
-    for record in records:
-        for name, described in options_of(record).items():
-            flag, _, word = described.flag.partition(" ")
-            value = {"switch": "=True", "answer": "=False"}.get(described.kind, "")
-            names.setdefault(flag, f"{name}{value}")
-            if described.kind == "choice":
-                files = described.scene.choices if described.scene else ()
-                for choice in (*described.choices, *files):
-                    for spelling in (f"{flag} {choice}", f"--{choice}"):
-                        names.setdefault(spelling, f'{name}="{choice}"')
-            if word and not word.startswith("("):
-                names.setdefault(described.flag, f"{name}{value}")
-    flags = "|".join(map(re.escape, sorted(names, key=len, reverse=True)))
-    return names, re.compile(rf"(?<![\w-])(?:{flags})(?![\w-])")
-
-
 def given_options(record: Any) -> dict[str, Option]:
     """Return the options that are not the defaults; of an answer, one that is no."""
     defaults = {entry.name: entry.default for entry in fields(record)}
@@ -245,22 +217,32 @@ def given_options(record: Any) -> dict[str, Option]:
     }
 
 
-def refused_options(record: Any, use: str) -> list[Option]:
-    """Return the options that are not for a use, of those that are given."""
-    return [given for given in given_options(record).values() if use in given.not_for]
+def called(name: str, described: Option) -> str:
+    """Return what stands in a text for an option that is given."""
+    return argument(name, {"switch": True, "answer": False}.get(described.kind))
+
+
+def refused_options(record: Any, use: str) -> dict[str, Option]:
+    """Return the options that are not for a use, of those that are given.
+
+    By what stands for each in a text.
+    """
+    given = given_options(record).items()
+    return {called(name, own): own for name, own in given if use in own.not_for}
 
 
 def clashes(record: Any) -> list[str]:
     """Return how options that are given exclude each other, or want another one."""
     options, given = options_of(record), given_options(record)
+    names = {name: called(name, own) for name, own in options.items()}
     messages = []
-    for one in given.values():
+    for name, one in given.items():
         for other, message in one.excludes.items():
             if other in given:
-                usual = f"{one.flag} and {given[other].flag} exclude each other"
+                usual = f"{names[name]} and {names[other]} exclude each other"
                 messages.append(message or usual)
         if one.goes_with and one.goes_with not in given:
-            usual = f"{one.flag} goes with {options[one.goes_with].flag}"
+            usual = f"{names[name]} goes with {names[one.goes_with]}"
             messages.append(one.lacking or usual)
     return messages
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
 
+from animtool.core.arguments import flag
 from animtool.core.errors import Fault, OptionError
 from animtool.core.files.reading import unreadable, why_no_file
 from animtool.core.plugins import load_object, load_plugin, plugin_points
@@ -187,7 +188,10 @@ def find_reader(path: Path) -> Reader:
     hint = f"allowed: {allowed}"
     if suffix in TIMELINE_SUFFIXES:
         message = "is a timeline, and no take is read from it"
-        hint = "animtool bake --shot NAME bakes one of its shots, animtool batch all"
+        hint = (
+            f"animtool bake {flag('shot', 'NAME')} bakes one of its shots, animtool "
+            "batch all"
+        )
     raise OptionError(Fault("IO002", message, str(path), (), hint))
 
 

@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
+from animtool.core.arguments import flag
 from animtool.core.errors import Fault, counted, excerpt
 from animtool.core.names import KINDS, nearest
 from animtool.core.similar import similar
@@ -150,7 +151,7 @@ class _Faults:
             node[renamed] = left
             self.document.spellings[*around, renamed] = str(key)
             message = f"the key {key!r} is now called {renamed!r}"
-            hint = "animtool migrate FILE --overwrite renames it"
+            hint = f"animtool migrate FILE {flag('overwrite')} renames it"
             self.document.warn("DOC102", (*around, renamed), message, hint)
             return
         if self._of_another_kind(location):

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from animtool.core.arguments import argument
 from animtool.core.errors import (
     AnimtoolError,
     Fault,
@@ -152,7 +153,10 @@ def migrate(
     if check or not needed:
         return plans
     if not overwrite:
-        hint = "--overwrite replaces it, --check says what would change"
+        hint = (
+            f"{argument('overwrite', True)} replaces it, {argument('check')} says "
+            "what would change"
+        )
         message = "would be replaced"
         raise OptionError(
             [Fault("OUT001", message, str(plan.path), (), hint) for plan in needed]

@@ -9,6 +9,7 @@ from typing import Any
 
 from pydantic import BaseModel
 
+from animtool.core.arguments import argument
 from animtool.core.errors import excerpt
 from animtool.core.files.output import name_problem
 from animtool.core.names import VARIABLE_NAME, is_variable_name, nearest
@@ -267,7 +268,8 @@ class _Resolver:
             message = f"there is no variable {name!r}"
             hint = nearest(name, sorted(self.values))
             hint += (
-                f"; --set {name}=… gives one, and variables: in the file a usual one"
+                f"; {argument('set', f'{name}=…')} gives one, and variables: in the "
+                "file a usual one"
             )
             self.document.add("SCN030", location, message, hint)
         return self.values.get(name)

@@ -22,30 +22,22 @@ class LoopOptions:
         blend: Frames before the seam over which the poses are brought together.
     """
 
-    first: float | None = option(
-        None, "frame", "--first", help="The first frame of the cycle."
-    )
+    first: float | None = option(None, "frame", help="The first frame of the cycle.")
     last: float | None = option(
-        None, "frame", "--last", help="The frame that shows the first pose again."
+        None, "frame", help="The frame that shows the first pose again."
     )
     find: bool = False
     shortest: float = option(
         0.25,
         "amount",
-        "--shortest",
         metavar="SECONDS",
         help="Least length of a cycle that is looked for.",
     )
-    longest: float = option(
-        10.0, "amount", "--longest", metavar="SECONDS", help="Most of it."
-    )
-    repeats: int = option(
-        1, "count", "--repeats", help="How often the cycle is shown.", least=1
-    )
+    longest: float = option(10.0, "amount", metavar="SECONDS", help="Most of it.")
+    repeats: int = option(1, "count", help="How often the cycle is shown.", least=1)
     blend: int = option(
         10,
         "count",
-        "--blend",
         metavar="FRAMES",
         help="Frames before the seam over which the poses are brought together.",
     )

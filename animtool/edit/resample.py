@@ -9,6 +9,7 @@ from fractions import Fraction
 
 import numpy as np
 
+from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.clock import MAX_FRAMES, Clock, frame_label, time_codes
 from animtool.core.errors import Fault, OptionError, Severity
@@ -172,7 +173,10 @@ def _kept_samples(
     low, high = 0, clock.count - 1
     if frame_range is not None:
         if frame_range.step != 1:
-            raise _refusal("--keep-samples takes a --range without a step")
+            raise _refusal(
+                f"{argument('keep_samples', True)} takes a "
+                f"{argument('frame_range')} without a step"
+            )
         low = max(low, -(-(frame_range.first - start) // step))
         high = min(high, (frame_range.last - start) // step)
         if low > high:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.clock import frame_label
 from animtool.core.errors import Fault, Severity, listed
@@ -96,7 +97,7 @@ def straight_notices(between: Between, places: Places) -> list[Fault]:
         f"straight, which may be off by about {listed(said)}"
     )
     hint = "in a scene, a resample pass with smooth: true goes along curves; bake "
-    hint += "--keep-samples keeps the frames as they are"
+    hint += f"{argument('keep_samples', True)} keeps the frames as they are"
     return [Fault("TAKE007", message, hint=hint, severity=Severity.NOTE)]
 
 

@@ -10,6 +10,7 @@ from fractions import Fraction
 
 import numpy as np
 
+from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, FormatError, Severity, counted, excerpt, naming
 from animtool.core.rates import (
@@ -71,7 +72,9 @@ class MarkerFile:
         if stated is None or not known or not _in_range(stated):
             shown = "no frame rate" if stated in (None, 0) else f"the rate {stated:g}"
             message = f"states {shown}"
-            raise self.error("MKR010", message, "--source-fps gives the rate")
+            raise self.error(
+                "MKR010", message, f"{argument('source.fps')} gives the rate"
+            )
         return rate_from_float(stated)
 
     def unit(
@@ -86,12 +89,16 @@ class MarkerFile:
             return LengthUnit(given)
         if stated is None or not stated.strip():
             message = f"states no unit; {usual} is assumed"
-            self.note("MKR104", message, "--units says what its lengths are in")
+            self.note(
+                "MKR104",
+                message,
+                f"{argument('source.unit')} says what its lengths are in",
+            )
             return usual
         unit = _unit(stated.strip().lower().rstrip("s."))
         if unit is None:
             message = f"states the unit {excerpt(stated)}"
-            hint = f"--units gives one of {', '.join(LengthUnit)}"
+            hint = f"{argument('source.unit')} gives one of {', '.join(LengthUnit)}"
             raise self.error("MKR011", message, hint)
         return unit
 
@@ -101,7 +108,9 @@ class MarkerFile:
             return UpAxis(given)
         if stated is None:
             message = "states no up axis; Y is assumed"
-            self.note("MKR103", message, "--up Z says that Z is up")
+            self.note(
+                "MKR103", message, f"{argument('source.up', 'Z')} says that Z is up"
+            )
             return UpAxis.Y
         return stated
 

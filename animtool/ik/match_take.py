@@ -16,6 +16,7 @@ from animtool.clip.channels import ClipChannel, ClipUnits
 from animtool.clip.reduction.keys import fitted_channel
 from animtool.clip.reduction.points import SHELL
 from animtool.clip.reduction.tracks import euler_order
+from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray
 from animtool.core.clock import Clock
 from animtool.core.errors import Fault, OptionError, Severity, listed
@@ -161,7 +162,7 @@ def left_out(take: Take, chains: Sequence[IkChain]) -> list[Fault]:
         return []
     message = f"targets say nothing of {listed(names, MAX_NAMED)}, which leave their "
     message += "rest pose and move what is matched"
-    hint = "solve with the same motion as --clip"
+    hint = f"solve with the same motion as {argument('clip')}"
     return [Fault("TGT103", message, hint=hint, severity=Severity.NOTE)]
 
 

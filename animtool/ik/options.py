@@ -65,7 +65,6 @@ class TakeOptions:
     method: IkMethod = option(
         IkMethod.AUTO,
         "name",
-        "--method",
         choices=tuple(IkMethod),
         help="The solver.",
         written=IkMethod.AUTO.value,
@@ -73,33 +72,29 @@ class TakeOptions:
     tolerance: float = option(
         parse_length(LENGTH_TOLERANCE),
         "length",
-        "--tolerance",
         help="A position is solved to within this.",
         written=LENGTH_TOLERANCE,
     )
     angle_tolerance: float = option(
         math.radians(ANGLE_TOLERANCE),
         "angle",
-        "--angle-tolerance",
         help="An orientation, aim or pole is solved to within this.",
         written=ANGLE_TOLERANCE,
     )
     restarts: int = option(
         50,
         "count",
-        "--restarts",
         help="Most new starts of a frame that does not reach its goals.",
     )
     seed: int = option(
         0,
         "seed",
-        "--seed",
         help="Of the new starts: the same seed gives the same poses.",
     )
     seconds: float = option(
         0.0,
         "amount",
-        "--time-budget",
+        flag="time-budget",
         metavar="SECONDS",
         help="Most time for one frame, such as 0.01; what is found then depends on the "
         "machine.  [default: none]",
@@ -107,14 +102,12 @@ class TakeOptions:
     joints: tuple[str, ...] = option(
         (),
         "names",
-        "--joints",
         help="The joints that may move, or patterns such as 'arm_*'.  [default: every "
         "one that moves a goal]",
     )
     rest_weight: float = option(
         0.0,
         "amount",
-        "--rest-weight",
         metavar="WEIGHT",
         help="How strongly each frame's pose in START, or the rest pose, is kept; the "
         "goals give way by about as much.",
@@ -122,7 +115,6 @@ class TakeOptions:
     smooth: float = option(
         0.0,
         "amount",
-        "--smooth",
         metavar="SECONDS",
         help="Time over which motion that the goals leave free is evened out.",
     )

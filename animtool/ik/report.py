@@ -10,6 +10,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from animtool.core.arguments import argument
 from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.clock import frame_label, span_label
 from animtool.core.errors import Fault, Severity, counted, listed
@@ -180,7 +181,10 @@ def _advice(solved: TakeIk, report: GoalReport) -> str | None:
     if any(span.distance > far for span in report.spans):
         return "far beyond the reach: are units and space of the targets those meant?"
     if any(span.status is IkStatus.BUDGET for span in report.spans):
-        hint = "steps or time ran out: give a larger --time-budget, or none, or a "
+        hint = (
+            f"steps or time ran out: give a larger {argument('seconds')}, or none, "
+            "or a "
+        )
         return f"{hint}start that is nearer"
     if any(span.status is IkStatus.CONFLICT for span in report.spans):
         return _unbounded(solved)
@@ -272,7 +276,7 @@ def _cure(solved: TakeIk, worst: Jump) -> str:
         if steadier.angle > 0:
             left = "leaves turns of "
             left += f"{angle_text(math.degrees(steadier.angle), 3)} at most"
-        return f"--smooth {steadier.seconds:g} {left}"
+        return f"{argument('smooth', f'{steadier.seconds:g}')} {left}"
     fading = _fading(solved, worst)
     if fading is not None:
         hint = f"the goal {fading.name!r} comes or goes there within "
@@ -286,7 +290,8 @@ def _cure(solved: TakeIk, worst: Jump) -> str:
     if solved.between:
         return "each frame is solved on its own; let the joints between move (TGT105)"
     hint = (
-        "no steadier path was found, nor with --smooth; a target that passes farther "
+        f"no steadier path was found, nor with {argument('smooth')}; a target that "
+        "passes farther "
     )
     return f"{hint}from {worst.joint!r}, moves sooner or has less weight may leave one"
 

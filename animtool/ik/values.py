@@ -312,7 +312,7 @@ class ValueReader:
         except AnimtoolError as error:
             for fault in error.faults:
                 key = "space" if fault.where == "space" else "prim"
-                message = f"{model.file!r}: {fault.message}"
+                message = f"{model.file!r}: " + fault.message
                 self.document.add("TGT011", (*at, key), message, fault.hint)
             return None
 

@@ -134,7 +134,7 @@ def check_page_output(output: Path, files: Sequence[Path], *, overwrite: bool) -
     if output.suffix.lower() not in {".html", ".htm"}:
         message = f"a page is an .html file, and {output.name!r} is none"
         raise OptionError(Fault("PRV002", message, hint="name it -o page.html"))
-    check_outputs([output], files, overwrite=overwrite, can_skip=False)
+    check_outputs([output], files, overwrite=overwrite)
 
 
 def make_page(files: Sequence[Path], options: PreviewOptions | None = None) -> Page:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from animtool.clip.clip import Clip
+from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import (
     Fault,
@@ -276,7 +277,7 @@ def _other_takes(path: Path, stream: TakeStream) -> list[Fault]:
         return []
     shown = stream.details.get("take")
     message = f"take {shown!r} is shown of {counted(len(names), 'take')}"
-    hint = f"--take shows another: {listed(names)}"
+    hint = f"{argument('source.take')} shows another: {listed(names)}"
     return [Fault("PRV101", message, str(path), (), hint, Severity.NOTE)]
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from animtool.core.arguments import argument
 from animtool.core.options import option
 from animtool.core.shot import FrameRange
 from animtool.scene.sources.open import SourceOptions
@@ -26,21 +27,20 @@ class PreviewOptions:
     prim_path: str | None = option(
         None,
         "text",
-        "--prim-path",
         metavar="PATH",
         help="What to show of a USD file.  [default: all]",
     )
     frame_range: FrameRange | None = option(
         None,
         "range",
-        "--frames",
+        flag="frames",
         help="Frames to show, such as 1-240, 1-240x2 or 12.  [default: all]",
     )
     findings: bool = option(
         True,
         "answer",
-        "--no-findings",
-        help="Whether findings of validate are on the page.  [default: --findings]",
+        help="Whether findings of validate are on the page.  [default: "
+        f"{argument('findings')}]",
     )
     variables: Mapping[str, str] = field(default_factory=dict)
 
@@ -58,19 +58,17 @@ class ShowOptions:
     opened: bool | None = option(
         None,
         "answer",
-        "--no-open",
+        flag="open",
         help="Open the page in the browser, or print its path.  [default: open it, "
         "but not over ssh, without a display, or with -o]",
     )
     watch: bool = option(
         False,
         "switch",
-        "--watch",
         help="Serve the page on this machine alone, and reload it when a file changes.",
     )
     plan: bool = option(
         False,
         "switch",
-        "--plan",
         help="Write nothing; print what the page would show, and where it would be.",
     )

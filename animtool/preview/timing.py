@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import TYPE_CHECKING
 
+from animtool.core.arguments import argument
 from animtool.core.clock import frame_label
 from animtool.core.errors import Fault, OptionError, Severity
 from animtool.core.names import is_named
@@ -27,7 +28,10 @@ if TYPE_CHECKING:
 
 # Frames of a page.
 MAX_FRAMES = 1_000_000
-FEWER = "--frames 1-240x2 shows fewer frames, --prim-path a part of a stage"
+FEWER = (
+    f"{argument('frame_range', '1-240x2')} shows fewer frames, "
+    f"{argument('prim_path')} a part of a stage"
+)
 
 
 @dataclass(slots=True)

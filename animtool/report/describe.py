@@ -63,6 +63,18 @@ class TakeDescription(Description):
     # All characters of the stage, where it has several and none is named.
     characters: CharactersFacts | None = None
 
+    @property
+    def strides(self) -> bool:
+        """Whether frames are not a time code each."""
+        return self.step != 1
+
+    @property
+    def cycle_period(self) -> float | None:
+        """How long the cycle is [s]."""
+        if self.cycle is None:
+            return None
+        return (self.cycle.last - self.cycle.first) / float(self.fps * self.step)
+
 
 def describe(path: Path | str, options: SourceOptions | None = None) -> TakeDescription:
     """Read a file and describe its take.

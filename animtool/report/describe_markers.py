@@ -39,6 +39,11 @@ class MarkersDescription(Description):
     names: list[str]  # of the labelled markers
     notices: list[Fault]  # what is odd
 
+    @property
+    def labelled(self) -> int:
+        """Number of markers with a label."""
+        return self.markers - self.unlabelled
+
 
 def describe_markers(path: Path, markers: Markers) -> MarkersDescription:
     """Return what a file of markers holds."""

@@ -53,6 +53,17 @@ class RigDescription(Description):
     up: str  # up axis
     notices: list[Fault]  # what is odd
 
+    @property
+    def others(self) -> dict[str, int]:
+        """How many there are of what a rig need not have, by noun."""
+        counts = {
+            "control": self.controls,
+            "chain": self.ik,
+            "attachment": self.attach,
+            "collider": self.colliders,
+        }
+        return {noun: count for noun, count in counts.items() if count}
+
 
 def describe_rig(path: Path | str, rig: Rig, notices: list[Fault]) -> RigDescription:
     """Describe a rig that was opened, with what was said then."""

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, get_args
 
+from animtool.core.arguments import argument
 from animtool.core.options import option
 from animtool.retarget.roles import MapMode
 
@@ -33,14 +34,12 @@ class RetargetOptions:
     map: Path | None = option(
         None,
         "file",
-        "--map",
         help="A map file (.map.yaml): which joint follows which. Joints that it does "
         "not name stay at rest, unless it says others: auto.",
     )
     by: MapMode = option(
         "auto",
         "name",
-        "--by",
         choices=get_args(MapMode),
         help="How joints are recognised: by their names and by where they are in the "
         "body, by one of both, or (rename) each by a joint of the same name.",
@@ -48,21 +47,18 @@ class RetargetOptions:
     preset: str | None = option(
         None,
         "text",
-        "--preset",
         metavar="NAME",
         help="The convention of the source's names.  [default: the nearest]",
     )
     target_preset: str | None = option(
         None,
         "text",
-        "--target-preset",
         metavar="NAME",
         help="The convention of the rig's names.  [default: the nearest]",
     )
     rest: int | Literal["rig"] | None = option(
         None,
         "source_rest",
-        "--rest",
         metavar="offsets|frame:N|rig",
         help="Where the rest pose of the source comes from; rig: it rests as the rig "
         "does, whatever its offsets are.  [default: offsets]",
@@ -70,14 +66,14 @@ class RetargetOptions:
     free_feet: bool = option(
         False,
         "switch",
-        "--feet",
+        flag="feet",
         choices=("hold", "free"),
         help="Whether feet stay where they stand, or slide.  [default: hold]",
     )
     hold_hands: bool = option(
         False,
         "switch",
-        "--hands",
+        flag="hands",
         choices=("free", "hold"),
         help="Whether arms turn as the source's, or hands keep their contacts with "
         "each other and the ground.  [default: free]",
@@ -85,15 +81,13 @@ class RetargetOptions:
     force_fit: bool = option(
         False,
         "switch",
-        "--force-fit",
         help="Bring over what is paired, though it is less than one limb or a third of "
         "the joints that move.",
     )
     warn_above: float | None = option(
         None,
         "amount",
-        "--warn-above",
         metavar="TIMES",
         help="Warn where drift, soles or another score is more than so many times what "
-        "a good take has; with --strict that fails.",
+        f"a good take has; with {argument('strict')} that fails.",
     )

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, Severity
 from animtool.core.units import UpAxis
@@ -238,7 +239,7 @@ def lying_notice(path: Path, rig: Rig, motion: Motion) -> list[Fault]:
     if axis is None:
         return []
     message = f"the body stands along {axis}, and {rig.up} is taken as up"
-    hint = f"read it with --up {axis}"
+    hint = f"read it with {argument('source.up', axis)}"
     return [Fault("MOT214", message, str(path), (), hint, Severity.NOTE)]
 
 

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import (
     Fault,
@@ -94,7 +95,10 @@ def lacking_pairs(
     )
     if limbs and not whole:
         message += f", and none of its limbs ({listed(sorted(limbs), MAX_NAMED)})"
-    hint = "write a map file, or bring what is paired all the same with --force-fit, "
+    hint = (
+        "write a map file, or bring what is paired all the same with "
+        f"{argument('force_fit', True)}, "
+    )
     hint += "in a pass force_fit: true"
     return Fault("MAP010", message, hint=hint)
 
@@ -127,7 +131,10 @@ def collapsed(source: Rig, found: JointMap, longest: FloatArray) -> Fault | None
         f"frame, and up to {length_text(float(lengths[bones].max()))} at rest: {names} "
         "are at their parents"
     )
-    hint = "of a BVH, --positions offsets lets OFFSETs hold; --force-fit, in a pass "
+    hint = (
+        f"of a BVH, {argument('source.positions', 'offsets')} lets OFFSETs hold; "
+        f"{argument('force_fit', True)}, in a pass "
+    )
     hint += "force_fit: true, takes it as it is"
     return Fault("MAP011", message, hint=hint)
 
@@ -209,7 +216,10 @@ def onto_rig(
     if stands is not None:
         message = f"the take stands along {stands}, though its up axis is {source.up}; "
         message += f"it is taken as {stands} up"
-        hint = f"say so with --up {stands}, or --up {source.up} if it lies"
+        hint = (
+            f"say so with {argument('source.up', stands)}, or "
+            f"{argument('source.up', source.up)} if it lies"
+        )
         notices.append(Fault("MAP009", message, hint=hint, severity=Severity.WARNING))
         source = replace(source, up=stands)
     transfer = transfer_of(source, rig, found, rest, as_rig=as_rig)
@@ -301,7 +311,10 @@ def _scale_warnings(scale: float) -> list[Fault]:
     if low <= scale <= high:
         return []
     message = f"the rig is {scale:.3g} times as large as who is in the take"
-    hint = "is the unit right? --units says that of a BVH take, a rig file its own"
+    hint = (
+        f"is the unit right? {argument('source.unit')} says that of a BVH take, a "
+        "rig file its own"
+    )
     return [Fault("MAP106", message, hint=hint, severity=Severity.WARNING)]
 
 

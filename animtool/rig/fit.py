@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
+from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, FormatError, Severity, naming
 from animtool.maths import so3
@@ -251,16 +252,18 @@ def _hint(fit: Fit) -> str:
     parts = fit.parts
     worst = min(parts, key=lambda name: parts[name])
     advice = {
-        "joints": "name another rig, or match the names (--strip-namespace N drops "
-        "prefixes)",
+        "joints": "name another rig, or match the names "
+        f"({argument('strip_namespace')} N drops prefixes)",
         "rotations": "bring the motion to the rig's rest pose with animtool retarget",
         "lengths": "bring the motion to the bones of the rig with animtool retarget",
-        "size": "check the units of both (--units states those of a BVH)"
+        "size": f"check the units of both ({argument('source.unit')} states those of a "
+        "BVH)"
         if _unit_apart(fit.size)
         else "bring the motion to the size of the rig with animtool retarget",
-        "up axis": "check the up axes of both (--up states that of a BVH)",
+        "up axis": f"check the up axes of both ({argument('source.up')} states that of "
+        "a BVH)",
     }
-    return f"{advice[worst]}; --force-fit writes it as it is"
+    return f"{advice[worst]}; {argument('force_fit', True)} writes it as it is"
 
 
 def _unit_apart(size: float) -> bool:

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from animtool.core.arguments import argument
 from animtool.core.errors import Fault, FormatError, Severity
 from animtool.core.units import UpAxis
 from animtool.maths import so3
@@ -199,5 +200,5 @@ def standing_notice(
         message += f"; the rig stands {over.described()}"
     if stays:
         message += "; what it rode on is in its joints, and stays"
-    hint = f"--placement {'drop' if kept else 'keep'} does the other"
+    hint = f"{argument('placement', 'drop' if kept else 'keep')} does the other"
     return [Fault("USD124", message, where, (), hint, Severity.NOTE)]

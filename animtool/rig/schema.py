@@ -122,7 +122,7 @@ class ControlModel(FileModel):
     )
     range: Pair | None = key(
         "Least and largest value that is meant; others are reported, and "
-        "with `--clamp` brought inside. Not given: any.",
+        "with `clamp` brought inside. Not given: any.",
         [0.0, 1.0],
         default=None,
     )

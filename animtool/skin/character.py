@@ -97,7 +97,7 @@ def character_strands(
             skin = prepare_skin(binding, len(points))
         except FormatError as error:
             faults += [
-                replace(fault, message=f"strands {entry.name!r}: {fault.message}")
+                replace(fault, message=f"strands {entry.name!r}: " + fault.message)
                 for fault in error.faults
             ]
             continue
@@ -109,7 +109,7 @@ def character_strands(
 
 
 def _named(fault: Fault, mesh: str) -> Fault:
-    return replace(fault, message=f"mesh {mesh!r}: {fault.message}")
+    return replace(fault, message=f"mesh {mesh!r}: " + fault.message)
 
 
 def _column(surface: Surface, shape: SurfaceShape, columns: dict[str, int]) -> int:

@@ -7,6 +7,7 @@ from dataclasses import MISSING, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from animtool.core.arguments import argument
 from animtool.core.config import find_config
 from animtool.core.errors import Fault, OptionError, Severity
 from animtool.core.names import nearest
@@ -33,33 +34,28 @@ class ValidateOptions:
     select: tuple[str, ...] = option(
         (),
         "codes",
-        "--select",
         help="Look for these codes only; a beginning such as RIG2 means all with it.",
     )
     ignore: tuple[str, ...] = option(
         (),
         "codes",
-        "--ignore",
         help="Leave these out. Of a code that both name, the longer one decides.",
     )
     severity: Mapping[str, Severity] = option(
         MISSING,
         "severities",
-        "--severity",
         default_factory=dict,
         help="Take a code for an error, a warning or a note.",
     )
     jobs: int | None = option(
         1,
         "processes",
-        "--jobs",
         short="-j",
         help="Processes to share the files among.  [default: as fits]",
     )
     profile: str = option(
         "",
         "text",
-        "--profile",
         metavar="NAME|FILE",
         help="Severities for a delivery: asset, layer, shot, vendor, default, or your "
         "own file.  [default: layer for a USD layer without its rig, else default]",
@@ -119,8 +115,8 @@ class ValidateOptions:
 
 
 FORMATS = ("text", "json", "github", "sarif", "junit")
-_FOR_FIX = "is for --fix, which writes"
-_NO_REPORT = "--diff writes a diff, not a report: no --format"
+_FOR_FIX = f"is for {argument('fix', True)}, which writes"
+_NO_REPORT = f"{argument('diff')} writes a diff, not a report: no {argument('format')}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,60 +134,54 @@ class ReportOptions:
         output_file: Where the report goes; None is stdout.
     """
 
-    strict: bool = option(
-        False, "switch", "--strict", help="End with 1 where there are warnings."
-    )
-    exit_zero: bool = option(
-        False, "switch", "--exit-zero", help="End with 0 whatever is found."
-    )
+    strict: bool = option(False, "switch", help="End with 1 where there are warnings.")
+    exit_zero: bool = option(False, "switch", help="End with 0 whatever is found.")
     fix: bool = option(
         False,
         "switch",
-        "--fix",
         help="Fix in place what has a safe remedy in rigs, clips, scenes and targets, "
-        "and report what is left. A USD file needs -o or --overwrite; BVH is not "
+        "and report what is left. A USD file needs -o or "
+        f"{argument('overwrite', True)}; BVH is not "
         "written.",
     )
     output: Path | None = option(
         None,
         "output",
-        "--output",
         short="-o",
         goes_with="fix",
-        lacking=f"-o {_FOR_FIX}",
-        help="With --fix and one USD file: write the repaired copy there.",
+        lacking=f"{argument('output')} {_FOR_FIX}",
+        help=f"With {argument('fix', True)} and one USD file: write the repaired "
+        "copy there.",
     )
     overwrite: bool = option(
         False,
         "switch",
-        "--overwrite",
         goes_with="fix",
-        lacking=f"--overwrite {_FOR_FIX}",
-        help="With --fix: replace the file of -o; without -o, USD files themselves.",
+        lacking=f"{argument('overwrite', True)} {_FOR_FIX}",
+        help=f"With {argument('fix', True)}: replace the file of -o; without -o, "
+        "USD files themselves.",
     )
     diff: bool = option(
         False,
         "switch",
-        "--diff",
         excludes={
-            "output": f"-o {_FOR_FIX}",
-            "overwrite": f"--overwrite {_FOR_FIX}",
+            "output": f"{argument('output')} {_FOR_FIX}",
+            "overwrite": f"{argument('overwrite', True)} {_FOR_FIX}",
             "report_format": _NO_REPORT,
             "output_file": _NO_REPORT,
         },
-        help="Show what --fix would change, and write nothing.",
+        help=f"Show what {argument('fix', True)} would change, and write nothing.",
     )
     report_format: str = option(
         "text",
         "choice",
-        "--format",
+        flag="format",
         choices=FORMATS,
         help="text, JSON, annotations of GitHub, SARIF 2.1.0 or JUnit XML.",
     )
     output_file: Path | None = option(
         None,
         "output",
-        "--output-file",
         help="Write the report there, and what it comes to on stderr.",
     )
 

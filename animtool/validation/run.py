@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from animtool.core.arguments import Calling
 from animtool.core.errors import (
     AnimtoolError,
     ExitCode,
@@ -172,6 +173,15 @@ class Report:
     fixable: frozenset[Fault] = frozenset()
     # Findings that were mended before, and what was done.
     mended: tuple[tuple[Fault, str], ...] = ()
+
+    def worded(self, calling: Calling) -> Report:
+        """Return it with arguments called as an interface calls them."""
+        return replace(
+            self,
+            findings=tuple(fault.worded(calling) for fault in self.findings),
+            fixable=frozenset(fault.worded(calling) for fault in self.fixable),
+            mended=tuple((fault.worded(calling), done) for fault, done in self.mended),
+        )
 
     def count(self, severity: Severity) -> int:
         """Return how many findings are of a severity."""

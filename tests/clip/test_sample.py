@@ -250,7 +250,7 @@ def test_what_leaves_its_range_is_said(
     made, _ = sampled(tmp_path, ramp(target, 0, last))
     note = next(n for n in made.notices if n.code == code)
     assert words in note.message
-    assert "--clamp" in (note.hint or "")
+    assert "clamp=True" in (note.hint or "")
     made, _ = sampled(tmp_path, ramp(target, 0, last), clamp=True)
     assert all(n.hint is None for n in made.notices)
 

@@ -18,10 +18,10 @@ from support.faults import raises
 import animtool
 from animtool.cli.bake import bake
 from animtool.cli.options import declared, read_values, record_option
+from animtool.core.arguments import marked
 from animtool.core.errors import OptionError, Severity
 from animtool.core.options import (
     Key,
-    as_arguments,
     clashes,
     keys_of,
     option,
@@ -40,8 +40,8 @@ from animtool.validation.options import ValidateOptions
 class Cut:
     """Cut."""
 
-    sharp: bool = option(False, "switch", "--sharp", not_for=("soup",), both=Key("", 1))
-    width: float | None = option(None, "length", "--width", not_for=("soup", "bread"))
+    sharp: bool = option(False, "switch", not_for=("soup",), both=Key("", 1))
+    width: float | None = option(None, "length", not_for=("soup", "bread"))
     plain: int = 0
 
 
@@ -54,30 +54,28 @@ class Reach:
 
 
 @pytest.mark.parametrize(
-    ("given", "use", "flags"),
+    ("given", "use", "names"),
     [
         (Cut(), "soup", []),
-        (Cut(sharp=True, width=1.0), "soup", ["--sharp", "--width"]),
-        (Cut(sharp=True, width=0.0), "bread", ["--width"]),
+        (Cut(sharp=True, width=1.0), "soup", ["sharp=True", "width"]),
+        (Cut(sharp=True, width=0.0), "bread", ["width"]),
         (Cut(sharp=True), "cheese", []),
     ],
 )
 def test_a_use_refuses_what_is_not_the_default(
-    given: Cut, use: str, flags: list[str]
+    given: Cut, use: str, names: list[str]
 ) -> None:
-    assert [refused.flag for refused in refused_options(given, use)] == flags
+    assert [marked(name) for name in refused_options(given, use)] == names
 
 
 @dataclass(frozen=True)
 class Bread:
     """Bread."""
 
-    whole: bool = option(False, "switch", "--whole", excludes={"width": ""})
-    width: float | None = option(None, "length", "--width", goes_with="sliced")
-    sliced: bool = option(
-        False, "switch", "--sliced", excludes={"whole": "--sliced: no --whole"}
-    )
-    crust: bool | None = option(None, "answer", "--no-crust", goes_with="sliced")
+    whole: bool = option(False, "switch", excludes={"width": ""})
+    width: float | None = option(None, "length", goes_with="sliced")
+    sliced: bool = option(False, "switch", excludes={"whole": "sliced: no whole"})
+    crust: bool | None = option(None, "answer", goes_with="sliced")
 
 
 @pytest.mark.parametrize(
@@ -86,16 +84,16 @@ class Bread:
         (Bread(), []),
         (Bread(width=1.0, sliced=True, crust=False), []),
         (Bread(crust=True), []),
-        (Bread(crust=False), ["--no-crust goes with --sliced"]),
-        (Bread(whole=True, sliced=True), ["--sliced: no --whole"]),
+        (Bread(crust=False), ["crust=False goes with sliced=True"]),
+        (Bread(whole=True, sliced=True), ["sliced: no whole"]),
         (
             Bread(whole=True, width=1.0),
-            ["--whole and --width exclude each other", "--width goes with --sliced"],
+            ["whole=True and width exclude each other", "width goes with sliced=True"],
         ),
     ],
 )
 def test_what_options_exclude_and_want(bread: Bread, messages: list[str]) -> None:
-    assert clashes(bread) == messages
+    assert [marked(message) for message in clashes(bread)] == messages
 
 
 def test_what_options_exclude_and_want_is_an_option() -> None:
@@ -105,17 +103,12 @@ def test_what_options_exclude_and_want_is_an_option() -> None:
         }
 
 
-def test_a_text_calls_options_as_arguments() -> None:
-    text = "--sharp, --width 2 or --sharpen, --no-width"
-    assert as_arguments(text, Cut) == "sharp=True, width 2 or --sharpen, --no-width"
-
-
 def test_errors_in_python_name_arguments(walk: Path, tmp_path: Path) -> None:
     output = tmp_path / "walk.usda"
     output.touch()
     with raises(OptionError, "OUT001") as caught:
         animtool.bake(walk, output)
-    assert "--overwrite" in str(caught.value.faults[0])
+    assert caught.value.faults[0].hint == "overwrite=True replaces it"
     fps = SourceOptions(fps=24)
     with raises(OptionError, "CLI004", match="to_units.*to_up"):
         animtool.open_source(output, fps)
@@ -135,7 +128,6 @@ def test_every_option_of_a_bake_is_documented() -> None:
 
 def test_what_a_use_refuses_has_a_name_there() -> None:
     for name, described in options_of(BakeOptions).items():
-        assert described.flag.startswith("--"), name
         assert bool(described.label) == ("systems" in described.not_for), name
 
 
@@ -144,7 +136,7 @@ def test_the_command_has_every_option_that_is_declared() -> None:
     for name, described in options_of(BakeOptions).items():
         # Of a take that is written, scenes alone say the name.
         if name != "take":
-            flag = described.flag.split()[0]
+            flag = f"--{described.flag or name.replace('_', '-')}"
             found = parameters[name]
             assert flag in {*found.opts, *found.secondary_opts}, name
             assert described.help or name in {"strict", "overwrite"}, name

@@ -116,7 +116,7 @@ def test_jumps_are_named(solved: TakeIk) -> None:
 def test_a_jump_that_smoothing_cures_names_the_option(solved: TakeIk) -> None:
     jumps, steadier = (Jump(4, "knee_l", 0.5),), Smoothing(0.1, 0.2)
     (notice,) = jump_notices(replace(solved, jumps=jumps, steadier=steadier))
-    assert notice.hint == "--smooth 0.1 leaves turns of 11.5° at most"
+    assert notice.hint == "smooth=0.1 leaves turns of 11.5° at most"
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from support.bvh import random_rows, read_reference, small_bvh
 from support.cli import animtool
 from support.drifting import author_samples
 
-from animtool.cli.info_summary import points_text
+from animtool.cli.info_summary import info_lines
 from animtool.core.files.reading import recorded_inputs
 from animtool.report import describe as module
 from animtool.report.describe import describe
@@ -179,7 +179,7 @@ def test_many_prims_are_counted_beyond_the_first(tmp_path: Path, count: int) -> 
         found = describe_points(path)
     assert path in inputs.states
     assert found is not None
-    more = [line for line in points_text(found) if line.startswith("  and ")]
+    more = [line for line in info_lines(found) if line.startswith("  and ")]
     assert more == ["  and       1 more"] * (count - 20)
 
 

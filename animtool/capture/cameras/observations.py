@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from animtool.capture.cameras.camera import Cameras
+from animtool.core.arguments import argument, flag
 from animtool.core.array_types import FloatArray
 from animtool.core.clock import Clock
 from animtool.core.errors import Fault, FormatError, OptionError, counted, listed
@@ -25,7 +26,7 @@ MAX_CAMERAS = 256
 # What a command wants of a file that is none.
 WANTED = (
     "write uv (frames, cameras, markers, 2) in pixels, fs and marker_names with "
-    "numpy.savez, then: animtool mocap triangulate take.npz --cameras "
+    f"numpy.savez, then: animtool mocap triangulate take.npz {flag('cameras')} "
     "stage.cameras.yaml -o markers.npz"
 )
 # Of a file of another kind, what says which [bytes].
@@ -119,10 +120,16 @@ def _other_kind(path: Path, message: str) -> tuple[str, str]:
     kind += "OpenPose keypoints"
     if b'"people"' in text:
         hint = "give the folder that has a folder of such files for each camera: "
-        hint += "animtool mocap triangulate pose/ --cameras calib.toml --fps 60 "
+        hint += (
+            f"animtool mocap triangulate pose/ {flag('cameras', 'calib.toml')} "
+            f"{flag('fps', '60')} "
+        )
         return kind, hint + "-o people.npz"
     if any(key in text for key in (b'"cameras"', b'"camera_matrix"', b'"K"')):
-        kind = f"holds cameras, not what they see; give it as --cameras {path.name}"
+        kind = (
+            "holds cameras, not what they see; give it as "
+            f"{argument('cameras', path.name)}"
+        )
     return kind, WANTED
 
 
@@ -180,12 +187,14 @@ def _rate(
     if fps is not None:
         return rate_option(fps)
     if "fs" not in known:
-        raise ValueError("has no number 'fs', the frame rate; --fps gives one")
+        raise ValueError(
+            f"has no number 'fs', the frame rate; {argument('fps')} gives one"
+        )
     stated = archives.stored(path, "fs").ravel()
     low, high = _RATES
     if stated.size != 1 or not low <= float(stated[0]) <= high:
         shown = listed(stated.tolist())
-        raise ValueError(f"'fs' is {shown}, no frame rate; --fps gives one")
+        raise ValueError(f"'fs' is {shown}, no frame rate; {argument('fps')} gives one")
     return rate_from_float(float(stated[0]))
 
 

@@ -27,6 +27,7 @@ from animtool.capture.cameras.camera import (
     rays,
 )
 from animtool.capture.cameras.observations import Observations, matched
+from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray
 from animtool.core.clock import Clock
 from animtool.core.errors import Fault, FormatError, OptionError, listed
@@ -282,7 +283,7 @@ def read_keypoints(
     folder = Path(folder)
     if fps is None:
         message = "keypoints of OpenPose state no frame rate"
-        hint = "--source-fps gives it"
+        hint = f"{argument('source.fps')} gives it"
         raise OptionError(Fault("CAM010", message, str(folder), (), hint))
     rate = rate_option(fps)
     folders = sorted(each for each in folder.iterdir() if any(each.glob("*.json")))

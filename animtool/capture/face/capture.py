@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from animtool.capture.face.model import FaceModel, landmark_names
+from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray
 from animtool.core.clock import Clock, time_fraction
 from animtool.core.errors import (
@@ -178,7 +179,7 @@ def _rate(
     if fps is not None:
         return rate_option(fps)
     if "fs" not in known:
-        hint = "--source-fps says it"
+        hint = f"{argument('source.fps')} says it"
         raise _wrong(path, "states no rate (fs)", hint)
     stated = archives.stored(path, "fs").ravel()
     try:

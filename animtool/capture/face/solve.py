@@ -21,6 +21,7 @@ import numpy as np
 from animtool import _kernels
 from animtool.capture.face.model import MIN_MOTION, FaceModel, spread
 from animtool.capture.face.poses import camera_pose, head_poses
+from animtool.core.arguments import argument
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.errors import Fault, OptionError, Severity, counted, listed, naming
 from animtool.maths.so3 import align_signs, slerp
@@ -215,7 +216,7 @@ def _check(model: FaceModel, observed: FloatArray, camera: FloatArray | None) ->
     ratio = float(np.median(ratios)) if ratios else 1.0
     if not 1 / MAX_SCALE <= ratio <= MAX_SCALE:
         message = f"the captured face is {ratio:.3g} times as large as the rig's"
-        hint = "--units says the unit of the landmarks"
+        hint = f"{argument('source.unit')} says the unit of the landmarks"
         raise OptionError(Fault("FAC006", message, hint=hint))
 
 

@@ -25,6 +25,7 @@ from animtool.capture.solve.sampling import (
 )
 from animtool.capture.templates.match import MarkerMatch, match_markers
 from animtool.capture.templates.template import MarkerTemplate
+from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, OptionError, Severity, counted, listed
 from animtool.core.quantities import length_text
@@ -212,7 +213,7 @@ def solve_markers(
     usual = float(np.median(noise))
     if usual > STRANGE:
         message = f"markers are {length_text(usual)} off their places on the rig"
-        hint = "--calibrate fits bones and offsets to the subject"
+        hint = f"{argument('calibrate', True)} fits bones and offsets to the subject"
         notices.append(Fault("SOL107", message, hint=hint, severity=Severity.WARNING))
     score = SolveScore(model.template.names, len(positions), noise)
     return MarkerSolve(model, match, positions, markers, noise, options, score, notices)
@@ -257,5 +258,5 @@ def check_units(model: MarkerProblem, sample: FloatArray) -> None:
         return
     times, what = (ratio, "larger") if ratio > 1 else (1 / max(ratio, 1e-12), "smaller")
     message = f"the markers are {times:.3g} times {what} than those on the rig"
-    hint = "--units says what the capture is in: m, cm, mm or in"
+    hint = f"{argument('source.unit')} says what the capture is in: m, cm, mm or in"
     raise OptionError(Fault("SOL005", message, hint=hint))

@@ -13,6 +13,7 @@ from animtool.capture.options import SolveOptions
 from animtool.capture.solve.run import MarkerSolve, solve_markers
 from animtool.capture.templates.file import load_template
 from animtool.capture.templates.template import MarkerTemplate
+from animtool.core.arguments import argument
 from animtool.core.errors import Fault, FormatError, OptionError, Severity, counted
 from animtool.core.units import LengthUnit, UpAxis, unit_name
 from animtool.formats.marker_files import open_markers
@@ -62,7 +63,10 @@ def open_markers_source(
         markers = triangulated(path, cameras, unit=unit, up=up, fps=fps)
     if template is None:
         message = "holds markers, and no template says where they are"
-        hint = "--template says it, or template: of the source in a scene"
+        hint = (
+            f"{argument('source.template')} says it, or template: of the source in "
+            "a scene"
+        )
         raise OptionError(Fault("SOL007", message, str(path), (), hint))
     read = load_template(template)
     named = named_rig(read, rig, template)
@@ -81,7 +85,9 @@ def named_rig(template: MarkerTemplate, rig: Path | None, path: Path) -> Path:
     if template.rig is not None:
         return template.rig
     message = "names no rig"
-    hint = "write 'rig: hero.rig.yaml' into it, or give a rig (--rig)"
+    hint = (
+        f"write 'rig: hero.rig.yaml' into it, or give a rig ({argument('source.rig')})"
+    )
     raise OptionError(Fault("SOL008", message, str(path), (), hint))
 
 

@@ -54,7 +54,8 @@ class MarkersModel(FileModel):
 
     markers: Literal["animtool/1"] = key("File type and format version.", "animtool/1")
     rig: str | None = key(
-        "The rig that carries the markers. Not given: `--rig` or the scene names it.",
+        "The rig that carries the markers. Not given: the command line or the "
+        "scene names it.",
         "hero.rig.yaml",
         default=None,
     )

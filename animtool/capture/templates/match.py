@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from animtool.capture.templates.template import MarkerTemplate
+from animtool.core.arguments import argument
 from animtool.core.array_types import IntArray
 from animtool.core.errors import Fault, OptionError, counted, listed
 from animtool.core.names import nearest
@@ -69,7 +70,7 @@ def match_markers(
     if len(fitting) > 1:
         count = counted(len(fitting), "subject")
         message = f"holds markers of {count}: {listed(sorted(fitting))}"
-        hint = "choose one with --subject"
+        hint = f"choose one with {argument('subject')}"
         raise OptionError(Fault("SOL002", message, hint=hint))
     if not fitting or not (next(iter(fitting.values())) >= 0).any():
         raise OptionError(_unmatched(template, labelled, names))

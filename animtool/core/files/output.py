@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any
 
+from animtool.core.arguments import argument, clause
 from animtool.core.errors import Fault, OptionError, OutputError, counted
 from animtool.core.files.leftovers import new_temporary, take_back
 from animtool.core.files.placing import Target, Whole, output_error, place_files, target
@@ -113,14 +114,13 @@ def check_outputs(
     inputs: Sequence[Path],
     *,
     overwrite: bool,
-    can_skip: bool = True,
 ) -> None:
     """Refuse outputs that cannot or must not be written.
 
     One exists and overwrite is off (OUT001), or is also an input (OUT003), or two are
     one file (OUT007); its folder does not exist or may not be written to (OUT002), or
     it leads to something else than a file (OUT005). All of a kind are faults of one
-    error. ``can_skip``: whether the command has an option that leaves what exists.
+    error.
     """
     targets: list[Target] = []
     for path in outputs:
@@ -138,9 +138,9 @@ def check_outputs(
                 message = "cannot be written: it is read-only"
                 raise OutputError(Fault("OUT002", message, str(place.path)))
     if there:
-        hint = "--overwrite replaces it"
-        if can_skip and len(there) == len(outputs):
-            hint += ", --skip-existing leaves it"
+        hint = f"{argument('overwrite', True)} replaces it"
+        if len(there) == len(outputs):
+            hint += clause(f", {argument('command.skip_existing', True)} leaves it")
         message, named = "already exists", there
         if len(there) > MAX_NAMED:
             others = counted(len(there) - 1, "other output")

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from animtool.core.arguments import argument
 from animtool.core.errors import Fault, OptionError, OutputError
 from animtool.core.files.leftovers import TEMPORARY, Journal, PlacedFile, new_temporary
 
@@ -132,7 +133,7 @@ class Whole:
                 self.temporary.replace(self.final)
         except FileExistsError as error:
             message = "already exists: another process wrote it meanwhile"
-            hint = "--overwrite replaces it"
+            hint = f"{argument('overwrite', True)} replaces it"
             fault = Fault("OUT001", message, str(self.path), (), hint)
             raise OptionError(fault) from error
         except OSError as error:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass, field
 
+from animtool.core.arguments import argument
 from animtool.core.errors import Fault, Severity, counted, excerpt, listed
 from animtool.core.quantities import CONTROL
 from animtool.core.rates import RateChoice, RateKind, rate_from_frame_time, rate_label
@@ -310,13 +311,13 @@ def _rate_notices(header: BvhHeader, path: str, line: int) -> list[Fault]:
     rate, text = header.rate, header.frame_time
     assert rate is not None
     low, high = PLAUSIBLE_RATES
-    hint = "--source-fps states the real rate"
+    hint = f"{argument('source.fps')} states the real rate"
     severity = Severity.WARNING
     if not low <= rate.fps <= high:
         code = "BVH105"
         message = f"Frame Time {text} is {rate_label(rate.fps)}, which is implausible"
         if low <= float(text) <= high:
-            hint = f"a rate in place of a time? then --source-fps {text}"
+            hint = f"a rate in place of a time? then {argument('source.fps', text)}"
     elif rate.kind is RateKind.PRINTED:
         code = "BVH106"
         message = f"Frame Time {text} is no usual rate; {rate_label(rate.fps)} is taken"

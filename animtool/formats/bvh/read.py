@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from animtool import _kernels
+from animtool.core.arguments import argument
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.errors import Fault, Severity, counted, listed
 from animtool.core.files.reading import open_input, unreadable
@@ -139,9 +140,12 @@ def _size_notice(rig: Rig, stated: LengthUnit | None, path: str) -> list[Fault]:
         return []
     unit = stated or LengthUnit.CM
     message = f"the skeleton spans {numbers:.4g}, which in {unit} is no character"
-    hint = "--units says what it is in"
+    hint = f"{argument('source.unit')} says what it is in"
     if fitting:
-        hint = f"--units {fitting[0]} would make it {numbers * fitting[0].meters:.2g} m"
+        hint = (
+            f"{argument('source.unit', fitting[0])} would make it "
+            f"{numbers * fitting[0].meters:.2g} m"
+        )
     return [Fault("RIG217", message, path, (), hint, Severity.NOTE)]
 
 
@@ -288,7 +292,10 @@ def _without_length(
         f"with OFFSETs up to {sizes[lost].max():.4g}: they are at their parents, "
         f"without a bone ({listed(names, MAX_NAMED)})"
     )
-    hint = "position channels replace OFFSETs; --positions offsets lets OFFSETs hold"
+    hint = (
+        "position channels replace OFFSETs; "
+        f"{argument('source.positions', 'offsets')} lets OFFSETs hold"
+    )
     # Where channels of other joints are filled in, these may be meant as well.
     severity = Severity.WARNING if lost.sum() == below.sum() else Severity.NOTE
     return [Fault("BVH111", message, path, (), hint, severity)]

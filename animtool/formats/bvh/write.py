@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from animtool import _kernels
+from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, OptionError, Severity, listed
 from animtool.core.rates import rate_from_frame_time
@@ -219,7 +220,10 @@ def _unit_notices(rig: Rig) -> list[Fault]:
     if (unit, rig.up) == (LengthUnit.CM.value, UpAxis.Y):
         return []
     message = f"a BVH states no unit and no up axis: this one is in {unit}, {rig.up} up"
-    hint = f"read it back with --units {unit} --up {rig.up}"
+    hint = (
+        f"read it back with {argument('source.unit', unit)} "
+        f"{argument('source.up', rig.up)}"
+    )
     return [Fault("BVH110", message, None, (), hint, Severity.NOTE)]
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from animtool.core.arguments import argument
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.clock import Clock
 from animtool.core.errors import FormatError, counted, excerpt, listed
@@ -76,13 +77,17 @@ def read_screen(file: MarkerFile, sections: Sections, given: UpAxis | None) -> S
     if up is None and right is not None and right[1] == "Y":
         # Y points to the side, and cannot be assumed to point up.
         message = f"states no up axis; Z is assumed, as X_SCREEN is {right}"
-        file.note("MKR103", message, "--up says which axis is up")
+        file.note("MKR103", message, f"{argument('source.up')} says which axis is up")
         return Screen(UpAxis.Z)
     if up is None:
         return Screen(file.up(None, None))
     if right is not None and right[1] == up[1]:
         message = f"X_SCREEN is {right} and Y_SCREEN {up}, which are one axis; "
-        file.warn("C3D105", f"{message}{up} is taken as up", "--up Y or --up Z")
+        file.warn(
+            "C3D105",
+            f"{message}{up} is taken as up",
+            f"{argument('source.up', 'Y')} or {argument('source.up', 'Z')}",
+        )
     if up not in _TURNS:
         return Screen(UpAxis(up[1]))
     axis, order, signs = _TURNS[up]
@@ -100,7 +105,11 @@ def _axis(file: MarkerFile, sections: Sections, name: str) -> str | None:
     match = _AXIS.fullmatch(text.upper())
     if match is None:
         message = f"{name} is {excerpt(text)}, which is none of +X, -X, +Y, -Y, +Z, -Z"
-        file.warn("C3D105", message, "--up Y or --up Z")
+        file.warn(
+            "C3D105",
+            message,
+            f"{argument('source.up', 'Y')} or {argument('source.up', 'Z')}",
+        )
         return None
     return f"{match[1] or '+'}{match[2]}"
 

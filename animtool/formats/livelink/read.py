@@ -9,6 +9,7 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
+from animtool.core.arguments import argument
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.errors import Fault, OptionError, Severity, counted, listed, naming
 from animtool.core.rates import FractionLike, rate_option
@@ -81,7 +82,7 @@ def read_livelink(
     turned = _turned(recording)
     if not links.links and not (set(turned) & set(joints)):
         message = f"{target.name!r} has no shape of this recording, and no head joint"
-        hint = "--remap names the shapes of other conventions"
+        hint = f"{argument('source.remap')} names the shapes of other conventions"
         if not target.shapes:
             hint = "the rig has no shapes"
         raise OptionError(Fault("LLF007", message, str(path), (), hint))
@@ -210,7 +211,10 @@ def _notices(recording: Recording, frames: RowFrames, dropped: Dropped) -> list[
             f"{len(gaps)} of {frames.count} frames have no row: {what}; from the "
             f"first, frames {listed((gaps).tolist(), MAX_NAMED)}"
         )
-        hint = "--dropped interpolate, hold or close says what becomes of them"
+        hint = (
+            f"{argument('source.dropped')} interpolate, hold or close says what "
+            "becomes of them"
+        )
         made.append(Fault("LLF101", message, path, (), hint, Severity.WARNING))
     for values, names in (
         (recording.weights, recording.shapes),
@@ -259,7 +263,7 @@ def _unmatched(
         lost = [name for name in links.lost if name not in still]
         if lost:
             message = f"{len(lost)} shapes are not in the rig: "
-            hint = "--remap names the shapes that they move"
+            hint = f"{argument('source.remap')} names the shapes that they move"
             made.append(naming("LLF108", message, lost, path, hint, Severity.WARNING))
     for part, angles in turned.items():
         if part not in joints and np.nan_to_num(angles).any():

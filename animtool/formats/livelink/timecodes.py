@@ -9,6 +9,7 @@ from fractions import Fraction
 
 import numpy as np
 
+from animtool.core.arguments import argument
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.errors import Fault, FormatError, Severity, counted, excerpt, listed
 from animtool.core.rates import rate_label
@@ -147,7 +148,7 @@ def _clock(fields: IntArray, drop: bool, path: str, notices: list[Fault]) -> Fra
             f"the time code ends in no second, so it counts {rate} frames as the app "
             "does unless told otherwise"
         )
-        hint = "--source-fps says what it counts"
+        hint = f"{argument('source.fps')} says what it counts"
         notices.append(Fault("LLF107", message, path, (), hint, Severity.NOTE))
         return Fraction(rate)
     if len(fitting) == 1:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, OptionError, Severity, naming
 from animtool.core.timecode import count_rate, timecode_label
@@ -62,7 +63,7 @@ def livelink_text(take: Take) -> TakeText:
     try:
         count_rate(rate)
     except ValueError as error:
-        hint = "--fps 60 makes it a rate that time codes count"
+        hint = f"{argument('fps', '60')} makes it a rate that time codes count"
         raise OptionError(Fault("LLF009", str(error), hint=hint)) from error
     weights = np.zeros((take.clock.count, len(APP_SHAPES)))
     channel = take.motion.weights

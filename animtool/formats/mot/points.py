@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray
 from animtool.core.clock import Clock
 from animtool.core.errors import AnimtoolError, Fault, FormatError, counted, listed
@@ -115,7 +116,9 @@ def _frames(
     found = rate_of_step(steps.step, rounding, between)
     if found is None:
         raise file.error(
-            "MOF006", f"has a row every {steps.step:g} s", "--source-fps gives the rate"
+            "MOF006",
+            f"has a row every {steps.step:g} s",
+            f"{argument('source.fps')} gives the rate",
         )
     if stated is not None and is_rate_of(stated, steps, rounding):
         found = file.rate(stated, None)
@@ -128,7 +131,7 @@ def _frames(
         at = steps.frames.astype(np.float64)
     if not has_room(at, len(header.names)):
         message = f"has {count} rows for {float(at[-1]) + 1:.3g} frames"
-        hint = "--source-fps takes the rows as they come"
+        hint = f"{argument('source.fps')} takes the rows as they come"
         raise file.error("MOF006", message, hint)
     if not steps.even:
         message = f"times are uneven: read at {float(found):g} fps, with straight lines"

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, FormatError, OptionError, Severity, naming
 from animtool.core.rates import FractionLike, rate_option
@@ -72,7 +73,7 @@ def read_mot(
     at, columns, lost = _matched(table, target)
     if rig is None:
         message = "has no rig: each coordinate became a joint of its own"
-        hint = "--rig names the rig whose coordinates they are"
+        hint = f"{argument('source.rig')} names the rig whose coordinates they are"
         notices.append(Fault("MOF106", message, str(path), (), hint, Severity.NOTE))
     elif lost:
         message = f"{len(lost)} columns are no coordinates of {target.name!r}: "
@@ -153,7 +154,10 @@ def _even(
     if given is not None:
         return given, values, []
     if len(times) == 1:
-        message, hint = "has one row, which has no rate", "--source-fps gives the rate"
+        message, hint = (
+            "has one row, which has no rate",
+            f"{argument('source.fps')} gives the rate",
+        )
         raise FormatError(Fault("MOF006", message, path, (), hint))
     span = float(times[-1] - times[0])
     rounding = rounding_of(table.decimals)
@@ -164,7 +168,7 @@ def _even(
     count = span * float(rate) + 1
     if count > MAX_FRAMES_EACH * len(times):
         message = f"has {len(times)} rows for {count:.3g} frames at {float(rate):g} fps"
-        hint = "--source-fps takes the rows as they come"
+        hint = f"{argument('source.fps')} takes the rows as they come"
         raise FormatError(Fault("MOF006", message, path, (), hint))
     at = times[0] + np.arange(int(count + EVEN)) / float(rate)
     made = np.stack([np.interp(at, times, column) for column in values.T], axis=-1)
@@ -172,7 +176,7 @@ def _even(
         f"times are uneven, up to {steps.off:.3g} s off: read at {float(rate):g} fps, "
         "with straight lines between rows"
     )
-    hint = "--source-fps takes the rows as they come"
+    hint = f"{argument('source.fps')} takes the rows as they come"
     return rate, made, [Fault("MOF105", message, path, (), hint, Severity.WARNING)]
 
 
@@ -180,7 +184,7 @@ def _rate(path: str, step: float, rounding: float, frames: int) -> Fraction:
     rate = rate_of_step(step, rounding, frames)
     if rate is None:
         message = f"has a row every {step:g} s"
-        hint = "--source-fps gives the rate"
+        hint = f"{argument('source.fps')} gives the rate"
         raise FormatError(Fault("MOF006", message, path, (), hint))
     return rate
 

@@ -6,6 +6,7 @@ from fractions import Fraction
 
 import numpy as np
 
+from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, FormatError, counted
 from animtool.core.rates import FractionLike, rate_from_float
@@ -121,7 +122,10 @@ def _check_times(
         message = f"{here}, at {times[row]:g} s, {what} {before}, at "
         message += f"{times[row - 1]:g} s"
     message += f"; {counted(more, 'other row')} alike" if more else ""
-    hint = "mend the rows; --source-fps gives the rate and takes them by Frame#"
+    hint = (
+        f"mend the rows; {argument('source.fps')} gives the rate and takes them by "
+        "Frame#"
+    )
     at = (int(lines[row]),)
     raise FormatError(Fault("TRC003", message, file.path, at, hint))
 
@@ -136,7 +140,7 @@ def _rate(
     rate = rate_of_step(steps.step, rounding, count)
     if rate is None:
         message = f"has a row every {steps.step:g} s"
-        hint = "--source-fps gives the rate and takes rows by Frame#"
+        hint = f"{argument('source.fps')} gives the rate and takes rows by Frame#"
         raise file.error("TRC003", message, hint)
     if stated is None or stated <= 0:
         message = f"states no DataRate; {float(rate):g} fps, as Time has it"
@@ -147,7 +151,8 @@ def _rate(
         f"{stated:g}: read as Time has it"
     )
     hint = (
-        f"--source-fps {float(rate_from_float(stated)):g} reads it as DataRate has it"
+        f"{argument('source.fps', f'{float(rate_from_float(stated)):g}')} reads it "
+        "as DataRate has it"
     )
     file.warn("TRC104", message, hint)
     return rate
@@ -198,7 +203,7 @@ def _warn_uneven(
         f"rows are {between.min():.4g} to {between.max():.4g} s apart: read at "
         f"{float(rate):g} fps, with straight lines between rows, none over gaps"
     )
-    hint = "--source-fps gives the rate and takes rows by Frame#"
+    hint = f"{argument('source.fps')} gives the rate and takes rows by Frame#"
     file.warn("TRC106", message, hint, int(lines[row]))
 
 

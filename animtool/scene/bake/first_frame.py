@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from fractions import Fraction
 
+from animtool.core.arguments import argument
 from animtool.core.clock import Clock, frame_label
 from animtool.core.errors import Fault, Severity
 from animtool.core.rates import rate_label
@@ -87,5 +88,5 @@ def start_notice(
     if fps != own_fps:
         message += f", which is {frame_label(own * fps / own_fps)} at {rate_label(fps)}"
     message += f"; it is written from frame {frame_label(first)}"
-    hint = "--start names another first frame"
+    hint = f"{argument('start')} names another first frame"
     return [Fault("TAKE008", message, None, (), hint, Severity.NOTE)]

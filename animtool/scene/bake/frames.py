@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
+from animtool.core.arguments import argument
 from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.clock import Clock, frame_label, time_codes
 from animtool.core.errors import Fault, OptionError, Severity
@@ -226,7 +227,8 @@ def _range_notice(plan: TakePlan, times: SampleTimes) -> list[Fault]:
     if times.first == frame_range.first and times.last == last:
         return []
     message = (
-        f"--range {frame_range.first}-{frame_range.last} reaches beyond the take; "
+        f"{argument('frame_range', f'{frame_range.first}-{frame_range.last}')} "
+        "reaches beyond the take; "
         f"{float(times.first):g} to {float(times.last):g} are written"
     )
     return [Fault("SCN202", message, str(plan.source), severity=Severity.WARNING)]
@@ -239,7 +241,11 @@ def _end_notices(plan: TakePlan, times: SampleTimes) -> list[Fault]:
     if times.dropped:
         faults = dropped_notice(times.dropped, plan.fps, times.last)
         notices.append(
-            replace(faults, path=where, hint="bake --keep-samples writes it")
+            replace(
+                faults,
+                path=where,
+                hint=f"bake {argument('keep_samples', True)} writes it",
+            )
         )
     if frame_range is None or plan.options.shot is not None:
         return notices
@@ -249,7 +255,10 @@ def _end_notices(plan: TakePlan, times: SampleTimes) -> list[Fault]:
     if off_step or (plan.options.keep_samples and off_samples):
         text = f"{frame_range.first}-{frame_range.last}"
         text += f"x{frame_range.step}" if frame_range.step > 1 else ""
-        message = f"--range {text} has no sample at its ends; {ends} are written"
+        message = (
+            f"{argument('frame_range', text)} has no sample at its ends; {ends} are "
+            "written"
+        )
         notices.append(Fault("CLI105", message, where, severity=Severity.NOTE))
     return notices
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from animtool.clip.reduction.tolerance import KEY_TOLERANCE
+from animtool.core.arguments import argument
 from animtool.core.errors import Fault, OptionError
 from animtool.core.options import Key, option
 from animtool.core.rates import FractionLike, OptionalFraction, rate_option
@@ -16,7 +17,10 @@ from animtool.core.units import LengthUnit, UpAxis
 from animtool.scene.file.option_text import parse_frame, parse_frame_range
 from animtool.scene.sources.open import SourceOptions
 
-_ADOPTED = "a layer adopts its rig layer's units and up axis: no --to-units, --to-up"
+_ADOPTED = (
+    f"a layer adopts its rig layer's units and up axis: no {argument('to_units')}, "
+    f"{argument('to_up')}"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,8 +78,8 @@ class BakeOptions:
     form: str | None = option(
         None,
         "choice",
-        "--as",
         not_for=("file",),
+        flag="as",
         scene=Key(
             "One file, three, an animation layer, or a take of a clip library, "
             "beside those that the file has. Not given: `layer` with `rig_layer`, else "
@@ -93,12 +97,11 @@ class BakeOptions:
         ),
         choices=("stage", "layer"),
         help="One file with skeleton and animation, or only the animation, over a rig "
-        "layer.  [default: layer where there is --rig-layer, else stage]",
+        f"layer.  [default: layer where there is {argument('rig_layer')}, else stage]",
     )
     rig_layer: Path | None = option(
         None,
         "file",
-        "--rig-layer",
         label="a rig layer",
         not_for=("systems", "file"),
         both=Key(
@@ -111,14 +114,12 @@ class BakeOptions:
     force_fit: bool = option(
         False,
         "switch",
-        "--force-fit",
         both=Key("Write a take that does not fit the rig all the same.", True),
         help="Write a take that does not fit the rig all the same.",
     )
     take: str | None = option(
         None,
         "text",
-        "--take",
         not_for=("file",),
         scene=Key(
             "With `as: library`: the name of the take. Not given: that of the scene.",
@@ -128,7 +129,6 @@ class BakeOptions:
     prim_path: str | None = option(
         None,
         "text",
-        "--prim-path",
         not_for=("file",),
         scene=Key(
             "Where the character stands. Not given: /NAME of the source, or "
@@ -144,7 +144,6 @@ class BakeOptions:
     placement: str | None = option(
         None,
         "choice",
-        "--placement",
         label="placement",
         not_for=("systems",),
         both=Key(
@@ -162,17 +161,15 @@ class BakeOptions:
     bones: bool = option(
         False,
         "switch",
-        "--bones",
         label="bones",
         not_for=("systems", "library", "deform", "file"),
-        over_layer="--bones never goes into a layer",
+        over_layer=f"{argument('bones', True)} never goes into a layer",
         both=Key("Add geometry that shows the joints.", True),
         help="Add light geometry that shows the joints.",
     )
     strip_namespace: int = option(
         0,
         "count",
-        "--strip-namespace",
         not_for=("file",),
         metavar="N",
         help="Drop the first N 'ns:' parts of joint names.",
@@ -180,10 +177,11 @@ class BakeOptions:
     rest_frame: int | None = option(
         None,
         "rest",
-        "--rest frame:N",
+        flag="rest",
         label="rest",
         not_for=("systems", "library", "deform", "file"),
-        over_layer="--rest frame:N sets a skeleton's rest pose, which a layer does not "
+        over_layer=f"{argument('rest_frame')} sets a skeleton's rest pose, which a "
+        "layer does not "
         "hold",
         metavar="offsets|frame:N",
         help="Where the rest pose comes from.  [default: offsets]",
@@ -191,7 +189,6 @@ class BakeOptions:
     fps: OptionalFraction = option(
         None,
         "rate",
-        "--fps",
         batch=Key(
             "Frames a second of the outputs. Not given: the rig layer's, or "
             "each source's.",
@@ -202,7 +199,7 @@ class BakeOptions:
     frame_range: OptionalRange = option(
         None,
         "range",
-        "--range",
+        flag="range",
         batch=Key(
             "First and last frame to write, as the outputs number them. Not "
             "given: all.",
@@ -216,7 +213,6 @@ class BakeOptions:
     start: OptionalFraction = option(
         None,
         "frame",
-        "--start",
         scene=Key(
             "Time code of the first frame; of systems alone that of 0 s, and `range` "
             "keeps its numbers. Not given: the rig layer's, the source's, the "
@@ -232,7 +228,6 @@ class BakeOptions:
     samples: tuple[Fraction, ...] = option(
         (),
         "offsets",
-        "--samples",
         not_for=("file",),
         scene=Key(
             "Samples around each frame, in frames, for motion blur. Not given: "
@@ -244,7 +239,6 @@ class BakeOptions:
     keep_samples: bool = option(
         False,
         "switch",
-        "--keep-samples",
         label="keep_samples",
         not_for=("systems", "file"),
         excludes={"samples": ""},
@@ -253,7 +247,6 @@ class BakeOptions:
     to_units: LengthUnit | None = option(
         None,
         "unit",
-        "--to-units",
         not_for=("library", "file"),
         over_layer=_ADOPTED,
         batch=Key("Unit of the outputs. Not given: each source's.", "m"),
@@ -262,7 +255,6 @@ class BakeOptions:
     to_up: UpAxis | None = option(
         None,
         "axis",
-        "--to-up",
         not_for=("library", "file"),
         over_layer=_ADOPTED,
         batch=Key("Up axis of the outputs. Not given: each source's.", "Y"),
@@ -271,7 +263,6 @@ class BakeOptions:
     root_motion: bool = option(
         False,
         "switch",
-        "--root-motion skelroot",
         label="root_motion",
         not_for=("systems", "deform", "file"),
         choices=("joint", "skelroot"),
@@ -280,7 +271,6 @@ class BakeOptions:
     sparse: bool = option(
         False,
         "switch",
-        "--sparse",
         label="sparse",
         not_for=("systems", "deform", "file"),
         both=Key("Write only joints that leave their rest pose.", True),
@@ -289,7 +279,6 @@ class BakeOptions:
     keep_curves: bool = option(
         False,
         "switch",
-        "--keep-curves",
         label="keep_curves",
         not_for=("systems", "deform", "file"),
         scene=Key("Of a clip: write the curves of its controls as splines too.", True),
@@ -299,12 +288,12 @@ class BakeOptions:
     reduce: float | None = option(
         None,
         "length",
-        "--reduce",
         label="reduce",
         not_for=("systems", "deform", "file"),
         excludes={
             "samples": "",
-            "root_motion": "--reduce measures joints: no --root-motion skelroot",
+            "root_motion": f"{argument('reduce')} measures joints: no "
+            f"{argument('root_motion', True)}",
         },
         scene=Key(
             "Leave out samples that the others give back within this length. "
@@ -322,16 +311,15 @@ class BakeOptions:
     reduce_at: tuple[tuple[str, float], ...] = option(
         (),
         "lengths",
-        "--reduce-at",
         goes_with="reduce",
         both=Key("Other tolerances, by joint or pattern.", {"hand_*": "0.1mm"}),
-        help="Another tolerance of --reduce for a joint, or for those that fit a "
+        help=f"Another tolerance of {argument('reduce')} for a joint, or for those "
+        "that fit a "
         "pattern, such as 'hand_*=0.1mm'; can be given several times.",
     )
     deform: bool = option(
         False,
         "switch",
-        "--deform",
         label="deform",
         not_for=("systems", "library", "file"),
         scene=Key(
@@ -346,28 +334,27 @@ class BakeOptions:
     velocities: bool = option(
         False,
         "switch",
-        "--velocities",
         not_for=("file",),
         goes_with="deform",
         scene=Key("With `deform`: write how fast points move, per second, too.", True),
-        help="With --deform, how fast points move too, per second, for motion blur.",
+        help=f"With {argument('deform', True)}, how fast points move too, per "
+        "second, for motion blur.",
     )
     normals: bool | None = option(
         None,
         "answer",
-        "--no-normals",
         not_for=("file",),
         goes_with="deform",
         scene=Key(
             "With `deform`: whether meshes keep normals. Not given: they do.", False
         ),
-        help="With --deform, whether meshes keep normals, which are half of the file.  "
+        help=f"With {argument('deform', True)}, whether meshes keep normals, which "
+        "are half of the file.  "
         "[default: normals]",
     )
     chunk: int | None = option(
         None,
         "count",
-        "--chunk",
         not_for=("file",),
         scene=Key(
             "Of `deform` and of systems: a file for every so many samples. Not "
@@ -376,13 +363,13 @@ class BakeOptions:
         ),
         metavar="N",
         least=1,
-        help="Of --deform and of a scene's systems, for long takes, a file for every N "
+        help=f"Of {argument('deform', True)} and of a scene's systems, for long "
+        "takes, a file for every N "
         "samples, joined as value clips; memory holds two or three of them.",
     )
     keep_stopped: bool = option(
         False,
         "switch",
-        "--keep-stopped",
         not_for=("file",),
         scene=Key(
             "Where a system stops before the last frame: write the frames before that. "
@@ -392,10 +379,8 @@ class BakeOptions:
         help="Where a scene's system blows up, write the frames before that too; the "
         "exit code stays 4.",
     )
-    strict: bool = option(
-        False, "switch", "--strict", batch=Key("Take warnings for errors.", True)
-    )
-    overwrite: bool = option(False, "switch", "--overwrite")
+    strict: bool = option(False, "switch", batch=Key("Take warnings for errors.", True))
+    overwrite: bool = option(False, "switch")
 
     def __post_init__(self) -> None:
         """Take the rate and the start as they are written."""

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
+from animtool.core.arguments import argument
 from animtool.core.errors import AnimtoolError, Fault, OptionError
 from animtool.core.files.output import check_outputs, name_key
 from animtool.core.files.placing import target
@@ -254,7 +255,8 @@ def _check_count(count: int, options: BakeOptions) -> None:
     elif options.shot is not None and count > 1:
         message = "a shot shows one take, and there are several"
     elif options.deform and count > 1:
-        message = "--deform writes the points of one take, and there are several"
+        message = f"{argument('deform', True)} writes the points of one take, and "
+        message += "there are several"
     if message:
         raise OptionError(Fault("CLI002", message))
 

@@ -9,6 +9,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
+from animtool.core.arguments import argument
 from animtool.core.config import find_config
 from animtool.core.errors import (
     AnimtoolError,
@@ -271,7 +272,8 @@ def plan_takes(
         up = options.to_up or streams[0].rig.up
         streams = [reorient(stream, up) for stream in streams]
     if options.root_motion and not streams[0].rig.joints:
-        message = "--root-motion skelroot carries a joint's motion, and there is none"
+        message = f"{argument('root_motion', True)} carries a joint's motion, and "
+        message += "there is none"
         raise OptionError(Fault("CLI002", message, str(sources[0])))
     names = [take_name(options, sources[0]) if library else ""]
     if len(sources) > 1:

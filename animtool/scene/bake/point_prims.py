@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, FormatError
 from animtool.core.files.output import size_of
@@ -120,7 +121,10 @@ def open_character(take: TakePlan, target: RigTarget | None) -> Character:
         surfaces = tuple(replace(surface, normals=None) for surface in surfaces)
     if not surfaces and not strands:
         message = "there is no mesh to deform"
-        hint = "name a rig that has meshes: in the clip, or with --rig or --rig-layer"
+        hint = (
+            "name a rig that has meshes: in the clip, or with "
+            f"{argument('source.rig')} or {argument('rig_layer')}"
+        )
         raise FormatError(Fault("USD040", message, str(source), (), hint))
     meshes = character_meshes(surfaces, rig.names, bind, shapes)
     meshes += character_strands(strands, rig.names, bind)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
+from animtool.core.arguments import argument
 from animtool.core.errors import (
     AnimtoolError,
     Fault,
@@ -15,7 +16,7 @@ from animtool.core.errors import (
     Severity,
 )
 from animtool.core.names import is_named
-from animtool.core.options import clashes, given_options, refused_options
+from animtool.core.options import called, clashes, given_options, refused_options
 from animtool.core.rates import rate_label
 from animtool.core.writers import Writer
 from animtool.scene.bake.options import BakeOptions
@@ -152,14 +153,19 @@ def check_options(
     if form == "library":
         wrong += _library_clashes(options, to_stdout=to_stdout)
     wrong.append(
-        (form == "split" and to_stdout, "--split writes three files, not stdout")
+        (
+            form == "split" and to_stdout,
+            f"{argument('form', 'split')} writes three files, not stdout",
+        )
     )
     wrong += [(True, message) for message in clashes(options)]
     wrong += _shot_clashes(options, form)
     wrong += _deform_clashes(options, form)
     wrong += _chunk_clashes(options, to_stdout=to_stdout, simulated=simulated)
     lonely = options.keep_stopped and not simulated
-    wrong.append((lonely, "--keep-stopped goes with a scene that has systems"))
+    wrong.append(
+        (lonely, f"{argument('keep_stopped', True)} goes with a scene that has systems")
+    )
     faults = [Fault("CLI002", message) for holds, message in wrong if holds]
     if faults:
         raise OptionError(faults)
@@ -169,10 +175,13 @@ def _layer_clashes(options: BakeOptions, form: str) -> list[tuple[bool, str]]:
     """Return what animation over a rig layer does not go with, and whether it is so."""
     refused = (given.over_layer for given in given_options(options).values())
     return [
-        (form == "layer" and options.rig_layer is None, "--as layer needs --rig-layer"),
+        (
+            form == "layer" and options.rig_layer is None,
+            f"{argument('form', 'layer')} needs {argument('rig_layer')}",
+        ),
         (
             form != "layer" and options.rig_layer is not None,
-            "--rig-layer goes with --as layer",
+            f"{argument('rig_layer')} goes with {argument('form', 'layer')}",
         ),
         *((form == "layer", reason) for reason in dict.fromkeys(filter(None, refused))),
     ]
@@ -182,8 +191,8 @@ def _library_clashes(
     options: BakeOptions, *, to_stdout: bool
 ) -> list[tuple[bool, str]]:
     """Return what a take of a library does not go with, and whether it is asked for."""
-    flags = ["-o -"] if to_stdout else []
-    flags += [refused.flag for refused in refused_options(options, "library")]
+    flags = [argument("output", "-")] if to_stdout else []
+    flags += refused_options(options, "library")
     return [(True, f"a take of a library goes without {flag}") for flag in flags]
 
 
@@ -196,11 +205,13 @@ def _shot_clashes(options: BakeOptions, form: str) -> list[tuple[bool, str]]:
     return [
         (
             options.fps != shot.fps,
-            f"--fps {options.fps} is not the rate of {named}, {rate_label(shot.fps)}",
+            f"{argument('fps', options.fps)} is not the rate of {named}, "
+            f"{rate_label(shot.fps)}",
         ),
         (
             options.start is not None,
-            f"--start: {named} begins at {shot.start}, as its timeline says",
+            f"{argument('start')}: {named} begins at {shot.start}, as its timeline "
+            "says",
         ),
         (form == "library", f"{named} is not a take of a library"),
     ]
@@ -213,10 +224,16 @@ def _chunk_clashes(
     if options.chunk is None:
         return []
     if not (options.deform or simulated):
-        return [(True, "--chunk goes with --deform, or a scene that has systems")]
-    message = f"--chunk needs 1 sample a file or more, not {options.chunk}"
+        return [
+            (
+                True,
+                f"{argument('chunk')} goes with {argument('deform', True)}, or a "
+                "scene that has systems",
+            )
+        ]
+    message = f"{argument('chunk')} needs 1 sample a file or more, not {options.chunk}"
     return [
-        (to_stdout, "--chunk writes several files, not stdout"),
+        (to_stdout, f"{argument('chunk')} writes several files, not stdout"),
         (options.chunk < 1, message),
     ]
 
@@ -225,29 +242,34 @@ def _deform_clashes(options: BakeOptions, form: str) -> list[tuple[bool, str]]:
     """Return what does not go with point caches, and whether it is asked for."""
     if not options.deform:
         return []
-    joints = "--deform writes points, no joints"
-    flags = ["--split"] if form == "split" else []
-    flags += [refused.flag for refused in refused_options(options, "deform")]
+    joints = f"{argument('deform', True)} writes points, no joints"
+    flags = [argument("form", "split")] if form == "split" else []
+    flags += refused_options(options, "deform")
     return [(True, f"{joints}: no {flag}") for flag in flags]
 
 
 def check_file_options(options: BakeOptions, writer: Writer, path: Path) -> None:
     """Raise `OptionError` where options are for USD or for keys, and the output not."""
     faults = []
-    for name, refused in given_options(options).items():
-        if name in writer.options or "file" not in refused.not_for:
+    for name, given in given_options(options).items():
+        if name in writer.options or "file" not in given.not_for:
             continue
-        message = f"{refused.flag} is for USD, and {path} is none"
-        fault = Fault("CLI002", message)
-        if name in {"reduce", "reduce_at"}:
-            message = f"{refused.flag} is for keys, and this output holds samples"
-            hint = "write a .clip.yaml, or bake to USD with --reduce"
-            fault = Fault("CLI004", message, str(path), (), hint)
-        faults.append(fault)
+        if name == "reduce":
+            faults.append(of_keys(called(name, given), path))
+            continue
+        message = f"{called(name, given)} is for USD, and {path} is none"
+        faults.append(Fault("CLI002", message))
     if not faults:
         faults = [Fault("CLI002", message) for message in clashes(options)]
     if faults:
         raise OptionError(faults)
+
+
+def of_keys(name: str, path: Path) -> Fault:
+    """Return the fault of an option of keys, where a file holds samples (CLI004)."""
+    message = f"{name} is for keys, and this output holds samples"
+    hint = f"write a .clip.yaml, or bake to USD with {argument('reduce')}"
+    return Fault("CLI004", message, str(path), (), hint)
 
 
 def default_output(source: Path) -> Path:
@@ -267,9 +289,12 @@ def form_of(options: BakeOptions) -> Form:
 def check_package(path: Path, options: BakeOptions) -> None:
     """Refuse a package of several files that are written beside it (OUT004)."""
     form = form_of(options)
-    refused = {Form.SPLIT: "--split", Form.LIBRARY: "--as library"}.get(form)
+    refused = {
+        Form.SPLIT: argument("form", "split"),
+        Form.LIBRARY: argument("form", "library"),
+    }.get(form)
     if options.chunk is not None:
-        refused = "--chunk"
+        refused = argument("chunk")
     if refused is not None:
         message = f"a package is one file, and {refused} writes several or adds to one"
         hint = "write .usdc"

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from animtool.core.arguments import argument, flag
 from animtool.core.errors import (
     AnimtoolError,
     Fault,
@@ -69,7 +70,7 @@ def convert_rig(
     source, output = Path(source), Path(output)
     if is_named(output, "rig"):
         if physics:
-            message = "--physics is for a USD file, and this is none"
+            message = f"{argument('physics')} is for a USD file, and this is none"
             raise OptionError(Fault("CLI004", message, str(output)))
         with together():
             return _to_file(source, output, prim_path, overwrite, strict)
@@ -151,7 +152,9 @@ def _motion_left_out(source: Path, output: Path, prim_path: str | None) -> list[
     if frames < 2:
         return []
     message = f"only the rig is written, not its motion of {frames} frames"
-    hint = f"animtool bake {source.name} --rig-layer {output.name} -o MOTION.usda"
+    hint = (
+        f"animtool bake {source.name} {flag('rig-layer', output.name)} -o MOTION.usda"
+    )
     return [Fault("CLI104", message, str(source), (), hint, Severity.NOTE)]
 
 

@@ -7,7 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from animtool.core.errors import Fault, OptionError
+from animtool.core.arguments import argument
+from animtool.core.errors import OptionError
 from animtool.core.files.output import sparing_inputs
 from animtool.core.writers import take_writer
 from animtool.motion.passes import Pass, PassContext, apply_pass
@@ -17,6 +18,7 @@ from animtool.scene.bake.files import ConvertReport
 from animtool.scene.bake.options import BakeOptions
 from animtool.scene.bake.outline import check_outline, outlined
 from animtool.scene.bake.progress import Progress
+from animtool.scene.bake.reading import of_keys
 from animtool.scene.sources.open import OpenTake, SourceOptions, open_source
 
 
@@ -63,12 +65,10 @@ def convert(
     """
     output = Path(output)
     writer = take_writer(output)
-    keys = {"--reduce": reduce, "--reduce-at": reduce_at, "--base": base}
+    keys = {"reduce": reduce, "reduce_at": reduce_at, "base": base}
     for name, value in keys.items():
         if value and "reduce" not in writer.options:
-            message = f"{name} is for keys, and this output holds samples"
-            hint = "write a .clip.yaml, or bake with --reduce"
-            raise OptionError(Fault("CLI004", message, str(output), (), hint))
+            raise OptionError(of_keys(argument(name), output))
     settings = _settings(options, overwrite=overwrite, strict=strict)
     settings = replace(settings, reduce=reduce, reduce_at=reduce_at)
     (report,) = bake_outputs(

@@ -198,7 +198,7 @@ class SceneModel(FileModel):
 
     scene: Literal["animtool/1"] = key("File type and format version.", "animtool/1")
     variables: dict[str, str | Real | bool] = key(
-        "What `${name}` stands for in the texts of the file; `--set` of "
+        "What `${name}` stands for in the texts of the file; `set` of "
         "the command line comes first.",
         {"shot": "sh010"},
         default={},

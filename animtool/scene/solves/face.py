@@ -14,6 +14,7 @@ from animtool.capture.face.file import face_model, load_landmarks
 from animtool.capture.face.model import FaceModel
 from animtool.capture.face.solve import FaceFit, fit_face
 from animtool.capture.options import FaceOptions
+from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, OptionError, Severity, refuse_warnings
 from animtool.core.files.output import check_outputs
@@ -157,7 +158,7 @@ def solve_face(job: FaceJob, *, progress: Progress = None) -> FaceResult:
     links = link_shapes(model.shapes, [shape.name for shape in rig.shapes], remap)
     if not links.links:
         message = f"{rig.name!r} has no shape of the face"
-        hint = "--remap says which moves which"
+        hint = f"{argument('source.remap')} says which moves which"
         raise OptionError(Fault("FAC009", message, str(job.rig), (), hint))
     head = job.options.head or ("rotation" if camera is None else "none")
     if capture.up is UpAxis.Z and camera is None and job.landmarks is None:
@@ -184,7 +185,7 @@ def _model(job: FaceJob, capture: FaceCapture, rig: Rig) -> FaceModel:
         return face_model(load_landmarks(job.landmarks), rig)
     if capture.model is None:
         message = "has no face (neutral_mm, delta_mm, shape_names)"
-        hint = "--landmarks FILE says where they are on the rig"
+        hint = f"{argument('landmarks')} FILE says where they are on the rig"
         raise OptionError(Fault("FAC003", message, str(job.capture), (), hint))
     return capture.model
 
@@ -196,11 +197,13 @@ def _seen(
     if not capture.pixels:
         if job.camera is not None:
             message = "is for landmarks in pixels, and these are positions"
-            raise OptionError(Fault("CLI004", f"--camera {message}", str(job.capture)))
+            raise OptionError(
+                Fault("CLI004", f"{argument('camera')} {message}", str(job.capture))
+            )
         return None, points
     if job.camera is None:
         message = "landmarks are in pixels, and no camera is given"
-        hint = "--camera FILE has the lens of the camera"
+        hint = f"{argument('camera')} FILE has the lens of the camera"
         raise OptionError(Fault("FAC010", message, str(job.capture), (), hint))
     from animtool.capture.cameras.camera import rays
     from animtool.capture.cameras.file import load_cameras
@@ -218,7 +221,7 @@ def _camera(job: FaceJob, cameras: tuple[Camera, ...]) -> Camera:
         message = f"no camera is called {job.camera_name!r}"
         if job.camera_name is None:
             message = f"has {len(names)} cameras"
-        hint = f"--camera-name: {', '.join(names)}"
+        hint = f"{argument('camera_name')}: {', '.join(names)}"
         raise OptionError(Fault("FAC010", message, str(job.camera), (), hint))
     return cameras[names.index(job.camera_name)]
 
@@ -229,13 +232,18 @@ def _proportions(
     if options.neutral is None:
         return model
     if pixels:
-        message = "--neutral is for landmarks in three dimensions"
+        message = f"{argument('neutral')} is for landmarks in three dimensions"
         raise OptionError(Fault("CLI004", message))
     if options.neutral >= len(points):
-        message = f"--neutral {options.neutral}: there are {len(points)} frames"
+        message = (
+            f"{argument('neutral', options.neutral)}: there are {len(points)} frames"
+        )
         raise OptionError(Fault("FAC011", message))
     if np.isfinite(points[options.neutral]).all(axis=-1).sum() < 4:
-        message = f"--neutral {options.neutral}: fewer than 4 landmarks in that frame"
+        message = (
+            f"{argument('neutral', options.neutral)}: fewer than 4 landmarks in "
+            "that frame"
+        )
         raise OptionError(Fault("FAC011", message))
     return model.of_actor(points[options.neutral])
 
@@ -273,7 +281,10 @@ def face_motion(
         mean = np.abs(fit.rotations[:, 3]).mean()
         if 2 * np.arccos(min(float(mean), 1.0)) > MAX_MEAN_TURN:
             message = "the head is turned far from the rig's in most frames"
-            hint = "--up says which axis points up; --head none leaves its motion out"
+            hint = (
+                f"{argument('source.up')} says which axis points up; "
+                f"{argument('head', 'none')} leaves its motion out"
+            )
             fault = Fault("FAC110", message, hint=hint, severity=Severity.WARNING)
             notices.append(fault)
         local = local_rotations(rig, joint, fit.rotations)

@@ -18,6 +18,7 @@ from animtool.capture.solve.source import (
 )
 from animtool.capture.templates.file import load_template
 from animtool.capture.templates.template import template_text
+from animtool.core.arguments import argument
 from animtool.core.errors import Fault, OptionError, refuse_warnings
 from animtool.core.files.output import (
     check_outputs,
@@ -150,7 +151,9 @@ def _check(job: MocapSolveJob) -> None:
             raise OptionError(Fault("OUT004", message, str(path), (), hint))
         if not job.calibrate:
             message = "without a calibration there is nothing new to write"
-            hint = "--calibrate fits bones and offsets to the subject"
+            hint = (
+                f"{argument('calibrate', True)} fits bones and offsets to the subject"
+            )
             raise OptionError(Fault("SOL009", message, str(path), (), hint))
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from fractions import Fraction
 
+from animtool.core.arguments import argument
 from animtool.core.errors import Fault, OptionError
 from animtool.core.shot import Shot
 from animtool.core.timecode import parse_timecode
@@ -52,7 +53,10 @@ def range_away(shot: Shot, first: int, last: int, length: Fraction) -> tuple[str
     message = f"they show {here}, the take is {there}: the range is "
     message += f"{_distance(shown[0])} {'after' if shown[0] > 0 else 'before'} it"
     code = _first_label(shot, shown[0], length)
-    hint = f"if the take's first timecode is another, state it: --first-timecode {code}"
+    hint = (
+        "if the take's first timecode is another, state it: "
+        f"{argument('first_timecode', code)}"
+    )
     hint += ", or `first_timecode` under [timeline] in animtool.toml or in "
     hint += "metadata.animtool of the clip"
     return message, hint

@@ -8,6 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
+from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, OptionError, Severity, listed, naming
 from animtool.core.readers import USD, find_reader
@@ -26,7 +27,7 @@ def open_rig(path: Path, prim_path: str | None = None) -> tuple[Rig, list[Fault]
 
         return read_whole_rig(path, prim_path)
     if prim_path is not None:
-        message = "--prim-path is for USD files, and this is none"
+        message = f"{argument('source.prim_path')} is for USD files, and this is none"
         raise OptionError(Fault("CLI004", message, str(path)))
     rig = Rig.load(path)
     return rig, list(rig.notices)

@@ -7,10 +7,11 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
+from animtool.core.arguments import argument
 from animtool.core.errors import AnimtoolError, Fault, OptionError
 from animtool.core.files.reading import FileState, note_input
 from animtool.core.names import is_named
-from animtool.core.options import Key, option, options_of
+from animtool.core.options import Key, called, option, options_of
 from animtool.core.rates import OptionalFraction, rate_option
 from animtool.core.readers import DOCUMENT, READERS, TIMELINE_SUFFIXES, USD, find_reader
 from animtool.core.shot import Shot
@@ -62,7 +63,7 @@ class SourceOptions:
     unit: LengthUnit | None = option(
         None,
         "unit",
-        "--units",
+        flag="units",
         reason=_OF_BVH,
         scene=Key(
             "Of a BVH: the unit of its lengths. Not given: cm.", "cm", alias="units"
@@ -77,7 +78,6 @@ class SourceOptions:
     up: UpAxis | None = option(
         None,
         "axis",
-        "--up",
         reason=_OF_BVH,
         scene=Key("Of a BVH: its up axis. Not given: Y.", "Z"),
         batch=Key("Of BVH files: their up axis. Not given: Y.", "Z"),
@@ -86,7 +86,6 @@ class SourceOptions:
     positions: str | None = option(
         None,
         "choice",
-        "--positions",
         reason=_OF_BVH,
         scene=Key(
             "Of a BVH: whether position channels of joints below a root count, or "
@@ -107,7 +106,7 @@ class SourceOptions:
     fps: OptionalFraction = option(
         None,
         "rate",
-        "--source-fps",
+        flag="source-fps",
         reason=_OF_BVH,
         scene=Key(
             "Of a BVH: its true frame rate; of a face recording: what its time code "
@@ -126,7 +125,7 @@ class SourceOptions:
     prim_path: str | None = option(
         None,
         "text",
-        "--source-prim (--prim-path)",
+        flag="source-prim",
         reason="is for USD files, and this is none",
         scene=Key(
             "Of a USD file with several characters: the one to read.",
@@ -139,7 +138,6 @@ class SourceOptions:
     rig: Path | None = option(
         None,
         "file",
-        "--rig",
         batch=Key(
             "Of clips: their rig. Not given: the one that each names.", "hero.rig.yaml"
         ),
@@ -149,7 +147,6 @@ class SourceOptions:
     clamp: bool = option(
         False,
         "switch",
-        "--clamp",
         reason="is for clips, and this is no clip",
         scene=Key(
             "Of a clip: bring controls into their ranges and joints into their limits.",
@@ -164,7 +161,6 @@ class SourceOptions:
     take: str | None = option(
         None,
         "text",
-        "--take",
         reason="is for clip libraries in USD, and this is no USD file",
         scene=Key(
             "Of a clip library in USD: the take to read. Not given: the one "
@@ -177,7 +173,6 @@ class SourceOptions:
     remap: Path | None = option(
         None,
         "file",
-        "--remap",
         reason="is for face recordings (.csv), and this is none",
         scene=Key(
             "Of a face recording: a remap file for the names of its shapes.",
@@ -188,7 +183,6 @@ class SourceOptions:
     dropped: str | None = option(
         None,
         "choice",
-        "--dropped",
         reason="is for face recordings (.csv), and this is none",
         scene=Key(
             "Of a face recording: what becomes of frames without a row. Not given: "
@@ -203,7 +197,6 @@ class SourceOptions:
     template: Path | None = option(
         None,
         "file",
-        "--template",
         reason="is for files of markers, and this is none",
         scene=Key(
             "Of a file of markers: the marker template that says where they are. They "
@@ -217,7 +210,6 @@ class SourceOptions:
     cameras: Path | None = option(
         None,
         "file",
-        "--cameras",
         reason="is for what cameras see, an npz of pixels, and this is none",
         scene=Key(
             "Of an npz of pixels, what cameras see of markers: their calibrations. The "
@@ -394,5 +386,13 @@ def _refusal(name: str, path: Path) -> Fault:
     refused = options_of(SourceOptions)[name]
     hint = None
     if name in {"unit", "up", "fps"}:
-        hint = "--to-units, --to-up and --fps convert"
-    return Fault("CLI004", f"{refused.flag} {refused.reason}", str(path), (), hint)
+        hint = (
+            f"{argument('to_units')}, {argument('to_up')} and {argument('fps')} convert"
+        )
+    return Fault(
+        "CLI004",
+        f"{called(f'source.{name}', refused)} {refused.reason}",
+        str(path),
+        (),
+        hint,
+    )

@@ -215,7 +215,7 @@ def _codes(frames: FrameRange, offsets: tuple[Fraction, ...]) -> tuple[Fraction,
 
 def _check(scene: Scene, options: BakeOptions) -> None:
     """Refuse what only characters have."""
-    names = [refused.label for refused in refused_options(options, "systems")]
+    names = [given.label for given in refused_options(options, "systems").values()]
     if options.form in {Form.SPLIT, Form.LAYER, Form.LIBRARY}:
         names.insert(options.rig_layer is not None, f"as: {options.form}")
     path = str(scene.path)

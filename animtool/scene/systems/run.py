@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from animtool.core.arguments import argument
 from animtool.core.errors import Fault, FormatError, Severity, ToleranceError, excerpt
 from animtool.core.quantities import plain
 from animtool.core.units import UpAxis, up_from_up
@@ -194,7 +195,8 @@ class SystemRun:
                 message = f"its state is of frame {frame:g}, "
                 message += _step_end(frame, run.step_length, fps) + "and frame "
                 message += f"{float(codes[0]):g} is asked for"
-                hint = f"--range {math.ceil(frame - ON_STEP)}-{float(codes[-1]):g}"
+                frames = f"{math.ceil(frame - ON_STEP)}-{float(codes[-1]):g}"
+                hint = argument("frame_range", frames)
                 faults.append(system.place.fault("SIM035", message, hint))
         if faults:
             raise FormatError(faults)
@@ -233,7 +235,7 @@ class SystemRun:
     def _before(self, code: Fraction, error: ToleranceError) -> list[Fault]:
         """Return the faults of a system that stopped, the last with the frame."""
         *others, last = error.faults
-        message = f"{last.message}, before frame {float(code):g}"
+        message = last.message + f", before frame {float(code):g}"
         hints = [last.hint] if last.hint else []
         for system in self.systems if last.code == "SIM102" else ():
             if last.where is not None and last.where.startswith(system.place.where):

@@ -15,6 +15,7 @@ import numpy as np
 
 from animtool.clip.reduction.points import SHELL, attached_points, point_errors
 from animtool.clip.reduction.reduce import reduce_motion
+from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, OptionError
 from animtool.core.rates import rate_label
@@ -129,10 +130,12 @@ class _Truth:
 def _truth(source: Source, options: BakeOptions) -> tuple[_Truth, Take]:
     plan = plan_stage(source, None, options)
     if plan.options.deform:
-        message = "--table measures joints, and the scene writes deformed points"
+        message = (
+            f"{argument('table')} measures joints, and the scene writes deformed points"
+        )
         raise OptionError(Fault("CLI002", message, str(source_file(source))))
     if not plan.takes:
-        message = "is simulated, and --table measures joints"
+        message = f"is simulated, and {argument('table')} measures joints"
         raise OptionError(Fault("SCN062", message, str(source_file(source))))
     stream = plan.takes[0].stream
     take = stream.collect()

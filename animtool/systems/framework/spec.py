@@ -49,7 +49,7 @@ class SystemSpec(FileModel):
     preroll: Preroll = 0.0
     save: Name | None = key(
         "File (`.npz`) for its state at `save_at`, which like an output is "
-        "replaced with `--overwrite` alone.",
+        "replaced with `overwrite` alone.",
         "birds.npz",
         default=None,
     )

@@ -338,5 +338,5 @@ def _entry(place: str, origin: str | None) -> Iterator[None]:
 def _at(fault: Fault, place: str, origin: str | None) -> Fault:
     """Return a fault of an entry, or of the prim of a stage that the entry names."""
     if origin is not None:
-        return replace(fault, where=place, message=f"{origin}: {fault.message}")
+        return replace(fault, where=place, message=f"{origin}: " + fault.message)
     return replace(fault, where=f"{place}.{fault.where}" if fault.where else place)

@@ -202,7 +202,7 @@ class SpringSimulation:
                 # Bodies that are asked for first would have it said of them.
                 names = " and ".join(view.member.name for view in self.views)
                 faults[-1] = replace(
-                    faults[-1], message=f"{names}: {faults[-1].message}"
+                    faults[-1], message=f"{names}: " + faults[-1].message
                 )
             raise StoppedError(faults, stats)
         self._say(notices, run.grid.stretch)

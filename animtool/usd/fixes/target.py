@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 from pxr import Sdf, Usd, UsdUtils
 
+from animtool.core.arguments import argument
 from animtool.core.errors import Fault, OptionError, counted
 from animtool.core.files.output import once_named, replacing
 from animtool.core.files.placing import output_error
@@ -190,7 +191,7 @@ def spare_composed_layers(source: Path, output: Path) -> None:
         used = [Path(layer.realPath) for layer in edited.target.stage.GetUsedLayers()]
     if output.resolve() in {path.resolve() for path in used}:
         message = f"is a layer of {source}"
-        hint = "name another -o, or fix that layer by itself"
+        hint = f"name another {argument('output')}, or fix that layer by itself"
         raise OptionError(Fault("OUT003", message, str(output), (), hint))
 
 

@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 from pxr import Gf, Sdf, Tf, Vt, Work
 
+from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.clock import FrameSpan, time_fraction
 from animtool.core.errors import Fault, FormatError, OptionError, excerpt
@@ -127,7 +128,9 @@ def check_prim_path(text: str) -> None:
     """Raise `OptionError` where a text is no absolute prim path."""
     path = Sdf.Path(text) if Sdf.Path.IsValidPathString(text) else Sdf.Path()
     if not (path.IsAbsolutePath() and path.IsPrimPath()):
-        message = f"--prim-path {excerpt(text)} is no path such as /World/hero"
+        message = (
+            f"{argument('prim_path')} {excerpt(text)} is no path such as /World/hero"
+        )
         raise OptionError(Fault("CLI003", message))
 
 

@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 from pxr import Gf, Sdf
 
+from animtool.core.arguments import argument
 from animtool.core.array_types import Float32Array, FloatArray, IntArray
 from animtool.core.errors import Fault, OptionError
 from animtool.core.files.output import replacing
@@ -404,7 +405,9 @@ def _refuse_characters(frames: Sequence[Frame]) -> None:
     """Refuse what is not written frame by frame (SIM151)."""
     if any(isinstance(frame, CharactersFrame) for frame in frames):
         message = "characters with rigs are written as a whole, not in chunks"
-        raise OptionError(Fault("SIM151", message, hint="leave --chunk out"))
+        raise OptionError(
+            Fault("SIM151", message, hint=f"leave {argument('chunk')} out")
+        )
 
 
 def _declare(layer: Any, reports: Sequence[CachedMesh], whole: Any) -> None:

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from pxr import Gf, Usd, UsdGeom, UsdSkel
 
+from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, FormatError, Severity
 from animtool.core.units import UpAxis, unit_name, up_from_up
@@ -249,7 +250,10 @@ def refuse_uneven(placement: SkeletonPlacement, where: Spot) -> None:
     if not placement.uneven:
         return
     message = f"the character {placement.uneven}, which joints cannot hold"
-    hint = "scale it evenly, or leave out where it stands: --placement drop"
+    hint = (
+        "scale it evenly, or leave out where it stands: "
+        f"{argument('placement', 'drop')}"
+    )
     raise FormatError(where.fault("USD035", message, hint))
 
 

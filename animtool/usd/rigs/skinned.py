@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from pxr import Kind, Sdf, Usd, UsdGeom, UsdSkel
 
+from animtool.core.arguments import flag
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, OptionError, Severity, listed
 from animtool.rig.kinematics import WorldTransforms
@@ -86,7 +87,9 @@ def ignored_binding(skeleton: Any) -> str:
     return ""
 
 
-BINDING_HINT = "UsdSkel ignores the binding; apply it, as animtool validate --fix does"
+BINDING_HINT = (
+    f"UsdSkel ignores the binding; apply it, as animtool validate {flag('fix')} does"
+)
 
 
 def prim_name(prim: Any) -> str:

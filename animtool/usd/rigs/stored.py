@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, FormatError, Severity, listed
 from animtool.documents.document import document_of
@@ -288,7 +289,9 @@ def read_whole_rig(path: Path, prim_path: str | None = None) -> tuple[Rig, list[
         where = Spot.of(path, skeleton)
         check_moves(len(of_skeleton.rig.joints), len(shapes), where)
         notices += of_skeleton.notices
-        notices += others_notice(skeletons, str(path), "--prim-path names one")
+        notices += others_notice(
+            skeletons, str(path), f"{argument('source.prim_path')} names one"
+        )
         notices += composition_notices(stage, str(path))
         bind, bind_scales = _bind_poses(skeleton, of_skeleton)
         notices += _scale_notice(of_skeleton, bind_scales, str(path))

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from pxr import Sdf, Usd, UsdGeom, UsdSkel
 
+from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, FormatError, Severity, excerpt, naming
 from animtool.core.rates import rate_from_float
@@ -114,7 +115,10 @@ def _target(stage: Any, path: Path, prim_path: str | None) -> RigTarget:
     skeletons = find_skeletons(stage, below)
     if not skeletons:
         message = f"holds no Skeleton below {below}"
-        hint = "--rig-layer names a layer that --split wrote, or a shot that uses one"
+        hint = (
+            f"{argument('rig_layer')} names a layer that "
+            f"{argument('form', 'split')} wrote, or a shot that uses one"
+        )
         raise FormatError(Fault("USD008", message, str(path), (), hint))
     prim = skeletons[0].GetPrim()
     root = UsdSkel.Root.Find(prim)
@@ -136,7 +140,9 @@ def _target(stage: Any, path: Path, prim_path: str | None) -> RigTarget:
         start = Fraction(stage.GetStartTimeCode()).limit_denominator(1_000_000)
     placing, moving = _operations(root)
     notices = composition_notices(stage, str(path))
-    notices += others_notice(skeletons, str(path), "--prim-path names one")
+    notices += others_notice(
+        skeletons, str(path), f"{argument('source.prim_path')} names one"
+    )
     if moved_to is None:
         notices += _bound_in_shot(stage, paths, str(path))
     skeleton = skeleton_rig(skeletons[0], path, animated=False)
@@ -377,7 +383,7 @@ def _check_shapes(take: Rig, target: RigTarget) -> None:
         f"{excerpt(one.names[0])} …" if one.joints else "none" for one in (take, rig)
     )
     message = f"no joint of the take ({mine}) is in the rig ({theirs})"
-    hint = "--strip-namespace drops leading 'ns:' parts"
+    hint = f"{argument('strip_namespace')} drops leading 'ns:' parts"
     if not (take.joints and rig.joints):
         message += ", and no mesh there has a shape of it"
         hint = "name the rig that the take is for"

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from pxr import Usd, UsdGeom, UsdSkel
 
+from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, Severity, counted, listed
 from animtool.usd.caches.reader import PointReader
@@ -43,7 +44,10 @@ def unskinned_notice(
     many = counted(len(moved), "mesh", "meshes")
     message = f"transforms move {many} without skin by up to {max(moved.values()):.4g} "
     message += f"m, and the cache does not: {listed(list(moved), MAX_NAMED)}"
-    hint = "bind them to a joint; over the source as --rig-layer too, meshes without "
+    hint = (
+        f"bind them to a joint; over the source as {argument('rig_layer')} too, "
+        "meshes without "
+    )
     hint += "shapes keep their transforms"
     return [Fault("USD147", message, where, (), hint, Severity.WARNING)]
 

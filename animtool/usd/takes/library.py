@@ -18,6 +18,7 @@ from typing import Any
 
 from pxr import Sdf, Usd
 
+from animtool.core.arguments import argument
 from animtool.core.errors import Fault, OptionError, OutputError, excerpt, listed
 from animtool.core.rates import LARGEST_FRAME
 from animtool.core.similar import similar
@@ -28,7 +29,7 @@ from animtool.usd.rigs.prims import find_skeletons, open_stage, prim_below, upwa
 # A layer stack's own opinions are stronger than its variants, whatever their order.
 STRONGER_HINT = (
     "what a rig binds is stronger than a variant of a layer beside it: let a shot "
-    "refer to the rig, and say where with --prim-path"
+    f"refer to the rig, and say where with {argument('prim_path')}"
 )
 
 
@@ -161,7 +162,7 @@ def check_library(
         return
     if not overwrite:
         message = f"has a take {name!r} already, of {listed(takes.names, MAX_NAMED)}"
-        hint = "--overwrite replaces it; take: names another"
+        hint = f"{argument('overwrite', True)} replaces it; take: names another"
         raise OptionError(Fault("SCN050", message, str(path), (), hint))
     variant = takes.prim.GetPath().AppendVariantSelection(TAKE_SET, name)
     if stage.GetRootLayer().GetPrimAtPath(variant) is None:

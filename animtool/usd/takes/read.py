@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from pxr import Usd, UsdGeom, UsdSkel
 
+from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.clock import Clock, time_fraction
 from animtool.core.errors import Fault, FormatError, Severity, counted, listed
@@ -173,7 +174,9 @@ def read_character(
     else:
         stream.rig = rest_rig(stream.rig, placement)
     stream.notices += others_notice(
-        skeletons, str(path), "--prim-path names one (in bake, --source-prim)"
+        skeletons,
+        str(path),
+        f"{argument('source.prim_path')} names one",
     )
     stream.notices += composition_notices(stage, str(path))
     return stream

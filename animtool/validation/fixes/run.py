@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from animtool.core.arguments import argument
 from animtool.core.errors import Fault, counted
 from animtool.core.files.output import check_outputs, together
 from animtool.validation.fixes.draft import has_fix
@@ -138,6 +139,7 @@ def _kept(report: Report, paths: Sequence[Path]) -> Iterator[str]:
         if count:
             findings = counted(count, "finding")
             yield (
-                f"{path}: {findings} can be fixed: -o NEW.usdc writes a repaired copy, "
-                "--overwrite replaces the file"
+                f"{path}: {findings} can be fixed: {argument('output')} NEW.usdc "
+                "writes a repaired copy, "
+                f"{argument('overwrite', True)} replaces the file"
             )

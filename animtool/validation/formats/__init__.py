@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import cast
 
+from animtool.core.arguments import Calling, in_python
 from animtool.core.plugins import load_object
 from animtool.validation.formats.plain import text_report
 from animtool.validation.run import Report
@@ -20,7 +21,9 @@ FORMATS = {
 }
 
 
-def written(report: Report, form: str, *, whole: bool = False) -> str:
+def written(
+    report: Report, form: str, *, whole: bool = False, calling: Calling = in_python
+) -> str:
     """Return a report in one of the forms of `FORMATS`.
 
     Args:
@@ -28,8 +31,9 @@ def written(report: Report, form: str, *, whole: bool = False) -> str:
         form: Of `FORMATS`.
         whole: Print each finding as text, repeats in one file too. Other forms have
             all of them in any case.
+        calling: What arguments are called.
     """
     if form == "text":
-        return text_report(report, whole=whole)
+        return text_report(report, whole=whole, calling=calling)
     write = cast(Callable[[Report], str], load_object(FORMATS[form]))
-    return write(report)
+    return write(report.worded(calling))

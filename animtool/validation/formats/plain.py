@@ -16,6 +16,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TypeAlias
 
+from animtool.core.arguments import (
+    Calling,
+    argument,
+    clause,
+    in_python,
+    marked,
+    worded,
+)
 from animtool.core.errors import Fault, FormatError, Severity, counted
 from animtool.core.files.reading import read_input
 from animtool.core.junit import JunitCase, junit_xml
@@ -76,8 +84,14 @@ def cut(line: str, column: int) -> Iterator[str]:
 _Kind: TypeAlias = tuple[str | None, str, Severity]
 
 
-def text_report(report: Report, *, whole: bool = False) -> str:
+_SEE = clause(f", see {argument('command.verbose')}")
+
+
+def text_report(
+    report: Report, *, whole: bool = False, calling: Calling = in_python
+) -> str:
     """Return the findings, each with the line it is in, and a last line that counts."""
+    report = report.worded(calling)
     sources = Sources()
     counts = Counter(map(_kind, report.findings))
     printed: set[_Kind] = set()
@@ -89,10 +103,10 @@ def text_report(report: Report, *, whole: bool = False) -> str:
         elif kind not in printed:
             printed.add(kind)
             more = counts[kind] - 1
-            lines.append(
-                f"{fault}" + (f" ({more} more like it, see -v)" if more else "")
-            )
-    return "".join(f"{escaped(line)}\n" for line in [*lines, summary(report)])
+            others = f" ({more} more like it{_SEE})"
+            lines.append(f"{fault}{others if more else ''}")
+    lines.append(summary(report))
+    return "".join(f"{escaped(worded(line, calling))}\n" for line in lines)
 
 
 def _kind(fault: Fault) -> _Kind:
@@ -112,8 +126,12 @@ def summary(report: Report) -> str:
         if (count := report.count(severity))
     ]
     files = counted(len(report.files), "file")
-    fixable = f", --fix mends {len(report.fixable)}" if report.fixable else ""
-    return f"{files}: {', '.join(parts) or 'nothing found'}{fixable}"
+    fixable = (
+        f", {argument('fix', True)} mends {len(report.fixable)}"
+        if report.fixable
+        else ""
+    )
+    return marked(f"{files}: {', '.join(parts) or 'nothing found'}{fixable}")
 
 
 def _finding(fault: Fault, sources: Sources) -> Iterator[str]:

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, Severity
 from animtool.retarget.anatomy import anatomy
@@ -276,7 +277,10 @@ def mismatched_up_axis(subject: MotionSubject) -> Iterator[Fault]:
     message = f"the body is {where} in {share:.0f}% of the frames; up is {rig.up}"
     hint = "turn the root"
     if found.axis is not None:
-        hint = f"author upAxis {found.axis}, or read the file with --up {found.axis}"
+        hint = (
+            f"author upAxis {found.axis}, or read the file with "
+            f"{argument('source.up', found.axis)}"
+        )
     fault = subject.fault("MOT214", int(rig.roots[0]), 0, message, hint)
     # A file that states no up axis is read in the usual one.
     yield fault if subject.has_units else replace(fault, severity=Severity.NOTE)

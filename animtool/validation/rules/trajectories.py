@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from animtool.capture.markers.spikes import find_spikes
+from animtool.core.arguments import argument
 from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.errors import Fault, counted, listed, percent
 from animtool.validation.subjects.trajectories import MarkersSubject
@@ -86,7 +87,9 @@ def sizes(subject: MarkersSubject) -> Iterator[Fault]:
         message = f"markers of a frame are {1000 * usual:.3g} mm apart: too near"
     else:
         return
-    yield subject.fault("MKR204", message, "--units says what its lengths are in")
+    yield subject.fault(
+        "MKR204", message, f"{argument('source.unit')} says what its lengths are in"
+    )
 
 
 def _extents(positions: FloatArray, seen: BoolArray) -> FloatArray:

@@ -39,7 +39,7 @@ def test_a_column_is_one_marker_only() -> None:
         (["LFHDD", "RFH"], None, "SOL001", "'LFHD' is near 'LFHDD'"),
         (["*0", "*1"], None, "SOL001", "mocap label"),
         ([], None, "SOL001", "mocap label"),
-        (["Ann:C7", "Bob:C7"], None, "SOL002", "--subject"),
+        (["Ann:C7", "Bob:C7"], None, "SOL002", "subject"),
         (["Ann:C7"], "Bob", "SOL001", "Ann"),
         (["Ann:x", "Bob:C7"], "Ann", "SOL001", "add them to aliases"),
     ],

@@ -60,7 +60,7 @@ def test_many_outputs_that_exist_are_one_fault(tmp_path: Path) -> None:
         check_outputs(outputs, [], overwrite=False)
     (fault,) = caught.value.faults
     assert (fault.code, fault.path) == ("OUT001", str(outputs[0]))
-    assert fault.hint == "--overwrite replaces them, --skip-existing leaves them"
+    assert fault.hint == "overwrite=True replaces them"
 
 
 def test_a_temporary_file_is_not_named(tmp_path: Path) -> None:

@@ -300,7 +300,7 @@ def test_what_is_said_of_a_frame_time(  # type: ignore[no-untyped-def]
 @pytest.mark.parametrize("text", ["4", "30", "1000"])
 def test_a_rate_in_place_of_a_frame_time_is_taken_for_one(write, text: str) -> None:  # type: ignore[no-untyped-def]
     (notice,) = read_bvh(write(small_bvh(random_rows(2), frame_time=text))).notices
-    assert notice.hint == f"a rate in place of a time? then --source-fps {text}"
+    assert notice.hint == f"a rate in place of a time? then fps={text}"
 
 
 def test_byte_order_mark_and_no_final_newline(write) -> None:  # type: ignore[no-untyped-def]

@@ -1,0 +1,207 @@
+"""Arguments that texts name, called as whoever prints a text calls them.
+
+A text of the library names an argument by `argument`; what prints it says what that is
+called there: ``fps`` in Python, ``--fps`` on the command line, ``fps:`` in a file::
+
+    Fault("MKR010", message, hint=f"{argument('source.fps')} gives the rate")
+
+Names are those of records' fields; of what is read they begin with ``source.``, and of
+what commands alone can be told with ``command.``.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TypeAlias
+
+# Noncharacters of Unicode, which no text that is exchanged has.
+_BEGIN, _VALUE, _END, _OPEN, _CLOSE = "\ufdd0", "\ufdd1", "\ufdd2", "\ufdd3", "\ufdd4"
+_MARK = re.compile(f"{_BEGIN}([a-z0-9_.]+)(?:{_VALUE}([^{_BEGIN}-{_END}]*))?{_END}")
+_CLAUSE = re.compile(f"{_OPEN}([^{_OPEN}{_CLOSE}]*){_CLOSE}")
+
+
+@dataclass(frozen=True, slots=True)
+class Argument:
+    """An argument that a text names."""
+
+    name: str  # of the field; `source.fps` of what is read
+    value: str | None = None  # as files write it, where the text states one
+
+    @property
+    def field(self) -> str:
+        """Name of the field alone."""
+        return self.name.rpartition(".")[2]
+
+    @property
+    def switch(self) -> bool | None:
+        """What it states where that is yes or no, else None."""
+        return {"true": True, "false": False}.get(self.value or "")
+
+
+@dataclass(frozen=True, slots=True)
+class Clause:
+    """What is left out where the arguments that it names are none."""
+
+    parts: tuple[Part, ...]
+
+
+Part: TypeAlias = str | Argument | Clause
+# What an interface calls an argument; None where it has none such.
+Calling: TypeAlias = Callable[[Argument], str | None]
+
+
+def in_python(argument: Argument) -> str | None:
+    """Return an argument as calls of functions have it.
+
+    >>> in_python(Argument("source.fps")), in_python(Argument("form", "layer"))
+    ('fps', 'form="layer"')
+    """
+    if argument.name.startswith("command."):
+        return None
+    if argument.value is None:
+        return argument.field
+    if argument.switch is not None:
+        return f"{argument.field}={argument.switch}"
+    try:
+        float(argument.value)
+    except ValueError:
+        return f'{argument.field}="{argument.value}"'
+    return f"{argument.field}={argument.value}"
+
+
+# Keys of files that are not called as the argument is.
+KEYS = {
+    "source.unit": "units",
+    "source.prim_path": "prim",
+    "form": "as",
+    "frame_range": "range",
+    "rest_frame": "rest",
+    "set": "variables",
+}
+
+
+def in_file(argument: Argument) -> str:
+    """Return an argument as scenes and batches have it.
+
+    >>> in_file(Argument("source.fps")), in_file(Argument("form", "layer"))
+    ('fps:', 'as: layer')
+    """
+    key = KEYS.get(argument.name, argument.field)
+    return f"{key}: {argument.value or ''}".rstrip()
+
+
+class Text(str):
+    """A text that names arguments: in Python as it is, elsewhere by `worded`.
+
+    Attributes:
+        parts: What it is joined of.
+    """
+
+    __slots__ = ("parts",)
+    parts: tuple[Part, ...]
+
+    def __new__(cls, parts: tuple[Part, ...]) -> Text:
+        """Join parts, arguments as Python calls them."""
+        text = super().__new__(cls, _joined(parts, in_python))
+        text.parts = parts
+        return text
+
+    def __reduce__(self) -> tuple[type[Text], tuple[tuple[Part, ...]]]:
+        """Keep the parts from process to process."""
+        return Text, (self.parts,)
+
+    def __add__(self, other: str) -> Text:
+        """Return both, what they name included."""
+        return Text((*self.parts, *_parts(other)))
+
+    def __radd__(self, other: str) -> Text:
+        """Return both, what they name included."""
+        return Text((*_parts(other), *self.parts))
+
+
+def argument(name: str, value: object = None) -> str:
+    """Return what stands for an argument in a text, until that is a `Text`.
+
+    Args:
+        name: Of the field; of what is read with ``source.`` before it.
+        value: What the text states for it; None is nothing.
+    """
+    if value is None:
+        return f"{_BEGIN}{name}{_END}"
+    stated = str(value).lower() if isinstance(value, bool) else str(value)
+    return f"{_BEGIN}{name}{_VALUE}{stated}{_END}"
+
+
+def clause(text: str) -> str:
+    """Return a part of a text, left out where an argument that it names is none.
+
+    >>> marked("at night" + clause(f", not {argument('command.quiet')}"))
+    'at night'
+    """
+    return f"{_OPEN}{text}{_CLOSE}"
+
+
+def flag(name: str, value: str = "") -> str:
+    """Return an option as a text has it that quotes a whole command.
+
+    >>> flag("shot", "NAME")
+    '--shot NAME'
+    """
+    return f"--{name} {value}".rstrip()
+
+
+def marked(text: str) -> str:
+    """Return a text in which `argument` may stand as one that can be worded.
+
+    >>> marked(f"{argument('keep_samples', True)} keeps them")
+    'keep_samples=True keeps them'
+    """
+    if isinstance(text, Text) or not (_BEGIN in text or _OPEN in text):
+        return text
+    return Text(_parts(text))
+
+
+def worded(text: str, calling: Calling) -> str:
+    """Return a text whose arguments are called as an interface calls them.
+
+    >>> worded(marked(f"{argument('up', 'Z')} says it"), in_file)
+    'up: Z says it'
+    """
+    text = marked(text)
+    return _joined(text.parts, calling) if isinstance(text, Text) else text
+
+
+def _joined(parts: tuple[Part, ...], calling: Calling) -> str:
+    return "".join(_worded(part, calling) for part in parts)
+
+
+def _worded(part: Part, calling: Calling) -> str:
+    if isinstance(part, Argument):
+        return calling(part) or in_file(part)
+    if isinstance(part, Clause):
+        named = [own for own in part.parts if isinstance(own, Argument)]
+        return _joined(part.parts, calling) if all(map(calling, named)) else ""
+    return part
+
+
+def _parts(text: str) -> tuple[Part, ...]:
+    if isinstance(text, Text):
+        return text.parts
+    parts: list[Part] = []
+    end = 0
+    for found in _CLAUSE.finditer(text):
+        parts += [*_arguments(text[end : found.start()]), Clause(_arguments(found[1]))]
+        end = found.end()
+    return (*parts, *_arguments(text[end:]))
+
+
+def _arguments(text: str) -> tuple[Part, ...]:
+    """Return what a text without clauses is joined of."""
+    parts: list[Part] = []
+    end = 0
+    for found in _MARK.finditer(text):
+        parts += [text[end : found.start()], Argument(found[1], found[2])]
+        end = found.end()
+    return tuple(part for part in (*parts, text[end:]) if part)

@@ -1,0 +1,303 @@
+"""The one renderer of reports: a record and templates of lines in, lines out.
+
+A template is a line with fields of the record in braces, each with how it is printed
+behind a colon (`PRINTED`, with its width last, else as `format` has it)::
+
+    "  joints    {joints:n joint} below {roots:list 4}[, {channels:n channel}]"
+
+What is in brackets is left out where a field in it is None, empty or printed as
+nothing, and so is a line; of ``[a|b]`` the first is taken that has all. ``{?name}`` and
+``{!name}`` print nothing: the part is for what there is, and what there is not. Fields
+of fields are joined by dots, and ``{self}`` is the record.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from typing import Any, TypeAlias
+
+from animtool.core.clock import frame_label, span_label
+from animtool.core.errors import counted, listed, percent
+from animtool.core.quantities import (
+    angle_text,
+    duration_text,
+    length_text,
+    plain,
+    size_text,
+)
+from animtool.core.rates import rate_label
+
+
+@dataclass(frozen=True, slots=True)
+class Each:
+    """Lines for each entry of a field, which are looked at before the record is.
+
+    Attributes:
+        name: Of the field; entries of a mapping have ``key`` and ``value``.
+        lines: Of one; ``{self}`` is the entry.
+        most: How many entries have lines; the others are told of in ``rest``.
+        rest: A line where there are more, which are ``{left}``.
+    """
+
+    name: str
+    lines: tuple[Line, ...]
+    most: int | None = None
+    rest: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """Rows in columns for the entries of a field.
+
+    Attributes:
+        name: Of the field.
+        columns: By head, the template of a cell. Blanks around a head are not shown.
+        left: Heads of the columns that are flush left.
+        optional: Heads of columns that are left out where all cells are empty.
+        indent: What lines begin with.
+    """
+
+    name: str
+    columns: Mapping[str, str]
+    left: Collection[str] = ()
+    optional: Collection[str] = ()
+    indent: str = ""
+
+
+Line: TypeAlias = str | Each | Table
+
+
+Printers: TypeAlias = Mapping[str, Callable[..., str]]
+
+
+def render(
+    record: object,
+    lines: Sequence[Line],
+    printers: Printers | None = None,
+    **facts: object,
+) -> list[str]:
+    """Return the lines of a record.
+
+    Args:
+        record: A dataclass or a mapping.
+        lines: Its templates.
+        printers: More of `PRINTED`, which these templates have alone.
+        facts: What they name beside the fields of the record.
+
+    >>> render({"path": "a.bvh", "joints": 1, "odd": []}, ["{path}: {joints:n joint}", \
+"  odd  [{odd:list}|nothing]"])
+    ['a.bvh: 1 joint', '  odd  nothing']
+    """
+    return list(
+        _Renderer({**PRINTED, **(printers or {})}).lines((facts, record), lines)
+    )
+
+
+_Scope: TypeAlias = tuple[Any, ...]  # records, the innermost first
+
+
+@dataclass(frozen=True, slots=True)
+class _Renderer:
+    """What prints values by name."""
+
+    printers: Printers
+
+    def lines(self, scope: _Scope, lines: Sequence[Line]) -> Iterator[str]:
+        """Yield the lines of the innermost record."""
+        for line in lines:
+            if isinstance(line, str):
+                text = self.filled(scope, _parsed(line))
+                if text or not line:
+                    yield text or ""
+            elif isinstance(line, Each):
+                yield from self._each(scope, line)
+            else:
+                yield from self._table(scope, line)
+
+    def _each(self, scope: _Scope, line: Each) -> Iterator[str]:
+        entries = _entries(_value(scope, line.name))
+        for entry in entries[: line.most]:
+            yield from self.lines((entry, *scope), line.lines)
+        left = len(entries) - (line.most or len(entries))
+        if left > 0:
+            yield from self.lines(({"left": left}, *scope), (line.rest,))
+
+    def _table(self, scope: _Scope, table: Table) -> Iterator[str]:
+        templates = [_parsed(cell) for cell in table.columns.values()]
+        cells = [
+            [self.filled((entry, *scope), cell) or "" for cell in templates]
+            for entry in _entries(_value(scope, table.name))
+        ]
+        shown = [
+            (i, head)
+            for i, head in enumerate(table.columns)
+            if head not in table.optional or any(row[i] for row in cells)
+        ]
+        rows = [[head.strip() for _, head in shown]]
+        rows += [[row[i] for i, _ in shown] for row in cells]
+        left = {i for i, (_, head) in enumerate(shown) if head in table.left}
+        for text in columns(rows, left):
+            yield table.indent + text
+
+    def filled(self, scope: _Scope, nodes: tuple[_Node, ...]) -> str | None:
+        """Return the text of a part; None where a field of it is not there."""
+        texts = []
+        for node in nodes:
+            if isinstance(node, _Choice):
+                found = (self.filled(scope, part) for part in node.parts)
+                texts.append(next((text for text in found if text is not None), ""))
+                continue
+            text = node if isinstance(node, str) else self._printed(scope, node)
+            if text is None:
+                return None
+            texts.append(text)
+        return "".join(texts)
+
+    def _printed(self, scope: _Scope, field: _Field) -> str | None:
+        """Return a field, None where it is not there; nothing of one that is tested."""
+        value = _value(scope, field.name)
+        if field.test:
+            return "" if bool(value) is (field.test == "?") else None
+        if value is None or (hasattr(value, "__len__") and not len(value)):
+            return None
+        word, *arguments = field.spec.split(" ")
+        if word in self.printers:
+            width = arguments.pop() if arguments and arguments[-1][0] in "<>" else ""
+            return format(self.printers[word](value, *arguments), width) or None
+        return format(value, field.spec)
+
+
+def columns(rows: Sequence[Sequence[str]], left: Collection[int]) -> list[str]:
+    """Return rows of cells as lines in columns, those of some numbers flush left."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return [
+        "  ".join(
+            cell.ljust(width) if i in left else cell.rjust(width)
+            for i, (cell, width) in enumerate(zip(row, widths, strict=True))
+        ).rstrip()
+        for row in rows
+    ]
+
+
+def _entries(value: Any) -> list[Any]:
+    if isinstance(value, Mapping):
+        return [{"key": key, "value": own} for key, own in value.items()]
+    return list(value or ())
+
+
+@dataclass(frozen=True, slots=True)
+class _Field:
+    """A field in braces."""
+
+    name: str
+    spec: str = ""
+    test: str = ""  # `?` where it has to be there, `!` where not, else printed
+
+
+@dataclass(frozen=True, slots=True)
+class _Choice:
+    """What is in brackets: the first that has all its fields."""
+
+    parts: tuple[tuple[_Node, ...], ...]
+
+
+_Node: TypeAlias = str | _Field | _Choice
+_TOKEN = re.compile(r"\{([?!]?)([\w.]+)(?::([^{}]*))?\}|([\[|\]])|([^{}\[|\]]+)")
+
+
+@cache
+def _parsed(template: str) -> tuple[_Node, ...]:
+    return _choice(template, iter(_TOKEN.finditer(template)), top=True)[0]
+
+
+def _choice(
+    template: str, tokens: Iterator[re.Match[str]], *, top: bool = False
+) -> tuple[tuple[_Node, ...], ...]:
+    """Return what is between brackets, one for each that a bar divides."""
+    parts: list[list[_Node]] = [[]]
+    for token in tokens:
+        test, name, spec, sign, text = token.groups()
+        if name is not None:
+            parts[-1].append(_Field(name, spec or "", test))
+        elif text is not None:
+            parts[-1].append(text)
+        elif sign == "[":
+            parts[-1].append(_Choice(_choice(template, tokens)))
+        elif sign == "|" and not top:
+            parts.append([])
+        elif sign == "]" and not top:
+            break
+        else:
+            parts[-1].append(sign)
+    return tuple(tuple(nodes) for nodes in parts)
+
+
+def _value(scope: _Scope, name: str) -> Any:
+    """Return a field, of the innermost record that has it."""
+    first, *others = name.split(".")
+    if first == "self":
+        value = scope[0]
+    else:
+        value = next((_own(own, first) for own in scope if _has(own, first)), None)
+    for other in others:
+        value = _own(value, other) if _has(value, other) else None
+    return value
+
+
+def _has(record: Any, name: str) -> bool:
+    return name in record if isinstance(record, Mapping) else hasattr(record, name)
+
+
+def _own(record: Any, name: str) -> Any:
+    return record.get(name) if isinstance(record, Mapping) else getattr(record, name)
+
+
+def _count(value: Any, *nouns: str) -> str:
+    count = len(value) if hasattr(value, "__len__") else int(value)
+    noun, _, plural = " ".join(nouns).partition("/")
+    return counted(count, noun, plural)
+
+
+def _listed(value: Any, most: str = "5") -> str:
+    return listed(list(value), int(most))
+
+
+def _digits(printer: Callable[..., str], scale: float = 1.0) -> Callable[..., str]:
+    def print_value(value: float, *digits: str) -> str:
+        return printer(float(value) * scale, *map(int, digits))
+
+    return print_value
+
+
+# How values are printed, by the first word of a template; others are arguments.
+PRINTED: dict[str, Callable[..., str]] = {
+    "n": _count,
+    "len": lambda value: str(len(value)),
+    "total": lambda value: str(sum(value.values())),
+    "counts": lambda value: ", ".join(counted(n, noun) for noun, n in value.items()),
+    "spans": lambda value: listed([span_label(*span) for span in value]),
+    "g": lambda value, digits="6": f"{float(value):.{digits}g}",
+    "list": _listed,
+    "join": lambda value: ", ".join(map(str, value)),
+    "kinds": lambda value: ", ".join(f"{n} {kind}" for kind, n in value.items()),
+    "corners": lambda value, digits="4": " to ".join(
+        f"({', '.join(plain(x, int(digits)) for x in corner)})" for corner in value
+    ),
+    "plain": _digits(plain),
+    "percent": percent,
+    "length": _digits(length_text),
+    "mm": _digits(plain, 1e3),
+    "kB": lambda value: f"{value / 1e3:.0f}",
+    "angle": lambda value, *digits: angle_text(math.degrees(value), *map(int, digits)),
+    "degrees": lambda value, *digits: plain(math.degrees(value), *map(int, digits)),
+    "hundredths": _digits(plain, 100.0),
+    "duration": _digits(duration_text),
+    "size": _digits(size_text),
+    "rate": rate_label,
+    "frame": frame_label,
+    "repr": repr,
+}

@@ -1,0 +1,57 @@
+"""Lines of records by templates."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import pytest
+
+from animtool.report.text import Each, Table, render
+
+
+@dataclass(frozen=True)
+class Joint:
+    name: str
+    size: float | None = None
+
+
+@dataclass(frozen=True)
+class Rig:
+    joints: list[Joint] = field(default_factory=list)
+    counts: dict[str, int] = field(default_factory=dict)
+    named: str = ""
+
+
+@pytest.mark.parametrize(
+    ("template", "line"),
+    [
+        ("{joints:n joint}", "2 joints"),
+        ("a[, {named}] b", "a b"),
+        ("[{named}|none]", "none"),
+        ("[{?counts}some|{!named}no name]", "no name"),
+        ("{first.size:length 2} {first.size:mm >8}", "12 mm       12"),
+        ("[{first.size:nothing}|{first.lost}|left]", "left"),
+    ],
+)
+def test_a_line_is_a_template(template: str, line: str) -> None:
+    joints = [Joint("hips", 0.012), Joint("knee")]
+    printers = {"nothing": lambda _: ""}
+    assert render(Rig(joints), [template], printers, first=joints[0]) == [line]
+
+
+def test_a_line_without_its_field_is_none() -> None:
+    assert render(Rig(), ["{named}", "{joints:n joint}", "[{named}]", ""]) == [""]
+
+
+def test_entries_have_lines_and_the_others_a_number() -> None:
+    rig = Rig([Joint(name) for name in "abc"], {"pin": 2}, "hero")
+    joints = Each("joints", ("{named}/{name}",), 2, "and {left} more")
+    lines = render(rig, [joints, Each("counts", ("{key}: {value}",))])
+    assert lines == ["hero/a", "hero/b", "and 1 more", "pin: 2"]
+
+
+def test_a_table_leaves_out_columns_that_are_empty() -> None:
+    rig = Rig([Joint("a", 0.5), Joint("bcd")])
+    columns = {"": "{name}", "mm": "{size:mm}", "lost": "{lost}"}
+    table = Table("joints", columns, left=("",), optional=("lost",), indent="  ")
+    assert render(rig, [table]) == ["        mm", "  a    500", "  bcd"]
