@@ -3,12 +3,12 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from animtool.scene.bake.outputs import bake
 from preview.pages import ReadPage
 from support.skinned_rig import write_pair
 
 from animtool.preview.build import make_page
 from animtool.preview.options import PreviewOptions
+from animtool.scene.bake.bake import bake
 
 PLAIN = PreviewOptions(findings=False)
 

@@ -188,7 +188,7 @@ def outputs_twice(outline: Outline) -> list[Fault]:
     owners: dict[str, OutputEntry] = {}
     faults = []
     for entry in outline.outputs:
-        for path in entry.files:
+        for path in entry.files if len(outline.outputs) > 1 else ():
             first = owners.setdefault(name_key(target(path).final), entry)
             if first is not entry and entry.place and first.place:
                 message = f"{str(path)!r} is written by {first.place.where} too"

@@ -168,8 +168,8 @@ def test_faults_of_keypoints(tmp_path: Path) -> None:
     ("text", "message", "hint"),
     [
         ('{"people": []}', "a folder of OpenPose keypoints", "mocap triangulate pose/"),
-        ('{"cameras": []}', "give it as --cameras a.json", "npz"),
-        ('[{"K": 1}]', "give it as --cameras a.json", "npz"),
+        ('{"cameras": []}', "holds cameras, not what they see", "npz"),
+        ('[{"K": 1}]', "holds cameras, not what they see", "npz"),
         ("{}", "is a JSON file; observations are", "npz"),
     ],
 )
