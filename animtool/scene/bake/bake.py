@@ -154,17 +154,13 @@ def run_stage(plan: BakePlan, *, progress: Progress = None) -> BakeReport:
     """Run a planned bake to one USD file."""
     began = time.perf_counter()
     draft = Draft(plan, progress, [TakeRun(take, plan.watch) for take in plan.takes])
-    completions = []
     for prims in plan.prims:
-        completions.append(prims.author(draft))
+        prims.author(draft)
         assert draft.report is not None
         refuse_warnings(draft.report.notices, strict=plan.options.strict)
-    assert draft.write is not None
     assert draft.report is not None
     authored = time.perf_counter()
-    draft.write(draft.save)
-    for complete in completions:
-        complete()
+    draft.write()
     total = time.perf_counter() - began
     read = sum(draft.read)
     # Frames of systems alone are made while they are written.

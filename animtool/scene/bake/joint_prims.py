@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator
+from collections.abc import Generator
 from contextlib import closing
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import TYPE_CHECKING
 
@@ -16,13 +16,19 @@ from animtool.motion.motion import Motion
 from animtool.rig.kinematics import rest_size
 from animtool.rig.skeleton import Rig
 from animtool.scene.bake.frames import TakePlan, TakeRun, TimedBlocks, moving_joints
-from animtool.scene.bake.prims import BakePlan, Draft, TakeReport, take_report
+from animtool.scene.bake.prims import (
+    BakePlan,
+    Draft,
+    Save,
+    TakeReport,
+    take_report,
+)
 from animtool.scene.bake.progress import prefetch, timed
 from animtool.scene.sources.open import source_stem
-from animtool.usd.layers.jobs import Form, UsdJob, UsdTake, WrittenTake
+from animtool.usd.layers.jobs import Form, UsdJob, UsdResult, UsdTake, WrittenTake
 from animtool.usd.layers.names import UsdNames, joint_names
 from animtool.usd.rigs.recorded_place import place_record
-from animtool.usd.takes.author import author, write_usd
+from animtool.usd.takes.author import Authored, author, write_usd
 from animtool.usd.takes.joint_writer import round_blocks
 
 if TYPE_CHECKING:
@@ -32,7 +38,7 @@ if TYPE_CHECKING:
 class JointPrims:
     """SkelAnimations of takes, with their skeleton where no rig layer has it."""
 
-    def author(self, draft: Draft) -> Callable[[], None]:
+    def author(self, draft: Draft) -> None:
         """Author the layers of every take."""
         plan = draft.plan
         rest = draft.runs[0].rig
@@ -49,7 +55,7 @@ class JointPrims:
         notices = [notice for take in plan.takes for notice in take.stream.notices]
         notices += plan.notices + job.names.notices + result.notices
         draft.layer = authored.animation
-        draft.write = lambda save: write_usd(job, authored, result, save)
+        draft.files = JointFiles(job, authored, result)
         draft.read += [take.seconds["read"] for take in takes]
         draft.report = plan.report(
             [
@@ -63,7 +69,19 @@ class JointPrims:
             meters_per_unit=job.meters_per_unit,
             up=job.rig.up,
         )
-        return lambda: None
+
+
+@dataclass(frozen=True, slots=True)
+class JointFiles:
+    """The layers of takes as joints."""
+
+    job: UsdJob
+    authored: Authored
+    result: UsdResult
+
+    def write(self, save: Save) -> None:
+        """Write the layers, that which refers to the others last."""
+        write_usd(self.job, self.authored, self.result, save)
 
 
 def _job(plan: BakePlan, rest: Rig) -> UsdJob:

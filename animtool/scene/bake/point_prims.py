@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
@@ -28,7 +28,14 @@ from animtool.rig.kinematics import (
 from animtool.rig.skeleton import Rig
 from animtool.rig.surfaces import Strands, Surface, strands_of, surfaces_of
 from animtool.scene.bake.frames import TakePlan, TakeRun, TimedBlocks
-from animtool.scene.bake.prims import BakePlan, Draft, MeshReport, Save, take_report
+from animtool.scene.bake.prims import (
+    BakePlan,
+    Draft,
+    MeshReport,
+    OneFile,
+    Save,
+    take_report,
+)
 from animtool.scene.bake.progress import prefetch
 from animtool.scene.sources.open import is_usd
 from animtool.skin.character import (
@@ -45,6 +52,7 @@ from animtool.skin.deform import (
 )
 from animtool.usd.caches.point_cache import (
     CacheJob,
+    ChunkedCache,
     author_cache,
     mesh_paths,
     round_points,
@@ -304,7 +312,7 @@ class PointPrims:
 
     character: Character
 
-    def author(self, draft: Draft) -> Callable[[], None]:
+    def author(self, draft: Draft) -> None:
         """Author the prims; points in chunks are written already."""
         plan, (run,) = draft.plan, draft.runs
         stream, timed = run.plan.stream, run.open()
@@ -320,17 +328,13 @@ class PointPrims:
             if plan.options.chunk is None:
                 layer, meshes = author_cache(job, blocks)
                 result = _result(layer, meshes, run)
-                draft.begin(layer, result)
+                draft.layer, draft.files = layer, OneFile(layer, plan.output, result)
             else:
                 written = write_chunks(job, blocks, plan.options.chunk)
                 layer, meshes = written.layer, written.reports
                 result = _result(layer, meshes, run)
 
-                def write(save: Save) -> None:
-                    result.outputs += written.finish(save)
-                    result.bytes = sum(map(size_of, result.outputs))
-
-                draft.layer, draft.write = layer, write
+                draft.layer, draft.files = layer, ChunkFiles(written, result)
 
         if run.props is not None:
             result.takes[0].props = _author_props(
@@ -355,7 +359,19 @@ class PointPrims:
             up=job.up,
             what="point caches as a ",
         )
-        return lambda: None
+
+
+@dataclass(frozen=True, slots=True)
+class ChunkFiles:
+    """A layer whose points are in files of some samples each, written already."""
+
+    cache: ChunkedCache
+    result: UsdResult
+
+    def write(self, save: Save) -> None:
+        """Write the manifest and the layer."""
+        self.result.outputs += self.cache.finish(save)
+        self.result.bytes = sum(map(size_of, self.result.outputs))
 
 
 def _author_props(

@@ -219,6 +219,37 @@ class BakePlan:
         )
 
 
+class OutputFiles(Protocol):
+    """The files of a bake, authored and not written."""
+
+    def write(self, save: Save) -> None:
+        """Write them, the layer of the animation by ``save``."""
+
+
+@dataclass(frozen=True, slots=True)
+class OneFile:
+    """A layer that is the only file of a bake."""
+
+    layer: Any
+    output: Path | None  # None is stdout
+    result: UsdResult
+
+    def write(self, save: Save) -> None:
+        """Write the layer."""
+        self.result.bytes = save(self.layer, self.output)
+        self.result.outputs += [] if self.output is None else [self.output]
+
+
+class Growth(Protocol):
+    """Frames that are made while the layer that they go into is written."""
+
+    def save(self, layer: Any, path: Path | None) -> int:
+        """Write a layer and the frames; return the bytes."""
+
+    def complete(self, draft: Draft) -> None:
+        """Add what was made to the report."""
+
+
 @dataclass(slots=True)
 class Draft:
     """A bake under way: a layer in memory, and what will be reported of it."""
@@ -226,31 +257,28 @@ class Draft:
     plan: BakePlan
     progress: Progress  # share of what comes after the takes
     runs: list[TakeRun]
-    layer: Any = None  # None until the first prims have authored one
+    # None until the first prims have authored them.
+    layer: Any = None
+    files: OutputFiles | None = None
     report: BakeReport | None = None
-    save: Save = save_layer  # writes the layer
-    write: Callable[[Save], object] | None = None  # writes all files with that
+    growth: Growth | None = None  # of systems
     read: list[float] = field(default_factory=list)  # spent on making frames [s]
 
-    def begin(self, layer: Any, result: UsdResult) -> None:
-        """Begin with a layer that is a file of its own."""
-        output = self.plan.output
-
-        def write(save: Save) -> None:
-            result.bytes = save(layer, output)
-            result.outputs += [] if output is None else [output]
-
-        self.layer, self.write = layer, write
+    def write(self) -> None:
+        """Write all files, and complete the report."""
+        assert self.files is not None
+        if self.growth is None:
+            self.files.write(save_layer)
+            return
+        self.files.write(self.growth.save)
+        self.growth.complete(self)
 
 
 class OutputPrims(Protocol):
     """Prims of one kind that a bake writes: joints, points, or systems."""
 
-    def author(self, draft: Draft) -> Callable[[], None]:
+    def author(self, draft: Draft) -> None:
         """Put the prims into a draft, whose layer is made by the first.
-
-        Returns:
-            What completes the report when all files are written.
 
         Raises:
             FormatError: Rows of a source, or a system, are malformed.

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from functools import partial
 from math import ceil
@@ -18,7 +18,7 @@ from animtool.core.options import refused_options
 from animtool.core.shot import FrameRange
 from animtool.core.units import UpAxis
 from animtool.scene.bake.options import BakeOptions
-from animtool.scene.bake.prims import BakePlan, Draft, TakeReport
+from animtool.scene.bake.prims import BakePlan, Draft, OneFile, TakeReport
 from animtool.scene.scene import Scene
 from animtool.scene.sources.open import source_stem
 from animtool.scene.systems.character_motion import CharacterWatch
@@ -32,6 +32,7 @@ from animtool.usd.layers.sdf import (
     author_metadata,
     check_prim_path,
     layer_span,
+    save_layer,
 )
 from animtool.usd.props.simulated import (
     SimulatedJob,
@@ -64,7 +65,7 @@ class SystemPrims:
         """Return when a time code is, on the clock of the systems [s]."""
         return float((code - self.start) / self.job.metadata.fps)
 
-    def author(self, draft: Draft) -> Callable[[], None]:
+    def author(self, draft: Draft) -> None:
         """Simulate; without chunks, as soon as the layer is saved."""
         plan = draft.plan
         prims = self if self.watch is None else self._on_take(self.watch)
@@ -81,30 +82,10 @@ class SystemPrims:
         rows = run.rows(codes, prims.start, job.metadata.fps, keep_stopped=keep)
         if draft.report is None:
             self._begin(draft)
-        files: list[Path] = []
-        written: list[CachedMesh] = []
-        folder = self.scene.path.resolve().parent
+        frames = SystemFrames(self, job, run, rows, plan.options.strict)
         if plan.options.chunk is not None:
-            assert plan.output is not None
-            clips, size = system_files(plan.output), plan.options.chunk
-            files, written = chunk_simulated(job, rows, draft.layer, clips, size)
-            self._end(draft, run, draft.layer)
-            run.note(written)
-            refuse_warnings(run.notices, strict=plan.options.strict)
-            run.save_states(folder)
-        else:
-
-            def save(layer: Any, path: Path | None) -> int:
-                with growing_layer(layer, path) as growing:
-                    written.extend(grow_simulated(job, rows, growing))
-                    self._end(draft, run, growing.layer)
-                    run.note(written)
-                    refuse_warnings(run.notices, strict=plan.options.strict)
-                    run.save_states(folder)
-                return growing.size
-
-            draft.save = save
-        return lambda: self._report(draft, run, files, written)
+            frames.chunk(draft.layer, plan.output, plan.options.chunk)
+        draft.growth = frames
 
     def _on_take(self, watch: CharacterWatch) -> SystemPrims:
         """Return these with the time codes of the take."""
@@ -123,7 +104,7 @@ class SystemPrims:
         take = WrittenTake("", "", len(self.codes), metadata.first, metadata.last)
         result = UsdResult(layer_span(layer), takes=[take])
 
-        draft.begin(layer, result)
+        draft.layer, draft.files = layer, OneFile(layer, plan.output, result)
         report = TakeReport(
             self.scene.path,
             take,
@@ -140,43 +121,76 @@ class SystemPrims:
             up=metadata.up,
         )
 
-    def _end(self, draft: Draft, run: SystemRun, layer: Any) -> None:
-        """Let a layer of systems alone end with the last frame that they reached."""
-        if run.stopped is not None and self.watch is None:
-            last = self.codes[run.done - 1]
-            author_metadata(layer, replace(self.job.metadata, last=last))
-            draft.layer = layer
 
-    def _report(
-        self,
-        draft: Draft,
-        run: SystemRun,
-        files: list[Path],
-        written: list[CachedMesh],
-    ) -> None:
+@dataclass(slots=True)
+class SystemFrames:
+    """Frames of systems, simulated as they are written; see `Growth`."""
+
+    prims: SystemPrims
+    job: SimulatedJob
+    run: SystemRun
+    rows: Iterator[Any]  # of every system, frame by frame
+    strict: bool
+    # Known once the frames are made: files beside the layer, what they hold, and the
+    # layer that a run which stopped ends.
+    files: list[Path] = field(default_factory=list)
+    written: list[CachedMesh] = field(default_factory=list)
+    ended: Any = None
+
+    def chunk(self, layer: Any, output: Path | None, size: int) -> None:
+        """Simulate into files of so many samples, which a layer joins."""
+        assert output is not None
+        clips = system_files(output)
+        self.files, self.written = chunk_simulated(
+            self.job, self.rows, layer, clips, size
+        )
+        self._end(layer)
+
+    def save(self, layer: Any, path: Path | None) -> int:
+        """Write a layer; frames that are not in chunks are simulated into it."""
+        if self.files:
+            return save_layer(layer, path)
+        with growing_layer(layer, path) as growing:
+            self.written = list(grow_simulated(self.job, self.rows, growing))
+            self._end(growing.layer)
+        return growing.size
+
+    def _end(self, layer: Any) -> None:
+        """End with the last frame that was reached; keep states that are asked for."""
+        run, prims = self.run, self.prims
+        if run.stopped is not None and prims.watch is None:
+            last = prims.codes[run.done - 1]
+            author_metadata(layer, replace(prims.job.metadata, last=last))
+            self.ended = layer
+        run.note(self.written)
+        refuse_warnings(run.notices, strict=self.strict)
+        run.save_states(prims.scene.path.resolve().parent)
+
+    def complete(self, draft: Draft) -> None:
         """Add what was simulated to the report."""
-        report = draft.report
+        report, run, written = draft.report, self.run, self.written
         assert report is not None
         report.notices += run.notices
         report.stopped = run.stopped
-        report.result.outputs[:0] = files
-        report.result.bytes += sum(map(size_of, files))
+        report.result.outputs[:0] = self.files
+        report.result.bytes += sum(map(size_of, self.files))
         for take in report.takes:
             take.meshes += run.reports(written)
             take.simulated += run.simulated
-        if self.watch is None:
-            if run.stopped is not None:
-                report.result.span = layer_span(draft.layer)
-                stopped = report.takes[0]
-                stopped.source_frames = stopped.written.samples = run.done
-                stopped.written.last = report.result.span.last
-            worst = max(written, key=lambda found: found.error)
-            (take,) = report.takes
-            take.written.sampled = list(worst.sampled)
-            take.written.rounding = Rounding(worst.error, worst.error_code)
-            at = run.written[written.index(worst)]
-            take.error_joint = self.scene.systems[at].name
-            draft.read += run.seconds
+        if self.prims.watch is not None:
+            return
+        if run.stopped is not None:
+            report.result.span = layer_span(self.ended)
+            stopped = report.takes[0]
+            stopped.source_frames = stopped.written.samples = run.done
+            stopped.written.last = report.result.span.last
+        worst = max(written, key=lambda found: found.error)
+        (take,) = report.takes
+        take.written.sampled = list(worst.sampled)
+        take.written.rounding = Rounding(worst.error, worst.error_code)
+        at = run.written[written.index(worst)]
+        take.error_joint = self.prims.scene.systems[at].name
+        draft.read += run.seconds
 
 
 def plan_systems(scene: Scene, options: BakeOptions) -> SystemPrims:
