@@ -236,7 +236,7 @@ def test_a_cluster_without_workers_is_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     take_files(tmp_path / "takes", 1)
-    monkeypatch.setattr("animtool.batch.cluster.WORKERLESS", 0.1)
+    monkeypatch.setattr("animtool.batch.cluster.WORKERLESS", 1.0)
     monkeypatch.setattr("animtool.batch.cluster.POLL_INTERVAL", 0.1)
     with small_cluster(workers=0) as empty:
         outcomes = dask(work(tmp_path, empty.scheduler_address))

@@ -49,7 +49,7 @@ def test_an_item_that_fails_costs_one_item(
     words = ["crash", "hang", "fill", "exit", "fault"]
     trouble_files(takes, words)
     (takes / "malformed.bvh").write_text("HIERARCHY\nROOT\n", "utf-8")
-    options = ("--time-limit", 4, "--memory-limit", "450MB", "--format", "json")
+    options = ("--time-limit", 8, "--memory-limit", "450MB", "--format", "json")
     done = run(tmp_path, *options, environment=plug_in)
     assert done.code == 1, done.stderr
     found = reported(done)
