@@ -33,6 +33,7 @@ from animtool.cli.outputs import (
     skipped,
     writing_options,
 )
+from animtool.core.writers import file_suffixes
 
 if TYPE_CHECKING:
     from animtool.preview.work_precision import Panel
@@ -73,7 +74,7 @@ Examples:
     "--output",
     type=OUTPUT,
     help="File to write: USD (.usda, .usdc, .usd, .usdz), or another format that holds "
-    "motion (.clip.yaml, .bvh, .csv, .mot, .sto); - is usda on stdout.  "
+    f"motion ({', '.join(file_suffixes())}); - is usda on stdout.  "
     "[default: SOURCE with .usdc, the shot's name; a library has none]",
 )
 @bake_options

@@ -115,21 +115,9 @@ def cli() -> None:
     """
 
 
-# Those that may read USD: a child does their work, in case it crashes.
-SUPERVISED = {
-    "bake",
-    "batch",
-    "convert",
-    "diff",
-    "ik",
-    "info",
-    "job",
-    "loop",
-    "mocap",
-    "preview",
-    "retarget",
-    "validate",
-}
+# A child does the work of a command, in case USD crashes; these read none.
+WITHOUT_USD = {"completion", "explain", "migrate", "plugins", "schema"}
+SUPERVISED = COMMANDS.keys() - WITHOUT_USD
 HELP = {"-h", "--help"}
 
 

@@ -161,6 +161,28 @@ TIMELINE_SUFFIXES = (
 )
 
 
+def reader_of(path: Path) -> Reader | None:
+    """Return the reader of a file by its suffix; None where none has it.
+
+    Raises:
+        OptionError: The plug-in that has it cannot be loaded (IO003).
+
+    >>> reader_of(Path("walk.txt")) is None
+    True
+    """
+    suffix = path.suffix.lower()
+    if suffix in READERS:
+        return READERS[suffix]
+    points = plugin_points(PLUGIN_GROUP) if suffix else {}
+    point = points.get(suffix.removeprefix("."))
+    return None if point is None else load_plugin(point, Reader)
+
+
+def readable_suffixes() -> list[str]:
+    """Return the suffixes of files that are read, those of plug-ins last."""
+    return [*READERS, *(f".{name}" for name in sorted(plugin_points(PLUGIN_GROUP)))]
+
+
 def find_reader(path: Path) -> Reader:
     """Return the reader of a file by its suffix, those of plug-ins included.
 
@@ -172,20 +194,16 @@ def find_reader(path: Path) -> Reader:
     >>> find_reader(Path("walk.BVH")).about
     'Biovision Hierarchy'
     """
-    suffix = path.suffix.lower()
-    if suffix in READERS:
-        return READERS[suffix]
-    points = plugin_points(PLUGIN_GROUP)
-    point = points.get(suffix.removeprefix("."))
-    if point is not None:
-        return load_plugin(point, Reader)
+    reader = reader_of(path)
+    if reader is not None:
+        return reader
     reason = why_no_file(path)
     if reason is not None:
         raise unreadable(path, reason)
+    suffix = path.suffix.lower()
     kind = f"suffix {path.suffix!r}" if suffix else "a name without suffix"
     message = f"{kind} is no format that animtool reads"
-    allowed = ", ".join([*READERS, *(f".{name}" for name in sorted(points))])
-    hint = f"allowed: {allowed}"
+    hint = f"allowed: {', '.join(readable_suffixes())}"
     if suffix in TIMELINE_SUFFIXES:
         message = "is a timeline, and no take is read from it"
         hint = (

@@ -41,6 +41,7 @@ class Kind(StrEnum):
     REMAP = "remap"
     LIVELINK = "livelink"
     CAMERAS = "cameras"
+    TAKE = "take"  # of a format that no rule knows
     TRAJECTORIES = "trajectories"
     COORDINATES = "coordinates"
     BVH = "bvh"

@@ -197,13 +197,23 @@ def writes_stage(path: Path) -> bool:
     return WRITERS.get(path.suffix.lower()) is USD
 
 
-def _motion_suffixes() -> list[str]:
-    """Return the suffixes that takes are written to, those of plug-ins included."""
-    own = sorted(
+def file_suffixes() -> list[str]:
+    """Return the suffixes that takes are written to beside USD, without plug-ins.
+
+    >>> file_suffixes()[:2]
+    ['.bvh', '.clip.yaml']
+    """
+    return sorted(
         ".clip.yaml" if writer is CLIP else suffix
         for suffix, writer in WRITERS.items()
-        if writer.holds_motion and suffix != ".yml"
+        if (writer.take or writer.text) and suffix != ".yml"
     )
+
+
+def _motion_suffixes() -> list[str]:
+    """Return the suffixes that takes are written to, those of plug-ins included."""
+    stages = [suffix for suffix, writer in WRITERS.items() if writer.stage]
+    own = sorted([*stages, *file_suffixes()])
     return [*own, *(f".{name}" for name in sorted(plugin_points(PLUGIN_GROUP)))]
 
 

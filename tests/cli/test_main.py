@@ -10,7 +10,7 @@ import pytest
 from support.cli import animtool, animtool_process
 
 from animtool.cli.console import Console
-from animtool.cli.main import COMMANDS
+from animtool.cli.main import COMMANDS, WITHOUT_USD
 from animtool.core.errors import ExitCode, Fault, Severity
 from animtool.core.process.signals import TerminatedError
 
@@ -34,6 +34,10 @@ def test_every_command_has_help_with_an_example(command: str) -> None:
 def test_the_table_says_what_the_commands_say() -> None:
     listed = animtool("--help").stdout
     assert all(name in listed for name in COMMANDS)
+
+
+def test_a_command_is_supervised_unless_it_reads_no_usd() -> None:
+    assert set(COMMANDS) > WITHOUT_USD
 
 
 @pytest.mark.parametrize(

@@ -11,11 +11,12 @@ from pathlib import Path
 import pytest
 from support.faults import raises
 
-from animtool.core.errors import AnimtoolError, FormatError
+from animtool.core.errors import AnimtoolError, FormatError, OptionError
 from animtool.core.plugins import load_object
 from animtool.core.readers import READERS, Reader, find_reader, listed_readers
 from animtool.rig.skeleton import Rig
 from animtool.scene.sources.open import SourceOptions, open_source
+from animtool.validation.run import validate
 
 DISTINCT = sorted(set(READERS.values()), key=lambda reader: reader.about)
 
@@ -108,6 +109,15 @@ def test_a_reader_of_a_plugin(
     assert (row.suffix, row.opens, row.about) == (".marks", ("source",), "marks")
     with raises(AnimtoolError, "IO002"):
         Rig.load(path)
+    # Who cannot be told a unit states that of the rig.
+    assert open_source(path).details["units"] == "cm"
+    assert validate(path) == []
+    path.write_text(str(tmp_path / "none"))
+    assert [fault.code for fault in validate(path)] == ["IO001"]
+    path = tmp_path / "walk.none"
+    path.write_text("")
+    with raises(OptionError, "IO002", match=r"of no kind that is checked.*\.marks"):
+        validate(path)
 
 
 @pytest.mark.parametrize(

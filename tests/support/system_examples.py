@@ -51,6 +51,7 @@ class Example:
         more: Methods without an order, or with one only where all is smooth.
         smooth: Changes without which no order shows.
         bounded: Its numbers stay finite whatever the keys are.
+        moving: Its first state has velocities.
     """
 
     keys: dict[str, Any]
@@ -61,6 +62,7 @@ class Example:
     more: tuple[str, ...] = ()
     smooth: dict[str, Any] = field(default_factory=dict)
     bounded: bool = False
+    moving: bool = False
 
 
 def springs(**keys: Any) -> dict[str, Any]:
@@ -396,6 +398,7 @@ EXAMPLES = {
                 }
             ],
         },
+        moving=True,
     ),
     "fluid": Example(
         {

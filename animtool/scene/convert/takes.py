@@ -42,8 +42,8 @@ def convert(
 
     Args:
         source: BVH, USD or clip, or a take that is open.
-        output: ``.bvh``, ``.csv`` (Live Link Face), ``.mot`` or ``.sto`` (OpenSim),
-            ``.clip.yaml``, a USD file, or what a plug-in writes.
+        output: A USD file, a ``.clip.yaml``, a ``.bvh``, or any other that
+            `animtool.core.writers` names or a plug-in writes.
         options: What the source is.
         overwrite: Replace outputs that exist.
         strict: Take warnings for errors.

@@ -20,6 +20,7 @@ from pydantic import (
 )
 
 from animtool.core.plugins import load_object
+from animtool.core.writers import file_suffixes
 from animtool.documents.check import FileModel
 from animtool.documents.fields import (
     Frame,
@@ -180,8 +181,8 @@ class OutputModel(FileModel):
     """What to write; the command line's own options come first."""
 
     file: str | None = key(
-        "What to write: USD, a `.clip.yaml` of keys, or a `.bvh`, `.csv`, `.mot` or "
-        "`.sto`. Not given: USD beside the source.",
+        f"What to write: USD, or {', '.join(f'`{one}`' for one in file_suffixes())}. "
+        "Not given: USD beside the source.",
         "shot.usdc",
         default=None,
     )

@@ -15,7 +15,7 @@ from animtool.core.options import Key, called, option, options_of
 from animtool.core.rates import OptionalFraction, rate_option
 from animtool.core.readers import DOCUMENT, READERS, TIMELINE_SUFFIXES, USD, find_reader
 from animtool.core.shot import Shot
-from animtool.core.units import LengthUnit, UpAxis
+from animtool.core.units import LengthUnit, UpAxis, unit_name
 from animtool.scene.bake.progress import Progress
 
 if TYPE_CHECKING:
@@ -357,6 +357,9 @@ def open_source(
     if "progress" in reader.options:
         given["progress"] = progress
     stream = cast("TakeStream", reader.source_opener(path)(path, **given))
+    if "unit" not in reader.options:
+        unit = unit_name(stream.rig.meters_per_unit)
+        stream.details.setdefault("units", unit)
     # A clip's keys were evaluated with what they drive.
     return stream if reader is DOCUMENT else _driven(stream)
 

@@ -65,11 +65,20 @@ def open_bvh(path: Path) -> CheckedFile:
 
 
 def open_livelink(path: Path) -> CheckedFile:
-    """Return what is wrong with a face recording, and its take."""
+    """Return what is wrong with a face recording."""
+    return _read(Kind.LIVELINK, path)
+
+
+def open_take(path: Path) -> CheckedFile:
+    """Return what the reader of a format without rules finds wrong with a file."""
+    return _read(Kind.TAKE, path)
+
+
+def _read(kind: Kind, path: Path) -> CheckedFile:
     stream = open_source(path)
     stream.collect()
     faults = [f if f.path else replace(f, path=str(path)) for f in stream.notices]
-    return CheckedFile(Kind.LIVELINK, faults)
+    return CheckedFile(kind, faults)
 
 
 def open_usd(path: Path) -> CheckedFile:

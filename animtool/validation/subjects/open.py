@@ -21,6 +21,8 @@ from animtool.core.readers import (
     STO,
     TRC,
     USD,
+    readable_suffixes,
+    reader_of,
 )
 from animtool.core.rules import Kind
 from animtool.documents.document import Document, read_document
@@ -131,6 +133,7 @@ _OPENERS = {
     Kind.LANDMARKS: "animtool.validation.subjects.open:open_landmarks",
     Kind.REMAP: "animtool.validation.subjects.open:open_remap",
     Kind.LIVELINK: "animtool.validation.subjects.capture:open_livelink",
+    Kind.TAKE: "animtool.validation.subjects.capture:open_take",
     Kind.CAMERAS: "animtool.validation.subjects.open:open_cameras",
     Kind.BVH: "animtool.validation.subjects.capture:open_bvh",
     Kind.USD: "animtool.validation.subjects.capture:open_usd",
@@ -155,13 +158,15 @@ def open_file(path: Path, given: SceneValues | None = None) -> CheckedFile:
 
     ``given`` are values of variables, of a scene.
     """
-    reader = READERS.get(path.suffix.lower())
+    reader = reader_of(path)
     if reader in _READ_AS:
         return _open(_READ_AS[reader], path)
     if reader is None and not path.exists():
         raise unreadable(path, "does not exist")
-    if reader is not DOCUMENT:
-        hint = f"checked are {', '.join(READERS)}"
+    if reader is not None and reader is not DOCUMENT:
+        return _open(Kind.TAKE, path)
+    if reader is None:
+        hint = f"checked are {', '.join(readable_suffixes())}"
         message = "is of no kind that is checked"
         raise OptionError(Fault("IO002", message, str(path), (), hint))
     return open_document(read_document(path), given)
