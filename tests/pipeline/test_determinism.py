@@ -93,5 +93,6 @@ def test_the_same_bytes_in_every_process(
     assert contents[0] == contents[1] == contents[2]
 
 
+@pytest.mark.slow
 def test_usd_says_nothing(folders: dict[str, tuple[Path, str]]) -> None:
     assert [said for _, said in folders.values()] == ["", "", ""]
