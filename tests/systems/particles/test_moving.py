@@ -102,8 +102,8 @@ def test_a_step_ends_at_walls_and_who_meets_none_is_left() -> None:
         assert_allclose(places, [[0.125, 0.1, 0], [0.125, 3.5, 0]], atol=1e-9)
         assert system.contacts is not None
         assert system.contacts.any.tolist() == [True, False]
-        far = end + (np.array([0.0, 9, 0]))
-        assert system.settle(1.0, 0.125, begin + [0.0, 9, 0], far) is far
+        far = end + np.array([0.0, 9, 0])
+        assert system.settle(1.0, 0.125, begin + np.array([0.0, 9, 0]), far) is far
 
 
 def test_energies_count_each_mass_and_what_walls_may_bring() -> None:
@@ -287,7 +287,8 @@ def test_dampings_and_signs_of_forces_in_numbers() -> None:
     spring = find_force("spring")(k=4.0, rest=2.0)
     # From where each was born, at (1, 1, 1).
     assert_allclose(
-        spring.potential(x + [3.0, 0, 0], own), [2, 0.5 * 4 * (18**0.5 - 2) ** 2]
+        spring.potential(x + np.array([3.0, 0, 0]), own),
+        [2, 0.5 * 4 * (18**0.5 - 2) ** 2],
     )
     assert find_force("drag")(linear=1).potential(x, own).tolist() == [0, 0]
     assert find_force("wind")().potential(x, own) is None
