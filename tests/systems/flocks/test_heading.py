@@ -327,8 +327,9 @@ def flock(rows: Any, v: Any, *, shows: Any = None, **keys: Any) -> Flock:
 
 def test_who_leaves_a_domain_comes_in_again_on_the_other_side() -> None:
     """Where nobody left nothing is copied."""
-    made = flock([[3.5, 0, 0], [-1.5, 2, 0], [1, 10, -4.5]], np.ones((3, 3)),
-                 domain={"at": [1, 0, 0], "size": [40, 60, 80], "wrap": True})  # fmt: skip
+    domain = {"at": [1, 0, 0], "size": [40, 60, 80], "wrap": True}
+    rows = [[3.5, 0, 0], [-1.5, 2, 0], [1, 10, -4.5]]
+    made = flock(rows, np.ones((3, 3)), domain=domain)
     motion = np.stack([[[21.5, 0, 0], [-19.5, 31, 0], [1, 100, -45]], np.ones((3, 3))])
     found = made._within(motion)
     assert_allclose(found[0], [[-18.5, 0, 0], [20.5, -29, 0], [1, -20, 35]])
