@@ -31,6 +31,7 @@ from animtool.systems.flocks.members import (
 from animtool.systems.flocks.rules import Rule, flocking, max_pairs, rules_of
 from animtool.systems.flocks.spacing import Spacing
 from animtool.systems.flocks.spec import FlocksModel, SpeciesModel
+from animtool.systems.flocks.steering import steered
 from animtool.systems.particles import BoxPlace, Point, find_force
 from animtool.systems.particles.emitter import uniforms
 
@@ -386,3 +387,19 @@ def test_forces_move_members_by_their_mass_beyond_what_they_are_capable_of() -> 
         found = forces.acceleration(0.0, x, v)
         assert_allclose(found, [[0, expected, 0], [0, 1.5, 0]], atol=1e-9)
     assert forces.state is forces.motion
+
+
+def test_who_is_limited_changes_nothing_that_was_given() -> None:
+    model = species(acceleration=1.0, turning=90)
+    own = members([[0.0, 5, 0], [9, 9, 9]], model)
+    wanted, v = np.full((2, 3), 7.0), np.ones((2, 3))
+    found = steered(own, v, wanted)
+    assert np.linalg.norm(found, axis=1).max() <= 1 + 1e-12
+    assert (wanted == 7).all()
+
+
+def test_who_sees_a_narrow_part_sees_no_more() -> None:
+    rows = np.arange(6.0).reshape(2, 3)
+    for angle, cosine in ((36.0, 0.9510565), (180.0, 0.0), (360.0, -1.0)):
+        (rule,) = rules_of(members(rows, species(vision={"angle": angle})))
+        assert rule.cosine == pytest.approx(cosine, abs=1e-6)

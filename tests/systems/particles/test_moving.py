@@ -135,7 +135,7 @@ def test_the_suspect_is_who_is_accelerated_most() -> None:
     """The same force on the lighter one, which is neither the first nor the last."""
     state = np.zeros((2, 3, 3))
     own = some([2.0, 1.0, 3.0], first=7)
-    forces = setup(("uniform", {"push": (0, 1, 0)}))
+    forces = setup(("uniform", {"push": (1, 0, 0)}))
     said = ParticleForces(forces, FLOOR, own, state).suspect(0.0, state)
     assert said == "particle 8 is accelerated most"
     nobody = some([])
