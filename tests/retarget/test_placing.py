@@ -422,7 +422,7 @@ def test_arms_are_told_by_three_joints() -> None:
     assert_allclose(found, [0, 0, -1], atol=1e-12)
 
 
-def test_both_hands_are_brought_nearer_as_one() -> None:
+def test_both_hands_come_nearer_as_one() -> None:
     goals = [np.array([[1.2, 0.0, 0]]), np.array([[1.0, 0.0, 0.5]])]
     starts = [np.zeros((1, 3)), np.array([[0.5, 0, 0.5]])]
     found = _within_reach(goals, starts, [1.0, 0.9])

@@ -85,7 +85,7 @@ def test_it_begins_with_the_energy_that_forces_give_it() -> None:
         ({"forces": [find_force("wind")()]}, False),
     ],
 )
-def test_energy_that_nothing_brought_is_a_gain(keys: Any, closed: bool) -> None:
+def test_energy_out_of_nothing_is_a_gain(keys: Any, closed: bool) -> None:
     """Beyond a twentieth of what is in play: of motion, of heights, of pressure."""
     own = fluid(**keys)
     state = replace(own.initial(), energy=1000.0, sound=2.0)
