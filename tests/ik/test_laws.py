@@ -15,6 +15,7 @@ from support.ik import arm, limb
 
 from animtool.core.errors import OptionError
 from animtool.ik import Goal, IkStatus, Targets, build
+from animtool.ik.chain_frame import refuse_scales
 from animtool.ik.goals import (
     COLUMNS,
     FARTHEST,
@@ -517,3 +518,30 @@ def test_starts_are_ends_and_middles_of_limits() -> None:
     assert_allclose(found[:, 3], home[3])
     assert len(list(_corners(problem.chain, home, 3))) == 3
     assert len(list(_corners(problem.chain, home, 2))) == 1
+
+
+@pytest.mark.parametrize(
+    ("rest", "moving", "refused"),
+    [(1.0, 1.0, False), (1.0, 1.1, True), (2.0, None, True), (1.0, None, False)],
+)
+def test_what_hangs_from_a_scaled_joint_is_refused(
+    rest: float, moving: float | None, refused: bool
+) -> None:
+    """In any frame, along any axis, and above the effector alone."""
+    rig = arm(3)
+    rests = np.ones((3, 3))
+    rests[1, 2] = rest
+    values = np.ones((4, 1, 3))
+    values[2, 0, 1] = moving or 1.0
+    animated = np.array([1] if moving else [], np.int64)
+    channel = Channel(rests, animated, values[:, : len(animated)])
+    take: Any = SimpleNamespace(rig=rig, motion=SimpleNamespace(scales=channel))
+    refuse_scales(take, [("hand", "b0")])
+    if not refused:
+        refuse_scales(take, [("hand", "b2")])
+        return
+    with pytest.raises(OptionError, match="'hand' hangs from 'b1'") as error:
+        refuse_scales(take, [("hand", "b2")])
+    assert error.value.code == "TGT016"
+    bare: Any = SimpleNamespace(rig=rig, motion=SimpleNamespace(scales=None))
+    refuse_scales(bare, [("hand", "b2")])

@@ -178,9 +178,7 @@ def test_who_faces_another_way_is_turned_about_the_vertical() -> None:
     assert_allclose(_heading(leaning, own, so3.IDENTITY, Y), so3.IDENTITY, atol=1e-9)
 
 
-def test_turns_follow_by_the_change_from_rest_and_what_follows_none_goes_with_its_parent() -> (
-    None
-):
+def test_turns_follow_by_the_change_from_rest() -> None:
     own = body()
     made = Transfer.of(own, body(2.0), mapped(WHOLE))
     assert made.scale == pytest.approx(2)
