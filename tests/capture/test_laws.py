@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from fractions import Fraction
 from types import SimpleNamespace
 from typing import Any
 
@@ -17,7 +19,13 @@ from animtool.capture.cameras.camera import (
     project,
     rays,
 )
-from animtool.capture.cameras.noise import _own, _pooled, first_noise
+from animtool.capture.cameras.noise import (
+    _own,
+    _pooled,
+    first_noise,
+    measured_noise,
+)
+from animtool.capture.cameras.observations import Observations
 from animtool.capture.cameras.openpose import (
     _continued,
     _gathered,
@@ -29,6 +37,7 @@ from animtool.capture.cameras.openpose import (
     follow_people,
 )
 from animtool.capture.cameras.stale import (
+    Moved,
     PoseChange,
     _around,
     _moved,
@@ -70,6 +79,7 @@ from animtool.capture.templates.template import (
     TemplateMarker,
     template_text,
 )
+from animtool.core.clock import Clock
 from animtool.core.errors import OptionError
 from animtool.maths import so3
 from animtool.rig.skeleton import Joint, Rig
@@ -750,3 +760,39 @@ def test_a_template_writes_what_it_is() -> None:
     assert [fault.where for fault in error.value.faults] == [
         "marker_set[0].joint", "marker_set[1].joint"
     ]  # fmt: skip
+
+
+def test_a_camera_that_turned_is_stale_and_the_others_have_their_noise() -> None:
+    """Of five that see by half a pixel one turned by three degrees."""
+    rng = np.random.default_rng(6)
+    cameras = ring(5)
+    points = rng.uniform(-0.5, 0.5, (40, 8, 3))
+    pixels = np.stack([project(each, points) for each in cameras], axis=1)
+    turned = so3.to_matrix(so3.exp(np.array([0.0, 0.05, 0]))) @ cameras[2].rotation
+    moved = camera(turned, (0.0, 0, 3.0))
+    pixels[:, 2] = project(moved, points)
+    pixels += rng.normal(0, 0.5, pixels.shape)
+    clock = Clock(Fraction(30), Fraction(1), Fraction(1), 40)
+    seen = Observations(tuple("abcdefgh"), clock, pixels)
+    found = measured_noise(seen, cameras, 5.0, 6600.0)
+    assert found.agree
+    assert list(found.stale) == [2]
+    assert found.stale[2].angle == pytest.approx(0.05, rel=0.1)
+    assert_allclose(found.pixels, 0.5, rtol=0.2)
+    good = pixels.copy()
+    good[:, 2] = project(cameras[2], points) + rng.normal(0, 0.5, (40, 8, 2))
+    found = measured_noise(replace(seen, stored=good), cameras, 5.0, 6600.0)
+    assert (found.agree, found.stale) == (True, {})
+    assert_allclose(found.pixels, 0.5, rtol=0.2)
+
+
+@pytest.mark.parametrize("keep", [False, True])
+def test_a_camera_is_kept_where_the_others_are_no_better_without(keep: bool) -> None:
+    ranges = [Moved(0, 5, 0.9), Moved(9, 12, 0.8)]
+    run: Any = SimpleNamespace(
+        options=TriangulateOptions(keep_moved=keep),
+        _better_without=lambda camera, moved: (camera, moved.first) == (3, 9),
+    )
+    found = _Run._left_out(run, 3, ranges)
+    assert [one.kept for one in found] == ([False, False] if keep else [True, False])
+    assert [(one.first, one.end) for one in found] == [(0, 5), (9, 12)]

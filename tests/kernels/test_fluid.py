@@ -16,7 +16,9 @@ def test_momenta_of_drops_stay_whatever_tension_does(count: int) -> None:
     rng = np.random.default_rng(count)
     spacing = 0.01
     own = rng.uniform(-1, 1, (count, 3)) * spacing * count ** (1 / 3) / 1.5
-    points = np.concatenate([own + [3.0, -2, 1], own[::-1] * [1, -1, 1] + [-5.0, 4, 7]])
+    points = np.concatenate(
+        [own + np.array([3.0, -2, 1]), own[::-1] * [1, -1, 1] + [-5.0, 4, 7]]
+    )
     speeds = rng.normal(0, 0.01, (2 * count, 3))
     arrays = Colliders([]).arrays(0.0, 0.001)
     state, *_ = _kernels.fluid_steps(
