@@ -324,3 +324,21 @@ def test_a_surface_of_nobody_and_of_too_much_space() -> None:
     with pytest.raises(OptionError, match=r"cells of 0\.5 m") as error:
         surface(far, far, max_cells=count - 1, **keys)
     assert error.value.code == "SIM064"
+
+
+def test_density_is_that_of_where_particles_are() -> None:
+    """Over that at rest; of one alone it is its own share."""
+    near = np.array([[0.0, 0, 0], [0.3, 0, 0], [9, 9, 9]])
+    own = fluid(near, 5 * V, primvars=["density"])
+    found = own.frame(own.initial(), 1.0).primvars["density"]
+    arrays = Colliders([]).arrays(1.0, 1.0)
+    assert_allclose(found, _kernels.fluid_densities(arrays, near, 0.5))
+    assert found[0] == pytest.approx(found[1])
+    assert 0 < found[2] < found[0]
+
+
+def test_a_pull_beyond_numbers_asks_for_no_sound_at_first() -> None:
+    own = Substeps(FluidModel.model_validate({"name": "it", "spacing": 0.1}))
+    pull = np.full((3, 3), -1e308)
+    with np.errstate(over="ignore", invalid="ignore"):
+        assert own.first_sound(1e308 * np.sign(X - 2), pull) == 0
