@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from support.faults import raises
 
-from animtool.core.errors import Severity
+from animtool.core.errors import OptionError, Severity
 from animtool.sim import IntegrateOptions
 from animtool.sim.colliders import Collider, Plane, Poses, Sphere
 from animtool.systems.particles import (
@@ -208,3 +209,10 @@ def test_faults_say_where_they_are(keys: Any, wheres: list[str]) -> None:
     setup = Particles(**{"emitters": [Emitter(rate=1)], **keys})
     found = setup._options() + setup._parts()
     assert [str(fault.where).partition(".")[0] for fault in found] == wheres
+
+
+def test_who_is_born_into_what_is_no_number_is_told_at_once() -> None:
+    field = find_force("field")(x="1 / (t - t)")
+    own = simulation(Emitter(rate=4.0), forces=[field])
+    with np.errstate(all="ignore"), raises(OptionError, "SIM003", match=""):
+        own.step(own.initial(), 0.0, 0.25)
