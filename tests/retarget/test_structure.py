@@ -55,10 +55,13 @@ def test_lengths_and_ways_of_a_skeleton() -> None:
 
 def test_controls_that_carry_nothing_and_ends_are_no_bones() -> None:
     own = body((7, CONTROL), (5, END), (6, TWIST), (2, CONTROL))
-    # A control that carries a joint is a bone.
-    assert own.children[1] == [2, 4]
+    assert own.children[1] == [4]
     assert own.limb_children(4) == [6]
-    assert own.reach[0] == pytest.approx(3.8)
+    assert own.reach[0] == pytest.approx(3.5)
+    # A control that carries a joint with a role is a bone.
+    votes = [{"hand_l": 1.0} if j == 3 else {} for j in range(8)]
+    kinds = [CONTROL if j == 2 else "" for j in range(8)]
+    assert Body.of(tree(), votes, kinds).children[1] == [2, 4, 7]
 
 
 def standing(toes: float, up: UpAxis = UpAxis.Y) -> Body:
