@@ -26,11 +26,23 @@ from animtool.ik.goals import (
     pack,
     rows_of,
 )
+from animtool.ik.jumps import Jump
 from animtool.ik.limbs import limb_joints
 from animtool.ik.match_take import _leaving, chains_of, left_out
 from animtool.ik.matching import _directions, _Limb, _poles
 from animtool.ik.nearest import _corners, _picked, _placed, frames_out_of_reach
-from animtool.ik.report import _misses, _spans, span_notices
+from animtool.ik.report import (
+    GoalReport,
+    MissedSpan,
+    _misses,
+    _spans,
+    _stretching,
+    away_notices,
+    jump_notices,
+    missed_notices,
+    span_notices,
+    take_notices,
+)
 from animtool.ik.result import IkResult
 from animtool.ik.tracks import FreeEffector, GoalTrack, TargetTracks, swung
 from animtool.ik.two_bone import bend, misfit, perpendicular
@@ -545,3 +557,93 @@ def test_what_hangs_from_a_scaled_joint_is_refused(
     assert error.value.code == "TGT016"
     bare: Any = SimpleNamespace(rig=rig, motion=SimpleNamespace(scales=None))
     refuse_scales(bare, [("hand", "b2")])
+
+
+def told(**keys: Any) -> Any:
+    """Return what was solved of a limb, as reports see it."""
+    problem = build(limb(), [Goal("elbow", (0.27, 0.0, 0.0))])
+    own = track(name="hand", goal=problem.goals[0])
+    given = {
+        "problem": problem,
+        "take": SimpleNamespace(
+            rig=problem.rig, clock=SimpleNamespace(times=np.arange(10.0, 15))
+        ),
+        "tracks": SimpleNamespace(goals=(own,), path=Path("p")),
+        "statuses": (IkStatus.CONVERGED,) * 5,
+        "misses": np.zeros((5, 1, 4)), "asked": np.ones((5, 1, 4), bool),
+        "away": [19.0], "size": 1.0, "between": (), "jumps": (), "steadier": None,
+        "on_limits": {},
+    }  # fmt: skip
+    return SimpleNamespace(**{**given, **keys})
+
+
+def span(**keys: Any) -> MissedSpan:
+    given = {
+        "first": 10.0, "last": 12.0, "distance": 0.0, "angle": 0.0, "frame": 11.0,
+        "status": IkStatus.NEAREST,
+    }  # fmt: skip
+    return MissedSpan(**{**given, **keys})
+
+
+def test_targets_twenty_sizes_away_are_told_where_they_are_not_missed() -> None:
+    fine = [GoalReport("hand", "elbow", (3, 4), (), ())]
+    assert away_notices(told(away=[20.0]), fine) == []
+    (found,) = away_notices(told(away=[20.1]), fine)
+    assert (found.code, found.lines, found.column, found.where) == (
+        "TGT106", (1,), 1, "goals[0]"
+    )  # fmt: skip
+    assert "20.1 m from where it starts, and the rig is 1 m large" in found.message
+    missed = [replace(fine[0], spans=(span(),))]
+    assert away_notices(told(away=[20.1]), missed) == []
+    assert [n.code for n in take_notices(told(away=[20.1]), fine)] == ["TGT106"]
+
+
+def test_what_is_missed_is_told_in_lengths_and_angles() -> None:
+    rows = (span(distance=0.25), span(first=14.0, last=14.0, angle=np.radians(30.0)))
+    (found,) = missed_notices(told(), [GoalReport("hand", "elbow", (3, 4), (), rows)])
+    assert found.code == "IK101"
+    assert found.message.startswith(
+        "'hand' is not reached at frames 10 to 12, frame 14: "
+    )
+    assert "30" in found.message
+    assert found.hint is None
+    both = (span(distance=0.25, angle=np.radians(2.0)),)
+    (found,) = missed_notices(told(), [GoalReport("hand", "elbow", (3, 4), (), both)])
+    assert "25 cm and 2" in found.message or "250 mm and 2" in found.message
+    for status, word in (
+        (IkStatus.BUDGET, "steps or time"),
+        (IkStatus.NEAREST, "far bey"),
+    ):
+        far = 100.0 if status is IkStatus.NEAREST else 0.1
+        rows = (span(distance=far, status=status),)
+        (found,) = missed_notices(
+            told(), [GoalReport("hand", "elbow", (3, 4), (), rows)]
+        )
+        assert word in str(found.hint)
+
+
+@pytest.mark.parametrize(
+    ("joint", "missed", "asked", "soft", "snaps"),
+    [
+        ("elbow", (0.0, 0.1), True, 0.0, True),
+        ("elbow", (0.1, 0.0), True, 0.0, True),
+        ("elbow", (0.1, 0.1), True, 0.0, False),
+        ("elbow", (0.0, 0.1), False, 0.0, False),
+        ("elbow", (0.0, 0.1), True, 0.2, False),
+        ("shoulder", (0.0, 0.1), True, 0.0, False),
+    ],
+)
+def test_a_pin_that_snaps_where_its_goal_comes_out_of_reach_may_be_eased(
+    joint: str, missed: Any, asked: bool, soft: float, snaps: bool
+) -> None:
+    misses, wanted = np.zeros((5, 1, 4)), np.ones((5, 1, 4), bool)
+    misses[1:3, 0, 0] = missed
+    wanted[2, 0, 0] = asked
+    own = told(misses=misses, asked=wanted)
+    goal = replace(own.problem.goals[0], soft=soft)
+    own.tracks.goals = (track(name="hand", goal=goal),)
+    names = own.problem.rig.names
+    jump = Jump(2, joint if joint in names else names[0], 0.9)
+    assert _stretching(own, jump) == ("hand" if snaps else None)
+    hint = jump_notices(SimpleNamespace(**{**vars(own), "jumps": (jump,)}))[0].hint
+    assert ("'hand' eases it out" in str(hint)) is snaps

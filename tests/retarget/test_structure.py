@@ -97,3 +97,27 @@ def test_who_stands_has_a_way_up_and_a_left() -> None:
     assert_allclose(left_of(none, TIPS, None, at_rest=True), [1, 0, 0], atol=1e-12)
     lying = left_of(standing(0.0, UpAxis.Z), {}, None, at_rest=True)
     assert_allclose(lying, [1, 0, 0], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("way", "twists"),
+    [
+        ((-1.04, 0.0, 0.0), True),
+        ((-1.06, 0.0, 0.0), False),
+        ((-0.5, 0.3, 0.0), False),
+        ((0.0, 0.0, 0.0), True),
+        ((-0.5, 0.01, 0.0), True),
+    ],
+)
+def test_what_lies_along_a_bone_to_its_sibling_twists_it(
+    way: tuple[float, float, float], twists: bool
+) -> None:
+    """No farther than a twentieth beyond it; and what is in the joint itself."""
+    rows = list(tree().joints)
+    rows[6] = Joint("6", 4, translation=way)
+    rows[5] = Joint("5", 4, translation=(-1.0, 0, 0), tips=((-0.4, 0.0, 0.0),))
+    own = Body.of(Rig("tree", tuple(rows)), [{}] * 8, [""] * 8)
+    assert own.limb_children(4) == ([5] if twists else [5, 6])
+    votes = [{"hand_l": 1.0} if j == 6 else {} for j in range(8)]
+    named = Body.of(Rig("tree", tuple(rows)), votes, [""] * 8)
+    assert named.limb_children(4) == [5, 6]

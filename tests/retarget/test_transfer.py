@@ -433,7 +433,16 @@ def test_what_is_measured_adds_up_over_blocks() -> None:
     assert verdict.status in set(Status)
     names = {score.name: score for score in scores_of(first).scores}
     assert names["not mapped"].value == 0
-    assert names["acceleration"].ideal == 1
+    assert {name: score.ideal for name, score in names.items()} == {
+        "drift": 0, "soles": 0, "hands": 0, "limbs": 0, "acceleration": 1,
+        "limits": 0, "not mapped": 0,
+    }  # fmt: skip
+    assert {name: score.usual for name, score in names.items()} == pytest.approx(
+        {
+            "drift": 1e-3, "soles": 1e-3, "hands": 0.01, "limbs": np.radians(3),
+            "acceleration": 1.25, "limits": 0.05, "not mapped": 0.2,
+        }
+    )  # fmt: skip
     lost = replace(first, unmapped_source=("a", "b", "c"))
     found = {score.name: score.value for score in scores_of(lost).scores}
     assert found["not mapped"] == pytest.approx(3 / 15)
