@@ -342,3 +342,25 @@ def test_a_pull_beyond_numbers_asks_for_no_sound_at_first() -> None:
     pull = np.full((3, 3), -1e308)
     with np.errstate(over="ignore", invalid="ignore"):
         assert own.first_sound(1e308 * np.sign(X - 2), pull) == 0
+
+
+@pytest.mark.parametrize(("room", "tries"), [(2, 2), (1.9, 1), (4, 3), (3.9, 2)])
+def test_parts_are_doubled_as_far_as_the_most_that_there_may_be(
+    monkeypatch: pytest.MonkeyPatch, room: float, tries: int
+) -> None:
+    own = fluid()
+    state = own.initial()
+    asked: list[int] = []
+
+    def steps(*given: Any) -> Pressed:
+        asked.append(given[-1])
+        return Pressed(state.motion, state.pressures, 0.08 * 0.5 ** len(asked), ())
+
+    monkeypatch.setattr(own, "_kernel", steps)
+    still = np.zeros((3, 3))
+    own._pressed(state, 0.0, 0.01, still, [])
+    first = asked[0]
+    asked.clear()
+    own._substeps.most = room * first  # type: ignore[assignment]
+    own._pressed(state, 0.0, 0.01, still, [])
+    assert asked == [first * 2**k for k in range(tries)]

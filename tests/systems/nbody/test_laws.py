@@ -10,6 +10,7 @@ import pytest
 from adapters.nbody import _Context, nbody
 from numpy.testing import assert_allclose, assert_array_equal
 
+from animtool.core.errors import AnimtoolError
 from animtool.maths import so3
 from animtool.sim.colliders import Poses
 from animtool.systems.framework import matter
@@ -309,3 +310,18 @@ def test_what_stays_on_an_orbit_is_that_of_its_pericentre(
     assert_allclose(spin, [-size, 0, 0], atol=1e-9)
     assert_allclose(2 * x + 3 * y, 0, atol=1e-9)
     assert off @ way <= 1e-9
+
+
+@pytest.mark.parametrize(
+    ("softening", "why"),
+    [(0.0, "attraction is infinite"), (0.5, "nothing tells them apart")],
+)
+def test_two_at_one_place_are_refused_for_what_they_do(
+    softening: float, why: str
+) -> None:
+    x = np.array([[0.0, 0, 0], [1, 0, 0], [1, 0, 0]])
+    with pytest.raises(AnimtoolError, match="bodies 1 and 2 begin") as error:
+        nbody(x, 0 * x, np.ones(3), 1.0, softening, 0.01)
+    (fault,) = error.value.faults
+    assert why in str(fault)
+    assert fault.hint == "move one of them"
