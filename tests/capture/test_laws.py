@@ -784,6 +784,13 @@ def test_a_camera_that_turned_is_stale_and_the_others_have_their_noise() -> None
     found = measured_noise(replace(seen, stored=good), cameras, 5.0, 6600.0)
     assert (found.agree, found.stale) == (True, {})
     assert_allclose(found.pixels, 0.5, rtol=0.2)
+    # All alike, they have one noise; one that is twice as noisy has its own.
+    assert np.ptp(found.pixels) == 0
+    loud = good.copy()
+    loud[:, 1] += rng.normal(0, 1.0, (40, 8, 2))
+    found = measured_noise(replace(seen, stored=loud), cameras, 5.0, 6600.0)
+    assert found.pixels[1] > 1.5 * found.pixels[0]
+    assert np.ptp(np.delete(found.pixels, 1)) == 0
 
 
 @pytest.mark.parametrize("keep", [False, True])

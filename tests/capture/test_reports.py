@@ -234,6 +234,10 @@ def test_what_was_cleaned_is_counted() -> None:
         "b rotation at 3 Hz", "a translation at 5 Hz"
     ]  # fmt: skip
     assert scores_of(0, []).names == {}
+    shaken = [CleanedSignal("a", False, (), 0.5, None), *signals]
+    assert [s.value for s in scores_of(10, shaken).scores[:2]] == [0.5, 0.03]
+    turned = [CleanedSignal("a", True, (), 0.5, None), *signals]
+    assert [s.value for s in scores_of(10, turned).scores[:2]] == [0.002, 0.5]
     long: Any = SimpleNamespace(clock=SimpleNamespace(count=100))
     (note,) = notices(long, signals, CleanOptions())
     assert note.code == "CAP101"

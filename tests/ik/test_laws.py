@@ -647,3 +647,16 @@ def test_a_pin_that_snaps_where_its_goal_comes_out_of_reach_may_be_eased(
     assert _stretching(own, jump) == ("hand" if snaps else None)
     hint = jump_notices(SimpleNamespace(**{**vars(own), "jumps": (jump,)}))[0].hint
     assert ("'hand' eases it out" in str(hint)) is snaps
+
+
+@pytest.mark.parametrize("offset", [0.1, -0.1])
+def test_a_limb_reaches_what_its_last_bone_carries(offset: float) -> None:
+    """Bones of 0.32 m and 0.27 m, and a point that no bone stretches to."""
+    joints = (*limb().joints, Joint("hand", 1, JointType.FIXED, (0.27, 0.0, 0.0)))
+    goal = Goal("hand", (offset, 0.0, 0.0), soft=0.1, stretch=0.2)
+    problem = build(Rig("limb", joints), [goal])
+    (own,) = problem.limbs
+    assert own.reach * problem.length == pytest.approx(0.59 + offset)
+    assert own.bones * problem.length == pytest.approx(0.59)
+    assert (own.goal, own.joints) == (0, (2, 1))
+    assert_allclose(own.origin * problem.length, limb().rest_translations[0])
