@@ -364,3 +364,9 @@ def test_parts_are_doubled_as_far_as_the_most_that_there_may_be(
     own._substeps.most = room * first  # type: ignore[assignment]
     own._pressed(state, 0.0, 0.01, still, [])
     assert asked == [first * 2**k for k in range(tries)]
+
+
+def test_pressure_begins_as_fast_as_the_depth_of_the_fluid_asks_for() -> None:
+    """Of heights from 1 to 5 m under 8 m/s²: 1 % of 1.1 times the head."""
+    begin = fluid(forces=[DOWN]).initial()
+    assert begin.sound == pytest.approx(np.sqrt(32 * 1.1 / 0.01))

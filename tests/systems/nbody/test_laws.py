@@ -325,3 +325,13 @@ def test_two_at_one_place_are_refused_for_what_they_do(
     (fault,) = error.value.faults
     assert why in str(fault)
     assert fault.hint == "move one of them"
+
+
+def test_two_may_begin_where_they_are_farthest() -> None:
+    """Whatever rounding makes of it: at half a turn from the pericentre."""
+    for e in np.linspace(0.05, 0.95, 181):
+        far = 0.3 * (1 + e) / (1 - e)
+        orbit = EncounterModel(pericentre=0.3, eccentricity=e, separation=far)
+        (x, v), (y, w) = on_orbit(orbit, [2.0, 3.0], 2.0)
+        assert np.linalg.norm(y - x) == pytest.approx(far)
+        assert (y - x) @ (w - v) == pytest.approx(0, abs=1e-6)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from animtool.sim.colliders import Collider, Plane, Poses
+from animtool.sim.colliders import Collider, Colliders, Plane, Poses
 from animtool.systems.particles import Emitter, KillRegion, Particles, find_force
-from animtool.systems.particles.spec import ParticlesModel
+from animtool.systems.particles.spec import ParticlesModel, build
 
 
 def test_what_an_emitter_is_where_nothing_is_given() -> None:
@@ -80,3 +81,20 @@ def test_what_a_scene_makes_of_its_entry() -> None:
 def test_a_region_kills_what_is_in_it(height: float, killed: bool) -> None:
     region = KillRegion(Collider(Plane(), Poses.fixed((0, 1, 0)), container=False))
     assert region.kills(np.array([[5.0, height, 0]]), 0.0).tolist() == [killed]
+
+
+@pytest.mark.parametrize("budget", [None, 77])
+def test_evaluations_of_a_step_are_as_many_as_the_context_allows(
+    budget: int | None,
+) -> None:
+    spec = ParticlesModel.model_validate({"name": "it", "emitters": [{"rate": 1}]})
+    parts = {"emitters": [Emitter(rate=1)], "forces": [], "kill": []}
+    floor = Collider(Plane(), Poses.fixed())
+    context = SimpleNamespace(
+        parts=parts, colliders=Colliders([floor]), budget=budget, begin=2.0
+    )
+    made = build(spec, context)  # type: ignore[arg-type]
+    assert made.begin == 2
+    assert list(made.setup.colliders) == [floor]
+    usual = spec.setup(parts).options.budget
+    assert made.setup.options.budget == (usual if budget is None else budget)
