@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from fractions import Fraction
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from support.targets import HEAD, legs, tracks_of, write_targets
 
 from animtool.core.clock import Clock
 from animtool.core.errors import FormatError, OptionError
-from animtool.ik.file import load_targets
+from animtool.ik.file import _Reader, load_targets
 from animtool.ik.values import Frames
 
 FAULTS = {
@@ -252,3 +253,26 @@ def test_json_is_read_too(tmp_path: Path) -> None:
     path.write_text('{"targets": "animtool/1", "goals": [{"effector": "leg_l", '
                     '"position": [0, 0, 1]}]}')  # fmt: skip
     assert load_targets(path, legs()).goals[0].goal.joint == "ankle_l"
+
+
+@pytest.mark.parametrize(
+    ("given", "length", "angle"),
+    [
+        ((None, None), 0.01, 2.0),
+        (("mm", None), 0.001, 2.0),
+        ((None, "deg"), 0.01, np.pi / 180),
+        (("m", "rad"), 1.0, 1.0),
+    ],
+)
+@pytest.mark.parametrize("has_rig", [True, False])
+def test_units_are_those_of_the_file_or_of_the_rig(
+    given: tuple[str | None, str | None], length: float, angle: float, has_rig: bool
+) -> None:
+    own = SimpleNamespace(meters_per_unit=0.01, radians_per_unit=2.0)
+    units = SimpleNamespace(length=given[0], angle=given[1])
+    reader = SimpleNamespace(
+        rig=own if has_rig else None, model=SimpleNamespace(units=units)
+    )
+    found = _Reader._units(reader)  # type: ignore[arg-type]
+    assert found.length == (length if has_rig or given[0] else 1.0)
+    assert found.angle == pytest.approx(angle if has_rig or given[1] else np.pi / 180)

@@ -55,6 +55,31 @@ def test_a_linear_problem_is_that_of_linear_algebra() -> None:
     assert found.after < found.before
 
 
+def test_a_linear_problem_of_two_ways_is_that_of_linear_algebra() -> None:
+    """Up and along, each by itself, though they are one goal of one pose."""
+    slide = JointType.PRISMATIC
+    joints = (
+        Joint("up", -1, slide, axis=(0.0, 1.0, 0.0)),
+        Joint("along", 0, slide, axis=(1.0, 0.0, 0.0), translation=(0.0, 1.0, 0.0)),
+    )
+    problem = build(Rig("slides", joints), [Goal("along")])
+    rng, frames = np.random.default_rng(1), 30
+    wanted = rng.normal(size=(frames, 1, 3)) * [1, 1, 0]
+    weights = rng.uniform(5, 30, (frames, 1))
+    start = np.zeros((frames, 2))
+    options = FitOptions(FPS, 20.0, rounds=50)
+    targets = Targets(wanted + np.array([0, 1, 0]), weights=weighted(problem, weights))
+    found = fit(problem, targets, start, options, path=start)
+    second = np.diff(np.eye(frames), 2, axis=0)
+    bend = (FPS**2 / 20.0) ** 2 / problem.length**2
+    matrix = bend * second.T @ second + ANCHOR / problem.length**2 * np.eye(frames)
+    matrix += np.diag(weights[:, 0] ** 2)
+    right = weights**2 * wanted[:, 0, [1, 0]]
+    np.testing.assert_allclose(
+        found.coordinates, np.linalg.solve(matrix, right), atol=1e-6
+    )
+
+
 def test_limits_are_kept_and_the_rest_is_best_within_them() -> None:
     problem, frames = lift(RangeLimit(-0.5, 0.5)), 30
     height = np.linspace(-2, 2, frames)

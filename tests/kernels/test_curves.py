@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.testing import assert_array_equal
+from numpy.testing import assert_allclose, assert_array_equal
 
 from animtool import _kernels
 
@@ -46,3 +46,22 @@ def test_times_shared_or_of_each_curve() -> None:
 def test_bad_shapes_are_refused(name: str, value: object) -> None:
     with pytest.raises(ValueError, match=rf"^{name}: "):
         _kernels.evaluate_curves(**arguments(**{name: value}))
+
+
+def test_handles_of_segments_that_have_none_may_be_no_numbers() -> None:
+    """A Bezier segment, and a straight one behind it in the same curve."""
+    given = {
+        "first": np.array([0, 3]),
+        "times": np.array([0.0, 1, 2]),
+        "values": np.array([0.0, 1, 5]),
+        "kinds": np.array([3, 1, 0]),
+        "ins": np.array([[np.nan] * 2, [-1 / 3, -1 / 3], [np.nan] * 2]),
+        "outs": np.array([[1 / 3, 1 / 3], [np.nan] * 2, [np.nan] * 2]),
+        "at": np.array([[0.5, 1.25]]),
+    }
+    assert_allclose(_kernels.evaluate_curves(**given), [[0.5, 2]], atol=1e-9)
+    for name, k in (("ins", 1), ("outs", 0)):
+        wrong = {**given, name: given[name].copy()}
+        wrong[name][k, 0] = np.nan
+        with pytest.raises(ValueError, match="not a number"):
+            _kernels.evaluate_curves(**wrong)

@@ -11,7 +11,8 @@ from support.people import named, person
 
 from animtool.core.errors import FormatError, OptionError
 from animtool.retarget import JointMap, map_joints, map_text
-from animtool.retarget.roles import RoleSource
+from animtool.retarget.pairing import _bone, _distance, _nearest, _places
+from animtool.retarget.roles import Anatomy, RoleSource
 from animtool.rig.skeleton import Joint, Rig
 
 
@@ -269,3 +270,28 @@ def test_a_wrong_map_is_refused_with_its_place(
     fault = caught.value.faults[0]
     assert (fault.code, (fault.lines[0], fault.column)) == (code, place)
     assert hint in (fault.hint or "")
+
+
+def test_places_along_a_chain_are_shares_of_its_length() -> None:
+    """Bones of 5, 2 and 3 m; one between of 1 m is on the way."""
+    joints = (
+        Joint("a", -1),
+        Joint("b", 0, translation=(3.0, 4.0, 0.0)),
+        Joint("between", 1, translation=(0.0, 0.0, 1.0)),
+        Joint("c", 2, translation=(1.0, 0.0, 0.0)),
+        Joint("end", 3, translation=(0.0, 3.0, 0.0)),
+    )
+    rig = Rig("chain", joints)
+    assert _distance(rig, 0, 3) == pytest.approx(7)
+    assert _distance(rig, 1, 3) == pytest.approx(2)
+    assert _distance(rig, 3, 1) == pytest.approx(5)
+    none = (RoleSource.NONE,) * 5
+    known = Anatomy(("spine", "spine", "", "spine", ""), none, (1.0,) * 5)
+    assert _bone(rig, known, 3) == pytest.approx(3)
+    assert _bone(rig, known, 4) == 0
+    assert _places(rig, known, [0, 1, 3]) == pytest.approx([0, 0.5, 0.7])
+    headed = Anatomy(("spine", "spine", "", "neck", "head"), none, (1.0,) * 5)
+    assert _bone(rig, headed, 1) == pytest.approx(2)
+    assert _places(rig, known, [4]) == [0]
+    assert _nearest([0.0, 0.5, 0.7], 0.59) == 1
+    assert _nearest([0.0, 0.5, 0.7], 0.61) == 2

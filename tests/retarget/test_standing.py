@@ -14,7 +14,13 @@ from animtool.formats.bvh.write import write_bvh
 from animtool.maths import so3
 from animtool.motion.motion import Channel, Motion
 from animtool.retarget.anatomy import anatomy
-from animtool.retarget.standing import _moves_over, body_axes, stands_along
+from animtool.retarget.standing import (
+    _feet_on_ground,
+    _moves_over,
+    _on_one_level,
+    body_axes,
+    stands_along,
+)
 from animtool.scene.sources.open import open_source
 
 TURN = np.array(up_from_up(UpAxis.Z, UpAxis.Y))
@@ -191,3 +197,34 @@ def test_who_walks_goes_far_and_hardly_up_and_down(
     path = np.linspace([0.0, 0, 0], [0.0, far, high], 9)
     found = _moves_over(path[:, None] + tall, UpAxis.Z, UpAxis.Y)
     assert found == walks
+
+
+@pytest.mark.parametrize(
+    ("low", "feet", "stands"),
+    [
+        (0.5, 0.07, True),
+        (0.5, 0.09, False),
+        (0.5, -0.07, True),
+        (0.05, 0.0, False),
+        (0.09, 0.0, True),
+        (-0.01, 0.0, False),
+        (-0.03, 0.0, True),
+    ],
+)
+def test_feet_are_on_the_ground_of_an_axis_and_nobody_lies_on_the_other(
+    low: float, feet: float, stands: bool
+) -> None:
+    """Of who is a metre long: in more than six tenths of the frames."""
+    body_ = np.array([[0.0, low, feet], [0.0, low + 0.3, feet + 1.0]])
+    away = body_ + np.array([0.0, 5.0, 5.0])
+    for frames, found in ((10, stands), (6, stands), (5, False)):
+        rows = np.stack([body_] * frames + [away] * (10 - frames))
+        assert _feet_on_ground(rows, UpAxis.Z, UpAxis.Y) == found
+
+
+@pytest.mark.parametrize(("span", "level"), [(0.059, True), (0.061, False)])
+def test_who_lies_is_lowest_at_one_height(span: float, level: bool) -> None:
+    rows = np.zeros((101, 2, 3))
+    rows[:, 1, 0] = 1.0
+    rows[:, :, 1] = np.linspace(0, span / 0.8, 101)[:, None]
+    assert _on_one_level(rows, UpAxis.Y) == level

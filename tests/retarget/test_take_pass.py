@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -88,3 +90,22 @@ def test_a_take_in_which_no_foot_stands_says_so(
     options = RetargetPassOptions(rig=str(root / "rigs/biped/biped.rig.yaml"))
     apply_pass(TakeStream.of(short), find_pass("retarget"), options, context).collect()
     assert [n.code for n in context.notices if n.code == "MAP007"] == codes
+
+
+def test_frames_a_second_are_those_that_the_take_has(
+    root: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Every other frame of 30 a second are 15."""
+
+    class Stop(Exception):  # noqa: N818
+        pass
+
+    def stop(*given: Any, **_: Any) -> None:
+        raise Stop(*given[3:])
+
+    monkeypatch.setattr("animtool.retarget.take_pass.Retargeting", stop)
+    take = open_source(root / "samples/walk/walk.bvh").collect()
+    slow = replace(take, clock=replace(take.clock, step=Fraction(2)))
+    with pytest.raises(Stop) as caught:
+        onto_rig(TakeStream.of(slow), take.rig, RetargetOptions())
+    assert caught.value.args == (float(take.clock.fps) / 2,)

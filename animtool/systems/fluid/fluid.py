@@ -385,8 +385,8 @@ class Fluid:
                 made=state.made + count,
                 held=state.held + new.missed + blocked,
             )
-            gained = self._energy(grown)[0] - self._energy(state)[0]
-            state = replace(grown, energy=state.energy + gained) if count else state
+            gained = self._energy(grown)[0] - self._energy(state)[0] if count else 0.0
+            state = replace(grown, energy=state.energy + gained)
         return state
 
     def _quantities(self, state: FluidState, t: float) -> Quantities:

@@ -238,3 +238,23 @@ def test_what_is_no_calibration(tmp_path: Path) -> None:
     with pytest.raises(FormatError) as caught:
         load_cameras(path)
     assert (caught.value.code, caught.value.faults[0].lines) == ("CAM002", (11,))
+
+
+@pytest.mark.parametrize(
+    ("unit", "far"), [("m", 4.0), ("cm", 0.04), ("mm", 0.004), ("in", 0.1016)]
+)
+def test_ours_are_in_the_unit_that_they_say(
+    tmp_path: Path, unit: str, far: float
+) -> None:
+    """Translations are; what a camera has of its lens is filled up with zeros."""
+    text = GOOD.replace("views:", f"units: {{length: {unit}}}\nup: Z\nviews:")
+    text = text.replace(
+        "name: a,", "name: a, skew: 2, distortion: [0.1, 0.2, 0.3, 0.4],"
+    )
+    found = load_cameras(written(tmp_path / "a.cameras.yaml", text))
+    first, second = found.cameras
+    np.testing.assert_allclose(first.translation, [0, 0, far])
+    np.testing.assert_allclose(second.rotation, [[0, 0, 1], [0, 1, 0], [-1, 0, 0]])
+    assert (first.focal, first.centre, first.size) == ((1300, 1300), (960, 540), None)
+    assert (first.skew, first.distortion) == (2, (0.1, 0.2, 0.3, 0.4, 0, 0, 0, 0))
+    assert found.up is UpAxis.Z

@@ -1,0 +1,78 @@
+"""Names of points that explain all distances between them best."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from animtool.capture.markers.geometry import Distances
+from animtool.capture.markers.naming import Naming
+
+SHAPE = np.random.default_rng(6).uniform(-0.15, 0.15, (7, 3))
+REST = np.linalg.norm(SHAPE[:, None] - SHAPE, axis=-1)
+
+
+def naming(order: list[int], seen: float = 100.0) -> Naming:
+    """Return the naming of points that are these markers of one rigid shape."""
+    mean = REST[np.ix_(order, order)] + 1e-4
+    spread = np.full_like(mean, 5e-4)
+    np.fill_diagonal(mean, np.nan)
+    return Naming(Distances(mean, spread), np.full(mean.shape, seen), REST)
+
+
+ORDER = [4, 0, 6, 2, 1, 5, 3]
+
+
+def test_points_of_a_rigid_shape_get_the_names_of_those_about_them() -> None:
+    own = naming(ORDER)
+    assert (own.given == -1).all()
+    for point in (0, 1, 2):
+        own.put(point, ORDER[point])
+    own.grow()
+    assert own.given.tolist() == ORDER
+    other = own.copy()
+    other.put(0, -1)
+    assert own.given.tolist() == ORDER
+    assert other.given.tolist() == [-1, *ORDER[1:]]
+    assert other.total() < own.total()
+    other.grow()
+    assert other.given.tolist() == ORDER
+    assert own.total() == pytest.approx(other.total(), rel=1e-5)
+
+
+@pytest.mark.parametrize(("a", "b"), [(0, 3), (1, 6), (2, 5)])
+def test_names_that_are_exchanged_are_put_right(a: int, b: int) -> None:
+    """The first marker and the last one too."""
+    own = naming(ORDER)
+    wrong = [b if m == a else a if m == b else m for m in ORDER]
+    for point, marker in enumerate(wrong):
+        own.put(point, marker)
+    before = own.total()
+    own.improve()
+    assert own.given.tolist() == ORDER
+    assert own.total() > before + 1
+
+
+def test_two_pairs_and_three_are_exchanged_at_once() -> None:
+    for change in ({0: 1, 1: 2, 2: 0}, {0: 1, 1: 0, 2: 3, 3: 2}):
+        own = naming(ORDER)
+        for point, marker in enumerate(ORDER):
+            own.put(point, change.get(marker, marker))
+        own.improve()
+        assert own.given.tolist() == ORDER
+
+
+def test_names_in_doubt_and_markers_that_lack_points() -> None:
+    own = naming(ORDER)
+    for point, marker in enumerate(ORDER):
+        own.put(point, marker)
+    assert own.doubt(set()) is None
+    assert not len(own.lacking())
+    wrong = naming(ORDER)
+    for point, marker in enumerate([0, 4, *ORDER[2:]]):
+        wrong.put(point, marker)
+    found = wrong.doubt(set())
+    assert found in {(0, 4), (1, 0)}
+    assert wrong.doubt({(0, 4), (1, 0)}) not in {(0, 4), (1, 0)}
+    own.put(3, -1)
+    assert own.lacking().tolist() == [2]
