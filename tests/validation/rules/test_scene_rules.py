@@ -337,9 +337,7 @@ def test_what_building_refuses_is_found_with_faults_of_keys(tmp_path: Path) -> N
 
 def test_steps_that_a_bake_refuses_are_found(tmp_path: Path) -> None:
     path = tmp_path / "page.scene.yaml"
-    text = (
-        "scene: animtool/1\nrange: [1, 10000]\n" + ROPE + "output: {file: a.usda}\n"
-    )
+    text = "scene: animtool/1\nrange: [1, 10000]\n" + ROPE + "output: {file: a.usda}\n"
     path.write_text(text.replace("count: 6", "name: r\n    count: 6\n    step: 1e-6"))
     assert codes(path) == ["SCN091"]
 
