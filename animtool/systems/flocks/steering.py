@@ -65,18 +65,23 @@ def _target(path: PathModel, x: FloatArray) -> FloatArray:
     return np.stack([np.interp(along, marks, each) for each in points.T], axis=1)
 
 
+# Over which colliders' velocities are told [s]: frames are far longer.
+INSTANT = 1e-3
+
+
 def avoidance(
     members: Members, colliders: Colliders, t: float, x: FloatArray, v: FloatArray
 ) -> FloatArray:
     """Return what keeps members clear of colliders ``(N, 3)`` [m/s²].
 
     Near a surface they are pushed off; who goes towards it is also braked as much as
-    stops it there: by the square of its speed over twice the distance.
+    stops it there: by the square of its speed against the collider's over twice the
+    distance.
     """
     made = np.zeros_like(x)
     reach = members.each([one.avoidance.distance for one in members.species])
     push = members.each([one.avoidance.weight for one in members.species])
-    found = colliders.sample(x, t)
+    found = colliders.sample(x, t, t + INSTANT)
     for distances, normals, speeds in zip(
         found.distances, found.normals, found.velocities, strict=True
     ):

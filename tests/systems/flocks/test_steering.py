@@ -9,7 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from animtool.core.errors import Severity
-from animtool.sim.colliders import Collider, Colliders, Plane, Poses
+from animtool.sim.colliders import Collider, Colliders, Plane, Poses, Sphere
 from animtool.systems.flocks.flock import FlockForces
 from animtool.systems.flocks.members import Members
 from animtool.systems.flocks.rules import rules_of, wrapping
@@ -102,6 +102,20 @@ def test_a_wall_stops_who_comes_within_the_room_that_is_left(
     x, v = np.array([[0.0, height, 0.0]]), np.array([[1.0, speed, 0.0]])
     found = avoidance(own, floor, 0.0, x, v)
     assert_allclose(found, [[0, away, 0]], atol=1e-9)
+
+
+def test_a_wall_that_comes_is_avoided_as_one_that_is_flown_at() -> None:
+    own = members({"radius": 0.1, "avoidance": {"distance": 3, "weight": 10}})
+    ends = [[0.0, -2.0, 0.0], [0.0, 2.0, 0.0]]
+    ball = Collider(Sphere(1.0), Poses([0.0, 1.0], ends, [[0, 0, 0, 1]] * 2))
+    x, still, down = np.array([[0.0, 1.0, 0.0]]), np.zeros((1, 3)), np.zeros((1, 3))
+    down[0, 1] = -4.0
+    comes = avoidance(own, Colliders([ball]), 0.25, x, still)
+    held = Collider(Sphere(1.0), Poses([0.0], [[0.0, -1.0, 0.0]], [[0, 0, 0, 1]]))
+    flown = avoidance(own, Colliders([held]), 0.25, x, down)
+    assert_allclose(comes, flown, rtol=1e-9)
+    # Braked by the square of 4 m/s over twice the gap of .9 m, and pushed by .7 of 10.
+    assert comes[0, 1] == pytest.approx(0.7 * (7.0 + 16.0 / 1.8), rel=1e-9)
 
 
 def test_a_wall_is_avoided_from_a_metre_and_a_half_on() -> None:
