@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Annotated
 
 from animtool.core.options import option, or_more
+from animtool.core.record import dataclass
 
 
 @dataclass(frozen=True, slots=True)

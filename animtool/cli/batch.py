@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import shlex
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -31,6 +31,7 @@ from animtool.cli.options import (
 from animtool.core.errors import Fault, Severity, listed
 from animtool.core.names import is_named
 from animtool.core.process.signals import TerminatedError
+from animtool.core.record import dataclass
 
 if TYPE_CHECKING:
     from animtool.batch.report import BatchReport, ItemReport

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 from pathlib import PurePath
 from typing import Literal
 from xml.etree import ElementTree
 
 from animtool.core.quantities import escaped, escaped_lines
+from animtool.core.record import dataclass
 
 
 @dataclass(frozen=True, slots=True)

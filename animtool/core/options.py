@@ -12,13 +12,14 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import MISSING, dataclass, field, fields, make_dataclass
+from dataclasses import MISSING, field, fields, make_dataclass
 from functools import cache
 from types import MappingProxyType
 from typing import Any, ClassVar, Literal, TypeAlias, TypeVar, cast, get_type_hints
 
 from animtool.core.arguments import argument
 from animtool.core.errors import Fault
+from animtool.core.record import dataclass
 
 # What a value is, and so how files and the command line write it.
 Kind: TypeAlias = Literal[

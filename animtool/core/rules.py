@@ -8,7 +8,6 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
 from enum import StrEnum
 from functools import cache
 from importlib import resources
@@ -17,6 +16,7 @@ from typing import TYPE_CHECKING, Any, cast
 from animtool.core.errors import Fault, OptionError, Severity
 from animtool.core.names import nearest
 from animtool.core.plugins import load_object, load_plugin, plugin_points
+from animtool.core.record import dataclass
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint

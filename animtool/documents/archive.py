@@ -14,7 +14,6 @@ import zipfile
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, Protocol, cast
 
@@ -24,6 +23,7 @@ import numpy.typing as npt
 from animtool.core.config import find_config
 from animtool.core.errors import FormatError
 from animtool.core.files.reading import InputFile, open_input
+from animtool.core.record import dataclass
 
 MAGIC = b"\x93NUMPY"
 # What numpy.load itself takes.

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from animtool.core.options import option
+from animtool.core.record import dataclass
 
 
 @dataclass(frozen=True, slots=True)

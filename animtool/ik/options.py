@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from enum import StrEnum
 
 from animtool.core.options import option
+from animtool.core.record import dataclass
 from animtool.core.units import parse_length
 
 # Takes are solved to within these; what is off by more is missed, where nothing else is

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 
 from animtool.core.arguments import argument
 from animtool.core.options import option
+from animtool.core.record import dataclass
 from animtool.core.shot import FrameRange
 from animtool.scene.sources.open import SourceOptions
 

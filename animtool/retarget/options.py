@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, get_args
 
 from animtool.core.arguments import argument
 from animtool.core.options import option
+from animtool.core.record import dataclass
 from animtool.retarget.roles import MapMode
 
 

@@ -7,7 +7,7 @@ the body moves.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +15,7 @@ import numpy as np
 from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, Severity
+from animtool.core.record import dataclass
 from animtool.core.units import UpAxis
 from animtool.motion.motion import Motion
 from animtool.motion.take import TakeStream

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import MISSING, dataclass, field, replace
+from dataclasses import MISSING, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +12,7 @@ from animtool.core.config import find_config
 from animtool.core.errors import Fault, OptionError, Severity
 from animtool.core.names import nearest
 from animtool.core.options import option, options_of
+from animtool.core.record import dataclass
 from animtool.core.rules import all_rules, current_codes, own_rules
 from animtool.validation.profiles import PROFILES, load_profile
 

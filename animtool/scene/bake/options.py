@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import field, fields, replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -12,6 +12,7 @@ from animtool.core.arguments import argument
 from animtool.core.errors import Fault, OptionError
 from animtool.core.options import Key, option
 from animtool.core.rates import FractionLike, OptionalFraction, rate_option
+from animtool.core.record import dataclass
 from animtool.core.shot import FrameRange, FrameRangeLike, OptionalRange, Shot
 from animtool.core.units import LengthUnit, UpAxis
 from animtool.scene.file.option_text import parse_frame, parse_frame_range

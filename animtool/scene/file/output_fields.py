@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
@@ -13,6 +12,7 @@ from pydantic import Field, create_model
 
 from animtool.core.options import Key, Kind, keys_of, options_of
 from animtool.core.rates import parse_rate
+from animtool.core.record import dataclass
 from animtool.core.shot import FrameRange
 from animtool.core.units import LengthUnit, UpAxis, parse_length
 from animtool.documents.check import FileModel

@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -22,6 +22,7 @@ from animtool.core.errors import (
 )
 from animtool.core.files.output import check_outputs, sparing_inputs
 from animtool.core.names import is_named
+from animtool.core.record import dataclass
 from animtool.core.units import unit_name
 from animtool.ik.file import load_targets
 from animtool.ik.on_take import solve_take

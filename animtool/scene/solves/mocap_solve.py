@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -28,6 +28,7 @@ from animtool.core.files.output import (
 )
 from animtool.core.files.reading import seen_from
 from animtool.core.names import is_named
+from animtool.core.record import dataclass
 from animtool.formats.marker_files import file_of, open_markers
 from animtool.motion.take import TakeStream
 from animtool.rig.placed import at_origin

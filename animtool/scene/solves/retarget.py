@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -17,6 +17,7 @@ from animtool.core.files.output import (
     write_parts,
 )
 from animtool.core.names import is_named
+from animtool.core.record import dataclass
 from animtool.core.units import unit_name
 from animtool.motion.driving import driven_stream
 from animtool.motion.reorient import off_its_place

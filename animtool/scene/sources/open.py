@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
@@ -14,6 +14,7 @@ from animtool.core.names import is_named
 from animtool.core.options import Key, called, option, options_of
 from animtool.core.rates import OptionalFraction, rate_option
 from animtool.core.readers import DOCUMENT, READERS, TIMELINE_SUFFIXES, USD, find_reader
+from animtool.core.record import dataclass
 from animtool.core.shot import Shot
 from animtool.core.units import LengthUnit, UpAxis
 from animtool.scene.bake.progress import Progress
