@@ -161,6 +161,7 @@ OPENED = {
     "animtool.preview.page": "the viewer, which is part of animtool",
     "animtool.retarget.names": "a table that is part of animtool",
     "animtool.core.files.spool": "what it has written itself",
+    "animtool.core.plugins": "what packages say that they have",
     "animtool.core.rules": "pages that are part of animtool",
 }
 READS = {

@@ -326,7 +326,7 @@ def _pickled(
 def _slotted(
     cls: type[Any], declared: Iterable[str], added: Mapping[str, Any]
 ) -> type[Any]:
-    """Return a class rebuilt, with slots for the fields that its bases have none for."""
+    """Return a class with slots for the fields that its bases have none for."""
     held = {
         name for base in cls.__mro__[1:-1] for name in vars(base).get("__slots__", ())
     }

@@ -219,9 +219,9 @@ def _other_is_longer(rig: Rig, motion: Motion) -> bool:
     """Return whether some of a few frames is longer along the other axis than up."""
     if not rig.joints or not motion.frames:
         return False
-    some = np.unique(np.linspace(0, motion.frames - 1, GLANCES).astype(int))
+    some = np.linspace(0, motion.frames - 1, GLANCES).astype(int)
     up, other = np.array(rig.up.vector), np.array(_other(rig.up).vector)
-    for frame in some.tolist():
+    for frame in sorted(set(some.tolist())):
         one = motion.select(slice(frame, frame + 1))
         pose = forward(rig, one.translations.dense(), one.rotations.dense())
         spans = np.ptp(pose.positions[0], axis=0)
