@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable, Mapping
 from enum import StrEnum
 from functools import cache
 from importlib import resources
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 from animtool.core.errors import Fault, OptionError, Severity
@@ -111,8 +112,11 @@ def page_text(code: str) -> str | None:
 @cache
 def own_rules() -> Mapping[str, Rule]:
     """Return animtool's own rules by code, in order: one a page."""
-    texts = (file.read_text("utf-8") for file in _PAGES.iterdir())
-    rules = (_parsed(text)[0] for text in texts)
+    rules = []
+    for file in _PAGES.iterdir():
+        # Of 800 files, the buffers and decoders of text would take half of the time.
+        with cast(Path, file).open("rb", buffering=0) as page:
+            rules.append(_parsed(page.read().decode())[0])
     return {rule.code: rule for rule in sorted(rules, key=lambda rule: rule.code)}
 
 
