@@ -207,16 +207,14 @@ def ik(console: Console, /, **params: Any) -> None:
             raise click.UsageError(message)
         _table(console, params, as_json=as_json)
         return
-    if (output is not None and not to_stdout) and skipped(
-        console, "ik", params, output, lambda: _outputs(params)
-    ):
+    if skipped(console, "ik", params, output, lambda: _outputs(params)):
         return
     from animtool.scene.solves.ik import MissedGoalsError, run_ik
 
     label = f"ik {params['targets'].name}"
     with all_named(), console.progress(label, stdout=to_stdout) as progress:
         try:
-            report = run_ik(_job(params, to_stdout), progress=progress)
+            report = run_ik(_job(params), progress=progress)
         except MissedGoalsError as error:
             _say(console, error.report, as_json=as_json, faults=False)
             raise
@@ -310,7 +308,7 @@ def _table(console: Console, params: dict[str, Any], *, as_json: bool) -> None:
     inputs = [path for path in named if path is not None]
     check_plot(params["plot"], inputs, overwrite=params["overwrite"])
     with console.progress(f"measure {params['targets'].name}") as progress:
-        table = ik_table(_job(params, False), progress=progress)
+        table = ik_table(_job(params), progress=progress)
     if as_json:
         console.result_json(ik_table_json(table))
     else:
@@ -321,10 +319,10 @@ def _table(console: Console, params: dict[str, Any], *, as_json: bool) -> None:
 def _outputs(params: dict[str, Any]) -> Sequence[Path]:
     from animtool.scene.solves.ik import ik_outputs
 
-    return ik_outputs(_job(params, False))
+    return ik_outputs(_job(params))
 
 
-def _job(params: dict[str, Any], to_stdout: bool) -> Any:
+def _job(params: dict[str, Any]) -> Any:
     from animtool.scene.solves.ik import IkJob
 
     pose, degrees = params["pose"], params["tol_degrees"]
@@ -339,13 +337,12 @@ def _job(params: dict[str, Any], to_stdout: bool) -> Any:
         tolerance=params["tol"],
         angle_tolerance=None if degrees is None else math.radians(degrees),
         strict=params["strict"],
-        output=None if to_stdout else params["output"],
-        to_stdout=to_stdout,
-        bake=_bake_options(params, to_stdout),
+        output=params["output"],
+        bake=_bake_options(params),
     )
 
 
-def _bake_options(params: dict[str, Any], to_stdout: bool) -> Any:
+def _bake_options(params: dict[str, Any]) -> Any:
     """Return how outputs are written."""
     output = params["output"]
     flags = {
@@ -363,7 +360,7 @@ def _bake_options(params: dict[str, Any], to_stdout: bool) -> Any:
 
     if flags_given and output is None:
         raise click.UsageError(f"{flags_given[0]} is for an output: give -o.")
-    if flags_given and not to_stdout and not is_usd(output):
+    if flags_given and str(output) != "-" and not is_usd(output):
         raise click.UsageError(f"{flags_given[0]} is for USD, and {output} is none.")
     return written_options_record(
         params,

@@ -89,11 +89,11 @@ def skipped(
     console: Console,
     command: str,
     params: Mapping[str, Any],
-    output: Path,
+    output: Path | None,
     outputs: Callable[[], Sequence[Path]],
 ) -> bool:
     """Return whether ``--skip-existing`` leaves everything as it is, and say so."""
-    if not params["skip_existing"]:
+    if output is None or str(output) == "-" or not params["skip_existing"]:
         return False
     if params["overwrite"]:
         raise click.UsageError(
