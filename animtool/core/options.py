@@ -123,8 +123,13 @@ class Option:
 
     @property
     def about(self) -> str:
-        """What documents it in Python: as files do, else as the command line."""
+        """What documents it in Python: as files do, else as the command line.
+
+        Nothing, where its words on the command line are no values in Python.
+        """
         key = self.scene or self.batch
+        if key is None and self.kind in {"switch", "answer"} and self.choices:
+            return ""
         text = key.description if key else marked(self.help)
         return f"{text} {_UNITS.get(self.kind, '')}".rstrip()
 
