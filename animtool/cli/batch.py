@@ -26,7 +26,9 @@ from animtool.cli.options import (
     common_options,
     count_or_auto,
     listed_paths,
+    overwrites,
     set_option,
+    strict_because,
 )
 from animtool.core.errors import Fault, Severity, listed
 from animtool.core.names import is_named
@@ -179,10 +181,8 @@ Examples:
     metavar="SIZE",
     help="How much memory the process that makes it may have, such as 2GB.",
 )
-@click.option("--strict", is_flag=True, help="Take warnings for errors.")
-@click.option(
-    "--overwrite", is_flag=True, help="Replace files that no run of the batch made."
-)
+@strict_because("Take warnings for errors.")
+@overwrites("files that no run of the batch made")
 @click.option(
     "--format",
     "report_format",

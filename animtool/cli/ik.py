@@ -27,6 +27,7 @@ from animtool.cli.options import (
     source_options,
     source_options_record,
     stacked,
+    strict_because,
 )
 from animtool.cli.outputs import (
     all_named,
@@ -150,10 +151,8 @@ Examples:
     help="An orientation, aim or pole that is off by more is missed, likewise.  "
     f"[default: {MISSED_DEGREES}, or --angle-tolerance]",
 )
-@click.option(
-    "--strict",
-    is_flag=True,
-    help="Write nothing where a goal is missed (exit code 4), or there are warnings.",
+@strict_because(
+    "Write nothing where a goal is missed (exit code 4), or there are warnings."
 )
 @split_option
 @rig_layer_options
