@@ -227,6 +227,7 @@ def _match(console: Console, params: dict[str, Any], source: Any) -> None:
     if skipped(console, "ik", params, output, lambda: [output]):
         return
     from animtool.cli.ik_summary import match_json, match_text
+    from animtool.scene.bake.options import BakeOptions
     from animtool.scene.solves.ik_match import MatchJob, run_match
 
     pose = params["pose"]
@@ -238,9 +239,9 @@ def _match(console: Console, params: dict[str, Any], source: Any) -> None:
         chains=names_of(params["chains"]),
         pose=pose is not None,
         frame=None if isinstance(pose, str) else pose,
-        reduce=params["reduce"],
-        overwrite=params["overwrite"],
-        strict=params["strict"],
+        written=BakeOptions(
+            **{name: params[name] for name in ("reduce", "overwrite", "strict")}
+        ),
     )
     with console.progress(f"match {params['start'].name}") as progress:
         report = run_match(job, progress=progress)
