@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +29,7 @@ from animtool.core.arguments import argument, flag
 from animtool.core.errors import Fault, FormatError
 from animtool.core.files.output import check_outputs, together, write_parts
 from animtool.core.files.placing import output_error
+from animtool.core.record import dataclass
 from animtool.documents.yaml_text import yaml_text
 
 # A process that makes a chunk takes about 1 s to start, and looks at the whole
@@ -54,6 +54,10 @@ class Cuts:
 
     path: Path | None = None  # the timeline; None is that of the batch file
     words: tuple[str, ...] = ()  # options of its shots, in place of the batch's
+
+
+# Of what no timeline cuts.
+WHOLE = Cuts()
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +109,7 @@ def chunk_size(
     return max(1, min(items, round(span / max(seconds, 1e-6))))
 
 
-def batch_bundle(batch: Batch, path: Path, chunk: int, cuts: Cuts = Cuts()) -> Bundle:
+def batch_bundle(batch: Batch, path: Path, chunk: int, cuts: Cuts = WHOLE) -> Bundle:
     """Return the bundle of a batch, and what its file leaves open of shots."""
     more = _cut_words(cuts)
     name = re.sub(r"[{}\x00-\x1f\x7f]", "_", f"animtool {batch.name}")

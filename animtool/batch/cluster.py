@@ -14,7 +14,7 @@ import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from threading import Thread
@@ -47,6 +47,7 @@ from animtool.core.errors import (
 )
 from animtool.core.files.leftovers import new_temporary
 from animtool.core.files.reading import FileState, changed_error
+from animtool.core.record import dataclass
 
 # A scheduler that has not answered by then is not there: with the start of a command,
 # it is reported within 10 s [s].

@@ -10,7 +10,7 @@ import hashlib
 import os
 import pickle
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -23,6 +23,7 @@ from animtool.batch.work import Outcome
 from animtool.batch.worker_process import WorkerProcess, WorkerTask
 from animtool.core.errors import AnimtoolError, Fault, excerpt, listed
 from animtool.core.files.reading import read_input
+from animtool.core.record import dataclass
 
 # Codes of why a worker is left out.
 VERSIONS, INPUTS, DISK = "BAT036", "BAT074", "BAT075"

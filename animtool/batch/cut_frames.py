@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from fractions import Fraction
 from math import floor
 from typing import Any
@@ -14,6 +14,7 @@ from animtool.core.config import Config
 from animtool.core.errors import excerpt
 from animtool.core.names import nearest
 from animtool.core.rates import LARGEST_FRAME, parse_rate
+from animtool.core.record import dataclass
 from animtool.core.shot import SHOT_START, MediaTimecode, Shot, frames_within
 from animtool.core.timecode import is_timecode, parse_timecode
 

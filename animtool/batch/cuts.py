@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from fractions import Fraction
 from math import ceil
 from pathlib import Path
@@ -55,6 +55,7 @@ from animtool.core.errors import (
 from animtool.core.files.reading import MatchedFile
 from animtool.core.names import nearest
 from animtool.core.rates import rate_from_float, rate_label
+from animtool.core.record import dataclass
 from animtool.core.shot import Shot
 from animtool.scene.sources.open import source_stem
 

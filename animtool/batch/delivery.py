@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from pathlib import Path
 
 from animtool.batch.manifest import FileRecord, file_digest
@@ -13,6 +13,7 @@ from animtool.batch.spec import place_of
 from animtool.batch.work import Outcome
 from animtool.core.errors import AnimtoolError
 from animtool.core.files.reading import FileState
+from animtool.core.record import dataclass
 
 
 @dataclass(slots=True)

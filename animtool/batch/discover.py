@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
@@ -39,6 +39,7 @@ from animtool.core.files.reading import MatchedFile, Places, files_meant, neares
 from animtool.core.names import check_given, is_named
 from animtool.core.rates import rate_label
 from animtool.core.readers import BVH, DOCUMENT, READERS
+from animtool.core.record import dataclass
 from animtool.core.writers import take_writer
 from animtool.scene.sources.open import is_timeline, source_stem
 

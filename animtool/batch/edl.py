@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from fractions import Fraction
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -19,6 +19,7 @@ from animtool.core.arguments import argument
 from animtool.core.errors import Fault, FormatError, Severity, excerpt
 from animtool.core.files.reading import read_input
 from animtool.core.rates import parse_rate, rate_label
+from animtool.core.record import dataclass
 from animtool.core.timecode import count_rate, parse_timecode
 
 # Events of a feature film, with all their comments, take a hundredth [bytes].

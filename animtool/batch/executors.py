@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeAlias, cast
 
@@ -15,6 +14,7 @@ from animtool.core.arguments import argument
 from animtool.core.errors import Fault, OptionError, excerpt
 from animtool.core.names import nearest
 from animtool.core.plugins import load_object, load_plugin, plugin_points
+from animtool.core.record import dataclass
 
 PLUGIN_GROUP = "animtool.executors"
 

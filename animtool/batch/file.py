@@ -32,10 +32,18 @@ from animtool.core.names import is_variable_name
 from animtool.core.timecode import is_timecode
 from animtool.documents.check import FileModel, check_version, validated
 from animtool.documents.document import Document, Location, read_document
-from animtool.documents.fields import IgnoreModel, Name, Real, Whole, WholeFrame, key
+from animtool.documents.fields import (
+    IgnoreModel,
+    Name,
+    Real,
+    Whole,
+    WholeFrame,
+    key,
+    with_fields,
+)
 from animtool.documents.references import referred_input
 from animtool.scene.bake.options import BakeOptions
-from animtool.scene.file.output_fields import KeyReader, option_keys, with_keys
+from animtool.scene.file.output_fields import KeyReader, option_keys
 from animtool.scene.sources.open import SourceOptions, is_timeline
 
 Value = str | Real | bool
@@ -108,24 +116,16 @@ class LimitsModel(FileModel):
     )
 
 
-@with_keys(
+@with_fields(
     BakeOptions,
-    "batch",
-    *(
-        "rig",
-        "units",
-        "up",
-        "positions",
-        "source_fps",
-        "clamp",
-        "fps",
-        "range",
-        "start",
+    place="batch",
+    order=(
+        *("rig", "units", "up", "positions", "source_fps", "clamp", "fps", "range"),
+        *("start", "as", "rig_layer", "force_fit", "prim_path", "to_units", "to_up"),
+        *("sparse", "bones", "reduce", "reduce_at", "strict"),
     ),
-    *("as", "rig_layer", "force_fit", "prim_path", "to_units", "to_up", "sparse"),
-    *("bones", "reduce", "reduce_at", "strict"),
 )
-@with_keys(SourceOptions, "batch")
+@with_fields(SourceOptions, place="batch")
 class OptionsModel(FileModel):
     """How to bake the inputs, where no scene says it."""
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields, is_dataclass, replace
+from dataclasses import field, fields, is_dataclass, replace
 from pathlib import Path, PurePath, PurePosixPath, PureWindowsPath
 from string import Formatter
 from typing import TYPE_CHECKING, Any, cast
@@ -29,6 +29,7 @@ from animtool.core.errors import Fault, FormatError, OptionError, excerpt
 from animtool.core.files.output import inside, name_problem
 from animtool.core.files.reading import MatchedFile
 from animtool.core.names import is_named, nearest
+from animtool.core.record import dataclass
 from animtool.core.shot import Shot
 from animtool.scene.bake.options import BakeOptions
 from animtool.scene.sources.open import OpenTake, fitting_options, source_stem

@@ -13,7 +13,7 @@ import os
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -38,6 +38,7 @@ from animtool.core.files.leftovers import is_running
 from animtool.core.files.output import replacing
 from animtool.core.files.placing import output_error
 from animtool.core.files.reading import FileState
+from animtool.core.record import dataclass
 
 if TYPE_CHECKING:
     from filelock import FileLock

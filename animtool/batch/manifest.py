@@ -12,7 +12,7 @@ import json
 import math
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +30,7 @@ from animtool.batch.records import (
 from animtool.core.errors import Fault
 from animtool.core.files.output import replacing
 from animtool.core.files.reading import FileState, open_input
+from animtool.core.record import dataclass
 from animtool.motion.scores import PassScores, Score, ScoreUnit
 
 # What names, digests and clocks can be.

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import os
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from pathlib import Path
 
 from animtool.core.errors import Fault, Severity, listed
 from animtool.core.files.reading import MatchedFile, Places, files_meant
+from animtool.core.record import dataclass
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,7 +12,7 @@ import signal
 import sys
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import field
 from multiprocessing import get_context
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import ForkServerContext, SpawnContext
@@ -36,6 +36,7 @@ from animtool.core.errors import Fault, OutputError
 from animtool.core.files.leftovers import remove_leftovers
 from animtool.core.process.signals import without_interrupts
 from animtool.core.process.supervisor import CRASHES, crash_fault, without_main
+from animtool.core.record import dataclass
 
 # One thread each: as many processes run as there are processors.
 ENVIRONMENT = {

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from animtool.batch.discover import Batch
 from animtool.batch.item import Item
@@ -13,6 +13,7 @@ from animtool.batch.work import Measured, Outcome, Status
 from animtool.core.arguments import Calling
 from animtool.core.errors import ExitCode, Fault, Severity
 from animtool.core.junit import JunitCase, junit_xml
+from animtool.core.record import dataclass
 from animtool.motion.scores import PassScores, badness
 
 # How many of the slowest items, and of the worst errors, a summary names.

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from animtool.batch.discover import Batch, find_batch
@@ -24,6 +23,7 @@ from animtool.batch.spec import BatchSpec, named_from, place_of
 from animtool.batch.work import ItemBuilder, Outcome, Status
 from animtool.core.errors import Fault, OptionError
 from animtool.core.files.leftovers import remove_leftovers
+from animtool.core.record import dataclass
 
 EXECUTOR = "processes"
 

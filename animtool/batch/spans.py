@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import field
 from fractions import Fraction
 from math import isfinite
 from typing import Any, TypeAlias
@@ -16,6 +16,7 @@ from animtool.batch.timeline import (
     seconds_of,
 )
 from animtool.core.errors import excerpt
+from animtool.core.record import dataclass
 
 # What systems call effects that are no `TimeEffect` and change times all the same.
 _OF_TIME = re.compile(r"time\W*_?(warp|remap|ramp|curve)|retime|speed", re.IGNORECASE)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from fractions import Fraction
 from functools import cache
 from pathlib import Path, PurePosixPath
@@ -12,6 +12,7 @@ from pathlib import Path, PurePosixPath
 from animtool.batch.overrides import Override
 from animtool.batch.variants import Variants
 from animtool.core.errors import excerpt
+from animtool.core.record import dataclass
 from animtool.scene.bake.options import BakeOptions
 
 # Beyond what anybody waits for, and within what systems can count.

@@ -8,13 +8,13 @@ import itertools
 import math
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from decimal import Decimal, InvalidOperation
 from pathlib import Path
 
 from animtool.core.arguments import argument
 from animtool.core.errors import Fault, FormatError, OptionError, counted, excerpt
 from animtool.core.names import is_variable_name
+from animtool.core.record import dataclass
 from animtool.documents.document import read_text
 
 # More items than a person means; a slip of a step asks for millions.

@@ -7,7 +7,7 @@ import os
 import sys
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from enum import StrEnum
 from importlib import import_module
 from multiprocessing.connection import Connection
@@ -24,6 +24,7 @@ from animtool.core.files.reading import FileState, Inputs, note_input, recorded_
 from animtool.core.names import is_named
 from animtool.core.process.supervisor import follow_parent, report_reading
 from animtool.core.readers import BVH, DOCUMENT, READERS, USD
+from animtool.core.record import dataclass
 from animtool.motion.scores import PassScores
 
 if TYPE_CHECKING:

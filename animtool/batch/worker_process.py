@@ -12,7 +12,7 @@ import os
 import pickle
 import sys
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import field
 from subprocess import PIPE, Popen
 from typing import IO, cast
 
@@ -20,6 +20,7 @@ from animtool.batch.item import Item
 from animtool.batch.pool import run_processes
 from animtool.batch.spec import Limits
 from animtool.batch.work import ItemBuilder, Outcome
+from animtool.core.record import dataclass
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from animtool.capture.options import CleanOptions
 from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.errors import Fault, OptionError, Severity, counted, listed
 from animtool.core.quantities import angle_text, length_text
+from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.maths.filters import (
     NOISE_ORDER,

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Annotated
 
-from animtool.core.options import option, or_more
+from animtool.core.options import described, option, or_more
+from animtool.core.record import dataclass
 
 
+@described
 @dataclass(frozen=True, slots=True)
 class CleanOptions:
     """What to remove.
@@ -41,16 +42,13 @@ class CleanOptions:
     )
 
 
+@described
 @dataclass(frozen=True, slots=True)
 class TriangulateOptions:
     """How points are triangulated.
 
     Attributes:
         noise: Standard deviation of a pixel's axis [px]; None measures it.
-        gate: Observations farther from the point than this many standard deviations
-            are left out.
-        min_angle: Least angle between rays [rad]; points that only flatter ones see
-            have no depth, and are left out.
         keep_moved: Whether cameras that moved or are stale take part all the same.
     """
 
@@ -84,18 +82,10 @@ class TriangulateOptions:
     )
 
 
+@described
 @dataclass(frozen=True, slots=True)
 class FaceOptions:
-    """How landmarks become weights.
-
-    Attributes:
-        smooth: How much changes from frame to frame cost: 1 is as noise and a lively
-            face ask for, 0 nothing.
-        head: What becomes of the head's motion: ``rotation`` turns the head joint,
-            ``pose`` also moves the root, ``none`` leaves it out.
-        neutral: Frame, from 0, in which the face of the capture is neutral: its
-            proportions then are those of the actor. None takes those of the rig.
-    """
+    """How landmarks become weights."""
 
     smooth: float = option(
         1.0,
@@ -119,6 +109,7 @@ class FaceOptions:
     )
 
 
+@described
 @dataclass(frozen=True, slots=True)
 class FillOptions:
     """What to repair.
@@ -161,15 +152,13 @@ class FillOptions:
     )
 
 
+@described
 @dataclass(frozen=True, slots=True)
 class SolveOptions:
     """How to solve.
 
     Attributes:
-        noise: How far a marker may be off its place on the bone [m]; more where the
-            capture shows more.
         acceleration: Of joints that is usual [rad/s²]; less is smoother.
-        subject: Prefix of the markers that count; None takes the only one.
     """
 
     noise: float = option(

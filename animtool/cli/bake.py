@@ -191,9 +191,7 @@ def _bake(
         len(outline.outputs) > 1 or not outline.outputs[0].is_stage
     )
     named = files[0] if several else outline.outputs[0].path
-    if named is not None and skipped(
-        console, "bake", params, named, lambda: outline.files
-    ):
+    if skipped(console, "bake", params, named, lambda: outline.files):
         return
     label = files[0].name if len(files) == 1 else f"{len(files)} takes"
     shown = console.progress(f"bake {label}", stdout=to_stdout)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import shlex
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -26,11 +26,14 @@ from animtool.cli.options import (
     common_options,
     count_or_auto,
     listed_paths,
+    overwrites,
     set_option,
+    strict_because,
 )
 from animtool.core.errors import Fault, Severity, listed
 from animtool.core.names import is_named
 from animtool.core.process.signals import TerminatedError
+from animtool.core.record import dataclass
 
 if TYPE_CHECKING:
     from animtool.batch.report import BatchReport, ItemReport
@@ -178,10 +181,8 @@ Examples:
     metavar="SIZE",
     help="How much memory the process that makes it may have, such as 2GB.",
 )
-@click.option("--strict", is_flag=True, help="Take warnings for errors.")
-@click.option(
-    "--overwrite", is_flag=True, help="Replace files that no run of the batch made."
-)
+@strict_because("Take warnings for errors.")
+@overwrites("files that no run of the batch made")
 @click.option(
     "--format",
     "report_format",

@@ -11,7 +11,7 @@ from collections.abc import (
     Mapping,
 )
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TextIO
 
 from animtool.cli.calling import as_flag
@@ -19,6 +19,7 @@ from animtool.core.arguments import Calling, worded
 from animtool.core.errors import Fault, Severity
 from animtool.core.process.supervisor import note_said
 from animtool.core.quantities import escaped, json_printed
+from animtool.core.record import dataclass
 
 _COLORS = {Severity.ERROR: "31", Severity.WARNING: "33", Severity.NOTE: "36"}
 

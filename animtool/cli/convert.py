@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +20,7 @@ from animtool.cli.options import (
 from animtool.cli.outputs import all_named, skipped, writing_options
 from animtool.clip.reduction.tolerance import KEY_TOLERANCE
 from animtool.core.names import is_named
+from animtool.core.record import dataclass
 
 
 @click.command(

@@ -27,6 +27,7 @@ from animtool.cli.options import (
     source_options,
     source_options_record,
     stacked,
+    strict_because,
 )
 from animtool.cli.outputs import (
     all_named,
@@ -150,10 +151,8 @@ Examples:
     help="An orientation, aim or pole that is off by more is missed, likewise.  "
     f"[default: {MISSED_DEGREES}, or --angle-tolerance]",
 )
-@click.option(
-    "--strict",
-    is_flag=True,
-    help="Write nothing where a goal is missed (exit code 4), or there are warnings.",
+@strict_because(
+    "Write nothing where a goal is missed (exit code 4), or there are warnings."
 )
 @split_option
 @rig_layer_options
@@ -207,16 +206,14 @@ def ik(console: Console, /, **params: Any) -> None:
             raise click.UsageError(message)
         _table(console, params, as_json=as_json)
         return
-    if (output is not None and not to_stdout) and skipped(
-        console, "ik", params, output, lambda: _outputs(params)
-    ):
+    if skipped(console, "ik", params, output, lambda: _outputs(params)):
         return
     from animtool.scene.solves.ik import MissedGoalsError, run_ik
 
     label = f"ik {params['targets'].name}"
     with all_named(), console.progress(label, stdout=to_stdout) as progress:
         try:
-            report = run_ik(_job(params, to_stdout), progress=progress)
+            report = run_ik(_job(params), progress=progress)
         except MissedGoalsError as error:
             _say(console, error.report, as_json=as_json, faults=False)
             raise
@@ -230,6 +227,7 @@ def _match(console: Console, params: dict[str, Any], source: Any) -> None:
     if skipped(console, "ik", params, output, lambda: [output]):
         return
     from animtool.cli.ik_summary import match_json, match_text
+    from animtool.scene.bake.options import BakeOptions
     from animtool.scene.solves.ik_match import MatchJob, run_match
 
     pose = params["pose"]
@@ -241,9 +239,9 @@ def _match(console: Console, params: dict[str, Any], source: Any) -> None:
         chains=names_of(params["chains"]),
         pose=pose is not None,
         frame=None if isinstance(pose, str) else pose,
-        reduce=params["reduce"],
-        overwrite=params["overwrite"],
-        strict=params["strict"],
+        written=BakeOptions(
+            **{name: params[name] for name in ("reduce", "overwrite", "strict")}
+        ),
     )
     with console.progress(f"match {params['start'].name}") as progress:
         report = run_match(job, progress=progress)
@@ -310,7 +308,7 @@ def _table(console: Console, params: dict[str, Any], *, as_json: bool) -> None:
     inputs = [path for path in named if path is not None]
     check_plot(params["plot"], inputs, overwrite=params["overwrite"])
     with console.progress(f"measure {params['targets'].name}") as progress:
-        table = ik_table(_job(params, False), progress=progress)
+        table = ik_table(_job(params), progress=progress)
     if as_json:
         console.result_json(ik_table_json(table))
     else:
@@ -321,10 +319,10 @@ def _table(console: Console, params: dict[str, Any], *, as_json: bool) -> None:
 def _outputs(params: dict[str, Any]) -> Sequence[Path]:
     from animtool.scene.solves.ik import ik_outputs
 
-    return ik_outputs(_job(params, False))
+    return ik_outputs(_job(params))
 
 
-def _job(params: dict[str, Any], to_stdout: bool) -> Any:
+def _job(params: dict[str, Any]) -> Any:
     from animtool.scene.solves.ik import IkJob
 
     pose, degrees = params["pose"], params["tol_degrees"]
@@ -339,13 +337,12 @@ def _job(params: dict[str, Any], to_stdout: bool) -> Any:
         tolerance=params["tol"],
         angle_tolerance=None if degrees is None else math.radians(degrees),
         strict=params["strict"],
-        output=None if to_stdout else params["output"],
-        to_stdout=to_stdout,
-        bake=_bake_options(params, to_stdout),
+        output=params["output"],
+        bake=_bake_options(params),
     )
 
 
-def _bake_options(params: dict[str, Any], to_stdout: bool) -> Any:
+def _bake_options(params: dict[str, Any]) -> Any:
     """Return how outputs are written."""
     output = params["output"]
     flags = {
@@ -363,7 +360,7 @@ def _bake_options(params: dict[str, Any], to_stdout: bool) -> Any:
 
     if flags_given and output is None:
         raise click.UsageError(f"{flags_given[0]} is for an output: give -o.")
-    if flags_given and not to_stdout and not is_usd(output):
+    if flags_given and str(output) != "-" and not is_usd(output):
         raise click.UsageError(f"{flags_given[0]} is for USD, and {output} is none.")
     return written_options_record(
         params,

@@ -16,6 +16,7 @@ from animtool.cli.options import (
     common_options,
     count_or_auto,
     format_option,
+    overwrites,
 )
 from animtool.core.names import is_named
 
@@ -60,7 +61,7 @@ Examples:
     help="What a task is to take on one processor.",
 )
 @cut_options
-@click.option("--overwrite", is_flag=True, help="Replace a bundle that is there.")
+@overwrites("a bundle that is there")
 @format_option
 @common_options
 @click.pass_obj

@@ -8,7 +8,13 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from animtool.cli.console import Console
-from animtool.cli.options import INPUT, common_options, format_option, strict_option
+from animtool.cli.options import (
+    INPUT,
+    common_options,
+    format_option,
+    overwrites,
+    strict_option,
+)
 
 if TYPE_CHECKING:
     from animtool.documents.migrate import Migration
@@ -26,7 +32,7 @@ Examples:
     is_flag=True,
     help="Write nothing; say what would change, and end with 1 where something would.",
 )
-@click.option("--overwrite", is_flag=True, help="Replace files of older versions.")
+@overwrites("files of older versions")
 @strict_option
 @format_option
 @common_options

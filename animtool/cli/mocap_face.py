@@ -96,9 +96,7 @@ def face(console: Console, /, landmarks: Path, **params: Any) -> None:
         source_options_record(params),
         BakeOptions(overwrite=params["overwrite"], strict=params["strict"]),
     )
-    if job.output is not None and skipped(
-        console, "mocap face", params, job.output, lambda: face_outputs(job)
-    ):
+    if skipped(console, "mocap face", params, job.output, lambda: face_outputs(job)):
         return
     with all_named(), console.progress(f"face {landmarks.name}") as progress:
         result = run_face(job, progress=progress)

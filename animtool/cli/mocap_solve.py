@@ -114,14 +114,15 @@ def solve(
         params["calibrate"],
         source_options_record(params),
         SolveOptions(**read_values(SolveOptions, params)),
-        None if to_stdout else output,
-        to_stdout,
+        output,
         params["write_rig"],
         params["write_template"],
         written_options_record(params, strict=params["strict"]),
     )
-    if job.output is not None and skipped(
-        console, "mocap solve", params, job.output, lambda: solve_outputs(job)
+    if (
+        output is not None
+        and not to_stdout
+        and skipped(console, "mocap solve", params, output, lambda: solve_outputs(job))
     ):
         return
     with console.progress(f"solve {source.name}", stdout=to_stdout) as progress:

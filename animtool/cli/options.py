@@ -378,9 +378,19 @@ set_option = click.option(
     help="What ${NAME} stands for in a scene, such as shot=sh020; can be given "
     "several times.",
 )
-strict_option = click.option(
-    "--strict", is_flag=True, help="Take warnings for errors and write nothing."
-)
+
+
+def strict_because(what: str) -> Callable[[Command], Command]:
+    """Return the option of a command that takes warnings for errors."""
+    return click.option("--strict", is_flag=True, help=what)
+
+
+def overwrites(what: str) -> Callable[[Command], Command]:
+    """Return the option of a command that may replace what there is."""
+    return click.option("--overwrite", is_flag=True, help=f"Replace {what}.")
+
+
+strict_option = strict_because("Take warnings for errors and write nothing.")
 format_option = click.option(
     "--format",
     "report_format",

@@ -15,6 +15,7 @@ from animtool.cli.options import (
     OUTPUT,
     common_options,
     format_option,
+    overwrites,
     rig_layer_options,
     stacked,
     strict_option,
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
 
 # Of every command that writes files; the last ones, with the console.
 writing_options = stacked(
-    click.option("--overwrite", is_flag=True, help="Replace outputs that exist."),
+    overwrites("outputs that exist"),
     click.option(
         "--skip-existing", is_flag=True, help="Do nothing where all outputs exist."
     ),
@@ -89,11 +90,11 @@ def skipped(
     console: Console,
     command: str,
     params: Mapping[str, Any],
-    output: Path,
+    output: Path | None,
     outputs: Callable[[], Sequence[Path]],
 ) -> bool:
     """Return whether ``--skip-existing`` leaves everything as it is, and say so."""
-    if not params["skip_existing"]:
+    if output is None or str(output) == "-" or not params["skip_existing"]:
         return False
     if params["overwrite"]:
         raise click.UsageError(

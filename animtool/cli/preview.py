@@ -12,6 +12,7 @@ from animtool.cli.options import (
     INPUT,
     common_options,
     format_option,
+    overwrites,
     read_values,
     record_option,
     set_option,
@@ -48,7 +49,7 @@ Examples:
 @record_option(PreviewOptions, "prim_path")
 @source_option(*_OF_SOURCES)
 @set_option
-@click.option("--overwrite", is_flag=True, help="Replace a page that exists.")
+@overwrites("a page that exists")
 @format_option
 @common_options
 @click.pass_obj

@@ -207,8 +207,7 @@ def retarget(
         params["rig"],
         source_options_record(params, "prim_path", "take", "positions"),
         RetargetOptions(**read_values(RetargetOptions, params)),
-        None if to_stdout else output,
-        to_stdout,
+        output,
         params["write_map"],
         written_options_record(
             params,
@@ -216,8 +215,10 @@ def retarget(
             strict=params["strict"],
         ),
     )
-    if job.output is not None and skipped(
-        console, "retarget", params, job.output, lambda: retarget_outputs(job)
+    if (
+        output is not None
+        and not to_stdout
+        and skipped(console, "retarget", params, output, lambda: retarget_outputs(job))
     ):
         return
     with console.progress(f"retarget {source.name}", stdout=to_stdout) as progress:

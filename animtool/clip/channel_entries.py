@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from animtool.clip.channels import ClipChannel
 from animtool.clip.schema import CurveModel, KeyModel
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import counted
+from animtool.core.record import dataclass
 from animtool.documents.document import Document, Location
 from animtool.documents.fields import MAX_FRAME
 from animtool.maths import so3

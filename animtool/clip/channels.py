@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, OptionError, counted
 from animtool.core.names import nearest
+from animtool.core.record import dataclass
 from animtool.core.units import LengthUnit, unit_name
 from animtool.maths import euler
 from animtool.maths.curves import (

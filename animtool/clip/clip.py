@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from fractions import Fraction
 from itertools import chain
 from pathlib import Path
@@ -18,6 +18,7 @@ from animtool.core.errors import Fault, FormatError, OptionError, counted
 from animtool.core.names import flow, number, scaled, text
 from animtool.core.plugins import load_object
 from animtool.core.rates import FractionLike, rate_label, rate_option
+from animtool.core.record import dataclass
 from animtool.core.units import unit_name
 from animtool.maths.curves import Extrapolation, Interp
 from animtool.maths.tangents import Parametrization, Tangent

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from animtool.clip.reduction.keys import ChannelKind, ReducedChannel
 from animtool.clip.reduction.points import SHELL, attached_points, point_errors
 from animtool.clip.sample import sample_values
 from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.record import dataclass
 from animtool.maths.fit import FittedKeys, evaluate_keys, fit_keys
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.take import Take

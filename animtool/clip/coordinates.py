@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence, Set
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from animtool.clip.reduction.keys import ChannelKind
 from animtool.clip.reduction.tracks import Track, euler_order
 from animtool.core.array_types import BoolArray, FloatArray
+from animtool.core.record import dataclass
 from animtool.maths import euler, so3
 from animtool.motion.motion import Motion
 from animtool.rig.joints import DRIVEN_PARTS, split_part

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 from typing import NoReturn
@@ -17,6 +17,7 @@ from animtool.core.config import project_roots
 from animtool.core.errors import Fault, FormatError, OptionError
 from animtool.core.files.reading import is_there
 from animtool.core.rates import RateError, parse_rate
+from animtool.core.record import dataclass
 from animtool.core.units import LengthUnit
 from animtool.documents.check import check_version, validated
 from animtool.documents.document import Document, Location, read_document

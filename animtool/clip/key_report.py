@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -14,6 +13,7 @@ from animtool.clip.reduction.tracks import Track
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, Severity, listed
 from animtool.core.quantities import plain
+from animtool.core.record import dataclass
 from animtool.core.units import unit_name
 from animtool.maths import so3
 from animtool.motion.motion import Channel, Motion

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -35,6 +35,7 @@ from animtool.clip.reduction.tracks import Track, in_order, pose_of, tracks_of
 from animtool.clip.sample import sample_channels, sample_values
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault
+from animtool.core.record import dataclass
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.take import Take
 from animtool.rig.control_inverse import SolvedControls

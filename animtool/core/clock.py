@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from fractions import Fraction
 from numbers import Rational
 from typing import TYPE_CHECKING
 
 from animtool.core.errors import Fault, OptionError
 from animtool.core.rates import rate_label
+from animtool.core.record import dataclass
 
 if TYPE_CHECKING:
     from animtool.core.array_types import FloatArray

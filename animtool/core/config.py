@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import field, fields, replace
 from fractions import Fraction
 from functools import lru_cache
 from pathlib import Path
@@ -12,6 +12,7 @@ from typing import Any
 from animtool.core.errors import Fault, FormatError, OptionError, excerpt
 from animtool.core.files.reading import MAX_TEXT_BYTES, note_input, read_input
 from animtool.core.rates import LARGEST_FRAME, parse_rate
+from animtool.core.record import dataclass
 from animtool.core.timecode import is_timecode
 from animtool.core.toml_text import parse_toml
 

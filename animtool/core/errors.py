@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from enum import IntEnum, StrEnum
 from typing import ClassVar, NoReturn, TypeAlias
 
 from animtool.core.arguments import Calling, marked, worded
 from animtool.core.quantities import escaped
+from animtool.core.record import dataclass
 
 # Names in a message in brief.
 MAX_NAMED = 12

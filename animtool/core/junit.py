@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 from pathlib import PurePath
-from typing import Literal
-from xml.etree import ElementTree
+from typing import TYPE_CHECKING, Literal
 
 from animtool.core.quantities import escaped, escaped_lines
+from animtool.core.record import dataclass
+
+if TYPE_CHECKING:
+    from xml.etree.ElementTree import Element
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,6 +29,8 @@ class JunitCase:
 
 def junit_xml(name: str, cases: Iterable[JunitCase]) -> str:
     """Return one suite of cases; the classname of each is the folder of its file."""
+    from xml.etree import ElementTree  # other reports go without it
+
     suite = ElementTree.Element("testsuite", name=name)
     for case in cases:
         _add(suite, case)
@@ -44,16 +48,18 @@ def junit_xml(name: str, cases: Iterable[JunitCase]) -> str:
     return f'<?xml version="1.0" encoding="UTF-8"?>\n{text}\n'
 
 
-def _add(suite: ElementTree.Element, case: JunitCase) -> None:
+def _add(suite: Element, case: JunitCase) -> None:
+    from xml.etree.ElementTree import SubElement
+
     path = PurePath(case.name)
     folder = path.parent.as_posix()
-    element = ElementTree.SubElement(
+    element = SubElement(
         suite, "testcase", classname=escaped(folder), name=escaped(path.name)
     )
     if case.seconds is not None:
         element.set("time", f"{case.seconds:.3f}")
     if case.outcome != "passed":
-        entry = ElementTree.SubElement(element, case.outcome)
+        entry = SubElement(element, case.outcome)
         if case.code:
             entry.set("type", case.code)
         if case.message:
@@ -61,4 +67,4 @@ def _add(suite: ElementTree.Element, case: JunitCase) -> None:
         if case.text:
             entry.text = escaped_lines(case.text)
     if case.output:
-        ElementTree.SubElement(element, "system-out").text = escaped_lines(case.output)
+        SubElement(element, "system-out").text = escaped_lines(case.output)

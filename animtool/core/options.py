@@ -12,13 +12,23 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import MISSING, dataclass, field, fields, make_dataclass
+from dataclasses import MISSING, field, fields, make_dataclass
 from functools import cache
 from types import MappingProxyType
-from typing import Any, ClassVar, Literal, TypeAlias, TypeVar, cast, get_type_hints
+from typing import (
+    Any,
+    ClassVar,
+    Literal,
+    TypeAlias,
+    TypeVar,
+    cast,
+    get_args,
+    get_type_hints,
+)
 
-from animtool.core.arguments import argument
+from animtool.core.arguments import argument, marked
 from animtool.core.errors import Fault
+from animtool.core.record import dataclass
 
 # What a value is, and so how files and the command line write it.
 Kind: TypeAlias = Literal[
@@ -46,21 +56,24 @@ class _Described:
         self.own = own
 
     def __get__(self, instance: object, owner: type[Any]) -> str:
-        head, _, _ = self.own.partition("    Attributes:\n")
+        head, _, listed = self.own.partition("    Attributes:\n")
+        _, blank, rest = listed.partition("\n\n")
         told = {
             name: text
             for base in reversed(owner.__mro__)
             for text, name in re.findall(_ATTRIBUTE, _own_text(base), re.M)
         }
-        for name, hint in get_type_hints(owner, include_extras=True).items():
-            for note in getattr(hint, "__metadata__", ()):
-                if isinstance(note, Key):
-                    told.setdefault(name, f"        {name}: {note.description}\n")
+        about = {name: each.about for name, each in options_of(owner).items()}
+        about |= {name: key.description for name, key in keys_of(owner).items()}
+        for name, text in about.items():
+            if text:
+                told.setdefault(name, f"        {name}: {text}\n")
         if not told:
             return self.own
         names = [each.name for each in fields(owner)]
         texts = [told[name] for name in names if name in told]
-        return f"{head.rstrip()}\n\n    Attributes:\n{''.join(texts)}    "
+        listed = f"    Attributes:\n{''.join(texts)}{blank[1:]}"
+        return f"{head.rstrip()}\n\n{listed}{rest or '    '}"
 
 
 # One of a docstring, with the lines that it goes on in.
@@ -81,79 +94,68 @@ def described(record: type[Described]) -> type[Described]:
     return record
 
 
+NOTHING: Mapping[str, str] = MappingProxyType({})
+
+
 @dataclass(frozen=True, slots=True)
 class Option:
     """What an option is, and where it applies."""
 
     kind: Kind
-    flag: str  # word of the command line, where it is not the name of the field
-    label: str  # as refusals name it in a scene
-    not_for: frozenset[str]  # uses that refuse it
-    over_layer: str  # why an animation layer refuses it; empty where it does not
+    flag: str = ""  # word of the command line, where it is not the name of the field
+    label: str = ""  # as refusals name it in a scene
+    not_for: tuple[str, ...] = ()  # uses that refuse it
+    over_layer: str = ""  # why an animation layer refuses it; empty where it does not
     # Other options that it excludes, and how a refusal says so, if not the usual way.
-    excludes: Mapping[str, str]
-    goes_with: str  # another option that it wants, or none
-    lacking: str  # how a refusal says that it lacks that, if not the usual way
-    scene: Key | None
-    batch: Key | None
-    help: str  # of the command line; empty where commands have another such option
-    metavar: str | None  # what help calls the value; None is the usual word of the kind
-    choices: tuple[str, ...]  # on the command line; of a switch, off and on
-    least: int  # of a count
-    reason: str  # why a source may not take it
-    written: str | float | None  # the default, where the command line has another unit
-    short: str  # the flag of one letter
+    excludes: Mapping[str, str] = field(default_factory=lambda: NOTHING)
+    goes_with: str = ""  # another option that it wants, or none
+    lacking: str = ""  # how a refusal says that it lacks that, if not the usual way
+    scene: Key | None = None
+    batch: Key | None = None
+    help: str = ""  # of the command line; empty where commands have another such option
+    metavar: str | None = None  # what help calls the value; None is as its kind is
+    choices: tuple[str, ...] = ()  # on the command line; of a switch, off and on
+    least: int = 0  # of a count
+    reason: str = ""  # why a source may not take it
+    # The default, where the command line has another unit.
+    written: str | float | None = None
+    short: str = ""  # the flag of one letter
+
+    @property
+    def about(self) -> str:
+        """What documents it in Python: as files do, else as the command line.
+
+        Nothing, where its words on the command line are no values in Python.
+        """
+        key = self.scene or self.batch
+        if key is None and self.kind in {"switch", "answer"} and self.choices:
+            return ""
+        text = key.description if key else marked(self.help)
+        return f"{text} {_UNITS.get(self.kind, '')}".rstrip()
 
 
-NOTHING: Mapping[str, str] = MappingProxyType({})
+# Of numbers that files and the command line write with a unit.
+_UNITS: dict[Kind, str] = {"length": "[m]", "lengths": "[m]", "angle": "[rad]"}
 
 
 def option(
     default: Any,
     kind: Kind,
     *,
-    flag: str = "",
     default_factory: Any = MISSING,
-    label: str = "",
-    not_for: tuple[str, ...] = (),
-    over_layer: str = "",
-    excludes: Mapping[str, str] = NOTHING,
-    goes_with: str = "",
-    lacking: str = "",
-    scene: Key | None = None,
-    batch: Key | None = None,
     both: Key | None = None,
-    help: str = "",
-    metavar: str | None = None,
-    choices: tuple[str, ...] = (),
-    least: int = 0,
-    reason: str = "",
-    written: str | float | None = None,
-    short: str = "",
+    **said: Any,
 ) -> Any:
-    """Return the field of an option; ``both`` is the key of scenes and batches.
+    """Return the field of an option.
 
-    default, default_factory: As `dataclasses.field` takes them; one is ``MISSING``.
+    Args:
+        default: As `dataclasses.field` takes it, or ``MISSING``.
+        kind: What the value is.
+        default_factory: Likewise.
+        both: The key of scenes and batches.
+        said: What else `Option` has.
     """
-    described = Option(
-        kind,
-        flag,
-        label,
-        frozenset(not_for),
-        over_layer,
-        excludes,
-        goes_with,
-        lacking,
-        scene or both,
-        batch or both,
-        help,
-        metavar,
-        choices,
-        least,
-        reason,
-        written,
-        short,
-    )
+    described = Option(kind, **{"scene": both, "batch": both, **said})
     return field(
         default=default,
         default_factory=default_factory,
@@ -170,10 +172,25 @@ def options_of(record: Any) -> dict[str, Option]:
     }
 
 
-def keys_of(record: Any, place: Literal["scene", "batch"]) -> dict[str, Key]:
-    """Return the keys that a kind of file has for a record, by name of the option."""
+Place: TypeAlias = Literal["scene", "batch"]
+
+
+def keys_of(record: Any, place: Place | None = None) -> Mapping[str, Key]:
+    """Return the keys that a kind of file has for a record, by name of the field.
+
+    Without a kind those that annotations say, which any file may have.
+    """
+    if place is None:
+        return _annotated(record)
     keys = {name: getattr(o, place) for name, o in options_of(record).items()}
     return {name: key for name, key in keys.items() if key is not None}
+
+
+@cache
+def _annotated(record: Any) -> Mapping[str, Key]:
+    hints = get_type_hints(record, include_extras=True)
+    notes = {each.name: get_args(hints[each.name]) for each in fields(record)}
+    return {n: note for n in notes for note in notes[n] if isinstance(note, Key)}
 
 
 Record = TypeVar("Record")

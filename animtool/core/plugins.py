@@ -60,11 +60,36 @@ def load_object(place: str) -> object:
 def plugin_points(group: str) -> dict[str, EntryPoint]:
     """Return the entry points of a group by name.
 
-    Reading them takes tens of milliseconds, so it is left to what a table lacks.
+    Reading them takes tens of milliseconds, so it is left to what a table lacks, and
+    to where a package has some.
     """
+    if not may_have(group):
+        return {}
     from importlib.metadata import entry_points
 
     return {point.name: point for point in entry_points(group=group)}
+
+
+def may_have(group: str) -> bool:
+    """Return whether a package has entry points of a group, by their lists.
+
+    Where packages may be anywhere else than in folders, they may.
+    """
+    from pathlib import Path
+
+    if sum(hasattr(finder, "find_distributions") for finder in sys.meta_path) > 1:
+        return True
+    for folder in map(Path, sys.path):
+        if folder.is_file():
+            return True
+        for entry in folder.glob("*.*"):
+            if entry.suffix == ".egg":
+                return True
+            if entry.suffix in {".dist-info", ".egg-info"}:
+                listed = entry / "entry_points.txt"
+                if listed.is_file() and group.encode() in listed.read_bytes():
+                    return True
+    return False
 
 
 def load_plugin(point: EntryPoint, kind: type[Kind]) -> Kind:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from decimal import Decimal, InvalidOperation
 from enum import StrEnum
 from fractions import Fraction
@@ -10,6 +9,7 @@ from numbers import Rational
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from animtool.core.errors import Fault, OptionError, excerpt
+from animtool.core.record import dataclass
 
 # Beyond it a frame is no frame: times between frames would be lost to rounding.
 LARGEST_FRAME = 10**9

@@ -8,15 +8,16 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
 from enum import StrEnum
 from functools import cache
 from importlib import resources
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 from animtool.core.errors import Fault, OptionError, Severity
 from animtool.core.names import nearest
 from animtool.core.plugins import load_object, load_plugin, plugin_points
+from animtool.core.record import dataclass
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
@@ -112,8 +113,11 @@ def page_text(code: str) -> str | None:
 @cache
 def own_rules() -> Mapping[str, Rule]:
     """Return animtool's own rules by code, in order: one a page."""
-    texts = (file.read_text("utf-8") for file in _PAGES.iterdir())
-    rules = (_parsed(text)[0] for text in texts)
+    rules = []
+    for file in _PAGES.iterdir():
+        # Of 800 files, the buffers and decoders of text would take half of the time.
+        with cast(Path, file).open("rb", buffering=0) as page:
+            rules.append(_parsed(page.read().decode())[0])
     return {rule.code: rule for rule in sorted(rules, key=lambda rule: rule.code)}
 
 

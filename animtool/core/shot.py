@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from fractions import Fraction
 from numbers import Integral
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from animtool.core.rates import NO_FRACTION, OptionalFraction, rate_label, rate_option
+from animtool.core.record import dataclass
 from animtool.core.timecode import timecode_label
 
 # The number of a shot's first frame where nothing states another.

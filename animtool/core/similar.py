@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from difflib import get_close_matches
 from itertools import islice
 
 # Names that are looked at, and of them those that are compared letter by letter.
@@ -29,6 +28,8 @@ def similar(name: str, names: Iterable[str], cutoff: float = CUTOFF) -> str | No
     if len(near) > MAX_COMPARED:
         pairs = _pairs(name)
         near.sort(key=lambda known: len(pairs & _pairs(known)), reverse=True)
+    from difflib import get_close_matches  # every command imports this module
+
     matches = get_close_matches(name, near[:MAX_COMPARED], 1, cutoff)
     return matches[0] if matches else None
 

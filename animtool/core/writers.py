@@ -6,7 +6,6 @@ The table holds the writers; what they write a file with is imported when used.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
 
@@ -14,6 +13,7 @@ from animtool.core.errors import Fault, OptionError
 from animtool.core.files.reading import is_there
 from animtool.core.names import KINDS
 from animtool.core.plugins import load_object, load_plugin, plugin_points
+from animtool.core.record import dataclass
 
 PLUGIN_GROUP = "animtool.writers"
 

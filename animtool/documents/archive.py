@@ -10,13 +10,11 @@ import math
 import os
 import re
 import struct
-import zipfile
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, Protocol, cast
+from typing import TYPE_CHECKING, Any, Literal, Protocol, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -24,6 +22,10 @@ import numpy.typing as npt
 from animtool.core.config import find_config
 from animtool.core.errors import FormatError
 from animtool.core.files.reading import InputFile, open_input
+from animtool.core.record import dataclass
+
+if TYPE_CHECKING:
+    from zipfile import ZipInfo
 
 MAGIC = b"\x93NUMPY"
 # What numpy.load itself takes.
@@ -140,7 +142,7 @@ SMALL_BYTES = 64_000_000
 # The list of what an archive holds: some hundred thousand arrays.
 MAX_LIST_BYTES = 8_000_000
 MAX_SHOWN = 12
-_METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+_METHODS = (0, 8)  # stored and deflated
 _ENCRYPTED = 0x1
 # What Python's reader of archives raises about damaged ones. That there is no memory
 # left is none of it.
@@ -152,7 +154,6 @@ _DAMAGE = (
     RuntimeError,
     OverflowError,
     struct.error,
-    zipfile.BadZipFile,
     zlib.error,
 )
 
@@ -172,7 +173,11 @@ def reading(path: Path) -> Iterator[None]:
         if error.code == "IO004":
             raise
         raise ArrayError(f"{path.name} {error.faults[0].message}") from error
-    except _DAMAGE as error:
+    except Exception as error:
+        from zipfile import BadZipFile  # every command imports this module
+
+        if not isinstance(error, (*_DAMAGE, BadZipFile)):
+            raise
         reason = getattr(error, "strerror", None) or str(error)
         raise ArrayError(f"{path.name} cannot be read: {reason}") from error
 
@@ -190,7 +195,9 @@ class Archive:
                 message += "an archive of named ones, as numpy.savez does"
                 raise ArrayError(message)  # noqa: TRY301
             bounded = _Bounded(self._file)
-            self._zip = zipfile.ZipFile(cast(Any, bounded))
+            from zipfile import ZipFile
+
+            self._zip = ZipFile(cast(Any, bounded))
             bounded.limit = None
             self._members, self._twice = self._listed()
         except BaseException:
@@ -265,9 +272,9 @@ class Archive:
         flat = np.frombuffer(data, head.dtype, head.count)
         return np.require(flat.reshape(head.shape, order=head.order), requirements="A")
 
-    def _listed(self) -> tuple[dict[str, zipfile.ZipInfo], set[str]]:
+    def _listed(self) -> tuple[dict[str, ZipInfo], set[str]]:
         """Return the arrays by name, and names that stand twice."""
-        members: dict[str, zipfile.ZipInfo] = {}
+        members: dict[str, ZipInfo] = {}
         twice = set()
         for info in self._zip.infolist():
             if info.filename.endswith(".npy"):
@@ -277,7 +284,7 @@ class Archive:
                 members[key] = info
         return members, twice
 
-    def _member(self, key: str) -> zipfile.ZipInfo:
+    def _member(self, key: str) -> ZipInfo:
         name, info = self._path.name, self._members.get(key)
         if info is None:
             names = [known[:40] for known in list(self._members)[:MAX_SHOWN]]
@@ -292,7 +299,7 @@ class Archive:
             raise ArrayError(f"{message}and numpy.savez uses 0 and 8")
         return info
 
-    def _check_size(self, key: str, info: zipfile.ZipInfo, size: int) -> None:
+    def _check_size(self, key: str, info: ZipInfo, size: int) -> None:
         """Refuse an array that would take more memory than is allowed."""
         others = self._total - self._read.get(key, 0)
         dense = size <= max(SMALL_BYTES, MAX_RATIO * info.compress_size)
@@ -345,5 +352,7 @@ class _Bounded:
     def read(self, size: int = -1) -> bytes:
         if self.limit is not None and size > self.limit:
             message = f"its list of arrays takes {size} bytes, and {self.limit} are "
-            raise zipfile.BadZipFile(f"{message}read")
+            from zipfile import BadZipFile
+
+            raise BadZipFile(f"{message}read")
         return self.file.read(size)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from animtool.core.array_types import FloatArray
+from animtool.core.record import dataclass
 from animtool.documents.archive import Archive, reading
 
 # Files held open at once: systems allow a few hundred.

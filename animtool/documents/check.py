@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import re
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from typing import Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
@@ -13,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 from animtool.core.arguments import flag
 from animtool.core.errors import Fault, counted, excerpt
 from animtool.core.names import KINDS, nearest
+from animtool.core.record import dataclass
 from animtool.core.similar import similar
 from animtool.documents.document import Document, Location
 from animtool.documents.forms import form_hint

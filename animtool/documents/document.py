@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from pathlib import Path
 from typing import Any
 
 from animtool.core.errors import Fault, FormatError, Severity
 from animtool.core.files.reading import MAX_TEXT_BYTES, open_input
 from animtool.core.names import KINDS
+from animtool.core.record import dataclass
 from animtool.documents.yaml_values import MAX_FAULTS as MAX_COLLECTED
 from animtool.documents.yaml_values import read_values
 

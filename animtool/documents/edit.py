@@ -10,7 +10,6 @@ import copy
 import json
 import re
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
 
@@ -19,6 +18,7 @@ import yaml
 from animtool.core.errors import FormatError
 from animtool.core.names import flow, number
 from animtool.core.names import text as plain_text
+from animtool.core.record import dataclass
 from animtool.documents.document import Location, document_of, spelled
 from animtool.documents.yaml_values import compose
 

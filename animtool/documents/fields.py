@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import MISSING, fields
-from functools import cache
 from inspect import get_annotations
 from typing import (
     Annotated,
@@ -22,7 +21,7 @@ from annotated_types import Ge, Gt, Le, Len
 from pydantic import Field, create_model
 from pydantic_core import PydanticUndefined
 
-from animtool.core.options import Key, Range
+from animtool.core.options import Key, Kind, Place, Range, keys_of, options_of
 from animtool.documents.check import FileModel
 
 # The largest number in a file, in its own unit. The square of one is held by float32,
@@ -128,11 +127,33 @@ _TYPES: dict[Any, Any] = {
     Sequence[float] | None: Vector | None,
     Sequence[tuple[float, int]]: list[Pair],
 }
+# As a file writes a kind of option; what is not given is None, if nothing else is said.
+_WRITTEN: dict[Kind, Any] = {
+    "switch": bool,
+    "answer": bool | None,
+    "text": str | None,
+    "file": Name | None,
+    "unit": Literal["m", "cm", "mm", "in"] | None,
+    "axis": Literal["Y", "Z"] | None,
+    "rate": Real | str | None,
+    "range": Annotated[list[WholeFrame], Len(2, 2)] | None,
+    "frame": Frame | None,
+    "offsets": list[Frame],
+    "length": str | None,
+    "lengths": dict[str, str],
+    "count": Annotated[Whole, Ge(1)] | None,
+}
+_DEFAULTS: dict[Kind, Any] = {"switch": False, "offsets": [], "lengths": {}}
 Ranges: TypeAlias = Literal["record", "model", "schema"]
 
 
 def with_fields(
-    record: Any, *names: str, before: str = "", ranges: Ranges = "record"
+    record: Any,
+    *names: str,
+    place: Place | None = None,
+    order: Sequence[str] = (),
+    before: str = "",
+    ranges: Ranges = "record",
 ) -> Callable[[type[Model]], type[Model]]:
     """Give a model the fields of a record as keys, beside its own.
 
@@ -143,6 +164,8 @@ def with_fields(
         record: A dataclass; the annotations of fields have a `Key`.
         names: Of the fields, in the order of the keys; none is each that has a `Key`
             and is none of the model yet.
+        place: Kind of file, where the keys are those of the record's options.
+        order: Of all keys; others come last. None is that of the record.
         before: Key that they come before; the last ones where none is named.
         ranges: Who checks the `Range` of a field: what reads the file on the record or
             on the model, or the model, which has it in its schema.
@@ -155,15 +178,21 @@ def with_fields(
             if name in model.model_fields
         }
         at = list(own).index(before) if before else len(own)
-        left = [name for name in _keys(record) if name not in model.model_fields]
-        given = {name: _definition(record, name, ranges) for name in names or left}
-        ahead, behind = list(own.items())[:at], list(own.items())[at:]
+        keys = keys_of(record, place)
+        given = {}
+        for name in names or keys:
+            key = keys[name].alias or name
+            if names or key not in model.model_fields:
+                given[key] = _definition(record, name, keys[name], ranges)
+        made = [*list(own.items())[:at], *given.items(), *list(own.items())[at:]]
+        if order:
+            made.sort(key=lambda e: order.index(e[0]) if e[0] in order else len(order))
         model_type: Any = create_model(
             model.__name__,
             __base__=model.__bases__,
             __module__=model.__module__,
             __doc__=model.__doc__,
-            **dict([*ahead, *given.items(), *behind]),
+            **dict(made),
         )
         for name in vars(model).keys() & model.__class_vars__:
             setattr(model_type, name, vars(model)[name])
@@ -178,7 +207,7 @@ Made = TypeVar("Made")
 def record_of(record: type[Made], model: FileModel, **others: Any) -> Made:
     """Return a record of the fields that a model has too, and of others."""
     kind, given = cast(Any, record), others
-    keys = _keys(kind)
+    keys = keys_of(kind)
     for each in fields(kind):
         if each.name in others or each.name not in type(model).model_fields:
             continue
@@ -190,24 +219,27 @@ def record_of(record: type[Made], model: FileModel, **others: Any) -> Made:
     return record(**given)
 
 
-@cache
-def _keys(record: Any) -> dict[str, Key]:
-    """Return the keys of the fields of a record that have one."""
-    hints = get_type_hints(record, include_extras=True)
-    notes = {each.name: get_args(hints[each.name]) for each in fields(record)}
-    return {
-        name: note for name in notes for note in notes[name] if isinstance(note, Key)
-    }
-
-
 def _endless(default: Any) -> bool:
     return isinstance(default, float) and math.isinf(default)
 
 
-def _definition(record: Any, name: str, ranges: Ranges) -> tuple[Any, Any]:
+def _definition(record: Any, name: str, key: Key, ranges: Ranges) -> tuple[Any, Any]:
     """Return the type of a key, and what documents it."""
+    type_, default = _typed(record, name, key, ranges)
+    described: dict[str, Any] = {} if default is MISSING else {"default": default}
+    return type_, Field(
+        description=key.description, examples=[key.example], **described
+    )
+
+
+def _typed(record: Any, name: str, key: Key, ranges: Ranges) -> tuple[Any, Any]:
+    """Return the type of a key, and its default."""
+    option = options_of(record).get(name)
+    if option is not None:
+        kind = option.kind
+        type_ = Literal[key.choices] | None if kind == "choice" else _WRITTEN[kind]
+        return type_, _DEFAULTS.get(kind)
     type_, *notes = get_args(get_type_hints(record, include_extras=True)[name])
-    key = _keys(record)[name]
     type_ = Literal[key.choices] if key.choices else _TYPES.get(type_, type_)
     (default,) = (each.default for each in fields(record) if each.name == name)
     if _endless(default):
@@ -219,7 +251,4 @@ def _definition(record: Any, name: str, ranges: Ranges) -> tuple[Any, Any]:
             type_ = Annotated[type_, (Ge if note.reached else Gt)(note.least)]
         elif isinstance(note, Le) or (isinstance(note, Range) and ranges == "model"):
             type_ = Annotated[type_, note]
-    described: dict[str, Any] = {} if default is MISSING else {"default": default}
-    return type_, Field(
-        description=key.description, examples=[key.example], **described
-    )
+    return type_, default

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Any, get_args, get_origin
 
 from pydantic import BaseModel
 
+from animtool.core.record import dataclass
 from animtool.documents.document import Location
 from animtool.documents.placeholders import (
     annotation_of,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import difflib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +20,7 @@ from animtool.core.errors import (
     refuse_warnings,
 )
 from animtool.core.files.output import check_outputs, together, write_parts
+from animtool.core.record import dataclass
 from animtool.documents.document import (
     Document,
     document_of,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Any
 
 from pydantic import BaseModel
@@ -13,6 +13,7 @@ from animtool.core.arguments import argument
 from animtool.core.errors import excerpt
 from animtool.core.files.output import name_problem
 from animtool.core.names import VARIABLE_NAME, is_variable_name, nearest
+from animtool.core.record import dataclass
 from animtool.documents.document import Document, Location
 from animtool.documents.placeholders import (
     annotation_at,

@@ -8,7 +8,7 @@ are refused. JSON is nearly a part of YAML and is read the same way.
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 from typing import Any, NamedTuple, NoReturn, cast
 
@@ -16,6 +16,7 @@ import yaml
 
 from animtool.core.errors import Fault, FormatError, excerpt
 from animtool.core.names import VARIABLE_NAME, unreadable
+from animtool.core.record import dataclass
 
 # A person nests five or six.
 DEEPEST = 50

@@ -8,7 +8,7 @@ What moves in neither stays stored once, unless the weight changes over time.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from fractions import Fraction
 from typing import TypeAlias
 
@@ -16,6 +16,7 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, OptionError
+from animtool.core.record import dataclass
 from animtool.edit.between import Between
 from animtool.edit.travel import even_places
 from animtool.maths import additive, so3

@@ -9,7 +9,6 @@ lead in a tenth of a second. The difference is a root mean square [m].
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from fractions import Fraction
 
 import numpy as np
@@ -17,6 +16,7 @@ import numpy as np
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.clock import Clock
 from animtool.core.errors import Fault, OptionError
+from animtool.core.record import dataclass
 from animtool.edit.frames import frame_index
 from animtool.edit.loop_options import LoopOptions
 from animtool.edit.travel import place_of, rest_rotation, traveller, twist

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from enum import StrEnum
 from fractions import Fraction
 from pathlib import Path
@@ -14,6 +14,7 @@ import numpy as np
 from animtool.core.array_types import FloatArray
 from animtool.core.clock import Clock, time_codes
 from animtool.core.errors import Fault, OptionError
+from animtool.core.record import dataclass
 from animtool.edit.between import Between
 from animtool.edit.combine import (
     Strength,

@@ -2,24 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from animtool.core.options import described, option
+from animtool.core.record import dataclass
 
-from animtool.core.options import option
 
-
+@described
 @dataclass(frozen=True, slots=True)
 class LoopOptions:
     """The cycle and how often it is repeated.
 
     Attributes:
-        first: Time code of the cycle's first frame; None is the take's.
-        last: Time code of the frame that shows the first pose again; None is the
-            take's last.
         find: Look for the best cycle between ``first`` and ``last``.
         shortest: Least length of a cycle that is looked for [s].
         longest: Most [s].
-        repeats: How often the cycle is shown.
-        blend: Frames before the seam over which the poses are brought together.
     """
 
     first: float | None = option(None, "frame", help="The first frame of the cycle.")

@@ -10,7 +10,7 @@ Inertialization: high-performance animation transitions in Gears of War, 2018).
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TypeAlias, TypeVar
 
 import numpy as np
@@ -18,6 +18,7 @@ import numpy.typing as npt
 
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, OptionError, Severity
+from animtool.core.record import dataclass
 from animtool.core.units import UpAxis
 from animtool.edit.combine import continuous
 from animtool.edit.cycle import Cycle, find_cycle, measure_cycle

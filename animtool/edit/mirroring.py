@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from enum import StrEnum
 from typing import TypeAlias
 
@@ -11,6 +11,7 @@ import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.errors import Fault, OptionError, Severity, listed, percent
+from animtool.core.record import dataclass
 from animtool.edit.tree import joint_index
 from animtool.maths import so3
 from animtool.motion.keyed import chosen

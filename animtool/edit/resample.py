@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from fractions import Fraction
 
 import numpy as np
@@ -14,6 +14,7 @@ from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.clock import MAX_FRAMES, Clock, frame_label, time_codes
 from animtool.core.errors import Fault, OptionError, Severity
 from animtool.core.rates import FractionLike, rate_option
+from animtool.core.record import dataclass
 from animtool.core.shot import FrameRange
 from animtool.edit.between import Between
 from animtool.edit.frames import check_count

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from enum import StrEnum
 
 import numpy as np
 
 from animtool.core.errors import Fault, OptionError
+from animtool.core.record import dataclass
 from animtool.edit.combine import continuous
 from animtool.edit.travel import (
     above,

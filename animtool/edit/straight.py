@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -12,6 +11,7 @@ from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.clock import frame_label
 from animtool.core.errors import Fault, Severity, listed
 from animtool.core.quantities import angle_text, length_text, plain
+from animtool.core.record import dataclass
 from animtool.edit.between import Between
 from animtool.edit.travel import Places
 from animtool.maths import so3

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -15,6 +14,7 @@ from animtool.clip.reduction.points import (
 )
 from animtool.clip.reduction.tolerance import WEIGHT_TOLERANCE
 from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.record import dataclass
 from animtool.edit.travel import places_between
 from animtool.motion.motion import Motion
 from animtool.rig.kinematics import WorldTransforms, forward

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from fnmatch import fnmatchcase
 
 import numpy as np
@@ -12,6 +12,7 @@ import numpy as np
 from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.errors import Fault, OptionError, excerpt, listed
 from animtool.core.names import nearest
+from animtool.core.record import dataclass
 from animtool.core.similar import similar
 from animtool.core.units import UpAxis
 from animtool.maths import so3

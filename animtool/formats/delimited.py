@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import codecs
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +13,7 @@ from animtool import _kernels
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import AnimtoolError, excerpt
 from animtool.core.files.reading import MAX_INPUT_BYTES, read_input
+from animtool.core.record import dataclass
 
 SEPARATORS = (b"\t", b";", b",")
 BLANK = b" \t,;"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from fractions import Fraction
 
 import numpy as np
@@ -13,6 +12,7 @@ from animtool.core.rates import (
     LOWEST_WRITTEN_RATE,
     rate_from_float,
 )
+from animtool.core.record import dataclass
 
 # How far times may be off even ones, beside the rounding of their last place, as a
 # share of the time between rows: what adding up a step in float64 or float32 gives.

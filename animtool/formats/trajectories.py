@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from fractions import Fraction
 
 import numpy as np
@@ -20,6 +20,7 @@ from animtool.core.rates import (
     rate_from_float,
     rate_option,
 )
+from animtool.core.record import dataclass
 from animtool.core.similar import distinct
 from animtool.core.units import LengthUnit, UpAxis
 

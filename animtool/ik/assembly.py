@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault
+from animtool.core.record import dataclass
 from animtool.ik.chain import BALL, GAP, PIN, SLIDE, Chain
 from animtool.ik.driver_programs import FOLLOWS_PROGRAM, Programs, Source
 from animtool.ik.goals import Goal

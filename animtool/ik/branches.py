@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from animtool import _kernels
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
+from animtool.core.record import dataclass
 from animtool.ik.chain import BALL, Chain, difference, moved, unwound, with_periods
 from animtool.ik.goals import Targets, by_unit, rows_of
 from animtool.ik.problem import Problem

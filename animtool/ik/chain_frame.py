@@ -9,13 +9,14 @@ into the rest pose.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.errors import Fault, OptionError
+from animtool.core.record import dataclass
 from animtool.ik.goals import KINDS, Goal, Targets, TargetValue, rows_of
 from animtool.ik.problem import build
 from animtool.maths import so3

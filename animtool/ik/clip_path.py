@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import field, fields, replace
 from typing import Any
 
 import numpy as np
 
 from animtool.core.array_types import ArrayLike, FloatArray, IntArray
+from animtool.core.record import dataclass
 from animtool.ik.branches import (
     Interval,
     best_path,

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
 
 from animtool.core.array_types import FloatArray
+from animtool.core.record import dataclass
 from animtool.ik.goals import Goal
 from animtool.rig.controls import Control
 from animtool.rig.driver_plan import DriverPlan, plan_of

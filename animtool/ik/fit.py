@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 from animtool import _kernels
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
+from animtool.core.record import dataclass
 from animtool.ik.chain import unwound
 from animtool.ik.goals import Targets
 from animtool.ik.problem import Problem

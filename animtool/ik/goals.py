@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from enum import Enum
 from itertools import accumulate
 from numbers import Real
@@ -11,6 +11,7 @@ import numpy as np
 
 from animtool.core.array_types import ArrayLike, BoolArray, FloatArray, IntArray
 from animtool.core.errors import Fault, OptionError, counted, excerpt
+from animtool.core.record import dataclass
 from animtool.core.similar import similar
 from animtool.rig.parts import Vector
 from animtool.rig.skeleton import Rig

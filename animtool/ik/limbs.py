@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.errors import Fault
+from animtool.core.record import dataclass
 from animtool.ik.chain import SLIDE, Chain
 from animtool.ik.goals import WEIGHT, Goal
 from animtool.rig.skeleton import Rig

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from fnmatch import fnmatchcase
 from fractions import Fraction
 from pathlib import Path
@@ -21,6 +21,7 @@ from animtool.core.array_types import FloatArray
 from animtool.core.clock import Clock
 from animtool.core.errors import Fault, OptionError, Severity, listed
 from animtool.core.names import nearest
+from animtool.core.record import dataclass
 from animtool.ik.chain_frame import refuse_scales
 from animtool.ik.goals import PARTS
 from animtool.ik.matching import Matched, match

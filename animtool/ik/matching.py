@@ -7,11 +7,12 @@ joint in the middle of its limb.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
+from animtool.core.record import dataclass
 from animtool.ik.goals import Goal, Targets
 from animtool.ik.limbs import limb_joints
 from animtool.ik.problem import moving_joints

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from enum import StrEnum
 
-from animtool.core.options import option
+from animtool.core.options import described, option
+from animtool.core.record import dataclass
 from animtool.core.units import parse_length
 
 # Takes are solved to within these; what is off by more is missed, where nothing else is
@@ -44,20 +44,13 @@ class IkMethod(StrEnum):
     FABRIK = "fabrik"
 
 
+@described
 @dataclass(frozen=True, slots=True)
 class TakeOptions:
     """How to bring a take to targets.
 
     Attributes:
-        method: Which solver.
-        tolerance: A position is reached within this [m].
-        angle_tolerance: An orientation, aim or pole is reached within this [rad].
-        restarts: Most new starts of a frame that does not reach its goals.
-        seed: Of the new starts.
         seconds: Most time for one frame [s]; 0 is no bound.
-        joints: Names or patterns of the joints that may move; none is every one that
-            moves a goal.
-        rest_weight: How strongly the pose that a frame has already is kept.
         smooth: Time over which motion that the goals leave free is evened out [s]; 0
             leaves it.
     """

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from functools import cached_property
 
 import numpy as np
 
 from animtool.core.array_types import ArrayLike, FloatArray, as_floats
 from animtool.core.errors import Fault, OptionError, counted, listed
+from animtool.core.record import dataclass
 from animtool.ik.assembly import assemble
 from animtool.ik.chain import Chain
 from animtool.ik.driver_programs import with_sources

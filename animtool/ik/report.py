@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -15,6 +15,7 @@ from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.clock import frame_label, span_label
 from animtool.core.errors import Fault, Severity, counted, listed
 from animtool.core.quantities import angle_text, length_text
+from animtool.core.record import dataclass
 from animtool.core.units import parse_length
 from animtool.ik.goals import METRIC, PARTS, by_unit
 from animtool.ik.jumps import Jump

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
 from enum import StrEnum
 from fractions import Fraction
 
@@ -12,6 +11,7 @@ import numpy as np
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.clock import Clock
 from animtool.core.rates import FractionLike, rate_option
+from animtool.core.record import dataclass
 from animtool.ik.goals import PARTS
 from animtool.ik.jumps import Jump
 from animtool.ik.problem import Problem

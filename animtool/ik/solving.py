@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 
 import numpy as np
 
 from animtool import _kernels
 from animtool.core.array_types import ArrayLike, BoolArray, FloatArray, IntArray
 from animtool.core.errors import Fault, OptionError, listed
+from animtool.core.record import dataclass
 from animtool.ik.chain import difference
 from animtool.ik.goals import Targets, by_unit, pack
 from animtool.ik.limbs import Extension, extend

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from animtool.core.errors import Fault, OptionError
 from animtool.core.options import options_of, with_written
+from animtool.core.record import dataclass
 from animtool.core.units import parse_length
 from animtool.ik.file import load_targets
 from animtool.ik.on_take import solve_take

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 
@@ -13,6 +13,7 @@ from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.clock import MAX_FRAMES, Clock
 from animtool.core.errors import Fault, OptionError, counted
 from animtool.core.rates import rate_label
+from animtool.core.record import dataclass
 from animtool.ik.goals import KINDS, Goal, GoalKind, Targets, TargetValue
 from animtool.ik.limbs import limb_joints
 from animtool.ik.two_bone import bend

@@ -7,11 +7,10 @@ elbow lies towards the pole.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray
+from animtool.core.record import dataclass
 from animtool.ik.chain import BALL, PIN, Chain
 from animtool.ik.goals import COLUMNS, PARTS, WEIGHT
 from animtool.ik.problem import Problem

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from fractions import Fraction
 from pathlib import Path
 from typing import Protocol, TypeAlias, cast
@@ -17,6 +17,7 @@ from animtool.core.array_types import FloatArray
 from animtool.core.errors import AnimtoolError, Fault, OptionError, counted
 from animtool.core.files.reading import why_no_file
 from animtool.core.readers import find_reader
+from animtool.core.record import dataclass
 from animtool.documents.arrays import Archives
 from animtool.documents.document import Document, Location
 from animtool.documents.references import missing_hint, referred, split_reference

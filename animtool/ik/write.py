@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from animtool.clip.channels import ClipUnits
 from animtool.clip.clip import curve_lines
 from animtool.core.array_types import FloatArray
 from animtool.core.names import flow, number, scaled, text
+from animtool.core.record import dataclass
 from animtool.core.units import unit_name
 from animtool.ik.goals import PARTS, Goal
 from animtool.ik.schema import GoalModel

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from animtool import _kernels
@@ -14,6 +12,7 @@ from animtool.core.array_types import (
     IntArray,
     as_floats,
 )
+from animtool.core.record import dataclass
 from animtool.maths.curves import cubic_curves, evaluate
 
 

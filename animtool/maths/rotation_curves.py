@@ -9,12 +9,12 @@ the rotation that turns them is multiplied from the left or from the right.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
 
 from animtool.core.array_types import ArrayLike, FloatArray, IntArray, as_floats
+from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.maths.curves import Extrapolation, fold
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray
+from animtool.core.record import dataclass
 
 # Jitter is smoothed by a Gaussian of this width [s]: speeds of walking feet change over
 # ten times of it.

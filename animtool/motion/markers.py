@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,6 +11,7 @@ from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.clock import Clock
 from animtool.core.errors import Fault, OptionError, counted
 from animtool.core.rates import rate_label
+from animtool.core.record import dataclass
 from animtool.core.units import UpAxis
 
 

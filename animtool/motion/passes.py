@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from enum import StrEnum
 from fractions import Fraction
 from pathlib import Path
@@ -18,6 +18,7 @@ from animtool.core.array_types import FloatArray
 from animtool.core.clock import Clock
 from animtool.core.errors import Fault, OptionError, excerpt, listed
 from animtool.core.plugins import load_object, load_plugin, plugin_points
+from animtool.core.record import dataclass
 from animtool.core.similar import similar
 from animtool.maths.curves import Curves
 from animtool.motion.driving import driven_stream, driven_take

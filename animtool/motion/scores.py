@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from enum import StrEnum
 
 from animtool.core.errors import percent
 from animtool.core.quantities import angle_text, length_text, plain
+from animtool.core.record import dataclass
 
 # Of what a good result has: a table is not to show what rounding leaves.
 NEGLIGIBLE = 1e-4

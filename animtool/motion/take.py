@@ -7,7 +7,7 @@ held whole, or is gathered into one `Take` where an operation needs all of it.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from fractions import Fraction
 from itertools import pairwise
 
@@ -17,6 +17,7 @@ from animtool.core.array_types import FloatArray
 from animtool.core.clock import Clock
 from animtool.core.errors import Fault, OptionError, counted
 from animtool.core.rates import rate_label
+from animtool.core.record import dataclass
 from animtool.maths.curves import Curves
 from animtool.motion.motion import Channel, Motion, MotionCurve
 from animtool.motion.scores import PassScores

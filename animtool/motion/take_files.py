@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from animtool.core.clock import FrameSpan
 from animtool.core.errors import Fault
+from animtool.core.record import dataclass
 from animtool.motion.take import Take
 
 if TYPE_CHECKING:

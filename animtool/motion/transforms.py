@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.errors import Fault
+from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.rig.placement import Placement
 

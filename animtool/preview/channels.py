@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from fractions import Fraction
 
 import numpy as np
@@ -10,6 +10,7 @@ import numpy as np
 from animtool.clip.channels import evaluate_channels
 from animtool.clip.clip import Clip
 from animtool.core.array_types import FloatArray
+from animtool.core.record import dataclass
 from animtool.preview.draft import Draft
 from animtool.preview.streams import Quantized, plain
 from animtool.preview.takes import Shown

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import field
 from fractions import Fraction
 from typing import Any
 
@@ -14,6 +14,7 @@ from animtool.core.array_types import FloatArray
 from animtool.core.clock import time_codes
 from animtool.core.errors import AnimtoolError, counted
 from animtool.core.rates import rate_label
+from animtool.core.record import dataclass
 from animtool.preview.streams import Packer
 
 FORMAT = 1

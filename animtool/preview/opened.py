@@ -5,7 +5,7 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -23,6 +23,7 @@ from animtool.core.errors import (
 )
 from animtool.core.files.reading import note_input
 from animtool.core.names import is_named
+from animtool.core.record import dataclass
 from animtool.core.units import UpAxis, unit_name
 from animtool.formats.marker_files import is_marker_file, open_markers
 from animtool.ik.file import load_targets

@@ -3,23 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 
 from animtool.core.arguments import argument
-from animtool.core.options import option
+from animtool.core.options import described, option
+from animtool.core.record import dataclass
 from animtool.core.shot import FrameRange
 from animtool.scene.sources.open import SourceOptions
 
 
+@described
 @dataclass(frozen=True, slots=True)
 class PreviewOptions:
     """What a page shows, and how its files are read.
 
     Attributes:
         source: What the sources are, where their files do not say.
-        prim_path: What of a USD file; None is all.
-        frame_range: Frames to show, as the first file numbers them; None is all.
-        findings: Whether findings of `validate` are on the page.
         variables: What ``${name}`` stands for in scenes.
     """
 
@@ -45,15 +44,10 @@ class PreviewOptions:
     variables: Mapping[str, str] = field(default_factory=dict)
 
 
+@described
 @dataclass(frozen=True, slots=True)
 class ShowOptions:
-    """What becomes of a page.
-
-    Attributes:
-        opened: Whether a browser opens it; None is where somebody would see it.
-        watch: Whether it is served, and made again when a file changes.
-        plan: Whether it is described alone, and not made.
-    """
+    """What becomes of a page."""
 
     opened: bool | None = option(
         None,

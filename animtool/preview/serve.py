@@ -6,13 +6,14 @@ import json
 import secrets
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import field
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
 
 from animtool.core.errors import AnimtoolError
 from animtool.core.files.reading import FileState, Inputs, recorded_inputs
+from animtool.core.record import dataclass
 from animtool.preview.build import Page
 
 ADDRESS = "127.0.0.1"

@@ -6,13 +6,14 @@ import base64
 import hashlib
 import zlib
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from animtool.core.array_types import FloatArray
+from animtool.core.record import dataclass
 
 # Samples of a block, and what one is decoded to at most: it opens within a frame.
 BLOCK_SAMPLES = 256

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from fractions import Fraction
 from typing import TYPE_CHECKING
 
@@ -13,6 +12,7 @@ from animtool.core.clock import frame_label
 from animtool.core.errors import Fault, OptionError, Severity
 from animtool.core.names import is_named
 from animtool.core.rates import rate_label
+from animtool.core.record import dataclass
 from animtool.core.shot import FrameRange
 from animtool.motion.take import TakeStream
 from animtool.preview.draft import Timeline

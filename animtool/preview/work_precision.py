@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from animtool.core.errors import Fault, OptionError
 from animtool.core.files.output import replacing
 from animtool.core.files.placing import output_error
+from animtool.core.record import dataclass
 
 if TYPE_CHECKING:
     from animtool.scene.tables.bake import BakeTable

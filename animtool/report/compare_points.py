@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -11,6 +11,7 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import counted
+from animtool.core.record import dataclass
 from animtool.core.units import unit_name, up_from_up
 from animtool.maths import so3
 from animtool.report.compare import SCALE_TOLERANCE, lost_text

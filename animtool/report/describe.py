@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,6 +11,7 @@ import numpy as np
 
 from animtool.core.errors import Fault, FormatError, OptionError
 from animtool.core.quantities import Description
+from animtool.core.record import dataclass
 from animtool.core.units import unit_name
 from animtool.motion.take import Take, TakeStream
 from animtool.retarget.facts import CaptureFacts, capture_facts

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from animtool.core.errors import AnimtoolError
+from animtool.core.record import dataclass
 from animtool.core.units import UpAxis
 from animtool.motion.take import Take
 from animtool.retarget.anatomy import anatomy

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 
@@ -12,6 +11,7 @@ from animtool.capture.markers.spikes import find_spikes
 from animtool.core.errors import Fault
 from animtool.core.quantities import Description
 from animtool.core.readers import find_reader
+from animtool.core.record import dataclass
 from animtool.formats.marker_files import file_of
 from animtool.motion.markers import Markers
 

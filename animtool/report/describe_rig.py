@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
 from pathlib import Path
 
 from animtool.core.errors import Fault
 from animtool.core.quantities import Description
 from animtool.core.rates import rate_label
+from animtool.core.record import dataclass
 from animtool.core.units import unit_name
 from animtool.ik.file import load_targets
 from animtool.rig.drivers import Driver

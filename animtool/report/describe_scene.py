@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from animtool.core.errors import Fault
 from animtool.core.quantities import Description
+from animtool.core.record import dataclass
 from animtool.core.writers import writer_of
 from animtool.scene.bake.reading import default_output, form_of, output_files
 from animtool.scene.file.entries import SceneOutput, SceneSystem

@@ -16,7 +16,6 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from functools import cache
 from typing import Any, TypeAlias
 
@@ -30,6 +29,7 @@ from animtool.core.quantities import (
     size_text,
 )
 from animtool.core.rates import rate_label
+from animtool.core.record import dataclass
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 
 import numpy as np
 
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, Severity, listed
+from animtool.core.record import dataclass
 from animtool.retarget.fingers import finger_roles
 from animtool.retarget.names import (
     Preset,

@@ -7,7 +7,7 @@ high as before.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TypeAlias, TypeVar
 
@@ -17,6 +17,7 @@ import numpy.typing as npt
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, OptionError, Severity
 from animtool.core.quantities import angle_text, length_text
+from animtool.core.record import dataclass
 from animtool.core.units import UpAxis
 from animtool.maths import so3
 from animtool.maths.filters import lowpass

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from animtool.core.array_types import FloatArray
+from animtool.core.record import dataclass
 from animtool.core.units import UpAxis
 from animtool.maths.filters import noise_of_turns
 from animtool.motion.contacts import find_contacts, intervals, smoothed

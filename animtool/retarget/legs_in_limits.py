@@ -6,11 +6,11 @@ Where that is not enough, feet are where limits let them be.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
+from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.motion.contacts import smoothed
 from animtool.retarget.feet import Placed, upper

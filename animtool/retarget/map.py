@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
 from animtool.core.errors import Fault
 from animtool.core.names import number, text
+from animtool.core.record import dataclass
 from animtool.retarget.roles import Anatomy, RoleSource
 from animtool.rig.skeleton import Rig
 

@@ -7,7 +7,7 @@ stand depends on all of it, and needs little of each frame; the joints follow th
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TypeVar
 
 import numpy as np
@@ -15,6 +15,7 @@ import numpy as np
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.errors import Fault
 from animtool.core.files.spool import Spool
+from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.motion.driving import driven_take
 from animtool.motion.motion import Channel, Motion

@@ -6,7 +6,6 @@ import re
 import unicodedata
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from functools import cache
 from importlib import resources
 from typing import Any
@@ -16,6 +15,7 @@ import yaml
 from animtool.core.array_types import IntArray
 from animtool.core.errors import Fault, OptionError, excerpt
 from animtool.core.names import nearest
+from animtool.core.record import dataclass
 from animtool.retarget.roles import (
     ARM,
     CONTROL,

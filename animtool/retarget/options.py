@@ -2,33 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, get_args
 
 from animtool.core.arguments import argument
-from animtool.core.options import option
+from animtool.core.options import described, option
+from animtool.core.record import dataclass
 from animtool.retarget.roles import MapMode
 
 
+@described
 @dataclass(frozen=True, slots=True)
 class RetargetOptions:
     """How a take goes onto another rig.
 
     Attributes:
-        map: A map file; None finds which joint follows which.
-        by: What joints are told by.
-        preset: The convention of the source's names; None finds it.
-        target_preset: That of the target's names.
-        rest: Frame of the source, counted from 1, whose pose is its rest pose; ``rig``
-            where it rests as the target does, whatever its offsets are; None is that of
-            its skeleton.
         free_feet: Whether feet may slide where they stand.
         hold_hands: Whether hands keep their contacts with each other and the ground.
-        force_fit: Whether a take goes onto a rig with which it shares less than a limb
-            or a third of the joints that move (MAP010); a map file is enough, too.
-        warn_above: Warn of scores that are more than so many times what a good take
-            has (MAP107), 0 or more; None warns of none.
     """
 
     map: Path | None = option(

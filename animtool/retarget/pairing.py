@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from itertools import pairwise
 from pathlib import Path
 
@@ -11,6 +11,7 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, OptionError
+from animtool.core.record import dataclass
 from animtool.retarget.anatomy import anatomy
 from animtool.retarget.file import FileMap, MapFile, load_map, resolved_map
 from animtool.retarget.map import JointChain, JointMap, JointPair, TwistShare

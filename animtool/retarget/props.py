@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray
+from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.motion.contacts import intervals, smoothed, without_short
 from animtool.motion.motion import Channel, Motion

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.errors import Fault
+from animtool.core.record import dataclass
 from animtool.motion.contacts import FootContacts, intervals
 from animtool.motion.scores import PassScores, Score, ScoreUnit
 from animtool.retarget.feet import Placed

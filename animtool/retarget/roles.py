@@ -7,11 +7,11 @@ phalanges; a thumb has 1 (its metacarpal) to 3.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from enum import StrEnum
 from typing import Literal, TypeAlias
 
 from animtool.core.errors import Fault
+from animtool.core.record import dataclass
 
 CENTER = ("root", "hips", "pelvis", "spine", "neck", "head", "jaw")
 ARM = ("clavicle", "upper_arm", "forearm", "hand")

@@ -7,7 +7,7 @@ the body moves.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +15,7 @@ import numpy as np
 from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, Severity
+from animtool.core.record import dataclass
 from animtool.core.units import UpAxis
 from animtool.motion.motion import Motion
 from animtool.motion.take import TakeStream
@@ -218,9 +219,9 @@ def _other_is_longer(rig: Rig, motion: Motion) -> bool:
     """Return whether some of a few frames is longer along the other axis than up."""
     if not rig.joints or not motion.frames:
         return False
-    some = np.unique(np.linspace(0, motion.frames - 1, GLANCES).astype(int))
+    some = np.linspace(0, motion.frames - 1, GLANCES).astype(int)
     up, other = np.array(rig.up.vector), np.array(_other(rig.up).vector)
-    for frame in some.tolist():
+    for frame in sorted(set(some.tolist())):
         one = motion.select(slice(frame, frame + 1))
         pose = forward(rig, one.translations.dense(), one.rotations.dense())
         spans = np.ptp(pose.positions[0], axis=0)

@@ -7,7 +7,6 @@ skeleton to its anatomy, whatever is known of it.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from itertools import (
     combinations,
@@ -19,6 +18,7 @@ from itertools import (
 import numpy as np
 
 from animtool.core.array_types import FloatArray
+from animtool.core.record import dataclass
 from animtool.core.units import UpAxis
 from animtool.retarget.roles import CONTROL, END, SIDES, TWIST
 from animtool.rig.kinematics import forward

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -22,6 +22,7 @@ from animtool.core.errors import (
 )
 from animtool.core.options import with_written
 from animtool.core.quantities import length_text
+from animtool.core.record import dataclass
 from animtool.motion.motion import Motion
 from animtool.motion.passes import (
     MOTION_PARTS,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from enum import StrEnum
 from fractions import Fraction
 
@@ -12,6 +12,7 @@ import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.errors import Fault
+from animtool.core.record import dataclass
 from animtool.motion.contacts import intervals
 from animtool.motion.scores import PassScores, Score
 

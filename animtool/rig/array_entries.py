@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from animtool.core.names import nearest
+from animtool.core.record import dataclass
 from animtool.core.similar import similar
 from animtool.documents.arrays import Archives
 from animtool.documents.document import Document, Location

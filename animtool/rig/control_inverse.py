@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
-from dataclasses import dataclass
 
 import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.record import dataclass
 from animtool.rig.controls import Control, evaluate_controls
 
 # Sweeps over the controls, each followed by Newton steps on all of them.

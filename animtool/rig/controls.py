@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from graphlib import CycleError, TopologicalSorter
 
 import numpy as np
 
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import circle
+from animtool.core.record import dataclass
 from animtool.rig.drivers import SLIDE, Driver, curve_values
 from animtool.rig.expressions import Expression
 

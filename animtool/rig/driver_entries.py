@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 
+from animtool.core.record import dataclass
 from animtool.documents.document import Document, Location
 from animtool.rig.driver_plan import (
     DriverCycleError,

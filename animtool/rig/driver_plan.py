@@ -8,12 +8,12 @@ limits, the twist, the angle of the swing, and the parts of the swing's rotation
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
 from graphlib import CycleError, TopologicalSorter
 
 import numpy as np
 
 from animtool.core.errors import Fault, OptionError, circle
+from animtool.core.record import dataclass
 from animtool.core.similar import similar
 from animtool.rig.controls import Control, Drive
 from animtool.rig.drivers import (

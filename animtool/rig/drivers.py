@@ -7,11 +7,12 @@ of that frame.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from animtool.core.array_types import FloatArray
+from animtool.core.record import dataclass
 from animtool.rig.expressions import Expression, parse_expression
 
 Points = tuple[tuple[float, float], ...]

@@ -8,11 +8,11 @@ limits, the twist, the angle of the swing, and the parts of the swing's rotation
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass
 
 import numpy as np
 
 from animtool.core.array_types import FloatArray
+from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.rig.driver_plan import DriverPlan
 from animtool.rig.drivers import (

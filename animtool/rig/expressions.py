@@ -12,7 +12,7 @@ import copy
 import sys
 import warnings
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from itertools import accumulate
 from keyword import iskeyword
 from typing import Any
@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from animtool.core.array_types import FloatArray
+from animtool.core.record import dataclass
 
 LONGEST = 1000
 DEEPEST = 60

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -11,6 +10,7 @@ import numpy as np
 from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, FormatError, Severity, naming
+from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.maths.faces import rigid_motion
 from animtool.rig.kinematics import rest_world

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 
 from animtool.core.errors import circle
 from animtool.core.names import nearest
 from animtool.core.quantities import length_text
+from animtool.core.record import dataclass
 from animtool.documents.document import Document, Location
 from animtool.maths import so3
 from animtool.rig.driver_entries import read_driver

@@ -16,11 +16,11 @@ All are relative to the rest frame: ``local = T(rest) · R(rest) · motion(q)``.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 
 import numpy as np
 
 from animtool.core.array_types import ArrayLike, FloatArray, as_floats
+from animtool.core.record import dataclass
 from animtool.core.similar import LONGEST, similar
 from animtool.maths import so3
 from animtool.rig.skeleton import JointType, Rig

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from animtool import _kernels
 from animtool.core.array_types import ArrayLike, FloatArray, as_floats
+from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.rig.skeleton import Rig
 

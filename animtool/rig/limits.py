@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
 
 from animtool.core.array_types import ArrayLike, FloatArray
+from animtool.core.record import dataclass
 from animtool.maths import so3
 
 

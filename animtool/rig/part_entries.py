@@ -5,9 +5,10 @@ from __future__ import annotations
 import keyword
 import re
 from collections.abc import Collection, Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 
 from animtool.core.names import nearest
+from animtool.core.record import dataclass
 from animtool.documents.document import Document, Location
 from animtool.rig.array_entries import ArrayReader, AttachmentReader
 from animtool.rig.controls import (

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
@@ -10,6 +9,7 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 
 from animtool.core.array_types import FloatArray
+from animtool.core.record import dataclass
 from animtool.documents.arrays import Archives, load_array
 
 if TYPE_CHECKING:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -12,6 +11,7 @@ from annotated_types import Len
 
 from animtool.core.array_types import FloatArray
 from animtool.core.names import nearest
+from animtool.core.record import dataclass
 from animtool.documents.check import FileModel, check_version, validated
 from animtool.documents.document import Document, read_document
 from animtool.documents.fields import IgnoreModel, Name, Pair, Real, key

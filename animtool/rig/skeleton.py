@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from enum import StrEnum
 from functools import cached_property
 from pathlib import Path
@@ -15,6 +15,7 @@ import numpy as np
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, FormatError, OptionError, counted, excerpt
 from animtool.core.readers import find_reader
+from animtool.core.record import dataclass
 from animtool.core.similar import similar
 from animtool.core.units import UpAxis, unit_name
 from animtool.rig.controls import Control

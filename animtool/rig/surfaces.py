@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from pathlib import Path
 from typing import overload
 
@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, FormatError
+from animtool.core.record import dataclass
 from animtool.documents.arrays import Archives
 from animtool.rig.parts import (
     ArrayRef,

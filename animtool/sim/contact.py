@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Annotated
 
 from animtool.core.options import Key, Range, above, or_more
+from animtool.core.record import dataclass
 
 # No body of a shot is as fast as this [m/s]: what is has been put elsewhere.
 SPEED_LIMIT = 200.0

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Annotated
 
 from animtool.core.errors import Fault, OptionError
 from animtool.core.options import above, at_least, range_faults
+from animtool.core.record import dataclass
 from animtool.sim.integrators.adaptive import doubled
 from animtool.sim.integrators.integrator import Control, Integrator
 from animtool.sim.integrators.table import find_integrator

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Protocol
 
 import numpy as np
 
 from animtool.core.array_types import FloatArray
+from animtool.core.record import dataclass
 from animtool.sim.equations import Equations
 from animtool.sim.integrators.integrator import Integrator, Step
 from animtool.sim.options import IntegrateOptions

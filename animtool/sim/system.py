@@ -8,13 +8,13 @@ in and come out whole: one call serves all N particles, and none is changed in p
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any, Protocol, TypeAlias
 
 import numpy as np
 
 from animtool.core.array_types import ArrayLike, BoolArray, FloatArray
 from animtool.core.errors import Fault
+from animtool.core.record import dataclass
 
 # Of derivatives: a dense array, or one of scipy.sparse.
 Matrix: TypeAlias = Any

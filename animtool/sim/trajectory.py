@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from enum import StrEnum
 
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault
+from animtool.core.record import dataclass
 
 
 class Status(StrEnum):

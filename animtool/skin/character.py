@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, FormatError
+from animtool.core.record import dataclass
 from animtool.rig.surfaces import Strands, Surface, SurfaceShape
 from animtool.skin.deform import DeformedMesh
 from animtool.skin.shapes import InbetweenDeltas, ShapeDeltas, prepare_shapes

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from animtool import _kernels
 from animtool.core.array_types import ArrayLike, FloatArray, IntArray, as_floats
 from animtool.core.errors import Fault, FormatError, listed
+from animtool.core.record import dataclass
 from animtool.maths.faces import triangulated
 from animtool.motion.motion import Channel
 from animtool.rig.kinematics import WorldTransforms

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import numpy.typing as npt
 
 from animtool.core.array_types import ArrayLike, BoolArray, FloatArray, IntArray
 from animtool.core.errors import Fault, FormatError, listed
+from animtool.core.record import dataclass
 
 # Sums of float32 weights are off by as much without anybody having meant it.
 SUM_TOLERANCE = 1e-6

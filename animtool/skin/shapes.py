@@ -9,7 +9,7 @@ move a part.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, cast
 
 import numpy as np
@@ -24,6 +24,7 @@ from animtool.core.array_types import (
     as_floats,
 )
 from animtool.core.errors import Fault, FormatError, listed
+from animtool.core.record import dataclass
 from animtool.skin.skinning import result
 
 # Inbetweens nearer than this to weight 0, 1 or another are refused: UsdSkel skips them.

@@ -5,7 +5,6 @@ Everything is for column vectors, in the space of the skeleton: the rig's world.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
@@ -13,6 +12,7 @@ import numpy as np
 from animtool import _kernels
 from animtool.core.array_types import ArrayLike, FloatArray, IntArray, as_floats
 from animtool.core.errors import Fault, FormatError, listed
+from animtool.core.record import dataclass
 from animtool.rig.kinematics import WorldTransforms
 from animtool.skin.influences import InfluenceReport, Influences, read_influences
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import MISSING, dataclass, field, replace
+from dataclasses import MISSING, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -11,24 +11,19 @@ from animtool.core.arguments import argument
 from animtool.core.config import find_config
 from animtool.core.errors import Fault, OptionError, Severity
 from animtool.core.names import nearest
-from animtool.core.options import option, options_of
+from animtool.core.options import described, option, options_of
+from animtool.core.record import dataclass
 from animtool.core.rules import all_rules, current_codes, own_rules
 from animtool.validation.profiles import PROFILES, load_profile
 
 
+@described
 @dataclass(frozen=True, slots=True)
 class ValidateOptions:
     """What to look for. Codes may be given by their beginning: ``RIG``, ``RIG2``.
 
     Attributes:
-        select: Codes that count; none is all.
-        ignore: Codes that do not. Of a code that both name, the longer one decides.
-        severity: Severities that take the place of the rules' own, by code.
-        profile: Name or file of a severity profile; empty is the one that the
-            content of a file asks for: `layer` for an animation layer alone.
         levels: Severities of the profile, below all others; None leaves a code out.
-        jobs: Processes; None is as many as the machine has, where there is enough
-            to do. More than one need a script that can be imported.
     """
 
     select: tuple[str, ...] = option(
@@ -119,20 +114,10 @@ _FOR_FIX = f"is for {argument('fix', True)}, which writes"
 _NO_REPORT = f"{argument('diff')} writes a diff, not a report: no {argument('format')}"
 
 
+@described
 @dataclass(frozen=True, slots=True)
 class ReportOptions:
-    """What to do about findings: fix or show them, where, and the exit code.
-
-    Attributes:
-        strict: Warnings end the command with 1, too.
-        exit_zero: It ends with 0 whatever is found.
-        fix: Fix what has a safe remedy.
-        output: Where the repaired copy of one USD file goes; None is in place.
-        overwrite: Replace the output, or without one USD files themselves.
-        diff: Show what a fix would change, and write nothing.
-        report_format: One of `FORMATS`.
-        output_file: Where the report goes; None is stdout.
-    """
+    """What to do about findings: fix or show them, where, and the exit code."""
 
     strict: bool = option(False, "switch", help="End with 1 where there are warnings.")
     exit_zero: bool = option(False, "switch", help="End with 0 whatever is found.")

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from animtool.core.errors import Fault, FormatError, OptionError, Severity
 from animtool.core.files.reading import MAX_TEXT_BYTES, read_input
 from animtool.core.names import nearest
+from animtool.core.record import dataclass
 from animtool.core.rules import all_rules, current_codes
 from animtool.core.toml_text import parse_toml
 from animtool.documents.document import read_document

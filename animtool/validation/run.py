@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,6 +23,7 @@ from animtool.core.files.reading import files_meant, nearest_file, unreadable
 from animtool.core.names import nearest
 from animtool.core.process.signals import without_interrupts
 from animtool.core.process.supervisor import follow_parent, has_crashed, without_main
+from animtool.core.record import dataclass
 from animtool.core.rules import Rule, all_rules, current_codes
 from animtool.documents.document import Document
 from animtool.validation.options import ValidateOptions, check_codes, settings_of

@@ -51,6 +51,7 @@ def test_a_broken_plugin_is_named_and_ends_nothing(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     broken = EntryPoint("shatter", "no_such_module:PASS", "animtool.passes")
+    monkeypatch.setattr("animtool.core.plugins.may_have", lambda _: True)
     monkeypatch.setattr(
         "importlib.metadata.entry_points",
         lambda group: EntryPoints([broken] if group == "animtool.passes" else []),
@@ -67,6 +68,7 @@ def test_rules_of_plug_ins_are_listed(monkeypatch: pytest.MonkeyPatch) -> None:
         EntryPoint("STU001", "core.test_rules:GOOD", "animtool.rules"),
         EntryPoint("STU002", "no_such_module:RULE", "animtool.rules"),
     ]
+    monkeypatch.setattr("animtool.core.plugins.may_have", lambda _: True)
     monkeypatch.setattr(
         "importlib.metadata.entry_points",
         lambda group: EntryPoints(points if group == "animtool.rules" else []),

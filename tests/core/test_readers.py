@@ -84,6 +84,7 @@ def test_an_option_that_a_file_does_not_take(
 
 def install(monkeypatch: pytest.MonkeyPatch, **places: str) -> None:
     points = [EntryPoint(n, place, "animtool.readers") for n, place in places.items()]
+    monkeypatch.setattr("animtool.core.plugins.may_have", lambda _: True)
     monkeypatch.setattr(
         "importlib.metadata.entry_points",
         lambda group: EntryPoints(points if group == "animtool.readers" else []),

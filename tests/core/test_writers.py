@@ -125,6 +125,7 @@ def test_names_of_what_holds_no_markers(tmp_path: Path) -> None:
 
 def install(monkeypatch: pytest.MonkeyPatch, **places: str) -> None:
     points = [EntryPoint(n, place, "animtool.writers") for n, place in places.items()]
+    monkeypatch.setattr("animtool.core.plugins.may_have", lambda _: True)
     monkeypatch.setattr(
         "importlib.metadata.entry_points",
         lambda group: EntryPoints(points if group == "animtool.writers" else []),

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +23,7 @@ from animtool.capture.cameras.camera import (
 )
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, FormatError, excerpt, listed
+from animtool.core.record import dataclass
 from animtool.core.toml_text import parse_toml
 from animtool.core.units import LengthUnit, UpAxis
 from animtool.documents.document import Document, Location, document_of, read_text

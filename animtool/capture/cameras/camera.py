@@ -8,12 +8,12 @@ References:
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault
+from animtool.core.record import dataclass
 from animtool.core.units import UpAxis
 
 # What a camera is called whose file has it alone and without a name.

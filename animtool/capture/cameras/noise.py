@@ -8,7 +8,6 @@ References:
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -18,6 +17,7 @@ from animtool.capture.cameras.camera import Camera, camera_numbers
 from animtool.capture.cameras.observations import Observations
 from animtool.capture.cameras.stale import PoseChange, pose_change
 from animtool.core.array_types import BoolArray, FloatArray
+from animtool.core.record import dataclass
 
 # Points that noise is measured on: it is known to some percent then.
 SAMPLE = 1500

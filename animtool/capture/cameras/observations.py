@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -17,6 +17,7 @@ from animtool.core.clock import Clock
 from animtool.core.errors import Fault, FormatError, OptionError, counted, listed
 from animtool.core.files.reading import open_input
 from animtool.core.rates import FractionLike, rate_from_float, rate_option
+from animtool.core.record import dataclass
 from animtool.core.similar import similar
 from animtool.documents.arrays import Archives
 

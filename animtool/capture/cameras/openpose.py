@@ -11,7 +11,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -33,6 +33,7 @@ from animtool.core.clock import Clock
 from animtool.core.errors import Fault, FormatError, OptionError, listed
 from animtool.core.files.reading import MAX_TEXT_BYTES, read_input
 from animtool.core.rates import FractionLike, rate_option
+from animtool.core.record import dataclass
 from animtool.core.similar import similar
 
 # Who is who: people that several cameras see, matched by rays and followed in time.

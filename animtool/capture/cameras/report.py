@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from animtool.capture.cameras.stale import MIN_VIEW, Disagreement, Moved
 from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.clock import Clock
 from animtool.core.errors import Fault, Severity, counted, listed, percent
+from animtool.core.record import dataclass
 from animtool.core.shot import frame_spans
 from animtool.motion.markers import Markers
 

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from animtool.capture.cameras.camera import Camera, project
 from animtool.core.array_types import BoolArray, FloatArray
+from animtool.core.record import dataclass
 from animtool.maths.so3 import exp, from_matrix, log, to_matrix
 
 # Share of outliers from which a camera does not fit its calibration [1].

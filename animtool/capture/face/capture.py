@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 
@@ -28,6 +27,7 @@ from animtool.core.files.reading import open_input
 from animtool.core.names import nearest
 from animtool.core.rates import FractionLike, RateError, parse_rate, rate_option
 from animtool.core.readers import find_reader
+from animtool.core.record import dataclass
 from animtool.core.units import LengthUnit, UpAxis
 from animtool.documents.arrays import Archives
 from animtool.documents.references import split_reference

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -13,6 +12,7 @@ from animtool.capture.face.model import BentShapes, FaceModel
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.config import project_roots
 from animtool.core.names import nearest
+from animtool.core.record import dataclass
 from animtool.documents.check import FileModel, check_version, validated
 from animtool.documents.document import Document, Location, read_document
 from animtool.documents.fields import IgnoreModel, Name, Real, key

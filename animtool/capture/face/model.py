@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 
 import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.errors import Fault, OptionError, Severity, naming
+from animtool.core.record import dataclass
 from animtool.maths.faces import rigid_motion
 from animtool.maths.so3 import conjugate, rotate
 from animtool.rig.parts import Shape

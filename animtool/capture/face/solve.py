@@ -13,7 +13,7 @@ References:
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from enum import StrEnum
 
 import numpy as np
@@ -24,6 +24,7 @@ from animtool.capture.face.poses import camera_pose, head_poses
 from animtool.core.arguments import argument
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.errors import Fault, OptionError, Severity, counted, listed, naming
+from animtool.core.record import dataclass
 from animtool.maths.so3 import align_signs, slerp
 
 # Frames of a window that count, and those on both sides that it is solved with: a

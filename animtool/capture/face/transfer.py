@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,6 +10,7 @@ from animtool.capture.face.model import FaceModel
 from animtool.capture.face.solve import FaceFit, fit_face
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, OptionError, Severity, naming
+from animtool.core.record import dataclass
 from animtool.rig.remap import RemapFile, ShapeLinks, link_shapes
 
 if TYPE_CHECKING:

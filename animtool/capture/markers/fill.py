@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,6 +15,7 @@ from animtool.capture.options import FillOptions
 from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.errors import Fault, Severity, counted
 from animtool.core.process.blas import one_thread
+from animtool.core.record import dataclass
 from animtool.motion.markers import Markers
 
 if TYPE_CHECKING:

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from animtool.core.array_types import FloatArray
+from animtool.core.record import dataclass
 
 # Frames looked at of a long take: distances do not need all of them.
 MAX_FRAMES = 1500

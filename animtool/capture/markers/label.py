@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import asdict, field, fields, replace
 from itertools import combinations
 from typing import Any
 
@@ -17,6 +17,7 @@ from animtool.capture.markers.twins import Exchange, exchanged_in, told_apart
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.clock import span_label
 from animtool.core.errors import Fault, OptionError, Severity
+from animtool.core.record import dataclass
 from animtool.motion.markers import Markers
 
 # Which runs of a cloud are which markers, to begin with: groups that stay rigid.

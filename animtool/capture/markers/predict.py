@@ -10,7 +10,6 @@ References:
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from itertools import product
 from typing import TYPE_CHECKING
 
@@ -18,6 +17,7 @@ import numpy as np
 
 from animtool.capture.markers.geometry import fitted, mean_shape
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
+from animtool.core.record import dataclass
 
 if TYPE_CHECKING:
     from animtool.capture.markers.skeleton import SkeletonMarkers

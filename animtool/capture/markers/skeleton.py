@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
 
@@ -10,6 +10,7 @@ from animtool.capture.solve import SolveOptions, calibrate, solve_markers
 from animtool.capture.templates.template import MarkerTemplate
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.errors import Fault
+from animtool.core.record import dataclass
 from animtool.core.units import up_from_up
 from animtool.maths import so3
 from animtool.motion.markers import Markers

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.record import dataclass
 
 # A marker on a hand that is thrown changes its speed by about 100 g [m/s^2].
 MAX_ACCELERATION = 1000.0

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
@@ -10,6 +9,7 @@ import numpy as np
 from animtool.capture.markers.geometry import distances, fitted
 from animtool.capture.markers.naming import exchanges, gain_of, said_of
 from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.record import dataclass
 
 # An exchange that distances speak against by more is not looked at [nat].
 AGAINST = 6.0

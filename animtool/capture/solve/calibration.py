@@ -9,7 +9,7 @@ synthesis, 2000, section 6.1), with what is likely of a body as priors.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -33,6 +33,7 @@ from animtool.capture.templates.match import match_markers
 from animtool.capture.templates.template import MarkerTemplate
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, OptionError, Severity, listed
+from animtool.core.record import dataclass
 from animtool.ik.chain import difference
 from animtool.ik.fit import FitOptions, fit
 from animtool.ik.solving import chain_targets

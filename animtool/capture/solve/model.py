@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from animtool.capture.templates.template import MarkerTemplate
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.errors import Fault, OptionError
+from animtool.core.record import dataclass
 from animtool.ik.goals import KINDS, Goal, Targets
 from animtool.ik.problem import Problem, build
 from animtool.ik.sub_rig import with_types

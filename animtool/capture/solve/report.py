@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
 
 from animtool.capture.solve.model import MIN_MARKERS
 from animtool.capture.solve.sampling import ROBUST
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
+from animtool.core.record import dataclass
 from animtool.motion.contacts import intervals
 
 # Share of a frame's markers that must fit for it not to be poor.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
 
@@ -29,6 +29,7 @@ from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, OptionError, Severity, counted, listed
 from animtool.core.quantities import length_text
+from animtool.core.record import dataclass
 from animtool.core.shot import frame_spans
 from animtool.core.units import up_from_up
 from animtool.ik.fit import FitOptions, fit

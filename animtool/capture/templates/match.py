@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -12,6 +11,7 @@ from animtool.core.arguments import argument
 from animtool.core.array_types import IntArray
 from animtool.core.errors import Fault, OptionError, counted, listed
 from animtool.core.names import nearest
+from animtool.core.record import dataclass
 from animtool.core.similar import similar
 
 # Names in a message.

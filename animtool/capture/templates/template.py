@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +11,7 @@ import numpy as np
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, FormatError, OptionError
 from animtool.core.names import flow, nearest, number, text
+from animtool.core.record import dataclass
 from animtool.documents.document import Document, spelled
 from animtool.rig.parts import Vector
 from animtool.rig.skeleton import Rig

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from enum import StrEnum
 from fractions import Fraction
 
@@ -13,6 +12,7 @@ from animtool.clip.channels import ClipChannel, ClipUnits
 from animtool.clip.clip import Clip
 from animtool.core.array_types import ArrayLike, FloatArray
 from animtool.core.clock import Clock
+from animtool.core.record import dataclass
 from animtool.maths import euler
 from animtool.maths.curves import Interp
 from animtool.maths.fit import FittedKeys, evaluate_keys

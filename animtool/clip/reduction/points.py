@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from fnmatch import fnmatchcase
 
 import numpy as np
@@ -14,6 +14,7 @@ from animtool.clip.reduction.keys import ChannelKind
 from animtool.clip.reduction.tracks import Track
 from animtool.core.array_types import ArrayLike, FloatArray, IntArray
 from animtool.core.errors import Fault, OptionError, excerpt
+from animtool.core.record import dataclass
 from animtool.core.similar import similar
 from animtool.maths.fit import FittedKeys, evaluate_keys, fit_keys
 from animtool.rig.kinematics import WorldTransforms

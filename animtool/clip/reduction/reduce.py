@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -20,6 +19,7 @@ from animtool.clip.reduction.points import (
 from animtool.clip.reduction.tolerance import WEIGHT_TOLERANCE
 from animtool.clip.reduction.tracks import Pose, Track, pose_of, tracks_of
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
+from animtool.core.record import dataclass
 from animtool.maths.fit import FittedKeys, evaluate_keys, fit_keys
 from animtool.maths.so3 import IDENTITY
 from animtool.motion.motion import Channel, Motion

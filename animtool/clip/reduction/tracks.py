@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
 from animtool.clip.reduction.keys import ChannelKind
 from animtool.core.array_types import FloatArray
+from animtool.core.record import dataclass
 from animtool.maths import euler, so3
 from animtool.maths.additive import scaled, shifted, turned
 from animtool.motion.motion import Channel, Motion

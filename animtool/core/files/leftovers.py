@@ -15,7 +15,7 @@ import re
 import stat
 import sys
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -23,6 +23,7 @@ from uuid import uuid4
 
 from animtool.core.errors import FormatError
 from animtool.core.files.reading import open_input, read_input
+from animtool.core.record import dataclass
 
 _OWNER = re.compile(r"\.animtool-(?P<host>[0-9a-f]{8})-(?P<process>[0-9]+)-")
 # A name that `new_temporary` gives.

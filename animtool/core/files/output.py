@@ -8,7 +8,7 @@ import re
 import unicodedata
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextvars import ContextVar
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any
 
@@ -19,6 +19,7 @@ from animtool.core.files.placing import Target, Whole, output_error, place_files
 from animtool.core.files.reading import check_inputs, recorded_inputs
 from animtool.core.process.signals import deferred_signals, ending, interrupt
 from animtool.core.process.supervisor import note_folder, note_said
+from animtool.core.record import dataclass
 
 if TYPE_CHECKING:
     import numpy.typing as npt

@@ -7,12 +7,12 @@ import errno
 import os
 import stat
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from animtool.core.arguments import argument
 from animtool.core.errors import Fault, OptionError, OutputError
 from animtool.core.files.leftovers import TEMPORARY, Journal, PlacedFile, new_temporary
+from animtool.core.record import dataclass
 
 # What systems say of a disk without hard links.
 _NO_LINKS = frozenset(

@@ -12,12 +12,13 @@ import stat
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
-from dataclasses import dataclass, field
+from dataclasses import field
 from itertools import islice
 from pathlib import Path
 from typing import Any
 
 from animtool.core.errors import Fault, FormatError
+from animtool.core.record import dataclass
 from animtool.core.similar import similar
 
 

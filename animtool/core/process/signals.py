@@ -7,9 +7,10 @@ import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from types import FrameType
 from typing import NoReturn
+
+from animtool.core.record import dataclass
 
 # A terminal that is closed asks as SIGTERM does.
 _NAMES = ("SIGINT", "SIGTERM", "SIGHUP")

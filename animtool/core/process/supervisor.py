@@ -18,12 +18,13 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import field
 from types import ModuleType
 from typing import TYPE_CHECKING
 
 from animtool.core.errors import ExitCode, Fault, FormatError
 from animtool.core.process.signals import ENDING, obey_signals
+from animtool.core.record import dataclass
 
 if TYPE_CHECKING:
     from pathlib import Path

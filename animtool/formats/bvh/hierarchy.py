@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, field
+from dataclasses import field
 
 from animtool.core.arguments import argument
 from animtool.core.errors import Fault, Severity, counted, excerpt, listed
 from animtool.core.quantities import CONTROL
 from animtool.core.rates import RateChoice, RateKind, rate_from_frame_time, rate_label
+from animtool.core.record import dataclass
 from animtool.formats.bvh.lines import FLOAT32_MAX, HeaderLines
 from animtool.rig.skeleton import CHANNEL_NAMES
 

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO, NoReturn
 
@@ -23,6 +22,7 @@ from animtool.core.files.reading import (
     open_input,
     unreadable,
 )
+from animtool.core.record import dataclass
 
 CHUNK_BYTES = 1 << 19
 # A header line names one joint or its channels; a longer one is not a BVH's.

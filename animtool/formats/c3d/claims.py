@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
 
+from animtool.core.record import dataclass
 from animtool.formats.c3d.sections import BLOCK, Sections
 
 # Counts in 16 bits: a take may be longer where one of these is stated.

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
+from animtool.core.record import dataclass
 from animtool.formats.c3d.claims import Claim, Claims
 from animtool.formats.c3d.sections import BLOCK
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 
@@ -16,6 +15,7 @@ from animtool.core.clock import Clock
 from animtool.core.errors import FormatError, counted, excerpt, listed
 from animtool.core.files.reading import MAX_INPUT_BYTES, open_input
 from animtool.core.rates import FractionLike
+from animtool.core.record import dataclass
 from animtool.core.units import LengthUnit, UpAxis
 from animtool.formats.c3d.claims import WORD, Claim, claims_of, trial_fields, word_of
 from animtool.formats.c3d.layout import (

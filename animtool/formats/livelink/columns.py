@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +11,7 @@ import numpy as np
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.errors import Fault, FormatError, Severity, counted, excerpt, listed
 from animtool.core.files.reading import read_input
+from animtool.core.record import dataclass
 from animtool.rig.shapes import ARKIT_SHAPES, arkit_name
 
 # As the app writes them; readers take any case.

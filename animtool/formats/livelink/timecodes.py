@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
 from fractions import Fraction
 
 import numpy as np
@@ -13,6 +12,7 @@ from animtool.core.arguments import argument
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.errors import Fault, FormatError, Severity, counted, excerpt, listed
 from animtool.core.rates import rate_label
+from animtool.core.record import dataclass
 from animtool.core.timecode import day_frames, parse_timecode
 
 # What clocks of recorders count, and the one that the app starts with.

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 
 import numpy as np
 
 from animtool.core.array_types import FloatArray
+from animtool.core.record import dataclass
 from animtool.maths import euler
 from animtool.rig.joints import coordinate_slices
 from animtool.rig.skeleton import Joint, JointType, Rig

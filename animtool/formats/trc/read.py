@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 
@@ -12,6 +11,7 @@ import numpy as np
 from animtool.core.clock import Clock
 from animtool.core.errors import Fault, FormatError, counted, excerpt
 from animtool.core.rates import FractionLike
+from animtool.core.record import dataclass
 from animtool.core.units import LengthUnit, UpAxis
 from animtool.formats.delimited import (
     BLANK,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
@@ -12,6 +12,7 @@ from animtool.core.clock import Clock, FrameSpan
 from animtool.core.errors import Fault, refuse_warnings
 from animtool.core.files.output import check_outputs, write_arrays, write_parts
 from animtool.core.plugins import load_object
+from animtool.core.record import dataclass
 from animtool.core.shot import Shot
 from animtool.core.writers import Writer, take_writer
 from animtool.motion.scores import PassScores

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
@@ -14,6 +14,7 @@ from animtool.core.arguments import argument
 from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.clock import Clock, frame_label, time_codes
 from animtool.core.errors import Fault, OptionError, Severity
+from animtool.core.record import dataclass
 from animtool.core.shot import FrameRange, Shot, frame_spans
 from animtool.edit.between import Between
 from animtool.edit.resample import (

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Generator
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from fractions import Fraction
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from animtool.core.errors import Fault, Severity
+from animtool.core.record import dataclass
 from animtool.maths.curves import Curves
 from animtool.motion.motion import Motion
 from animtool.rig.kinematics import rest_size

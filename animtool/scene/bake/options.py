@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import field, fields, replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -10,8 +10,9 @@ from typing import Any
 from animtool.clip.reduction.tolerance import KEY_TOLERANCE
 from animtool.core.arguments import argument
 from animtool.core.errors import Fault, OptionError
-from animtool.core.options import Key, option
+from animtool.core.options import Key, described, option
 from animtool.core.rates import FractionLike, OptionalFraction, rate_option
+from animtool.core.record import dataclass
 from animtool.core.shot import FrameRange, FrameRangeLike, OptionalRange, Shot
 from animtool.core.units import LengthUnit, UpAxis
 from animtool.scene.file.option_text import parse_frame, parse_frame_range
@@ -23,51 +24,16 @@ _ADOPTED = (
 )
 
 
+@described
 @dataclass(frozen=True, slots=True)
 class BakeOptions:
     """How to bake.
 
     Attributes:
         source: What the source is, where its file does not say.
-        form: ``stage``, ``split``, ``layer`` or ``library``; None is a layer where
-            there is a rig layer, else a stage.
-        rig_layer: The rig, or a shot that holds it, for a layer.
-        force_fit: Write a take that does not fit the rig all the same.
-        take: Name of a library's take; None is that of the source.
-        prim_path: Where the character stands; None is ``/{name of the source}``,
-            or where the rig layer has it.
-        placement: ``keep`` where the stage of a USD source has the character stand and
-            face, or ``drop`` it; None keeps it, but drops it in a layer over a rig that
-            stands somewhere itself.
-        bones: Add geometry that shows the joints.
-        strip_namespace: Leading ``ns:`` parts of joint names to drop.
-        rest_frame: Frame whose pose becomes the rest pose; None keeps the source's.
-        fps: Frames a second of the output; a number or text such as ``23.976``
-            becomes a fraction. None is the rig layer's or the source's.
-        frame_range: Frames to write.
         shot: The shot that is written: its frames, where there is no range, at its
             rate. The pose of frames that the take lacks is held.
-        start: Time code of the first frame of the take; a number or text becomes a
-            fraction. None is where the shot has
-            it, the rig layer's, the project's, or 1.
-        samples: Sub-frame samples around each frame, in frames.
-        keep_samples: Keep the source's samples at fractional time codes.
-        to_units: Unit of the output; None is the rig layer's or the source's.
-        to_up: Up axis of the output; likewise.
         root_motion: Let the SkelRoot carry the first root joint's motion.
-        sparse: Write only the joints that are not at rest throughout.
-        keep_curves: Write the curves of controls beside the samples that they made.
-        reduce: Leave out samples that the others give back within so much [m]; None
-            keeps all.
-        reduce_at: Other tolerances for some joints: names or patterns, and [m].
-        deform: Write deformed meshes as point caches, in place of a skinned character.
-        velocities: Of points too, per second.
-        normals: Of meshes that have them: None and True deform these too, False leaves
-            meshes without.
-        chunk: Samples of point caches, and of systems, in each of several files; None
-            is one file.
-        keep_stopped: Where a simulation stops, write the frames before, and raise then.
-        strict: Take warnings for errors.
         overwrite: Replace outputs that exist.
 
     Raises:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
@@ -12,6 +12,7 @@ from animtool.core.errors import AnimtoolError, Fault, OptionError
 from animtool.core.files.output import check_outputs, name_key
 from animtool.core.files.placing import target
 from animtool.core.readers import PACKAGE
+from animtool.core.record import dataclass
 from animtool.core.writers import take_writer, writer_of, writes_stage
 from animtool.scene.bake.options import BakeOptions, merged
 from animtool.scene.bake.reading import (

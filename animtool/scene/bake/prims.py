@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 
 from animtool.core.clock import FrameSpan
 from animtool.core.errors import Fault, ToleranceError
+from animtool.core.record import dataclass
 from animtool.core.shot import Shot
 from animtool.core.units import UpAxis
 from animtool.motion.scores import PassScores

@@ -9,8 +9,10 @@ import threading
 import time
 from collections.abc import Callable, Generator, Iterator, MutableMapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import TYPE_CHECKING, TypeAlias, TypeVar
+
+from animtool.core.record import dataclass
 
 if TYPE_CHECKING:
     from animtool.core.array_types import FloatArray

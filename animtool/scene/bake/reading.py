@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
@@ -18,6 +18,7 @@ from animtool.core.errors import (
 from animtool.core.names import is_named
 from animtool.core.options import called, clashes, given_options, refused_options
 from animtool.core.rates import rate_label
+from animtool.core.record import dataclass
 from animtool.core.writers import Writer
 from animtool.scene.bake.options import BakeOptions
 from animtool.scene.bake.progress import Progress, share_of

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from enum import StrEnum
 from fractions import Fraction
 from pathlib import Path
@@ -11,6 +11,7 @@ from pathlib import Path
 from animtool.core.clock import Clock
 from animtool.core.errors import counted, listed
 from animtool.core.rates import rate_label
+from animtool.core.record import dataclass
 from animtool.core.writers import CLIP, take_writer
 from animtool.motion.motion import Motion
 from animtool.motion.passes import TakePart, sees_tracks

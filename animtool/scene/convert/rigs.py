@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 from animtool.core.arguments import argument, flag
@@ -22,6 +21,7 @@ from animtool.core.files.output import (
 )
 from animtool.core.files.reading import recorded_inputs
 from animtool.core.names import file_suffixes, is_named
+from animtool.core.record import dataclass
 from animtool.rig.skeleton import Rig
 from animtool.rig.surfaces import StoredArrays, with_file
 from animtool.rig.write import rig_text

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ from animtool.core.errors import (
     Severity,
     ToleranceError,
 )
+from animtool.core.record import dataclass
 from animtool.core.units import LengthUnit
 from animtool.documents.check import FileModel
 from animtool.documents.document import Document, Location, location_of, spelled

@@ -1,47 +1,23 @@
-"""Keys of scenes and batches that are options, read off their records."""
+"""Values of keys of scenes and batches that are options."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Any, TypeVar
 
-from annotated_types import Ge, Len
-from pydantic import Field, create_model
-
-from animtool.core.options import Key, Kind, keys_of, options_of
+from animtool.core.options import Kind, Place, keys_of, options_of
 from animtool.core.rates import parse_rate
+from animtool.core.record import dataclass
 from animtool.core.shot import FrameRange
 from animtool.core.units import LengthUnit, UpAxis, parse_length
 from animtool.documents.check import FileModel
 from animtool.documents.document import Document, Location
-from animtool.documents.fields import Frame, Name, Real, Whole, WholeFrame
 from animtool.documents.references import referred_input
 from animtool.scene.file.option_text import parse_offsets
 
-Model = TypeVar("Model", bound=FileModel)
 Value = TypeVar("Value")
-FileKind = Literal["scene", "batch"]
-
-# As a file writes a kind of option; what is not given is None, if nothing else is said.
-_TYPES: dict[Kind, Any] = {
-    "switch": bool,
-    "answer": bool | None,
-    "text": str | None,
-    "file": Name | None,
-    "unit": Literal["m", "cm", "mm", "in"] | None,
-    "axis": Literal["Y", "Z"] | None,
-    "rate": Real | str | None,
-    "range": Annotated[list[WholeFrame], Len(2, 2)] | None,
-    "frame": Frame | None,
-    "offsets": list[Frame],
-    "length": str | None,
-    "lengths": dict[str, str],
-    "count": Annotated[Whole, Ge(1)] | None,
-}
-_DEFAULTS: dict[Kind, Any] = {"switch": False, "offsets": [], "lengths": {}}
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,54 +46,10 @@ class KeyReader:
         return Path(name) if path is None else path
 
 
-def with_keys(
-    record: type[Any], place: FileKind, *order: str
-) -> Callable[[type[Model]], type[Model]]:
-    """Give a model the keys of a record of options, beside its own.
-
-    Args:
-        record: Of options, each with the `Key` of the place.
-        place: The kind of file.
-        order: Of all keys; others come last.
-    """
-
-    def decorate(model: type[Model]) -> type[Model]:
-        definitions: dict[str, Any] = {
-            name: (info.annotation, info) for name, info in model.model_fields.items()
-        }
-        for name, key in keys_of(record, place).items():
-            kind = options_of(record)[name].kind
-            definitions[key.alias or name] = _definition(kind, key)
-        names = sorted(
-            definitions, key=lambda n: order.index(n) if n in order else len(order)
-        )
-        model_type: Any = create_model(
-            model.__name__,
-            __base__=FileModel,
-            __module__=model.__module__,
-            __doc__=model.__doc__,
-            **{name: definitions[name] for name in names},
-        )
-        return model_type  # type: ignore[no-any-return]
-
-    return decorate
-
-
-def _definition(kind: Kind, key: Key) -> tuple[Any, Any]:
-    """Return the type of a key, and what documents it."""
-    type_ = Literal[key.choices] | None if kind == "choice" else _TYPES[kind]
-    described = Field(
-        default=_DEFAULTS.get(kind),
-        description=key.description,
-        examples=[key.example],
-    )
-    return type_, described
-
-
 def option_keys(
     record: type[Any],
     model: FileModel,
-    place: FileKind,
+    place: Place,
     at: Location,
     reader: KeyReader,
 ) -> dict[str, Any]:
@@ -125,16 +57,16 @@ def option_keys(
 
     Args:
         record: Of options.
-        model: Of `with_keys`.
+        model: Of `with_fields`, of this place.
         place: The kind of file.
         at: Where the model is in its file.
         reader: Reads and records faults.
     """
-    values = {}
+    values, options = {}, options_of(record)
     for name, key in keys_of(record, place).items():
         given = getattr(model, key.alias or name)
         if given is not None:
-            kind = options_of(record)[name].kind
+            kind = options[name].kind
             value = _value(kind, given, (*at, key.alias or name), reader)
             if value is not None:
                 values[name] = value

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -13,6 +13,7 @@ from animtool.core.config import project_roots
 from animtool.core.errors import AnimtoolError, OptionError
 from animtool.core.plugins import load_object
 from animtool.core.rates import parse_rate
+from animtool.core.record import dataclass
 from animtool.core.writers import writes_stage
 from animtool.documents.check import check_version, record_of_options, validated
 from animtool.documents.document import Document, Location, read_document

@@ -30,9 +30,9 @@ from animtool.documents.fields import (
     WholeFrame,
     check_numbers,
     key,
+    with_fields,
 )
 from animtool.scene.bake.options import BakeOptions
-from animtool.scene.file.output_fields import with_keys
 from animtool.scene.sources.open import SourceOptions
 from animtool.systems.framework.kinds import SYSTEM_KINDS
 
@@ -49,11 +49,13 @@ class TracksModel(FileModel):
     )
 
 
-@with_keys(
+@with_fields(
     SourceOptions,
-    "scene",
-    *("file", "units", "up", "fps", "prim", "take", "remap", "dropped", "clamp"),
-    *("template", "cameras", "positions"),
+    place="scene",
+    order=(
+        *("file", "units", "up", "fps", "prim", "take", "remap", "dropped", "clamp"),
+        *("template", "cameras", "positions"),
+    ),
 )
 class SourceModel(FileModel):
     """A clip, BVH, USD or marker file, and what it leaves open."""
@@ -170,12 +172,14 @@ class ShotModel(FileModel):
     )
 
 
-@with_keys(
+@with_fields(
     BakeOptions,
-    "scene",
-    *("file", "as", "take", "rig_layer", "force_fit", "prim_path", "start"),
-    *("samples", "sparse", "bones", "keep_curves", "reduce", "reduce_at", "deform"),
-    *("velocities", "normals", "systems", "chunk"),
+    place="scene",
+    order=(
+        *("file", "as", "take", "rig_layer", "force_fit", "prim_path", "start"),
+        *("samples", "sparse", "bones", "keep_curves", "reduce", "reduce_at", "deform"),
+        *("velocities", "normals", "systems", "chunk"),
+    ),
 )
 class OutputModel(FileModel):
     """What to write; the command line's own options come first."""

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from fnmatch import fnmatchcase
 
 import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.record import dataclass
 from animtool.motion.motion import Channel, Motion
 from animtool.rig.joints import DRIVEN_PARTS, split_part
 from animtool.rig.skeleton import Rig

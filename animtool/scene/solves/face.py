@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,6 +19,7 @@ from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, OptionError, Severity, refuse_warnings
 from animtool.core.files.output import check_outputs
 from animtool.core.names import is_named
+from animtool.core.record import dataclass
 from animtool.core.units import UpAxis, unit_name
 from animtool.maths.so3 import multiply, rotate
 from animtool.motion.driving import driven_take

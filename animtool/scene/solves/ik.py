@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -22,6 +22,7 @@ from animtool.core.errors import (
 )
 from animtool.core.files.output import check_outputs, sparing_inputs
 from animtool.core.names import is_named
+from animtool.core.record import dataclass
 from animtool.core.units import unit_name
 from animtool.ik.file import load_targets
 from animtool.ik.on_take import solve_take
@@ -70,9 +71,8 @@ class IkJob:
     angle_tolerance: float | None = None
     # Refuse to write what misses, or what there are warnings about.
     strict: bool = False
-    # USD file, ``.clip.yaml`` or ``.bvh``; None writes nothing.
+    # USD file, ``.clip.yaml`` or ``.bvh``, or `STDOUT` for usda; None writes nothing.
     output: Path | None = None
-    to_stdout: bool = False  # write usda to stdout
     # How USD is written; its ``reduce`` and ``overwrite`` are for others too.
     bake: BakeOptions = field(default_factory=BakeOptions)
 
@@ -222,11 +222,11 @@ def ik_outputs(job: IkJob) -> list[Path]:
 
 def _outline(job: IkJob) -> Outline | None:
     """Return what a job writes; None where that is nothing."""
-    if job.output is None and not job.to_stdout:
+    if job.output is None:
         return None
     return outlined(
         job.targets if job.start is None else job.start,
-        STDOUT if job.to_stdout else job.output,
+        job.output,
         job.bake,
         rig_file=_named_rig(job.rig, job.output),
     )
@@ -234,7 +234,7 @@ def _outline(job: IkJob) -> Outline | None:
 
 def _named_rig(rig: Path, output: Path | None) -> Path | None:
     """Return the rig if it is a file that a clip beside the output may name."""
-    if output is None:
+    if output is None or output == STDOUT:
         return None
     inside = any(rig.resolve().is_relative_to(root) for root in project_roots(output))
     return rig if is_named(rig, "rig") and inside else None

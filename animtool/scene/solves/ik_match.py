@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from fractions import Fraction
 from pathlib import Path
 
@@ -19,11 +19,13 @@ from animtool.core.files.output import (
     write_parts,
 )
 from animtool.core.names import is_named
+from animtool.core.record import dataclass
 from animtool.ik.match_take import arrays_of, chains_of, left_out, match_take
 from animtool.ik.tracks import TargetTracks
 from animtool.ik.write import targets_text
 from animtool.motion.take import Take
 from animtool.rig.surfaces import StoredArrays
+from animtool.scene.bake.options import BakeOptions
 from animtool.scene.bake.progress import Progress
 from animtool.scene.solves.ik import frame_index, naming
 from animtool.scene.solves.start import open_start
@@ -43,10 +45,8 @@ class MatchJob:
     chains: tuple[str, ...] = ()  # names of chains, or patterns; none is all
     pose: bool = False  # match one frame only
     frame: Fraction | None = None  # which; None is the first
-    # How far sparse keys may be off [m]; None writes every frame.
-    reduce: float | None = None
-    overwrite: bool = False  # replace outputs that exist
-    strict: bool = False  # refuse to write what there are warnings about
+    # How targets are written: `reduce`, of sparse keys, `overwrite` and `strict` alone.
+    written: BakeOptions = field(default_factory=BakeOptions)
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +85,7 @@ def run_match(job: MatchJob, *, progress: Progress = None) -> MatchReport:
 
 def _run_match(job: MatchJob, progress: Progress) -> MatchReport:
     inputs = [job.rig, job.take]
-    check_outputs([job.output], inputs, overwrite=job.overwrite)
+    check_outputs([job.output], inputs, overwrite=job.written.overwrite)
     began = time.perf_counter()
     with sparing_inputs([job.output, arrays_of(job.output)]):
         rig, notices = open_rig(job.rig)
@@ -97,14 +97,14 @@ def _run_match(job: MatchJob, progress: Progress) -> MatchReport:
     read = time.perf_counter()
     left = [replace(fault, path=str(job.take)) for fault in left_out(take, chains)]
     notices = [*notices, *take.notices, *left]
-    refuse_warnings(notices, strict=job.strict)
-    tracks = match_take(take, chains, job.output, reduce=job.reduce)
+    refuse_warnings(notices, strict=job.written.strict)
+    tracks = match_take(take, chains, job.output, reduce=job.written.reduce)
     text = targets_text(tracks, ClipUnits.of_rig(rig))
     matched = time.perf_counter()
     outputs = [job.output]
     if text.arrays:
         outputs.insert(0, arrays_of(job.output))
-        check_outputs(outputs, inputs, overwrite=job.overwrite)
+        check_outputs(outputs, inputs, overwrite=job.written.overwrite)
         write_arrays(outputs[0], _named(text.arrays))
     write_parts(job.output, [text.text.encode()])
     seconds = {

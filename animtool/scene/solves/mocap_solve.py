@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -28,11 +28,12 @@ from animtool.core.files.output import (
 )
 from animtool.core.files.reading import seen_from
 from animtool.core.names import is_named
+from animtool.core.record import dataclass
 from animtool.formats.marker_files import file_of, open_markers
 from animtool.motion.take import TakeStream
 from animtool.rig.placed import at_origin
 from animtool.scene.bake.options import BakeOptions
-from animtool.scene.bake.outline import STDOUT, Outline, check_outline, outlined
+from animtool.scene.bake.outline import Outline, check_outline, outlined
 from animtool.scene.bake.progress import Progress, timed
 from animtool.scene.convert.rigs import RigFile, rig_file
 from animtool.scene.sources.onto_rig import open_rig
@@ -54,9 +55,8 @@ class MocapSolveJob:
     # What the source is.
     reading: SourceOptions = field(default_factory=SourceOptions)
     options: SolveOptions = field(default_factory=SolveOptions)
-    # USD file, ``.clip.yaml`` or ``.bvh``; None writes nothing.
+    # USD file, ``.clip.yaml`` or ``.bvh``, or `STDOUT` for usda; None writes nothing.
     output: Path | None = None
-    to_stdout: bool = False  # write usda to stdout
     write_rig: Path | None = None  # rig file of the subject to write
     write_template: Path | None = None  # and its template
     # How USD is written; `reduce`, `overwrite` and `strict` of it are for others too.
@@ -86,10 +86,9 @@ def solve_outputs(job: MocapSolveJob) -> list[Path]:
 
 def _outline(job: MocapSolveJob) -> Outline | None:
     """Return what a job writes of the motion; None where that is nothing."""
-    if job.output is None and not job.to_stdout:
+    if job.output is None:
         return None
-    output = STDOUT if job.to_stdout else job.output
-    return outlined(job.source, output, job.bake, rig_file=_named_rig(job))
+    return outlined(job.source, job.output, job.bake, rig_file=_named_rig(job))
 
 
 def _named_rig(job: MocapSolveJob) -> Path | None:

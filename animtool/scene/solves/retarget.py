@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -17,6 +17,7 @@ from animtool.core.files.output import (
     write_parts,
 )
 from animtool.core.names import is_named
+from animtool.core.record import dataclass
 from animtool.core.units import unit_name
 from animtool.motion.driving import driven_stream
 from animtool.motion.reorient import off_its_place
@@ -31,7 +32,7 @@ from animtool.rig.placed import at_origin, standing_notice
 from animtool.rig.skeleton import Rig
 from animtool.scene.bake.files import ConvertReport
 from animtool.scene.bake.options import BakeOptions
-from animtool.scene.bake.outline import STDOUT, Outline, check_outline, outlined
+from animtool.scene.bake.outline import Outline, check_outline, outlined
 from animtool.scene.bake.progress import Progress, timed
 from animtool.scene.solves.ik import naming
 from animtool.scene.sources.onto_rig import open_rig
@@ -50,9 +51,8 @@ class RetargetJob:
     # What the source is.
     reading: SourceOptions = field(default_factory=SourceOptions)
     options: RetargetOptions = field(default_factory=RetargetOptions)
-    # USD file, ``.clip.yaml`` or ``.bvh``; None writes nothing.
+    # USD file, ``.clip.yaml`` or ``.bvh``, or `STDOUT` for usda; None writes nothing.
     output: Path | None = None
-    to_stdout: bool = False  # write usda to stdout
     write_map: Path | None = None  # map file to write
     # How USD is written; `fps`, `frame_range`, `start`, `reduce`, `overwrite` and
     # `strict` of it are for others too.
@@ -98,10 +98,9 @@ def retarget_outputs(job: RetargetJob) -> list[Path]:
 
 def _outline(job: RetargetJob) -> Outline | None:
     """Return what a job writes of the take; None where that is nothing."""
-    if job.output is None and not job.to_stdout:
+    if job.output is None:
         return None
-    output = STDOUT if job.to_stdout else job.output
-    return outlined(job.source, output, job.bake, rig_file=_named_rig(job))
+    return outlined(job.source, job.output, job.bake, rig_file=_named_rig(job))
 
 
 def _named_rig(job: RetargetJob) -> Path | None:

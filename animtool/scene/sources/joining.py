@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from fractions import Fraction
 
 import numpy as np
@@ -14,6 +14,7 @@ from animtool.core.errors import Fault, OptionError, Severity, excerpt, listed
 from animtool.core.names import nearest
 from animtool.core.quantities import plain
 from animtool.core.rates import rate_label
+from animtool.core.record import dataclass
 from animtool.core.timecode import seconds_between
 from animtool.edit.combine import other_frames
 from animtool.edit.travel import nearby_places

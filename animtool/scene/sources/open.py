@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
@@ -11,9 +11,10 @@ from animtool.core.arguments import argument
 from animtool.core.errors import AnimtoolError, Fault, OptionError
 from animtool.core.files.reading import FileState, note_input
 from animtool.core.names import is_named
-from animtool.core.options import Key, called, option, options_of
+from animtool.core.options import Key, called, described, option, options_of
 from animtool.core.rates import OptionalFraction, rate_option
 from animtool.core.readers import DOCUMENT, READERS, TIMELINE_SUFFIXES, USD, find_reader
+from animtool.core.record import dataclass
 from animtool.core.shot import Shot
 from animtool.core.units import LengthUnit, UpAxis, unit_name
 from animtool.scene.bake.progress import Progress
@@ -30,28 +31,13 @@ _POSITIONS = ("channels", "offsets")
 _OF_BVH = "says what a BVH leaves open; this file states it"
 
 
+@described
 @dataclass(frozen=True, slots=True)
 class SourceOptions:
     """What a source is, where the file does not say.
 
     Attributes:
-        unit: Unit of its lengths; None is what the file says, centimetres for BVH.
-        up: Its up axis; None is what the file says, Y for BVH.
-        positions: Of a BVH: whether position channels below the root count, or
-            OFFSETs hold (``offsets``); None is that they count.
-        fps: Its real frame rate; a number or text becomes a fraction. None is what
-            the file says.
-        prim_path: The character, where a stage has several.
-        rig: Rig that the motion is for: of a clip in place of the one that it names,
-            of others in place of their own joints, by name.
         force_fit: Take motion that does not fit the rig all the same.
-        clamp: Bring a clip's controls into their ranges, and joints into limits.
-        remap: Remap file for the shapes of a face recording.
-        dropped: What becomes of frames that a face recording has no row of:
-            ``interpolate``, ``hold`` or ``close``; None is the first.
-        take: Which take of a clip library; None is the one that it selects.
-        template: Marker template of a file of markers.
-        cameras: Calibrations of the cameras, of an npz of what they see.
         placement: Of USD: ``drop`` leaves out where the character stands; it is that of
             the output, see `animtool.scene.bake.options.BakeOptions`.
         shot: The shot that shows it, whose frames its time codes become; None is none.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 
@@ -14,6 +14,7 @@ from animtool.core.clock import time_codes
 from animtool.core.errors import AnimtoolError, Fault, FormatError, Severity, listed
 from animtool.core.files.output import same_file
 from animtool.core.rates import rate_label
+from animtool.core.record import dataclass
 from animtool.core.units import UpAxis
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.take import TakeStream

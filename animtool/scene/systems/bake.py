@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from fractions import Fraction
 from functools import partial
 from math import ceil
@@ -15,6 +15,7 @@ from animtool.core.clock import MAX_FRAMES
 from animtool.core.errors import Fault, FormatError, OptionError, refuse_warnings
 from animtool.core.files.output import size_of
 from animtool.core.options import refused_options
+from animtool.core.record import dataclass
 from animtool.core.shot import FrameRange
 from animtool.core.units import UpAxis
 from animtool.scene.bake.options import BakeOptions

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from fractions import Fraction
 from functools import lru_cache
 from pathlib import Path
@@ -14,6 +14,7 @@ from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.clock import Clock, time_codes
 from animtool.core.errors import Fault, OptionError
 from animtool.core.names import is_named, nearest
+from animtool.core.record import dataclass
 from animtool.core.units import UpAxis
 from animtool.documents.fields import record_of
 from animtool.maths.faces import triangulated

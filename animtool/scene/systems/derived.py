@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import (
     TYPE_CHECKING,
@@ -18,6 +18,7 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import AnimtoolError, Fault, OptionError
+from animtool.core.record import dataclass
 from animtool.core.units import UpAxis
 from animtool.documents.check import FileModel
 from animtool.documents.document import Document, Location, location_of

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
 from animtool.core.errors import OptionError
+from animtool.core.record import dataclass
 from animtool.core.units import UpAxis, up_from_up
 from animtool.motion.reorient import reorient, turned_rig
 from animtool.motion.take import Take

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import field
 from itertools import chain
 from typing import Any, cast
 
@@ -16,6 +16,7 @@ from animtool.core.errors import (
     ToleranceError,
 )
 from animtool.core.plugins import load_object
+from animtool.core.record import dataclass
 from animtool.documents.document import Document
 from animtool.rig.skeleton import Rig
 from animtool.scene.bake.progress import Phases, Progress, TimeProgress

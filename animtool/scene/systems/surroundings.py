@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import counted, refuse
+from animtool.core.record import dataclass
 from animtool.core.units import UpAxis
 from animtool.documents.document import Location, location_of
 from animtool.documents.fields import record_of

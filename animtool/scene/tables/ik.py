@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from animtool.core.errors import OptionError
+from animtool.core.record import dataclass
 from animtool.ik.on_take import solve_take
 from animtool.ik.options import IkMethod
 from animtool.ik.result import IkStatus

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ import numpy as np
 from animtool.clip.reduction.points import SHELL, attached_points
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, OptionError
+from animtool.core.record import dataclass
 from animtool.motion.motion import Motion
 from animtool.motion.take import Take, TakeStream
 from animtool.rig.kinematics import forward

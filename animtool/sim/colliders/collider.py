@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from functools import cached_property
 from typing import ClassVar
 
@@ -10,6 +10,7 @@ import numpy as np
 
 from animtool.core.array_types import ArrayLike, BoolArray, FloatArray
 from animtool.core.options import Checked, described
+from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.sim.colliders.shapes import Mesh, Shape
 from animtool.sim.contact import Contact

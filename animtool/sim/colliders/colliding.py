@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from enum import IntEnum
 from functools import cached_property
 from typing import Any
@@ -19,6 +18,7 @@ from animtool.core.array_types import (
     as_floats,
 )
 from animtool.core.errors import Fault, OptionError, warning
+from animtool.core.record import dataclass
 from animtool.sim.colliders.bodies import MovingBodies
 from animtool.sim.colliders.collider import Collider
 from animtool.sim.colliders.shapes import Box, Capsule, Mesh, Plane, Sphere

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import product
 from typing import Annotated, Any, TypeAlias
 
@@ -12,6 +11,7 @@ import numpy.typing as npt
 
 from animtool.core.array_types import ArrayLike, FloatArray
 from animtool.core.options import OF_ENTRY, Range, range_faults
+from animtool.core.record import dataclass
 
 Vector: TypeAlias = Sequence[float]
 Radius = Annotated[float, Range("above 0", "SIM020", 0.0, reached=False, finite=True)]

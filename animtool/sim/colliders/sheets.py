@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar, Protocol, TypeAlias
 
 import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.options import Checked, Range, above, described
+from animtool.core.record import dataclass
 from animtool.sim.colliders.collider import Collider
 from animtool.sim.colliders.shapes import Mesh
 from animtool.sim.contact import Material

@@ -8,11 +8,10 @@ References:
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from animtool.core.array_types import FloatArray
+from animtool.core.record import dataclass
 from animtool.sim.equations import Equations
 from animtool.sim.integrators.integrator import Control, Form, Integrator, Step
 from animtool.sim.stability import jury_limit, rate_limit

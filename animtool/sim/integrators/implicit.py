@@ -6,9 +6,8 @@ References:
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from animtool.core.array_types import FloatArray
+from animtool.core.record import dataclass
 from animtool.sim.equations import Equations
 from animtool.sim.integrators.integrator import Integrator, Step
 from animtool.sim.newton import solve_stage

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from enum import StrEnum
 from typing import TypeAlias
 
 from animtool.core.array_types import FloatArray
+from animtool.core.record import dataclass
 from animtool.sim.equations import Equations
 from animtool.sim.stability import Limit
 

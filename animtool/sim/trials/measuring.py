@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from itertools import pairwise
 
 import numpy as np
 
 from animtool.core.errors import Fault, OptionError, warning
 from animtool.core.quantities import length_text
+from animtool.core.record import dataclass
 from animtool.sim.system import Energy
 from animtool.sim.trajectory import Status
 from animtool.sim.trials.trial import (

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
@@ -21,6 +21,7 @@ from animtool.core.errors import (
     refuse_all,
     warning,
 )
+from animtool.core.record import dataclass
 from animtool.systems.crowds.ground import Frame
 from animtool.systems.crowds.spec import CrowdsModel, PopulationModel
 from animtool.systems.particles.emitter import Emitter, uniforms

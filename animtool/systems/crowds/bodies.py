@@ -5,12 +5,13 @@ All is in the frame of the ground; a body has x to its left and z ahead.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
+from animtool.core.record import dataclass
 from animtool.systems.crowds.agents import Going
 from animtool.systems.crowds.footing import Blend, BodyState, Footing, followed
 from animtool.systems.crowds.gaits import PHASES

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
+from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.motion.frames import Cast, CharactersFrame
 from animtool.rig.kinematics import WorldTransforms, forward

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,6 +11,7 @@ import numpy as np
 from animtool import _kernels
 from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.errors import Fault, ToleranceError, refuse
+from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.motion.frames import (
     CharactersFrame,

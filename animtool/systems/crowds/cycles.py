@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.errors import Fault, OptionError, warning
+from animtool.core.record import dataclass
 from animtool.edit.cycle import find_cycle
 from animtool.edit.looping import loop
 from animtool.maths import so3

@@ -5,12 +5,12 @@ All is in the frame of the ground; a body has x to its left and z ahead.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray
+from animtool.core.record import dataclass
 from animtool.systems.crowds.agents import Going
 from animtool.systems.crowds.gaits import Gaits, eased
 from animtool.systems.crowds.ground import turned, wrapped

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
 
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, OptionError
+from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.retarget.anatomy import anatomy
 from animtool.retarget.person import Person

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray
+from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.retarget.legs import put_ankle
 from animtool.rig.kinematics import forward

@@ -5,11 +5,10 @@ All is in the frame of bodies, in lengths of the rig.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray
+from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.rig.kinematics import forward
 from animtool.systems.crowds.gaits import (

@@ -6,12 +6,12 @@ the left, as headings are.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.systems.crowds.ground import about_up
 

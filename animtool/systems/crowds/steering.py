@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
+from animtool.core.record import dataclass
 from animtool.systems.crowds.agents import Agents
 from animtool.systems.crowds.routes import Grid, Route, routes_to
 from animtool.systems.crowds.spec import CrowdGoalModel

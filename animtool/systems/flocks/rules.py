@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
@@ -12,6 +11,7 @@ import numpy.typing as npt
 from animtool import _kernels
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, ToleranceError
+from animtool.core.record import dataclass
 from animtool.systems.flocks.members import Members
 from animtool.systems.flocks.spec import DomainModel, SpeciesModel
 

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from animtool import _kernels
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, ToleranceError
+from animtool.core.record import dataclass
 from animtool.systems.flocks.members import Members
 from animtool.systems.flocks.rules import max_pairs, wrapping
 from animtool.systems.flocks.spec import DomainModel, SpeciesModel

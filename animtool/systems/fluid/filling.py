@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -12,6 +11,7 @@ import numpy as np
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, Refusals, counted, refuse, warning
 from animtool.core.quantities import floored, plain
+from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.sim.colliders import Capsule, Collider, Colliders, Poses, Sphere
 from animtool.sim.colliders.shapes import bounds

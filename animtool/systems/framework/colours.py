@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Annotated, TypeAlias
 
 import numpy as np
@@ -11,6 +10,7 @@ from annotated_types import Ge, Le, Len
 
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, excerpt
+from animtool.core.record import dataclass
 from animtool.documents.check import FileModel
 from animtool.documents.fields import Name, Pair, Real, key
 

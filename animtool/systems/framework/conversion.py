@@ -10,9 +10,9 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any, TypeVar, get_args
 
+from animtool.core.record import dataclass
 from animtool.core.units import LengthUnit
 from animtool.documents.check import FileModel
 from animtool.systems.framework.fields import TimedVector

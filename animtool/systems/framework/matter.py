@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import refuse, refuse_all
+from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.maths.rows import Rows
 from animtool.systems.framework.fields import PlacementModel

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, fields, is_dataclass, replace
+from dataclasses import field, fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any, get_type_hints
 
@@ -15,6 +15,7 @@ import numpy.typing as npt
 from animtool.core.errors import Fault, FormatError, OptionError, listed
 from animtool.core.files.output import replacing
 from animtool.core.files.placing import output_error
+from animtool.core.record import dataclass
 from animtool.documents.arrays import Archives
 from animtool.systems.framework.run import Reached
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar, Protocol
 
 from annotated_types import Gt
@@ -11,6 +10,7 @@ from pydantic import Field
 
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, Problem, counted
+from animtool.core.record import dataclass
 from animtool.documents.check import FileModel
 from animtool.documents.fields import Frame, Name, Real, key
 from animtool.systems.framework.fields import Preroll, PrimName

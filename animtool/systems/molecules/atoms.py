@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -11,6 +10,7 @@ import numpy.typing as npt
 
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Refusals, refuse
+from animtool.core.record import dataclass
 from animtool.systems.framework.matter import Bodies, Placement, normals
 from animtool.systems.molecules.spec import MoleculesModel
 from animtool.systems.particles.emitter import uniforms

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -12,6 +12,7 @@ import numpy as np
 from animtool import _kernels
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, Refusals, ToleranceError, refuse
+from animtool.core.record import dataclass
 from animtool.systems.framework.colours import Quantities
 from animtool.systems.framework.interacting import Interacting
 from animtool.systems.framework.matter import normals

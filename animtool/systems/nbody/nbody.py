@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -12,6 +11,7 @@ import numpy as np
 from animtool import _kernels
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, Refusals, refuse
+from animtool.core.record import dataclass
 from animtool.sim.integrators.integrator import Control
 from animtool.sim.system import Energy
 from animtool.systems.framework.colours import Quantities

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from typing import ClassVar
 
 import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.options import Checked, described
+from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.sim.colliders.collider import Poses
 from animtool.systems.particles.places import Place, Point

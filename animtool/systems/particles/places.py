@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Annotated, Any, TypeAlias
 
 import numpy as np
 
 from animtool.core.array_types import FloatArray
 from animtool.core.options import OF_ENTRY, Range, range_faults
+from animtool.core.record import dataclass
 from animtool.sim.colliders.shapes import Mesh
 
 # Of a place: points ``(N, 3)``, and the way out there or None where there is none.

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Annotated
 
 from annotated_types import Le
 
 from animtool.core.options import Key, Range, above
+from animtool.core.record import dataclass
 
 _AMOUNT = Range("above 0", "SIM021", 0.0, reached=False, finite=True)
 # As light as particles of springs may be: less divides forces into infinity.

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from animtool.core.array_types import FloatArray
+from animtool.core.record import dataclass
 from animtool.motion.frames import PointsFrame
 from animtool.sim.colliders.colliding import Contacts
 from animtool.systems.framework.run import Reached, SimulationRun

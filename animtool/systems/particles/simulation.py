@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 
 import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.errors import Fault, Severity, warning
+from animtool.core.record import dataclass
 from animtool.motion.frames import PointsFrame
 from animtool.sim.checks import check_fit, check_start, ending, step_notices
 from animtool.sim.colliders.bodies import Wrenches

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar
 
@@ -10,6 +9,7 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray
 from animtool.core.options import Checked, described
+from animtool.core.record import dataclass
 from animtool.rig.expressions import Expression, parse_expression
 from animtool.systems.particles.records import Velocity
 from animtool.systems.particles.state import ParticleState

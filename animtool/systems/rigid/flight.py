@@ -14,12 +14,12 @@ References:
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray
+from animtool.core.record import dataclass
 from animtool.maths.phi import phi_functions
 
 # What a force that is not linear may be off by in a part, of the motion in it.

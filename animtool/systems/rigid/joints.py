@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from typing import Any
 
 import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, Refusals, refuse, warning
+from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.sim.colliders import Poses
 from animtool.systems.rigid.bodies import NO_PAIRS, Bodies, refuse_unknown

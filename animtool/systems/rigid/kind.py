@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
@@ -20,6 +20,7 @@ from animtool.core.errors import (
     refuse_all,
     warning,
 )
+from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.motion.frames import MeshFrame
 from animtool.sim.colliders import Mesh, Shape

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.errors import Fault, ToleranceError, excerpt
 from animtool.core.quantities import floored, plain
+from animtool.core.record import dataclass
 from animtool.systems.rigid.bodies import Bodies
 from animtool.systems.rigid.flight import Flight, fly
 from animtool.systems.rigid.surroundings import BodyForces

@@ -12,12 +12,12 @@ References:
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, counted, excerpt, warning
+from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.systems.rigid.bodies import Bodies
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -17,6 +16,7 @@ from animtool.core.errors import Fault, Severity, listed
 from animtool.core.files.reading import note_input
 from animtool.core.quantities import Description
 from animtool.core.rates import rate_from_float
+from animtool.core.record import dataclass
 from animtool.core.units import unit_name
 from animtool.usd.caches.reader import (
     PointReader,

@@ -6,7 +6,6 @@ Whoever reads points, faces or when they move does it by `PointReader`.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +15,7 @@ from pxr import Sdf, Usd, UsdGeom, UsdSkel
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, OptionError, excerpt
 from animtool.core.rates import rate_from_float
+from animtool.core.record import dataclass
 from animtool.core.units import UpAxis, up_from_up
 from animtool.maths import so3
 from animtool.usd.layers.faults import Spot

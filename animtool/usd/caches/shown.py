@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from fractions import Fraction
 from functools import cached_property
 from pathlib import Path
@@ -16,6 +16,7 @@ from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.clock import time_fraction
 from animtool.core.files.reading import note_input
 from animtool.core.rates import rate_from_float
+from animtool.core.record import dataclass
 from animtool.core.units import UpAxis, unit_name, up_from_up
 from animtool.maths import so3, solids
 from animtool.rig.surfaces import Surface

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +11,7 @@ from pxr import Sdf, Usd, UsdGeom, UsdSkel
 
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, FormatError, OutputError, Severity, listed
+from animtool.core.record import dataclass
 from animtool.core.units import UpAxis
 from animtool.rig.parts import Attachment
 from animtool.usd.caches.reader import PointReader

@@ -7,7 +7,7 @@ every kind state their types in one table.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, Protocol, TypeVar
 
 import numpy as np
@@ -16,6 +16,7 @@ from pxr import Sdf, Vt
 
 from animtool.core.array_types import Float32Array, FloatArray, IntArray
 from animtool.core.errors import Fault
+from animtool.core.record import dataclass
 from animtool.usd.layers.finite import Labels
 from animtool.usd.layers.sdf import Samples, attribute, quaternion, vector
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
 from pxr import UsdValidation
 
 from animtool.core.errors import Fault, FormatError, Severity
+from animtool.core.record import dataclass
 from animtool.core.rules import finding
 from animtool.usd.checks.animation import (
     check_animations,

@@ -7,13 +7,13 @@ points may leave.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from pxr import Tf, Usd, UsdGeom, UsdSkel
 
 from animtool.core.array_types import FloatArray
+from animtool.core.record import dataclass
 from animtool.usd.caches.reader import PointReader, transformed
 
 # Points posed where the largest of many samples is looked for.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sized
-from dataclasses import dataclass, field
+from dataclasses import field
 from functools import cached_property
 from typing import Any
 
@@ -13,6 +13,7 @@ from pxr import Usd
 
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.errors import counted
+from animtool.core.record import dataclass
 
 AnyArray = npt.NDArray[Any]
 

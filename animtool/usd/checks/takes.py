@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,7 @@ from animtool.core.array_types import FloatArray
 from animtool.core.clock import Clock, time_fraction
 from animtool.core.errors import AnimtoolError
 from animtool.core.rates import rate_from_float
+from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.reorient import placed_motion

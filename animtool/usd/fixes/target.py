@@ -9,7 +9,6 @@ from __future__ import annotations
 import shutil
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeAlias, cast
 
@@ -23,6 +22,7 @@ from animtool.core.files.output import once_named, replacing
 from animtool.core.files.placing import output_error
 from animtool.core.files.reading import open_input
 from animtool.core.plugins import load_object
+from animtool.core.record import dataclass
 from animtool.usd.fixes.table import EDITS
 from animtool.usd.layers.dependencies import open_composed
 from animtool.usd.layers.sdf import asset_path, export_layer, find_layer, usd_errors

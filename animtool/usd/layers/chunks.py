@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, Protocol, Self, TypeVar
@@ -20,6 +20,7 @@ from pxr import Sdf, Tf, Vt
 from animtool.core.array_types import FloatArray
 from animtool.core.files.output import once_named, replacing
 from animtool.core.files.placing import output_error
+from animtool.core.record import dataclass
 from animtool.usd.layers.package import unpacked
 from animtool.usd.layers.sdf import (
     StageMetadata,

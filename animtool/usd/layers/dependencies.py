@@ -6,7 +6,7 @@ USD waits for a pipe that nobody writes to, and reads a device without end.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ from pxr import Ar, Sdf, Tf, Usd, UsdUtils
 
 from animtool.core.errors import Fault, FormatError, excerpt
 from animtool.core.files.reading import FileState, note_input
+from animtool.core.record import dataclass
 from animtool.usd.layers.sdf import layer_state, usd_errors
 from animtool.usd.layers.stderr import without_usd_warnings
 

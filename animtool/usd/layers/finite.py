@@ -7,7 +7,6 @@ becomes infinite in the file without a word, so each is checked before it is wri
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
@@ -17,6 +16,7 @@ import numpy.typing as npt
 from animtool import _kernels
 from animtool.core.array_types import Float32Array, FloatArray
 from animtool.core.errors import Fault, OutputError
+from animtool.core.record import dataclass
 
 # Largest finite number of each type, by the letter that ends names of USD's types.
 _LIMITS = {

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from enum import StrEnum
 from fractions import Fraction
 from pathlib import Path
@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from animtool.core.errors import Fault, OptionError
 from animtool.core.files.output import is_text
+from animtool.core.record import dataclass
 
 if TYPE_CHECKING:
     import numpy as np

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 from pxr import Sdf
 
 from animtool.core.errors import Fault, Severity, excerpt
+from animtool.core.record import dataclass
 from animtool.core.similar import distinct
 from animtool.rig.skeleton import Joint
 

@@ -7,7 +7,6 @@ import re
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -33,6 +32,7 @@ from animtool.core.files.reading import (
 from animtool.core.process.supervisor import note_said, reading
 from animtool.core.rates import rate_from_float
 from animtool.core.readers import PACKAGE
+from animtool.core.record import dataclass
 from animtool.core.shot import Shot
 from animtool.core.units import UpAxis
 from animtool.maths import so3

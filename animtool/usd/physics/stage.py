@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +12,7 @@ from pxr import Usd, UsdGeom, UsdPhysics
 
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, Severity, counted, excerpt
+from animtool.core.record import dataclass
 from animtool.core.units import UpAxis, up_from_up
 from animtool.maths import so3
 from animtool.usd.layers.faults import LARGEST_METADATA, SMALLEST_METADATA, Spot

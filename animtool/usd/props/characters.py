@@ -7,7 +7,7 @@ the prim of the character, so that its animation has rotations alone.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from functools import cached_property
 from typing import Any
 
@@ -16,6 +16,7 @@ import numpy.typing as npt
 from pxr import Gf, Sdf, Vt
 
 from animtool.core.array_types import BoolArray, Float32Array, FloatArray, IntArray
+from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.motion.frames import Cast, CharactersFrame
 from animtool.rig.kinematics import rest_world

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,7 @@ from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.clock import time_fraction
 from animtool.core.errors import Fault, OptionError, excerpt
 from animtool.core.rates import rate_from_float
+from animtool.core.record import dataclass
 from animtool.core.similar import similar
 from animtool.core.units import UpAxis, up_from_up
 from animtool.maths import so3

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -20,6 +19,7 @@ from animtool.core.arguments import argument
 from animtool.core.array_types import Float32Array, FloatArray, IntArray
 from animtool.core.errors import Fault, OptionError
 from animtool.core.files.output import replacing
+from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.maths.faces import triangulated
 from animtool.motion.frames import (

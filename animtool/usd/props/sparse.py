@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from animtool import _kernels
 from animtool.core.array_types import BoolArray, Float32Array, FloatArray, IntArray
+from animtool.core.record import dataclass
 
 # How far a joint may be from where it should be where a pose is left out: a part of the
 # extent of its rig, two and a half centimetres of a person. That is a foot in the air,

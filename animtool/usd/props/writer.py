@@ -6,7 +6,7 @@ Props, cameras and lights are a prim each; copies a PointInstancer, or Xforms by
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -16,6 +16,7 @@ from pxr import Gf, Sdf
 
 from animtool.core.array_types import BoolArray, Float32Array, FloatArray
 from animtool.core.errors import Fault, OptionError, Severity
+from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.motion.frames import MeshFrame, TransformsFrame
 from animtool.motion.motion import Motion

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +11,7 @@ from pxr import Gf, Usd, UsdGeom, UsdSkel
 
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, Severity, counted
+from animtool.core.record import dataclass
 from animtool.core.units import UpAxis
 from animtool.rig.parts import (
     AttachKind,

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -18,6 +18,7 @@ from pxr import Gf, Usd, UsdGeom, UsdSkel
 from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, FormatError, Severity
+from animtool.core.record import dataclass
 from animtool.core.units import UpAxis, unit_name, up_from_up
 from animtool.maths import so3
 from animtool.rig.placed import placed_rig

@@ -6,7 +6,7 @@ import json
 import math
 import re
 from collections.abc import Iterator, Sequence, Sized
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -17,6 +17,7 @@ from pxr import Sdf, Usd, UsdGeom, UsdSkel
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, Severity, excerpt, listed
 from animtool.core.quantities import CONTROL
+from animtool.core.record import dataclass
 from animtool.core.similar import distinct, similar
 from animtool.core.units import UpAxis
 from animtool.maths import so3

@@ -7,7 +7,7 @@ not at all by one that lacks some.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,6 +15,7 @@ from pxr import Usd, UsdSkel
 
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, Severity, counted, listed
+from animtool.core.record import dataclass
 from animtool.core.rules import finding
 from animtool.maths import so3
 from animtool.usd.layers.faults import (

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, FormatError, Severity, excerpt, naming
 from animtool.core.rates import rate_from_float
+from animtool.core.record import dataclass
 from animtool.core.units import UpAxis, unit_name
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.reorient import placed_motion

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from fractions import Fraction
 from itertools import pairwise
 from typing import Any
@@ -16,6 +16,7 @@ from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.clock import frame_label, time_fraction
 from animtool.core.errors import Fault, Severity, counted, excerpt
 from animtool.core.rates import rate_from_float
+from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.motion.motion import Channel
 from animtool.usd.layers.faults import UNIT_TOLERANCE, Spot

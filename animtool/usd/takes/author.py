@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ from pxr import Sdf
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, OptionError
 from animtool.core.files.output import check_outputs, together
+from animtool.core.record import dataclass
 from animtool.core.units import LengthUnit
 from animtool.maths.curves import Curves
 from animtool.motion.motion import Motion

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Any
 
 import numpy as np
@@ -12,6 +12,7 @@ from pxr import Sdf, Vt
 
 from animtool import _kernels
 from animtool.core.array_types import BoolArray, Float32Array, FloatArray
+from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.motion.motion import Motion
 from animtool.rig.skeleton import Rig

@@ -11,7 +11,7 @@ these stands outside of the variants, where it would be stronger than they are.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -21,6 +21,7 @@ from pxr import Sdf, Usd
 from animtool.core.arguments import argument
 from animtool.core.errors import Fault, OptionError, OutputError, excerpt, listed
 from animtool.core.rates import LARGEST_FRAME
+from animtool.core.record import dataclass
 from animtool.core.similar import similar
 from animtool.usd.layers.names import TAKE_SET, RigPaths
 from animtool.usd.layers.sdf import find_layer, new_layer, usd_errors

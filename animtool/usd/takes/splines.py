@@ -34,13 +34,14 @@ segment long, the spline is a line, off by the order of 1e-5 dv, which no sample
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from pxr import Sdf, Ts
 
 from animtool.core.array_types import FloatArray
+from animtool.core.record import dataclass
 from animtool.maths.curves import Curves, Extrapolation, SegmentKind, evaluate
 from animtool.usd.layers.finite import Labels, check_value
 from animtool.usd.layers.names import distinct_names

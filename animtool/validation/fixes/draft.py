@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 from typing import Any, Protocol, cast
 
@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from animtool.core.errors import Fault
 from animtool.core.plugins import load_object
+from animtool.core.record import dataclass
 from animtool.documents.edit import Edit
 from animtool.usd.fixes.table import EDITS
 from animtool.validation.subjects.subject import CheckedFile

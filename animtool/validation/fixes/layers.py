@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from animtool.core.errors import Fault
+from animtool.core.record import dataclass
 from animtool.usd.fixes.table import EDITS
 from animtool.validation.fixes.draft import Step
 from animtool.validation.run import findings_in

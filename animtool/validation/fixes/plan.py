@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from pathlib import Path
 
 from animtool.core.errors import Fault
 from animtool.core.readers import READERS, USD
+from animtool.core.record import dataclass
 from animtool.validation.fixes.draft import Draft, Step, has_fix
 from animtool.validation.options import ValidateOptions
 from animtool.validation.run import Report

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 from animtool.core.arguments import argument
 from animtool.core.errors import Fault, counted
 from animtool.core.files.output import check_outputs, together
+from animtool.core.record import dataclass
 from animtool.validation.fixes.draft import has_fix
 from animtool.validation.fixes.plan import (
     FileMend,

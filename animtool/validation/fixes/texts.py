@@ -6,7 +6,7 @@ import codecs
 import difflib
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -24,6 +24,7 @@ from animtool.core.files.output import (
 )
 from animtool.core.files.placing import output_error
 from animtool.core.files.reading import read_input
+from animtool.core.record import dataclass
 from animtool.documents.document import document_of, read_text
 from animtool.documents.edit import Add, EditError, Remove, Replace, edited
 from animtool.documents.references import split_reference

@@ -12,7 +12,7 @@ from __future__ import annotations
 import re
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 from typing import TypeAlias
 
@@ -28,6 +28,7 @@ from animtool.core.errors import Fault, FormatError, Severity, counted
 from animtool.core.files.reading import read_input
 from animtool.core.junit import JunitCase, junit_xml
 from animtool.core.quantities import escaped, json_printed
+from animtool.core.record import dataclass
 from animtool.validation.run import Report
 
 # What YAML takes for the end of a line.

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.errors import Fault, listed
+from animtool.core.record import dataclass
 from animtool.maths.pops import shift_pops, turn_pops
 from animtool.validation.motion.body import carriers
 from animtool.validation.motion.subject import MotionSubject

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from typing import TypeAlias
 
@@ -12,6 +12,7 @@ import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.errors import Fault
+from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.motion.take import Take
 from animtool.rig.kinematics import WorldTransforms, rest_world

@@ -6,7 +6,7 @@ A targets file names no rig. These look at the scenes that name both.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
 from itertools import combinations
 
@@ -14,6 +14,7 @@ import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.errors import Fault, listed
+from animtool.core.record import dataclass
 from animtool.core.rules import Kind
 from animtool.core.units import LengthUnit, unit_name
 from animtool.documents.document import Document, Location, read_document

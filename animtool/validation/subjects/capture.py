@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from io import BufferedReader, TextIOWrapper
 from pathlib import Path
@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from animtool.core.errors import Fault
 from animtool.core.files.reading import open_input
+from animtool.core.record import dataclass
 from animtool.core.rules import Kind
 from animtool.motion.take import Take
 from animtool.scene.sources.open import open_source

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 
@@ -20,6 +20,7 @@ from animtool.clip.file import (
 )
 from animtool.core.array_types import BoolArray
 from animtool.core.errors import AnimtoolError, Fault, Severity
+from animtool.core.record import dataclass
 from animtool.core.rules import Kind
 from animtool.documents.document import Document, Location
 from animtool.maths.curves import Interp

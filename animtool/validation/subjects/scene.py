@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from fractions import Fraction
 from functools import cached_property
 from pathlib import Path
@@ -11,6 +11,7 @@ import numpy as np
 
 from animtool.core.errors import AnimtoolError, Fault, Severity
 from animtool.core.files.reading import recorded_inputs
+from animtool.core.record import dataclass
 from animtool.core.rules import Kind
 from animtool.documents.document import Document, Location
 from animtool.documents.variables import SceneValues

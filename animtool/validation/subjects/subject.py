@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import TYPE_CHECKING, Any
 
 from animtool.core.errors import Fault
+from animtool.core.record import dataclass
 from animtool.core.rules import Kind
 from animtool.documents.document import Document, Location
 

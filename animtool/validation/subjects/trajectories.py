@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 from animtool.core.errors import Fault
+from animtool.core.record import dataclass
 from animtool.core.rules import Kind
 from animtool.motion.markers import Markers
 from animtool.validation.subjects.subject import CheckedFile

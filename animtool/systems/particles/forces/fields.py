@@ -8,7 +8,6 @@ References:
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
@@ -16,6 +15,7 @@ import numpy as np
 from animtool import _kernels
 from animtool.core.array_types import FloatArray
 from animtool.core.options import at_least
+from animtool.core.record import dataclass
 from animtool.systems.particles.forces.base import (
     Force,
     NotNegative,

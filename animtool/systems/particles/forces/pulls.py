@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
 
 from animtool.core.array_types import FloatArray
 from animtool.core.options import Range
+from animtool.core.record import dataclass
 from animtool.systems.particles.forces.base import (
     AnyVector,
     Finite,
