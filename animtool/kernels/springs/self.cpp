@@ -137,7 +137,7 @@ void SelfContacts::keep_apart(double h, std::vector<double>& before, std::vector
   corners_.find(*layers_, before, x, most_, more);
   edges_.find(*layers_, before, x, most_, more);
   if (!corners_.any() && !edges_.any()) return;
-  Parting parting(*layers_, network_, h, before, x);
+  Parting parting(layers_->friction, layers_->speed * h, network_.inverse_masses, before, x);
   corners_.part(*layers_, parting);
   edges_.part(*layers_, parting);
   parting.end();
