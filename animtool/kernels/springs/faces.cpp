@@ -65,7 +65,7 @@ double radius_over(const Mesh& mesh, std::int32_t triangle, int side, double wid
   const Vec sum = load(mesh.edge_normals + 9 * triangle + 3 * side);
   // On the rim of an open mesh.
   if (dot(sum, sum) == 0) return 0;
-  if (!(dot(sum, inward) < 0)) return collide::FAR;
+  if (!(dot(sum, inward) < -FLAT * FLAT * length(inward))) return collide::FAR;
   const Vec normal = collide::face_normal(mesh, triangle, {});
   const double angle = 2 * std::atan2(length(cross(normal, sum)), dot(normal, sum));
   return angle > FLAT ? std::min(length(inward), widest) / angle : collide::FAR;
@@ -132,6 +132,7 @@ FineParts parts_of(const Collider& c, double radius, double longest) {
     case Shape::MESH: parts = parts_of_mesh(c, longest, kept); break;
   }
   parts.kept = std::max(kept, LEAST_KEPT * longest);
+  parts.known = true;
   return parts;
 }
 
@@ -141,9 +142,13 @@ FaceContacts::FaceContacts(const SpringNetwork& network, double radius)
     : network_(network), radius_(radius), reach_(NEAR * network.longest_edge) {}
 
 void FaceContacts::add(const Collider& c) {
-  parts_.push_back(network_.edges.empty() ? FineParts{}
-                                          : parts_of(c, radius_, network_.longest_edge));
-  any_ |= parts_.back().any();
+  // Meshes are looked through where something comes to them.
+  const bool later = c.shape == Shape::MESH && !c.container;
+  parts_.emplace_back();
+  if (network_.edges.empty()) return;
+  if (!later) parts_.back() = parts_of(c, radius_, network_.longest_edge);
+  parts_.back().known = !later;
+  any_ |= later || parts_.back().any();
   if (!any_ || !slots_.empty()) return;
   slots_.assign(network_.particles(), -1);
   marked_.assign(network_.particles(), 0);
@@ -152,8 +157,10 @@ void FaceContacts::add(const Collider& c) {
 bool FaceContacts::settle(std::size_t index, const StepCollider& c, double h,
                           const std::vector<std::int32_t>& near, StepRows rows) {
   moved.clear();
-  if (index >= parts_.size() || !parts_[index].any()) return false;
-  const FineParts& parts = parts_[index];
+  if (index >= parts_.size()) return false;
+  FineParts& parts = parts_[index];
+  if (!parts.known && comes_near(c, near, rows)) parts = parts_of(c.collider, radius_, network_.longest_edge);
+  if (!parts.any()) return false;
   if (!mark(parts, c, near, rows)) return false;
   begun_ = from_, ended_ = to_;
   Parting parting(c.collider.friction, c.collider.depenetration * h, inverse_masses_, from_, to_,
@@ -191,6 +198,16 @@ static bool may_meet(const FineParts& parts, const Collider& c, Vec p, double re
     return collide::squared_to_box(p, c.mesh.bounds + 6 * c.root) <= reach * reach;
   const Vec a = parts.points.front(), b = parts.points.back();
   return overlap(p, p, least_of(a, b), most_of(a, b), reach);
+}
+
+bool FaceContacts::comes_near(const StepCollider& c, const std::vector<std::int32_t>& near,
+                              const StepRows& rows) const {
+  const double reach = reach_ + collide::kept(c.collider, radius_);
+  return std::any_of(near.begin(), near.end(), [&](std::int32_t n) {
+    const Vec from = c.begin.to_local(row_of(rows.before.data(), n));
+    const Vec to = c.end.to_local(row_of(rows.x.data(), n));
+    return may_meet({}, c.collider, to, reach + length(to - from));
+  });
 }
 
 bool FaceContacts::mark(const FineParts& parts, const StepCollider& c,

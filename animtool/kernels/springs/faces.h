@@ -22,6 +22,7 @@ struct FineParts {
   std::vector<collide::Vec> points;
   std::vector<std::array<std::int32_t, 2>> lines;
   double kept = 0;
+  bool known = true;
   // Of a mesh, the lines and points of each triangle, -1 for none.
   std::vector<std::array<std::int32_t, 6>> of_triangle;
 
@@ -62,6 +63,8 @@ class FaceContacts {
     collide::Vec low, high;  // about its way
   };
 
+  bool comes_near(const StepCollider& c, const std::vector<std::int32_t>& near,
+                  const StepRows& rows) const;
   bool mark(const FineParts& parts, const StepCollider& c,
             const std::vector<std::int32_t>& near, const StepRows& rows);
   std::int32_t slot(std::int32_t particle, const StepCollider& c, const StepRows& rows);
