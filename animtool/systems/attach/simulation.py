@@ -34,8 +34,9 @@ from animtool.systems.attach.strands import chain_rotations
 from animtool.systems.framework.run import Reached
 from animtool.systems.framework.saved import Clocked
 
-# Numbers of points that are held at once: blocks have fewer frames the more points move.
+# Numbers of points in a block, at most: it has fewer frames the more points move.
 BLOCK_VALUES = 1 << 20
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SavedFrame:
