@@ -103,7 +103,7 @@ def behind(points: np.ndarray, place: np.ndarray) -> bool:
 @pytest.mark.parametrize("solver", SOLVERS)
 @pytest.mark.parametrize("speed", [5.0, 20.0])
 @pytest.mark.parametrize("shape", SHAPES)
-def test_a_thin_thing_takes_cloth_along(
+def test_a_thin_rod_takes_cloth_along(
     shape: str, speed: float, solver: Solver
 ) -> None:
     motion = thrust(SHAPES[shape], speed, solver)
