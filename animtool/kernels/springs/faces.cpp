@@ -168,14 +168,17 @@ bool FaceContacts::settle(std::size_t index, const StepCollider& c, double h,
   bool parted = false;
   for (int look = 0; look < LOOKS; ++look) {
     find(parts, c);
-    bool any = false;
-    for (int round = 0; round < ROUNDS && part(parting); ++round) any = true;
-    if (!any) break;
+    if (edges_.empty() && corners_.empty()) break;
     parted = true;
+    int rounds = 1;
+    while (part(parting) && rounds < ROUNDS) ++rounds;
+    // What was moved but little meets nothing else.
+    if (rounds == 1) break;
   }
   if (parted) {
     parting.end();
     write(c, h, rows);
+    parted = !moved.empty();
   }
   for (const std::int32_t n : particles_)
     if (n >= 0) slots_[static_cast<std::size_t>(n)] = -1;

@@ -15,6 +15,8 @@ namespace animtool {
 constexpr double FARTHEST = 10;
 // Who counts for less than a hundredth moves by less, the less it counts.
 constexpr double LEAST = 1e-3;
+// Of what they are to keep, what nearly apart lacks.
+constexpr double NEARLY = 1e-2;
 
 // Two parts that are near, and from which side the first went through the second (1 or -1),
 // 0 where it did not.
@@ -40,7 +42,7 @@ class Parting {
         x_(x),
         at_ends_(at_ends) {}
 
-  // Whether they were too near.
+  // Whether they were nearer than to be nearly apart.
   template <class Shape>
   bool part(const LayerHit& hit);
   // Nothing more is to come.
@@ -81,8 +83,9 @@ bool Parting::part(const LayerHit& hit) {
   const double goal = std::min(hit.least, first + back_);
   const double begun = std::min(hit.least, shifts_ ? distance(shifted_) : first);
   const double pressed = std::max(0.0, begun - apart);
-  move(hit, near.share, out, pressed, std::max(0.0, goal - std::max(apart, begun)));
-  return true;
+  const double back = std::max(0.0, goal - std::max(apart, begun));
+  move(hit, near.share, out, pressed, back);
+  return pressed + back > hit.least * NEARLY;
 }
 
 inline void Parting::move(const LayerHit& hit, const double* share, collide::Vec out,
