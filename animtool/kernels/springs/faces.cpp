@@ -27,7 +27,7 @@ constexpr double LEAST_KEPT = 1e-3;
 // Sides of boxes and meshes that turn by less are flat [rad].
 constexpr double FLAT = 1e-3;
 // Looks for what meets, and rounds of moving that out, in a step.
-constexpr int LOOKS = 3, ROUNDS = 16;
+constexpr int LOOKS = 2, ROUNDS = 6;
 
 Vec least_of(Vec a, Vec b) {
   return {std::min(a.x, b.x), std::min(a.y, b.y), std::min(a.z, b.z)};
