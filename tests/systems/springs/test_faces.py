@@ -103,9 +103,7 @@ def behind(points: np.ndarray, place: np.ndarray) -> bool:
 @pytest.mark.parametrize("solver", SOLVERS)
 @pytest.mark.parametrize("speed", [5.0, 20.0])
 @pytest.mark.parametrize("shape", SHAPES)
-def test_a_thin_rod_takes_cloth_along(
-    shape: str, speed: float, solver: Solver
-) -> None:
+def test_a_thin_rod_takes_cloth_along(shape: str, speed: float, solver: Solver) -> None:
     motion = thrust(SHAPES[shape], speed, solver)
     for time, points in zip(motion.times, motion.positions, strict=True):
         z = min(-0.1 + speed * time, 0.1)
