@@ -171,9 +171,15 @@ StepCollider MovingColliders::over(const Collider& c, const Motion& motion, doub
 }
 
 SpringContacts::SpringContacts(const std::optional<SpringColliders>& colliders,
-                               std::size_t particles, std::int64_t cells)
-    : colliders_(colliders, particles, cells), count_(colliders_.size()), cells_(cells) {
+                               const SpringNetwork& network, std::int64_t cells)
+    : network_(network),
+      colliders_(colliders, network.particles(), cells),
+      faces_(network, colliders_.radius()),
+      count_(colliders_.size()),
+      cells_(cells) {
   if (!colliders) return;
+  const std::size_t particles = network.particles();
+  for (std::size_t c = 0; c < count_; ++c) faces_.add(colliders_[c]);
   for (const SpringSurface& one : std::get<5>(*colliders)) surfaces_.emplace_back(one, cells);
   count_ += surfaces_.size();
   make_patches(particles);
@@ -250,8 +256,7 @@ Out<double, 2> SpringContacts::pushes() const {
   return rows;
 }
 
-bool SpringContacts::settle(const SpringNetwork& network, int step,
-                            std::vector<double>& before, std::vector<double>& x,
+bool SpringContacts::settle(int step, std::vector<double>& before, std::vector<double>& x,
                             std::vector<double>* v) {
   if (!any()) return false;
   now_ = cell_.data() + static_cast<std::size_t>(step) * count_;
@@ -261,16 +266,22 @@ bool SpringContacts::settle(const SpringNetwork& network, int step,
     angle = std::max(angle, now_[c].turn());
   }
   masses_.assign(colliders_.size(), 0.0);
-  least_blow_ = RESTING * h_ * std::sqrt(dot3(network.gravity, network.gravity));
+  least_blow_ = RESTING * h_ * std::sqrt(dot3(network_.gravity, network_.gravity));
   std::int64_t moved = 0, inside = 0;
-  for (std::size_t n = 0; n < network.particles(); ++n) {
-    if (network.inverse_masses[n] == 0) continue;
+  const double reach = faces_.reach();
+  near_.clear();
+  for (std::size_t n = 0; n < network_.particles(); ++n) {
+    if (network_.inverse_masses[n] == 0) {
+      if (faces_.any()) near_.push_back(static_cast<std::int32_t>(n));
+      continue;
+    }
     double *at = x.data() + ROW * n, way = travel + angle * arm_[n];
     double* from = before.data() + ROW * n;
     for (std::size_t k = 0; k < 3; ++k) way += std::abs(at[k] - from[k]);
     clear_[n] -= way;
+    if (clear_[n] <= reach) near_.push_back(static_cast<std::int32_t>(n));
     if (clear_[n] > 0) continue;
-    const double mass = 1 / network.inverse_masses[n];
+    const double mass = 1 / network_.inverse_masses[n];
     moved += settle_one(n, mass, from, at, v ? v->data() + ROW * n : nullptr);
     inside += nearest_ < -colliders_.tolerance();
   }
@@ -280,7 +291,22 @@ bool SpringContacts::settle(const SpringNetwork& network, int step,
   }
   touched = std::max(touched, moved);
   if (last_ + 1 == cells_ && step + 1 == substeps_) unresolved = inside;
-  return moved > 0;
+  const bool faces = !near_.empty() && settle_faces({before, x, v});
+  return moved > 0 || faces;
+}
+
+bool SpringContacts::settle_faces(StepRows rows) {
+  bool moved = false;
+  for (std::size_t c = 0; c < colliders_.size(); ++c) {
+    if (!faces_.settle(c, now_[c], h_, near_, rows)) continue;
+    moved = true;
+    for (const FaceContacts::Moved& one : faces_.moved) {
+      const auto n = static_cast<std::size_t>(one.particle);
+      clear_[n] -= one.way;
+      note_push(c, 1 / network_.inverse_masses[n], load(&rows.x[ROW * n]), one.change);
+    }
+  }
+  return moved;
 }
 
 double SpringContacts::clearance(std::size_t n, Vec x) {

@@ -7,6 +7,7 @@
 #include "colliders/arrays.h"
 #include "colliders/colliders.h"
 #include "colliders/wide.h"
+#include "springs/faces.h"
 #include "springs/meshes.h"
 #include "springs/network.h"
 
@@ -84,7 +85,7 @@ class MovingColliders {
 
 class SpringContacts {
  public:
-  SpringContacts(const std::optional<SpringColliders>& colliders, std::size_t particles,
+  SpringContacts(const std::optional<SpringColliders>& colliders, const SpringNetwork& network,
                  std::int64_t cells);
 
   bool any() const { return count_ > 0; }
@@ -93,8 +94,8 @@ class SpringContacts {
   // Moves particles out of what they are in at the end of a step of a cell, and takes what
   // friction does from their way; with velocities, from these too. What began too deep is
   // given no speed by that: where it was goes with it. Returns whether any was moved.
-  bool settle(const SpringNetwork& network, int step, std::vector<double>& before,
-              std::vector<double>& x, std::vector<double>* v);
+  bool settle(int step, std::vector<double>& before, std::vector<double>& x,
+              std::vector<double>* v);
   // What colliders, surfaces apart, were pushed by (C, 7): impulse and moment about the
   // origin, and the mass that touched each in one step, at most.
   Out<double, 2> pushes() const;
@@ -107,6 +108,8 @@ class SpringContacts {
   void make_patches(std::size_t particles);
   void enter_surfaces(std::int64_t cell, bool& known);
   void add_surfaces();
+  // Edges and faces, of particles that are near.
+  bool settle_faces(StepRows rows);
   // Whether it is moved; looks how far off all colliders are then.
   bool settle_one(std::size_t n, double mass, double* before, double* x, double* v);
   bool push(std::size_t c, std::size_t n, collide::Vec before, collide::Vec& x,
@@ -127,7 +130,10 @@ class SpringContacts {
   double clearance(std::size_t n, collide::Vec x);
   void note(std::size_t n, collide::Vec x, double clear);
 
+  const SpringNetwork& network_;
   MovingColliders colliders_;
+  FaceContacts faces_;
+  std::vector<std::int32_t> near_;  // particles whose edges may be at colliders in this step
   std::vector<MovingSurface> surfaces_;
   std::size_t count_;
   std::int64_t cells_;

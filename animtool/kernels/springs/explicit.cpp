@@ -130,7 +130,7 @@ class Explicit {
     keep_rows();
     spring_loops().advance(network.particles(), h, rate_.data(), run_.x.data(), run_.v.data());
     network.place_held(t + h, h, before_.data(), run_.x.data(), run_.v.data());
-    contacts_.settle(network, j, before_, run_.x, &run_.v);
+    contacts_.settle(j, before_, run_.x, &run_.v);
   }
 
   // Where particles are, of all or of those that are held.
@@ -166,7 +166,7 @@ class Explicit {
       if (met) before_ = run_.x;
       if (in_rows_) write();
       if (!met) continue;
-      contacts_.settle(network, j, before_, run_.x, &run_.v);
+      contacts_.settle(j, before_, run_.x, &run_.v);
       read();
     }
   }
@@ -206,7 +206,7 @@ SpringsStepped step_springs(const SpringNetwork& network, In<double, 3> state,
   check_cells(grid, substeps);
   check::finite("state", state);
   SpringRun run = begin_springs(network, state, torn);
-  SpringContacts contacts(colliders, network.particles(), cells);
+  SpringContacts contacts(colliders, network, cells);
   const double h = cell / substeps;
   Explicit steps(run, contacts);
   for (std::int64_t i = 0; i < cells; ++i) {

@@ -99,6 +99,26 @@ SpringNetwork::SpringNetwork(const SpringArrays& given)
   anchors = particles_of("anchors", tied.data(), tied.size(), count);
   anchor_track = track_of("anchor_path", anchor_path, anchors.size(), knots.size());
   wind_track = track_of("winds", winds, 1, knots.size());
+  note_edges();
+}
+
+void SpringNetwork::note_edges() {
+  std::vector<std::array<std::int32_t, 2>> found;
+  for (std::size_t t = 0; t < triangles.size(); t += 3)
+    for (std::size_t k = 0; k < 3; ++k) {
+      const auto [i, j] = std::minmax(triangles[t + k], triangles[t + (k + 1) % 3]);
+      found.push_back({i, j});
+    }
+  std::sort(found.begin(), found.end());
+  found.erase(std::unique(found.begin(), found.end()), found.end());
+  for (const auto& pair : found) edges.insert(edges.end(), pair.begin(), pair.end());
+  if (found.empty()) return;
+  for (const Spring& spring : lines.springs) {
+    if (!(spring.rest > longest_edge)) continue;
+    const auto [i, j] = std::minmax(spring.i, spring.j);
+    if (std::binary_search(found.begin(), found.end(), std::array<std::int32_t, 2>{i, j}))
+      longest_edge = spring.rest;
+  }
 }
 
 void SpringNetwork::lead(In<double, 3> held_path, In<double, 3> anchor_path) {

@@ -93,6 +93,8 @@ class SpringNetwork {
   std::vector<double> inverse_masses, drags;
   SpringLines lines;
   std::vector<std::int32_t> triangles;
+  std::vector<std::int32_t> edges;  // of triangles, ends two by two, ascending
+  double longest_edge = 0;          // at rest, of those that are springs [m]
   double gravity[3];
   double air_drag, air_lift;
   std::vector<double> knots;
@@ -102,6 +104,9 @@ class SpringNetwork {
   std::vector<double> anchor_stiffness, anchor_damping;
   Track anchor_track;
   Track wind_track;
+
+ private:
+  void note_edges();
 };
 
 // Steps of a network under way: where it stands, and room to work in.

@@ -15,6 +15,8 @@ namespace animtool {
 constexpr double FARTHEST = 10;
 // Who counts for less than a hundredth moves by less, the less it counts.
 constexpr double LEAST = 1e-3;
+// Of what they are to keep, what nearly apart lacks.
+constexpr double NEARLY = 1e-2;
 
 // Two parts that are near, and from which side the first went through the second (1 or -1),
 // 0 where it did not.
@@ -24,17 +26,25 @@ struct LayerHit {
   double apart, travel, least;
 };
 
-// One step of length h. What one gains in momentum the other loses; where they only come
+// One step. What one gains in momentum the other loses; where they only come
 // back to the distance that they are to keep, what they were before moves too, so that it
 // gives no speed.
 class Parting {
  public:
-  Parting(const SpringLayers& layers, const SpringNetwork& network, double h,
-          std::vector<double>& before, std::vector<double>& x)
-      : layers_(layers), network_(network), h_(h), before_(before), x_(x) {}
+  // Back: how far those that are too near come apart in the step without speed. At ends:
+  // whether edges that went through each other are parted where they are nearest at an end.
+  Parting(double friction, double back, const std::vector<double>& inverse_masses,
+          std::vector<double>& before, std::vector<double>& x, bool at_ends = false)
+      : friction_(friction),
+        back_(back),
+        inverse_masses_(inverse_masses),
+        before_(before),
+        x_(x),
+        at_ends_(at_ends) {}
 
+  // Whether they were nearer than to be nearly apart.
   template <class Shape>
-  void part(const LayerHit& hit);
+  bool part(const LayerHit& hit);
   // Nothing more is to come.
   void end() {
     if (shifts_) before_ = std::move(shifted_);
@@ -45,22 +55,22 @@ class Parting {
   void move(const LayerHit& hit, const double* share, collide::Vec out, double pressed,
             double back);
 
-  const SpringLayers& layers_;
-  const SpringNetwork& network_;
-  double h_;
+  double friction_, back_;
+  const std::vector<double>& inverse_masses_;
   std::vector<double>&before_, &x_;
+  bool at_ends_;
   std::vector<double> shifted_;  // before, with what gives no speed, once there is such
   bool shifts_ = false;
 };
 
 template <class Shape>
-void Parting::part(const LayerHit& hit) {
+bool Parting::part(const LayerHit& hit) {
   const Shape now(hit.who.data(), x_.data());
   const shapes::Nearest near = now.nearest();
-  if (!near.inside) return;
+  if (!near.inside && !(at_ends_ && hit.side)) return false;
   double apart = length(near.off);
   const double height = hit.side ? hit.side * now.height() : apart;
-  if (!(std::min(height, apart) < hit.least)) return;
+  if (!(std::min(height, apart) < hit.least)) return false;
   const bool through = height < 0;
   collide::Vec out = near.off * (1 / apart);
   if (through || !(apart > 0)) out = collide::direction(now.normal(), {0, 0, 1});
@@ -70,10 +80,12 @@ void Parting::part(const LayerHit& hit) {
     return through ? hit.side * was.height() : length(was.nearest().off);
   };
   const double first = distance(before_);
-  const double goal = std::min(hit.least, first + layers_.speed * h_);
+  const double goal = std::min(hit.least, first + back_);
   const double begun = std::min(hit.least, shifts_ ? distance(shifted_) : first);
   const double pressed = std::max(0.0, begun - apart);
-  move(hit, near.share, out, pressed, std::max(0.0, goal - std::max(apart, begun)));
+  const double back = std::max(0.0, goal - std::max(apart, begun));
+  move(hit, near.share, out, pressed, back);
+  return pressed + back > hit.least * NEARLY;
 }
 
 inline void Parting::move(const LayerHit& hit, const double* share, collide::Vec out,
@@ -86,16 +98,16 @@ inline void Parting::move(const LayerHit& hit, const double* share, collide::Vec
   for (std::size_t k = 0; k < 4; ++k) {
     const auto particle = static_cast<std::size_t>(hit.who[k]);
     to[k] = &x_[ROW * particle], from[k] = &was[ROW * particle];
-    weights[k] = network_.inverse_masses[particle] * share[k];
+    weights[k] = inverse_masses_[particle] * share[k];
     whole += weights[k] * share[k];
     farthest = std::max(farthest, std::abs(weights[k]));
-    lightest = std::max(lightest, network_.inverse_masses[particle]);
+    lightest = std::max(lightest, inverse_masses_[particle]);
     along = along + (collide::load(to[k]) - collide::load(from[k])) * share[k];
   }
   whole = std::max({whole, farthest / FARTHEST, lightest * LEAST});
   if (!(whole > 0)) return;
   along = along - out * dot(along, out);
-  const double slid = length(along), held = layers_.friction * pressed;
+  const double slid = length(along), held = friction_ * pressed;
   const double stop = slid > held ? held / slid : 1;
   const collide::Vec back_by = out * (back / whole);
   const collide::Vec by = out * (pressed / whole) - along * (stop / whole) + back_by;

@@ -56,7 +56,7 @@ class Projection {
       project(j + 1 < substeps ? nullptr : gives_.data());
       pull_anchors();
       self_.keep_apart(h, before_, run_.x);
-      contacts_.settle(run_.network, j, before_, run_.x, nullptr);
+      contacts_.settle(j, before_, run_.x, nullptr);
       self_.look(before_, run_.x);
       const double rate = 1 / h;
       for (std::size_t k = 0; k < run_.size; ++k) run_.v[k] = (run_.x[k] - before_[k]) * rate;
@@ -182,7 +182,7 @@ SpringsProjected project_springs(const SpringNetwork& network, In<double, 3> sta
   if (!(stretch >= 0)) check::refuse("stretch", check::text(stretch) + " is not 0 or more");
   check::finite("state", state);
   SpringRun run = begin_springs(network, state, torn);
-  SpringContacts contacts(colliders, network.particles(), cells);
+  SpringContacts contacts(colliders, network, cells);
   SelfContacts self(layers, network, crossed);
   double worst = 0;
   std::int64_t taken = 0;

@@ -18,7 +18,7 @@ using collide::load;
 // Of a way in a step, over that of all, what is looked at for crossings [thickness].
 constexpr double FASTEST = 4;
 // How much farther pairs are listed than they come in a step [thickness].
-constexpr double LISTED = 0.6;
+constexpr double LISTED = 2;
 // Steps that those which are near are picked from them for, and bounds of that [thickness].
 constexpr double PICK_AHEAD = 6, LEAST_PICK = 0.03, MOST_PICK = 0.5;
 // Width of cells that hold what may come near [longest edge, thickness].
@@ -137,7 +137,7 @@ void SelfContacts::keep_apart(double h, std::vector<double>& before, std::vector
   corners_.find(*layers_, before, x, most_, more);
   edges_.find(*layers_, before, x, most_, more);
   if (!corners_.any() && !edges_.any()) return;
-  Parting parting(*layers_, network_, h, before, x);
+  Parting parting(layers_->friction, layers_->speed * h, network_.inverse_masses, before, x);
   corners_.part(*layers_, parting);
   edges_.part(*layers_, parting);
   parting.end();

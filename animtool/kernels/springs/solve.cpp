@@ -404,7 +404,7 @@ class Crossing {
       run_.network.place_held(t, h, now.x.data(), run_.x.data(), run_.v.data());
       before = now;
       // What two steps go on from is smooth.
-      const bool met = contacts_.settle(run_.network, j, now.x, run_.x, &run_.v);
+      const bool met = contacts_.settle(j, now.x, run_.x, &run_.v);
       known = two_steps_ && !met;
       ++steps;
     }
@@ -444,7 +444,7 @@ SpringsSolved solve_springs(const SpringNetwork& network, In<double, 3> state,
   if (earlier) {
     check::numbers("before", *earlier, {2, network.particles(), 3});
   }
-  SpringContacts contacts(colliders, network.particles(), cells);
+  SpringContacts contacts(colliders, network, cells);
   HeldPulls pulls(run, given);
   Crossing crossing(run, contacts, tolerance, two_steps, pulls);
   crossing.before = {run.x, run.v};

@@ -34,6 +34,9 @@ from animtool.systems.attach.strands import chain_rotations
 from animtool.systems.framework.run import Reached
 from animtool.systems.framework.saved import Clocked
 
+# Numbers of points in a block, at most: it has fewer frames the more points move.
+BLOCK_VALUES = 1 << 20
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SavedFrame:
@@ -108,13 +111,16 @@ class Simulation:
             made = self._cycle(whole.select(slice(early, None)))
             yield made.select(np.maximum(np.arange(-early, made.frames), 0))
             return
+        values = 3 * sum(body.network.count for body in self.bodies)
+        most = max(BLOCK_VALUES // max(values, 1), 2)
         for block in _begun(given):
-            yield self._block(block)
+            self._crossed, self._to_cross = 0, block.frames
+            for begin in range(0, block.frames, most):
+                yield self._block(block.select(slice(begin, begin + most)))
 
     def _block(self, block: Motion) -> Motion:
         codes = self._codes(self._done, block.frames)
         rows = [_Rows([], []) for _ in self.bodies]
-        self._crossed, self._to_cross = 0, block.frames
         for i in range(block.frames):
             pose = pose_at(block, i)
             if self._before is None:

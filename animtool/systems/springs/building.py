@@ -77,6 +77,7 @@ class _Building:
     def _placed(self) -> tuple[list[Body], list[list[Pins | Targets]]]:
         """Return bodies where pins have them, and what ties each."""
         bodies, ties, begin = [], [], self._context.begin
+        acting = any(_has_acting_faces(entry) for entry in self._entries)
         for entry in self._entries:
             body = entry.body.body
             pins = [(pin, pin.poses(self._context.poses)) for pin in entry.pins]
@@ -88,8 +89,8 @@ class _Building:
                     held[pin.particles] = pin.start(frame, points, begin)
             gap = float(np.linalg.norm(held - points, axis=1).max())
             self._say_apart("pins hold particles", gap)
-            windy = isinstance(entry.spec.air, FaceWindModel)
-            faces = windy or entry.spec.contact is not None
+            # Of several, wind blows on the faces of those that say so.
+            faces = not acting or _has_acting_faces(entry)
             triangles = body.triangles if faces else body.triangles[:0]
             bodies.append(replace(body, positions=held, triangles=triangles))
         return bodies, ties
@@ -182,3 +183,8 @@ class _Building:
             message = f"{what} {length_text(gap)} from where they are built: springs "
             hint = "place them so that they fit, or give pins an offset"
             self._notices.append(warning("SIM150", f"{message}pull", hint, "pins"))
+
+
+def _has_acting_faces(entry: SpringEntry) -> bool:
+    """Return whether wind blows on the faces of a body, or they meet each other."""
+    return isinstance(entry.spec.air, FaceWindModel) or entry.spec.contact is not None

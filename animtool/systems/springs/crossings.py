@@ -113,12 +113,19 @@ def thickness(collider: Collider) -> float:
 
 
 def thin_notices(
-    name: str, colliders: Sequence[Collider], radius: float, gap: float, stretch: float
+    name: str,
+    colliders: Sequence[Collider],
+    radius: float,
+    gap: float,
+    stretch: float,
+    *,
+    faces: bool = False,
 ) -> list[Fault]:
     """Return a warning of colliders that pass between particles (SIM195).
 
     Particles keep a radius from colliders [m], and are a gap apart at rest [m], which
-    becomes longer by the stretch [1].
+    becomes longer by the stretch [1]. Faces that meet colliders are stopped; where they
+    went through each other they may have done so around the collider.
     """
     wide = gap * (1 + max(stretch, 0.0))
     thin = [
@@ -134,6 +141,10 @@ def thin_notices(
     names += f" and {more} more" if more > 0 else ""
     message = f"{names}: a collider {length_text(least)} thick is thinner than the gap "
     message += f"between particles of {name}, up to {length_text(wide)} when stretched:"
+    if faces:
+        message += " its faces are stopped, and what hangs on either side of them may "
+        message += "have gone through itself, as its self_contact is off"
+        return [warning("SIM195", message, "give it self_contact with a thickness")]
     message += " only particles meet colliders, so that it may go through between them"
     hint = "give more particles, a thicker collider, or a greater radius"
     return [warning("SIM195", message, hint)]

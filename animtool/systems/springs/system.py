@@ -218,6 +218,10 @@ class SpringSystem(SecondOrder):
         paths = Paths(knots, held, drawn, wind)
         return replace(self.loads, springs=springs).network(paths), held, drawn
 
+    def faces_of(self, particles: IntArray) -> bool:
+        """Return whether some particles have faces, which meet colliders too."""
+        return bool(np.isin(self.body.triangles, particles).any())
+
     @property
     def loads(self) -> Loads:
         """What acts on particles, with springs in the order of the body's."""

@@ -76,9 +76,14 @@ class SpringView:
         """Return warnings of what went through it, or may have (SIM194, SIM195)."""
         made, body, name = self.simulation, self.body, self.member.name
         found = self._crossings.notices(name) if self._crossings is not None else []
+        met = made.system.faces_of(self.rows)
+        if met and not found:
+            return found
         gap = widest_gap(body.shape, body.body.positions)
         colliders, radius = list(made.system.colliders), made.system.radius
-        return found + thin_notices(name, colliders, radius, gap, made.stretch)
+        return found + thin_notices(
+            name, colliders, radius, gap, made.stretch, faces=met
+        )
 
     @property
     def radius(self) -> float:

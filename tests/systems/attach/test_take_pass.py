@@ -142,6 +142,25 @@ def test_the_same_again_in_any_blocks(rig_take: Take) -> None:
         assert_array_equal(turns(one), turns(other))
 
 
+def test_blocks_hold_no_more_numbers_than_they_may(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """What moves in a long take is handed on as it is made, whatever comes in."""
+    take = take_of(strands_rig(), 24, 0.5, swing)
+    whole = moved(simulated(take)[0])
+    frame = whole[0].size
+    monkeypatch.setattr("animtool.systems.attach.simulation.BLOCK_VALUES", 4 * frame)
+    options = SimulateOptions(what=("hair",))
+    bodies = bodies_of(take.rig, options.what)
+    clock = take.clock
+    parts = Simulation(
+        take.rig, bodies, options, clock.fps, clock.start, clock.step
+    ).blocks(iter([take.motion]))
+    sizes = [next(iter(one.points.values())).dense() for one in parts]
+    assert max(len(one) for one in sizes) == 4
+    assert_array_equal(np.concatenate(sizes), whole)
+
+
 def test_bones_keep_their_length_and_rotations_their_unit(rig_take: Take) -> None:
     found, codes = simulated(rig_take)
     assert codes == ["SIM130"]

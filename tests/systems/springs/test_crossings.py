@@ -99,13 +99,20 @@ def test_cloth_that_fell_through_itself_says_so(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("radius", "thin"), [(0.02, True), (0.3, False)])
-def test_a_thin_rod_is_named_with_numbers(
+def test_a_thin_rod_under_cloth_that_went_through_itself_is_named_with_numbers(
     tmp_path: Path, radius: float, thin: bool
 ) -> None:
     found = notices(tmp_path, ROD.format(radius=radius))
     assert ("SIM195" in found) is thin
     if thin:
+        assert "SIM194" in found
         assert "4 cm" in found["SIM195"] or "40 mm" in found["SIM195"]
+        assert "self_contact" in found["SIM195"]
+
+
+def test_faces_meet_a_thin_rod_without_a_word(tmp_path: Path) -> None:
+    contact = "    self_contact: {thickness: 0.02}\n"
+    assert "SIM195" not in notices(tmp_path, ROD.format(radius=0.02) + contact)
 
 
 def test_gaps_are_diagonals_of_faces_and_lengths_of_segments() -> None:

@@ -1,0 +1,362 @@
+// Edges and faces of surfaces against what of colliders is finer than they are.
+#include "springs/faces.h"
+
+#include <algorithm>
+#include <cmath>
+#include <utility>
+
+#include "springs/contacts.h"
+
+namespace animtool {
+
+namespace {
+
+using collide::Collider;
+using collide::Mesh;
+using collide::Shape;
+using collide::Vec;
+using collide::load;
+using collide::store;
+using shapes::row_of;
+
+// Edges that were stretched to twice their length have no point farther from both ends
+// [longest edge at rest].
+constexpr double NEAR = 1.2;
+// What is kept from lines of no thickness, at least [longest edge at rest].
+constexpr double LEAST_KEPT = 1e-3;
+// Sides of boxes and meshes that turn by less are flat [rad].
+constexpr double FLAT = 1e-3;
+// Looks for what meets, and rounds of moving that out, in a step.
+constexpr int LOOKS = 2, ROUNDS = 6;
+
+Vec least_of(Vec a, Vec b) {
+  return {std::min(a.x, b.x), std::min(a.y, b.y), std::min(a.z, b.z)};
+}
+Vec most_of(Vec a, Vec b) {
+  return {std::max(a.x, b.x), std::max(a.y, b.y), std::max(a.z, b.z)};
+}
+// Whether boxes are no farther apart than this along each axis.
+bool overlap(Vec low, Vec high, Vec other_low, Vec other_high, double reach) {
+  return low.x <= other_high.x + reach && high.x >= other_low.x - reach &&
+         low.y <= other_high.y + reach && high.y >= other_low.y - reach &&
+         low.z <= other_high.z + reach && high.z >= other_low.z - reach;
+}
+
+FineParts parts_of_box(const double* half) {
+  FineParts parts;
+  for (int k = 0; k < 8; ++k)
+    parts.points.push_back({k & 1 ? half[0] : -half[0], k & 2 ? half[1] : -half[1],
+                            k & 4 ? half[2] : -half[2]});
+  for (std::int32_t k = 0; k < 8; ++k)
+    for (const std::int32_t axis : {1, 2, 4})
+      if (!(k & axis)) parts.lines.push_back({k, k | axis});
+  return parts;
+}
+
+// How round a mesh is over the edge of a triangle: a radius, infinite where it is flat or
+// hollow, no greater than for faces as wide as a length.
+double radius_over(const Mesh& mesh, std::int32_t triangle, int side, double widest) {
+  const std::int32_t* corner = mesh.triangles + 3 * triangle;
+  const Vec a = mesh.point(corner[side]), b = mesh.point(corner[(side + 1) % 3]);
+  const Vec opposite = mesh.point(corner[(side + 2) % 3]) - a, along = b - a;
+  const double squared = dot(along, along);
+  if (!(squared > 0)) return collide::FAR;
+  const Vec inward = opposite - along * (dot(opposite, along) / squared);
+  const Vec sum = load(mesh.edge_normals + 9 * triangle + 3 * side);
+  // On the rim of an open mesh.
+  if (dot(sum, sum) == 0) return 0;
+  if (!(dot(sum, inward) < -FLAT * FLAT * length(inward))) return collide::FAR;
+  const Vec normal = collide::face_normal(mesh, triangle, {});
+  const double angle = 2 * std::atan2(length(cross(normal, sum)), dot(normal, sum));
+  return angle > FLAT ? std::min(length(inward), widest) / angle : collide::FAR;
+}
+
+FineParts parts_of_mesh(const Collider& c, double longest, double kept) {
+  FineParts parts;
+  std::vector<std::array<std::int32_t, 4>> found;  // both ends, triangle, side
+  std::int32_t triangles = 0;
+  const Vec all{collide::FAR, collide::FAR, collide::FAR};
+  collide::visit_overlapping(c.mesh, c.root, -all, all, [&](std::int32_t t) {
+    triangles = std::max(triangles, t + 1);
+    for (std::int32_t side = 0; side < 3; ++side) {
+      if (!(radius_over(c.mesh, t, side, longest) + kept < longest)) continue;
+      const std::int32_t* corner = c.mesh.triangles + 3 * t;
+      const auto [i, j] = std::minmax(corner[side], corner[(side + 1) % 3]);
+      found.push_back({i, j, t, side});
+    }
+  });
+  std::sort(found.begin(), found.end());
+  std::vector<std::int32_t> points;
+  for (const auto& one : found) points.insert(points.end(), {one[0], one[1]});
+  std::sort(points.begin(), points.end());
+  points.erase(std::unique(points.begin(), points.end()), points.end());
+  for (const std::int32_t p : points) parts.points.push_back(c.mesh.point(p));
+  const auto number = [&](std::int32_t p) {
+    return static_cast<std::int32_t>(std::lower_bound(points.begin(), points.end(), p) -
+                                     points.begin());
+  };
+  if (found.empty()) return parts;
+  parts.of_triangle.assign(static_cast<std::size_t>(triangles), {-1, -1, -1, -1, -1, -1});
+  for (const auto& [i, j, t, side] : found) {
+    const std::array<std::int32_t, 2> line{number(i), number(j)};
+    if (parts.lines.empty() || parts.lines.back() != line) parts.lines.push_back(line);
+    auto& own = parts.of_triangle[static_cast<std::size_t>(t)];
+    const auto k = static_cast<std::size_t>(side);
+    own[k] = static_cast<std::int32_t>(parts.lines.size()) - 1;
+    const std::int32_t* corner = c.mesh.triangles + 3 * t;
+    own[3 + k] = number(corner[k]);
+    own[3 + (k + 1) % 3] = number(corner[(k + 1) % 3]);
+  }
+  return parts;
+}
+
+// What of a collider is finer than the longest edge of a surface.
+FineParts parts_of(const Collider& c, double radius, double longest) {
+  if (c.container) return {};
+  const double kept = collide::kept(c, radius);
+  FineParts parts;
+  switch (c.shape) {
+    case Shape::PLANE: return {};
+    case Shape::SPHERE:
+      if (!(c.size[3] + kept < longest)) return {};
+      parts.points = {load(c.size)};
+      parts.kept = c.size[3] + kept;
+      return parts;
+    case Shape::CAPSULE:
+      if (!(c.size[6] + kept < longest)) return {};
+      parts.points = {load(c.size), load(c.size + 3)};
+      parts.lines = {{0, 1}};
+      parts.kept = c.size[6] + kept;
+      return parts;
+    case Shape::BOX: parts = parts_of_box(c.size); break;
+    case Shape::MESH: parts = parts_of_mesh(c, longest, kept); break;
+  }
+  parts.kept = std::max(kept, LEAST_KEPT * longest);
+  parts.known = true;
+  return parts;
+}
+
+}  // namespace
+
+FaceContacts::FaceContacts(const SpringNetwork& network, double radius)
+    : network_(network), radius_(radius), reach_(NEAR * network.longest_edge) {}
+
+void FaceContacts::add(const Collider& c) {
+  // Meshes are looked through where something comes to them.
+  const bool later = c.shape == Shape::MESH && !c.container;
+  parts_.emplace_back();
+  if (network_.edges.empty()) return;
+  if (!later) parts_.back() = parts_of(c, radius_, network_.longest_edge);
+  parts_.back().known = !later;
+  any_ |= later || parts_.back().any();
+  if (!any_ || !slots_.empty()) return;
+  slots_.assign(network_.particles(), -1);
+  marked_.assign(network_.particles(), 0);
+}
+
+bool FaceContacts::settle(std::size_t index, const StepCollider& c, double h,
+                          const std::vector<std::int32_t>& near, StepRows rows) {
+  moved.clear();
+  if (index >= parts_.size()) return false;
+  FineParts& parts = parts_[index];
+  if (!parts.known && comes_near(c, near, rows)) parts = parts_of(c.collider, radius_, network_.longest_edge);
+  if (!parts.any()) return false;
+  if (!mark(parts, c, near, rows)) return false;
+  begun_ = from_, ended_ = to_;
+  Parting parting(c.collider.friction, c.collider.depenetration * h, inverse_masses_, from_, to_,
+                  true);
+  bool parted = false;
+  for (int look = 0; look < LOOKS; ++look) {
+    find(parts, c);
+    if (edges_.empty() && corners_.empty()) break;
+    parted = true;
+    int rounds = 1;
+    while (part(parting) && rounds < ROUNDS) ++rounds;
+    // What was moved but little meets nothing else.
+    if (rounds == 1) break;
+  }
+  if (parted) {
+    parting.end();
+    write(c, h, rows);
+    parted = !moved.empty();
+  }
+  for (const std::int32_t n : particles_)
+    if (n >= 0) slots_[static_cast<std::size_t>(n)] = -1;
+  return parted;
+}
+
+// Whether a point may be at parts of a collider; of a box at its edges.
+static bool may_meet(const FineParts& parts, const Collider& c, Vec p, double reach) {
+  if (c.shape == Shape::BOX) {
+    const double off[3] = {std::abs(p.x) - c.size[0], std::abs(p.y) - c.size[1],
+                           std::abs(p.z) - c.size[2]};
+    int at = 0;
+    for (const double one : off) {
+      if (one > reach) return false;
+      at += one >= -reach;
+    }
+    return at >= 2;
+  }
+  if (c.shape == Shape::MESH)
+    return collide::squared_to_box(p, c.mesh.bounds + 6 * c.root) <= reach * reach;
+  const Vec a = parts.points.front(), b = parts.points.back();
+  return overlap(p, p, least_of(a, b), most_of(a, b), reach);
+}
+
+bool FaceContacts::comes_near(const StepCollider& c, const std::vector<std::int32_t>& near,
+                              const StepRows& rows) const {
+  const double reach = reach_ + collide::kept(c.collider, radius_);
+  return std::any_of(near.begin(), near.end(), [&](std::int32_t n) {
+    const Vec from = c.begin.to_local(row_of(rows.before.data(), n));
+    const Vec to = c.end.to_local(row_of(rows.x.data(), n));
+    return may_meet({}, c.collider, to, reach + length(to - from));
+  });
+}
+
+bool FaceContacts::mark(const FineParts& parts, const StepCollider& c,
+                        const std::vector<std::int32_t>& near, const StepRows& rows) {
+  from_.clear();
+  to_.clear();
+  particles_.clear();
+  inverse_masses_.clear();
+  elements_.clear();
+  std::vector<std::int32_t> marked;
+  for (const std::int32_t n : near) {
+    const Vec from = c.begin.to_local(row_of(rows.before.data(), n));
+    const Vec to = c.end.to_local(row_of(rows.x.data(), n));
+    if (!may_meet(parts, c.collider, to, reach_ + parts.kept + length(to - from))) continue;
+    marked.push_back(n);
+    marked_[static_cast<std::size_t>(n)] = 1;
+  }
+  if (marked.empty()) return false;
+  const auto add_all = [&](const std::vector<std::int32_t>& of, int count) {
+    for (std::size_t k = 0; k < of.size(); k += static_cast<std::size_t>(count))
+      if (std::any_of(&of[k], &of[k] + count,
+                      [&](std::int32_t n) { return marked_[static_cast<std::size_t>(n)]; }))
+        add_element(&of[k], count, c, rows);
+  };
+  add_all(network_.edges, 2);
+  add_all(network_.triangles, 3);
+  for (const std::int32_t n : marked) marked_[static_cast<std::size_t>(n)] = 0;
+  for (const Vec p : parts.points) {
+    const double row[ROW] = {p.x, p.y, p.z, 0};
+    from_.insert(from_.end(), row, row + ROW);
+    to_.insert(to_.end(), row, row + ROW);
+    inverse_masses_.push_back(0);
+  }
+  return true;
+}
+
+std::int32_t FaceContacts::slot(std::int32_t particle, const StepCollider& c,
+                                const StepRows& rows) {
+  std::int32_t& own = slots_[static_cast<std::size_t>(particle)];
+  if (own >= 0) return own;
+  own = static_cast<std::int32_t>(particles_.size());
+  particles_.push_back(particle);
+  inverse_masses_.push_back(network_.inverse_masses[static_cast<std::size_t>(particle)]);
+  from_.resize(from_.size() + ROW, 0.0);
+  to_.resize(to_.size() + ROW, 0.0);
+  store(c.begin.to_local(row_of(rows.before.data(), particle)), &from_[from_.size() - ROW]);
+  store(c.end.to_local(row_of(rows.x.data(), particle)), &to_[to_.size() - ROW]);
+  return own;
+}
+
+void FaceContacts::add_element(const std::int32_t* corners, int count, const StepCollider& c,
+                               const StepRows& rows) {
+  Element one{{}, count, {}, {}};
+  for (int k = 0; k < count; ++k)
+    one.corners[static_cast<std::size_t>(k)] = slot(corners[k], c, rows);
+  elements_.push_back(one);
+}
+
+void FaceContacts::find(const FineParts& parts, const StepCollider& c) {
+  edges_.clear();
+  corners_.clear();
+  for (Element& one : elements_) {
+    one.low = {collide::FAR, collide::FAR, collide::FAR}, one.high = -one.low;
+    for (int k = 0; k < one.count; ++k)
+      for (const auto* of : {&from_, &to_}) {
+        const Vec at = row_of(of->data(), one.corners[static_cast<std::size_t>(k)]);
+        one.low = least_of(one.low, at), one.high = most_of(one.high, at);
+      }
+  }
+  const auto count = static_cast<std::int32_t>(parts.points.size());
+  const auto lines = static_cast<std::int32_t>(parts.lines.size());
+  std::vector<std::int32_t> own;
+  for (const Element& one : elements_) {
+    if (parts.of_triangle.empty()) {
+      for (std::int32_t k = 0; k < (one.count == 2 ? lines : count); ++k) meet(parts, one, k);
+      continue;
+    }
+    const Vec off{parts.kept, parts.kept, parts.kept};
+    const std::size_t first = one.count == 2 ? 0 : 3;
+    own.clear();
+    collide::visit_overlapping(c.collider.mesh, c.collider.root, one.low - off, one.high + off,
+                               [&](std::int32_t t) {
+                                 const auto& of = parts.of_triangle[static_cast<std::size_t>(t)];
+                                 for (std::size_t k = first; k < first + 3; ++k)
+                                   if (of[k] >= 0) own.push_back(of[k]);
+                               });
+    std::sort(own.begin(), own.end());
+    own.erase(std::unique(own.begin(), own.end()), own.end());
+    for (const std::int32_t k : own) meet(parts, one, k);
+  }
+}
+
+void FaceContacts::meet(const FineParts& parts, const Element& one, std::int32_t part) {
+  const auto first = static_cast<std::int32_t>(particles_.size());
+  const auto number = static_cast<std::size_t>(part);
+  if (one.count == 3) {
+    const Vec p = parts.points[number];
+    if (overlap(p, p, one.low, one.high, parts.kept))
+      meet_four<shapes::CornerPair>({first + part, one.corners[0], one.corners[1], one.corners[2]},
+                                    parts.kept);
+    return;
+  }
+  const auto [i, j] = parts.lines[number];
+  const Vec a = parts.points[static_cast<std::size_t>(i)];
+  const Vec b = parts.points[static_cast<std::size_t>(j)];
+  if (overlap(least_of(a, b), most_of(a, b), one.low, one.high, parts.kept))
+    meet_four<shapes::EdgePair>({one.corners[0], one.corners[1], first + i, first + j},
+                                parts.kept);
+}
+
+template <class Shape>
+void FaceContacts::meet_four(const FourParticles& who, double kept) {
+  const Shape now(who.data(), to_.data());
+  double travel = 0;
+  for (const std::int32_t n : who)
+    travel = std::max(travel, length(row_of(to_.data(), n) - row_of(from_.data(), n)));
+  const shapes::Nearest near = now.nearest();
+  const double apart = length(near.off);
+  if (!(apart < kept + travel)) return;
+  LayerHit hit{0, 0, 0, who, apart, travel, kept};
+  if (apart <= travel) hit.side = shapes::crossed_from(Shape(who.data(), from_.data()), now);
+  if (!hit.side && !near.inside) return;
+  (std::is_same_v<Shape, shapes::EdgePair> ? edges_ : corners_).push_back(hit);
+}
+
+bool FaceContacts::part(Parting& parting) const {
+  bool any = false;
+  for (const LayerHit& hit : corners_) any |= parting.part<shapes::CornerPair>(hit);
+  for (const LayerHit& hit : edges_) any |= parting.part<shapes::EdgePair>(hit);
+  return any;
+}
+
+void FaceContacts::write(const StepCollider& c, double h, StepRows& rows) {
+  for (std::size_t k = 0; k < particles_.size(); ++k) {
+    const Vec way = load(&to_[ROW * k]) - load(&ended_[ROW * k]);
+    const Vec back = load(&from_[ROW * k]) - load(&begun_[ROW * k]);
+    if (dot(way, way) == 0 && dot(back, back) == 0) continue;
+    const std::int32_t n = particles_[k];
+    const std::size_t at = ROW * static_cast<std::size_t>(n);
+    const Vec out = c.end.rotated(way), shift = c.begin.rotated(back);
+    store(load(&rows.x[at]) + out, &rows.x[at]);
+    store(load(&rows.before[at]) + shift, &rows.before[at]);
+    const Vec change = (out - shift) * (1 / h);
+    if (rows.v) store(load(&(*rows.v)[at]) + change, &(*rows.v)[at]);
+    moved.push_back({n, length(out) + length(shift), change});
+  }
+}
+
+}  // namespace animtool
