@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -15,9 +17,10 @@ from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.skeleton import Rig
 from animtool.sim.colliders.on_joints import Capsules
 from animtool.systems.attach.bodies import Body
-from animtool.systems.attach.network import lost_links
+from animtool.systems.attach.network import lost_links, typical_edge
 from animtool.systems.attach.poses import Pose, PosePath, pose_path
 from animtool.systems.attach.settings import Settings
+from animtool.systems.attach.skins import Skin, SkinContacts, margin_for
 from animtool.systems.attach.stepping import (
     Motions,
     SheetStepper,
@@ -28,6 +31,7 @@ from animtool.systems.attach.stepping import (
     steps_per_second,
 )
 from animtool.systems.attach.strands import (
+    DEPENETRATION,
     CapsuleContacts,
     StrandStepper,
     depth_at_bind,
@@ -47,7 +51,9 @@ class PosePaths:
     rig: Rig  # the character
     before: Pose  # its pose at the begin
     after: Pose  # its pose at the end
+    skins: Sequence[Skin] = ()  # what of it is met
     _by_steps: dict[int, PosePath] = field(default_factory=dict)
+    _skin_points: dict[int, list[FloatArray]] = field(default_factory=dict)
 
     def of(self, steps: int) -> PosePath:
         """Return the character at the begin, and at the end of each step."""
@@ -55,12 +61,25 @@ class PosePaths:
             self._by_steps[steps] = pose_path(self.rig, self.before, self.after, steps)
         return self._by_steps[steps]
 
+    def skin_points(self, steps: int) -> list[FloatArray]:
+        """Return the points of each skin at the same times ``(K, P, 3)`` [m]."""
+        if steps not in self._skin_points:
+            path = self.of(steps)
+            self._skin_points[steps] = [skin.points(path) for skin in self.skins]
+        return self._skin_points[steps]
+
 
 class Actor:
     """Carries one attachment from frame to frame."""
 
     def __init__(
-        self, rig: Rig, body: Body, settings: Settings, span: float, pose: Pose
+        self,
+        rig: Rig,
+        body: Body,
+        settings: Settings,
+        span: float,
+        pose: Pose,
+        skins: Sequence[Skin] = (),
     ) -> None:
         """Begin in a pose, at rest, in its size; a frame spans so long [s]."""
         self.body, self.settings = body, settings
@@ -77,7 +96,17 @@ class Actor:
         make = StrandStepper if network.strands else SheetStepper
         self._stepper: Stepper = make(network, settings, -upwards(rig), self.tally)
         self._span = span
+        self._skins = SkinContacts(
+            [] if network.strands else list(skins),
+            settings.options.friction,
+            margin_for(typical_edge(network), settings.radius),
+            DEPENETRATION,
+        )
         capsules = Capsules.of(rig) if settings.options.colliders else Capsules.none()
+        if self._skins:
+            # What has a skin is met by that.
+            covered = np.any([skin.joints for skin in skins], axis=0)
+            capsules = capsules.select(~covered[capsules.joints])
         bound = body.network.points
         depths = scale * depth_at_bind(capsules, rig, bound, settings.radius / scale)
         self._contacts = CapsuleContacts(
@@ -91,7 +120,7 @@ class Actor:
         self.lost = lost_links(network, self.target)
         self.tangles = (
             tangle_notices(self.target, network.triangles, f"the cloth {body.name}")
-            if settings.thickness
+            if self._stepper.thickness
             else []
         )
         self.state = State(self.target, np.zeros_like(self.target))
@@ -106,7 +135,10 @@ class Actor:
         began = time.perf_counter()
         motion = paths.of(self._cells)
         targets = self.body.targets(motion)
-        motions = Motions(targets, self._contacts.over(motion.world))
+        surfaces: list[Any] = []
+        if self._skins:
+            surfaces = self._skins.over(paths.skin_points(self._cells))
+        motions = Motions(targets, self._contacts.over(motion.world, surfaces))
         self.state = self._stepper.cross(
             self.state, motions, self._span, self._substeps
         )
