@@ -17,7 +17,7 @@ from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.skeleton import Rig
 from animtool.sim.colliders.on_joints import Capsules
 from animtool.systems.attach.bodies import Body
-from animtool.systems.attach.network import lost_links, typical_edge
+from animtool.systems.attach.network import Network, lost_links, typical_edge
 from animtool.systems.attach.poses import Pose, PosePath, pose_path
 from animtool.systems.attach.settings import Settings
 from animtool.systems.attach.skins import Skin, SkinContacts, margin_for
@@ -36,6 +36,7 @@ from animtool.systems.attach.strands import (
     StrandStepper,
     depth_at_bind,
 )
+from animtool.systems.framework.meter import ContactMeter, Sides, Solid
 from animtool.systems.springs.checks import tangle_notices
 
 
@@ -96,6 +97,9 @@ class Actor:
         make = StrandStepper if network.strands else SheetStepper
         self._stepper: Stepper = make(network, settings, -upwards(rig), self.tally)
         self._span = span
+        self.meter = ContactMeter()
+        self._sides = _sides(network)
+        self._solids: list[Solid] = []  # skins as the last frame ended
         self._skins = SkinContacts(
             [] if network.strands else list(skins),
             settings.options.friction,
@@ -137,13 +141,24 @@ class Actor:
         targets = self.body.targets(motion)
         surfaces: list[Any] = []
         if self._skins:
-            surfaces = self._skins.over(paths.skin_points(self._cells))
+            points = paths.skin_points(self._cells)
+            surfaces = self._skins.over(points)
+            self._solids = [
+                Solid(rows[-1], skin.triangles)
+                for skin, rows in zip(paths.skins, points, strict=True)
+            ]
         motions = Motions(targets, self._contacts.over(motion.world, surfaces))
         self.state = self._stepper.cross(
             self.state, motions, self._span, self._substeps
         )
         self.target = targets[-1]
+        self._world = motion.world
         self.seconds += time.perf_counter() - began
+
+    def measure(self, frame: float) -> None:
+        """Note how it lies at the end of a frame, by its time code."""
+        depths = self._contacts.depths(self._world, self.state.positions)
+        self.meter.look(frame, self.state.positions, self._sides, self._solids, depths)
 
     def follow(self, paths: PosePaths) -> None:
         """Go on by a frame as the animation does."""
@@ -169,6 +184,16 @@ class Actor:
         """Return how fast what carries it is over a frame [m/s]."""
         places = paths.of(1).world.positions[:, self.body.carrier]
         return float(np.linalg.norm(places[1] - places[0])) / self._span
+
+
+def _sides(network: Network) -> Sides:
+    """Return what of a network is measured: of cloth what does not become longer."""
+    held = np.zeros(network.count, np.bool_)
+    held[network.held] = True
+    links = network.stiff
+    kept = (links.rests > 0) & ~held[links.ends].all(axis=1)
+    kept &= len(network.triangles) > 0
+    return Sides(network.free, network.triangles, links.ends[kept], links.rests[kept])
 
 
 def rigidly_moved(state: State, shift: FloatArray, turn: FloatArray) -> State:

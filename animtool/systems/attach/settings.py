@@ -66,15 +66,15 @@ class SimulateOptions:
     # Velocity of the air ``[x, y, z]`` [m/s].
     wind: tuple[float, float, float] = (0.0, 0.0, 0.0)
     colliders: bool = True  # keep out of the rig's capsules
-    # Keep cloth out of the skins of the rig, which are met in the place of the capsules of
-    # their joints.
+    # Keep cloth out of the skins of the rig, which are met in the place of the
+    # capsules of their joints.
     skin: bool = True
     radius: str = "5mm"  # distance kept from them, such as ``5mm``
     # On them, and between layers, Coulomb's coefficient [1].
     friction: Annotated[float, within(0.0, "SIM004")] = 0.2
     self_contact: bool = True  # cloth does not go through itself
-    # Distance that it keeps from itself, such as ``5mm``. None is that of ``radius``, or
-    # a third of its edges where these are short.
+    # Distance that it keeps from itself, such as ``5mm``. None is that of ``radius``,
+    # or a third of its edges where these are short.
     thickness: str | None = None
     # Time in the first pose before anything moves [s].
     settle: Annotated[float, within(0.0, "SIM004", 600.0)] = 1.0
@@ -93,7 +93,7 @@ class SimulateOptions:
     # What carries an attachment jumps where it would be faster [m/s]; 0 never does.
     teleport_speed: Annotated[float, within(0.0, "SIM004")] = 50.0
     teleports: tuple[float, ...] = ()  # frames that begin with a jump
-    # Least steps a second; None is as many as ``stretch`` needs.
+    # Steps a second; None is as many as ``stretch`` needs.
     rate: Annotated[float | None, within(0.0, "SIM004", 1e6, reached=False)] = None
     # File (``.npz``) for the states at the frames of ``save_at``, beside the scene.
     save: str = ""

@@ -32,6 +32,7 @@ from animtool.systems.attach.settings import Lead, SimulateOptions, settings_for
 from animtool.systems.attach.skins import Skin, skins_of
 from animtool.systems.attach.stepping import State
 from animtool.systems.attach.strands import chain_rotations
+from animtool.systems.framework.meter import ContactMeter
 from animtool.systems.framework.run import Reached
 from animtool.systems.framework.saved import Clocked
 
@@ -128,6 +129,7 @@ class Simulation:
             self._before = pose
             self._note(float(codes[i]))
             for row, actor in zip(rows, self.actors, strict=True):
+                actor.measure(float(codes[i]))
                 row.moved.append(actor.state.positions)
                 row.targets.append(actor.target)
         self._done += block.frames
@@ -255,8 +257,10 @@ class Simulation:
         self.codes = codes[:-1]
         for actor in self.actors:
             actor.place(poses[0])
+            actor.meter = ContactMeter()
         for i, (before, after) in enumerate(pairwise(poses)):
             for row, actor in zip(rows, self.actors, strict=True):
+                actor.measure(codes[i])
                 row.moved.append(actor.state.positions)
                 row.targets.append(actor.target)
             jumps = codes[i + 1] in self.options.teleports

@@ -54,7 +54,9 @@ def skins_of(rig: Rig) -> list[Skin]:
     """Return the meshes of a rig that follow joints, but those that are its cloth."""
     cloth = {one.mesh for one in rig.attach if one.kind == AttachKind.CLOTH}
     surfaces = [
-        one for one in surfaces_of(rig) if one.skin is not None and one.name not in cloth
+        one
+        for one in surfaces_of(rig)
+        if one.skin is not None and one.name not in cloth
     ]
     shapes = [shape.name for shape in rig.shapes]
     meshes = character_meshes(surfaces, rig.names, bind_matrices(rig), shapes)
@@ -81,9 +83,7 @@ def _skin(rig: Rig, surface: Surface, mesh: CharacterMesh) -> Skin:
     return Skin(mesh, triangles, points, borders, carried)
 
 
-def capped(
-    counts: IntArray, indices: IntArray
-) -> tuple[IntArray, IntArray, IntArray]:
+def capped(counts: IntArray, indices: IntArray) -> tuple[IntArray, IntArray, IntArray]:
     """Return triangles of polygons that close their borders, each about a middle.
 
     Args:

@@ -35,8 +35,8 @@ ACROSS = 10.0
 MIN_STEPS = 240.0
 MIN_STRAND_STEPS = 360.0
 MAX_STEPS = 20_000.0
-# Times the steps that a frame of cloth takes in which springs become too long, or in which
-# it goes through itself, at most.
+# Times the steps that a frame of cloth takes, at most, in which springs become too long
+# or in which it goes through itself.
 FINER = 4
 # Springs that do not give [rad/s].
 STIFF = 1e6

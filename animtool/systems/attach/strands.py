@@ -231,6 +231,19 @@ class CapsuleContacts:
         self._kinds, self._sizes, self._others = kinds, sizes, others
         self._rest = radius, depths, UNRESOLVED
 
+    def depths(self, world: WorldTransforms, points: FloatArray) -> FloatArray:
+        """Return how much deeper points are than they may be, at the last pose ``(N,)``.
+
+        In the capsule that they are deepest in [m]; below 0 outside of all.
+        """
+        deepest = np.full(len(points), -np.inf)
+        placed, radius = self._capsules.placed(world)[-1], self._rest[0]
+        radii, allowed = self._sizes[:, 6], self._rest[1] + radius
+        for c, ends in enumerate(placed):
+            inside = np.minimum(allowed[c], 0.0) - depth(points, ends, radii[c])[0]
+            np.maximum(deepest, inside, out=deepest)
+        return deepest
+
     def over(
         self, world: WorldTransforms, surfaces: Sequence[Any] = ()
     ) -> tuple[Any, ...] | None:

@@ -4,12 +4,13 @@
     python tests/bench/readers/garments.py dance.usdc --by-frame frames.csv
 
 Nothing of animtool is asked: points are those that the stage has at each time code, in
-the world (skins need to be written deformed). An edge pierces a triangle that has neither
-of its ends where it goes through it: edges of the cloth through triangles of skin and of
-cloth, and edges of the skin through triangles of cloth, each pair once. A point is inside
-the skin where it is behind a nearest triangle and the winding number of all of them is over
-a half, as deep as that triangle is far. Strain is how much longer or shorter sides of faces are than those of the
-mesh at ``--rest``, a time code, or in the default pose where none is named.
+the world (skins need to be written deformed). An edge pierces a triangle that has
+neither of its ends where it goes through it: edges of the cloth through triangles of
+skin and of cloth, and edges of the skin through triangles of cloth, each pair once. A
+point is inside the skin where it is behind a nearest triangle and the winding number of
+all of them is over a half, as deep as that triangle is far. Strain is how much longer
+or shorter sides of faces are than those of the mesh at ``--rest``, a time code, or in
+the default pose where none is named.
 """
 
 from __future__ import annotations
@@ -216,7 +217,7 @@ def measure(
 
 
 def main() -> None:
-    """Print the worst of all frames, and write a table of each where it is asked for."""
+    """Print the worst of all frames; write a table of each where it is asked for."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("layers", nargs="+", type=Path)
     parser.add_argument("--cloth", default="cape")
