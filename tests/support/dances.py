@@ -141,7 +141,7 @@ def _jumps(t: np.ndarray) -> Mapping[str, np.ndarray]:
             _turned(Y, 120 * np.sin(4 * np.pi * t / 3)), _turned(X, 10 * bent)
         ),
         **legs,
-        **_arms(15 * np.sin(4 * np.pi * t), 35 - 20 * np.sin(8 * np.pi * t / 3)),
+        **_arms(15 * np.sin(4 * np.pi * t), 15 - 10 * np.sin(8 * np.pi * t / 3)),
     }
 
 

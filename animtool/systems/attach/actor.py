@@ -121,6 +121,7 @@ class Actor:
             settings.options.friction,
         )
         self.target = body.targets(first)[0]
+        self._world = first.world
         self.lost = lost_links(network, self.target)
         self.tangles = (
             tangle_notices(self.target, network.triangles, f"the cloth {body.name}")

@@ -138,7 +138,7 @@ class SkinContacts:
         margin: float,
         depenetration: float,
     ) -> None:
-        """Make what does not change from frame to frame; lengths in [m], speed [m/s]."""
+        """Make what does not change from frame to frame."""
         self._skins = skins
         self._kernels: list[Any] = []
         self._numbers = (0.0, friction, margin, depenetration, SPEED_LIMIT)

@@ -232,7 +232,7 @@ class CapsuleContacts:
         self._rest = radius, depths, UNRESOLVED
 
     def depths(self, world: WorldTransforms, points: FloatArray) -> FloatArray:
-        """Return how much deeper points are than they may be, at the last pose ``(N,)``.
+        """Return how much deeper than they may be points are at the last pose ``(N,)``.
 
         In the capsule that they are deepest in [m]; below 0 outside of all.
         """

@@ -176,7 +176,7 @@ def strains(x: Floats, rest: Floats, sides: Ints) -> Floats:
 
 
 def measure(
-    path: Path, cloth: str, skin: str, rest_at: float | None
+    path: Path, cloth: str, skin: str, rest_of: Path | None
 ) -> list[tuple[float, ...]]:
     """Return a row of `COLUMNS` for each frame of a layer."""
     stage = Usd.Stage.Open(str(path))
@@ -187,8 +187,9 @@ def measure(
     }
     garment, body = named[cloth], named.get(skin)
     times = garment.mesh.GetPointsAttr().GetTimeSamples()
-    begin = Usd.TimeCode.Default() if rest_at is None else Usd.TimeCode(rest_at)
-    rest = garment.points(begin)
+    rest = garment.points(Usd.TimeCode(times[0]))
+    if rest_of is not None:
+        rest = np.load(rest_of)["points"]
     rows: list[tuple[float, ...]] = []
     for time in times:
         x = garment.points(Usd.TimeCode(time))
@@ -222,7 +223,7 @@ def main() -> None:
     parser.add_argument("layers", nargs="+", type=Path)
     parser.add_argument("--cloth", default="cape")
     parser.add_argument("--skin", default="body")
-    parser.add_argument("--rest", type=float, help="time code of the mesh at rest")
+    parser.add_argument("--rest", type=Path, help="a file (.npz) of the mesh at rest")
     parser.add_argument("--by-frame", type=Path, help="a CSV file")
     options = parser.parse_args()
     print(*COLUMNS[1:], sep="  ")
