@@ -14,10 +14,10 @@ from animtool.systems.framework.meter import (
 )
 
 CORNERS = np.array([[x, y, z] for x in (0.0, 1) for y in (0.0, 1) for z in (0.0, 1)])
-FACES = np.array(
-    [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1]]
-    + [[2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]]
-)
+QUADS = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1]]
+QUADS += [[2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
+FACES = np.array(QUADS)[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3)
+ALONG = np.array([1.0, 0, 0])
 CUBE = Solid(CORNERS, FACES)
 # A sheet of one triangle, whose corner is 0.1 m inside the cube.
 SHEET = np.array([[0.9, 0.4, 0.4], [1.5, 0.3, 0.4], [1.5, 0.5, 0.4]])
@@ -40,7 +40,7 @@ def test_depth_is_the_way_out_of_the_nearest_face() -> None:
 def test_the_deepest_is_kept_with_frame_point_and_place() -> None:
     meter = ContactMeter()
     meter.look(3.0, SHEET, sides(SHEET), [CUBE])
-    meter.look(4.0, SHEET + [0.05, 0, 0], sides(SHEET), [CUBE])
+    meter.look(4.0, SHEET + 0.05 * ALONG, sides(SHEET), [CUBE])
     assert meter.depth.value == pytest.approx(0.1)
     assert (meter.depth.frame, meter.depth.point) == (3.0, 0)
     assert meter.depth.at == pytest.approx((0.9, 0.4, 0.4))
@@ -58,12 +58,12 @@ def test_edges_through_a_solid_are_counted_and_its_own_are_not() -> None:
     triangle = np.array([[0, 1, 2]])
     # Two sides through its face, and the diagonal of that through the sheet.
     assert pierced_pairs(SHEET, triangle, [CUBE]) == 3
-    assert pierced_pairs(SHEET + [1.0, 0, 0], triangle, [CUBE]) == 0
+    assert pierced_pairs(SHEET + ALONG, triangle, [CUBE]) == 0
     # One side of a second cube is in the first: together they are one solid.
     both = Solid(
         np.concatenate([CORNERS, CORNERS + 0.5]), np.concatenate([FACES, FACES + 8])
     )
-    away = SHEET + [1.0, 0, 0]
+    away = SHEET + ALONG
     assert pierced_pairs(away, triangle, [both]) == 0
 
 
