@@ -99,6 +99,9 @@ class Actor:
         self._span = span
         self.meter = ContactMeter()
         self._sides = _sides(network)
+        if not self._stepper.thickness and not skins:
+            # It may go through itself, and there is no other surface.
+            self._sides = replace(self._sides, triangles=network.triangles[:0])
         self._solids: list[Solid] = []  # skins as the last frame ended
         self._skins = SkinContacts(
             [] if network.strands else list(skins),
