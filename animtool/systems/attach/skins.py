@@ -75,12 +75,12 @@ def _skin(rig: Rig, surface: Surface, mesh: CharacterMesh) -> Skin:
     a, b, c = corners.swapaxes(0, 1)
     if (a * np.cross(b, c)).sum() < 0:
         triangles = np.ascontiguousarray(triangles[:, ::-1])
-    carried = np.zeros(len(rig.joints), np.bool_)
+    used_joints = np.zeros(len(rig.joints), np.bool_)
     skin = surface.skin
     assert skin is not None
     used = np.unique(skin.indices[skin.weights > 0])
-    carried[[rig.index(skin.joints[k]) for k in used.tolist()]] = True
-    return Skin(mesh, triangles, points, borders, carried)
+    used_joints[[rig.index(skin.joints[k]) for k in used.tolist()]] = True
+    return Skin(mesh, triangles, points, borders, used_joints)
 
 
 def capped(counts: IntArray, indices: IntArray) -> tuple[IntArray, IntArray, IntArray]:
