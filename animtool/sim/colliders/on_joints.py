@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from animtool.core.array_types import ArrayLike, FloatArray, IntArray
+from animtool.core.array_types import ArrayLike, BoolArray, FloatArray, IntArray
 from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.rig.kinematics import WorldTransforms
@@ -47,6 +47,10 @@ class Capsules:
     def none() -> Capsules:
         """Return none."""
         return Capsules(np.zeros(0, np.int64), np.zeros((0, 2, 3)), np.zeros(0))
+
+    def select(self, kept: BoolArray) -> Capsules:
+        """Return those that are kept ``(C,)``."""
+        return Capsules(self.joints[kept], self.ends[kept], self.radii[kept])
 
     def __len__(self) -> int:
         """Return how many there are."""

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -15,9 +17,10 @@ from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.skeleton import Rig
 from animtool.sim.colliders.on_joints import Capsules
 from animtool.systems.attach.bodies import Body
-from animtool.systems.attach.network import lost_links
+from animtool.systems.attach.network import Network, lost_links, typical_edge
 from animtool.systems.attach.poses import Pose, PosePath, pose_path
 from animtool.systems.attach.settings import Settings
+from animtool.systems.attach.skins import Skin, SkinContacts, margin_for
 from animtool.systems.attach.stepping import (
     Motions,
     SheetStepper,
@@ -28,10 +31,12 @@ from animtool.systems.attach.stepping import (
     steps_per_second,
 )
 from animtool.systems.attach.strands import (
+    DEPENETRATION,
     CapsuleContacts,
     StrandStepper,
     depth_at_bind,
 )
+from animtool.systems.framework.meter import ContactMeter, Sides, Solid
 from animtool.systems.springs.checks import tangle_notices
 
 
@@ -47,7 +52,9 @@ class PosePaths:
     rig: Rig  # the character
     before: Pose  # its pose at the begin
     after: Pose  # its pose at the end
+    skins: Sequence[Skin] = ()  # what of it is met
     _by_steps: dict[int, PosePath] = field(default_factory=dict)
+    _skin_points: dict[int, list[FloatArray]] = field(default_factory=dict)
 
     def of(self, steps: int) -> PosePath:
         """Return the character at the begin, and at the end of each step."""
@@ -55,12 +62,25 @@ class PosePaths:
             self._by_steps[steps] = pose_path(self.rig, self.before, self.after, steps)
         return self._by_steps[steps]
 
+    def skin_points(self, steps: int) -> list[FloatArray]:
+        """Return the points of each skin at the same times ``(K, P, 3)`` [m]."""
+        if steps not in self._skin_points:
+            path = self.of(steps)
+            self._skin_points[steps] = [skin.points(path) for skin in self.skins]
+        return self._skin_points[steps]
+
 
 class Actor:
     """Carries one attachment from frame to frame."""
 
     def __init__(
-        self, rig: Rig, body: Body, settings: Settings, span: float, pose: Pose
+        self,
+        rig: Rig,
+        body: Body,
+        settings: Settings,
+        span: float,
+        pose: Pose,
+        skins: Sequence[Skin] = (),
     ) -> None:
         """Begin in a pose, at rest, in its size; a frame spans so long [s]."""
         self.body, self.settings = body, settings
@@ -77,7 +97,23 @@ class Actor:
         make = StrandStepper if network.strands else SheetStepper
         self._stepper: Stepper = make(network, settings, -upwards(rig), self.tally)
         self._span = span
+        self.meter = ContactMeter()
+        self._sides = _sides(network)
+        if not self._stepper.thickness and not skins:
+            # It may go through itself, and there is no other surface.
+            self._sides = replace(self._sides, triangles=network.triangles[:0])
+        self._solids: list[Solid] = []  # skins as the last frame ended
+        self._skins = SkinContacts(
+            [] if network.strands else list(skins),
+            settings.options.friction,
+            margin_for(typical_edge(network), settings.radius),
+            DEPENETRATION,
+        )
         capsules = Capsules.of(rig) if settings.options.colliders else Capsules.none()
+        if self._skins:
+            # What has a skin is met by that.
+            covered = np.any([skin.joints for skin in skins], axis=0)
+            capsules = capsules.select(~covered[capsules.joints])
         bound = body.network.points
         depths = scale * depth_at_bind(capsules, rig, bound, settings.radius / scale)
         self._contacts = CapsuleContacts(
@@ -88,10 +124,11 @@ class Actor:
             settings.options.friction,
         )
         self.target = body.targets(first)[0]
+        self._world = first.world
         self.lost = lost_links(network, self.target)
         self.tangles = (
             tangle_notices(self.target, network.triangles, f"the cloth {body.name}")
-            if settings.thickness
+            if self._stepper.thickness
             else []
         )
         self.state = State(self.target, np.zeros_like(self.target))
@@ -106,12 +143,26 @@ class Actor:
         began = time.perf_counter()
         motion = paths.of(self._cells)
         targets = self.body.targets(motion)
-        motions = Motions(targets, self._contacts.over(motion.world))
+        surfaces: list[Any] = []
+        if self._skins:
+            points = paths.skin_points(self._cells)
+            surfaces = self._skins.over(points)
+            self._solids = [
+                Solid(rows[-1], skin.triangles)
+                for skin, rows in zip(paths.skins, points, strict=True)
+            ]
+        motions = Motions(targets, self._contacts.over(motion.world, surfaces))
         self.state = self._stepper.cross(
             self.state, motions, self._span, self._substeps
         )
         self.target = targets[-1]
+        self._world = motion.world
         self.seconds += time.perf_counter() - began
+
+    def measure(self, frame: float) -> None:
+        """Note how it lies at the end of a frame, by its time code."""
+        depths = self._contacts.depths(self._world, self.state.positions)
+        self.meter.look(frame, self.state.positions, self._sides, self._solids, depths)
 
     def follow(self, paths: PosePaths) -> None:
         """Go on by a frame as the animation does."""
@@ -137,6 +188,16 @@ class Actor:
         """Return how fast what carries it is over a frame [m/s]."""
         places = paths.of(1).world.positions[:, self.body.carrier]
         return float(np.linalg.norm(places[1] - places[0])) / self._span
+
+
+def _sides(network: Network) -> Sides:
+    """Return what of a network is measured: of cloth what does not become longer."""
+    held = np.zeros(network.count, np.bool_)
+    held[network.held] = True
+    links = network.stiff
+    kept = (links.rests > 0) & ~held[links.ends].all(axis=1)
+    kept &= len(network.triangles) > 0
+    return Sides(network.free, network.triangles, links.ends[kept], links.rests[kept])
 
 
 def rigidly_moved(state: State, shift: FloatArray, turn: FloatArray) -> State:

@@ -115,6 +115,12 @@ def reach(network: Network) -> int:
     return max(away.values(), default=0)
 
 
+def typical_edge(network: Network) -> float:
+    """Return the median length of springs that do not become longer [m]; 0 of none."""
+    lengths = network.stiff.rests[network.stiff.rests > 0]
+    return float(np.median(lengths)) if len(lengths) else 0.0
+
+
 def lost_links(network: Network, points: FloatArray) -> int:
     """Return how many springs have both ends at one place of points ``(N, 3)``.
 

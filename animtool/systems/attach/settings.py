@@ -66,11 +66,15 @@ class SimulateOptions:
     # Velocity of the air ``[x, y, z]`` [m/s].
     wind: tuple[float, float, float] = (0.0, 0.0, 0.0)
     colliders: bool = True  # keep out of the rig's capsules
+    # Keep cloth out of the skins of the rig, which are met in the place of the
+    # capsules of their joints.
+    skin: bool = True
     radius: str = "5mm"  # distance kept from them, such as ``5mm``
     # On them, and between layers, Coulomb's coefficient [1].
     friction: Annotated[float, within(0.0, "SIM004")] = 0.2
-    # Distance that cloth keeps from itself, such as ``5mm``; None lets it go through
-    # itself.
+    self_contact: bool = True  # cloth does not go through itself
+    # Distance that it keeps from itself, such as ``5mm``. None is that of ``radius``,
+    # or a third of its edges where these are short.
     thickness: str | None = None
     # Time in the first pose before anything moves [s].
     settle: Annotated[float, within(0.0, "SIM004", 600.0)] = 1.0
@@ -89,7 +93,7 @@ class SimulateOptions:
     # What carries an attachment jumps where it would be faster [m/s]; 0 never does.
     teleport_speed: Annotated[float, within(0.0, "SIM004")] = 50.0
     teleports: tuple[float, ...] = ()  # frames that begin with a jump
-    # Least steps a second; None is as many as ``stretch`` needs.
+    # Steps a second; None is as many as ``stretch`` needs.
     rate: Annotated[float | None, within(0.0, "SIM004", 1e6, reached=False)] = None
     # File (``.npz``) for the states at the frames of ``save_at``, beside the scene.
     save: str = ""
@@ -113,7 +117,8 @@ class Settings:
     shear: float  # angular, of diagonals [rad/s]
     stretch: float  # aimed at [1]
     radius: float  # distance kept from colliders [m]
-    thickness: float  # distance that cloth keeps from itself [m]; 0 does not ask
+    # Distance that cloth keeps from itself [m]; 0 does not ask, None is by its edges.
+    thickness: float | None
 
 
 def settings_for(options: SimulateOptions, kind: str) -> Settings:
@@ -126,9 +131,11 @@ def settings_for(options: SimulateOptions, kind: str) -> Settings:
         bend = _BENDS.get(known, 0.0)
     if stretch is None:
         stretch = _STRETCHES.get(known, STRETCH)
-    thickness = 0.0
-    if options.thickness is not None and known is AttachKind.CLOTH:
-        thickness = parse_length(options.thickness)
+    thickness: float | None = 0.0
+    if options.self_contact and known is AttachKind.CLOTH:
+        thickness = None
+        if options.thickness is not None:
+            thickness = parse_length(options.thickness)
     return Settings(
         options,
         2 * math.pi * frequency,

@@ -29,8 +29,10 @@ from animtool.systems.attach.poses import (
     travel_between,
 )
 from animtool.systems.attach.settings import Lead, SimulateOptions, settings_for
+from animtool.systems.attach.skins import Skin, skins_of
 from animtool.systems.attach.stepping import State
 from animtool.systems.attach.strands import chain_rotations
+from animtool.systems.framework.meter import ContactMeter
 from animtool.systems.framework.run import Reached
 from animtool.systems.framework.saved import Clocked
 
@@ -95,6 +97,9 @@ class Simulation:
         self.codes: list[float] = []  # time codes that were gone through
         self.resumed = resumed  # states that it goes on from
         self.closing: Closing | None = None  # of a cycle
+        self.skins: list[Skin] = []  # what of the character is met
+        if options.skin and any(isinstance(body, SurfaceBody) for body in bodies):
+            self.skins = skins_of(rig)
         self.swung: dict[str, float] = {}  # largest turn of last joints [rad]
         self._rate, self._start, self._step = rate, start, step
         self._early = early
@@ -130,6 +135,7 @@ class Simulation:
             self._before = pose
             self._note(float(codes[i]))
             for row, actor in zip(rows, self.actors, strict=True):
+                actor.measure(float(codes[i]))
                 row.moved.append(actor.state.positions)
                 row.targets.append(actor.target)
         self._done += block.frames
@@ -148,12 +154,19 @@ class Simulation:
         if travels:
             begin = extrapolated(self.rig, pose, following, leading)
         self.actors = [
-            Actor(self.rig, body, settings_for(options, body.kind), 1 / rate, begin)
+            Actor(
+                self.rig,
+                body,
+                settings_for(options, body.kind),
+                1 / rate,
+                begin,
+                self.skins,
+            )
             for body in self.bodies
         ]
         if self.resumed is not None:
             return
-        still = PosePaths(self.rig, begin, begin)
+        still = self._paths(begin, begin)
         settling = math.ceil(options.settle * rate)
         self._to_cross += settling + leading
         for _ in range(settling):
@@ -170,17 +183,20 @@ class Simulation:
             if travels and not i:
                 for actor in self.actors:
                     actor.rush(step * rate)
-            self._cross(PosePaths(self.rig, earlier, later))
+            self._cross(self._paths(earlier, later))
 
     def _advance(self, pose: Pose, code: float) -> None:
         """Go on to the next frame."""
         assert self._before is not None
-        paths = PosePaths(self.rig, self._before, pose)
+        paths = self._paths(self._before, pose)
         if self.resumed is not None and code <= self.resumed.frame:
             for actor in self.actors:
                 actor.follow(paths)
             return
         self._cross(paths, jumps=code in self.options.teleports)
+
+    def _paths(self, before: Pose, after: Pose) -> PosePaths:
+        return PosePaths(self.rig, before, after, self.skins)
 
     def _cross(self, paths: PosePaths, *, jumps: bool = False) -> None:
         most = self.options.teleport_speed
@@ -247,12 +263,14 @@ class Simulation:
         self.codes = codes[:-1]
         for actor in self.actors:
             actor.place(poses[0])
+            actor.meter = ContactMeter()
         for i, (before, after) in enumerate(pairwise(poses)):
             for row, actor in zip(rows, self.actors, strict=True):
+                actor.measure(codes[i])
                 row.moved.append(actor.state.positions)
                 row.targets.append(actor.target)
             jumps = codes[i + 1] in self.options.teleports
-            self._cross(PosePaths(self.rig, before, after), jumps=jumps)
+            self._cross(self._paths(before, after), jumps=jumps)
         return rows
 
     def _moved(self, block: Motion, codes: FloatArray, rows: list[_Rows]) -> Motion:

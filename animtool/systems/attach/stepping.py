@@ -11,7 +11,7 @@ import numpy as np
 from animtool import _kernels
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, ToleranceError
-from animtool.systems.attach.network import Network, reach
+from animtool.systems.attach.network import Network, reach, typical_edge
 from animtool.systems.attach.settings import Settings
 from animtool.systems.framework.bounds import BOUND
 from animtool.systems.framework.simulation import growing
@@ -35,6 +35,9 @@ ACROSS = 10.0
 MIN_STEPS = 240.0
 MIN_STRAND_STEPS = 360.0
 MAX_STEPS = 20_000.0
+# Times the steps that a frame of cloth takes, at most, in which springs become too long
+# or in which it goes through itself.
+FINER = 4
 # Springs that do not give [rad/s].
 STIFF = 1e6
 # Cloth [kg/m²], and the least mass of a particle among the others' [1].
@@ -42,6 +45,8 @@ CLOTH_WEIGHT = 0.3
 MIN_SHARE = 1e-3
 # Half the density of air [kg/m³].
 AIR = 0.6
+# Of cloth, what it keeps from itself, over its edges [1].
+THICK = 1 / 3
 # Even parts of a frame, between which what is animated goes straight.
 MIN_CELLS, MAX_CELLS = 5, 8
 
@@ -141,6 +146,8 @@ def stepped(made: FloatArray, passages: IntArray | None = None) -> State:
 class Stepper(Protocol):
     """Carries particles over frames."""
 
+    thickness: float  # that it keeps from itself [m]; 0 where it does not
+
     def cross(
         self, state: State, motions: Motions, span: float, substeps: int
     ) -> State:
@@ -168,6 +175,7 @@ class SheetStepper:
     ) -> None:
         """Make what kernels take; down is the direction of gravity ``(3,)``."""
         self.network, self.tally, self._settings = network, tally, settings
+        self.thickness = thickness_of(network, settings)
         masses = masses_of(network)
         inverse = 1.0 / masses
         inverse[network.held] = 0.0
@@ -202,17 +210,20 @@ class SheetStepper:
         cells = motions.cells
         both = np.stack([state.positions, state.velocities])
         network = self._led(motions, span)
-        if self._settings.thickness and self._layers is None:
-            contact = SelfContact(
-                self._settings.thickness, self._settings.options.friction
-            )
+        if self.thickness and self._layers is None:
+            contact = SelfContact(self.thickness, self._settings.options.friction)
             self._layers = spring_layers(network, contact, self.network.points)
-        outputs = _kernels.project_springs(
-            network, both, self._torn, 0.0, 0, span / cells, cells,
-            substeps, 0, substeps, substeps, np.inf, motions.colliders, self._layers,
-            state.passages,
-        )  # fmt: skip
-        reached, _, _, _, _, _, touched, inside, passages, through, _ = outputs
+        most = substeps if self._settings.options.rate else FINER * substeps
+        while True:
+            outputs = _kernels.project_springs(
+                network, both, self._torn, 0.0, 0, span / cells, cells,
+                substeps, 0, substeps, most, self._settings.stretch,
+                motions.colliders, self._layers, state.passages,
+            )  # fmt: skip
+            reached, _, _, _, _, _, touched, inside, passages, through, _ = outputs
+            substeps *= 2
+            if substeps > most or len(passages) <= len(state.passages):
+                break
         state = stepped(reached, passages)
         self.tally.add(self._stretch(reached[0]), touched, inside, Through(*through))
         return state
@@ -241,6 +252,15 @@ class SheetStepper:
         lengths = np.linalg.norm(x[j[counted]] - x[i[counted]], axis=1)
         longer = lengths / links.rests[counted] - 1
         return float(longer.max(initial=0.0))
+
+
+def thickness_of(network: Network, settings: Settings) -> float:
+    """Return the distance that cloth keeps from itself [m]; 0 where it does not."""
+    if settings.thickness is not None:
+        return settings.thickness
+    if not len(network.triangles):
+        return 0.0
+    return min(settings.radius or math.inf, THICK * typical_edge(network))
 
 
 def masses_of(network: Network) -> FloatArray:

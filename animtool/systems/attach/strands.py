@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -40,6 +41,8 @@ def threads_allowed() -> int:
 
 class StrandStepper:
     """Carries strands: springs along each of them are solved together."""
+
+    thickness = 0.0
 
     def __init__(
         self, network: Network, settings: Settings, down: FloatArray, tally: Tally
@@ -226,14 +229,32 @@ class CapsuleContacts:
         kinds, sizes, *others = Colliders([like] * len(capsules)).arrays(0.0, 0.0)
         sizes[:, 6] = radii
         self._kinds, self._sizes, self._others = kinds, sizes, others
-        self._rest = radius, depths, UNRESOLVED, ()
+        self._rest = radius, depths, UNRESOLVED
 
-    def over(self, world: WorldTransforms) -> tuple[Any, ...] | None:
-        """Return what kernels take for the cells between K poses; None without any."""
-        if not len(self._capsules):
+    def depths(self, world: WorldTransforms, points: FloatArray) -> FloatArray:
+        """Return how much deeper than they may be points are at the last pose ``(N,)``.
+
+        In the capsule that they are deepest in [m]; below 0 outside of all.
+        """
+        deepest = np.full(len(points), -np.inf)
+        placed, radius = self._capsules.placed(world)[-1], self._rest[0]
+        radii, allowed = self._sizes[:, 6], self._rest[1] + radius
+        for c, ends in enumerate(placed):
+            inside = np.minimum(allowed[c], 0.0) - depth(points, ends, radii[c])[0]
+            np.maximum(deepest, inside, out=deepest)
+        return deepest
+
+    def over(
+        self, world: WorldTransforms, surfaces: Sequence[Any] = ()
+    ) -> tuple[Any, ...] | None:
+        """Return what kernels take for the cells between K poses; None without any.
+
+        With it surfaces that move, as kernels take these.
+        """
+        if not len(self._capsules) and not surfaces:
             return None
         rows, ends = self._capsules.turned(world)
         sizes = self._sizes.copy()
         sizes[:, :6] = ends.reshape(-1, 6)
         poses = np.stack([rows[:-1], rows[1:]], axis=2)
-        return (self._kinds, sizes, *self._others), poses, *self._rest
+        return (self._kinds, sizes, *self._others), poses, *self._rest, surfaces

@@ -33,6 +33,7 @@ from animtool.systems.attach.simulation import (
     saved_state,
 )
 from animtool.systems.attach.stepping import State
+from animtool.systems.framework.meter import Worst
 from animtool.systems.framework.run import Reached
 from animtool.systems.framework.saved import open_states, write_states
 from animtool.systems.springs.motion import through_notices
@@ -97,6 +98,10 @@ class AttachReport:
     unresolved: int  # most that were left inside
     passed: int  # most that had gone through the cloth
     cut: int  # most pairs of its edges that had gone through each other
+    depth: Worst  # the deepest in a skin or a capsule [m]
+    pierced: Worst  # most pairs of an edge and a triangle through each other
+    strain: Worst  # of cloth, the most that a side is longer or shorter [1]
+    strain_99: Worst  # that 99 sides of 100 keep to, at most [1]
     jumps: int  # how often it was carried over a jump
     seconds: float  # time spent [s]
 
@@ -125,6 +130,10 @@ def _report(actor: Actor) -> AttachReport:
         tally.unresolved,
         tally.through.passed,
         tally.through.cut,
+        actor.meter.depth,
+        actor.meter.pierced,
+        actor.meter.strain,
+        actor.meter.strain_99,
         actor.jumps,
         actor.seconds,
     )
@@ -133,25 +142,32 @@ def _report(actor: Actor) -> AttachReport:
 def notices_of(simulation: Simulation) -> list[Fault]:
     """Return what is worth saying of a simulation that is over."""
     reports = reports_of(simulation)
-    said = [_note(report) for report in reports]
+    said = [
+        _note(report, actor)
+        for report, actor in zip(reports, simulation.actors, strict=True)
+    ]
     for actor, report in zip(simulation.actors, reports, strict=True):
         said += _of_start(actor) + _warnings(report)
         if isinstance(actor.body, ChainBody) and actor.body.bare:
             said += _bare(simulation, actor.body)
         said += through_notices(actor.tally.through, f"the cloth {report.name}")
+        if isinstance(actor.body, SurfaceBody):
+            said += actor.meter.notices(report.name)
     if simulation.closing is not None:
         names = listed([report.name for report in reports])
         said.append(_closed(names, simulation.closing))
     return said + of_named_frames(simulation)
 
 
-def _note(report: AttachReport) -> Fault:
+def _note(report: AttachReport, actor: Actor) -> Fault:
     parts = [
         f"{report.name}: {counted(report.steps, 'step')} a frame",
         f"springs up to {percent(report.stretch)} longer",
     ]
     if report.contacts:
         parts.append(f"up to {counted(report.contacts, 'particle')} in contact")
+    if actor.meter.text:
+        parts.append(actor.meter.text)
     if report.jumps:
         parts.append(f"carried over {counted(report.jumps, 'jump')}")
     return Fault("SIM130", ", ".join(parts), severity=Severity.NOTE)

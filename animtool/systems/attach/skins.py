@@ -1,0 +1,164 @@
+"""Skins of the character that attachments hang on, as surfaces in motion."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from animtool import _kernels
+from animtool.core.array_types import BoolArray, FloatArray, IntArray
+from animtool.maths.faces import sides, triangulated
+from animtool.rig.kinematics import bind_matrices
+from animtool.rig.parts import AttachKind
+from animtool.rig.skeleton import Rig
+from animtool.rig.surfaces import Surface, surfaces_of
+from animtool.sim.contact import SPEED_LIMIT
+from animtool.skin.character import CharacterMesh, character_meshes
+from animtool.skin.deform import deform
+from animtool.systems.attach.poses import PosePath
+
+# What of its edges cloth keeps from skins [1]: those of a limb of twice that length are
+# cut by no more.
+CORNERS = 1 / 3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Skin:
+    """A mesh that follows joints, closed: each border has a fan to its middle."""
+
+    mesh: CharacterMesh  # what moves its V points
+    triangles: IntArray  # counter-clockwise from outside ``(T, 3)``; middles from V on
+    # The borders that have middles ``(B,)`` of points ``(P,)``: which, and of which.
+    border_points: IntArray
+    borders: IntArray
+    joints: BoolArray  # which of the rig carry any of it ``(J,)``
+
+    def points(self, path: PosePath) -> FloatArray:
+        """Return its points and the middles of its borders ``(K, V + B, 3)`` [m]."""
+        weights = None
+        if path.weights is not None:
+            weights = self.mesh.weights(path.weights)
+        points = deform(self.mesh.mesh, weights, path.world).points
+        count = int(self.borders.max(initial=-1)) + 1
+        middles = np.zeros((len(points), count, 3))
+        for border in range(count):
+            own = self.border_points[self.borders == border]
+            middles[:, border] = points[:, own].mean(axis=1)
+        return np.ascontiguousarray(np.concatenate([points, middles], axis=1))
+
+
+def skins_of(rig: Rig) -> list[Skin]:
+    """Return the meshes of a rig that follow joints, but those that are its cloth."""
+    cloth = {one.mesh for one in rig.attach if one.kind == AttachKind.CLOTH}
+    surfaces = [
+        one
+        for one in surfaces_of(rig)
+        if one.skin is not None and one.name not in cloth
+    ]
+    shapes = [shape.name for shape in rig.shapes]
+    meshes = character_meshes(surfaces, rig.names, bind_matrices(rig), shapes)
+    return [
+        _skin(rig, surface, mesh)
+        for surface, mesh in zip(surfaces, meshes, strict=True)
+        if len(surface.counts)
+    ]
+
+
+def _skin(rig: Rig, surface: Surface, mesh: CharacterMesh) -> Skin:
+    triangles, points, borders = capped(surface.counts, surface.indices)
+    places = surface.points
+    middles = [places[points[borders == b]].mean(axis=0) for b in np.unique(borders)]
+    corners = np.concatenate([places, np.array(middles).reshape(-1, 3)])[triangles]
+    a, b, c = corners.swapaxes(0, 1)
+    if (a * np.cross(b, c)).sum() < 0:
+        triangles = np.ascontiguousarray(triangles[:, ::-1])
+    used_joints = np.zeros(len(rig.joints), np.bool_)
+    skin = surface.skin
+    assert skin is not None
+    used = np.unique(skin.indices[skin.weights > 0])
+    used_joints[[rig.index(skin.joints[k]) for k in used.tolist()]] = True
+    return Skin(mesh, triangles, points, borders, used_joints)
+
+
+def capped(counts: IntArray, indices: IntArray) -> tuple[IntArray, IntArray, IntArray]:
+    """Return triangles of polygons that close their borders, each about a middle.
+
+    Args:
+        counts: Corners of each ``(M,)``.
+        indices: Corners, one polygon after the other.
+
+    Returns:
+        Triangles ``(T, 3)``, middles numbered after the points; points of borders
+        ``(P,)``, and the border of each.
+
+    >>> triangles, points, borders = capped(np.array([4]), np.array([0, 1, 2, 3]))
+    >>> triangles[2:].tolist(), points.tolist(), borders.tolist()
+    ([[1, 0, 4], [2, 1, 4], [3, 2, 4], [0, 3, 4]], [0, 1, 2, 3], [0, 0, 0, 0])
+    """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    triangles, count = triangulated(counts, indices), int(indices.max(initial=-1)) + 1
+    ways = sides(counts, indices)
+    numbers = np.sort(ways, axis=1) @ [count, 1]
+    _, which, often = np.unique(numbers, return_inverse=True, return_counts=True)
+    open_ = ways[often[which.reshape(-1)] == 1]
+    points, ends = np.unique(open_, return_inverse=True)
+    ends = ends.reshape(-1, 2)
+    joined = coo_array((np.ones(len(ends)), ends.T), (len(points), len(points)))
+    borders = np.zeros(0, np.int64)
+    if len(points):
+        borders = connected_components(joined, directed=False)[1].astype(np.int64)
+    middles = count + borders[ends[:, 0]]
+    fans = np.stack([open_[:, 1], open_[:, 0], middles], axis=1)
+    return np.concatenate([triangles, fans]), points, borders
+
+
+def margin_for(edge: float, radius: float) -> float:
+    """Return what cloth of long edges keeps from skins, over its radius [m].
+
+    Particles are outside of them; what joins two cuts the corner of a limb.
+
+    >>> round(margin_for(0.03, 0.005), 6), margin_for(0.01, 0.005)
+    (0.005, 0.0)
+    """
+    return max(0.0, CORNERS * edge - radius)
+
+
+class SkinContacts:
+    """Skins as kernels meet them, frame by frame."""
+
+    def __init__(
+        self,
+        skins: Sequence[Skin],
+        friction: float,
+        margin: float,
+        depenetration: float,
+    ) -> None:
+        """Make what does not change from frame to frame."""
+        self._skins = skins
+        self._kernels: list[Any] = []
+        self._numbers = (0.0, friction, margin, depenetration, SPEED_LIMIT)
+
+    def __bool__(self) -> bool:
+        """Return whether there is any."""
+        return bool(self._skins)
+
+    def over(self, points: list[FloatArray]) -> list[tuple[Any, ...]]:
+        """Return what kernels take for the cells between K poses.
+
+        Args:
+            points: Of each skin ``(K, P, 3)`` [m].
+        """
+        if not self._kernels:
+            self._kernels = [
+                _kernels.MeshSurface(rows[0], skin.triangles.astype(np.int32))
+                for skin, rows in zip(self._skins, points, strict=True)
+            ]
+        return [
+            (kernel, rows, self._numbers, 1, 0)
+            for kernel, rows in zip(self._kernels, points, strict=True)
+        ]

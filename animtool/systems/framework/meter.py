@@ -1,0 +1,199 @@
+"""How far simulated surfaces are in what they touch, through it, and strained."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from animtool import _kernels
+from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.errors import Fault, counted, percent, warning
+from animtool.sim.colliders import Collider, Colliders, Mesh
+
+# What is deeper in a skin or a collider is seen in a picture [m].
+DEEP = 2e-3
+# Strain that is seen of cloth, of one side in a hundred and of any [1].
+STRAINED_99, STRAINED = 0.08, 0.15
+
+
+@dataclass(frozen=True, slots=True)
+class Worst:
+    """The worst of something over the frames, and where it was."""
+
+    value: float = 0.0  # a length in [m], a share or a count
+    frame: float | None = None  # its time code; None where there was nothing
+    point: int | None = None  # the particle that has it, the first of two
+    at: tuple[float, float, float] | None = None  # where that was [m]
+
+    def with_more(
+        self, value: float, frame: float, points: FloatArray, point: int
+    ) -> Worst:
+        """Return the worse of this and another."""
+        if not value > self.value:
+            return self
+        x, y, z = points[point].tolist()
+        return Worst(value, frame, point, (x, y, z))
+
+    @property
+    def text(self) -> str:
+        """Where it was, in words."""
+        if self.frame is None or self.point is None or self.at is None:
+            return "nowhere"
+        place = ", ".join(f"{value:.3g}" for value in self.at)
+        return f"frame {self.frame:g}, point {self.point} at [{place}]"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Solid:
+    """A closed surface that nothing should be inside of, at one time."""
+
+    points: FloatArray  # ``(P, 3)`` [m]
+    triangles: IntArray  # counter-clockwise from outside ``(T, 3)``
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sides:
+    """What of a surface is measured."""
+
+    free: IntArray  # particles that nothing holds ``(M,)``
+    triangles: IntArray  # ``(T, 3)``
+    ends: IntArray  # of its sides ``(S, 2)``
+    rests: FloatArray  # lengths of these at rest, above 0 ``(S,)`` [m]
+
+
+@dataclass(slots=True)
+class ContactMeter:
+    """The worst of depth, piercing and strain over the frames that were looked at."""
+
+    depth: Worst = field(default_factory=Worst)  # in a skin or a collider [m]
+    # Pairs of an edge and a triangle that it goes through, of surface and skins or of
+    # the surface alone.
+    pierced: Worst = field(default_factory=Worst)
+    strain: Worst = field(default_factory=Worst)  # longer or shorter than at rest [1]
+    strain_99: Worst = field(default_factory=Worst)  # that 99 sides of 100 keep to [1]
+
+    def look(
+        self,
+        frame: float,
+        points: FloatArray,
+        sides: Sides,
+        solids: Sequence[Solid] = (),
+        depths: FloatArray | None = None,
+    ) -> None:
+        """Note a frame.
+
+        Args:
+            frame: Its time code.
+            points: Of the particles ``(N, 3)`` [m].
+            sides: What joins them.
+            solids: What they should be outside of.
+            depths: How deep they are in other colliders ``(N,)`` [m], below 0 outside.
+        """
+        deep = np.zeros(len(points)) if depths is None else depths.copy()
+        free = sides.free
+        for solid in solids:
+            deep[free] = np.maximum(deep[free], depths_in(solid, points[free]))
+        if len(free):
+            worst = int(free[deep[free].argmax()])
+            self.depth = self.depth.with_more(float(deep[worst]), frame, points, worst)
+        if len(sides.triangles):
+            pairs = pierced_pairs(points, sides.triangles, solids)
+            first = int(sides.triangles[0, 0])
+            self.pierced = self.pierced.with_more(float(pairs), frame, points, first)
+        if len(sides.rests):
+            i, j = sides.ends.T
+            lengths = np.linalg.norm(points[j] - points[i], axis=1)
+            strains = np.abs(lengths / sides.rests - 1)
+            most = int(strains.argmax())
+            where = int(i[most])
+            self.strain = self.strain.with_more(
+                float(strains[most]), frame, points, where
+            )
+            share = float(np.quantile(strains, 0.99))
+            self.strain_99 = self.strain_99.with_more(share, frame, points, where)
+
+    @property
+    def text(self) -> str:
+        """What was measured, in words; empty where there was nothing to say."""
+        parts = []
+        if self.depth.value > 0:
+            depth = f"{1000 * self.depth.value:.2g} mm inside what it touches"
+            parts.append(f"{depth} ({self.depth.text})")
+        if self.strain.value > 0:
+            share = percent(self.strain_99.value)
+            parts.append(f"99 sides of 100 strained by up to {share}")
+            parts.append(f"any by {percent(self.strain.value)} ({self.strain.text})")
+        return ", ".join(parts)
+
+    def notices(self, what: str) -> list[Fault]:
+        """Return warnings of what is seen (SIM180, SIM181, SIM182)."""
+        found = []
+        if self.depth.value > DEEP:
+            message = f"{what} is {1000 * self.depth.value:.2g} mm inside what it "
+            message += f"touches ({self.depth.text})"
+            hint = "take a greater radius or a higher rate, or a slower motion"
+            found.append(warning("SIM180", message, hint))
+        if self.pierced.value:
+            pairs = counted(int(self.pierced.value), "pair")
+            message = f"{pairs} of edges and triangles of {what} and what it touches "
+            message += f"go through each other (frame {self.pierced.frame:g})"
+            hint = "take a greater radius or thickness, or a finer mesh"
+            found.append(warning("SIM181", message, hint))
+        if self.strain_99.value > STRAINED_99 or self.strain.value > STRAINED:
+            message = f"{what} is strained by {percent(self.strain.value)} "
+            message += f"({self.strain.text}), one side in a hundred by "
+            message += f"{percent(self.strain_99.value)} or more"
+            hint = "what is pinned or touched pulls it apart; take a higher rate"
+            found.append(warning("SIM182", message, hint))
+        return found
+
+
+def depths_in(solid: Solid, points: FloatArray) -> FloatArray:
+    """Return how deep points ``(N, 3)`` are in a closed surface ``(N,)`` [m].
+
+    >>> corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
+    >>> faces = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]])
+    >>> points = np.array([[0.1, 0.2, 0.2], [2.0, 0.0, 0.0]])
+    >>> depths_in(Solid(corners, faces), points).round(3).tolist()
+    [0.1, 0.0]
+    """
+    low, high = solid.points.min(axis=0), solid.points.max(axis=0)
+    within = np.flatnonzero(((points > low) & (points < high)).all(axis=1))
+    found = np.zeros(len(points))
+    if len(within):
+        met = Colliders([Collider(Mesh(solid.points, solid.triangles, closed=True))])
+        distances = met.sample(points[within], 0.0, 1.0).distances[0]
+        found[within] = np.maximum(-distances, 0.0)
+    return found
+
+
+def pierced_pairs(
+    points: FloatArray, triangles: IntArray, solids: Sequence[Solid] = ()
+) -> int:
+    """Return how many pairs of an edge and a triangle go through each other.
+
+    Those of solids alone are not counted.
+    """
+    found = _pierced(points, triangles)
+    low, high = points.min(axis=0), points.max(axis=0)
+    for solid in solids:
+        corners = solid.points[solid.triangles]
+        near = (corners.max(axis=1) >= low) & (corners.min(axis=1) <= high)
+        own = solid.triangles[near.all(axis=1)]
+        if not len(own):
+            continue
+        used, own = np.unique(own, return_inverse=True)
+        own = own.reshape(-1, 3)
+        both = np.concatenate([points, solid.points[used]])
+        every = np.concatenate([triangles, own + len(points)])
+        found += _pierced(both, every) - _pierced(solid.points[used], own)
+        found -= _pierced(points, triangles)
+    return found
+
+
+def _pierced(points: FloatArray, triangles: IntArray) -> int:
+    return _kernels.pierced_edges(
+        np.ascontiguousarray(points), np.ascontiguousarray(triangles, np.int64)
+    )

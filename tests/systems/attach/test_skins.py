@@ -1,0 +1,97 @@
+"""Cloth that hangs on a character and meets its skin."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from support.attached import moved, sheet_rig, simulated, take_of
+
+from animtool.motion.take import Take
+from animtool.rig.parts import Capsule, Collider, HeldArray, Mesh, Skin
+from animtool.rig.skeleton import Rig
+from animtool.systems.attach.skins import capped, margin_for, skins_of
+from animtool.systems.framework.meter import Solid, depths_in
+
+SIZE = 10
+BOX = np.array([[x, y, z] for x in (0.0, 1) for y in (0.0, 1) for z in (0.0, 1)])
+FACES = np.array(
+    [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
+)
+TRIANGLES = np.concatenate([FACES[:, [0, 1, 2]], FACES[:, [0, 2, 3]]])
+
+
+def posted(faces: np.ndarray = FACES) -> Rig:
+    """Return a post with a sheet, and a box of skin in front of it."""
+    rig = sheet_rig(SIZE)
+    points = (BOX - [0.5, 0.5, 0]) * [0.6, 0.3, 0.2] + [0.15, -0.2, -0.215]
+    every = np.zeros((8, 1))
+    skin = Skin("linear", ("post",), HeldArray(every), HeldArray(every + 1.0))
+    box = Mesh("box", HeldArray(points), HeldArray(faces.astype(float)), skin=skin)
+    return replace(rig, meshes=(*rig.meshes, box))
+
+
+def blown(rig: Rig, **options: object) -> tuple[Take, list[str]]:
+    """Return a sheet that the wind blows into the box, which goes up and down."""
+
+    def place(t: np.ndarray) -> np.ndarray:
+        return 0.1 * np.stack([np.sin(5 * t), np.sin(7 * t), 0 * t], axis=1)
+
+    take = take_of(rig, 24, 0.5, place)
+    return simulated(take, settle=0.3, wind=(0.0, 0.0, -12.0), **options)
+
+
+def deepest(take: Take) -> float:
+    """Return the deepest of the sheet in the box over all frames [m]."""
+    points = take.rig.meshes[1].points.load()
+    roots = take.world().positions[:, 0]
+    frames = zip(moved(take), roots, strict=True)
+    return max(
+        float(depths_in(Solid(points + root, TRIANGLES), x).max()) for x, root in frames
+    )
+
+
+@pytest.mark.parametrize("faces", [FACES, FACES[:-1], FACES[:, ::-1]])
+def test_cloth_stays_out_of_a_skin_closed_or_not(faces: np.ndarray) -> None:
+    take, codes = blown(posted(faces))
+    assert deepest(take) < 1e-4
+    assert "SIM180" not in codes
+
+
+def test_without_it_cloth_goes_through() -> None:
+    assert deepest(blown(posted(), skin=False)[0]) > 0.005
+
+
+def test_a_skin_stands_for_the_capsules_of_its_joints() -> None:
+    ball = Collider("post", Capsule(0.08, 0.0, offset=(0.15, -0.2, -0.09)))
+    rig = replace(posted(), colliders=(ball,))
+    np.testing.assert_array_equal(moved(blown(rig)[0]), moved(blown(posted())[0]))
+    apart = moved(blown(rig, skin=False)[0]) - moved(blown(posted(), skin=False)[0])
+    assert np.abs(apart).max() > 1e-3
+
+
+def test_borders_are_closed_outwards() -> None:
+    triangles, points, borders = capped(np.full(5, 4), FACES[:-1].ravel())
+    assert sorted(points.tolist()) == [1, 3, 5, 7]
+    assert borders.tolist() == [0, 0, 0, 0]
+    places = np.concatenate([BOX, [[0.5, 0.5, 1.0]]])
+    a, b, c = places[triangles].swapaxes(0, 1)
+    assert (a * np.cross(b, c)).sum() / 6 == pytest.approx(1.0)
+
+
+def test_cloth_is_no_skin() -> None:
+    (skin,) = skins_of(posted())
+    assert skin.mesh.name == "box"
+    assert skins_of(sheet_rig(SIZE)) == []
+
+
+def test_coarse_cloth_keeps_more() -> None:
+    assert margin_for(0.06, 0.005) == pytest.approx(0.015)
+    assert margin_for(0.006, 0.005) == 0
+
+
+def test_in_blocks_it_moves_the_same() -> None:
+    whole, _ = blown(posted())
+    blocks, _ = blown(posted(), blocks=3)
+    np.testing.assert_array_equal(moved(blocks), moved(whole))

@@ -1,0 +1,77 @@
+"""Depth, piercing and strain of surfaces."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from animtool.systems.framework.meter import (
+    ContactMeter,
+    Sides,
+    Solid,
+    depths_in,
+    pierced_pairs,
+)
+
+CORNERS = np.array([[x, y, z] for x in (0.0, 1) for y in (0.0, 1) for z in (0.0, 1)])
+QUADS = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1]]
+QUADS += [[2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
+FACES = np.array(QUADS)[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3)
+ALONG = np.array([1.0, 0, 0])
+CUBE = Solid(CORNERS, FACES)
+# A sheet of one triangle, whose corner is 0.1 m inside the cube.
+SHEET = np.array([[0.9, 0.4, 0.4], [1.5, 0.3, 0.4], [1.5, 0.5, 0.4]])
+ENDS = np.array([[0, 1], [1, 2], [2, 0]])
+
+
+def lengths(points: np.ndarray) -> np.ndarray:
+    return np.linalg.norm(points[ENDS[:, 0]] - points[ENDS[:, 1]], axis=1)
+
+
+def sides(points: np.ndarray, free: tuple[int, ...] = (0, 1, 2)) -> Sides:
+    return Sides(np.array(free), np.array([[0, 1, 2]]), ENDS, lengths(points))
+
+
+def test_depth_is_the_way_out_of_the_nearest_face() -> None:
+    points = np.array([[0.5, 0.5, 0.25], [0.9, 0.4, 0.4], [1.5, 0.5, 0.5]])
+    np.testing.assert_allclose(depths_in(CUBE, points), [0.25, 0.1, 0.0], atol=1e-12)
+
+
+def test_the_deepest_is_kept_with_frame_point_and_place() -> None:
+    meter = ContactMeter()
+    meter.look(3.0, SHEET, sides(SHEET), [CUBE])
+    meter.look(4.0, SHEET + 0.05 * ALONG, sides(SHEET), [CUBE])
+    assert meter.depth.value == pytest.approx(0.1)
+    assert (meter.depth.frame, meter.depth.point) == (3.0, 0)
+    assert meter.depth.at == pytest.approx((0.9, 0.4, 0.4))
+    codes = [notice.code for notice in meter.notices("the sheet")]
+    assert codes == ["SIM180", "SIM181"]
+
+
+def test_what_is_held_may_be_inside() -> None:
+    meter = ContactMeter()
+    meter.look(1.0, SHEET, sides(SHEET, (1, 2)), [CUBE])
+    assert meter.depth.value == 0
+
+
+def test_edges_through_a_solid_are_counted_and_its_own_are_not() -> None:
+    triangle = np.array([[0, 1, 2]])
+    # Two sides through its face, and the diagonal of that through the sheet.
+    assert pierced_pairs(SHEET, triangle, [CUBE]) == 3
+    assert pierced_pairs(SHEET + ALONG, triangle, [CUBE]) == 0
+    # One side of a second cube is in the first: together they are one solid.
+    both = Solid(
+        np.concatenate([CORNERS, CORNERS + 0.5]), np.concatenate([FACES, FACES + 8])
+    )
+    away = SHEET + ALONG
+    assert pierced_pairs(away, triangle, [both]) == 0
+
+
+def test_strain_is_of_longer_and_shorter_sides() -> None:
+    meter = ContactMeter()
+    shrunk = sides(SHEET)
+    meter.look(2.0, SHEET * 0.8, shrunk)
+    assert meter.strain.value == pytest.approx(0.2)
+    assert meter.strain_99.value == pytest.approx(0.2)
+    assert [notice.code for notice in meter.notices("it")] == ["SIM182"]
+    assert ContactMeter().notices("it") == []
