@@ -227,11 +227,7 @@ def test_no_modules_import_each_other_in_a_circle() -> None:
 
 
 # Records that are still made by the standard library.
-COMPILED = {
-    "animtool.core.record",
-    "animtool.systems.springs",
-    "animtool.systems.attach",
-}
+COMPILED = {"animtool.core.record"}
 
 
 def test_records_are_made_without_code_at_import() -> None:

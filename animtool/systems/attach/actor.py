@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from typing import Any
 
 import numpy as np
 
 from animtool.core.array_types import FloatArray
+from animtool.core.record import dataclass
 from animtool.core.units import UpAxis
 from animtool.maths import so3
 from animtool.rig.kinematics import WorldTransforms

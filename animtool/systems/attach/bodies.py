@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, OptionError, listed
+from animtool.core.record import dataclass
 from animtool.maths.faces import edges, triangulated
 from animtool.rig.kinematics import bind_matrices, bind_world
 from animtool.rig.parts import AttachKind, Attachment

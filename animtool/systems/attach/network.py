@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import counted
+from animtool.core.record import dataclass
 from animtool.maths.faces import distinct_pairs, edge_counts, of_one_edge, sides
 
 NO_PAIRS: IntArray = np.zeros((0, 2), np.int64)

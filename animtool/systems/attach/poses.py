@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from animtool.core.array_types import FloatArray
+from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.motion.motion import Channel, Motion
 from animtool.rig.kinematics import WorldTransforms, forward

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
@@ -14,6 +13,7 @@ import numpy as np
 
 from animtool.core.errors import Fault, OptionError
 from animtool.core.options import LARGEST, range_faults, ranges_of, within
+from animtool.core.record import dataclass
 from animtool.core.units import parse_length
 from animtool.motion.keyed import Interpolation, Weight, chosen, weights_at
 from animtool.motion.passes import OptionChecks

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from fractions import Fraction
 from itertools import pairwise
 
@@ -12,6 +12,7 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray
 from animtool.core.clock import time_codes
+from animtool.core.record import dataclass
 from animtool.core.units import parse_length
 from animtool.maths import so3
 from animtool.motion.keyed import weights_at

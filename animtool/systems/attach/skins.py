@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from animtool import _kernels
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
+from animtool.core.record import dataclass
 from animtool.maths.faces import sides, triangulated
 from animtool.rig.kinematics import bind_matrices
 from animtool.rig.parts import AttachKind

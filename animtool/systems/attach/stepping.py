@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Any, Protocol
 
 import numpy as np
@@ -11,6 +11,7 @@ import numpy as np
 from animtool import _kernels
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, ToleranceError
+from animtool.core.record import dataclass
 from animtool.systems.attach.network import Network, reach, typical_edge
 from animtool.systems.attach.settings import Settings
 from animtool.systems.framework.bounds import BOUND

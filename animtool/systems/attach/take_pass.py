@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from fractions import Fraction
 from pathlib import Path
 
@@ -19,6 +19,7 @@ from animtool.core.errors import (
     percent,
     warning,
 )
+from animtool.core.record import dataclass
 from animtool.motion.motion import Motion
 from animtool.motion.passes import Pass, PassContext, Scope, TakePart
 from animtool.motion.take import TakeStream

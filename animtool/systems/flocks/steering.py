@@ -66,7 +66,7 @@ def _target(path: PathModel, x: FloatArray) -> FloatArray:
 
 
 # Over which colliders' velocities are told [s]: frames are far longer.
-INSTANT = 1e-3
+INSTANT = 2.0**-10
 
 
 def avoidance(

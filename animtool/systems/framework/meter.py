@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
 
 from animtool import _kernels
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, counted, percent, warning
+from animtool.core.record import dataclass
 from animtool.sim.colliders import Collider, Colliders, Mesh
 
 # What is deeper in a skin or a collider is seen in a picture [m].

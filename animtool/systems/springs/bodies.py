@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from typing import Any
 
 import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, counted, listed, warning
+from animtool.core.record import dataclass
 from animtool.documents.check import FileModel
 from animtool.documents.document import spelled
 from animtool.maths.faces import edge_counts, sides

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from animtool import _kernels
 from animtool.core.array_types import ArrayLike, FloatArray, IntArray, as_floats
+from animtool.core.record import dataclass
 from animtool.maths.rows import Rows
 from animtool.systems.springs.records import Family, SelfContact
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -11,6 +10,7 @@ from animtool import _kernels
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, Severity, counted, warning
 from animtool.core.quantities import length_text, plain
+from animtool.core.record import dataclass
 from animtool.maths.faces import sides
 from animtool.sim.colliders import Collider
 from animtool.sim.colliders.shapes import Box, Capsule, Sphere

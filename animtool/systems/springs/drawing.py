@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from itertools import chain, pairwise
 from typing import TypeAlias
@@ -11,6 +10,7 @@ from typing import TypeAlias
 import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
+from animtool.core.record import dataclass
 from animtool.maths.faces import sides
 from animtool.motion.frames import CurvesFrame, MeshFrame
 from animtool.systems.springs.body import Springs

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from itertools import pairwise
 from typing import Any
@@ -13,6 +13,7 @@ import numpy as np
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, OptionError, counted
 from animtool.core.options import OF_ENTRY, range_faults
+from animtool.core.record import dataclass
 from animtool.documents.fields import record_of
 from animtool.systems.framework.spec import Member, PinnedPoints
 from animtool.systems.framework.tied import OnBody

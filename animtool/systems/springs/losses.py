@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from animtool.core.errors import Fault, percent, warning
 from animtool.core.quantities import plain
+from animtool.core.record import dataclass
 from animtool.sim.system import Energy
 from animtool.systems.springs.records import Solver
 

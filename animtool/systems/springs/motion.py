@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 
 import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.errors import Fault, counted, warning
+from animtool.core.record import dataclass
 from animtool.sim.colliders.bodies import Wrenches
 from animtool.sim.trajectory import Trajectory
 from animtool.systems.framework.simulation import growing, later

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 
 from animtool.core.array_types import ArrayLike, BoolArray, FloatArray, IntArray
 from animtool.core.errors import Fault, warning
+from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.maths.faces import rigid_motion
 from animtool.systems.springs.body import Body

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -11,6 +11,7 @@ import numpy as np
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, listed
 from animtool.core.names import nearest
+from animtool.core.record import dataclass
 from animtool.documents.document import Location
 from animtool.documents.fields import record_of
 from animtool.maths import so3

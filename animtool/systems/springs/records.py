@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from enum import StrEnum
 from typing import Annotated
 
 from animtool.core.array_types import ArrayLike
 from animtool.core.options import Key, above, described, or_more
+from animtool.core.record import dataclass
 
 # Of springs, and of the air.
 _OfSpring = Annotated[float, or_more(0, "SIM042")]

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from animtool.core.array_types import FloatArray
+from animtool.core.record import dataclass
 from animtool.systems.springs.body import Body
 from animtool.systems.springs.solvers import SAFE, explicit_limit
 from animtool.systems.springs.system import SpringSystem

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, Severity, warning
 from animtool.core.quantities import length_text
+from animtool.core.record import dataclass
 from animtool.systems.springs.motion import Grid, SpringState
 from animtool.systems.springs.records import Solver, SpringOptions
 from animtool.systems.springs.solvers import SHORTEST_OF_AUTO, Choice, advance

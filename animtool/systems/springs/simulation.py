@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from typing import Protocol
 
@@ -12,6 +12,7 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, Severity
+from animtool.core.record import dataclass
 from animtool.motion.frames import PointsFrame
 from animtool.sim.colliders.bodies import Wrenches
 from animtool.sim.system import Energy

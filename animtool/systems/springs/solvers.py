@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any, TypeAlias
 
@@ -13,6 +13,7 @@ import numpy as np
 from animtool import _kernels
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, OptionError
+from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.sim.colliders import Collider, Colliders
 from animtool.sim.integrators.table import find_integrator

@@ -9,12 +9,12 @@ heavy rope is as stable as a heavy body on a light one.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.sim.colliders.bodies import Wrenches
 from animtool.systems.framework.tied import TiedBodies, TiedStep, to_world

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any, cast
 
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.errors import Fault, Severity, counted, percent, warning
 from animtool.core.quantities import length_text, plain
+from animtool.core.record import dataclass
 from animtool.motion.frames import Frame, MeshFrame
 from animtool.systems.framework.simulation import Diagnostics
 from animtool.systems.framework.spec import Member
