@@ -269,6 +269,17 @@ void FaceContacts::add_element(const std::int32_t* corners, int count, const Ste
   elements_.push_back(one);
 }
 
+// How many axes an element reaches a side of a box along: edges are where two sides meet,
+// corners where three do.
+static int sides_reached(const double* half, Vec low, Vec high, double reach) {
+  const double lows[3] = {low.x, low.y, low.z}, highs[3] = {high.x, high.y, high.z};
+  int sides = 0;
+  for (int k = 0; k < 3; ++k)
+    sides += (lows[k] <= half[k] + reach && highs[k] >= half[k] - reach) ||
+             (lows[k] <= -half[k] + reach && highs[k] >= -half[k] - reach);
+  return sides;
+}
+
 void FaceContacts::find(const FineParts& parts, const StepCollider& c) {
   edges_.clear();
   corners_.clear();
@@ -284,6 +295,9 @@ void FaceContacts::find(const FineParts& parts, const StepCollider& c) {
   const auto lines = static_cast<std::int32_t>(parts.lines.size());
   std::vector<std::int32_t> own;
   for (const Element& one : elements_) {
+    if (c.collider.shape == Shape::BOX &&
+        sides_reached(c.collider.size, one.low, one.high, parts.kept) < one.count)
+      continue;
     if (parts.of_triangle.empty()) {
       for (std::int32_t k = 0; k < (one.count == 2 ? lines : count); ++k) meet(parts, one, k);
       continue;
