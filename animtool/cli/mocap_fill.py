@@ -120,6 +120,6 @@ def _methods(gaps: Any) -> str:
 
 _PRINTERS: Printers = {
     "pair": " and ".join,
-    "off": lambda size: f"{1000 * size:.0f} mm",
+    "mm_whole": lambda size: f"{1000 * size:.0f} mm",
     "methods": _methods,
 }

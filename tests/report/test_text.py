@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import ast
+import re
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import pytest
 
-from animtool.report.text import Each, Table, render
+import animtool.cli
+from animtool.report.text import PRINTED, Each, Table, render
 
 
 @dataclass(frozen=True)
@@ -55,3 +59,27 @@ def test_a_table_leaves_out_columns_that_are_empty() -> None:
     columns = {"": "{name}", "mm": "{size:mm}", "lost": "{lost}"}
     table = Table("joints", columns, left=("",), optional=("lost",), indent="  ")
     assert render(rig, [table]) == ["        mm", "  a    500", "  bcd"]
+
+
+FIELD = re.compile(r"\{[?!]?[\w.@]+:([^{}]*)\}")
+# What `format` has itself: a width, digits and a letter.
+OWN_FORMAT = re.compile(r"[<>^]?[-+]?0?\d*,?(\.\d+)?[defgsx%]?")
+COMMANDS = sorted(Path(animtool.cli.__file__).parent.glob("*.py"))
+
+
+@pytest.mark.parametrize(
+    "path",
+    [path for path in COMMANDS if "report.text" in path.read_text("utf-8")],
+    ids=lambda path: path.stem,
+)
+def test_templates_name_printers_that_there_are(path: Path) -> None:
+    nodes = [*ast.walk(ast.parse(path.read_text("utf-8")))]
+    keys = [key for node in nodes if isinstance(node, ast.Dict) for key in node.keys]
+    known = {key.value for key in keys if isinstance(key, ast.Constant)} | set(PRINTED)
+    texts = [
+        node.value
+        for node in nodes
+        if isinstance(node, ast.Constant) and isinstance(node.value, str)
+    ]
+    words = {spec.split(" ")[0] for text in texts for spec in FIELD.findall(text)}
+    assert {w for w in words - known if not OWN_FORMAT.fullmatch(w)} == set()
