@@ -110,9 +110,27 @@ def _outcomes(work: Work, address: str) -> Iterator[Outcome | Fault]:
     name = f"animtool-{uuid4().hex}"
     try:
         with _tokens(work.folders) as tokens:
-            yield from _Farm(client, name, work, tokens).outcomes()
+            farm = _Farm(client, name, work, tokens)
+            # dask calls back in one thread for all clients of a process, in which a
+            # result that is lost would be waited for.
+            ends = (farm.finished, farm.ended)
+            Thread(target=_fetch_results, args=ends, daemon=True).start()
+            try:
+                yield from farm.outcomes()
+            finally:
+                farm.finished.put(None)
     finally:
         _leave(client, name)
+
+
+def _fetch_results(finished: SimpleQueue[Any], ended: SimpleQueue[Any]) -> None:
+    """Fetch results while others are being sent, until there is None to fetch."""
+    while (future := finished.get()) is not None:
+        try:
+            value = future.result()
+        except BaseException as error:
+            value = error
+        ended.put((future, value))
 
 
 def _client(address: str) -> Any:
@@ -289,7 +307,8 @@ class _Farm:
     tokens: Mapping[str, str]  # files by which workers know the disks of outputs
     workers: dict[str, _Worker] = field(default_factory=dict)  # those that live
     sent: dict[Any, _Sent] = field(default_factory=dict)  # by future
-    ended: SimpleQueue[Any] = field(default_factory=SimpleQueue)
+    finished: SimpleQueue[Any] = field(default_factory=SimpleQueue)  # futures
+    ended: SimpleQueue[Any] = field(default_factory=SimpleQueue)  # and their results
     again: list[Item] = field(default_factory=list)  # to be sent to another worker
     losses: dict[int, int] = field(default_factory=dict)  # by item number
     # Outcomes whose files are not seen yet, and until when they are waited for.
@@ -392,15 +411,7 @@ class _Farm:
             function, argument, pure=False, workers=[sent.worker.address]
         )
         self.sent[future] = sent
-        future.add_done_callback(self._end)
-
-    def _end(self, future: Any) -> None:
-        """Fetch a result: in the thread of callbacks, while others are being sent."""
-        try:
-            value = future.result()
-        except BaseException as error:
-            value = error
-        self.ended.put((future, value))
+        future.add_done_callback(self.finished.put)
 
     def _send(self) -> bool:
         """Send items while threads of fit workers are free; return if more are left."""

@@ -9,6 +9,8 @@ import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from threading import current_thread
+from typing import Any
 
 import pytest
 from support.batch import take_files, trouble_files
@@ -111,17 +113,7 @@ def test_a_worker_that_ends_is_replaced(cluster: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "whole",
-    [
-        pytest.param(False, id="workers"),
-        pytest.param(
-            True,
-            id="scheduler",
-            marks=pytest.mark.skip("a scheduler that was closed answers now and then"),
-        ),
-    ],
-)
+@pytest.mark.parametrize("whole", [False, True], ids=["workers", "scheduler"])
 def test_a_cluster_that_is_lost_ends_the_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, whole: bool
 ) -> None:
@@ -144,6 +136,28 @@ def test_a_cluster_that_is_lost_ends_the_run(
             list(outcomes)
     assert error.value.code == "BAT035"
     assert "resumes with the rest" in str(error.value.faults[0].hint)
+
+
+@pytest.mark.slow
+def test_no_result_is_waited_for_in_the_thread_of_all_callbacks(
+    cluster: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One that is lost would hold up every later run of the process."""
+    from distributed import Future
+
+    threads: list[str] = []
+    result = Future.result
+
+    def noted(future: Any, *arguments: Any, **named: Any) -> Any:
+        threads.append(current_thread().name)
+        return result(future, *arguments, **named)
+
+    monkeypatch.setattr(Future, "result", noted)
+    take_files(tmp_path / "takes", 3)
+    found = [one for one in dask(work(tmp_path, cluster)) if isinstance(one, Outcome)]
+    assert [one.status for one in found] == [Status.DONE] * 3
+    assert len(threads) > 3
+    assert not [name for name in threads if name.startswith("Dask-Callback")]
 
 
 def test_a_worker_without_animtool_can_be_told_of_items() -> None:
