@@ -35,22 +35,23 @@ def plugins(console: Console, /, report_format: str) -> None:
     from animtool.core.writers import listed_writers
     from animtool.motion.passes import listed_passes
 
-    # Of each list the key of names in JSON, and what a line calls what it has.
-    listed: dict[str, tuple[str, Any, Callable[[Any], str | None]]] = {
-        "passes": ("pass", listed_passes(), lambda e: e.scope),
-        "readers": ("suffix", listed_readers(), lambda e: ", ".join(e.opens)),
-        "writers": ("suffix", listed_writers(), lambda e: ", ".join(e.writes)),
+    # Of each list the keys in JSON of what has another in its record, and what a line
+    # calls what it has.
+    listed: dict[str, tuple[dict[str, str], Any, Callable[[Any], str | None]]] = {
+        "passes": ({"name": "pass"}, listed_passes(), lambda e: e.scope),
+        "readers": ({"can": "opens"}, listed_readers(), lambda e: ", ".join(e.can)),
+        "writers": ({"can": "writes"}, listed_writers(), lambda e: ", ".join(e.can)),
         "executors": (
-            "executor",
+            {"name": "executor"},
             listed_executors(),
             lambda e: "executor" if e.loads else None,
         ),
-        "rules": ("rule", listed_rules(), lambda e: e.kind),
+        "rules": ({"code": "rule"}, listed_rules(), lambda e: e.kind),
     }
     if report_format == "json":
         plugins_by_point = {
-            name: [_renamed(entry, key) for entry in entries]
-            for name, (key, entries, _) in listed.items()
+            name: [_renamed(entry, keys) for entry in entries]
+            for name, (keys, entries, _) in listed.items()
         }
         console.result_json({"plugins": "animtool/1", **plugins_by_point})
         return
@@ -61,7 +62,6 @@ def plugins(console: Console, /, report_format: str) -> None:
             console.result(shown)
 
 
-def _renamed(entry: Any, key: str) -> dict[str, object]:
-    """Return a record as plain values, the first of which has another key."""
-    (_, name), *rest = asdict(entry).items()
-    return {key: name, **dict(rest)}
+def _renamed(entry: Any, keys: dict[str, str]) -> dict[str, object]:
+    """Return a record as plain values, some with another key."""
+    return {keys.get(name, name): value for name, value in asdict(entry).items()}

@@ -12,7 +12,8 @@ from typing import Any, cast
 from animtool.core.arguments import flag
 from animtool.core.errors import Fault, OptionError
 from animtool.core.files.reading import unreadable, why_no_file
-from animtool.core.plugins import load_object, load_plugin, plugin_points
+from animtool.core.format_table import FormatTable, ListedFormat, suffix_text
+from animtool.core.plugins import load_object
 from animtool.core.record import dataclass
 
 PLUGIN_GROUP = "animtool.readers"
@@ -161,6 +162,9 @@ TIMELINE_SUFFIXES = (
 )
 
 
+_TABLE = FormatTable(READERS, PLUGIN_GROUP, Reader)
+
+
 def reader_of(path: Path) -> Reader | None:
     """Return the reader of a file by its suffix; None where none has it.
 
@@ -170,17 +174,12 @@ def reader_of(path: Path) -> Reader | None:
     >>> reader_of(Path("walk.txt")) is None
     True
     """
-    suffix = path.suffix.lower()
-    if suffix in READERS:
-        return READERS[suffix]
-    points = plugin_points(PLUGIN_GROUP) if suffix else {}
-    point = points.get(suffix.removeprefix("."))
-    return None if point is None else load_plugin(point, Reader)
+    return _TABLE.find(path)
 
 
 def readable_suffixes() -> list[str]:
     """Return the suffixes of files that are read, those of plug-ins last."""
-    return [*READERS, *(f".{name}" for name in sorted(plugin_points(PLUGIN_GROUP)))]
+    return [*READERS, *_TABLE.plugin_suffixes()]
 
 
 def find_reader(path: Path) -> Reader:
@@ -200,11 +199,9 @@ def find_reader(path: Path) -> Reader:
     reason = why_no_file(path)
     if reason is not None:
         raise unreadable(path, reason)
-    suffix = path.suffix.lower()
-    kind = f"suffix {path.suffix!r}" if suffix else "a name without suffix"
-    message = f"{kind} is no format that animtool reads"
+    message = f"{suffix_text(path)} is no format that animtool reads"
     hint = f"allowed: {', '.join(readable_suffixes())}"
-    if suffix in TIMELINE_SUFFIXES:
+    if path.suffix.lower() in TIMELINE_SUFFIXES:
         message = "is a timeline, and no take is read from it"
         hint = (
             f"animtool bake {flag('shot', 'NAME')} bakes one of its shots, animtool "
@@ -225,38 +222,13 @@ def _opener(place: str, what: str, path: Path) -> Callable[..., Any]:
         raise OptionError(Fault("IO003", message, str(path), (), hint)) from error
 
 
-@dataclass(frozen=True, slots=True)
-class ListedReader:
-    """A reader as `animtool plugins` lists it."""
-
-    suffix: str  # of the files
-    source: str  # ``animtool``, or the object that an entry point names
-    # What such files are opened as; empty where it cannot be loaded.
-    opens: tuple[str, ...]
-    about: str  # what they are, or why it cannot be loaded
-
-
-def listed_readers() -> list[ListedReader]:
+def listed_readers() -> list[ListedFormat]:
     """Return every reader, animtool's own first, those of plug-ins loaded.
 
     >>> listed_readers()[0].suffix
     '.bvh'
     """
-    readers = [
-        ListedReader(suffix, "animtool", _opens(reader), reader.about)
-        for suffix, reader in READERS.items()
-    ]
-    for name, point in sorted(plugin_points(PLUGIN_GROUP).items()):
-        if f".{name}" in READERS:
-            continue
-        opens: tuple[str, ...] = ()
-        try:
-            reader = load_plugin(point, Reader)
-            opens, about = _opens(reader), reader.about
-        except OptionError as error:
-            about = error.faults[0].message
-        readers.append(ListedReader(f".{name}", point.value, opens, about))
-    return readers
+    return _TABLE.listed(_opens, lambda reader: reader.about)
 
 
 def _opens(reader: Reader) -> tuple[str, ...]:

@@ -11,8 +11,9 @@ from typing import Any, cast
 
 from animtool.core.errors import Fault, OptionError
 from animtool.core.files.reading import is_there
+from animtool.core.format_table import FormatTable, ListedFormat, suffix_text
 from animtool.core.names import KINDS
-from animtool.core.plugins import load_object, load_plugin, plugin_points
+from animtool.core.plugins import load_object
 from animtool.core.record import dataclass
 
 PLUGIN_GROUP = "animtool.writers"
@@ -134,6 +135,9 @@ WRITERS: dict[str, Writer] = {
 }
 
 
+_TABLE = FormatTable(WRITERS, PLUGIN_GROUP, Writer)
+
+
 def writer_of(path: Path) -> Writer | None:
     """Return the writer of a file by its suffix; None where none has it.
 
@@ -143,12 +147,7 @@ def writer_of(path: Path) -> Writer | None:
     >>> writer_of(Path("walk.MOT")).about
     'OpenSim motion'
     """
-    suffix = path.suffix.lower()
-    if suffix in WRITERS:
-        return WRITERS[suffix]
-    points = plugin_points(PLUGIN_GROUP) if suffix else {}
-    point = points.get(suffix.removeprefix("."))
-    return None if point is None else load_plugin(point, Writer)
+    return _TABLE.find(path)
 
 
 def take_writer(path: Path, *, folders: bool = False) -> Writer:
@@ -169,8 +168,7 @@ def take_writer(path: Path, *, folders: bool = False) -> Writer:
     elif writer is not None:
         message = f"holds {writer.about}, and no motion of joints"
     else:
-        kind = f"suffix {path.suffix!r}" if path.suffix else "a name without suffix"
-        message = f"{kind} is no format that animtool writes"
+        message = f"{suffix_text(path)} is no format that animtool writes"
     hint = f"allowed: {', '.join(_motion_suffixes())}"
     if not path.suffix and path.name and is_there(path) and path.is_dir():
         message = "is a folder, not a file"
@@ -184,8 +182,7 @@ def marker_writer(path: Path) -> Callable[..., list[Fault]]:
     """Return what writes markers to a file; OUT004 where nothing does."""
     writer = writer_of(path)
     if writer is None or not writer.markers:
-        kind = f"suffix {path.suffix!r}" if path.suffix else "a name without suffix"
-        message = f"{kind} is no format that markers are written to"
+        message = f"{suffix_text(path)} is no format that markers are written to"
         of_markers = [suffix for suffix, one in WRITERS.items() if one.markers]
         hint = f"allowed: {', '.join(of_markers)}"
         raise OptionError(Fault("OUT004", message, str(path), (), hint))
@@ -213,42 +210,16 @@ def file_suffixes() -> list[str]:
 def _motion_suffixes() -> list[str]:
     """Return the suffixes that takes are written to, those of plug-ins included."""
     stages = [suffix for suffix, writer in WRITERS.items() if writer.stage]
-    own = sorted([*stages, *file_suffixes()])
-    return [*own, *(f".{name}" for name in sorted(plugin_points(PLUGIN_GROUP)))]
+    return [*sorted([*stages, *file_suffixes()]), *_TABLE.plugin_suffixes()]
 
 
-@dataclass(frozen=True, slots=True)
-class ListedWriter:
-    """A writer as `animtool plugins` lists it."""
-
-    suffix: str  # of the files
-    source: str  # ``animtool``, or the object that an entry point names
-    # What such files can hold; empty where it cannot be loaded.
-    writes: tuple[str, ...]
-    about: str  # what they are, or why it cannot be loaded
-
-
-def listed_writers() -> list[ListedWriter]:
+def listed_writers() -> list[ListedFormat]:
     """Return every writer, animtool's own first, those of plug-ins loaded.
 
     >>> listed_writers()[0].suffix
     '.bvh'
     """
-    writers = [
-        ListedWriter(suffix, "animtool", _writes(writer), writer.about)
-        for suffix, writer in WRITERS.items()
-    ]
-    for name, point in sorted(plugin_points(PLUGIN_GROUP).items()):
-        if f".{name}" in WRITERS:
-            continue
-        writes: tuple[str, ...] = ()
-        try:
-            writer = load_plugin(point, Writer)
-            writes, about = _writes(writer), writer.about
-        except OptionError as error:
-            about = error.faults[0].message
-        writers.append(ListedWriter(f".{name}", point.value, writes, about))
-    return writers
+    return _TABLE.listed(_writes, lambda writer: writer.about)
 
 
 def _writes(writer: Writer) -> tuple[str, ...]:

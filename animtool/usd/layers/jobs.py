@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from animtool.core.errors import Fault, OptionError
 from animtool.core.files.output import is_text
+from animtool.core.format_table import suffix_text
 from animtool.core.record import dataclass
 
 if TYPE_CHECKING:
@@ -69,8 +70,7 @@ def check_suffix(path: Path) -> None:
     if path.suffix.lower() in SUFFIXES:
         check_path(path)
         return
-    kind = f"suffix {path.suffix!r}" if path.suffix else "a name without suffix"
-    message = f"{kind} is not a USD extension"
+    message = f"{suffix_text(path)} is not a USD extension"
     hint = f"allowed: {', '.join(SUFFIXES)}"
     raise OptionError(Fault("OUT004", message, str(path), (), hint))
 
