@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
+from support.feet import foot
 
 from animtool.maths import so3
 from animtool.motion.contacts import FootContacts
 from animtool.retarget.feet import (
-    Foot,
     _locked,
     _settled,
     _weight,
@@ -72,25 +70,6 @@ def test_a_foot_carries_all_where_the_take_cuts_its_stance_off() -> None:
     # A stance of four frames has two of them to come and two to go.
     stands = np.array([0, 0, 1, 1, 1, 1, 0, 0], np.bool_)
     np.testing.assert_allclose(_weight(stands, 20.0)[2:6], [0, 0.5, 0.5, 0])
-
-
-def foot(frames: int, stands: FootContacts | None = None, **keys: Any) -> Foot:
-    """Return a foot without a toe, 0.9 m below its hip, that stands all the time."""
-    all_of_it = np.ones(frames, np.bool_)
-    given: dict[str, Any] = {
-        "contacts": stands or FootContacts(all_of_it, all_of_it, 0.08),
-        "hip": np.zeros((frames, 3)),
-        "ankle": np.tile([0.1, -0.9, 0.0], (frames, 1)),
-        "toe": None,
-        "turn": np.tile(so3.IDENTITY, (frames, 1)),
-        "level": so3.IDENTITY,
-        "height": 0.08,
-        "length": 0.9,
-        "shortest": 0.1,
-        "above": np.zeros(frames),
-        "straight": np.ones(frames),
-    }
-    return Foot(**{**given, **keys})
 
 
 @pytest.mark.parametrize(("lean", "kept"), [(10.0, 0.0), (-19.0, 0.0), (25.0, 25.0)])

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from support.feet import foot
 
 from animtool.core.units import UpAxis
 from animtool.maths import so3
 from animtool.motion.contacts import FootContacts
 from animtool.retarget.feet import (
-    Foot,
     _above_ground,
     _bone,
     _heading,
@@ -59,25 +59,6 @@ X, Y, Z = np.eye(3)
 
 def turn(axis: np.ndarray, degrees: float) -> np.ndarray:
     return so3.from_axis_angle(axis, np.radians(degrees))
-
-
-def foot(frames: int, stands: Any = None, **keys: Any) -> Foot:
-    """Return a foot that stands level in all frames, a metre below its hip."""
-    whole = np.ones(frames, np.bool_)
-    given: dict[str, Any] = {
-        "contacts": stands or FootContacts(whole, whole, 0.08),
-        "hip": np.zeros((frames, 3)),
-        "ankle": np.tile([0.1, -0.9, 0.0], (frames, 1)),
-        "toe": None,
-        "turn": np.tile(so3.IDENTITY, (frames, 1)),
-        "level": so3.IDENTITY,
-        "height": 0.08,
-        "length": 0.9,
-        "shortest": 0.1,
-        "above": np.zeros(frames),
-        "straight": np.ones(frames),
-    }
-    return Foot(**{**given, **keys})
 
 
 def test_the_way_that_is_best_at_once_solves_its_equations() -> None:
