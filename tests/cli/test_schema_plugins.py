@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import json
-from importlib.metadata import EntryPoint, EntryPoints
 
 import pytest
 from support.cli import animtool
+from support.plugins import install
 
 from animtool.batch.executors import EXECUTORS
 from animtool.cli.schema import MODELS
@@ -50,12 +50,7 @@ def test_every_executor_is_listed() -> None:
 def test_a_broken_plugin_is_named_and_ends_nothing(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    broken = EntryPoint("shatter", "no_such_module:PASS", "animtool.passes")
-    monkeypatch.setattr("animtool.core.plugins.may_have", lambda _: True)
-    monkeypatch.setattr(
-        "importlib.metadata.entry_points",
-        lambda group: EntryPoints([broken] if group == "animtool.passes" else []),
-    )
+    install(monkeypatch, "animtool.passes", shatter="no_such_module:PASS")
     done = animtool("plugins")
     assert done.code == 0
     line = next(row for row in done.stdout.splitlines() if row.startswith("shatter"))
@@ -64,15 +59,8 @@ def test_a_broken_plugin_is_named_and_ends_nothing(
 
 
 def test_rules_of_plug_ins_are_listed(monkeypatch: pytest.MonkeyPatch) -> None:
-    points = [
-        EntryPoint("STU001", "core.test_rules:GOOD", "animtool.rules"),
-        EntryPoint("STU002", "no_such_module:RULE", "animtool.rules"),
-    ]
-    monkeypatch.setattr("animtool.core.plugins.may_have", lambda _: True)
-    monkeypatch.setattr(
-        "importlib.metadata.entry_points",
-        lambda group: EntryPoints(points if group == "animtool.rules" else []),
-    )
+    rules = {"STU001": "core.test_rules:GOOD", "STU002": "no_such_module:RULE"}
+    install(monkeypatch, "animtool.rules", **rules)
     rows = json.loads(animtool("plugins", "--format", "json").stdout)["rules"]
     assert [(row["rule"], row["kind"]) for row in rows] == [
         ("STU001", "rig"),

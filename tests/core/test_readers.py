@@ -5,11 +5,11 @@ from __future__ import annotations
 import inspect
 import os
 from dataclasses import fields
-from importlib.metadata import EntryPoint, EntryPoints
 from pathlib import Path
 
 import pytest
 from support.faults import raises
+from support.plugins import install
 
 from animtool.core.errors import AnimtoolError, FormatError, OptionError
 from animtool.core.plugins import load_object
@@ -82,15 +82,6 @@ def test_an_option_that_a_file_does_not_take(
     assert caught.value.code == "CLI004"
 
 
-def install(monkeypatch: pytest.MonkeyPatch, **places: str) -> None:
-    points = [EntryPoint(n, place, "animtool.readers") for n, place in places.items()]
-    monkeypatch.setattr("animtool.core.plugins.may_have", lambda _: True)
-    monkeypatch.setattr(
-        "importlib.metadata.entry_points",
-        lambda group: EntryPoints(points if group == "animtool.readers" else []),
-    )
-
-
 def test_a_reader_of_a_plugin(
     tmp_path: Path, walk: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -102,7 +93,7 @@ def test_a_reader_of_a_plugin(
         "    return read_bvh(path.read_text(), fps=fps)\n"
     )
     monkeypatch.syspath_prepend(tmp_path)
-    install(monkeypatch, marks="marks_reader:READER")
+    install(monkeypatch, "animtool.readers", marks="marks_reader:READER")
     path = tmp_path / "walk.marks"
     path.write_text(str(walk))
     assert open_source(path, SourceOptions(fps=24)).fps == 24
@@ -128,7 +119,7 @@ def test_a_reader_of_a_plugin(
 def test_a_broken_reader_is_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, place: str, why: str
 ) -> None:
-    install(monkeypatch, marks=place)
+    install(monkeypatch, "animtool.readers", marks=place)
     with raises(AnimtoolError, "IO003", match=why):
         find_reader(tmp_path / "walk.marks")
     row = listed_readers()[-1]
@@ -147,6 +138,6 @@ def test_a_reader_whose_function_is_missing(
 def test_a_plugin_does_not_replace_what_animtool_reads(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    install(monkeypatch, bvh="no_such_module:READER")
+    install(monkeypatch, "animtool.readers", bvh="no_such_module:READER")
     assert find_reader(Path("walk.bvh")) is READERS[".bvh"]
     assert len(listed_readers()) == len(READERS)

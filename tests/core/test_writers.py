@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import shutil
-from importlib.metadata import EntryPoint, EntryPoints
 from pathlib import Path
 
 import pytest
 from support.cli import animtool
+from support.plugins import install
 
 from animtool.core.errors import AnimtoolError, OptionError
 from animtool.core.plugins import load_object
@@ -123,15 +123,6 @@ def test_names_of_what_holds_no_markers(tmp_path: Path) -> None:
     assert caught.value.code == "OUT004"
 
 
-def install(monkeypatch: pytest.MonkeyPatch, **places: str) -> None:
-    points = [EntryPoint(n, place, "animtool.writers") for n, place in places.items()]
-    monkeypatch.setattr("animtool.core.plugins.may_have", lambda _: True)
-    monkeypatch.setattr(
-        "importlib.metadata.entry_points",
-        lambda group: EntryPoints(points if group == "animtool.writers" else []),
-    )
-
-
 def test_a_writer_of_a_plugin(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (folder / "count_writer.py").write_text(
         "from animtool.core.writers import Writer\n"
@@ -141,7 +132,12 @@ def test_a_writer_of_a_plugin(folder: Path, monkeypatch: pytest.MonkeyPatch) -> 
         "    return TakeText([str(take.clock.count)], iter(()), [])\n"
     )
     monkeypatch.syspath_prepend(folder)
-    install(monkeypatch, count="count_writer:WRITER", bvh="no_such_module:WRITER")
+    install(
+        monkeypatch,
+        "animtool.writers",
+        count="count_writer:WRITER",
+        bvh="no_such_module:WRITER",
+    )
     assert writer_of(Path("walk.bvh")) is WRITERS[".bvh"]
     done = animtool("bake", folder / "walk.bvh", "-o", folder / "walk.count")
     assert done.code == 0, done.stderr
@@ -153,7 +149,7 @@ def test_a_writer_of_a_plugin(folder: Path, monkeypatch: pytest.MonkeyPatch) -> 
 def test_a_broken_writer_is_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    install(monkeypatch, marks="no_such_module:WRITER")
+    install(monkeypatch, "animtool.writers", marks="no_such_module:WRITER")
     with pytest.raises(AnimtoolError) as caught:
         take_writer(tmp_path / "walk.marks")
     assert caught.value.code == "IO003"
