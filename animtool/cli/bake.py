@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -26,17 +26,16 @@ from animtool.cli.options import (
 from animtool.cli.outputs import (
     all_named,
     check_plot,
-    draw,
     goes_to_stdout,
     plot_option,
     refuse_alone,
+    say_tradeoffs,
     skipped,
     writing_options,
 )
 from animtool.core.writers import file_suffixes
 
 if TYPE_CHECKING:
-    from animtool.preview.work_precision import Panel
     from animtool.scene.bake.files import ConvertReport
     from animtool.scene.bake.outline import Outline
     from animtool.scene.bake.prims import BakeReport
@@ -257,54 +256,16 @@ def _measure(
     plot, source = params["plot"], sources[0]
     inputs = [source] if isinstance(source, Path) else source.inputs
     check_plot(plot, inputs, overwrite=params["overwrite"])
-    scene = only_scene(sources)
-    if scene is not None:
-        from animtool.scene.tables.simulation import simulates
+    from animtool.scene.tables.simulation import simulates
+    from animtool.scene.tables.tradeoffs import simulation_tradeoffs, take_tradeoffs
 
-        if simulates(scene):
-            panels = _simulation_table(console, scene, params)
-            draw(console, panels, plot)
-            return
-    draw(console, _bake_table(console, source, params), plot)
-
-
-def _simulation_table(
-    console: Console, scene: Scene, params: Mapping[str, Any]
-) -> Callable[[], list[Panel]]:
-    """Measure what a scene simulates, print it, and return what draws it."""
-    from animtool.cli.simulation_summary import (
-        simulation_table_json,
-        simulation_table_text,
-    )
-    from animtool.preview.work_precision import simulation_panels
-    from animtool.scene.tables.simulation import simulation_table
-
-    with console.progress(f"measure {scene.path.name}") as progress:
-        table = simulation_table(scene, bake_options_record(params), progress=progress)
-    console.faults(table.notices)
-    if params["report_format"] == "json":
-        console.result_json(simulation_table_json(table))
-    else:
-        console.result(*simulation_table_text(table))
-    return lambda: simulation_panels(table)
-
-
-def _bake_table(
-    console: Console, source: Path | Scene, params: Mapping[str, Any]
-) -> Callable[[], list[Panel]]:
-    """Measure rates and tolerances, print it, and return what draws it."""
-    from animtool.cli.summary import table_json, table_text
-    from animtool.preview.work_precision import bake_panels
-    from animtool.scene.tables.bake import bake_table
-
-    options = bake_options_record(params)
-    if options.deform:
-        raise click.UsageError("--table measures joints, not --deform.")
+    options, scene = bake_options_record(params), only_scene(sources)
     name = source.name if isinstance(source, Path) else source.path.name
     with console.progress(f"measure {name}") as progress:
-        table = bake_table(source, options, progress=progress)
-    if params["report_format"] == "json":
-        console.result_json(table_json(table))
-    else:
-        console.result(*table_text(table))
-    return lambda: bake_panels(table)
+        if scene is not None and simulates(scene):
+            report = simulation_tradeoffs(scene, options, progress=progress)
+        elif options.deform:
+            raise click.UsageError("--table measures joints, not --deform.")
+        else:
+            report = take_tradeoffs(source, options, progress=progress)
+    say_tradeoffs(console, report, params["report_format"], plot)

@@ -32,10 +32,10 @@ from animtool.cli.options import (
 from animtool.cli.outputs import (
     all_named,
     check_plot,
-    draw,
     goes_to_stdout,
     plot_option,
     refuse_alone,
+    say_tradeoffs,
     skipped,
     split_option,
     writing_options,
@@ -204,7 +204,7 @@ def ik(console: Console, /, **params: Any) -> None:
         if params["strict"]:
             message = "--table measures, and its rows miss by design: no --strict."
             raise click.UsageError(message)
-        _table(console, params, as_json=as_json)
+        _table(console, params)
         return
     if skipped(console, "ik", params, output, lambda: _outputs(params)):
         return
@@ -299,21 +299,15 @@ def _say(console: Console, report: Any, *, as_json: bool, faults: bool = True) -
         console.detail(line)
 
 
-def _table(console: Console, params: dict[str, Any], *, as_json: bool) -> None:
-    from animtool.cli.ik_summary import ik_table_json, ik_table_text
-    from animtool.preview.work_precision import ik_panels
-    from animtool.scene.tables.ik import ik_table
+def _table(console: Console, params: dict[str, Any]) -> None:
+    from animtool.scene.tables.tradeoffs import ik_tradeoffs
 
     named = (params["rig"], params["targets"], params["start"])
     inputs = [path for path in named if path is not None]
     check_plot(params["plot"], inputs, overwrite=params["overwrite"])
     with console.progress(f"measure {params['targets'].name}") as progress:
-        table = ik_table(_job(params), progress=progress)
-    if as_json:
-        console.result_json(ik_table_json(table))
-    else:
-        console.result(*ik_table_text(table))
-    draw(console, lambda: ik_panels(table, params["targets"].name), params["plot"])
+        report = ik_tradeoffs(_job(params), progress=progress)
+    say_tradeoffs(console, report, params["report_format"], params["plot"])
 
 
 def _outputs(params: dict[str, Any]) -> Sequence[Path]:

@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from animtool.ik.tracks import GoalTrack
     from animtool.scene.solves.ik import IkReport
     from animtool.scene.solves.ik_match import MatchReport
-    from animtool.scene.tables.ik import IkTable
 
 _LINES: tuple[Line, ...] = (
     "{solved.tracks.path}: [{goals:n goal}|0 goals], {span}",
@@ -46,21 +45,6 @@ _LINES: tuple[Line, ...] = (
     Each("channels", ("    {self}",)),
     "[{?moved}  frames of goals and joints are those solved, {solved.take.clock.span}; "
     "frame {solved.take.clock.start:frame} is written as {span.first:frame}]",
-)
-_ROWS = (
-    "[{setting:>12}  cannot: {refused}|{setting:>12}{microseconds:plain >12}"
-    "{position:mm >12}{angle:degrees >12}{iterations:plain >12}{converged:>12.1%}]",
-)
-_HEADS = "    µs/frame    worst mm   worst deg  iterations   converged"
-_TABLE: tuple[Line, ...] = (
-    "{frames:n frame}, {degrees} degrees of freedom; tolerances in shares of the chain "
-    "and in radians",
-    "",
-    f"   tolerance{_HEADS}",
-    Each("tolerances", _ROWS),
-    "",
-    f"      method{_HEADS}",
-    Each("methods", _ROWS),
 )
 _MATCH: tuple[Line, ...] = (
     "[{tracks.goals:n chain}|0 chains] matched, {clock.span}",
@@ -178,17 +162,6 @@ def ik_json(report: IkReport) -> dict[str, object]:
 def _miss_json(miss: Misses) -> dict[str, object]:
     unit = "m" if miss.metric else "rad"
     return {"unit": unit, **picked(miss, "frames mean p95 max frame")}
-
-
-def ik_table_text(table: IkTable) -> list[str]:
-    """Return the lines of a table of time against error."""
-    return render(table, _TABLE)
-
-
-def ik_table_json(table: IkTable) -> dict[str, object]:
-    """Return a table as plain values; lengths in metres, angles in radians."""
-    names = "frames degrees_of_freedom=degrees tolerances methods"
-    return {"ik_table": "animtool/1", **picked(table, names)}
 
 
 def match_text(report: MatchReport) -> list[str]:

@@ -71,6 +71,10 @@ COMMANDS = {
         "animtool.cli.retarget:retarget",
         "Bring a take onto another rig, feet held.",
     ),
+    "report": (
+        "animtool.cli.report:report",
+        "Measure time against error of what a file can trade.",
+    ),
     "schema": ("animtool.cli.schema:schema", "Print the JSON Schema of a file."),
     "info": ("animtool.cli.info:info", "Say what is in a file."),
     "validate": (

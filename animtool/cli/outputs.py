@@ -25,7 +25,7 @@ from animtool.core.process.signals import outlast_signals
 from animtool.scene.bake.options import BakeOptions
 
 if TYPE_CHECKING:
-    from animtool.preview.work_precision import Panel
+    from animtool.scene.tables.tradeoffs import Tradeoffs
 
 
 # Of every command that writes files; the last ones, with the console.
@@ -143,13 +143,20 @@ def check_plot(plot: Path | None, inputs: Sequence[Path], *, overwrite: bool) ->
     check_drawable(plot)
 
 
-def draw(
-    console: Console, panels: Callable[[], list[Panel]], plot: Path | None
+def say_tradeoffs(
+    console: Console, report: Tradeoffs, form: str, plot: Path | None = None
 ) -> None:
-    """Draw panels and say so, where a picture is asked for."""
+    """Print tables of time against error, and draw them where that is asked for."""
+    from animtool.report.tradeoffs import tradeoffs_json, tradeoffs_text
+
+    console.faults(report.notices)
+    if form == "json":
+        console.result_json(tradeoffs_json(report))
+    else:
+        console.result(*tradeoffs_text(report))
     if plot is None:
         return
-    from animtool.preview.work_precision import draw_panels
+    from animtool.preview.work_precision import draw_panels, panels_of
 
-    draw_panels(panels(), plot)
+    draw_panels(panels_of(report.tables), plot)
     console.say(f"{plot}: drawn")

@@ -20,7 +20,7 @@ from animtool.core.errors import counted, listed
 from animtool.core.quantities import length_text, plain
 from animtool.core.rates import rate_label
 from animtool.core.units import unit_name
-from animtool.report.text import Each, Line, Table, render
+from animtool.report.text import Each, Line, render
 from animtool.report.values import picked, plain_value
 
 if TYPE_CHECKING:
@@ -29,7 +29,6 @@ if TYPE_CHECKING:
 
     from animtool.scene.bake.files import ConvertReport
     from animtool.scene.bake.prims import BakeReport, TakeReport
-    from animtool.scene.tables.bake import BakeTable
     from animtool.usd.takes.splines import CurveReport
 
 
@@ -90,22 +89,6 @@ _DETAILS: tuple[Line, ...] = (
     ),
     "  seconds: [{seconds:seconds}] (read runs beside author)",
     "  skeleton at rest: {size:length 4} across",
-)
-_TABLE: tuple[Line, ...] = (
-    Table(
-        "rows",
-        {
-            "": "{kind}",
-            "setting": "{setting}",
-            "count": "{count}",
-            "seconds": "{seconds:.3f}",
-            "kB": "[{?bytes}{bytes:kB}]",
-            "error mm": "{error:mm}",
-            "worst": "{joint} at {time:.2f} s",
-        },
-        left=("", "setting", "worst"),
-    ),
-    "samples compared with the source at {instants} instants",
 )
 
 
@@ -292,25 +275,3 @@ def output_json(report: BakeReport | ConvertReport) -> dict[str, object]:
     return (
         convert_json(report) if isinstance(report, ConvertReport) else bake_json(report)
     )
-
-
-def table_text(table: BakeTable) -> list[str]:
-    """Return a table of settings, their cost and their error."""
-    return render(table, _TABLE)
-
-
-def table_json(table: BakeTable) -> dict[str, object]:
-    """Return the table as plain values."""
-    return {
-        "table": "animtool/1",
-        **picked(table, "source instants"),
-        "rows": [
-            {
-                **picked(row, "kind setting count"),
-                "seconds": round(row.seconds, 6),
-                "bytes": row.bytes,
-                "error": picked(row, "meters=error joint time"),
-            }
-            for row in table.rows
-        ],
-    }

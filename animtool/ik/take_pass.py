@@ -59,7 +59,7 @@ def asked_of(
 def _run(take: Take, options: Any, context: PassContext) -> Take:
     rig = take.rig
     take, tracks = asked_of(take, options, context.folder)
-    settings = replace(_settings(options), tolerance=_length(options.tolerance))
+    settings = settings_of(options)
     solved = solve_take(take, tracks, settings, progress=context.progress)
     context.notices.extend(tracks.notices)
     goals = goal_reports(
@@ -73,6 +73,11 @@ def _run(take: Take, options: Any, context: PassContext) -> Take:
     lengths = [miss.max for miss in misses if miss.metric]
     context.errors.extend(lengths)
     return replace(solved.take, rig=rig)
+
+
+def settings_of(options: Any) -> TakeOptions:
+    """Return how the options of the pass have it solved (tolerance: IK014)."""
+    return replace(_settings(options), tolerance=_length(options.tolerance))
 
 
 def _settings(options: Any) -> TakeOptions:

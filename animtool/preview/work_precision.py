@@ -12,11 +12,9 @@ from animtool.core.errors import Fault, OptionError
 from animtool.core.files.output import replacing
 from animtool.core.files.placing import output_error
 from animtool.core.record import dataclass
+from animtool.sim.trials.trial import CostMeasure
 
 if TYPE_CHECKING:
-    from animtool.scene.tables.bake import BakeTable
-    from animtool.scene.tables.ik import IkTable, IkTableRow
-    from animtool.scene.tables.simulation import SimulationTable
     from animtool.sim.trials.measuring import TrialTable
 
 
@@ -24,6 +22,12 @@ SUFFIXES = (".png", ".svg", ".pdf")
 # Of a panel [inch], and dots an inch.
 WIDTH, HEIGHT, DPI = 7.0, 4.6, 130
 MARKERS = "osD^vP<>Xphd*H8"
+# Of what settings cost, the field of a row and the words; none are those of the table.
+COSTS = {
+    CostMeasure.SECONDS: ("seconds", "seconds"),
+    CostMeasure.BYTES: ("bytes", "bytes"),
+    CostMeasure.STEPS: ("steps", ""),
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,16 +35,18 @@ class Point:
     """A setting.
 
     Attributes:
-        seconds: Wall time [s].
+        cost: As its panel has it.
         error: As its panel has it.
         chosen: Whether it is the one in use.
-        best: Whether none as exact is faster.
+        best: Whether none as exact is cheaper.
+        recommended: Whether to take it instead.
     """
 
-    seconds: float
+    cost: float
     error: float
     chosen: bool = False
     best: bool = False
+    recommended: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +67,7 @@ class Panel:
     # How far what errors are measured from may be off itself [m]; 0 draws nothing.
     floor: float = 0.0
     remark: str = ""  # below the title; may be empty
-    time: str = "seconds"  # what times are, for the axis
+    cost: str = "seconds"  # what settings cost, for the axis
 
 
 def check_drawable(path: Path) -> None:
@@ -123,7 +129,7 @@ def _draw(frame: Any, panel: Panel, ticker: Any) -> None:
     frame.xaxis.set_major_locator(ticker.LogLocator(subs=(1.0, 2.0, 5.0)))
     frame.xaxis.set_major_formatter(ticker.FormatStrFormatter("%g"))
     frame.xaxis.set_minor_formatter(ticker.NullFormatter())
-    frame.set_xlabel(panel.time)
+    frame.set_xlabel(panel.cost)
     frame.set_ylabel(panel.error)
     title = "\n".join(filter(None, [panel.title, panel.remark]))
     # Names are text, whatever matplotlib takes for formulas.
@@ -145,14 +151,14 @@ def _ring(frame: Any, chosen: Sequence[Point]) -> None:
     if not chosen:
         return
     frame.plot(
-        [p.seconds for p in chosen],
+        [p.cost for p in chosen],
         [p.error for p in chosen],
         marker="o",
         markersize=14,
         color="black",
         fillstyle="none",
         linestyle="none",
-        label="the file's own",
+        label="the present setting",
     )
 
 
@@ -160,14 +166,14 @@ def _draw_curve(frame: Any, curve: Curve, i: int) -> None:
     shown = [p for p in curve.points if p.error > 0 and math.isfinite(p.error)]
     if not shown:
         return
-    x, y = [p.seconds for p in shown], [p.error for p in shown]
+    x, y = [p.cost for p in shown], [p.error for p in shown]
     marker = MARKERS[i % len(MARKERS)]
     (line,) = frame.plot(
         x, y, marker=marker, markersize=4, linewidth=1, label=curve.name
     )
     best = [p for p in shown if p.best]
     frame.plot(
-        [p.seconds for p in best],
+        [p.cost for p in best],
         [p.error for p in best],
         linestyle="none",
         marker=marker,
@@ -177,64 +183,26 @@ def _draw_curve(frame: Any, curve: Curve, i: int) -> None:
     )
 
 
-def simulation_panels(table: SimulationTable) -> list[Panel]:
-    """Return a panel for each simulation, with a curve for each method."""
-    return [_simulated(part) for part in table.tables]
+def panels_of(tables: Sequence[TrialTable]) -> list[Panel]:
+    """Return a panel for each table, with a curve for each method."""
+    return [_panel(table) for table in tables]
 
 
-def _simulated(part: TrialTable) -> Panel:
+def _panel(table: TrialTable) -> Panel:
     by_method: dict[str, list[Point]] = {}
-    for row in part.rows:
+    for row in table.rows:
         if row.error is not None:
-            point = Point(row.seconds, row.error.rms, row.chosen, row.best)
+            error = row.error.error(table.error, 0.0)
+            cost = getattr(row, COSTS[table.cost][0])
+            point = Point(cost, error, row.chosen, row.best, row.recommended)
             by_method.setdefault(row.setting.method, []).append(point)
     curves = tuple(Curve(name, tuple(points)) for name, points in by_method.items())
-    reference = part.reference
+    reference = table.reference
     remark, floor = "", 0.0
     if reference is not None:
-        floor = reference.error.rms
+        floor = reference.error.error(table.error, 0.0)
         if reference.sensitive:
             remark = "error not small: the motion is sensitive"
-    return Panel(f"{part.name}, {part.kind}", "error, rms [m]", curves, floor, remark)
-
-
-def bake_panels(table: BakeTable) -> list[Panel]:
-    """Return one panel, with a curve for each kind of row."""
-    by_kind: dict[str, list[Point]] = {}
-    for row in table.rows:
-        by_kind.setdefault(str(row.kind), []).append(Point(row.seconds, row.error))
-    curves = tuple(Curve(name, tuple(points)) for name, points in by_kind.items())
-    return [Panel(table.source.name, "largest error [m]", curves)]
-
-
-def ik_panels(table: IkTable, name: str) -> list[Panel]:
-    """Return a panel of positions, and one of angles where any is missed.
-
-    Each has a line over tolerances, and a point for each method at the tolerance that
-    is asked for. Methods that cannot solve the problem are left out.
-    """
-    errors = {"position": "largest miss [m]"}
-    if any(row.angle > 0 for row in (*table.tolerances, *table.methods)):
-        errors["angle"] = "largest miss [rad]"
-    lines = [("over tolerances", table.tolerances)]
-    lines += [(str(row.method), [row]) for row in table.methods]
-    return [
-        Panel(
-            f"{name}, {what}s",
-            error,
-            tuple(
-                curve for line, rows in lines if (curve := _solved(line, rows, what))
-            ),
-            time="seconds a frame",
-        )
-        for what, error in errors.items()
-    ]
-
-
-def _solved(line: str, rows: Sequence[IkTableRow], what: str) -> Curve | None:
-    points = tuple(
-        Point(row.microseconds / 1e6, float(getattr(row, what)))
-        for row in rows
-        if not row.refused
-    )
-    return Curve(line, points) if points else None
+    name = COSTS[table.cost][1] or table.unit
+    title, axis = f"{table.name}, {table.kind}", f"error, {table.error} [m]"
+    return Panel(title, axis, curves, floor, remark, name)

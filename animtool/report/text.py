@@ -97,6 +97,20 @@ def render(
     )
 
 
+def table_cells(
+    record: object,
+    table: Table,
+    printers: Printers | None = None,
+    **facts: object,
+) -> tuple[list[list[str]], set[int]]:
+    """Return the cells of a table, heads first, and which columns are flush left.
+
+    Arguments are those of `render`.
+    """
+    renderer = _Renderer({**PRINTED, **(printers or {})})
+    return renderer.cells((facts, record), table)
+
+
 _Scope: TypeAlias = tuple[Any, ...]  # records, the innermost first
 
 
@@ -127,6 +141,11 @@ class _Renderer:
             yield from self.lines(({"left": left}, *scope), (line.rest,))
 
     def _table(self, scope: _Scope, table: Table) -> Iterator[str]:
+        for text in columns(*self.cells(scope, table)):
+            yield table.indent + text
+
+    def cells(self, scope: _Scope, table: Table) -> tuple[list[list[str]], set[int]]:
+        """Return the rows of a table, heads first, and which columns are flush left."""
         templates = [_parsed(cell) for cell in table.columns.values()]
         cells = [
             [self.filled((entry, *scope), cell) or "" for cell in templates]
@@ -139,9 +158,7 @@ class _Renderer:
         ]
         rows = [[head.strip() for _, head in shown]]
         rows += [[row[i] for i, _ in shown] for row in cells]
-        left = {i for i, (_, head) in enumerate(shown) if head in table.left}
-        for text in columns(rows, left):
-            yield table.indent + text
+        return rows, {i for i, (_, head) in enumerate(shown) if head in table.left}
 
     def filled(self, scope: _Scope, nodes: tuple[_Node, ...]) -> str | None:
         """Return the text of a part; None where a field of it is not there."""

@@ -9,6 +9,7 @@ import shutil
 import subprocess
 import sys
 from dataclasses import fields
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -393,15 +394,26 @@ def test_smoothing_keeps_the_goals(place: Path) -> None:
 def test_the_table(place: Path) -> None:
     done = run(place, "-t", "reach.targets.yaml", "--table", "--format", "json")
     assert done.code == 0, done.stderr
-    found = json.loads(done.stdout)
-    rows = found["tolerances"]
-    assert [row["setting"] for row in rows] == [f"1e-0{n}" for n in range(2, 9)]
-    assert all(row["converged"] == 1 for row in rows)
-    assert all(row["position"] <= row["tolerance"] * 1.01 for row in rows)
-    methods = [row["setting"] for row in found["methods"]]
-    assert methods == [str(method) for method in IkMethod]
-    text = run(place, "-t", "reach.targets.yaml", "--table")
-    assert text.stdout.count("\n") == 1 + 2 * 2 + 7 + len(IkMethod)
+    (table,) = json.loads(done.stdout)["tables"]
+    assert (table["unit"], table["measure"]) == ("iterations", "largest")
+    first = table["rows"][0]["method"]
+    rows = [row for row in table["rows"] if row["method"] == first][:7]
+    tolerances = [row["options"]["tolerance"] for row in rows]
+    ratios = [a / b for a, b in pairwise(tolerances)]
+    assert ratios == pytest.approx([10] * 6)
+    for row, tolerance in zip(rows, tolerances, strict=True):
+        assert row["figures"]["reached"] == 1
+        assert row["figures"]["miss"] <= tolerance * 1.01
+        # The finest solution is at the targets.
+        assert row["error"]["largest"] == pytest.approx(
+            row["figures"]["miss"], rel=1e-3, abs=1e-9
+        )
+    assert {row["method"] for row in table["rows"]} == {str(m) for m in IkMethod}
+    (chosen,) = [row for row in table["rows"] if row["chosen"]]
+    assert chosen["options"]["tolerance"] == 1e-6
+    text = run(place, "-t", "reach.targets.yaml", "--table").stdout
+    assert "miss mm" in text
+    assert "reached %" in text
 
 
 @pytest.mark.slow(0.5)

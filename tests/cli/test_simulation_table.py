@@ -12,7 +12,8 @@ from support.cli import animtool
 
 from animtool.core.errors import OptionError
 from animtool.scene.file.read import load_scene
-from animtool.scene.tables.simulation import simulates, simulation_table
+from animtool.scene.tables.simulation import simulates
+from animtool.scene.tables.tradeoffs import simulation_tradeoffs
 from animtool.sim.integrators.table import INTEGRATORS
 
 SCENE = """\
@@ -51,11 +52,12 @@ KEYS = {
     "reason",
     "stable_step",
     "seconds",
-    "simulated_per_second",
     "steps",
+    "bytes",
     "error",
     "energy_drift",
-    "stretch",
+    "figures",
+    "worst",
     "chosen",
     "best",
     "recommended",
@@ -86,9 +88,9 @@ def test_a_table_as_json(comets: Path) -> None:
     assert done.code == 0, done.stderr
     assert sorted(comets.parent.iterdir()) == before
     table = json.loads(done.stdout)
-    assert table["simulation_table"] == "animtool/1"
+    assert table["report"] == "animtool/1"
     assert table["source"] == str(comets)
-    first, second = table["simulated"]
+    first, second = table["tables"]
     assert (first["name"], first["kind"], first["instants"]) == (
         "comets", "particles", 4,
     )  # fmt: skip
@@ -123,15 +125,15 @@ def test_a_table_in_words(comets: Path) -> None:
     done = animtool("bake", comets, "--table", "--range", "1-3")
     assert done.code == 0, done.stderr
     lines = done.stdout.splitlines()
-    assert lines[0].startswith("comets: particles, 0.08333 s simulated")
+    assert lines[0].startswith("comets: particles, 0.08333 s")
     heads = next(line for line in lines if "method" in line).split("  ")
     names = [head.strip() for head in heads if head.strip()]
-    assert names[:5] == ["method", "setting", "seconds", "sim s/s", "steps"]
-    assert names[5:] == ["largest mm", "rms mm", "median mm", "energy %"]
+    assert names[:4] == ["method", "setting", "seconds", "steps"]
+    assert names[4:] == ["largest mm", "rms mm", "median mm", "energy %"]
     (chosen,) = [line for line in lines if line.lstrip().startswith(">")][:-2]
     assert chosen.split()[1:4] == ["midpoint", "step", "0.02"]
     assert any("left out: dop853, lsoda, radau: cannot stop" in line for line in lines)
-    assert lines[-1].startswith("> the file's own")
+    assert lines[-1].startswith("> the present setting")
 
 
 def test_a_scene_that_is_only_looked_at_saves_no_states(swing: Path) -> None:
@@ -155,7 +157,7 @@ def test_systems_props_a_source_are_measured_too(swing: Path) -> None:
     options = ("--table", "--format", "json", "--range", "1-3")
     done = animtool("bake", swing, *options)
     assert done.code == 0, done.stderr
-    tail, comets, _ = json.loads(done.stdout)["simulated"]
+    tail, comets, _ = json.loads(done.stdout)["tables"]
     assert (tail["name"], comets["name"]) == ("tail", "comets")
     assert (comets["instants"], comets["span"]) == (3, pytest.approx(2 / 24))
 
@@ -165,7 +167,7 @@ def test_a_table_of_what_a_rig_attaches(swing: Path) -> None:
     done = animtool("bake", swing, "--table", "--format", "json")
     assert done.code == 0, done.stderr
     assert sorted(swing.parent.iterdir()) == before
-    (part,) = json.loads(done.stdout)["simulated"]
+    (part,) = json.loads(done.stdout)["tables"]
     assert (part["name"], part["kind"]) == ("tail", "spring_chain")
     assert (part["instants"], part["span"]) == (7, 6 / 24)
     rates = [row["options"]["rate"] for row in part["rows"]]
@@ -176,7 +178,7 @@ def test_a_table_of_what_a_rig_attaches(swing: Path) -> None:
     baked = animtool("bake", swing, "--format", "json")
     (report,) = json.loads(baked.stdout)["simulated"]
     assert chosen["steps"] == 7 * report["steps"]
-    assert chosen["stretch"] == report["stretch"]
+    assert chosen["figures"] == {"stretch": report["stretch"]}
     errors = [row["error"]["rms"] for row in part["rows"]]
     assert errors == sorted(errors, reverse=True)
     assert 0.5 < part["reference"]["order"] < 2.5
@@ -221,7 +223,7 @@ def test_a_table_of_ropes_and_cloth(tmp_path: Path) -> None:
     path.write_text(ROPES, "utf-8")
     done = animtool("bake", path, "--table", "--format", "json")
     assert done.code == 0, done.stderr
-    joined, flag = json.loads(done.stdout)["simulated"]
+    joined, flag = json.loads(done.stdout)["tables"]
     assert (joined["name"], joined["kind"], joined["points"]) == (
         "lead + tow", "rope", 11,
     )  # fmt: skip
@@ -233,7 +235,7 @@ def test_a_table_of_ropes_and_cloth(tmp_path: Path) -> None:
         assert part["reference"]["method"] == "bdf2"
     (chosen,) = [row for row in joined["rows"] if row["chosen"]]
     assert chosen["energy_drift"] is not None
-    assert chosen["stretch"] > 0
+    assert chosen["figures"]["stretch"] > 0
     # The step is what the error that the file asks for came to.
     (chosen,) = [row for row in flag["rows"] if row["chosen"]]
     assert chosen["error"]["largest"] < 2e-3
@@ -269,7 +271,7 @@ def test_cloth_begins_again_with_what_runs_into_it(tmp_path: Path) -> None:
     path.write_text(BED, "utf-8")
     done = animtool("bake", path, "--table", "--format", "json")
     assert done.code == 0, done.stderr
-    bed, drops = json.loads(done.stdout)["simulated"]
+    bed, drops = json.loads(done.stdout)["tables"]
     assert (bed["name"], drops["name"]) == ("bed", "drops")
     for row in drops["rows"]:
         if row["status"] == "ok":
@@ -354,7 +356,8 @@ def test_a_scene_without_simulation_has_another_table(swing: Path) -> None:
     assert simulates(scene)
     assert not simulates(scene.until("0"))
     done = animtool("bake", swing, "--until", "0", "--table", "--format", "json")
-    assert json.loads(done.stdout)["table"] == "animtool/1"
+    kinds = [table["kind"] for table in json.loads(done.stdout)["tables"]]
+    assert kinds == ["samples in USD", "keys of a clip"]
 
 
 def test_a_pass_that_moves_nothing_is_no_table(swing: Path) -> None:
@@ -362,5 +365,5 @@ def test_a_pass_that_moves_nothing_is_no_table(swing: Path) -> None:
         SWING.replace("what: [tail], ", "what: [tail], weight: 0, "), "utf-8"
     )
     with pytest.raises(OptionError) as error:
-        simulation_table(load_scene(swing))
+        simulation_tradeoffs(load_scene(swing))
     assert error.value.code == "SCN071"

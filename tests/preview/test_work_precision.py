@@ -11,7 +11,6 @@ from typing import Any
 import pytest
 
 from animtool.core.errors import OptionError, OutputError
-from animtool.ik.options import IkMethod
 from animtool.preview.work_precision import (
     MARKERS,
     SUFFIXES,
@@ -20,13 +19,10 @@ from animtool.preview.work_precision import (
     Point,
     check_drawable,
     draw_panels,
-    ik_panels,
-    simulation_panels,
+    panels_of,
 )
-from animtool.scene.tables.ik import IkTable, IkTableRow
-from animtool.scene.tables.simulation import SimulationTable
 from animtool.sim.trials.measuring import Reference, TrialRow, TrialTable
-from animtool.sim.trials.trial import Distances, Setting
+from animtool.sim.trials.trial import CostMeasure, Distances, ErrorMeasure, Setting
 
 PANEL = Panel(
     "comets, particles",
@@ -61,7 +57,13 @@ def test_a_vector_picture_has_its_words(tmp_path: Path) -> None:
     with mpl.rc_context({"svg.fonttype": "none"}):
         draw_panels([PANEL], tmp_path / "a.svg")
     text = (tmp_path / "a.svg").read_text("utf-8")
-    for word in ("comets, particles", "euler", "rk4", "the file's own", "all is well"):
+    for word in (
+        "comets, particles",
+        "euler",
+        "rk4",
+        "the present setting",
+        "all is well",
+    ):
         assert word in text.replace("&#x27;", "'")
     assert "lost" not in text
 
@@ -97,7 +99,7 @@ def test_settings_without_an_error_or_with_none_at_all_have_no_point(
         Point(0.1, 0.0), Point(0.2, math.inf), Point(0.3, math.nan),
         Point(0.4, 1e-3, best=True), Point(0.5, 2e-3, chosen=True), Point(0.6, -1.0),
     )  # fmt: skip
-    panel = Panel("one", "error [m]", (Curve("a", points),), floor=1e-5, time="time")
+    panel = Panel("one", "error [m]", (Curve("a", points),), floor=1e-5, cost="time")
     frame = drawn(panel, tmp_path / "a.png", monkeypatch)
     curve, best, ring, floor = frame.lines
     assert [line.get_xydata().tolist() for line in (curve, best, ring)] == [
@@ -157,39 +159,6 @@ def test_a_folder_that_is_not_there_is_an_output_error(tmp_path: Path) -> None:
         draw_panels([PANEL], tmp_path / "none" / "a.png")
 
 
-def row(
-    method: IkMethod, position: float, angle: float, refused: str = ""
-) -> IkTableRow:
-    return IkTableRow(
-        "x", 1e-3, 1e-3, method, refused, 250.0, position, angle, 3.0, 1.0
-    )
-
-
-def table(angle: float) -> IkTable:
-    first, second, third = list(IkMethod)[:3]
-    return IkTable(
-        5,
-        7,
-        [row(first, 10.0**-n, angle) for n in (2, 3)],
-        [row(second, 1e-4, angle), row(third, 1.0, angle, "it cannot")],
-    )
-
-
-def test_a_line_over_tolerances_and_a_point_for_each_method() -> None:
-    (panel,) = ik_panels(table(0.0), "reach")
-    assert (panel.title, panel.time) == ("reach, positions", "seconds a frame")
-    names = [curve.name for curve in panel.curves]
-    assert names == ["over tolerances", str(list(IkMethod)[1])]
-    points = panel.curves[0].points
-    assert [(p.seconds, p.error) for p in points] == [(250e-6, 1e-2), (250e-6, 1e-3)]
-
-
-def test_angles_have_a_panel_where_any_is_missed() -> None:
-    _, angles = ik_panels(table(0.5), "reach")
-    assert angles.error.endswith("[rad]")
-    assert {p.error for curve in angles.curves for p in curve.points} == {0.5}
-
-
 def simulated(reference: Reference | None) -> Panel:
     rows = [
         TrialRow(Setting(name, ()), seconds, error=error and Distances(9.0, error, 8.0))
@@ -199,7 +168,7 @@ def simulated(reference: Reference | None) -> Panel:
     ]  # fmt: skip
     rows[2] = replace(rows[2], best=True, chosen=True)
     part = TrialTable("rope", "springs", 1.0, 3, 4, 1.0, reference, rows)
-    (panel,) = simulation_panels(SimulationTable(Path("a.scene.yaml"), [part]))
+    (panel,) = panels_of([part])
     return panel
 
 
@@ -217,3 +186,20 @@ def test_the_reference_is_the_floor_and_a_sensitive_motion_is_remarked() -> None
     calm = simulated(Reference(*finest, sensitive=False))
     assert (calm.floor, calm.remark) == (1e-7, "")
     assert "sensitive" in simulated(Reference(*finest, sensitive=True)).remark
+
+
+def test_what_is_written_is_drawn_by_its_bytes_and_its_largest_error() -> None:
+    rows = [
+        TrialRow(Setting("rate", ()), 5.0, 9, error=Distances(0.2, 0.1, 0.1), bytes=70),
+        TrialRow(Setting("rate", ()), 1.0, 8, error=Distances(0.4, 0.1, 0.1), bytes=60),
+    ]
+    rows[1] = replace(rows[1], recommended=True)
+    part = TrialTable("walk", "samples", 1.0, 3, 4, 1.0, None, rows)
+    part = replace(part, error=ErrorMeasure.LARGEST, cost=CostMeasure.BYTES)
+    (panel,) = panels_of([part])
+    assert (panel.error, panel.cost) == ("error, largest [m]", "bytes")
+    points = panel.curves[0].points
+    assert points == (Point(70, 0.2), Point(60, 0.4, recommended=True))
+    (panel,) = panels_of([replace(part, cost=CostMeasure.STEPS, unit="keys")])
+    assert panel.cost == "keys"
+    assert [point.cost for point in panel.curves[0].points] == [9, 8]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -28,6 +28,7 @@ from animtool.sim.options import TOLERANCE
 from animtool.sim.trajectory import Status
 from animtool.sim.trials.trial import (
     FINER,
+    Figure,
     Outcome,
     Setting,
     Shot,
@@ -56,8 +57,8 @@ def system_trials(
     systems: Sequence[SceneSystem],
     times: FloatArray,
     own: CharacterMotion | None = None,
-) -> list[tuple[SceneSystem, Trial]]:
-    """Return what can be simulated in several ways, with the first system of each.
+) -> list[tuple[list[SceneSystem], Trial]]:
+    """Return what can be simulated in several ways, with the systems of each.
 
     ``times`` ``(F,)`` [s].
     """
@@ -73,7 +74,7 @@ def system_trials(
             return context
 
         with located_systems(members):
-            found.append((members[0], _trial(members, rebuild, times)))
+            found.append((members, _trial(members, rebuild, times)))
     return found
 
 
@@ -112,7 +113,19 @@ def _trial(
         trials.settings,
         trials.references,
         run,
+        changes=trials.changes,
+        lines=lambda setting: [_asked(members[0], trials.changes(setting))],
     )
+
+
+def _asked(system: SceneSystem, changes: Mapping[str, Any]) -> str:
+    """Return the keys of a system that ask for a setting."""
+    keys = ", ".join(
+        f"{key}: {value:.6g}" if isinstance(value, float) else f"{key}: {value}"
+        for key, value in changes.items()
+        if value is not None
+    )
+    return f"{system.kind}: {{{keys}}}"
 
 
 def _trial_settings(spec: SystemSpec, own: str) -> TrialSettings:
@@ -207,7 +220,7 @@ def _outcome(run: SimulationRun, times: FloatArray) -> Outcome:
         reason,
         last.stable_step() if stable is None else stable,
         known if whole else None,
-        last.stretch,
+        figures={} if last.stretch is None else {Figure.STRETCH: last.stretch},
     )
 
 

@@ -1,114 +1,159 @@
-"""Time against error of inverse kinematics, over tolerances and methods."""
+"""Ways to bring a take to targets: tolerances and methods."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
-from animtool.core.errors import OptionError
-from animtool.core.record import dataclass
+from animtool.core.arguments import argument
+from animtool.core.array_types import FloatArray
 from animtool.ik.on_take import solve_take
-from animtool.ik.options import IkMethod
+from animtool.ik.options import IkMethod, TakeOptions
 from animtool.ik.result import IkStatus
 from animtool.ik.take_run import TakeIk
-from animtool.scene.bake.progress import Progress
-from animtool.scene.solves.ik import IkContext, IkJob, open_ik
+from animtool.ik.tracks import TargetTracks
+from animtool.motion.take import Take
+from animtool.rig.kinematics import forward
+from animtool.scene.solves.ik import IkJob, open_ik
+from animtool.sim.trials.trial import (
+    ErrorMeasure,
+    Figure,
+    Outcome,
+    Setting,
+    Shot,
+    Trial,
+)
 
 # Shares of the chains' length, and radians.
 TOLERANCES = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8)
+# Of the solution that others are compared with, each a tenth of the one before.
+FINER = (1e-8, 1e-9, 1e-10)
+# Of a goal that asks for an orientation, points so far off it are compared too [m].
+REACH = 0.1
 
 
-@dataclass(frozen=True, slots=True)
-class IkTableRow:
-    """One setting and what it gives."""
-
-    setting: str  # the tolerance or the method, in words
-    tolerance: float  # of positions [m]
-    angle_tolerance: float  # of the others [rad]
-    method: IkMethod  # which solver
-    refused: str = ""  # why the method cannot solve this; empty where it can
-    microseconds: float = 0.0  # of solving, a frame
-    position: float = 0.0  # the worst miss [m]
-    angle: float = 0.0  # the worst miss of an orientation, aim or pole [rad]
-    iterations: float = 0.0  # mean of the frames
-    converged: float = 0.0  # share of the frames that reached all
-
-
-@dataclass(frozen=True, slots=True)
-class IkTable:
-    """Rows for one input."""
-
-    frames: int  # how many were solved
-    degrees: int  # degrees of freedom of the problem
-    # A row for each of `TOLERANCES`, by the method asked for.
-    tolerances: list[IkTableRow]
-    methods: list[IkTableRow]  # A row for each `IkMethod`, at the tolerance asked for
-
-
-def ik_table(job: IkJob, *, progress: Progress = None) -> IkTable:
-    """Solve a job in several ways, and measure each.
-
-    Args:
-        job: What to solve; nothing is written.
-        progress: Called with the share done, 0 to 1.
+def job_trial(job: IkJob) -> Trial:
+    """Return ways to solve a job; nothing is written.
 
     Raises:
         FormatError: A file is malformed.
         OptionError: The files do not fit each other, or an option makes no sense.
     """
     context = open_ik(job)
-    options = job.options
-    first = _solved(job, context, options.method, options.tolerance)
+
+    def solve(options: TakeOptions) -> TakeIk:
+        return solve_take(
+            context.take,
+            context.tracks,
+            options,
+            still=context.still,
+            only=context.only,
+        )
+
+    def asked(options: TakeOptions) -> list[str]:
+        method, tolerance = argument("method"), argument("tolerance")
+        value = f"{options.tolerance * 1000:.3g}mm"
+        return [f"animtool ik {method} {options.method} {tolerance} {value}"]
+
+    return solve_trial(job.targets.name, job.options, solve, asked)
+
+
+def pass_trial(take: Take, tracks: TargetTracks, options: TakeOptions) -> Trial:
+    """Return ways to run a pass of a scene that brings a take to targets."""
+
+    def asked(options: TakeOptions) -> list[str]:
+        tolerance = f"{options.tolerance * 1000:.3g}mm"
+        return [f"ik: {{method: {options.method}, tolerance: {tolerance}}}"]
+
+    def solve(options: TakeOptions) -> TakeIk:
+        return solve_take(take, tracks, options)
+
+    return solve_trial(tracks.path.name, options, solve, asked)
+
+
+def solve_trial(
+    name: str,
+    options: TakeOptions,
+    solve: Callable[[TakeOptions], TakeIk],
+    asked: Callable[[TakeOptions], list[str]],
+) -> Trial:
+    """Return ways to solve for targets: tolerances by one method, and each method.
+
+    Points are those of the effectors, where the take asks for them; those of the finest
+    solution are what others are compared with. Figures are misses of the targets.
+    """
+    first = solve(options)
     length = first.problem.length
-    steps = len(TOLERANCES) + len(IkMethod)
-    rows: list[IkTableRow] = []
-
-    def add(setting: str, method: IkMethod, tolerance: float, angle: float) -> None:
-        row = IkTableRow(setting, tolerance, angle, method)
-        rows.append(_measured(job, context, row))
-        if progress is not None:
-            progress(len(rows) / steps)
-
-    for share in TOLERANCES:
-        add(f"{share:.0e}", options.method, share * length, share)
-    for method in IkMethod:
-        add(str(method), method, options.tolerance, options.angle_tolerance)
-    count = len(TOLERANCES)
     frames = len(first.statuses)
-    return IkTable(frames, first.problem.degrees, rows[:count], rows[count:])
+    clock = first.take.clock
+
+    def setting_of(method: IkMethod, tolerance: float, angle: float) -> Setting:
+        return Setting.of(method, tolerance=tolerance, angle_tolerance=angle)
+
+    def options_of(setting: Setting) -> TakeOptions:
+        return replace(
+            options,
+            method=IkMethod(setting.method),
+            tolerance=setting["tolerance"],
+            angle_tolerance=setting["angle_tolerance"],
+        )
+
+    def run(setting: Setting) -> Outcome:
+        return _outcome(solve(options_of(setting)))
+
+    own = (options.tolerance, options.angle_tolerance)
+    chosen = setting_of(options.method, *own)
+    settings = [setting_of(options.method, t * length, t) for t in TOLERANCES]
+    settings += [setting_of(method, *own) for method in IkMethod]
+    finest = [setting_of(options.method, t * length, t) for t in FINER]
+    return Trial(
+        name,
+        f"ik, {first.problem.degrees} degrees of freedom, {frames} frames",
+        float(clock.duration),
+        chosen,
+        lambda: settings,
+        lambda: [finest],
+        run,
+        ErrorMeasure.LARGEST,
+        unit="iterations",
+        where=lambda shot, point: _where(first, shot, point),
+        lines=lambda setting: asked(options_of(setting)),
+    )
 
 
-def _measured(job: IkJob, context: IkContext, row: IkTableRow) -> IkTableRow:
-    try:
-        solved = _solved(job, context, row.method, row.tolerance, row.angle_tolerance)
-    except OptionError as error:
-        return replace(row, refused=error.faults[0].message)
+def _where(solved: TakeIk, shot: int, point: int) -> str:
+    goals = [goal for goal, _, _ in _compared(solved)]
+    frame = float(solved.take.clock.times[shot])
+    return f"{solved.tracks.goals[goals[point]].name} at frame {frame:g}"
+
+
+def _compared(solved: TakeIk) -> list[tuple[int, int, FloatArray]]:
+    """Return the points that are compared: of which goal and joint, and where on it."""
+    found = []
+    for i, track in enumerate(solved.tracks.goals):
+        goal, joint = track.goal, solved.take.rig.index(track.goal.joint)
+        offset = np.asarray(goal.offset, np.float64)
+        arms = REACH * np.eye(3)[:2] if goal.orientation else np.zeros((0, 3))
+        found += [(i, joint, offset + arm) for arm in (np.zeros(3), *arms)]
+    return found
+
+
+def _outcome(solved: TakeIk) -> Outcome:
+    """Return where the effectors are, and what they miss."""
+    take, compared = solved.take, _compared(solved)
+    joints = [joint for _, joint, _ in compared]
+    offsets = np.array([offset for _, _, offset in compared])
+    world = forward(take.rig, *take.motion.dense())
+    turned = np.einsum("fpab,pb->fpa", world.linear[:, joints], offsets)
+    shots = [Shot(points) for points in world.positions[:, joints] + turned]
     misses = np.where(solved.asked, solved.misses, 0.0)
     reached = [status is IkStatus.CONVERGED for status in solved.statuses]
-    return replace(
-        row,
-        microseconds=1e6 * solved.seconds / len(solved.statuses),
-        position=float(misses[..., 0].max(initial=0.0)),
-        angle=float(misses[..., 1:].max(initial=0.0)),
-        iterations=float(solved.iterations.mean()),
-        converged=float(np.mean(reached)),
-    )
-
-
-def _solved(
-    job: IkJob,
-    context: IkContext,
-    method: IkMethod,
-    tolerance: float,
-    angle_tolerance: float = 1e-3,
-) -> TakeIk:
-    options = replace(
-        job.options,
-        method=method,
-        tolerance=tolerance,
-        angle_tolerance=angle_tolerance,
-    )
-    return solve_take(
-        context.take, context.tracks, options, still=context.still, only=context.only
-    )
+    figures = {
+        Figure.MISS: float(misses[..., 0].max(initial=0.0)),
+        Figure.MISS_ANGLE: float(misses[..., 1:].max(initial=0.0)),
+        Figure.REACHED: float(np.mean(reached)),
+    }
+    steps = int(solved.iterations.sum())
+    return Outcome(solved.seconds, steps, shots, figures=figures)

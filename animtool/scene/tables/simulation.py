@@ -1,11 +1,12 @@
-"""Time against error of what a scene simulates, over methods and steps."""
+"""Ways to make what a scene simulates and solves: methods, steps and tolerances."""
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,24 +14,32 @@ import numpy as np
 
 from animtool.clip.reduction.points import SHELL, attached_points
 from animtool.core.array_types import FloatArray
-from animtool.core.errors import Fault, OptionError
-from animtool.core.record import dataclass
+from animtool.ik.take_pass import IkPassOptions, asked_of, settings_of
 from animtool.motion.motion import Motion
 from animtool.motion.take import Take, TakeStream
 from animtool.rig.kinematics import forward
+from animtool.rig.parts import AttachKind
 from animtool.rig.skeleton import Rig
+from animtool.scene.bake.bake import run_stage
 from animtool.scene.bake.options import BakeOptions
 from animtool.scene.bake.plan import plan_stage
 from animtool.scene.bake.prims import BakePlan
-from animtool.scene.bake.progress import Progress, share_of
-from animtool.scene.file.entries import Place, ScenePass
+from animtool.scene.file.entries import Place, ScenePass, SceneSystem
 from animtool.scene.scene import Scene
 from animtool.scene.systems.bake import SystemPrims
 from animtool.scene.systems.character_motion import CharacterMotion, motion_of
 from animtool.scene.systems.trial import system_trials
+from animtool.scene.tables.ik import pass_trial
 from animtool.sim.trajectory import Status
-from animtool.sim.trials.measuring import TrialTable, measure
-from animtool.sim.trials.trial import COARSER, FINER, Outcome, Setting, Shot, Trial
+from animtool.sim.trials.trial import (
+    COARSER,
+    FINER,
+    Figure,
+    Outcome,
+    Setting,
+    Shot,
+    Trial,
+)
 from animtool.systems.attach.bodies import Body, ChainBody, SurfaceBody, bodies_of
 from animtool.systems.attach.settings import SimulateOptions
 from animtool.systems.attach.take_pass import moves
@@ -43,19 +52,6 @@ COARSEST = 8.0
 MAX_INSTANTS = 100
 
 
-@dataclass(frozen=True, slots=True)
-class SimulationTable:
-    """What a scene simulates, one table each."""
-
-    source: Path  # the scene
-    tables: list[TrialTable]  # in its order
-
-    @property
-    def notices(self) -> list[Fault]:
-        """What is odd about them."""
-        return [notice for table in self.tables for notice in table.notices]
-
-
 def simulates(scene: Scene) -> bool:
     """Return whether there is anything to simulate in a scene."""
     return bool(scene.systems) or any(
@@ -63,48 +59,68 @@ def simulates(scene: Scene) -> bool:
     )
 
 
-def simulation_table(
-    scene: Scene, options: BakeOptions | None = None, *, progress: Progress = None
-) -> SimulationTable:
-    """Simulate what a scene does in several ways, and measure each.
+def simulation_trials(
+    scene: Scene, options: BakeOptions | None = None
+) -> list[tuple[Place, Trial]]:
+    """Return ways to simulate what a scene does, and to reach its targets, in order.
 
     Args:
-        scene: It has systems, or passes that simulate.
+        scene: It has systems, or passes that simulate or bring to targets.
         options: Of the bake: of systems, which frames.
-        progress: Called with the share done, 0 to 1.
 
     Raises:
         FormatError: A source is malformed, or a pass cannot be applied to it.
-        OptionError: An option makes no sense, or nothing is simulated (SCN071).
+        OptionError: An option makes no sense.
     """
-    trials = _trials(scene, options or BakeOptions())
-    if not trials:
-        message = "simulates nothing that could be measured"
-        hint = "it has no systems, and no simulate pass with what to move"
-        raise OptionError(Fault("SCN071", message, str(scene.path), (), hint))
-    tables = []
-    for i, (place, trial) in enumerate(trials):
-        shown = share_of(progress, i, len(trials))
-        with place.located():
-            table = measure(trial, progress=shown)
-        notices = [place.put(notice) for notice in table.notices]
-        tables.append(replace(table, notices=notices))
-    return SimulationTable(scene.path, tables)
-
-
-def _trials(scene: Scene, options: BakeOptions) -> list[tuple[Place, Trial]]:
     trials: list[tuple[Place, Trial]] = []
     if scene.sources:
-        trials += _attach_trials(scene, MAX_INSTANTS)
+        trials += _pass_trials(scene, MAX_INSTANTS)
     if scene.systems:
-        times, own = _times(scene, options)
+        times, own = _times(scene, options or BakeOptions())
         picked = np.linspace(0, len(times) - 1, min(len(times), MAX_INSTANTS))
         looked = times[picked.astype(np.int64)]
-        trials += [
-            (system.place, trial)
-            for system, trial in system_trials(scene.systems, looked, own)
-        ]
+        for members, trial in system_trials(scene.systems, looked, own):
+            write = partial(_write_systems, scene, members, trial)
+            trials.append((members[0].place, replace(trial, write=write)))
     return trials
+
+
+def _write_systems(
+    scene: Scene,
+    members: Sequence[SceneSystem],
+    trial: Trial,
+    setting: Setting,
+    output: Path,
+) -> None:
+    """Write a scene in which some systems have another setting."""
+    assert trial.changes is not None
+    changes = dict(trial.changes(setting))
+    systems = list(scene.systems)
+    for i, system in enumerate(systems):
+        if system in members:
+            spec = system.setup.spec.model_copy(update=changes)
+            systems[i] = replace(system, setup=replace(system.setup, spec=spec))
+    _write(replace(scene, systems=tuple(systems)), output)
+
+
+def _write_pass(
+    scene: Scene, at: int, setting: Setting, output: Path, name: str
+) -> None:
+    """Write a scene in which an option of a pass is that of a setting."""
+    passes = list(scene.passes)
+    options = replace(passes[at].options, **{name: setting[name]})
+    passes[at] = replace(passes[at], options=options)
+    _write(replace(scene, passes=tuple(passes)), output)
+
+
+def _write(scene: Scene, output: Path) -> None:
+    # Chunks are files of their own.
+    first = scene.outputs[0]
+    plain = replace(first, bake=replace(first.bake, chunk=None))
+    plan = plan_stage(
+        replace(scene, outputs=(plain,)), output, BakeOptions(overwrite=True)
+    )
+    run_stage(plan)
 
 
 def _times(
@@ -133,17 +149,25 @@ def _within(times: FloatArray, plan: BakePlan) -> FloatArray:
     return times[inside] if inside.any() else times
 
 
-def _attach_trials(scene: Scene, instants: int) -> list[tuple[Place, Trial]]:
-    """Return the attachments that passes of a scene simulate, at their entries.
+def _pass_trials(scene: Scene, instants: int) -> list[tuple[Place, Trial]]:
+    """Return what passes of a scene simulate or bring to targets, at their entries.
 
     Raises:
         FormatError: A source is malformed, or a pass cannot be applied to it.
         OptionError: An option does not apply to the source.
     """
-    measured = [i for i, entry in enumerate(scene.passes) if _simulates(entry)]
+    whole = scene
+    measured = [i for i, entry in enumerate(scene.passes) if _is_measured(entry)]
     scene = replace(scene, passes=scene.passes[: max(measured, default=-1) + 1])
     trials = []
-    for entry, (take, _) in zip(scene.passes, scene.steps(), strict=False):
+    steps = zip(scene.passes, scene.steps(), strict=False)
+    for at, (entry, (take, _)) in enumerate(steps):
+        if _solves(entry):
+            with entry.place.located():
+                asked = asked_of(take, entry.options, scene.path.resolve().parent)
+                trials.append(
+                    (entry.place, pass_trial(*asked, settings_of(entry.options)))
+                )
         if not _simulates(entry):
             continue
         with entry.place.located():
@@ -151,10 +175,18 @@ def _attach_trials(scene: Scene, instants: int) -> list[tuple[Place, Trial]]:
         for body in bodies:
             options = replace(entry.options, what=(body.name,))
             own = replace(entry, options=options)
-            trials.append(
-                (entry.place, _attach_trial(scene, own, take, body, instants))
-            )
+            trial = _attach_trial(scene, own, take, body, instants)
+            write = partial(_write_pass, whole, at, name="rate")
+            trials.append((entry.place, replace(trial, write=write)))
     return trials
+
+
+def _is_measured(entry: ScenePass) -> bool:
+    return _simulates(entry) or _solves(entry)
+
+
+def _solves(entry: ScenePass) -> bool:
+    return isinstance(entry.options, IkPassOptions)
 
 
 def _simulates(entry: ScenePass) -> bool:
@@ -201,7 +233,7 @@ def _attach_trial(
             shots,
             Status.OK if sound else Status.UNSTABLE,
             "" if sound else "its state is not finite",
-            stretch=report["stretch"],
+            figures=_figures(report),
         )
 
     return Trial(
@@ -212,7 +244,17 @@ def _attach_trial(
         lambda: settings((COARSEST, *COARSER)),
         lambda: [settings(FINER)],
         run,
+        lines=lambda setting: [f"simulate: {{rate: {setting['rate']:g}}}"],
     )
+
+
+def _figures(report: Mapping[str, Any]) -> dict[Figure, float]:
+    """Return how an attachment was strained, and how deep in what it meets."""
+    figures = {Figure.STRETCH: float(report["stretch"])}
+    if report["kind"] == AttachKind.CLOTH:
+        figures[Figure.DEPTH] = float(report["depth"]["value"])
+        figures[Figure.PIERCED] = float(report["pierced"]["value"])
+    return figures
 
 
 def _attached(rig: Rig, body: Body, motion: Motion) -> FloatArray:

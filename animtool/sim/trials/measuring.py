@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import field, replace
 from itertools import pairwise
 
@@ -13,18 +13,19 @@ from animtool.core.quantities import length_text
 from animtool.core.record import dataclass
 from animtool.sim.system import Energy
 from animtool.sim.trajectory import Status
+from animtool.sim.trials.costs import Cost, best_of, cheapest_of, recommended_of
 from animtool.sim.trials.trial import (
-    Cost,
+    CostMeasure,
     Distances,
+    ErrorMeasure,
+    Figure,
     Outcome,
     Setting,
     Trial,
-    best_of,
     distances,
     extent_of,
     order_seen,
     reach_of,
-    recommended_of,
 )
 
 # A motion that halving the steps does not bring nearer by a power of this is sensitive.
@@ -41,6 +42,16 @@ ENOUGH = 0.01
 # As long as they take less together, short runs are taken again, so often at most, and
 # the shortest counts [s].
 SHORT, REPEATS = 0.3, 3
+# A method that took this many times as long as the finest motion has no finer settings
+# tried: what they give is not worth it.
+PATIENCE = 10.0
+# Below these, differences of figures are none: shares of one, metres and pairs.
+ALIKE = {
+    Figure.STRETCH: 1e-3,
+    Figure.DEPTH: 1e-4,
+    Figure.PIERCED: 1.0,
+}
+ENERGY_ALIKE = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,11 +86,14 @@ class TrialRow:
     # Most that the energy differed from that of the start, in the largest that there
     # was [1]; None where it may come and go.
     energy_drift: float | None = None
-    # As in `Outcome`; None too where it did not get to the end.
-    stretch: float | None = None
+    bytes: int = 0  # as in `Outcome`
+    # As in `Outcome`; empty too where it did not get to the end.
+    figures: Mapping[Figure, float] = field(default_factory=dict)
+    worst: str = ""  # where the largest distance is; empty where it has no name
     chosen: bool = False  # whether the file has it so
-    best: bool = False  # whether no other that is as exact is faster
-    recommended: bool = False  # whether to take it in place of the chosen one
+    best: bool = False  # whether no other that is as exact is cheaper
+    # Whether to take it in place of the chosen one, or the cheapest within a budget.
+    recommended: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,15 +110,37 @@ class TrialTable:
     reference: Reference | None
     rows: list[TrialRow]  # in the order tried
     notices: list[Fault] = field(default_factory=list)  # what is odd about it
+    error: ErrorMeasure = ErrorMeasure.RMS  # what rows are judged by
+    cost: CostMeasure = CostMeasure.SECONDS
+    unit: str = "steps"  # what is counted of the work
+    budget: float | None = None  # largest error that will do [m]
+    # How the recommended setting is asked for; empty where there is none.
+    lines: tuple[str, ...] = ()
+
+    @property
+    def chosen(self) -> TrialRow:
+        """The row of the file's own setting."""
+        return next(row for row in self.rows if row.chosen)
+
+    @property
+    def recommended(self) -> TrialRow | None:
+        """The row to take; None where the chosen one is right, or nothing is known."""
+        return next((row for row in self.rows if row.recommended), None)
 
 
 def measure(
-    trial: Trial, *, progress: Callable[[float], None] | None = None
+    trial: Trial,
+    *,
+    budget: float | None = None,
+    progress: Callable[[float], None] | None = None,
 ) -> TrialTable:
-    """Simulate something in several ways, and measure each.
+    """Make something in several ways, and measure each.
 
     Args:
         trial: What, and which ways there are.
+        budget: The largest error that will do [m]: then the cheapest within is
+            recommended. None recommends what is as exact as the chosen one, and
+            cheaper.
         progress: Called with the share done, 0 to 1.
 
     Raises:
@@ -114,13 +150,16 @@ def measure(
     whole = len({*settings, *trial.references()[0]})
     runs = _Runs(trial, whole, progress)
     reference, truth = _reference(trial, runs)
-    rows = [_row(runs, setting, truth) for setting in settings]
-    rows = [replace(row, chosen=row.setting == trial.chosen) for row in rows]
+    rows = _rows(trial, runs, settings, truth)
     extent = 0.0 if truth is None else extent_of(truth.shots)
-    if reference is not None and not reference.sensitive:
-        reach = 0.0 if truth is None else reach_of(truth.shots)
-        rows = _marked(rows, reference, extent, reach)
-    return TrialTable(
+    reach = 0.0 if truth is None else reach_of(truth.shots)
+    notices = _notices(trial, reference)
+    if truth is not None and reference is not None:
+        if reference.sensitive:
+            rows = _marked_alike(rows, truth, trial.cost)
+        else:
+            rows = _marked(rows, trial, reference, extent, reach, budget)
+    table = TrialTable(
         trial.name,
         trial.kind,
         trial.span,
@@ -129,8 +168,16 @@ def measure(
         extent,
         reference,
         rows,
-        _notices(trial, reference),
+        notices,
+        trial.error,
+        trial.cost,
+        trial.unit,
+        budget,
     )
+    row = table.recommended
+    if row is None or trial.lines is None:
+        return table
+    return replace(table, lines=tuple(trial.lines(row.setting)))
 
 
 class _Runs:
@@ -141,6 +188,10 @@ class _Runs:
     ) -> None:
         self._trial, self._whole, self._progress = trial, whole, progress
         self._done: dict[Setting, Outcome] = {}
+
+    def has(self, setting: Setting) -> bool:
+        """Return whether a setting was run."""
+        return setting in self._done
 
     def of(self, setting: Setting) -> Outcome:
         """Return what a setting comes to."""
@@ -154,7 +205,8 @@ class _Runs:
         with np.errstate(all="ignore"):
             done = self._trial.run(setting)
             spent = [done.seconds]
-            while len(spent) < REPEATS and sum(spent) < SHORT:
+            timed = self._trial.cost is CostMeasure.SECONDS
+            while timed and len(spent) < REPEATS and sum(spent) < SHORT:
                 spent.append(self._trial.run(setting).seconds)
         return replace(done, seconds=min(spent))
 
@@ -167,15 +219,19 @@ def _reference(trial: Trial, runs: _Runs) -> tuple[Reference | None, Outcome | N
             if outcomes[-1].status is not Status.OK:
                 break
         else:
-            return _judged(settings[-1], outcomes), outcomes[-1]
+            return _judged(settings[-1], outcomes, trial.error), outcomes[-1]
     return None, None
 
 
-def _judged(setting: Setting, outcomes: list[Outcome]) -> Reference:
+def _judged(
+    setting: Setting, outcomes: list[Outcome], measure: ErrorMeasure
+) -> Reference:
     """Return how near the finest of motions is, each in half the steps of the last."""
+    if len(outcomes) == 1:
+        return Reference(setting, Distances(0.0, 0.0, 0.0), None, False)
     gaps = [distances(fine.shots, rough.shots) for rough, fine in pairwise(outcomes)]
     reach = reach_of(outcomes[-1].shots)
-    coarse, fine = (gap.with_reach(reach) for gap in gaps[-2:])
+    coarse, fine = (gap.error(measure, reach) for gap in (gaps[0], gaps[-1]))
     extent = extent_of(outcomes[-1].shots) + reach
     order = order_seen(coarse, fine) if fine > ROUNDING * extent else None
     sensitive = order is not None and order < MIN_ORDER and fine > UNSEEN * extent
@@ -183,7 +239,28 @@ def _judged(setting: Setting, outcomes: list[Outcome]) -> Reference:
     return Reference(setting, gaps[-1].scaled(1 / share), order, sensitive)
 
 
-def _row(runs: _Runs, setting: Setting, truth: Outcome | None) -> TrialRow:
+def _rows(
+    trial: Trial, runs: _Runs, settings: Sequence[Setting], truth: Outcome | None
+) -> list[TrialRow]:
+    rows: list[TrialRow] = []
+    slow: dict[str, TrialRow] = {}
+    limit = None if truth is None else PATIENCE * max(truth.seconds, SHORT)
+    for setting in settings:
+        row = slow.get(setting.method)
+        if row is not None and setting != trial.chosen and not runs.has(setting):
+            reason = f"not tried: {row.setting} took {row.seconds:.3g} s"
+            rows.append(TrialRow(setting, reason=reason))
+            continue
+        row = replace(_row(trial, runs, setting, truth), chosen=setting == trial.chosen)
+        if limit is not None and row.seconds > limit:
+            slow[setting.method] = row
+        rows.append(row)
+    return rows
+
+
+def _row(
+    trial: Trial, runs: _Runs, setting: Setting, truth: Outcome | None
+) -> TrialRow:
     try:
         done = runs.of(setting)
     except OptionError as refusal:
@@ -195,24 +272,27 @@ def _row(runs: _Runs, setting: Setting, truth: Outcome | None) -> TrialRow:
         done.status,
         done.reason,
         None if done.status is Status.OK else done.stable_step,
+        bytes=done.bytes,
     )
     if done.status is not Status.OK:
         return row
-    row = replace(row, energy_drift=_drift(done.energies), stretch=done.stretch)
+    whole = replace(row, energy_drift=_drift(done.energies), figures=done.figures)
+    if done.error is not None:
+        return replace(whole, error=done.error, worst=done.worst)
     if truth is None:
-        return row
+        return whole
     error = distances(truth.shots, done.shots)
     sign = _sign(error, extent_of(truth.shots))
-    if not sign:
-        return replace(row, error=error)
-    return replace(
-        row,
-        status=Status.UNSTABLE,
-        reason=sign,
-        stable_step=done.stable_step,
-        energy_drift=None,
-        stretch=None,
-    )
+    if sign:
+        return replace(
+            row,
+            error=error,
+            status=Status.UNSTABLE,
+            reason=sign,
+            stable_step=done.stable_step,
+        )
+    worst = "" if trial.where is None or error.at is None else trial.where(*error.at)
+    return replace(whole, error=error, worst=worst)
 
 
 def _sign(error: Distances, extent: float) -> str:
@@ -251,22 +331,68 @@ def _notices(trial: Trial, reference: Reference | None) -> list[Fault]:
 
 
 def _marked(
-    rows: list[TrialRow], reference: Reference, extent: float, reach: float
+    rows: list[TrialRow],
+    trial: Trial,
+    reference: Reference,
+    extent: float,
+    reach: float,
+    budget: float | None,
 ) -> list[TrialRow]:
     """Return rows with the best marked, and the one to take."""
     # What is nearer to the reference than that is to the truth is as good.
     extent += reach
-    least = max(reference.error.with_reach(reach), ROUNDING * extent)
+    floor = max(reference.error.error(trial.error, reach), ROUNDING * extent)
     costs = [
         None
         if row.error is None
-        else Cost(row.seconds, max(row.error.with_reach(reach), least))
+        else _cost(row, trial.cost, max(row.error.error(trial.error, reach), floor))
         for row in rows
     ]
     best = best_of(costs)
     chosen = next(i for i, row in enumerate(rows) if row.chosen)
-    better = recommended_of(costs, chosen, ENOUGH * extent)
+    if budget is None:
+        taken = recommended_of(costs, chosen, ENOUGH * extent)
+    else:
+        taken = cheapest_of(costs, budget)
     return [
-        replace(row, best=i in best, recommended=i == better)
+        replace(row, best=i in best, recommended=i == taken)
         for i, row in enumerate(rows)
     ]
+
+
+def _marked_alike(
+    rows: list[TrialRow], truth: Outcome, measure: CostMeasure
+) -> list[TrialRow]:
+    """Return rows of a sensitive motion, marked by energy, strain and penetration.
+
+    The error of a row is the most that one of its figures is above that of the
+    reference, over what makes no difference. Rows with less than one are as good.
+    """
+    own = _figures(_drift(truth.energies), truth.figures)
+    if not own:
+        return rows
+    costs: list[Cost | None] = []
+    for row in rows:
+        figures = _figures(row.energy_drift, row.figures)
+        if row.status is not Status.OK or figures.keys() != own.keys():
+            costs.append(None)
+            continue
+        above = [max(0.0, figures[name] - own[name]) for name in own]
+        costs.append(_cost(row, measure, max(1.0, *above)))
+    best = best_of(costs)
+    return [replace(row, best=i in best) for i, row in enumerate(rows)]
+
+
+def _figures(drift: float | None, figures: Mapping[Figure, float]) -> dict[str, float]:
+    """Return figures over what makes no difference."""
+    shares = {str(k): x / ALIKE[k] for k, x in figures.items() if k in ALIKE}
+    return shares if drift is None else {**shares, "energy": drift / ENERGY_ALIKE}
+
+
+def _cost(row: TrialRow, measure: CostMeasure, error: float) -> Cost:
+    value = {
+        CostMeasure.SECONDS: row.seconds,
+        CostMeasure.BYTES: float(row.bytes),
+        CostMeasure.STEPS: float(row.steps),
+    }[measure]
+    return Cost(value, error, row.steps)

@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import field
+from enum import StrEnum
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -12,9 +16,6 @@ from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.sim.system import Energy
 from animtool.sim.trajectory import Status
-
-# An error this much larger is as good, and a time this much shorter is worth it.
-AS_GOOD, WORTH_IT = 1.05, 0.8
 
 # Steps over the chosen one: of settings to try, and of the motion that they are
 # compared with, each of which is half of the one before.
@@ -64,6 +65,32 @@ class Shot:
     reach: float = 0.0  # how far what is placed reaches from its point, at most [m]
 
 
+class Figure(StrEnum):
+    """A figure of a motion besides where its points are."""
+
+    STRETCH = "stretch"  # most that a spring was longer than at rest, over that [1]
+    DEPTH = "depth"  # most that cloth was inside of what it meets [m]
+    PIERCED = "pierced"  # most pairs of edge and face that pierced each other at once
+    MISS = "miss"  # most that a position was off its target [m]
+    MISS_ANGLE = "miss_angle"  # of an orientation, aim or pole likewise [rad]
+    REACHED = "reached"  # share of the frames that reached every target [1]
+
+
+class ErrorMeasure(StrEnum):
+    """Which of the distances of a setting is its error."""
+
+    LARGEST = "largest"
+    RMS = "rms"
+
+
+class CostMeasure(StrEnum):
+    """What a setting costs: what is timed or written, or work that is counted."""
+
+    SECONDS = "seconds"
+    BYTES = "bytes"
+    STEPS = "steps"
+
+
 @dataclass(frozen=True, slots=True)
 class Outcome:
     """What a setting came to."""
@@ -78,17 +105,20 @@ class Outcome:
     stable_step: float | None = None
     # At these times; None where energy may come and go.
     energies: Sequence[Energy] | None = None
-    # Most that a spring was longer than at rest, over that [1]; None where there are no
-    # springs.
-    stretch: float | None = None
+    bytes: int = 0  # size of what was written; 0 where nothing was
+    # What else tells settings apart.
+    figures: Mapping[Figure, float] = field(default_factory=dict)
+    # How far it is off, where that is measured as it is made, and not by shots.
+    error: Distances | None = None
+    worst: str = ""  # where that is
 
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """What is simulated, in the way that its file chooses and in others."""
+    """What is made of an input, in the way that its file chooses and in others."""
 
     name: str
-    kind: str  # `particles`, `cloth`
+    kind: str  # `particles`, `cloth`, `ik`
     span: float  # how long, with what comes before the first frame [s]
     chosen: Setting  # of the file
     # Ways to try, the coarsest of each method first.
@@ -96,8 +126,20 @@ class Trial:
     # What others can be compared with, the first that works to be taken: of a method
     # each, its steps being half of those before.
     references: Callable[[], list[list[Setting]]]
-    # Simulates it in one way; `OptionError` where the method is not for it.
+    # Makes it in one way; `OptionError` where the method is not for it.
     run: Callable[[Setting], Outcome]
+    error: ErrorMeasure = ErrorMeasure.RMS  # what settings are judged by
+    cost: CostMeasure = CostMeasure.SECONDS
+    unit: str = "steps"  # what is counted of the work
+    # Of a shot and a point, its name and time; None names none.
+    where: Callable[[int, int], str] | None = None
+    # The keys of an entry of the file that ask for a setting; None of no entry.
+    changes: Callable[[Setting], Mapping[str, Any]] | None = None
+    # How a setting is asked for: lines of the scene file, or options of a command.
+    lines: Callable[[Setting], list[str]] | None = None
+    # Writes what a setting gives as USD, to be looked at; None where it cannot be.
+    write: Callable[[Setting, Path], None] | None = None
+    size: float = 0.0  # of the figure that is written [m]; 0 is not known
 
 
 def ladder(value: float, shares: Sequence[float] = COARSER) -> list[float]:
@@ -127,10 +169,12 @@ class Distances:
     # Root of the mean of squares of the angles between their orientations [rad]; None
     # where they have none.
     angle: float | None = None
+    at: tuple[int, int] | None = None  # shot and point of the largest; None of none
 
-    def with_reach(self, reach: float) -> float:
-        """Return the distance (rms) of what reaches so far from the points [m]."""
-        return self.rms + (0.0 if self.angle is None else self.angle * reach)
+    def error(self, measure: ErrorMeasure, reach: float) -> float:
+        """Return the distance of what reaches so far from the points [m]."""
+        own = self.largest if measure is ErrorMeasure.LARGEST else self.rms
+        return own + (0.0 if self.angle is None else self.angle * reach)
 
     def scaled(self, factor: float) -> Distances:
         """Return them times a factor."""
@@ -140,6 +184,7 @@ class Distances:
             self.median * factor,
             self.apart,
             None if self.angle is None else self.angle * factor,
+            self.at,
         )
 
 
@@ -154,7 +199,8 @@ def distances(truth: Sequence[Shot], shots: Sequence[Shot]) -> Distances:
     """
     parts, lone, count = [np.zeros(0)], 0, 0
     angles: list[FloatArray] = []
-    for one, other in zip(truth, shots, strict=True):
+    most, at = -1.0, None
+    for k, (one, other) in enumerate(zip(truth, shots, strict=True)):
         a, b = one.points, other.points
         turned, turns = one.orientations, other.orientations
         if one.ids is not None and other.ids is not None:
@@ -163,12 +209,17 @@ def distances(truth: Sequence[Shot], shots: Sequence[Shot]) -> Distances:
             )
             lone += len(a) + len(b) - 2 * len(i)
             count += len(a) + len(b) - len(i)
-            a, b = a[i], b[j]
+            a, b, points = a[i], b[j], i
             turned = None if turned is None else turned[i]
             turns = None if turns is None else turns[j]
         else:
             count += len(a)
-        parts.append(np.linalg.norm(b - a, axis=1))
+            points = np.arange(len(a))
+        gaps = np.linalg.norm(b - a, axis=1)
+        if len(gaps) and gaps.max() > most:
+            farthest = int(gaps.argmax())
+            most, at = float(gaps[farthest]), (k, int(points[farthest]))
+        parts.append(gaps)
         if turned is not None and turns is not None:
             angles.append(so3.angle_between(turned, turns))
     every: FloatArray = np.concatenate(parts)
@@ -176,7 +227,7 @@ def distances(truth: Sequence[Shot], shots: Sequence[Shot]) -> Distances:
     if not len(every):
         return Distances(0.0, 0.0, 0.0, lone / max(count, 1), angle)
     largest, median = float(every.max()), float(np.median(every))
-    return Distances(largest, _rms(every), median, lone / count, angle)
+    return Distances(largest, _rms(every), median, lone / count, angle, at)
 
 
 def _rms(values: FloatArray) -> float:
@@ -213,52 +264,3 @@ def order_seen(coarse: float, fine: float) -> float | None:
     if not (coarse > 0 and fine > 0 and math.isfinite(coarse / fine)):
         return None
     return math.log2(coarse / fine)
-
-
-@dataclass(frozen=True, slots=True)
-class Cost:
-    """What a setting takes, and what it gives."""
-
-    seconds: float  # wall time [s]
-    error: float  # [m]
-
-
-def best_of(costs: Sequence[Cost | None]) -> list[int]:
-    """Return which are as fast as any that is as exact; None did not work.
-
-    >>> best_of([Cost(1, 0.1), Cost(2, 0.01), Cost(3, 0.05), None])
-    [0, 1]
-    """
-    order = sorted(
-        (cost.seconds, cost.error, i) for i, cost in enumerate(costs) if cost
-    )
-    best, least = [], float("inf")
-    for _, error, i in order:
-        if error < least:
-            best.append(i)
-            least = error
-    return sorted(best)
-
-
-def recommended_of(
-    costs: Sequence[Cost | None], chosen: int, enough: float
-) -> int | None:
-    """Return what to take in place of the chosen setting; None where it is right.
-
-    Costs are None of what did not work; where the chosen one did not, an error that is
-    enough [m] will do.
-
-    >>> recommended_of([Cost(1, 0.1), Cost(0.4, 0.1), Cost(0.3, 0.2)], 0, 1.0)
-    1
-    """
-    now = costs[chosen]
-    within = enough if now is None else now.error * AS_GOOD
-    most = float("inf") if now is None else now.seconds * WORTH_IT
-    fit = [
-        (cost.seconds, i)
-        for i, cost in enumerate(costs)
-        if cost is not None and cost.error <= within and cost.seconds <= most
-    ]
-    if not fit and now is None:
-        fit = [(cost.error, i) for i, cost in enumerate(costs) if cost is not None]
-    return min(fit)[1] if fit else None

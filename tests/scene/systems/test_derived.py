@@ -13,15 +13,15 @@ from numpy.testing import assert_allclose, assert_array_equal
 from support.faults import raises
 from support.swing import Spec
 
-from animtool.cli.simulation_summary import simulation_table_text
 from animtool.core.errors import FormatError, OptionError, ToleranceError
 from animtool.documents.document import Document, read_document
 from animtool.motion.frames import TransformsFrame
+from animtool.report.tradeoffs import tradeoffs_text
 from animtool.scene.file.entries import Place, SceneSystem
 from animtool.scene.systems.derived import SystemSetup, read_spec
 from animtool.scene.systems.simulation import open_systems
 from animtool.scene.systems.trial import system_trials
-from animtool.scene.tables.simulation import SimulationTable
+from animtool.scene.tables.tradeoffs import Tradeoffs
 from animtool.sim.colliders import Plane
 from animtool.sim.trials.measuring import measure
 from animtool.sim.trials.trial import Setting
@@ -210,7 +210,7 @@ def test_copies_that_turn_in_place_are_measured_by_angles(tmp_path: Path) -> Non
     assert_allclose(angles[:-1], 4 * np.array(angles[1:]), rtol=0.1)
     # One step for all is fast, and yet no more exact.
     assert not any(row.recommended for row in rows if row.setting["step"] > 0.01)
-    text = simulation_table_text(SimulationTable(tmp_path, [table]))
+    text = tradeoffs_text(Tradeoffs(tmp_path, [table]))
     assert any("rms deg" in line for line in text)
 
 

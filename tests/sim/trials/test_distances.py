@@ -11,7 +11,13 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from animtool.maths import so3
-from animtool.sim.trials.trial import Shot, distances, extent_of, order_seen
+from animtool.sim.trials.trial import (
+    ErrorMeasure,
+    Shot,
+    distances,
+    extent_of,
+    order_seen,
+)
 
 POINTS = arrays(np.float64, (5, 3), elements=st.floats(-100, 100, width=32))
 
@@ -65,7 +71,7 @@ def test_orientations_differ_by_angles_told_by_ids() -> None:
     found = distances([one], [other])
     assert found.angle == pytest.approx(math.sqrt((0.3**2 + 0.4**2) / 2))
     assert found.scaled(2).angle == pytest.approx(2 * math.sqrt(0.125))
-    assert found.with_reach(2) == pytest.approx(2 * math.sqrt(0.125))
+    assert found.error(ErrorMeasure.RMS, 2) == pytest.approx(2 * math.sqrt(0.125))
     assert distances([Shot(points)], [Shot(points)]).angle is None
 
 
@@ -88,3 +94,14 @@ def test_the_order_is_the_power_of_the_step(order: float, fine: float) -> None:
 @pytest.mark.parametrize("gaps", [(0, 0), (1, 0), (0, 1), (math.nan, 1), (1e308, 0.1)])
 def test_without_a_difference_there_is_no_order(gaps: tuple[float, float]) -> None:
     assert order_seen(*gaps) is None
+
+
+def test_the_largest_is_at_its_shot_and_point() -> None:
+    still = Shot(np.zeros((3, 3)))
+    moved = Shot(np.array([[0, 0, 1.0], [0, 0, 4.0], [0, 0, 2.0]]))
+    assert distances([still, still, still], [still, moved, still]).at == (1, 1)
+    few = Shot(np.zeros((2, 3)), np.array([3, 9]))
+    other = Shot(np.array([[1.0, 0, 0], [0, 2.0, 0]]), np.array([4, 9]))
+    # Points that only one has are at no place of the other.
+    assert distances([few], [other]).at == (0, 1)
+    assert distances([few], [other]).error(ErrorMeasure.LARGEST, 5.0) == 2.0

@@ -5,7 +5,12 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from animtool.sim.trials.trial import Cost, best_of, recommended_of
+from animtool.sim.trials.costs import (
+    Cost,
+    best_of,
+    cheapest_of,
+    recommended_of,
+)
 
 COST = st.builds(Cost, st.integers(1, 6).map(float), st.integers(1, 6).map(float))
 COSTS = st.lists(st.none() | COST, min_size=1, max_size=8)
@@ -19,9 +24,9 @@ def test_the_best_are_those_that_none_beats(costs: list[Cost | None]) -> None:
             assert i not in best
             continue
         beaten = any(
-            other.seconds <= cost.seconds
+            other.value <= cost.value
             and other.error <= cost.error
-            and (other.seconds, other.error) != (cost.seconds, cost.error)
+            and (other.value, other.error) != (cost.value, cost.error)
             for other in costs
             if other
         )
@@ -42,7 +47,7 @@ def test_what_is_recommended_is_as_exact_and_faster(
     assert better is not None
     if now is not None:
         assert better.error <= now.error * 1.05
-        assert better.seconds < now.seconds
+        assert better.value < now.value
 
 
 def test_in_place_of_what_does_not_work_the_fastest_that_will_do() -> None:
@@ -51,3 +56,20 @@ def test_in_place_of_what_does_not_work_the_fastest_that_will_do() -> None:
     # Where none will do, the most exact.
     assert recommended_of(costs, 0, 1e-6) == 3
     assert recommended_of([None], 0, 1.0) is None
+
+
+def test_a_run_that_is_the_same_is_not_recommended_for_its_time() -> None:
+    now = Cost(1.0, 0.1, 30)
+    assert recommended_of([now, Cost(0.5, 0.1, 30)], 0, 1.0) is None
+    assert recommended_of([now, Cost(0.5, 0.1, 29)], 0, 1.0) == 1
+    # Where no work is counted, costs are all there is.
+    assert recommended_of([Cost(1.0, 0.1), Cost(0.5, 0.1)], 0, 1.0) == 1
+
+
+def test_the_cheapest_within_a_budget_by_work_where_costs_are_alike() -> None:
+    costs = [Cost(2, 0.01, 10), Cost(1.0, 0.1, 80), Cost(1.2, 0.1, 50), None]
+    assert cheapest_of(costs, 0.1) == 2
+    assert cheapest_of(costs, 0.05) == 0
+    assert cheapest_of(costs, 0.001) is None
+    # A quarter more time is the limit.
+    assert cheapest_of([Cost(1.0, 0.1, 80), Cost(1.26, 0.1, 50)], 0.1) == 0

@@ -1,0 +1,135 @@
+"""Curves of error against cost as SVG, on logarithmic axes."""
+
+from __future__ import annotations
+
+import html
+import math
+from collections.abc import Iterator, Sequence
+
+from animtool.core.record import dataclass
+from animtool.preview.work_precision import Panel, Point
+
+WIDTH, HEIGHT = 720, 400
+LEFT, RIGHT, TOP, BOTTOM = 70, 200, 14, 46
+# Told apart by people who do not see some colours too (Okabe and Ito, 2008).
+COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#777777")
+DASHES = ("", "6 3", "2 3")
+# Axes with fewer decades have lines at 2 and 5 too.
+FEW_DECADES = 3
+
+
+def plot_svg(panel: Panel) -> str:
+    """Return a panel as an SVG element; its colours but those of curves are the page's.
+
+    A line joins the settings of a method. Filled are those that none beats; around the
+    present one is a ring, and a square around the one to take.
+    """
+    curves = [(curve.name, _drawn(curve.points)) for curve in panel.curves]
+    curves = [(name, points) for name, points in curves if points]
+    label = html.escape(f"{panel.title}: {panel.error} against {panel.cost}")
+    parts = [
+        f'<svg viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="{label}" '
+        'xmlns="http://www.w3.org/2000/svg">'
+    ]
+    if not curves:
+        parts.append(f'<text x="{LEFT}" y="{HEIGHT / 2}">nothing to draw</text></svg>')
+        return "".join(parts)
+    every = [point for _, points in curves for point in points]
+    floor = [panel.floor] if panel.floor > 0 else []
+    x = _Axis.over([point.cost for point in every], LEFT, WIDTH - RIGHT)
+    y = _Axis.over([p.error for p in every] + floor, HEIGHT - BOTTOM, TOP)
+    parts += _grid(x, y, panel)
+    if floor:
+        parts.append(
+            f'<path class="floor" d="M{LEFT} {y(panel.floor):.1f}H{WIDTH - RIGHT}"/>'
+        )
+    front = sorted((p.cost, p.error) for p in every if p.best)
+    if len(front) > 1:
+        path = "L".join(f"{x(cost):.1f} {y(error):.1f}" for cost, error in front)
+        parts.append(f'<path class="front" d="M{path}"/>')
+    for i, (name, points) in enumerate(curves):
+        parts += _curve(i, name, points, x, y)
+    return "".join([*parts, "</svg>"])
+
+
+def _drawn(points: Sequence[Point]) -> list[Point]:
+    """Return the points that logarithmic axes have a place for."""
+    return [p for p in points if p.cost > 0 and p.error > 0 and math.isfinite(p.error)]
+
+
+@dataclass(frozen=True, slots=True)
+class _Axis:
+    """A logarithmic axis."""
+
+    low: float  # decimal exponent at its beginning
+    high: float  # at its end
+    begin: float  # where that is [px]
+    end: float
+
+    @staticmethod
+    def over(values: Sequence[float], begin: float, end: float) -> _Axis:
+        low, high = math.log10(min(values)), math.log10(max(values))
+        margin = max(0.05 * (high - low), 0.1)
+        return _Axis(low - margin, high + margin, begin, end)
+
+    def __call__(self, value: float) -> float:
+        """Return where a value is [px]."""
+        share = (math.log10(value) - self.low) / (self.high - self.low)
+        return self.begin + share * (self.end - self.begin)
+
+    def ticks(self) -> list[float]:
+        """Return values with a line, 20 at most."""
+        first, last = math.floor(self.low), math.ceil(self.high)
+        digits: tuple[int, ...] = (1, 2, 5) if last - first <= FEW_DECADES else (1,)
+        if self.high - self.low < 1:
+            digits = tuple(range(1, 10))
+        step = max(1, math.ceil((last - first) / 12))
+        values = [
+            digit * 10.0**exponent
+            for exponent in range(first, last + 1, step)
+            for digit in digits
+        ]
+        return [v for v in values if self.low <= math.log10(v) <= self.high]
+
+
+def _grid(x: _Axis, y: _Axis, panel: Panel) -> Iterator[str]:
+    bottom, right = HEIGHT - BOTTOM, WIDTH - RIGHT
+    for value in x.ticks():
+        at = x(value)
+        yield f'<path class="grid" d="M{at:.1f} {TOP}V{bottom}"/>'
+        yield f'<text x="{at:.1f}" y="{bottom + 16}" class="mid">{value:g}</text>'
+    for value in y.ticks():
+        at = y(value)
+        yield f'<path class="grid" d="M{LEFT} {at:.1f}H{right}"/>'
+        yield f'<text x="{LEFT - 6}" y="{at + 4:.1f}" class="end">{value:g}</text>'
+    middle = (LEFT + right) / 2
+    yield f'<text x="{middle}" y="{HEIGHT - 8}" class="mid">{html.escape(panel.cost)}'
+    yield "</text>"
+    up = (TOP + bottom) / 2
+    yield f'<text transform="translate(13 {up}) rotate(-90)" class="mid">'
+    yield f"{html.escape(panel.error)}</text>"
+
+
+def _curve(
+    i: int, name: str, points: Sequence[Point], x: _Axis, y: _Axis
+) -> Iterator[str]:
+    colour = COLOURS[i % len(COLOURS)]
+    dash = DASHES[i // len(COLOURS) % len(DASHES)]
+    style = f'stroke="{colour}"' + (f' stroke-dasharray="{dash}"' if dash else "")
+    path = "L".join(f"{x(p.cost):.1f} {y(p.error):.1f}" for p in points)
+    yield f'<path class="curve" {style} d="M{path}"/>'
+    for p in points:
+        cx, cy = f"{x(p.cost):.1f}", f"{y(p.error):.1f}"
+        fill = f'fill="{colour}"' if p.best else 'fill="none"'
+        size = 4.5 if p.best else 3
+        yield f'<circle cx="{cx}" cy="{cy}" r="{size}" stroke="{colour}" {fill}/>'
+        if p.chosen:
+            yield f'<circle cx="{cx}" cy="{cy}" r="9" class="ring"/>'
+        if p.recommended:
+            at = x(p.cost) - 9, y(p.error) - 9
+            yield f'<rect x="{at[0]:.1f}" y="{at[1]:.1f}" width="18" height="18" '
+            yield 'class="ring"/>'
+    top = TOP + 10 + 16 * i
+    left = WIDTH - RIGHT + 14
+    yield f'<path class="curve" {style} d="M{left} {top - 4}h22"/>'
+    yield f'<text x="{left + 28}" y="{top}">{html.escape(name)}</text>'

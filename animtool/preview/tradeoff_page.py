@@ -1,0 +1,111 @@
+"""A page of time against error: plots, tables, and two settings beside each other."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from animtool.core.arguments import Calling, in_python, worded
+from animtool.core.files.output import check_outputs, write_parts
+from animtool.preview.build import make_page
+from animtool.preview.options import PreviewOptions
+from animtool.preview.svg_plot import plot_svg
+from animtool.preview.work_precision import panels_of
+from animtool.report.tradeoffs import LEGEND, table_parts
+from animtool.scene.tables.tradeoffs import Pair, Tradeoffs
+
+# Between two figures, over their size.
+BESIDE = 0.6
+STYLE = Path(__file__).with_name("tradeoffs.css")
+_POLICY = (
+    "default-src 'none'; script-src 'unsafe-inline' blob:; style-src 'unsafe-inline'; "
+    "img-src data: blob:; frame-src 'self' about:; base-uri 'none'; form-action 'none'"
+)
+
+
+def write_tradeoff_page(
+    report: Tradeoffs,
+    output: Path,
+    *,
+    overwrite: bool = False,
+    calling: Calling = in_python,
+) -> int:
+    """Write a page of a report; return its size [bytes].
+
+    Its pairs are read now, and shown beside each other.
+
+    Args:
+        report: What was measured.
+        output: The page.
+        overwrite: Replace a page that exists.
+        calling: What its texts call arguments.
+
+    Raises:
+        OptionError: The page exists (OUT001).
+        OutputError: It cannot be written.
+    """
+    check_outputs([output], [report.source], overwrite=overwrite)
+    write_parts(output, (part.encode() for part in page_parts(report, calling)))
+    return output.stat().st_size
+
+
+def page_parts(report: Tradeoffs, calling: Calling = in_python) -> Iterator[str]:
+    """Yield the page, part by part; it asks for nothing beside itself."""
+    style = STYLE.read_text("utf-8")
+    title = html.escape(f"{report.source.name}: time against error")
+    yield (
+        '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+        f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}">\n'
+        f"<title>{title}</title>\n<style>{style}</style>\n</head>\n<body>\n"
+        f"<h1>{title}</h1>\n"
+    )
+    yield f'<p class="soft">{html.escape(LEGEND)}</p>\n'
+    for notice in report.notices:
+        message = worded(notice.message, calling)
+        words = f"{notice.severity}: {notice.code} {message}"
+        yield f"<p>{html.escape(words)}</p>\n"
+    pairs = {pair.table: pair for pair in report.pairs}
+    panels = panels_of(report.tables)
+    for i, (table, panel) in enumerate(zip(report.tables, panels, strict=True)):
+        parts = table_parts(table)
+        yield f"<h2>{html.escape(parts.head[0])}</h2>\n"
+        for line in parts.head[1:]:
+            yield f'<p class="soft">{html.escape(line.strip())}</p>\n'
+        yield f"<figure>{plot_svg(panel)}</figure>\n"
+        for line in parts.advice:
+            yield f"<p>{html.escape(line.strip())}</p>\n"
+        if table.lines:
+            lines = worded("\n".join(table.lines), calling)
+            yield f"<pre>{html.escape(lines)}</pre>\n"
+        yield from _table(parts.rows, parts.left, parts.classes)
+        if i in pairs:
+            yield from _beside(pairs[i])
+    yield "</body>\n</html>\n"
+
+
+def _table(
+    rows: Sequence[Sequence[str]], left: set[int], classes: Sequence[str]
+) -> Iterator[str]:
+    yield '<div class="wide"><table>\n'
+    for k, row in enumerate(rows):
+        cell = "td" if k else "th"
+        kind = f' class="{classes[k - 1]}"' if k and classes[k - 1] else ""
+        yield f"<tr{kind}>"
+        for j, text in enumerate(row):
+            side = ' class="left"' if j in left else ""
+            yield f"<{cell}{side}>{html.escape(text)}</{cell}>"
+        yield "</tr>\n"
+    yield "</table></div>\n"
+
+
+def _beside(pair: Pair) -> Iterator[str]:
+    """Yield a viewer of two settings, which stands in a frame of its own."""
+    present, other = (html.escape(str(setting)) for setting in pair.settings)
+    yield f"<p>Beside each other: {present} (present), and {other}.</p>\n"
+    page = make_page([*pair.files], PreviewOptions(findings=False))
+    for i, take in enumerate(page.manifest["takes"]):
+        take["offset"] = [i * BESIDE * pair.size, 0.0, 0.0]
+    inside = html.escape(page.html(), quote=True)
+    yield f'<iframe title="{present}, {other}" srcdoc="{inside}"></iframe>\n'

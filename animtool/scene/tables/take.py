@@ -1,0 +1,277 @@
+"""Ways to write a take: sample rates, samples left out, keys."""
+
+from __future__ import annotations
+
+import math
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+
+from animtool.clip.reduction.points import SHELL, attached_points
+from animtool.clip.reduction.reduce import reduce_motion
+from animtool.clip.reduction.tolerance import KEY_TOLERANCE
+from animtool.core.arguments import argument
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault, OptionError
+from animtool.core.names import is_named
+from animtool.core.record import dataclass
+from animtool.core.units import parse_length
+from animtool.motion.motion import Motion
+from animtool.motion.take import Take, TakeStream
+from animtool.rig.kinematics import WorldTransforms, forward, rest_size
+from animtool.rig.skeleton import Rig
+from animtool.scene.bake.bake import run_stage
+from animtool.scene.bake.options import BakeOptions
+from animtool.scene.bake.plan import plan_stage
+from animtool.scene.bake.prims import BakePlan
+from animtool.scene.bake.reading import Source, source_file
+from animtool.scene.sources.open import OpenTake, source_stem
+from animtool.sim.trials.trial import (
+    CostMeasure,
+    Distances,
+    ErrorMeasure,
+    Outcome,
+    Setting,
+    Shot,
+    Trial,
+    extent_of,
+)
+from animtool.usd.rigs.skinned import played_world
+
+# Sample rates over the source's own. A source of samples is exact at its own.
+CURVE_RATES = (Fraction(1, 4), Fraction(1, 2), Fraction(1), Fraction(2), Fraction(4))
+SAMPLE_RATES = (Fraction(1, 8), Fraction(1, 4), Fraction(1, 2), Fraction(1))
+# Tolerances over the size of the skeleton, rounded down to a power of ten.
+TOLERANCES = (1e-2, 1e-3, 1e-4, 1e-5)
+# Instants between two frames of a curve; samples at the highest rate have one between.
+FINE = 8
+# UsdSkel plays so many instants in about a second, and so many points are compared.
+MAX_INSTANTS, MAX_COMPARED = 4000, 2_000_000
+
+RATE, SAMPLES, KEYS = "rate", "samples", "keys"
+SOURCE = Setting("source", ())  # what the source has, in float64
+
+
+def take_trials(source: Source, options: BakeOptions | None = None) -> list[Trial]:
+    """Return ways to write a take in USD, and ways to write it as keys.
+
+    Stages are written into a temporary folder and evaluated by UsdSkel, rounding and
+    interpolation included. A clip is compared with its curves between the frames, a
+    source of samples with these.
+
+    Raises:
+        FormatError: The source is malformed.
+        OptionError: It is simulated or written as points (SCN062, CLI002).
+    """
+    options = options or BakeOptions()
+    plan = plan_stage(source, None, options)
+    if plan.options.deform:
+        message = (
+            f"{argument('table')} measures joints, and the scene writes deformed points"
+        )
+        raise OptionError(Fault("CLI002", message, str(source_file(source))))
+    if not plan.takes:
+        message = f"is simulated, and {argument('table')} measures joints"
+        raise OptionError(Fault("SCN062", message, str(source_file(source))))
+    stream = plan.takes[0].stream
+    curved = stream.curve is not None and not stream.altered
+    take = stream.collect()
+    known = _Known.of(take, stream)
+    path = source_file(source)
+
+    def opened() -> Source:
+        # What passes made is made once.
+        return source if curved else OpenTake(path, TakeStream.of(take))
+
+    return [
+        _samples(path, opened, plan, take, known, curved=curved),
+        _keys(path, take, dict(options.reduce_at)),
+    ]
+
+
+@dataclass(frozen=True, slots=True)
+class _Known:
+    """Where the points of a take are at some instants [s]."""
+
+    rig: Rig
+    seconds: FloatArray
+    shots: list[Shot]
+
+    @staticmethod
+    def of(take: Take, stream: TakeStream) -> _Known:
+        clock = take.clock
+        curve = None if stream.altered else stream.curve
+        per_frame = FINE if curve is not None else 1
+        count = (clock.count - 1) * per_frame + 1
+        points = attached_points(take.rig, SHELL)[..., 0].size
+        most = min(count, MAX_INSTANTS, max(2, MAX_COMPARED // max(points, 1)))
+        picked = np.unique(np.linspace(0, count - 1, most).astype(np.int64))
+        frames = picked / per_frame
+        motion: Motion
+        if curve is None:
+            motion = take.motion.select(picked)
+        else:
+            motion = curve(float(clock.start) + frames * float(clock.step))
+        shots = _shots(take.rig, forward(take.rig, *motion.dense()))
+        return _Known(take.rig, frames / float(clock.rate), shots)
+
+    def where(self, shot: int, point: int) -> str:
+        """Return the joint that carries a point, and when."""
+        each = len(self.shots[shot].points) // max(1, len(self.rig.joints))
+        return f"{self.rig.names[point // each]} at {self.seconds[shot]:.2f} s"
+
+
+def _shots(rig: Rig, world: WorldTransforms) -> list[Shot]:
+    """Return the points that joints carry, for each instant."""
+    attached = attached_points(rig, SHELL)
+    return [
+        Shot(
+            (place[:, None] + np.einsum("jab,jpb->jpa", turn, attached)).reshape(-1, 3)
+        )
+        for place, turn in zip(world.positions, world.linear, strict=True)
+    ]
+
+
+def _tolerances(rig: Rig) -> list[float]:
+    size = rest_size(rig) or 1.0
+    scale = 10.0 ** math.floor(math.log10(size))
+    return [float(f"{share * scale:.12g}") for share in TOLERANCES]
+
+
+def _samples(
+    path: Path,
+    opened: Callable[[], Source],
+    plan: BakePlan,
+    take: Take,
+    known: _Known,
+    *,
+    curved: bool,
+) -> Trial:
+    """Return ways to write a take's samples in USD."""
+    given = plan.options
+    plain = BakeOptions(source=given.source, to_up=given.to_up)
+    own = take.clock.rate if given.fps is None else given.fps
+    rates = [own * share for share in (CURVE_RATES if curved else SAMPLE_RATES)]
+    by_label = {float(rate): rate for rate in rates}
+
+    def options_of(setting: Setting) -> BakeOptions:
+        named = dict(setting.options)
+        if setting.method == RATE:
+            return replace(plain, fps=by_label[named["fps"]])
+        return replace(plain, fps=given.fps, reduce=named["reduce"])
+
+    def run(setting: Setting) -> Outcome:
+        if setting == SOURCE:
+            return Outcome(0.0, take.clock.count, known.shots)
+        with _folder() as folder:
+            began = time.perf_counter()
+            report = _bake(opened(), folder / "take.usdc", options_of(setting))
+            seconds = time.perf_counter() - began
+            codes = float(report.start) + known.seconds * float(report.fps)
+            world = played_world(folder / "take.usdc", codes)
+        shots = _shots(known.rig, world)
+        return Outcome(seconds, report.samples, shots, bytes=report.bytes)
+
+    chosen = (
+        Setting.of(RATE, fps=float(own))
+        if given.reduce is None
+        else Setting.of(SAMPLES, reduce=given.reduce)
+    )
+    settings = [Setting.of(RATE, fps=float(rate)) for rate in rates]
+    tolerances = {*_tolerances(take.rig), *filter(None, [given.reduce])}
+    settings += [Setting.of(SAMPLES, reduce=t) for t in sorted(tolerances)[::-1]]
+    return Trial(
+        path.name,
+        "samples in USD",
+        float(take.clock.duration),
+        chosen,
+        lambda: settings,
+        lambda: [[SOURCE]],
+        run,
+        ErrorMeasure.LARGEST,
+        CostMeasure.BYTES,
+        "samples",
+        where=known.where,
+        lines=lambda setting: [_asked(path, setting, by_label)],
+        write=lambda setting, output: _write(opened(), output, options_of(setting)),
+        size=extent_of(known.shots[:1]),
+    )
+
+
+def _asked(path: Path, setting: Setting, rates: Mapping[float, Fraction]) -> str:
+    """Return how a scene's output asks for a setting, or a command of another file."""
+    if setting.method == RATE:
+        key, value = "fps", str(rates[setting["fps"]])
+    else:
+        key, value = "reduce", f"{setting['reduce'] * 1000:g}mm"
+    keys = setting.method == KEYS
+    if is_named(path, "scene"):
+        file = f"file: {source_stem(path)}.clip.yaml, " if keys else ""
+        return f"output: {{{file}{key}: {value}}}"
+    clip = f"{source_stem(path)}.reduced.clip.yaml"
+    command = f"convert {path.name} {clip}" if keys else f"bake {path.name}"
+    return f"animtool {command} {argument(key)} {value}"
+
+
+@dataclass(frozen=True, slots=True)
+class _Baked:
+    """A stage that was written."""
+
+    samples: int
+    bytes: int
+    start: Fraction
+    fps: Fraction
+
+
+def _bake(source: Source, output: Path, options: BakeOptions) -> _Baked:
+    plan = plan_stage(source, output, replace(options, overwrite=True))
+    # What is simulated beside the take has no joints to measure.
+    result = run_stage(replace(plan, prims=plan.prims[:1], watch=None)).result
+    return _Baked(result.samples, result.bytes, plan.start, plan.fps)
+
+
+def _write(source: Source, output: Path, options: BakeOptions) -> None:
+    _bake(source, output, options)
+
+
+@contextmanager
+def _folder() -> Iterator[Path]:
+    with tempfile.TemporaryDirectory() as folder:
+        yield Path(folder)
+
+
+def _keys(path: Path, take: Take, others: dict[str, float]) -> Trial:
+    """Return ways to write a take as keys of a clip."""
+
+    def run(setting: Setting) -> Outcome:
+        if setting == SOURCE:
+            return Outcome(0.0, take.clock.count, [Shot(np.zeros((0, 3)))])
+        began = time.perf_counter()
+        reduction = reduce_motion(take, setting["reduce"], joint_tolerances=others)
+        seconds = time.perf_counter() - began
+        at = reduction.frame / float(take.clock.rate)
+        error = Distances(reduction.error, reduction.error, reduction.error)
+        where = f"{reduction.joint} at {at:.2f} s"
+        return Outcome(seconds, reduction.keys, [], error=error, worst=where)
+
+    usual = parse_length(KEY_TOLERANCE)
+    tolerances = sorted({*_tolerances(take.rig), usual}, reverse=True)
+    return Trial(
+        path.name,
+        "keys of a clip",
+        float(take.clock.duration),
+        Setting.of(KEYS, reduce=usual),
+        lambda: [Setting.of(KEYS, reduce=each) for each in tolerances],
+        lambda: [[SOURCE]],
+        run,
+        ErrorMeasure.LARGEST,
+        CostMeasure.STEPS,
+        "keys",
+        lines=lambda setting: [_asked(path, setting, {})],
+    )

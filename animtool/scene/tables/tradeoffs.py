@@ -1,0 +1,191 @@
+"""Time against error of what an input can trade, by one runner for all of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import field, replace
+from pathlib import Path
+
+from animtool.core.errors import Fault, OptionError, Severity
+from animtool.core.quantities import length_text
+from animtool.core.record import dataclass
+from animtool.scene.bake.options import BakeOptions
+from animtool.scene.bake.progress import Progress, share_of
+from animtool.scene.bake.reading import Source, source_file
+from animtool.scene.file.entries import Place
+from animtool.scene.scene import Scene
+from animtool.scene.solves.ik import IkJob
+from animtool.scene.tables.ik import job_trial
+from animtool.scene.tables.simulation import simulation_trials
+from animtool.scene.tables.take import take_trials
+from animtool.sim.trials.measuring import TrialRow, TrialTable, measure
+from animtool.sim.trials.trial import Setting, Trial
+
+
+@dataclass(frozen=True, slots=True)
+class Tradeoffs:
+    """What an input can trade, one table for each thing that is made of it.
+
+    Attributes:
+        source: The file.
+        tables: In the order in which a bake makes them.
+        notices: What is odd about them.
+        budget: The largest error that will do [m]; None asks for none.
+    """
+
+    source: Path
+    tables: list[TrialTable]
+    notices: list[Fault] = field(default_factory=list)
+    budget: float | None = None
+    pairs: list[Pair] = field(default_factory=list)
+
+
+@dataclass(frozen=True, slots=True)
+class Pair:
+    """Two settings of a table as stages, to be looked at beside each other."""
+
+    table: int  # index of the table
+    settings: tuple[Setting, Setting]  # the present one, and another
+    files: tuple[Path, Path]
+    size: float  # of the figure in them [m]; 0 is not known
+
+
+def measure_tradeoffs(
+    source: Source,
+    options: BakeOptions | None = None,
+    *,
+    budget: float | None = None,
+    folder: Path | None = None,
+    progress: Progress = None,
+) -> Tradeoffs:
+    """Measure time against error of all that an input can trade.
+
+    That is the integrator, step and tolerance of what a scene simulates, method and
+    tolerance of what it brings to targets, and the sample rate, the thinning and the
+    keys of the take that it writes. Each is compared with its finest setting.
+
+    Args:
+        source: A scene, or a file of motion.
+        options: Of the bake.
+        budget: The largest error that will do [m]: the cheapest setting within is
+            recommended. None recommends what is as exact as the present one.
+        folder: Where stages of two settings of each table are written, to be looked at:
+            the present one, and the recommended or the next cheaper one. None writes
+            none.
+        progress: Called with the share done, 0 to 1.
+
+    Raises:
+        FormatError: The source is malformed, or a pass cannot be applied to it.
+        OptionError: An option makes no sense, or nothing can be traded (SCN071).
+    """
+    trials = _trials(source, options)
+    report = _measured(source_file(source), trials, budget, progress)
+    if folder is None:
+        return report
+    return replace(report, pairs=_pairs(trials, report.tables, folder))
+
+
+def simulation_tradeoffs(
+    scene: Scene, options: BakeOptions | None = None, *, progress: Progress = None
+) -> Tradeoffs:
+    """Measure what a scene simulates and solves, as `measure_tradeoffs` does."""
+    trials = simulation_trials(scene, options)
+    return _measured(scene.path, trials, None, progress)
+
+
+def take_tradeoffs(
+    source: Source, options: BakeOptions | None = None, *, progress: Progress = None
+) -> Tradeoffs:
+    """Measure ways to write the take of a source, as `measure_tradeoffs` does."""
+    trials: list[tuple[Place | None, Trial]] = [
+        (None, trial) for trial in take_trials(source, options)
+    ]
+    return _measured(source_file(source), trials, None, progress)
+
+
+def ik_tradeoffs(job: IkJob, *, progress: Progress = None) -> Tradeoffs:
+    """Measure ways to solve a job, as `measure_tradeoffs` does; nothing is written."""
+    return _measured(job.targets, [(None, job_trial(job))], None, progress)
+
+
+def _trials(
+    source: Source, options: BakeOptions | None
+) -> Sequence[tuple[Place | None, Trial]]:
+    trials: list[tuple[Place | None, Trial]] = []
+    if isinstance(source, Scene):
+        trials += simulation_trials(source, options)
+        if not source.sources or source.outputs[0].bake.deform:
+            return trials
+    return trials + [(None, trial) for trial in take_trials(source, options)]
+
+
+def _measured(
+    path: Path,
+    trials: Sequence[tuple[Place | None, Trial]],
+    budget: float | None,
+    progress: Progress,
+) -> Tradeoffs:
+    if not trials:
+        message = "simulates nothing that could be measured"
+        hint = "it has no systems, and no simulate pass with what to move"
+        raise OptionError(Fault("SCN071", message, str(path), (), hint))
+    tables = []
+    for i, (place, trial) in enumerate(trials):
+        shown = share_of(progress, i, len(trials))
+        if place is None:
+            tables.append(measure(trial, budget=budget, progress=shown))
+            continue
+        with place.located():
+            table = measure(trial, budget=budget, progress=shown)
+        notices = [place.put(notice) for notice in table.notices]
+        tables.append(replace(table, notices=notices))
+    notices = [notice for table in tables for notice in table.notices]
+    return Tradeoffs(path, tables, notices + _beyond(path, tables), budget)
+
+
+def _pairs(
+    trials: Sequence[tuple[Place | None, Trial]],
+    tables: Sequence[TrialTable],
+    folder: Path,
+) -> list[Pair]:
+    """Write two settings of each table, where they can be looked at."""
+    pairs = []
+    for i, ((_, trial), table) in enumerate(zip(trials, tables, strict=True)):
+        other = _other(table)
+        if trial.write is None or other is None:
+            continue
+        settings = (table.chosen.setting, other.setting)
+        names = (f"table{i + 1}_present.usdc", f"table{i + 1}_other.usdc")
+        files = (folder / names[0], folder / names[1])
+        for setting, file in zip(settings, files, strict=True):
+            trial.write(setting, file)
+        pairs.append(Pair(i, settings, files, trial.size))
+    return pairs
+
+
+def _other(table: TrialTable) -> TrialRow | None:
+    """Return what to look at beside the chosen setting; None where there is nothing."""
+    better = table.recommended
+    if better is not None and not better.chosen:
+        return better
+    works = [row for row in table.rows if row.error is not None and not row.chosen]
+    return next(iter([row for row in works if row.best] or works), None)
+
+
+def _beyond(path: Path, tables: Sequence[TrialTable]) -> list[Fault]:
+    """Return a warning for each table in which nothing keeps the budget (SIM176)."""
+    faults = []
+    for table in tables:
+        if table.budget is None or table.recommended is not None:
+            continue
+        if table.reference is None or table.reference.sensitive:
+            continue
+        errors = [row.error.error(table.error, 0.0) for row in table.rows if row.error]
+        least = length_text(min(errors, default=float("inf")))
+        message = (
+            f"{table.name}, {table.kind}: nothing tried keeps "
+            f"{length_text(table.budget)}: the least {table.error} error is {least}"
+        )
+        hint = "ask for more, or try finer settings than the file has"
+        faults.append(Fault("SIM176", message, str(path), (), hint, Severity.WARNING))
+    return faults
