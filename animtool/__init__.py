@@ -52,6 +52,7 @@ if TYPE_CHECKING:
     from animtool.scene.sources.open import OpenTake as OpenTake
     from animtool.scene.sources.open import SourceOptions as SourceOptions
     from animtool.scene.sources.open import open_source as open_source
+    from animtool.scene.tables.tradeoffs import measure_tradeoffs as measure_tradeoffs
     from animtool.validation.options import ValidateOptions as ValidateOptions
     from animtool.validation.run import Finding as Finding
     from animtool.validation.run import validate as validate
@@ -84,6 +85,7 @@ _PUBLIC = {
     "ik": "animtool.ik",
     "load_batch": "animtool.batch.file",
     "load_scene": "animtool.scene.file.read",
+    "measure_tradeoffs": "animtool.scene.tables.tradeoffs",
     "open_source": "animtool.scene.sources.open",
     "read_bvh": "animtool.formats.bvh",
     "run_batch": "animtool.batch.run",

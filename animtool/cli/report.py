@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -28,6 +28,11 @@ from animtool.cli.outputs import say_tradeoffs
 from animtool.core.errors import counted
 from animtool.scene.bake.options import BakeOptions
 
+if TYPE_CHECKING:
+    from animtool.scene.scene import Scene
+    from animtool.scene.tables.tradeoffs import Tradeoffs
+
+_OF_OUTPUT = ("fps", "reduce", "frame_range")
 _OF_SOURCE = ("rig", "prim_path", "take", "positions", "template", "cameras")
 
 
@@ -37,9 +42,15 @@ Examples:
   animtool report shot.scene.yaml
   animtool report shot.scene.yaml --budget 0.5mm
   animtool report walk.bvh -o walk.html
-  animtool report wave.clip.yaml --rig hero.rig.yaml --format json"""
+  animtool report wave.clip.yaml --rig hero.rig.yaml --format json
+  animtool report --suite"""
 )
-@click.argument("source", type=INPUT)
+@click.argument("source", type=INPUT, required=False)
+@click.option(
+    "--suite",
+    is_flag=True,
+    help="In place of SOURCE, measure animtool's own examples on this machine.",
+)
 @click.option(
     "--budget",
     type=LENGTH,
@@ -55,7 +66,7 @@ Examples:
     help="Write a page too (.html): plots, tables, and two settings that play beside "
     "each other.",
 )
-@record_option(BakeOptions, "fps", "reduce", "frame_range")
+@record_option(BakeOptions, *_OF_OUTPUT)
 @set_option
 @source_options
 @source_option(*_OF_SOURCE)
@@ -64,46 +75,61 @@ Examples:
 @common_options
 @click.pass_obj
 def report(
-    console: Console, /, source: Path, output: Path | None, **params: Any
+    console: Console, /, source: Path | None, output: Path | None, **params: Any
 ) -> None:
     """Measure time against error of what SOURCE can trade.
 
     Of a scene, the integrators, steps and tolerances of what it simulates and solves;
     of what has joints, sample rates, samples left out and keys too. Each setting is
-    compared with the finest, which is compared with one twice as fine: that tells what
+    compared with the finest, which is compared with one half as fine: that tells what
     it is worth. No result is written.
     """
-    from animtool.core.files.output import check_outputs
-    from animtool.preview.tradeoff_page import write_tradeoff_page
-    from animtool.scene.tables.tradeoffs import measure_tradeoffs
-
-    (opened,) = opened_sources([source], dict(params["variables"]))
-    if output is not None:
-        if output.suffix.lower() != ".html":
-            raise click.UsageError(f"The page is HTML: name it {output.stem}.html.")
-        inputs = [opened] if isinstance(opened, Path) else opened.inputs
-        check_outputs([output], list(inputs), overwrite=params["overwrite"])
-    own = source_options_record(params, *_OF_SOURCE)
-    options = BakeOptions(source=own, **read_values(BakeOptions, _written(params)))
-    budget = params["budget"]
-    with tempfile.TemporaryDirectory() as name:
-        folder = None if output is None else Path(name)
-        with console.progress(f"measure {source.name}") as progress:
-            found = measure_tradeoffs(
-                opened, options, budget=budget, folder=folder, progress=progress
-            )
+    if (source is None) is not params["suite"]:
+        raise click.UsageError("Give a SOURCE, or --suite.")
+    if output is not None and output.suffix.lower() != ".html":
+        raise click.UsageError(f"The page is HTML: name it {output.stem}.html.")
+    with tempfile.TemporaryDirectory() as folder:
+        found = _measured(console, source, output, params, Path(folder))
         say_tradeoffs(console, found, params["report_format"])
-        if output is not None:
-            size = write_tradeoff_page(
-                found,
-                output,
-                overwrite=params["overwrite"],
-                calling=console.calling,
-            )
-            tables = counted(len(found.tables), "table")
-            console.say(f"{output}: {tables}, {size / 1e3:.0f} kB")
+        if output is None:
+            return
+        from animtool.preview.tradeoff_page import write_tradeoff_page
+
+        calling, overwrite = console.calling, params["overwrite"]
+        size = write_tradeoff_page(found, output, overwrite=overwrite, calling=calling)
+        tables = counted(len(found.tables), "table")
+        console.say(f"{output}: {tables}, {size / 1e3:.0f} kB")
 
 
-def _written(params: dict[str, Any]) -> dict[str, Any]:
-    """Return what is asked of the output."""
-    return {name: params[name] for name in ("fps", "reduce", "frame_range")}
+def _measured(
+    console: Console,
+    source: Path | None,
+    output: Path | None,
+    params: dict[str, Any],
+    folder: Path,
+) -> Tradeoffs:
+    """Measure, with stages to look at in a folder where a page is asked for."""
+    from animtool.core.files.output import check_outputs
+    from animtool.scene.tables.tradeoffs import measure_tradeoffs, suite_tradeoffs
+
+    budget, inputs = params["budget"], []
+    opened: Path | Scene | None = None
+    if source is not None:
+        (opened,) = opened_sources([source], dict(params["variables"]))
+        inputs = [opened] if isinstance(opened, Path) else list(opened.inputs)
+    if output is not None:
+        check_outputs([output], inputs, overwrite=params["overwrite"])
+    name = "the suite" if source is None else source.name
+    with console.progress(f"measure {name}") as progress:
+        if opened is None:
+            return suite_tradeoffs(budget=budget, progress=progress)
+        own = source_options_record(params, *_OF_SOURCE)
+        values = {name: params[name] for name in _OF_OUTPUT}
+        options = BakeOptions(source=own, **read_values(BakeOptions, values))
+        return measure_tradeoffs(
+            opened,
+            options,
+            budget=budget,
+            folder=None if output is None else folder,
+            progress=progress,
+        )

@@ -46,11 +46,15 @@ MODELS = {
     "scene": "animtool.scene.file.schema:whole_model",
     "targets": "animtool.ik.schema:TargetsModel",
 }
+# What commands print as JSON, likewise.
+RESULTS = {"report": "animtool.report.tradeoffs_schema:TradeoffsModel"}
 
 
 def model_of(kind: str) -> type[BaseModel]:
     """Return the model of a kind of file."""
-    found = cast("Callable[[], type[BaseModel]]", load_object(MODELS[kind]))
+    found = cast(
+        "Callable[[], type[BaseModel]]", load_object({**MODELS, **RESULTS}[kind])
+    )
     return found if isinstance(found, type) else found()
 
 
@@ -60,11 +64,11 @@ Examples:
   animtool schema rig > rig.schema.json
   animtool schema clip"""
 )
-@click.argument("kind", type=click.Choice(sorted(MODELS)))
+@click.argument("kind", type=click.Choice(sorted({*MODELS, *RESULTS})))
 @common_options
 @click.pass_obj
 def schema(console: Console, /, kind: str) -> None:
-    """Print the JSON Schema of a KIND of file, for editors.
+    """Print the JSON Schema of a KIND of file, for editors, or of a JSON report.
 
     An editor that knows it completes keys and marks faults while one writes. In VS
     Code, with the YAML extension, it goes under "yaml.schemas".

@@ -10,14 +10,14 @@ from animtool.core.arguments import Calling, in_python, worded
 from animtool.core.files.output import check_outputs, write_parts
 from animtool.preview.build import make_page
 from animtool.preview.options import PreviewOptions
+from animtool.preview.page import viewer_text
 from animtool.preview.svg_plot import plot_svg
 from animtool.preview.work_precision import panels_of
 from animtool.report.tradeoffs import LEGEND, table_parts
 from animtool.scene.tables.tradeoffs import Pair, Tradeoffs
 
 # Between two figures, over their size.
-BESIDE = 0.6
-STYLE = Path(__file__).with_name("tradeoffs.css")
+GAP = 0.6
 _POLICY = (
     "default-src 'none'; script-src 'unsafe-inline' blob:; style-src 'unsafe-inline'; "
     "img-src data: blob:; frame-src 'self' about:; base-uri 'none'; form-action 'none'"
@@ -52,7 +52,7 @@ def write_tradeoff_page(
 
 def page_parts(report: Tradeoffs, calling: Calling = in_python) -> Iterator[str]:
     """Yield the page, part by part; it asks for nothing beside itself."""
-    style = STYLE.read_text("utf-8")
+    style = viewer_text("tradeoffs.css")
     title = html.escape(f"{report.source.name}: time against error")
     yield (
         '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
@@ -81,7 +81,7 @@ def page_parts(report: Tradeoffs, calling: Calling = in_python) -> Iterator[str]
             yield f"<pre>{html.escape(lines)}</pre>\n"
         yield from _table(parts.rows, parts.left, parts.classes)
         if i in pairs:
-            yield from _beside(pairs[i])
+            yield from _viewer(pairs[i])
     yield "</body>\n</html>\n"
 
 
@@ -100,12 +100,12 @@ def _table(
     yield "</table></div>\n"
 
 
-def _beside(pair: Pair) -> Iterator[str]:
+def _viewer(pair: Pair) -> Iterator[str]:
     """Yield a viewer of two settings, which stands in a frame of its own."""
     present, other = (html.escape(str(setting)) for setting in pair.settings)
     yield f"<p>Beside each other: {present} (present), and {other}.</p>\n"
     page = make_page([*pair.files], PreviewOptions(findings=False))
     for i, take in enumerate(page.manifest["takes"]):
-        take["offset"] = [i * BESIDE * pair.size, 0.0, 0.0]
+        take["offset"] = [i * GAP * pair.size, 0.0, 0.0]
     inside = html.escape(page.html(), quote=True)
     yield f'<iframe title="{present}, {other}" srcdoc="{inside}"></iframe>\n'

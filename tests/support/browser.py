@@ -118,6 +118,15 @@ class Browser:
     def __init__(self, chromium: Any) -> None:
         self._chromium = chromium
 
+    @contextmanager
+    def blank(self) -> Iterator[Any]:
+        """Give a page that shows nothing yet."""
+        context = self._chromium.new_context()
+        try:
+            yield context.new_page()
+        finally:
+            context.close()
+
     def open(
         self,
         path: Path,

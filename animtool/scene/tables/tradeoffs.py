@@ -7,12 +7,14 @@ from dataclasses import field, replace
 from pathlib import Path
 
 from animtool.core.errors import Fault, OptionError, Severity
+from animtool.core.names import is_named
 from animtool.core.quantities import length_text
 from animtool.core.record import dataclass
 from animtool.scene.bake.options import BakeOptions
 from animtool.scene.bake.progress import Progress, share_of
 from animtool.scene.bake.reading import Source, source_file
 from animtool.scene.file.entries import Place
+from animtool.scene.file.read import load_scene
 from animtool.scene.scene import Scene
 from animtool.scene.solves.ik import IkJob
 from animtool.scene.tables.ik import job_trial
@@ -20,6 +22,9 @@ from animtool.scene.tables.simulation import simulation_trials
 from animtool.scene.tables.take import take_trials
 from animtool.sim.trials.measuring import TrialRow, TrialTable, measure
 from animtool.sim.trials.trial import Setting, Trial
+
+SUITE_FOLDER = Path(__file__).with_name("suite")
+SUITE = ("orbits.scene.yaml", "rope.scene.yaml", "reach.scene.yaml", "arm.clip.yaml")
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,6 +88,26 @@ def measure_tradeoffs(
     if folder is None:
         return report
     return replace(report, pairs=_pairs(trials, report.tables, folder))
+
+
+def suite_tradeoffs(
+    *, budget: float | None = None, progress: Progress = None
+) -> Tradeoffs:
+    """Measure animtool's own examples, as `measure_tradeoffs` does its source.
+
+    They are comets by each integrator, a rope by each solver, an arm that reaches by
+    each method, and a wave of it as samples and keys: what this machine makes of them.
+    """
+    tables: list[TrialTable] = []
+    notices: list[Fault] = []
+    for i, name in enumerate(SUITE):
+        path = SUITE_FOLDER / name
+        source = load_scene(path) if is_named(path, "scene") else path
+        shown = share_of(progress, i, len(SUITE))
+        report = measure_tradeoffs(source, budget=budget, progress=shown)
+        tables += report.tables
+        notices += report.notices
+    return Tradeoffs(Path("suite"), tables, notices, budget)
 
 
 def simulation_tradeoffs(

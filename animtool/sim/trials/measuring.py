@@ -44,7 +44,7 @@ ENOUGH = 0.01
 SHORT, REPEATS = 0.3, 3
 # A method that took this many times as long as the finest motion has no finer settings
 # tried: what they give is not worth it.
-PATIENCE = 10.0
+TOO_SLOW = 10.0
 # Below these, differences of figures are none: shares of one, metres and pairs.
 ALIKE = {
     Figure.STRETCH: 1e-3,
@@ -175,7 +175,7 @@ def measure(
         budget,
     )
     row = table.recommended
-    if row is None or trial.lines is None:
+    if row is None or row.chosen or trial.lines is None:
         return table
     return replace(table, lines=tuple(trial.lines(row.setting)))
 
@@ -244,7 +244,7 @@ def _rows(
 ) -> list[TrialRow]:
     rows: list[TrialRow] = []
     slow: dict[str, TrialRow] = {}
-    limit = None if truth is None else PATIENCE * max(truth.seconds, SHORT)
+    limit = None if truth is None else TOO_SLOW * max(truth.seconds, SHORT)
     for setting in settings:
         row = slow.get(setting.method)
         if row is not None and setting != trial.chosen and not runs.has(setting):
@@ -286,7 +286,6 @@ def _row(
     if sign:
         return replace(
             row,
-            error=error,
             status=Status.UNSTABLE,
             reason=sign,
             stable_step=done.stable_step,

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,7 +13,16 @@ from animtool.core.errors import Fault, OptionError
 from animtool.sim.system import Energy
 from animtool.sim.trajectory import Status
 from animtool.sim.trials.measuring import measure
-from animtool.sim.trials.trial import FINER, Outcome, Setting, Shot, Trial, ladder
+from animtool.sim.trials.trial import (
+    FINER,
+    ErrorMeasure,
+    Figure,
+    Outcome,
+    Setting,
+    Shot,
+    Trial,
+    ladder,
+)
 
 
 def setting(method: str, step: float) -> Setting:
@@ -109,7 +120,7 @@ def test_what_does_not_converge_is_called_sensitive() -> None:
     assert table.reference is not None
     assert table.reference.sensitive
     assert [notice.code for notice in table.notices] == ["SIM055"]
-    assert not any(row.best or row.recommended for row in table.rows)
+    assert not any(row.recommended for row in table.rows)
     assert any(row.chosen for row in table.rows)
 
 
@@ -167,4 +178,90 @@ def test_without_a_reference_there_are_no_errors() -> None:
     assert table.reference is None
     assert [notice.code for notice in table.notices] == ["SIM056"]
     assert all(row.error is None for row in table.rows)
-    assert not any(row.best or row.recommended for row in table.rows)
+    assert not any(row.recommended for row in table.rows)
+
+
+def test_a_source_that_is_known_is_a_reference_of_its_own() -> None:
+    exact = setting("exact", 0.1)
+
+    def off(method: str, step: float) -> float:
+        return 0.0 if method == "exact" else step
+
+    known = Known(off)
+    trial = replace(known.trial(), references=lambda: [[exact]])
+    table = measure(trial)
+    assert table.reference is not None
+    assert table.reference.setting == exact
+    assert (table.reference.order, table.reference.sensitive) == (None, False)
+    assert table.reference.error.largest == 0
+    row = next(row for row in table.rows if row.setting == setting("first", 0.4))
+    assert row.error is not None
+    assert row.error.largest == pytest.approx(0.4)
+
+
+def test_a_budget_is_kept_by_the_cheapest() -> None:
+    trial = replace(
+        Known(converging).trial(),
+        lines=lambda setting: [f"step: {setting['step']}"],
+    )
+    # Of first order .05 is .05 m off at most, of second .2 is .04 m.
+    table = measure(replace(trial, error=ErrorMeasure.LARGEST), budget=0.045)
+    assert table.recommended is not None
+    assert table.recommended.setting == setting("second", 0.2)
+    assert (table.budget, table.lines) == (0.045, ("step: 0.2",))
+    # The root of the mean of squares over 0, .5 and 1 s is sqrt(5 / 12) of that.
+    table = measure(trial, budget=0.045)
+    assert table.recommended is not None
+    assert table.recommended.setting == setting("second", 0.2)
+    table = measure(trial, budget=0.11)
+    assert table.recommended is not None
+    assert table.recommended.setting == setting("second", 0.4)
+    assert measure(trial, budget=1e-9).recommended is None
+
+
+def test_what_is_present_is_asked_for_by_no_lines() -> None:
+    trial = replace(Known(converging).trial(), lines=lambda _: ["never"])
+    trial = replace(trial, settings=lambda: [])
+    table = measure(trial, budget=1.0)
+    assert table.recommended is table.chosen
+    assert table.lines == ()
+
+
+def test_a_method_that_takes_too_long_is_tried_no_finer() -> None:
+    known = Known(converging)
+
+    def run(given: Setting) -> Outcome:
+        slow = 50.0 if given.method == "first" else 1e-3
+        return replace(known.run(given), seconds=slow)
+
+    table = measure(replace(known.trial(), run=run))
+    first = [row for row in table.rows if row.setting.method == "first"]
+    assert [row.error is None for row in first] == [False, True, True, True]
+    assert first[1].status is None
+    assert "50 s" in first[1].reason
+    second = [row for row in table.rows if row.setting.method == "second"]
+    assert all(row.error is not None for row in second)
+
+
+def test_sensitive_motions_are_marked_by_their_figures() -> None:
+    # What is no nearer with half the steps is judged by stretch alone.
+    stretch = {0.4: 0.5, 0.2: 0.1, 0.1: 0.1005, 0.05: 0.1}
+    known = Known(lambda _, step: 1.0 + (hash_of(step) % 2))
+
+    def run(given: Setting) -> Outcome:
+        done = known.run(given)
+        figures = {Figure.STRETCH: stretch.get(given["step"], 0.1)}
+        return replace(done, figures=figures, energies=None)
+
+    table = measure(replace(known.trial(), run=run))
+    assert table.reference is not None
+    assert table.reference.sensitive
+    best = {row.setting["step"] for row in table.rows if row.best}
+    # A half at .4 is cheapest and worst; a tenth is reached first at .2.
+    assert best == {0.4, 0.2}
+    assert table.recommended is None
+
+
+def hash_of(step: float) -> int:
+    """Return a number that is odd for every second halving."""
+    return round(-math.log2(step / 0.4))

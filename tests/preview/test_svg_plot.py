@@ -1,0 +1,72 @@
+"""Plots as SVG."""
+
+from __future__ import annotations
+
+import math
+import re
+from xml.etree import ElementTree as ET
+
+from animtool.preview.svg_plot import (
+    BOTTOM,
+    HEIGHT,
+    LEFT,
+    RIGHT,
+    TOP,
+    WIDTH,
+    plot_svg,
+)
+from animtool.preview.work_precision import Curve, Panel, Point
+
+SVG = "{http://www.w3.org/2000/svg}"
+
+
+def panel(*points: Point, floor: float = 0.0) -> Panel:
+    return Panel("a < b & c", "error [m]", (Curve("one & two", points),), floor=floor)
+
+
+def test_points_stand_where_their_logarithms_say() -> None:
+    made = panel(Point(1.0, 1e-1), Point(10.0, 1e-3, best=True), Point(100.0, 1e-5))
+    root = ET.fromstring(plot_svg(made))
+    found = [
+        (float(c.get("cx", 0)), float(c.get("cy", 0)))
+        for c in root.iter(f"{SVG}circle")
+    ]
+    (x0, y0), (x1, y1), (x2, y2) = found
+    assert math.isclose(x1 - x0, x2 - x1, abs_tol=0.11)
+    assert math.isclose(y1 - y0, y2 - y1, abs_tol=0.11)
+    # A margin of a twentieth at each end.
+    share = (WIDTH - RIGHT - LEFT) / 1.1
+    assert math.isclose(x2 - x0, share, abs_tol=0.2)
+    assert math.isclose(y2 - y0, (HEIGHT - BOTTOM - TOP) / 1.1, abs_tol=0.2)
+
+
+def test_names_are_escaped_and_points_without_a_logarithm_are_left_out() -> None:
+    made = panel(
+        Point(0.0, 1e-1), Point(1.0, 0.0), Point(1.0, math.nan), Point(2.0, 0.1)
+    )
+    text = plot_svg(made)
+    assert "one &amp; two" in text
+    assert text.count("<circle") == 1
+    ET.fromstring(text)
+
+
+def test_the_present_one_has_a_ring_and_what_to_take_a_square() -> None:
+    text = plot_svg(
+        panel(Point(1.0, 0.1, chosen=True), Point(2.0, 0.01, recommended=True))
+    )
+    assert len(re.findall('class="ring"', text)) == 2
+    assert text.count("<rect") == 1
+
+
+def test_the_front_joins_what_nothing_beats_in_order() -> None:
+    best = [Point(4.0, 0.01, best=True), Point(1.0, 0.1, best=True)]
+    text = plot_svg(panel(*best, Point(2.0, 0.2)))
+    (front,) = re.findall('class="front" d="M([^"]*)"', text)
+    xs = [float(part.split()[0]) for part in front.split("L")]
+    assert xs == sorted(xs)
+    assert len(xs) == 2
+
+
+def test_nothing_to_draw_is_said() -> None:
+    assert "nothing to draw" in plot_svg(panel())
+    assert 'class="floor"' in plot_svg(panel(Point(1.0, 0.1), floor=1e-4))

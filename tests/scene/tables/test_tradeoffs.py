@@ -1,0 +1,125 @@
+"""What inputs can trade, and whether what is recommended keeps its word."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from support.beasts import write_beast
+
+from animtool.core.errors import Severity
+from animtool.scene.bake.options import BakeOptions
+from animtool.scene.file.read import load_scene
+from animtool.scene.tables.take import KEYS, RATE
+from animtool.scene.tables.tradeoffs import (
+    SUITE,
+    SUITE_FOLDER,
+    measure_tradeoffs,
+    suite_tradeoffs,
+)
+from animtool.sim.trials.measuring import TrialTable
+from animtool.sim.trials.trial import CostMeasure, ErrorMeasure
+
+SWING = """scene: animtool/1
+source: {file: swing.clip.yaml}
+passes:
+- simulate: {what: [tail], settle: 0.1}
+output: {file: out.usdc}
+"""
+
+
+@pytest.fixture(autouse=True)
+def _once(monkeypatch: pytest.MonkeyPatch) -> None:
+    # How long anything takes is of no interest here.
+    monkeypatch.setattr("animtool.sim.trials.measuring.REPEATS", 1)
+
+
+def budget_is_kept(table: TrialTable, budget: float) -> None:
+    row = table.recommended
+    assert row is not None
+    assert row.error is not None
+    assert row.error.error(table.error, 0.0) <= budget
+
+
+def test_a_clip_is_traded_by_bytes_and_by_keys() -> None:
+    samples, keys = measure_tradeoffs(
+        SUITE_FOLDER / "arm.clip.yaml", budget=2e-3
+    ).tables
+    assert (samples.cost, keys.cost) == (CostMeasure.BYTES, CostMeasure.STEPS)
+    assert {samples.error, keys.error} == {ErrorMeasure.LARGEST}
+    rates = [row for row in samples.rows if row.setting.method == RATE]
+    assert [row.setting["fps"] for row in rates] == [6, 12, 24, 48, 96]
+    errors = [row.error.largest for row in rates if row.error]
+    # Between samples motion is of second order.
+    assert errors[2] / errors[3] == pytest.approx(4, rel=0.05)
+    assert errors[3] / errors[4] == pytest.approx(4, rel=0.05)
+    assert samples.lines == ("animtool bake arm.clip.yaml \ufdd0fps\ufdd2 48",)
+    budget_is_kept(samples, 2e-3)
+    budget_is_kept(keys, 2e-3)
+    assert {row.setting.method for row in keys.rows} == {KEYS}
+
+
+def test_what_is_recommended_keeps_its_budget_when_it_is_baked_again() -> None:
+    path = SUITE_FOLDER / "arm.clip.yaml"
+    (samples, _) = measure_tradeoffs(path, budget=2e-3).tables
+    assert samples.recommended is not None
+    again = BakeOptions(fps=samples.recommended.setting["fps"])
+    (samples, _) = measure_tradeoffs(path, again).tables
+    assert samples.chosen.error is not None
+    assert samples.chosen.error.largest <= 2e-3
+
+
+def test_the_front_is_what_nothing_beats() -> None:
+    for table in measure_tradeoffs(SUITE_FOLDER / "arm.clip.yaml").tables:
+        costs = [
+            (getattr(row, table.cost), row.error.largest, row.best)
+            for row in table.rows
+            if row.error is not None
+        ]
+        floor = max(1e-13 * table.extent, 0.0)
+        for cost, error, best in costs:
+            beaten = any(
+                other <= cost and max(off, floor) <= max(error, floor)
+                and (other < cost or max(off, floor) < max(error, floor))
+                for other, off, _ in costs
+            )  # fmt: skip
+            assert not (best and beaten)
+
+
+@pytest.mark.slow
+def test_a_scene_is_traded_in_the_order_of_a_bake(tmp_path: Path) -> None:
+    path = write_beast(tmp_path, SWING, bones=2, last=7, way=20)
+    folder = tmp_path / "looks"
+    folder.mkdir()
+    report = measure_tradeoffs(load_scene(path), folder=folder)
+    kinds = [table.kind for table in report.tables]
+    assert kinds == ["spring_chain", "samples in USD", "keys of a clip"]
+    assert [pair.table for pair in report.pairs] == [0, 1]
+    for pair in report.pairs:
+        assert pair.settings[0] == report.tables[pair.table].chosen.setting
+        assert all(file.stat().st_size for file in pair.files)
+
+
+def test_nothing_keeps_less_than_the_least() -> None:
+    report = measure_tradeoffs(SUITE_FOLDER / "arm.clip.yaml", budget=1e-12)
+    codes = [(notice.code, notice.severity) for notice in report.notices]
+    # Keys of straight curves are exact to rounding.
+    assert ("SIM176", Severity.WARNING) in codes
+
+
+@pytest.mark.slow
+def test_the_suite_has_all_that_can_be_traded() -> None:
+    report = suite_tradeoffs(budget=1e-3)
+    kinds = [table.kind.partition(",")[0] for table in report.tables]
+    assert kinds == [
+        "particles", "rope", "ik",
+        "samples in USD", "keys of a clip", "samples in USD", "keys of a clip",
+    ]  # fmt: skip
+    assert {table.name for table in report.tables} >= {*SUITE} - {
+        "orbits.scene.yaml",
+        "rope.scene.yaml",
+    }
+    for table in report.tables:
+        budget_is_kept(table, 1e-3)
+        assert table.reference is not None
+        assert not table.reference.sensitive
