@@ -12,7 +12,7 @@ from animtool.scene.tables.tradeoffs import SUITE_FOLDER, measure_tradeoffs
 
 
 @pytest.mark.slow(seconds=6)
-def test_two_settings_play_beside_each_other(browser: Browser, tmp_path: Path) -> None:
+def test_two_settings_play_together(browser: Browser, tmp_path: Path) -> None:
     source = SUITE_FOLDER / "arm.clip.yaml"
     report = measure_tradeoffs(source, budget=2e-3, folder=tmp_path)
     output = tmp_path / "arm.html"
