@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -186,11 +187,21 @@ def test_files_of_landmarks(tmp_path: Path) -> None:
     assert np.isnan(capture.points[0, 0]).all()
     assert capture.points[1, 1].tolist() == [0.001] * 3
     assert [n.code for n in capture.notices] == ["FAC106"]
+    for fs, rate in (
+        (59.94, Fraction(60000, 1001)),
+        (30000 / 1001, Fraction(30000, 1001)),
+        (23.976, Fraction(24000, 1001)),
+        (12.5, Fraction(25, 2)),
+    ):
+        clock = read_capture(saved(landmarks_mm=points + 1, fs=fs)).clock
+        assert (clock.rate, clock.start, clock.step) == (rate, 1, 1)
     for arrays in (
         {"fs": 30},
         {"landmarks_mm": points},
         {"landmarks_mm": points, "fs": 0},
         {"landmarks_mm": points, "fs": np.nan},
+        {"landmarks_mm": points, "fs": 1e-4},
+        {"landmarks_mm": points, "fs": 2e5},
         {"landmarks_mm": points[0], "fs": 30},
         {"landmarks_px": points, "fs": 30},
         {"landmarks_mm": points, "fs": 30, "landmark_names": np.array(["a", "b"])},
