@@ -95,7 +95,15 @@ def test_opencv(tmp_path: Path) -> None:
         written(tmp_path / f"{camera.name}.yml", opencv(camera))
         for camera in STAGE.cameras
     ]
-    same(load_all_cameras(paths))
+    several = load_all_cameras(paths)
+    same(several)
+    assert (several.path, several.up) == (str(paths[0]), UpAxis.Y)
+    assert load_all_cameras(paths, up=UpAxis.Z).up == UpAxis.Z
+    lying = cameras_text(Cameras(STAGE.cameras[2:])).replace("views", "up: Z\nviews")
+    paths[2] = written(tmp_path / "z.cameras.yaml", lying)
+    with pytest.raises(FormatError, match="Z points up, and Y does") as refused:
+        load_all_cameras(paths)
+    assert [fault.code for fault in refused.value.faults] == ["CAM003"]
     camera = STAGE.cameras[0]
     both = {
         camera.name: {
