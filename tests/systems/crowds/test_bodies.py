@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -19,11 +20,11 @@ from animtool.rig.skeleton import Joint, Rig
 from animtool.scene.systems.gaits import GaitsSource
 from animtool.systems.crowds.agents import Going
 from animtool.systems.crowds.bodies import Bodies
-from animtool.systems.crowds.cast import part
+from animtool.systems.crowds.cast import CastGroup, Casting, part
 from animtool.systems.crowds.cycles import gaits_of
 from animtool.systems.crowds.footing import BodyState
 from animtool.systems.crowds.gaits import Gaits
-from animtool.systems.crowds.ground import about_up
+from animtool.systems.crowds.ground import Frame, about_up
 from animtool.systems.crowds.poses import TILT, _tilts, poses_of
 
 SAMPLES = Path(__file__).parents[3] / "samples"
@@ -82,6 +83,37 @@ def joints(bodies: Bodies, state: BodyState, going: Going) -> np.ndarray:
     heights = bodies.ground(going.points)[0]
     origin = np.insert(going.points, 1, heights, axis=1)
     return so3.rotate(about_up(going.headings)[:, None], local) + origin[:, None]
+
+
+def test_joints_of_one_are_where_the_ground_is_and_as_large_as_he_is() -> None:
+    """Of three of two rigs, by a frame that is turned about x and off."""
+    gaits = library("walk", "stand")
+    own = np.array([0, 2])
+    bodies = Bodies(gaits, np.array([0.9, 1.2]), bumpy)
+    other = Bodies(gaits, np.array([1.0]), bumpy)
+    going = Going(
+        np.array([[1.0, 2.0], [0, 0], [-3.0, 0.5]]),
+        np.zeros((3, 2)),
+        np.array([0.0, 1.0, 2.2]),
+    )
+    some = part(going, own)
+    state = bodies.first(some, np.array([0.2, 0.7]))
+    rig = SimpleNamespace(rig=gaits.walker.rig)
+    groups = [
+        CastGroup(np.array([1]), other, rig),  # type: ignore[arg-type]
+        CastGroup(own, bodies, rig),  # type: ignore[arg-type]
+    ]
+    frame = Frame(np.array([5.0, 6, 7]), so3.exp(np.array([0.5, 0, 0])))
+    casting = Casting(groups, np.array([1, 0, 2]))
+    chances = np.array([0.2, 0.4, 0.7])
+    of_all = casting.first(going, chances)
+    made = poses_of(bodies, state, some)
+    turn = so3.multiply(frame.rotation, about_up(going.headings[2]))
+    found = casting.world(of_all, going, frame, bumpy, 2)
+    wanted = so3.rotate(frame.rotation, joints(bodies, state, some)[1])
+    np.testing.assert_allclose(found.positions[0], wanted + frame.origin, atol=1e-12)
+    root = so3.multiply(turn, made.turns[1, 0])
+    np.testing.assert_allclose(found.linear[0, 0], so3.to_matrix(root), atol=1e-12)
 
 
 def toe_height(bodies: Bodies, k: int) -> float:
