@@ -193,7 +193,7 @@ class Inflow:
 
     state: FloatArray  # positions and velocities at its end (2, N, 3)
     births: FloatArray  # when each came (N,) [s]
-    missed: int = 0  # how many more would have come
+    missed: int  # how many more would have come
 
 
 class Nozzle:

@@ -118,6 +118,20 @@ def test_a_wall_that_comes_is_avoided_as_one_that_is_flown_at() -> None:
     assert comes[0, 1] == pytest.approx(0.7 * (7.0 + 16.0 / 1.8), rel=1e-9)
 
 
+def test_walls_push_each_by_itself_whoever_is_far_from_the_first() -> None:
+    """A floor far below two, and two balls of which each is near one of them."""
+    own = members({"radius": 0.1, "avoidance": {"distance": 3, "weight": 10}}, count=2)
+    x = np.array([[0.0, 50.0, 0.0], [9.0, 50.0, 0.0]])
+    walls = [
+        Collider(Plane(), Poses.fixed()),
+        Collider(Sphere(1.0), Poses.fixed((0.0, 51.6, 0.0))),
+        Collider(Sphere(1.0), Poses.fixed((11.6, 50.0, 0.0))),
+    ]
+    found = avoidance(own, Colliders(walls), 0.0, x, np.zeros((2, 3)))
+    away = [10 * (1 - gap / 3) ** 2 for gap in (0.5, 1.5)]
+    assert_allclose(found, [[0, -away[0], 0], [-away[1], 0, 0]], atol=1e-9)
+
+
 def test_a_wall_is_avoided_from_a_metre_and_a_half_on() -> None:
     """Unless another distance is given; its push of 10 m/s² grows to the wall."""
     floor = Colliders([Collider(Plane(), Poses.fixed())])
