@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from support.faults import raises
+from support.people import person
 
 from animtool import Channel, Motion, Rig, Take, open_source
 from animtool.core.errors import OptionError
@@ -18,8 +19,9 @@ from animtool.core.units import UpAxis, up_from_up
 from animtool.maths import so3
 from animtool.motion.passes import PassContext, apply_pass, find_pass
 from animtool.motion.take import TakeStream
+from animtool.retarget.anatomy import anatomy
 from animtool.retarget.options import RetargetOptions
-from animtool.retarget.take_pass import RetargetPassOptions, onto_rig
+from animtool.retarget.take_pass import RetargetPassOptions, _body, _limbs, onto_rig
 from animtool.rig.kinematics import forward
 
 
@@ -109,3 +111,24 @@ def test_frames_a_second_are_those_that_the_take_has(
     with pytest.raises(Stop) as caught:
         onto_rig(TakeStream.of(slow), take.rig, RetargetOptions())
     assert caught.value.args == (float(take.clock.fps) / 2,)
+
+
+def test_a_body_is_without_fingers_and_what_hangs_on_hands() -> None:
+    """Of a person the trunk and four limbs; what no role is on a hand is no body."""
+    rig, _ = person()
+    held = replace(
+        rig.joints[0], name="sword", parent=rig.index("hand_l"), translation=(0, 0, 1.0)
+    )
+    rig = replace(rig, joints=(*rig.joints, held))
+    found = [rig.names[j] for j in _body(rig, anatomy(rig).roles)]
+    sides = ("clavicle", "upper_arm", "forearm", "hand", "thigh", "shin", "foot")
+    trunk = ("hips", "spine", "spine_2", "spine_3", "neck", "head")
+    assert {*found} == {*trunk, *(f"{bone}_{side}" for bone in sides for side in "lr")}
+    roles = anatomy(rig).roles
+    limbs = _limbs(roles)
+    assert list(limbs) == ["left arm", "right arm", "left leg", "right leg"]
+    names = [[rig.names[j] for j in own] for own in limbs.values()]
+    assert names[1] == ["upper_arm_r", "forearm_r", "hand_r"]
+    assert names[2] == ["thigh_l", "shin_l", "foot_l"]
+    without = tuple("" if role == "foot_l" else role for role in roles)
+    assert list(_limbs(without)) == ["left arm", "right arm", "right leg"]

@@ -267,3 +267,12 @@ def test_a_domain_that_wraps_is_about_its_middle() -> None:
     domain = DomainModel(at=[1, 5, -2], size=[4, 10, 6], wrap=True)
     assert_allclose(wrapping(domain), [[-1, 0, -5], [4, 10, 6]])
     assert not wrapping(DomainModel(size=[4, 10, 6])).any()
+
+
+def test_what_they_would_like_to_do_is_left_as_it_is() -> None:
+    wanted, v = np.full((2, 3), 40.0), np.tile([3.0, 0, 0], (2, 1))
+    own = members({"turning": 30, "acceleration": 5}, count=2)
+    found = steered(own, v, wanted)
+    assert (wanted == 40).all()
+    assert (v == [3, 0, 0]).all()
+    assert_allclose(np.linalg.norm(found, axis=1), 5.0)
