@@ -31,7 +31,7 @@ from animtool.edit.retiming import (
 )
 from animtool.edit.root_motion import RootMode, RootMotionOptions, extract_root
 from animtool.edit.tree import HangOptions, hang
-from animtool.maths.curves import Interpolation
+from animtool.motion.keyed import Interpolation
 
 
 @pytest.mark.parametrize(
