@@ -496,6 +496,32 @@ def test_a_run_costs_what_it_jumps_and_where_it_is_off() -> None:
     assert own._jumps(path + np.array([1.0, 0, 0]), 11, 30)[2] == 2
 
 
+@pytest.mark.parametrize(
+    ("given", "wanted"),
+    [
+        ([0, 1, 2, 3, 4, 5, -1], [0, 1, 2, 3, 4, 5, -1]),
+        ([0, 1, 2, -1, -1, -1, -1], [0, 1, 2, 3, 4, 5, -1]),
+    ],
+)
+def test_runs_are_named_by_distances_and_ghosts_are_not(
+    given: list[int], wanted: list[int]
+) -> None:
+    """Six on one rigid body that turns, and a seventh that goes its own way."""
+    shape = np.random.default_rng(8).uniform(-0.2, 0.2, (6, 3))
+    turns = so3.exp(np.linspace([0.0, 0, 0], [0.5, 1.0, -0.3], 40))
+    body = so3.rotate(turns[:, None], shape[None])
+    ghost = np.linspace([0.5, 0.4, 0.1], [-0.4, 0.6, 0.7], 40)[:, None]
+    ids = np.tile(np.arange(7), (40, 1))
+    ids[20:, 5] = 7  # it is lost for a moment: the second half is a run of its own
+    runs = Tracklets(ids, np.array([0] * 7 + [20]), np.array([39] * 5 + [19, 39, 39]))
+    rest = np.linalg.norm(shape[:, None] - shape[None], axis=-1)
+    positions = np.concatenate([body, ghost], axis=1)
+    own = RunLabels(positions, runs, 100.0, np.array([*given, -1]), rest)
+    own.settle()
+    assert own.given.tolist() == [*wanted, 5]
+    assert_array_equal(own.by_marker()[:, :6], body)
+
+
 def test_frames_to_learn_from_are_all_near_and_some_far() -> None:
     seen = np.ones((400, 3), bool)
     seen[50:60, 1] = False
