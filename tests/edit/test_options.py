@@ -32,6 +32,7 @@ from animtool.edit.retiming import (
 from animtool.edit.root_motion import RootMode, RootMotionOptions, extract_root
 from animtool.edit.tree import HangOptions, hang
 from animtool.motion.keyed import Interpolation
+from animtool.motion.passes import TakePart, find_pass
 
 
 @pytest.mark.parametrize(
@@ -86,3 +87,32 @@ def test_what_is_left_out_is() -> None:
     assert (TrimOptions().first, TrimOptions().last) == (None, None)
     hung = HangOptions()
     assert (hung.joint, hung.system, hung.particle, hung.axis) == ("", "", "end", None)
+
+
+CLOCK, JOINTS, SHAPES = TakePart.CLOCK, TakePart.JOINTS, TakePart.SHAPES
+CONTROLS, RIG = TakePart.CONTROLS, TakePart.RIG
+MOVES = {JOINTS, SHAPES, CONTROLS}
+TIMED = {*MOVES, CLOCK, TakePart.TRACKS, TakePart.POINTS}
+
+
+@pytest.mark.parametrize(
+    ("name", "reads", "changes"),
+    [
+        ("resample", TIMED, TIMED),
+        ("time_scale", TIMED, TIMED),
+        ("time_warp", TIMED, TIMED),
+        ("trim", {CLOCK}, {CLOCK}),
+        ("loop", set(TakePart), TIMED - {TakePart.POINTS}),
+        ("blend", set(TakePart), MOVES),
+        ("layer", set(TakePart), MOVES),
+        ("difference", set(TakePart), MOVES),
+        ("mirror", set(TakePart) - {CLOCK}, MOVES),
+        ("root_motion", {CLOCK, JOINTS, RIG}, {JOINTS, RIG}),
+        ("hang", {CLOCK, JOINTS, RIG}, {JOINTS}),
+    ],
+)
+def test_passes_read_and_change_no_more_than_they_do(
+    name: str, reads: set[TakePart], changes: set[TakePart]
+) -> None:
+    found = find_pass(name)
+    assert (found.reads, found.changes) == (reads, changes)
