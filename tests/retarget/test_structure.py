@@ -92,6 +92,9 @@ def test_who_stands_has_a_way_up_and_a_left() -> None:
     assert_allclose(left_of(own, TIPS, up, at_rest=True), [1, 0, 0], atol=1e-12)
     back = standing(-0.2)
     assert_allclose(left_of(back, TIPS, up, at_rest=True), [-1, 0, 0], atol=1e-12)
+    # Who hangs head down has the left on the other side.
+    down = np.array([0.1, -1.0, 0.2])
+    assert_allclose(left_of(own, TIPS, down, at_rest=True), [-1, 0, 0], atol=1e-12)
     # Feet that only hang say nothing: then it is z that is ahead.
     none = standing(0.0)
     assert_allclose(left_of(none, TIPS, None, at_rest=True), [1, 0, 0], atol=1e-12)
