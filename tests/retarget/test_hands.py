@@ -197,7 +197,7 @@ def test_the_ground_is_reached_softly() -> None:
     assert_allclose(found, [0, 0, 0.05, 0.1125, 0.2])
 
 
-def test_both_hands_are_brought_as_far_as_one_is_out_of_reach() -> None:
+def test_both_hands_come_nearer_by_what_one_of_them_lacks() -> None:
     """The first is 0.5 beyond; the other, near its shoulder, goes along."""
     starts = [np.zeros((2, 3)), np.array([[0.0, 1, 0]] * 2)]
     goals = [np.array([[1.5, 0, 0], [0.5, 0, 0]]), np.array([[0.5, 1.0, 0]] * 2)]
