@@ -84,7 +84,9 @@ def test_keys_that_do_not_fit_are_told_with_their_place() -> None:
     spec = SimpleNamespace(
         goals=[SimpleNamespace(name="a"), SimpleNamespace(name="a")],
         populations=[
-            one("p", route=["b"]), one("p", route=["a", "a"], then="repeat", gaits=1),
+            one("p", route=["b"], gaits=1),
+            one("p", route=["a", "a"], then="repeat", gaits=1),
+            one("r"),
         ],
         doors=[SimpleNamespace(name="d", opens=[(0, 1), (2, 2)])],
     )  # fmt: skip
@@ -93,5 +95,5 @@ def test_keys_that_do_not_fit_are_told_with_their_place() -> None:
         "goals[1]", "populations[1]", "populations[0]", "populations[1]",
         "populations", "doors[0]",
     ]  # fmt: skip
-    assert "'p' has not" in found[4][0]
+    assert "'r' has not" in found[4][0]
     assert "from 2 s to 2 s" in found[5][0]

@@ -116,6 +116,24 @@ def test_joints_of_one_are_where_the_ground_is_and_as_large_as_he_is() -> None:
     np.testing.assert_allclose(found.linear[0, 0], so3.to_matrix(root), atol=1e-12)
 
 
+def test_at_first_both_feet_stand_and_nobody_reacts() -> None:
+    bodies = Bodies(library("walk", "stand"), np.array([1.0, 1.2]), level)
+    going = Going(np.array([[1.0, 2], [3, 4]]), np.zeros((2, 2)), np.array([0.0, 1.0]))
+    state = bodies.first(going, np.array([0.25, 0.5]))
+    assert state.phases.tolist() == [0.25, 0.5]
+    assert (state.swings == -1).all()
+    np.testing.assert_array_equal(state.aims, state.places)
+    assert (state.still == 1).all()
+    assert (state.reacts == -1).all()
+    for none in (state.lowered, state.shoulders, state.heels, state.paces):
+        assert not none.any()
+    assert (state.spans == 1).all()
+    period = bodies.gaits.idle.period
+    np.testing.assert_allclose(state.clocks, [0.25 * period, 0.5 * period])
+    middles = state.places[:, :, :2].mean(axis=1)
+    np.testing.assert_allclose(middles, going.points, atol=0.1)
+
+
 def test_who_spins_takes_steps_that_turn_by_eight_tenths_at_most() -> None:
     """Nor go to a side by more than a quarter of a leg, nor back by 0.3 of one."""
     bodies = Bodies(library("walk", "stand"), np.array([1.0, 1.0, 1.25, 1.25]), level)

@@ -269,6 +269,7 @@ FARTHER = np.array([[0.9, 0, 0], [0, 0, 0], [0, 0, 0]])
         ({"colour": {"by": "taste"}}, "no quantity is named"),
         ({"step": 0.5}, "a step of 0.5 ps is too long"),
         ({"species": [{**ARGON, "charge": 1}]}, r"charges add up to 256 e"),
+        ({"species": [{**ARGON, "charge": -1}]}, r"charges add up to -256 e"),
         (
             {"species": [{**ARGON, "points": 9 + PLACES}]},
             "atom 0 of 'argon' is outside",
