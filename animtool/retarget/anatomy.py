@@ -56,7 +56,6 @@ _SURE = {
     RoleSource.PRESET: 1.0,
     RoleSource.NAME: 0.9,
     RoleSource.STRUCTURE: 0.7,
-    RoleSource.FILE: 1.0,
     RoleSource.NONE: 0.0,
 }
 MAX_NAMED = 4

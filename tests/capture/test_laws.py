@@ -496,6 +496,32 @@ def test_a_run_costs_what_it_jumps_and_where_it_is_off() -> None:
     assert own._jumps(path + np.array([1.0, 0, 0]), 11, 30)[2] == 2
 
 
+@pytest.mark.parametrize(
+    ("given", "wanted"),
+    [
+        ([0, 1, 2, 3, 4, 5, -1], [0, 1, 2, 3, 4, 5, -1]),
+        ([0, 1, 2, -1, -1, -1, -1], [0, 1, 2, 3, 4, 5, -1]),
+    ],
+)
+def test_runs_are_named_by_distances_and_ghosts_are_not(
+    given: list[int], wanted: list[int]
+) -> None:
+    """Six on one rigid body that turns, and a seventh that goes its own way."""
+    shape = np.random.default_rng(8).uniform(-0.2, 0.2, (6, 3))
+    turns = so3.exp(np.linspace([0.0, 0, 0], [0.5, 1.0, -0.3], 40))
+    body = so3.rotate(turns[:, None], shape[None])
+    ghost = np.linspace([0.5, 0.4, 0.1], [-0.4, 0.6, 0.7], 40)[:, None]
+    ids = np.tile(np.arange(7), (40, 1))
+    ids[20:, 5] = 7  # it is lost for a moment: the second half is a run of its own
+    runs = Tracklets(ids, np.array([0] * 7 + [20]), np.array([39] * 5 + [19, 39, 39]))
+    rest = np.linalg.norm(shape[:, None] - shape[None], axis=-1)
+    positions = np.concatenate([body, ghost], axis=1)
+    own = RunLabels(positions, runs, 100.0, np.array([*given, -1]), rest)
+    own.settle()
+    assert own.given.tolist() == [*wanted, 5]
+    assert_array_equal(own.by_marker()[:, :6], body)
+
+
 def test_frames_to_learn_from_are_all_near_and_some_far() -> None:
     seen = np.ones((400, 3), bool)
     seen[50:60, 1] = False
@@ -803,3 +829,45 @@ def test_a_camera_is_kept_where_the_others_are_no_better_without(keep: bool) -> 
     found = _Run._left_out(run, 3, ranges)
     assert [one.kept for one in found] == ([False, False] if keep else [True, False])
     assert [(one.first, one.end) for one in found] == [(0, 5), (9, 12)]
+
+
+@pytest.mark.parametrize("keep", [False, True])
+def test_cameras_are_left_out_where_they_moved_the_worst_first(
+    keep: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A third one stays, as the others are no better without it."""
+    found = [(1, [Moved(2, 4, 0.9)]), (0, [Moved(0, 3, 0.8), Moved(5, 6, 0.7)])]
+    found += [(2, [replace(Moved(1, 2, 0.6), kept=True)])]
+    seen: list[Any] = []
+
+    def worst(*given: Any) -> Any:
+        *_, checked, rate = given
+        seen.append((checked.copy(), rate))
+        return found.pop(0) if found else None
+
+    monkeypatch.setitem(_Run._leave_out_moved.__globals__, "moved_ranges", worst)
+    solved: list[tuple[int, int]] = []
+    run: Any = SimpleNamespace(
+        observations=SimpleNamespace(clock=SimpleNamespace(rate=Fraction(25))),
+        active=np.ones((6, 3), bool),
+        moved=[[], [], [Moved(4, 6, 0.5)]],
+        views=9,
+        tallies=SimpleNamespace(judged=0, rejected=0),
+        options=TriangulateOptions(keep_moved=keep),
+        _left_out=lambda _, ranges: ranges,
+        _explained=lambda _, each: each,
+        _solve=lambda first, end: solved.append((first, end)),
+    )
+    _Run._leave_out_moved(run)
+    active = np.ones((6, 3), bool)
+    if not keep:
+        active[2:4, 1] = active[:3, 0] = active[5, 0] = False
+    assert_array_equal(run.active, active)
+    assert solved == ([] if keep else [(2, 4), (0, 3), (5, 6)])
+    checked = np.ones((6, 3), bool)
+    checked[4:, 2] = False
+    assert_array_equal(seen[0][0], checked)
+    checked[2:4, 1] = checked[:3, 0] = checked[5, 0] = checked[1, 2] = False
+    assert_array_equal(seen[-1][0], checked)
+    assert {rate for _, rate in seen} == {25.0}
+    assert [len(each) for each in run.moved] == [2, 1, 2]

@@ -16,15 +16,18 @@ from support.clips import hero, write_clip
 from animtool.clip.clip import Clip
 from animtool.clip.sample import sample_channels
 from animtool.core.array_types import FloatArray
+from animtool.core.clock import Clock
 from animtool.edit.between import Between
 from animtool.edit.layers import blend, layer
 from animtool.edit.looping import loop
 from animtool.edit.resample import resampled
 from animtool.edit.retiming import time_scale, time_warp, trim
+from animtool.edit.travel import nearby_places
 from animtool.maths import so3
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.passes import PassContext, apply_pass, find_pass
 from animtool.motion.take import Take
+from animtool.rig.skeleton import Joint, Rig
 from animtool.scene.sources.clips import open_clip_source
 
 # As close as curves are promised to be; they come closer.
@@ -257,3 +260,28 @@ def test_curves_of_controls_stay_curves_where_time_runs_evenly(
         i = [control.name for control in take.rig.controls].index("curl")
         own = take.motion.controls.gather(np.array([i]))[:, 0, 0]
         assert_allclose(curves["curl"].sample(take.clock.times)[0], own, atol=EXACT)
+
+
+def test_curves_between_frames_are_on_the_side_of_their_quaternions() -> None:
+    """Whatever sign the curve gives: all are near the frames about them."""
+    rig = Rig("one", (Joint("a", -1),))
+    angles = np.linspace(0, 3, 5)[:, None]
+    turns = so3.from_axis_angle(np.array([0.0, 1, 0]), angles)
+    places = np.zeros((5, 1, 3))
+    motion = Motion(Channel.from_dense(places), Channel.from_dense(turns))
+
+    def curve(times: np.ndarray) -> Motion:
+        on = np.isclose(times, np.round(times))
+        values = so3.from_axis_angle(np.array([0.0, 1, 0]), 0.75 * (times[:, None] - 1))
+        values[~on] *= -1
+        still = np.zeros((len(times), 1, 3))
+        return Motion(Channel.from_dense(still), Channel.from_dense(values))
+
+    clock = Clock(Fraction(24), Fraction(1), Fraction(1), 5)
+    take = Take(rig, clock, motion, curve=curve)
+    between = Between.of(take)
+    assert between.curved
+    found = between.at(nearby_places(np.arange(9) / 2, 5)).rotations.dense()[:, 0]
+    assert ((found[1:] * found[:-1]).sum(axis=1) > 0.9).all()
+    wanted = so3.from_axis_angle(np.array([0.0, 1, 0]), 0.375 * np.arange(9))
+    np.testing.assert_allclose(found, wanted, atol=1e-12)

@@ -323,3 +323,29 @@ def test_smooth_samples_have_continuous_signs_from_block_to_block() -> None:
     assert len(turned) > BLOCK_FRAMES
     values = turned.motion.rotations.values[:, 0]
     assert (values[1:] * values[:-1]).sum(axis=1).min() > 0.99
+
+
+def test_as_many_frames_as_there_may_be_are_made(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Of 5 frames at 24 a second 9 at 48 and at 53, and 10 at 54."""
+    monkeypatch.setattr("animtool.edit.frames.MAX_FRAMES", 9)
+    take = spin(5, Fraction(24))
+    assert resampled(take, 48).motion.frames == 9
+    assert resampled(take, 53).motion.frames == 9
+    with raises(OptionError, "SCN021"):
+        resampled(take, 54)
+
+
+def test_frames_of_the_take_are_left_to_the_sign_of_their_quaternions() -> None:
+    take = spin(5, Fraction(24))
+    turns = take.motion.rotations.dense().copy()
+    turns[[1, 2, 4]] *= -1
+    take = replace(
+        take, motion=replace(take.motion, rotations=Channel.from_dense(turns))
+    )
+    times = plan_samples(take.clock, Fraction(24), take.clock.start)
+    ((_, found),) = sample(take, times)
+    assert_array_equal(found.rotations.dense(), turns)
+    ((_, found),) = sample(take, times, smooth=True)
+    assert (np.sum(np.diff(found.rotations.dense(), axis=0) ** 2, axis=2) < 1).all()

@@ -9,10 +9,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from support.faults import raises
 from support.small_takes import small
 
+from animtool.core.errors import OptionError
 from animtool.edit.combine import other_frames
-from animtool.edit.retiming import TrimOptions, _trimmed, time_scale, trim
+from animtool.edit.retiming import (
+    TrimOptions,
+    _trimmed,
+    time_scale,
+    time_warp,
+    trim,
+)
 from animtool.motion.motion import Channel
 from animtool.motion.passes import PassContext
 from animtool.motion.take import Take, TakeStream
@@ -73,6 +81,26 @@ def test_a_speed_is_about_a_pivot(
     found = time_scale(numbered(5), speed, pivot)
     assert found.clock.start == start
     assert shown(found) == places
+
+
+@pytest.mark.parametrize(
+    ("keys", "refused"),
+    [
+        ([(1, 1 - 5e-7), (5, 5 + 5e-7)], False),
+        ([(1, 1 - 2e-6), (5, 5)], True),
+        ([(1, 1), (5, 5 + 2e-6)], True),
+    ],
+)
+def test_a_curve_leaves_a_take_by_a_rounding_at_most(
+    keys: list[tuple[float, float]], refused: bool
+) -> None:
+    """A millionth of a frame."""
+    if refused:
+        with raises(OptionError, "SCN013"):
+            time_warp(numbered(5), keys)
+        return
+    found = shown(time_warp(numbered(5), keys))
+    assert found == pytest.approx([0, 1, 2, 3, 4], abs=1e-6)
 
 
 def test_another_take_runs_at_its_own_rate_and_begins_later() -> None:

@@ -222,3 +222,30 @@ def test_a_root_that_rests_turned_keeps_that_and_the_yaw() -> None:
     assert so3.angle_between(made[1], so3.multiply(yaw, up)) < 1e-9
     places = found.motion.translations.dense()[:, 0]
     assert np.abs(places - [[0, 0, 0], [0.5, 0, 0.25]]).max() < 1e-9
+
+
+def test_a_root_below_a_joint_that_stands_off_and_turned_goes_where_the_hips_are() -> (
+    None
+):
+    """Along x and z; up it stays where it was. The stage is turned by 90 degrees."""
+    half = 0.5**0.5
+    rig = Rig(
+        "staged",
+        (
+            Joint("stage", -1, translation=(1.0, 2, 3), rotation=(0, half, 0, half)),
+            Joint("root", 0, translation=(0.0, 0.5, 0.0)),
+            Joint("hips", 1, translation=(0.0, 1.0, 0.0)),
+        ),
+    )
+    places = np.tile(rig.rest_translations, (4, 1, 1))
+    places[:, 2] += np.array([1.0, 0.25, -2.0]) * np.arange(4)[:, None]
+    turns = np.tile(rig.rest_rotations, (4, 1, 1))
+    motion = Motion(Channel.from_dense(places), Channel.from_dense(turns))
+    clock = Clock(Fraction(24), Fraction(1), Fraction(1), 4)
+    take = Take(rig, clock, motion)
+    found = extract_root(take, "root", hips="hips")
+    world, after = take.world().positions, found.world().positions
+    np.testing.assert_allclose(after[:, [0, 2]], world[:, [0, 2]], atol=1e-12)
+    root = after[:, 1]
+    np.testing.assert_allclose(root[:, [0, 2]], world[:, 2][:, [0, 2]], atol=1e-12)
+    np.testing.assert_allclose(root[:, 1], 2.5, atol=1e-12)

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
+import pytest
 from support.ik import arm, random_pose, reached_by
 
 from animtool.core.array_types import FloatArray
 from animtool.ik import Goal, IkOptions, Targets, build
+from animtool.ik import branches as branching
 from animtool.ik.branches import Interval, best_path, branches, price, search_branches
 from animtool.ik.chain import difference
 
@@ -92,3 +96,48 @@ def test_what_misses_a_goal_costs_more_than_any_jump() -> None:
     cost = price(misses, np.array([True, False, False]))
     assert cost[0] == 0
     assert 1e3 < cost[1] < cost[2]
+
+
+def test_what_is_followed_costs_nothing_as_far_as_it_was_followed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Two of the starts reach their goals; each goes on for two frames either way."""
+    count, spacing = 9, 4
+    tracks: list[tuple[float, list[int]]] = []
+
+    def tracked(pose: FloatArray, rows: FloatArray) -> tuple[FloatArray, int]:
+        tracks.append((float(pose[0]), rows.tolist()))
+        return pose + np.arange(len(rows))[:, None] / 10, min(2, len(rows))
+
+    def solved(starts: FloatArray, _: FloatArray) -> tuple[FloatArray, FloatArray]:
+        return starts, np.where(np.arange(len(starts)) < 2, 0.0, 7.0)
+
+    monkeypatch.setattr(
+        branching,
+        "_scattered",
+        lambda *of: (np.full(1, 100.0 * of[3] + k) for k in range(of[2])),
+    )
+    of = SimpleNamespace(
+        poses=np.arange(9.0)[:, None],
+        costs=np.full(9, 0.5),
+        frames=np.arange(9),
+        solved=solved,
+        tracked=tracked,
+    )
+    paths, costs = search_branches(of, spacing, 1)  # type: ignore[arg-type]
+    assert (paths[0, :, 0].tolist(), costs[0].tolist()) == ([*range(9)], [0.5] * 9)
+    reach = min(branching.LAYERS * spacing // 2, count)
+    first = branching.STRANDS
+    for i, at in enumerate((0, 4, 8)):
+        row = 1 + i % branching.LAYERS * first
+        reached = {f for f in (at - 1, at, at + 1) if 0 <= f < count}
+        for k in (0, 1):
+            free = np.flatnonzero(costs[row + k] == 0).tolist()
+            assert set(free) == reached or branching.LAYERS < 3
+            assert paths[row + k, at, 0] == 100 * (1 + i) + k
+        assert (costs[row + 2] == 2 * branching.MISSED).all()
+    ahead = [rows for pose, rows in tracks if pose == 200.0]
+    assert ahead == [
+        [*range(4, min(4 + reach, 9))],
+        [*range(4, max(4 - reach, -1), -1)],
+    ]

@@ -219,6 +219,17 @@ def test_a_weight_that_does_nothing_is_pointed_out(folder: Path) -> None:
     assert [notice.code for notice in tracks.notices] == ["TGT101"]
 
 
+def test_the_key_with_a_weight_below_0_is_named(folder: Path) -> None:
+    """The second one: the first is between 0 and 1."""
+    keys = "{keys: [{t: 1, v: 0.5}, {t: 3, v: -0.25}, {t: 4, v: -1}]}"
+    goal = f"- {{effector: leg_l, position: [0, 0, 0], weight: {{position: {keys}}}}}"
+    with pytest.raises(FormatError) as caught:
+        tracks_of(folder, goal)
+    (fault,) = caught.value.faults
+    assert (fault.code, fault.message) == ("TGT007", "weight -0.25 is less than 0")
+    assert "keys[1].v" in str(fault.where)
+
+
 def test_the_clock_is_the_range_or_all_that_is_mentioned(folder: Path) -> None:
     goal = "- {effector: leg_l, position: arrays.npz#places, hold: [[4, 9]]}"
     whole = tracks_of(folder, goal).clock

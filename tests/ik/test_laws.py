@@ -16,6 +16,7 @@ from support.ik import arm, limb
 from animtool.core.errors import OptionError
 from animtool.ik import Goal, IkStatus, Targets, build
 from animtool.ik.chain_frame import refuse_scales
+from animtool.ik.clip_path import ClipPath
 from animtool.ik.goals import (
     COLUMNS,
     FARTHEST,
@@ -660,3 +661,39 @@ def test_a_limb_reaches_what_its_last_bone_carries(offset: float) -> None:
     assert own.bones * problem.length == pytest.approx(0.59)
     assert (own.goal, own.joints) == (0, (2, 1))
     assert_allclose(own.origin * problem.length, limb().rest_translations[0])
+
+
+@pytest.mark.parametrize(
+    ("last", "moving", "kept"),
+    [(2.0, False, True), (3.0, False, False), (4.0, False, False), (9.0, True, True)],
+)
+def test_what_comes_after_a_window_is_kept_where_it_ends_as_before(
+    last: float, moving: bool, kept: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Frame k is at k; a window of frames 1 and 2 ends at another place or does not."""
+    names = ClipPath.joined.__globals__
+    monkeypatch.setitem(names, "difference", lambda _, a, b: np.asarray(a - b))
+    monkeypatch.setitem(names, "at_poses", lambda *_: SimpleNamespace(coordinates=[7]))
+    monkeypatch.setitem(names, "_frames", lambda _, own: (own.start, own.stop))
+    monkeypatch.setitem(names, "_concatenated", lambda parts: parts)
+
+    class Path:
+        problem = SimpleNamespace(chain=None)
+        path = SimpleNamespace(
+            frames=lambda _: SimpleNamespace(measured=lambda poses: poses)
+        )
+        start = np.zeros((6, 1))
+        poses = staticmethod(lambda _: np.arange(6.0)[:, None])
+        solved = staticmethod(lambda rest, starts: ("solved", rest.start, starts[0, 0]))
+
+        def __len__(self) -> int:
+            return 6
+
+    own: Any = Path()
+    own.moving = moving
+    parts = ClipPath.joined(own, None, slice(1, 3), np.array([[8.0], [last]]))  # type: ignore[arg-type]
+    assert parts[0] == (0, 1)  # type: ignore[index]
+    assert parts[2:] == ([(3, 6)] if kept else [("solved", 3, 7.0)])  # type: ignore[index]
+    own.__class__.__len__ = lambda _: 3
+    end = ClipPath.joined(own, None, slice(1, 3), np.array([[8.0], [last]]))  # type: ignore[arg-type]
+    assert len(end) == 2

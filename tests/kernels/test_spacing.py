@@ -59,3 +59,25 @@ def test_two_that_overlap_are_moved_apart_alike(period: float) -> None:
     found, overlap, _ = _kernels.flock_apart(x, least, 0, 1.0, 0.0, around, 1e6)
     assert_allclose(found, x)
     assert overlap == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize("length", [0.0, 100.0])
+def test_as_many_pairs_as_are_allowed_are_looked_at_and_one_more_is_told(
+    length: float,
+) -> None:
+    """Two groups of four far apart: as many as the first has are not all."""
+    group = np.random.default_rng(2).uniform(10.2, 10.4, (4, 3))
+    period = np.array([[0.0, 0, 0], [length] * 3])
+
+    def looked(points: np.ndarray, most: float) -> float:
+        least = np.ones(len(points))
+        return float(_kernels.flock_apart(points, least, 0, 1.0, 0.1, period, most)[2])
+
+    alone = looked(group, np.inf)
+    both = np.concatenate([group, group + 40.0])
+    assert alone > 0
+    assert looked(both, np.inf) == 2 * alone
+    assert looked(both, 2 * alone) == 2 * alone
+    for most in (alone, 2 * alone - 1):
+        assert looked(both, most) > most
+    assert looked(both, alone - 1) == alone

@@ -41,7 +41,7 @@ KERNEL_TESTS = {
     "colliders": ["tests/sim/"],
     "crowds": ["tests/systems/flocks/"],
     "curves": ["tests/clip/", "tests/maths/"],
-    "kinematics": ["tests/rig/"],
+    "kinematics": ["tests/maths/", "tests/rig/"],
     "particles": ["tests/systems/molecules/", "tests/systems/nbody/"],
     "springs": ["tests/systems/attach/"],
 }

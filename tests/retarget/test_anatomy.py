@@ -72,6 +72,25 @@ def test_a_person_is_known_without_names(
     assert known(nameless(change(rig)), rig, roles) == 1.0
 
 
+def test_a_role_is_as_sure_as_what_it_was_found_by() -> None:
+    """Names of a convention, other names, where a joint is, and no role at all."""
+    names = named("mixamo")
+    odd = {"shin_l": "odd"}
+    rig, _ = person(lambda role: odd.get(role, names(role)))
+    found = anatomy(rig)
+    pairs = zip(found.found, found.confidence, strict=True)
+    sure = dict(zip(rig.names, pairs, strict=True))
+    assert sure["mixamorig:LeftArm"] == (RoleSource.PRESET, 1.0)
+    assert sure["odd"] == (RoleSource.STRUCTURE, 0.7)
+    plain, _ = person()
+    found = anatomy(plain)
+    by_name = set(zip(found.found, found.confidence, strict=True))
+    assert by_name == {(RoleSource.PRESET, 1.0), (RoleSource.NAME, 0.9)}
+    tail = replace(rig.joints[0], name="prop", parent=0, translation=(0.0, 0.0, -0.3))
+    tailed = anatomy(replace(rig, joints=(*rig.joints, tail)))
+    assert (tailed.found[-1], tailed.confidence[-1]) == (RoleSource.NONE, 0.0)
+
+
 @pytest.mark.parametrize("left_out", ["clavicle", "toe", "neck", "spine_2", "thumb_3"])
 def test_a_person_without_some_joints_is_known(left_out: str) -> None:
     rig, roles = person(lambda role: "" if role.startswith(left_out) else role)

@@ -118,16 +118,21 @@ def test_a_heel_that_stands_alone_goes_with_the_nearest_frame_of_the_whole_foot(
 
 
 def test_a_knee_bends_the_way_that_its_stops_let_it() -> None:
-    """The other way is nearer to its angle of -10 degrees, and beyond the stop."""
+    """The other way is nearer to its angle of -10 degrees, and beyond the stop.
+
+    Without stops it bends the way that it is bent already.
+    """
     bone, axis = np.array([0.0, -0.5, 0.0]), np.array([1.0, 0.0, 0.0])
     goal, hip = np.array([[0.0, -0.8, 0.0]]), np.zeros((1, 3))
     wide = 2 * np.arccos(0.8)
-    thigh, angle = so3.IDENTITY[None], np.radians([-10.0])
-    for limits, expected in (
-        (None, -wide),
-        (RangeLimit(np.radians(-5.0), np.radians(150.0)), wide),
-        (RangeLimit(np.radians(-150.0), np.radians(5.0)), -wide),
+    thigh = so3.IDENTITY[None]
+    for degrees, limits, expected in (
+        (-10.0, None, -wide),
+        (10.0, None, wide),
+        (-10.0, RangeLimit(np.radians(-5.0), np.radians(150.0)), wide),
+        (-10.0, RangeLimit(np.radians(-150.0), np.radians(5.0)), -wide),
     ):
+        angle = np.radians([degrees])
         turn, bent = bend_at_pin(hip, goal, thigh, (bone, bone), axis, angle, limits)
         np.testing.assert_allclose(bent, expected)
         shin = so3.rotate(so3.from_axis_angle(axis, bent), bone)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,6 +18,17 @@ from animtool.motion.passes import PassContext, apply_pass, find_pass
 from animtool.motion.take import TakeStream
 from animtool.motion.transforms import Track, Transforms
 from animtool.retarget import Retargeted, map_joints, retarget_take
+from animtool.retarget.hands import (
+    ArmTracks,
+    Floor,
+    _bent,
+    _length,
+    _softened,
+    _together,
+    _within_reach,
+    arm_of,
+    hinge_of,
+)
 from animtool.rig.write import rig_text
 
 FRAMES = 90
@@ -176,3 +189,70 @@ def test_hands_that_carry_a_prop(person: Take, tmp_path: Path) -> None:
         before = so3.rotate(so3.conjugate(turns[:, 0]), source - way)
         after = so3.rotate(so3.conjugate(moved.rotations), wrist - moved.translations)
         assert_allclose(after, before, atol=1e-6)
+
+
+def test_the_ground_is_reached_softly() -> None:
+    """A parabola from 20 cm below to 20 cm above, where it has the slope of 1."""
+    found = _softened(np.array([-0.5, -0.2, 0.0, 0.1, 0.2]), 0.2)
+    assert_allclose(found, [0, 0, 0.05, 0.1125, 0.2])
+
+
+def test_both_hands_come_nearer_by_what_one_of_them_lacks() -> None:
+    """The first is 0.5 beyond; the other, near its shoulder, goes along."""
+    starts = [np.zeros((2, 3)), np.array([[0.0, 1, 0]] * 2)]
+    goals = [np.array([[1.5, 0, 0], [0.5, 0, 0]]), np.array([[0.5, 1.0, 0]] * 2)]
+    found = _within_reach(goals, starts, [1.0, 2.0])
+    assert_allclose(found[0], [[1, 0, 0], [0.5, 0, 0]])
+    assert_allclose(found[1], [[0, 1, 0], [0.5, 1, 0]], atol=1e-12)
+    # Where both pull, what they hold stays as wide: 0.3 of the shoulders' 2.4 apart.
+    starts = [np.zeros((1, 3)), np.array([[2.4, 0.0, 0]])]
+    pair = [np.array([[1.3, 0, 0]]), np.array([[1.6, 0.0, 0]])]
+    first, last = _within_reach(pair, starts, [1.1, 1.1])
+    assert_allclose(last - first, [[0.3, 0, 0]], atol=1e-9)
+    assert first[0, 0] == pytest.approx(1.1, abs=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("apart", "speed", "held"),
+    [(0.19, 0.0, True), (0.21, 0.0, False), (0.1, 0.12, True), (0.1, 0.13, False)],
+)
+def test_hands_hold_each_other_who_are_near_and_go_one_way(
+    apart: float, speed: float, held: bool
+) -> None:
+    """Nearer than 0.4 of an arm of half a metre, slower than 0.25 of it a second."""
+    frames = np.arange(60) - 30
+    ways = np.stack([np.full(60, apart), speed * frames / 60, 0.0 * frames], axis=1)
+    found = _together(ways, 0.5, 60.0)
+    assert found[25:35].all() == held
+    assert not _together(ways[:2], 0.5, 60.0).any()
+    assert not _together(ways, 0.0, 60.0).any()
+
+
+def test_arms_are_as_long_as_their_bones_and_bend_across_them() -> None:
+    """Of 0.3 and 0.4 m at an angle; of one who looks along z, about the way down."""
+    places = np.array([[0.0, 1, 0], [0.3, 1, 0], [0.3, 0.6, 0]])
+    turn = so3.exp(np.array([0.0, 0, 0.5]))
+    names = {"upper_arm_l": 0, "forearm_l": 1, "hand_l": 2}
+    arm = SimpleNamespace(
+        first=lambda role: names.get(role, -1),
+        positions=places,
+        bone=lambda _: np.array([0.3, 0.0, 0.0]),
+        facing=np.eye(3)[[2, 1, 0]],
+        turns=np.array([so3.IDENTITY, turn, so3.IDENTITY]),
+    )
+    person: Any = arm
+    assert arm_of(person, "l") == [0, 1, 2]
+    assert arm_of(person, "r") is None
+    assert _length(person, "l") == pytest.approx(0.7)
+    assert _length(person, "r") == 0
+    axis = so3.rotate(turn, hinge_of(person, [0, 1, 2]))
+    assert_allclose(axis, [0, 0, -1], atol=1e-12)
+    tracks = ArmTracks(places[None], np.tile(so3.IDENTITY, (1, 2, 1)), places[None, 2])
+    bends = np.array([[[0.0, 0, np.pi / 2], [0, 0, np.pi]]])
+    assert_allclose(_bent(tracks, bends), [[0, 0.7, 0]], atol=1e-12)
+
+
+def test_what_is_scaled_is_lifted_to_the_ground_along_the_up_axis() -> None:
+    floor = Floor(source=0.08, target=0.1)
+    assert_allclose(Floor.lift(floor, 0.5, 2), [0, 0, 0.06])
+    assert not Floor.lift(None, 0.5, 2).any()

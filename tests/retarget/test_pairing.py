@@ -157,6 +157,22 @@ def test_renaming_pairs_one_to_one() -> None:
     assert len(same.pairs) == len(target.joints)
 
 
+def test_renaming_pairs_joints_without_a_role_by_their_names() -> None:
+    rigs = []
+    for name in ("prop_q", "prop_q", "prop_w"):
+        rig, _ = person()
+        tail = Joint(name, rig.index("hand_l"), translation=(0.0, 0.0, 0.7))
+        rigs.append(replace(rig, joints=(*rig.joints, tail)))
+    last = len(rigs[0].joints) - 1
+    found = {pair.target: pair for pair in map_joints(*rigs[:2], mode="rename").pairs}
+    pair = found[last]
+    assert (pair.source, pair.role, pair.found) == (last, "", RoleSource.NAME)
+    assert pair.confidence == 1.0
+    other = map_joints(rigs[0], rigs[2], mode="rename")
+    assert last in other.unmapped_target
+    assert last in map_joints(*rigs[:2]).unmapped_target
+
+
 def test_names_alone_leave_out_what_structure_knows() -> None:
     source, _ = person()
     target, _ = person(lambda role: "odd" if role == "shin_l" else role)

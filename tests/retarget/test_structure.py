@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 
 from animtool.core.units import UpAxis
 from animtool.retarget.roles import CONTROL, END, TWIST
-from animtool.retarget.structure import Body, left_of, upright
+from animtool.retarget.structure import Body, _pairs, left_of, upright
 from animtool.rig.skeleton import Joint, Rig
 
 
@@ -92,6 +92,9 @@ def test_who_stands_has_a_way_up_and_a_left() -> None:
     assert_allclose(left_of(own, TIPS, up, at_rest=True), [1, 0, 0], atol=1e-12)
     back = standing(-0.2)
     assert_allclose(left_of(back, TIPS, up, at_rest=True), [-1, 0, 0], atol=1e-12)
+    # Who hangs head down has the left on the other side.
+    down = np.array([0.1, -1.0, 0.2])
+    assert_allclose(left_of(own, TIPS, down, at_rest=True), [-1, 0, 0], atol=1e-12)
     # Feet that only hang say nothing: then it is z that is ahead.
     none = standing(0.0)
     assert_allclose(left_of(none, TIPS, None, at_rest=True), [1, 0, 0], atol=1e-12)
@@ -121,3 +124,21 @@ def test_what_lies_along_a_bone_to_its_sibling_twists_it(
     votes = [{"hand_l": 1.0} if j == 6 else {} for j in range(8)]
     named = Body.of(Rig("tree", tuple(rows)), votes, [""] * 8)
     assert named.limb_children(4) == [5, 6]
+
+
+@pytest.mark.parametrize(
+    ("other", "alike"), [(0.86, True), (0.84, False), (1.17, True)]
+)
+def test_branches_alike_within_a_sixth_of_their_length_are_a_pair(
+    other: float, alike: bool
+) -> None:
+    joints = [Joint("hips", -1)]
+    for side, length in ((1.0, 1.0), (-1.0, other)):
+        first = len(joints)
+        joints.append(Joint(f"a{side}", 0, translation=(0.2 * side * length, 0, 0)))
+        for k in range(3):
+            way = (0.0, -length * 0.8 / 3, 0.0)
+            joints.append(Joint(f"{k}{side}", first + k, translation=way))
+    rig = Rig("two", tuple(joints))
+    own = Body.of(rig, [{} for _ in joints], [""] * len(joints))
+    assert [sorted(pair) for pair in _pairs(own)] == ([[1, 5]] if alike else [])

@@ -11,15 +11,25 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from support.faults import raises
+from support.people import person
 
 from animtool import Channel, Motion, Rig, Take, open_source
-from animtool.core.errors import OptionError
+from animtool.core.clock import Clock
+from animtool.core.errors import OptionError, Severity
 from animtool.core.units import UpAxis, up_from_up
 from animtool.maths import so3
 from animtool.motion.passes import PassContext, apply_pass, find_pass
 from animtool.motion.take import TakeStream
+from animtool.retarget import map_joints, retarget_take
+from animtool.retarget.anatomy import anatomy
 from animtool.retarget.options import RetargetOptions
-from animtool.retarget.take_pass import RetargetPassOptions, onto_rig
+from animtool.retarget.take_pass import (
+    RetargetPassOptions,
+    _body,
+    _limbs,
+    _scale_warnings,
+    onto_rig,
+)
 from animtool.rig.kinematics import forward
 
 
@@ -109,3 +119,55 @@ def test_frames_a_second_are_those_that_the_take_has(
     with pytest.raises(Stop) as caught:
         onto_rig(TakeStream.of(slow), take.rig, RetargetOptions())
     assert caught.value.args == (float(take.clock.fps) / 2,)
+
+
+def test_a_body_is_without_fingers_and_what_hangs_on_hands() -> None:
+    """Of a person the trunk and four limbs; what no role is on a hand is no body."""
+    rig, _ = person()
+    held = replace(
+        rig.joints[0], name="sword", parent=rig.index("hand_l"), translation=(0, 0, 1.0)
+    )
+    rig = replace(rig, joints=(*rig.joints, held))
+    found = [rig.names[j] for j in _body(rig, anatomy(rig).roles)]
+    sides = ("clavicle", "upper_arm", "forearm", "hand", "thigh", "shin", "foot")
+    trunk = ("hips", "spine", "spine_2", "spine_3", "neck", "head")
+    assert {*found} == {*trunk, *(f"{bone}_{side}" for bone in sides for side in "lr")}
+    roles = anatomy(rig).roles
+    limbs = _limbs(roles)
+    assert list(limbs) == ["left arm", "right arm", "left leg", "right leg"]
+    names = [[rig.names[j] for j in own] for own in limbs.values()]
+    assert names[1] == ["upper_arm_r", "forearm_r", "hand_r"]
+    assert names[2] == ["thigh_l", "shin_l", "foot_l"]
+    without = tuple("" if role == "foot_l" else role for role in roles)
+    assert list(_limbs(without)) == ["left arm", "right arm", "right leg"]
+
+
+def test_rigs_of_another_order_of_size_are_pointed_out() -> None:
+    """Below a ninth and above nine times."""
+    for scale, count in ((0.112, 0), (0.111, 1), (1.0, 0), (8.99, 0), (9.01, 1)):
+        found = _scale_warnings(scale)
+        assert [(f.code, f.severity) for f in found] == (
+            [("MAP106", Severity.WARNING)] * count
+        )
+    assert "0.0254 times" in _scale_warnings(0.0254)[0].message
+
+
+@pytest.mark.parametrize("moving", ["head", "hips"])
+def test_a_take_in_which_one_joint_moves_does(moving: str) -> None:
+    rig, _ = person()
+    places, turns = rig.rest_translations, rig.rest_rotations
+    joint = np.array([rig.index(moving)])
+    still = np.zeros(0, int)
+    way = so3.exp(np.linspace([0.0, 0, 0], [0.0, 0.6, 0], 6))[:, None]
+    channels = (
+        Channel(places, still, np.zeros((6, 0, 3))),
+        Channel(turns, joint, so3.multiply(turns[joint], way)),
+    )
+    take = Take(
+        rig, Clock(Fraction(24), Fraction(1), Fraction(1), 6), Motion(*channels)
+    )
+    found = retarget_take(take, rig, map_joints(rig, rig)).take
+    turned = found.world().rotations[:, joint[0]]
+    wanted = take.world().rotations[:, joint[0]]
+    assert_allclose(so3.angle_between(turned, wanted), 0, atol=1e-6)
+    assert so3.angle_between(turned[0], turned[-1]) == pytest.approx(0.6, abs=1e-6)

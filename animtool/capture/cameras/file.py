@@ -191,13 +191,18 @@ def load_all_cameras(
     A camera without a name of its own in its file is called as the file is.
 
     Raises:
-        FormatError: One cannot be read, or a name stands in two (CAM002).
+        FormatError: One cannot be read, a name stands in two (CAM002), or their worlds
+            have other axes up (CAM003).
     """
     read = [load_cameras(path, unit=unit, up=up) for path in paths]
     if len(read) == 1:
         return read[0]
     found: dict[str, Camera] = {}
     for path, each in zip(paths, read, strict=True):
+        if each.up != read[0].up:
+            message = f"{each.up} points up, and {read[0].up} does in {paths[0].name}"
+            hint = "measure all cameras in one world, and write its `up` in each file"
+            raise FormatError(Fault("CAM003", message, str(path), hint=hint))
         for camera in each.cameras:
             alone = len(each) == 1 and camera.name == UNNAMED
             name = path.name.partition(".")[0] if alone else camera.name

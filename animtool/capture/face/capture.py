@@ -13,7 +13,7 @@ import numpy.typing as npt
 from animtool.capture.face.model import FaceModel, landmark_names
 from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray
-from animtool.core.clock import Clock, time_fraction
+from animtool.core.clock import Clock
 from animtool.core.errors import (
     Fault,
     FormatError,
@@ -25,7 +25,13 @@ from animtool.core.errors import (
 )
 from animtool.core.files.reading import open_input
 from animtool.core.names import nearest
-from animtool.core.rates import FractionLike, RateError, parse_rate, rate_option
+from animtool.core.rates import (
+    FractionLike,
+    RateError,
+    parse_rate,
+    rate_from_float,
+    rate_option,
+)
 from animtool.core.readers import find_reader
 from animtool.core.record import dataclass
 from animtool.core.units import LengthUnit, UpAxis
@@ -183,7 +189,7 @@ def _rate(
         raise _wrong(path, "states no rate (fs)", hint)
     stated = archives.stored(path, "fs").ravel()
     try:
-        return parse_rate(str(time_fraction(float(stated[0]))))
+        return parse_rate(rate_from_float(float(stated[0])))
     except (IndexError, RateError, ValueError, OverflowError) as error:
         raise _wrong(path, f"fs is {stated[:1].tolist()}, no frame rate") from error
 

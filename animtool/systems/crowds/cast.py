@@ -123,8 +123,9 @@ class Casting:
         heights = np.nan_to_num(ground(going.points[row])[0])
         origin = np.insert(going.points[row], 1, heights, axis=1)
         matrix = so3.to_matrix(turn)
+        places = so3.rotate(turn, bodies.scales[:, None, None] * world.positions)
         return WorldTransforms(
-            so3.rotate(turn, world.positions) + frame.to_world(origin)[:, None],
+            places + frame.to_world(origin)[:, None],
             matrix[:, None] @ world.linear,
         )
 

@@ -175,6 +175,7 @@ class Crowd:
             return None
         return Falling(
             self._casting.rigs,
+            self._agents.sizes,
             self._frame,
             self._ground,
             context.colliders,

@@ -11,6 +11,8 @@ from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.rig.kinematics import WorldTransforms
+from animtool.rig.placed import placed_rig
+from animtool.rig.placement import Placement
 from animtool.rig.skeleton import Rig
 from animtool.sim.colliders import Collider, Colliders, Mesh, Plane, Poses
 from animtool.sim.colliders.on_joints import Capsules
@@ -75,6 +77,7 @@ _Pose = tuple[FloatArray, FloatArray]
 class _Falling:
     """The bodies of one who falls."""
 
+    rig: Rig  # of that one's size
     ragdoll: Ragdoll
     simulation: RigidSimulation
 
@@ -84,6 +87,7 @@ class Falling:
 
     Args:
         rigs: Of each agent.
+        sizes: Of the body of each, over its rig ``(N,)``.
         frame: Where the ground is.
         ground: That they fall onto.
         colliders: What else is there.
@@ -93,12 +97,14 @@ class Falling:
     def __init__(
         self,
         rigs: Sequence[Rig],
+        sizes: FloatArray,
         frame: Frame,
         ground: Ground,
         colliders: Colliders,
         step: float,
     ) -> None:
-        self._rigs, self._up = rigs, frame.turned(np.array([0.0, 1.0, 0.0]))
+        self._rigs, self._sizes = rigs, sizes
+        self._up = frame.turned(np.array([0.0, 1.0, 0.0]))
         shape: Plane | Mesh = Plane()
         if not ground.flat:
             seen = ground.triangles
@@ -199,9 +205,8 @@ class Falling:
     def _pose(self, falls: Falls, k: int) -> _Pose:
         """Return what `poses` does, from the bodies that fall."""
         agent = int(falls.agents[k])
-        rig = self._rigs[agent]
         falling = self._falling(agent, falls.positions[k], falls.turns[k])
-        bodies = falling.ragdoll.bodies
+        rig, bodies = falling.rig, falling.ragdoll.bodies
         frame = falling.simulation.frame(
             replace(
                 falling.simulation.initial(),
@@ -232,7 +237,8 @@ class Falling:
         """Return the bodies of one who fell in a pose."""
         key = agent, positions.tobytes()
         if key not in self._known:
-            rig = self._rigs[agent]
+            size = Placement(np.zeros((1, 3)), so3.IDENTITY[None], self._sizes[[agent]])
+            rig = placed_rig(self._rigs[agent], size)
             count = len(rig.joints)
             pose = WorldTransforms(
                 positions[None, :count], so3.to_matrix(turns[None, :count])
@@ -250,7 +256,7 @@ class Falling:
                 substeps=max(1, round(self._step / SMALL_STEP)),
                 iterations=10,
             )
-            self._known[key] = _Falling(ragdoll, simulation)
+            self._known[key] = _Falling(rig, ragdoll, simulation)
         return self._known[key]
 
 

@@ -23,7 +23,7 @@ SPARSE = 8
 APART = 0.25
 # Who comes in nearer than this to another has no room, in spacings.
 ROOM = 0.6
-# Share of the radius that a lattice on a wall may lack by rounding.
+# Share of a radius, or of the time between layers, that may be lost to rounding.
 ROUNDING = 1e-6
 # Radii of drops whose tension is right within a tenth, in spacings.
 RESOLVED = 5.0
@@ -193,7 +193,7 @@ class Inflow:
 
     state: FloatArray  # positions and velocities at its end (2, N, 3)
     births: FloatArray  # when each came (N,) [s]
-    missed: int = 0  # how many more would have come
+    missed: int  # how many more would have come
 
 
 class Nozzle:
@@ -223,7 +223,7 @@ class Nozzle:
     def _layer_count(self, span: Sequence[float], t: float) -> int:
         """Return how many layers a span has made before a time."""
         lasts = min(t, span[1]) - span[0]
-        return max(math.ceil(lasts / self._period), 0)
+        return max(math.ceil(lasts / self._period - ROUNDING), 0)
 
     def inflow(self, after: float, until: float, pull: FloatArray, room: int) -> Inflow:
         """Return what comes in between two times [s], as gravity ``(3,)`` takes it."""

@@ -66,7 +66,7 @@ class Births:
 
     times: FloatArray  # when ``(N,)`` [s]
     keys: IntArray  # which of the emitter's they are ``(N,)``
-    missed: int = 0  # how many more there would be, for which there is no room
+    missed: int  # how many more there would be, for which there is no room
 
 
 @described

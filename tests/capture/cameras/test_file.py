@@ -14,7 +14,7 @@ from animtool.capture.cameras import Camera, Cameras, load_cameras
 from animtool.capture.cameras.file import load_all_cameras
 from animtool.core.errors import FormatError
 from animtool.core.units import LengthUnit, UpAxis
-from animtool.maths.so3 import from_matrix, log
+from animtool.maths.so3 import from_matrix, log, to_matrix
 
 STAGE = ring(3)
 
@@ -95,7 +95,15 @@ def test_opencv(tmp_path: Path) -> None:
         written(tmp_path / f"{camera.name}.yml", opencv(camera))
         for camera in STAGE.cameras
     ]
-    same(load_all_cameras(paths))
+    several = load_all_cameras(paths)
+    same(several)
+    assert (several.path, several.up) == (str(paths[0]), UpAxis.Y)
+    assert load_all_cameras(paths, up=UpAxis.Z).up == UpAxis.Z
+    lying = cameras_text(Cameras(STAGE.cameras[2:])).replace("views", "up: Z\nviews")
+    paths[2] = written(tmp_path / "z.cameras.yaml", lying)
+    with pytest.raises(FormatError, match="Z points up, and Y does") as refused:
+        load_all_cameras(paths)
+    assert [fault.code for fault in refused.value.faults] == ["CAM003"]
     camera = STAGE.cameras[0]
     both = {
         camera.name: {
@@ -258,3 +266,20 @@ def test_ours_are_in_the_unit_that_they_say(
     assert (first.focal, first.centre, first.size) == ((1300, 1300), (960, 540), None)
     assert (first.skew, first.distortion) == (2, (0.1, 0.2, 0.3, 0.4, 0, 0, 0, 0))
     assert found.up is UpAxis.Z
+
+
+def test_a_quaternion_that_is_nearly_of_length_1_is_a_rotation(tmp_path: Path) -> None:
+    """Within a hundredth of it, written w first."""
+    turn = np.array([0.5, -0.5, 0.1, 0.7])
+    unit = turn / np.linalg.norm(turn)
+    for length, good in ((1.009, True), (0.991, True), (1.011, False), (0.989, False)):
+        q = ", ".join(map(repr, (length * unit).tolist()))
+        text = GOOD.replace("[1, 0, 0, 0]", f"[{q}]")
+        path = written(tmp_path / "a.cameras.yaml", text)
+        if not good:
+            with pytest.raises(FormatError, match="CAM001"):
+                load_cameras(path)
+            continue
+        found = load_cameras(path).cameras[0].rotation
+        np.testing.assert_allclose(found @ found.T, np.eye(3), atol=1e-12)
+        np.testing.assert_allclose(found, to_matrix(np.roll(unit, -1)), atol=1e-12)

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
+
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 from support.stage import ring
 
 from animtool.capture.cameras.camera import project
-from animtool.capture.cameras.openpose import follow_people
+from animtool.capture.cameras.openpose import _people, follow_people
 
 CAMERAS = ring(3).cameras
 POINTS, FRAMES, RATE = 15, 30, 30.0
@@ -87,3 +91,17 @@ def test_those_who_are_seen_most_are_kept() -> None:
     who = people_of(found)
     assert who.shape[2] == 1
     assert (who == 1).all()
+
+
+def test_keypoints_without_confidence_or_number_are_missing(tmp_path: Path) -> None:
+    """Nobody has none but such."""
+    rows = [[1, 2, 0.5], [3, 4, 0], [5, float("nan"), 0.7], [6, 7, -1], [8, 9, 1]]
+    people = [np.ravel(one).tolist() for one in (rows, rows[1:3], rows[4:])]
+    path = tmp_path / "image_01_keypoints.json"
+    path.write_text(
+        json.dumps({"people": [{"pose_keypoints_2d": one} for one in people]})
+    )
+    first, last = _people(path)
+    missing = [np.nan, np.nan, 0]
+    assert_array_equal(first, [[1, 2, 0.5], missing, missing, missing, [8, 9, 1]])
+    assert_array_equal(last, [[8, 9, 1]])

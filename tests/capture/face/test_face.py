@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from fractions import Fraction
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,8 +19,10 @@ from animtool.capture.face.file import face_model, load_landmarks
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import FormatError, OptionError
 from animtool.maths.so3 import from_axis_angle, rotate
+from animtool.rig.parts import Shape
 from animtool.rig.remap import link_shapes, load_remap
 from animtool.rig.skeleton import Rig
+from animtool.rig.surfaces import SurfaceInbetween, SurfaceShape
 
 ROOT = Path(__file__).parents[3]
 FRAMES, LANDMARKS, SHAPES = 90, 40, 12
@@ -186,11 +190,21 @@ def test_files_of_landmarks(tmp_path: Path) -> None:
     assert np.isnan(capture.points[0, 0]).all()
     assert capture.points[1, 1].tolist() == [0.001] * 3
     assert [n.code for n in capture.notices] == ["FAC106"]
+    for fs, rate in (
+        (59.94, Fraction(60000, 1001)),
+        (30000 / 1001, Fraction(30000, 1001)),
+        (23.976, Fraction(24000, 1001)),
+        (12.5, Fraction(25, 2)),
+    ):
+        clock = read_capture(saved(landmarks_mm=points + 1, fs=fs)).clock
+        assert (clock.rate, clock.start, clock.step) == (rate, 1, 1)
     for arrays in (
         {"fs": 30},
         {"landmarks_mm": points},
         {"landmarks_mm": points, "fs": 0},
         {"landmarks_mm": points, "fs": np.nan},
+        {"landmarks_mm": points, "fs": 1e-4},
+        {"landmarks_mm": points, "fs": 2e5},
         {"landmarks_mm": points[0], "fs": 30},
         {"landmarks_px": points, "fs": 30},
         {"landmarks_mm": points, "fs": 30, "landmark_names": np.array(["a", "b"])},
@@ -249,6 +263,77 @@ def test_landmarks_files_that_do_not_fit(tmp_path: Path, points: str) -> None:
         face_model(load_landmarks(path), rig)
 
 
+def test_landmarks_of_a_mesh_go_where_its_shapes_take_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """At a vertex, between two by weights and evenly, and on a mesh without shapes.
+
+    One shape has a bend at 0.25, one follows the product of both.
+    """
+    rng = np.random.default_rng(3)
+    points, smile, both = rng.normal(size=(3, 4, 3))
+    wide, quarter = rng.normal(size=(2, 2, 3))
+    shapes = [
+        SurfaceShape("smile", smile),
+        SurfaceShape(
+            "open", wide, np.array([1, 3]),
+            inbetweens=(SurfaceInbetween(0.25, quarter, None),),
+        ),
+        SurfaceShape("both", both),
+    ]  # fmt: skip
+    surfaces = [
+        SimpleNamespace(name="face", points=points, shapes=tuple(shapes)),
+        SimpleNamespace(name="teeth", points=points + 9, shapes=()),
+    ]
+    monkeypatch.setattr("animtool.capture.face.file.surfaces_of", lambda _: surfaces)
+    rig = Rig(
+        "head",
+        (),
+        shapes=(
+            Shape("smile", "face"),
+            Shape("gone", "no mesh"),
+            Shape("both", "face", combine=("smile", "open")),
+            Shape("open", "face"),
+        ),
+    )
+    path = tmp_path / "x.landmarks.yaml"
+    landmarks = (
+        "[{name: a, vertex: 1}, {name: b, vertices: [0, 3], weights: [0.25, 0.75]}, "
+        "{name: c, vertices: [1, 2]}, {name: d, vertex: 2, mesh: teeth}]"
+    )
+    path.write_text(f"landmarks: animtool/1\npoints: {landmarks}\n", "utf-8")
+    model = face_model(load_landmarks(path), rig)
+    assert (model.names, model.shapes) == (("a", "b", "c", "d"), ("smile", "open"))
+
+    def seen(values: FloatArray) -> FloatArray:
+        a, b, c = values[1], values[0] / 4 + values[3] * 0.75, values[1:3].mean(axis=0)
+        return np.array([a, b, c, np.zeros(3)])
+
+    def whole(values: FloatArray) -> FloatArray:
+        made = np.zeros((4, 3))
+        made[[1, 3]] = values
+        return made
+
+    neutral = seen(points)
+    neutral[3] = points[2] + 9
+    assert_allclose(model.neutral, neutral)
+    assert_allclose(model.deltas, [seen(smile), seen(whole(wide))])
+    weights = np.array([[0.5, 1.0], [0.8, 0.125], [0.0, 0.625]])
+    opened = [wide, quarter / 2, (quarter + wide) / 2]
+    wanted = [
+        neutral + w * seen(smile) + seen(whole(o)) + w * k * seen(both)
+        for (w, k), o in zip(weights.tolist(), opened, strict=True)
+    ]
+    assert_allclose(model.points(weights), wanted)
+    flat = model.neutral + np.tensordot(weights, model.deltas, 1)
+    assert_allclose(model.offsets(weights), np.array(wanted) - flat, atol=1e-12)
+    alone = model.select(np.array([False, True]))
+    assert_allclose(alone.points(weights[:, 1:]), model.points(weights * [0, 1]))
+    surfaces[1].shapes = (SurfaceShape("grin", smile),)
+    with raises(FormatError, *["FAC008"] * 3):
+        face_model(load_landmarks(path), rig)
+
+
 def test_remap_files(tmp_path: Path) -> None:
     path = tmp_path / "x.remap.yaml"
 
@@ -303,6 +388,10 @@ def test_weights_from_one_face_to_another() -> None:
     named = transfer_weights(weights[:, :2], ["JawOpen", "q"], ["jaw_open"])
     assert_array_equal(named.weights[:, 0], weights[:, 0])
     assert [n.code for n in named.notices] == ["FAC108"]
+    still = transfer_weights(weights[:, :2] * [1, 0], ["JawOpen", "q"], ["jaw_open"])
+    assert still.notices == ()
+    with pytest.raises(ValueError, match="zip"):
+        transfer_weights(weights[:, :3], ["JawOpen", "q"], ["jaw_open"])
 
 
 def test_landmarks_that_count_little_say_nothing_of_the_fit() -> None:

@@ -6,12 +6,27 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 from support.clouds import MARKER_SETS, cloud
 from support.faults import raises
 from support.named import scores_of
 from support.suite import is_full
 
-from animtool.capture.markers.label import label
+from animtool.capture.markers.geometry import Distances
+from animtool.capture.markers.label import (
+    COMPANY,
+    RIGID,
+    _agreeing,
+    _base,
+    _exchange_parts,
+    _fours,
+    _matches,
+    _misfit,
+    _window,
+    label,
+)
+from animtool.capture.markers.runs import RunLabels
+from animtool.capture.markers.tracklets import Tracklets
 from animtool.capture.markers.twins import exchanged_in, told_apart
 from animtool.core.errors import OptionError
 from animtool.maths import so3
@@ -109,3 +124,113 @@ def test_exchanged_twins_are_put_right() -> None:
     assert told[a] == b
     assert told[b] == a
     assert (np.delete(told, [a, b]) == np.delete(np.arange(len(names)), [a, b])).all()
+
+
+def test_groups_of_four_are_of_the_most_rigid_company() -> None:
+    """In a row each goes with the seven nearest, of equals the first."""
+    count = COMPANY + 2
+    spread = 1e-4 * np.abs(np.arange(count)[:, None] - np.arange(count)) * 1.0
+    spread[3, 5] = spread[5, 3] = RIGID
+    spread[6, 7] = spread[7, 6] = np.nan
+    found = _fours(Distances(spread, spread))
+    worst = [max(spread[a, b] for a in g for b in g) for g in map(list, found)]
+    assert worst == sorted(worst)
+    assert found[0] == (0, 1, 2, 3)  # the worst 3e-4, as of others that come later
+    assert (0, 1, 2, COMPANY) in found
+    assert (0, 1, 2, COMPANY + 1) not in found
+    assert not any({3, 5} <= set(group) or {6, 7} <= set(group) for group in found)
+
+
+def test_groups_are_matched_by_all_their_distances() -> None:
+    shape = np.array(
+        [[0.0, 0, 0], [0.1, 0, 0], [0.3, 0.1, 0], [0, 0.2, 0.4], [1, 1, 1]]
+    )
+    rest = np.linalg.norm(shape[:, None] - shape, axis=-1)
+    order = [3, 0, 4, 1, 2]  # the marker of each run
+    apart = rest[np.ix_(order, order)]
+    assert _matches((0, 1, 3, 4), apart, rest, 1e-6) == [(3, 0, 1, 2)]
+    assert _matches((2, 4), apart, rest, 1e-6) == [(2, 4), (4, 2)]
+    assert _matches((0, 1, 3, 4), 1.1 * apart, rest, 1e-6) == []
+
+
+def test_a_shape_is_off_by_the_median_of_what_frames_leave() -> None:
+    """Nothing where it is turned; of a pair half of what it is longer."""
+    shape = np.array([[0.0, 0, 0], [0.1, 0, 0], [0, 0.2, 0], [0, 0, 0.3]])
+    turned = so3.rotate(so3.exp(np.array([0.3, -1.0, 0.5])), shape)
+    turned += np.array([1.0, 2, 3])
+    assert _misfit(np.stack([turned] * 9), shape) < 1e-9
+    pair = np.array([[0.0, 0, 0], [1.0, 0, 0]])
+    # Each end of a longer pair is off by half of what it is longer.
+    points = np.stack([1.2 * pair] * 17)
+    assert _misfit(points, pair) == pytest.approx(0.1)
+    points[8:] = 1.4 * pair
+    assert _misfit(points, pair) == pytest.approx(0.2)
+    assert _misfit(np.full((9, 2, 3), np.nan), pair) == np.inf
+
+
+def test_groups_that_contradict_a_better_one_are_left_out() -> None:
+    together = np.ones((5, 5), bool)
+    together[1, 4] = together[4, 1] = False
+    seeds = [{0: 7, 1: 8}, {1: 9, 2: 6}, {2: 7}, {3: 5}, {4: 8}]
+    assert _agreeing(seeds, together) == {0: 7, 1: 8, 3: 5, 4: 8}
+    assert _agreeing([], together) == {}
+
+
+def test_the_ten_seconds_with_most_of_longer_runs_are_named_first() -> None:
+    """Windows begin a quarter apart; runs of 30 frames in it do not count in a sum."""
+    first = np.array([0, 50, 115, 270, 120])
+    last = np.array([54, 180, 144, 299, 219])
+    tracklets = Tracklets(np.zeros((300, 1), int), first, last)
+    # From 0 on 55 + 50, from 25 on 75 (30 of the first), from 50 on 100, 75 to 174:
+    # 100 + 55, from 100 on 81 + 100, from 125 on 56 + 95.
+    window, runs = _base(tracklets, 300, 10.0)
+    assert (window, runs.tolist()) == (slice(100, 200), [1, 2, 4])
+    short, runs = _base(tracklets, 20, 10.0)
+    assert (short, runs.tolist()) == (slice(0, 20), [0])
+    # Of 40 frames 31 of a run count, and two of 30 do not; one of 30 is named too.
+    first, last = np.array([0, 20, 20, 0]), np.array([30, 49, 49, 29])
+    window, runs = _base(Tracklets(np.zeros((60, 1), int), first, last), 60, 4.0)
+    assert (window, runs.tolist()) == (slice(0, 40), [0, 3])
+
+
+def test_a_window_holds_the_runs_that_are_asked_for() -> None:
+    ids = np.array([[0, 1], [1, 0], [2, -1], [0, 2]])
+    tracklets = Tracklets(ids, np.array([0, 0, 2]), np.array([3, 1, 3]))
+    positions = np.arange(24.0).reshape(4, 2, 3)
+    found = _window(positions, tracklets, np.array([2, 0]), slice(1, 4))
+    wanted = np.full((3, 2, 3), np.nan)
+    wanted[0, 1], wanted[1, 0] = positions[1, 1], positions[2, 0]
+    wanted[2] = positions[3, [1, 0]]
+    assert_array_equal(found, wanted)
+
+
+@pytest.mark.parametrize("said", [[False, True], [True, False], [True, True]])
+def test_names_are_exchanged_in_parts(
+    said: list[bool], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Frames 0 to 3 and 5 to 7, of which both runs of each go on; the third stays."""
+    ids = np.array([[0, 1, 4]] * 4 + [[-1, -1, 4]] + [[2, 3, 4]] * 3)
+    tracklets = Tracklets(ids, np.array([0, 0, 5, 5, 0]), np.array([3, 3, 7, 7, 7]))
+    work = RunLabels(
+        np.arange(72.0).reshape(8, 3, 3),
+        tracklets, 10.0, np.array([0, 2, 0, 2, 1]), np.zeros((3, 3)),
+    )  # fmt: skip
+    seen = []
+
+    def exchanged(points: np.ndarray, _: np.ndarray, pair: tuple[int, int]) -> bool:
+        seen.append((len(points), points[0, 0, 0], pair))
+        return said[len(seen) - 1]
+
+    monkeypatch.setattr("animtool.capture.markers.label.exchanged_in", exchanged)
+    _exchange_parts(work, np.zeros((3, 3)), (0, 2))
+    assert seen == [(4, 0.0, (0, 2)), (3, 45.0, (0, 2))]
+    swapped = [[0, 2], [2, 0]]
+    wanted = [*swapped[said[0]], *swapped[said[1]], 1]
+    assert work.given.tolist() == wanted
+    # A single part has nothing to be exchanged with.
+    alone = Tracklets(ids, np.array([0, 0, 3, 5, 0]), np.array([3, 3, 7, 7, 7]))
+    work = RunLabels(
+        work.positions, alone, 10.0, np.array([0, 2, 0, 2, 1]), np.zeros((3, 3))
+    )
+    _exchange_parts(work, np.zeros((3, 3)), (0, 2))
+    assert len(seen) == 2

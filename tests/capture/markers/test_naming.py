@@ -76,3 +76,19 @@ def test_names_in_doubt_and_markers_that_lack_points() -> None:
     assert wrong.doubt({(0, 4), (1, 0)}) not in {(0, 4), (1, 0)}
     own.put(3, -1)
     assert own.lacking().tolist() == [2]
+
+
+def test_who_gets_a_name_takes_it_from_those_who_are_seen_with_him() -> None:
+    """And those about them are named anew, where that is asked for."""
+    nowhere = np.zeros(7, bool)
+    for around in (nowhere, nowhere | (np.arange(7) == ORDER[5])):
+        own = naming(ORDER)
+        for point, marker in enumerate(ORDER):
+            own.put(point, {ORDER[0]: ORDER[3], ORDER[3]: ORDER[0]}.get(marker, marker))
+        own.eject(0, ORDER[0], around)
+        assert own.given.tolist() == ORDER
+    apart = naming(ORDER)
+    apart.together = np.zeros_like(apart.together)
+    apart.put(3, 4)
+    apart.eject(0, 4, nowhere)
+    assert (apart.given[0], apart.given[3]) == (4, 4)

@@ -10,8 +10,17 @@ from support.clouds import cloud, template
 from support.marked import FIGURE, TEMPLATE, Captured, captured, moving
 from support.mocap_skeleton import rig_of, template_of
 
+from animtool.capture.options import SolveOptions
 from animtool.capture.solve import calibrate, solve_markers
-from animtool.capture.solve.calibration import with_bones, without_limits
+from animtool.capture.solve.calibration import (
+    BONES,
+    OFFSETS,
+    OVERALL,
+    SIDES,
+    _Calibrating,
+    with_bones,
+    without_limits,
+)
 from animtool.capture.solve.model import marker_model
 from animtool.capture.templates import MarkerTemplate
 from animtool.core.errors import OptionError
@@ -82,6 +91,67 @@ def test_markers_at_an_end_go_with_the_bone_that_leads_there() -> None:
     take = solve_markers(made.markers(), found.rig, found.template).take()
     off = 1000 * take.world().positions - made.truth["joint_pos_mm"]
     assert np.sqrt((off**2).sum(axis=2).mean()) <= 5.0
+
+
+def unsettled(**fixed: bool) -> _Calibrating:
+    """Return bones and offsets before any step."""
+    _, motion = takes()
+    markers = tuple(
+        replace(m, fixed=fixed.get(m.name, False)) for m in TEMPLATE.markers
+    )
+    template = replace(TEMPLATE, markers=markers)
+    return _Calibrating(motion.markers, FIGURE, template, None, SolveOptions())
+
+
+def test_bones_are_likely_about_a_size_of_their_own_and_sides_alike() -> None:
+    """Covariance of bones without sides: 0.07^2, and 0.25^2 that all of them share."""
+    work = unsettled(LWRA=True)
+    bones, size = len(work.bones), len(work.bones) + work.offsets.size
+    assert (bones, work._pairs()) == (5, [(1, 3), (2, 4)])
+    work.scales = np.array([1.1, 0.9, 1.2, 1.0, 1.2])
+    work.offsets = 1.05 * work.offsets0
+    matrix, drawn = work._prior()
+    own = np.linalg.inv(BONES**2 * np.eye(bones) + OVERALL**2)
+    sides = np.zeros((bones, bones))
+    for a, b in ((1, 3), (2, 4)):
+        row = np.eye(bones)[a] - np.eye(bones)[b]
+        sides += np.outer(row, row) / SIDES**2
+    # Each marker but the held one about its place, as large as the bones it is on.
+    of_bones = work._carriers()[:, None, :] * work.offsets0[:, :, None]
+    names = [m.name for m in work.model.template.markers]
+    of_bones[names.index("LWRA")] = 0.0
+    of_bones = of_bones.reshape(-1, bones)
+    left = np.concatenate([-of_bones, np.eye(work.offsets.size)], axis=1)
+    wanted = left.T @ left / OFFSETS**2
+    wanted[:bones, :bones] += own + sides
+    np.testing.assert_allclose(matrix, wanted, rtol=1e-9, atol=1e-6)
+    off = work.offsets.ravel() - of_bones @ work.scales
+    off.reshape(-1, 3)[names.index("LWRA")] = 0.0
+    pull = -left.T @ off / OFFSETS**2
+    pull[:bones] -= own @ (work.scales - 1) + sides @ work.scales
+    np.testing.assert_allclose(drawn, pull, rtol=1e-9, atol=1e-6)
+    assert size == len(drawn)
+
+
+def test_markers_are_as_large_as_the_bones_that_begin_at_their_joint() -> None:
+    """Of the hips the chest's bone, of the chest both arms', of a wrist its own."""
+    work = unsettled()
+    joints = [FIGURE.joints[j].name for j in work.model.joints.tolist()]
+    rows = dict(zip(joints, work._carriers().tolist(), strict=True))
+    assert rows["hips"] == [1, 0, 0, 0, 0]
+    assert rows["chest"] == [0, 0.5, 0, 0.5, 0]
+    assert rows["arm_l"] == [0, 0, 1, 0, 0]
+    assert rows["elbow_r"] == [0, 0, 0, 0, 1]
+
+
+def test_what_noise_hides_of_bones_is_not_sure() -> None:
+    work = unsettled()
+    poses = work.model.starts(work.positions)
+    work._step(poses)
+    assert ((work.surety > 0.9) & (work.surety < 1)).all()
+    work.noise = np.full_like(work.noise, 100.0)
+    work._step(poses)
+    assert ((work.surety > 0) & (work.surety < 0.1)).all()
 
 
 def test_pins_have_no_limits_where_markers_tell_their_angle() -> None:

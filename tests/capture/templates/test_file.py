@@ -67,6 +67,19 @@ def test_offsets_in_another_unit_are_pointed_out(tmp_path: Path) -> None:
     document = load_template(path).document
     assert document is not None
     assert [notice.code for notice in document.notices] == ["MKT003"]
+    # Ten metres, on either side and along any axis; in centimetres a thousand.
+    for offset, unit, count in (
+        ("[0, -10.1, 0]", "m", 1),
+        ("[0, 0, 10.5]", "m", 1),
+        ("[-10, 10, 9.9]", "m", 0),
+        ("[0, 1001, 0]", "cm", 1),
+        ("[0, 999, 0]", "cm", 0),
+    ):
+        text = f"units: {{length: {unit}}}\nmarker_set:\n"
+        text += f"- {{name: A, joint: b, offset: {offset}}}\n"
+        document = load_template(written(tmp_path, text)).document
+        assert document is not None
+        assert len(document.notices) == count
 
 
 def test_a_joint_that_the_rig_lacks_is_named_with_its_line(tmp_path: Path) -> None:

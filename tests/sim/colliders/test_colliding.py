@@ -423,3 +423,21 @@ def test_all_that_makes_no_sense_is_said_at_once() -> None:
     assert [fault.where for fault in error.value.faults] == [
         f"colliders[{i}]" for i in (0, 0, 0, 0, 1, 1, 1, 2, 2, 3, 3, 4, 5, 6, 7, 7)
     ]
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+@pytest.mark.parametrize(("out", "met"), [(0.5, False), (1e-3, False), (-0.5, True)])
+def test_who_leaves_a_sheet_of_two_sides_does_not_touch_it(
+    side: float, out: float, met: bool
+) -> None:
+    """It is on it, a radius off, and goes its own way along it."""
+    points = np.array([[-1.0, 0, -1], [1, 0, -1], [1, 0, 1], [-1, 0, 1]])
+    sheet = Collider(Mesh(points, np.array([[0, 1, 2], [0, 2, 3]])))
+    x = np.array([[0.2, 0.1 * side, 0.1]])
+    v = np.array([[0.3, out * side, 0.0]])
+    after = x + 0.25 * v
+    found = collide(after, v, np.stack([x, v]), [sheet], 0.0, 0.25, 0.1)
+    assert found.contacts.any.tolist() == [met]
+    if not met:
+        assert_allclose(found.points, after, atol=1e-12)
+        assert_allclose(found.velocities, v, atol=1e-12)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -19,11 +20,11 @@ from animtool.rig.skeleton import Joint, Rig
 from animtool.scene.systems.gaits import GaitsSource
 from animtool.systems.crowds.agents import Going
 from animtool.systems.crowds.bodies import Bodies
-from animtool.systems.crowds.cast import part
+from animtool.systems.crowds.cast import CastGroup, Casting, part
 from animtool.systems.crowds.cycles import gaits_of
 from animtool.systems.crowds.footing import BodyState
 from animtool.systems.crowds.gaits import Gaits
-from animtool.systems.crowds.ground import about_up
+from animtool.systems.crowds.ground import Frame, about_up
 from animtool.systems.crowds.poses import TILT, _tilts, poses_of
 
 SAMPLES = Path(__file__).parents[3] / "samples"
@@ -82,6 +83,72 @@ def joints(bodies: Bodies, state: BodyState, going: Going) -> np.ndarray:
     heights = bodies.ground(going.points)[0]
     origin = np.insert(going.points, 1, heights, axis=1)
     return so3.rotate(about_up(going.headings)[:, None], local) + origin[:, None]
+
+
+def test_joints_of_one_are_where_the_ground_is_and_as_large_as_he_is() -> None:
+    """Of three of two rigs, by a frame that is turned about x and off."""
+    gaits = library("walk", "stand")
+    own = np.array([0, 2])
+    bodies = Bodies(gaits, np.array([0.9, 1.2]), bumpy)
+    other = Bodies(gaits, np.array([1.0]), bumpy)
+    going = Going(
+        np.array([[1.0, 2.0], [0, 0], [-3.0, 0.5]]),
+        np.zeros((3, 2)),
+        np.array([0.0, 1.0, 2.2]),
+    )
+    some = part(going, own)
+    state = bodies.first(some, np.array([0.2, 0.7]))
+    rig = SimpleNamespace(rig=gaits.walker.rig)
+    groups = [
+        CastGroup(np.array([1]), other, rig),  # type: ignore[arg-type]
+        CastGroup(own, bodies, rig),  # type: ignore[arg-type]
+    ]
+    frame = Frame(np.array([5.0, 6, 7]), so3.exp(np.array([0.5, 0, 0])))
+    casting = Casting(groups, np.array([1, 0, 2]))
+    chances = np.array([0.2, 0.4, 0.7])
+    of_all = casting.first(going, chances)
+    made = poses_of(bodies, state, some)
+    turn = so3.multiply(frame.rotation, about_up(going.headings[2]))
+    found = casting.world(of_all, going, frame, bumpy, 2)
+    wanted = so3.rotate(frame.rotation, joints(bodies, state, some)[1])
+    np.testing.assert_allclose(found.positions[0], wanted + frame.origin, atol=1e-12)
+    root = so3.multiply(turn, made.turns[1, 0])
+    np.testing.assert_allclose(found.linear[0, 0], so3.to_matrix(root), atol=1e-12)
+
+
+def test_at_first_both_feet_stand_and_nobody_reacts() -> None:
+    bodies = Bodies(library("walk", "stand"), np.array([1.0, 1.2]), level)
+    going = Going(np.array([[1.0, 2], [3, 4]]), np.zeros((2, 2)), np.array([0.0, 1.0]))
+    state = bodies.first(going, np.array([0.25, 0.5]))
+    assert state.phases.tolist() == [0.25, 0.5]
+    assert (state.swings == -1).all()
+    np.testing.assert_array_equal(state.aims, state.places)
+    assert (state.still == 1).all()
+    assert (state.reacts == -1).all()
+    for none in (state.lowered, state.shoulders, state.heels, state.paces):
+        assert not none.any()
+    assert (state.spans == 1).all()
+    period = bodies.gaits.idle.period
+    np.testing.assert_allclose(state.clocks, [0.25 * period, 0.5 * period])
+    middles = state.places[:, :, :2].mean(axis=1)
+    np.testing.assert_allclose(middles, going.points, atol=0.1)
+
+
+def test_who_spins_takes_steps_that_turn_by_eight_tenths_at_most() -> None:
+    """Nor go to a side by more than a quarter of a leg, nor back by 0.3 of one."""
+    bodies = Bodies(library("walk", "stand"), np.array([1.0, 1.0, 1.25, 1.25]), level)
+    leg = bodies.gaits.walker.leg
+    paces = np.array([[0, 0.3, 0], [0, 2.0, 0], [0, 0, 0.6], [-0.6, 0, 0]])
+    blend = bodies.blend(paces)
+    stands = blend.stands.mean(axis=1)
+    for k, (pace, most) in enumerate(
+        [(0.3, 0.8), (2.0, 0.8), (0.48 / 2, 0.25 * leg), (0.48 / 2, 0.3 * leg)]
+    ):
+        step = pace * stands[k] / blend.free[k]
+        over = max(step / most, 1.0)
+        assert blend.rate[k] == pytest.approx(blend.free[k] * over)
+    assert blend.rate[0] == blend.free[0]
+    assert blend.rate[1] > blend.free[1]
 
 
 def toe_height(bodies: Bodies, k: int) -> float:

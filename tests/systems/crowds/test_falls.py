@@ -10,6 +10,8 @@ from numpy.testing import assert_allclose
 
 from animtool.maths import so3
 from animtool.rig.kinematics import WorldTransforms, forward
+from animtool.rig.placed import placed_rig
+from animtool.rig.placement import Placement
 from animtool.rig.skeleton import Rig
 from animtool.sim.colliders import Colliders
 from animtool.systems.crowds.falls import GRAVITY, REST_TIME, Falling, Falls, resting
@@ -23,10 +25,12 @@ def biped(root: Path) -> Rig:
     return Rig.load(root / "rigs/biped/biped.rig.yaml")
 
 
-def falling(rig: Rig) -> Falling:
+def falling(rig: Rig, size: float = 1.0) -> Falling:
     """Return what moves two of a rig over a level ground that is turned about y."""
     frame = Frame(np.array([1.0, 0.0, 2.0]), so3.exp(np.array([0.0, 0.7, 0.0])))
-    return Falling([rig, rig], frame, Ground(), Colliders([]), STEP)
+    return Falling(
+        [rig, rig], np.array([1.0, size]), frame, Ground(), Colliders([]), STEP
+    )
 
 
 def pose(rig: Rig, place: list[float]) -> WorldTransforms:
@@ -69,6 +73,24 @@ def test_who_is_thrown_flies_as_a_stone_does(biped: Rig) -> None:
     # Who looks twice sees the same, and another time another one.
     assert_allclose(world(biped, own, falls), begun + flown)
     assert np.abs(world(biped, own, own.step(falls, t, STEP)) - begun - flown).max() > 0
+
+
+def test_who_is_larger_than_the_rig_falls_as_large(biped: Rig) -> None:
+    """The second of two, by a fifth: bodies and joints, from the first step on."""
+    size = Placement(np.zeros((1, 3)), so3.IDENTITY[None], np.array([1.2]))
+    own, large = falling(biped, 1.2), placed_rig(biped, size)
+    stands = pose(large, [3.0, 50.0, -2.0])
+    falls = own.begun(own.none(), np.array([1]), [stands], [stands], STEP)
+    assert_allclose(world(large, own, falls), stands.positions[0], atol=1e-9)
+    falls = own.step(falls, 0.0, STEP)
+    fell = world(large, own, falls) - stands.positions[0]
+    assert_allclose(fell, np.broadcast_to(fell[0], fell.shape), atol=1e-4)
+    assert fell[0, 1] < 0
+    masses = [
+        own._falling(k, one.positions[0], one.rotations[0]).ragdoll.bodies.masses
+        for k, one in ((0, pose(biped, [0, 50, 0])), (1, stands))
+    ]
+    assert_allclose(masses[1], 1.2**3 * masses[0])
 
 
 def test_who_is_slow_for_long_rests(biped: Rig) -> None:

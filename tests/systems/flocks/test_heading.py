@@ -403,3 +403,17 @@ def test_who_sees_a_narrow_part_sees_no_more() -> None:
     for angle, cosine in ((36.0, 0.9510565), (180.0, 0.0), (360.0, -1.0)):
         (rule,) = rules_of(members(rows, species(vision={"angle": angle})))
         assert rule.cosine == pytest.approx(cosine, abs=1e-6)
+
+
+def test_all_species_that_cannot_begin_are_told_at_once() -> None:
+    kinds = [{"name": name, "count": 2, "seed": i} for i, name in enumerate("abc")]
+    spec = FlocksModel.model_validate({"name": "it", "species": kinds})
+    place = {"place": BoxPlace((9.0, 9.0, 9.0)), "poses": Poses.fixed()}
+    wrong = {**place, "velocities": np.zeros((2, 3)), "points": np.zeros((3, 3))}
+    with pytest.raises(AnimtoolError) as error:
+        Members.of(spec, [wrong, place, wrong], 0.0)
+    faults = error.value.faults
+    assert [fault.code for fault in faults] == ["SIM060", "SIM060"]
+    assert ["'a'" in faults[0].message, "'c'" in faults[1].message] == [True, True]
+    good = Members.of(spec, [place] * 3, 0.0)
+    assert good.ends == [2, 4, 6]

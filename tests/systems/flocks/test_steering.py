@@ -118,6 +118,20 @@ def test_a_wall_that_comes_is_avoided_as_one_that_is_flown_at() -> None:
     assert comes[0, 1] == pytest.approx(0.7 * (7.0 + 16.0 / 1.8), rel=1e-9)
 
 
+def test_walls_push_each_by_itself_whoever_is_far_from_the_first() -> None:
+    """A floor far below two, and two balls of which each is near one of them."""
+    own = members({"radius": 0.1, "avoidance": {"distance": 3, "weight": 10}}, count=2)
+    x = np.array([[0.0, 50.0, 0.0], [9.0, 50.0, 0.0]])
+    walls = [
+        Collider(Plane(), Poses.fixed()),
+        Collider(Sphere(1.0), Poses.fixed((0.0, 51.6, 0.0))),
+        Collider(Sphere(1.0), Poses.fixed((11.6, 50.0, 0.0))),
+    ]
+    found = avoidance(own, Colliders(walls), 0.0, x, np.zeros((2, 3)))
+    away = [10 * (1 - gap / 3) ** 2 for gap in (0.5, 1.5)]
+    assert_allclose(found, [[0, -away[0], 0], [-away[1], 0, 0]], atol=1e-9)
+
+
 def test_a_wall_is_avoided_from_a_metre_and_a_half_on() -> None:
     """Unless another distance is given; its push of 10 m/s² grows to the wall."""
     floor = Colliders([Collider(Plane(), Poses.fixed())])
@@ -253,3 +267,12 @@ def test_a_domain_that_wraps_is_about_its_middle() -> None:
     domain = DomainModel(at=[1, 5, -2], size=[4, 10, 6], wrap=True)
     assert_allclose(wrapping(domain), [[-1, 0, -5], [4, 10, 6]])
     assert not wrapping(DomainModel(size=[4, 10, 6])).any()
+
+
+def test_what_they_would_like_to_do_is_left_as_it_is() -> None:
+    wanted, v = np.full((2, 3), 40.0), np.tile([3.0, 0, 0], (2, 1))
+    own = members({"turning": 30, "acceleration": 5}, count=2)
+    found = steered(own, v, wanted)
+    assert (wanted == 40).all()
+    assert (v == [3, 0, 0]).all()
+    assert_allclose(np.linalg.norm(found, axis=1), 5.0)

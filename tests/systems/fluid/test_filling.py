@@ -184,12 +184,17 @@ def test_layers_of_a_nozzle_are_full_of_places() -> None:
         ({"begin": 1.0, "opens": [[0, 1.09]]}, (1.0, 2.0), 9, [1, 1.05], 0),
         ({"opens": [[0.2, 0.31], [0.4, 0.45]]}, (0, 1.0), 9, [0.2, 0.25, 0.3, 0.4], 0),
         ({"opens": [[0.2, 0.31], [0.4, 0.45]]}, (0, 1.0), 3, [0.2, 0.25, 0.3], 1),
+        # 1.3 - 1.0 is more than 0.3 by rounding: none at the end all the same.
+        ({"opens": [[1.0, 1.3]]}, (0.0, 9.0), 9, 1 + 0.05 * np.arange(6), 0),
+        ({"opens": [[1.0, 1.301]]}, (0.0, 9.0), 9, 1 + 0.05 * np.arange(7), 0),
+        ({"opens": [[1.0, 1.3]]}, (0.0, 1.3), 9, 1 + 0.05 * np.arange(6), 0),
+        ({"opens": [[1.0, 1.3]]}, (1.3, 9.0), 9, [], 0),
         ({}, (0.0, 0.2), 2, [0, 0.05], 2),
         ({"size": [0.2, 0.1]}, (0.0, 0.2), 5, [0, 0, 0.05, 0.05], 4),
     ],
 )
 def test_layers_come_one_after_the_other(
-    keys: Any, span: Any, room: int, births: list[float], missed: int
+    keys: Any, span: Any, room: int, births: Any, missed: int
 ) -> None:
     found = nozzle(**keys).inflow(*span, np.zeros(3), room)
     assert_allclose(found.births, births, atol=1e-12)

@@ -108,6 +108,26 @@ def test_energy_out_of_nothing_is_a_gain(keys: Any, closed: bool) -> None:
     assert (energy is not None) is closed
 
 
+def test_a_step_that_gains_energy_is_said_to_be_too_long(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    own, told = fluid(), []
+
+    def stop(*given: Any) -> None:
+        told.append(given[1:5])
+
+    monkeypatch.setattr(own, "_stop_long", stop)
+    state = replace(own.initial(), energy=7.0)
+    for gains in (False, True):
+        monkeypatch.setattr(own, "_gains", lambda _, gains=gains: gains)
+        own._pressed(state, 1.0, 0.001, np.zeros((3, 3)))
+        assert len(told) == gains
+    t, dt, message, shorter = told[0]
+    assert (t, dt, shorter) == (1.0, 0.001, 1.0)
+    assert message.startswith("its energy is")
+    assert message.endswith("and was 7 J")
+
+
 def test_what_drains_take_away_took_its_energy() -> None:
     floor = Collider(Plane(), Poses.fixed((0, 1.5, 0)))
     own = fluid(forces=[DOWN], drains=[floor, Collider(Sphere(1.0, (0, 5, 7)))])

@@ -17,7 +17,14 @@ from animtool.core.errors import AnimtoolError, ToleranceError
 from animtool.scene.systems.simulation import open_systems
 from animtool.sim.colliders import Poses
 from animtool.systems.framework.run import Reached, SimulationRun
-from animtool.systems.molecules.atoms import BOLTZMANN, COULOMB, Atoms, Box, mixed
+from animtool.systems.molecules.atoms import (
+    BOLTZMANN,
+    COULOMB,
+    Atoms,
+    Box,
+    _read,
+    mixed,
+)
 from animtool.systems.molecules.molecules import (
     MEGAPASCALS,
     Interactions,
@@ -262,6 +269,7 @@ FARTHER = np.array([[0.9, 0, 0], [0, 0, 0], [0, 0, 0]])
         ({"colour": {"by": "taste"}}, "no quantity is named"),
         ({"step": 0.5}, "a step of 0.5 ps is too long"),
         ({"species": [{**ARGON, "charge": 1}]}, r"charges add up to 256 e"),
+        ({"species": [{**ARGON, "charge": -1}]}, r"charges add up to -256 e"),
         (
             {"species": [{**ARGON, "points": 9 + PLACES}]},
             "atom 0 of 'argon' is outside",
@@ -420,3 +428,17 @@ def test_a_bath_warms_nothing_that_stands_still() -> None:
     assert bath_factor(bath, 5, 0, 1.0, 0.1, 0.0, 30) == 1.0
     assert bath_factor(bath, 5, 0, 1.0, 0.1, 2.0, 0) == 1.0
     assert bath_factor(bath, 5, 0, 1.0, 0.0, 2.0, 30) == 1.0
+
+
+@pytest.mark.parametrize("out", [[0, -1.5001, 0], [1.5001, 0, 0], [0, 0, -9]])
+def test_one_atom_outside_of_the_box_is_refused(out: list[float]) -> None:
+    """Half of 3 nm from its middle on; at the end itself it is within."""
+    spec = MoleculesModel.model_validate(
+        {"name": "it", "species": [{"name": "a"}], "box": [3, 3, 3]}
+    )
+    points = np.array([[1.5, 0, 0], [0, -1.5, 0.4], out], float)
+    with raises(AnimtoolError, "SIM071"):
+        _read(spec.species[0], {"points": points}, Box(spec))
+    found, speeds = _read(spec.species[0], {"points": points[:2]}, Box(spec))
+    assert speeds is None
+    assert_allclose(found, points[:2] + 1.5)

@@ -92,6 +92,27 @@ def test_without_softening_steps_are_finer(softening: float, phase: float) -> No
         assert made._parts(rates, 0.01) == parts
 
 
+@pytest.mark.parametrize("parts", [1, 4])
+def test_within_a_step_a_pair_may_turn_half_as_much_again(
+    parts: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By 1.5 times 0.15 rad in each part of the step."""
+    made = nbody(X, 0 * X, MASSES, 2.0, 0.5, 0.01)
+    begun, limits = made.initial(), []
+    turned = np.full(4, (0.9 * parts * 0.15 / 0.01) ** 2)
+    state = replace(begun, pulls=replace(begun.pulls, rates=turned))
+    system = made._system
+
+    def seen(state: Any, check: Any) -> Any:
+        limits.append(check.args[0])
+        return system(state, check)
+
+    monkeypatch.setattr(made, "_system", seen)
+    after = made.step(state, 0.0, 0.01)
+    assert limits == [pytest.approx((1.5 * 0.15 * parts / 0.01) ** 2)]
+    assert after.divided == parts
+
+
 def test_a_step_is_advised_by_the_first_to_fall() -> None:
     """About the centre of mass, no nearer than the softening."""
     made = nbody(X, 0 * X, MASSES, 2.0, 6.0, 0.01)

@@ -82,7 +82,7 @@ def test_each_draws_speed_life_and_radius_by_its_own_numbers() -> None:
         radius_spread=0.1, seed=11,
     )  # fmt: skip
     u = uniforms(11, keys, 8)
-    x, v, lives, radii = emitter.drawn(Births(np.zeros(3), keys))
+    x, v, lives, radii = emitter.drawn(Births(np.zeros(3), keys, 0))
     assert_array_equal(x, np.zeros((3, 3)))
     assert_allclose(v[:, 1], 2.5 + u[:, 5])
     assert_allclose(v[:, [0, 2]], 0, atol=1e-12)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from animtool import _kernels
 from animtool.core.array_types import FloatArray
 from animtool.sim import IntegrateOptions
 from animtool.sim.colliders import Collider, Colliders, Plane, Poses
+from animtool.sim.colliders.bodies import Wrenches
 from animtool.systems.particles import (
     Emitter,
     Force,
@@ -19,6 +21,7 @@ from animtool.systems.particles import (
     ParticleState,
     VelocityField,
     find_force,
+    moving,
 )
 from animtool.systems.particles.moving import (
     DivergenceCheck,
@@ -104,6 +107,48 @@ def test_a_step_ends_at_walls_and_who_meets_none_is_left() -> None:
         assert system.contacts.any.tolist() == [True, False]
         far = end + np.array([0.0, 9, 0])
         assert system.settle(1.0, 0.125, begin + np.array([0.0, 9, 0]), far) is far
+
+
+def test_bodies_take_what_meets_their_own_shapes(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Behind two walls one of two shapes, one that is fixed, and one of three."""
+    bodies = [
+        SimpleNamespace(colliders=range(n), count=count, name=k)
+        for k, (n, count) in enumerate([(2, 1), (1, 0), (3, 2)])
+    ]
+    hit = np.array([-1, 0, 1, 2, 3, 4, 5, 7])
+    took: list[Any] = []
+
+    def share(
+        own: Any, t: float, shapes: Any, free: Any, state: Any, masses: Any
+    ) -> Any:
+        took.append((own.name, t, shapes.tolist(), free, masses))
+        return state + 1.0, f"taken {own.name}"
+
+    monkeypatch.setattr(moving, "share_impulses", share)
+    monkeypatch.setattr(Wrenches, "sum", staticmethod(tuple))
+    whole = SimpleNamespace(
+        _colliders=type("Walls", (list,), {"bodies": bodies})([0, 0]),
+        particles=SimpleNamespace(masses="masses"),
+        wrenches=[
+            SimpleNamespace(after=lambda h, k=k: f"before {k} by {h}") for k in range(3)
+        ],
+    )
+    done = SimpleNamespace(
+        points=np.zeros((8, 3)),
+        velocities=np.full((8, 3), 5.0),
+        contacts=SimpleNamespace(colliders=hit),
+    )
+    found = ParticleForces._shared(whole, 2.0, 0.25, "free", done)  # type: ignore[arg-type]
+    assert took == [
+        (0, 2.0, [-3, -2, -1, 0, 1, -1, -1, -1], "free", "masses"),
+        (2, 2.0, [-6, -5, -4, -3, -2, -1, 0, 2], "free", "masses"),
+    ]
+    assert (found[0] == 2).all()
+    assert (found[1] == 7).all()
+    assert whole.wrenches[0] == ("before 0 by 0.25", "taken 0")
+    assert whole.wrenches[2] == ("before 2 by 0.25", "taken 2")
 
 
 def test_energies_count_each_mass_and_what_walls_may_bring() -> None:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from itertools import product
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from support.rigid import Rigid, box
 
 from animtool.maths import so3
 from animtool.sim.colliders import Poses
@@ -86,3 +89,21 @@ def test_frames_are_seen_and_placed_back() -> None:
     seen = within(pose, frame)
     assert_allclose(seen, [3, 0, 0, *so3.conjugate(turn)], atol=1e-12)
     assert_allclose(placed(pose, seen), frame, atol=1e-12)
+
+
+def test_what_is_fixed_to_a_turned_frame_of_the_world_stays(tmp_path: Path) -> None:
+    """About axes of all signs, by 100 and 170 degrees: frames of all quaternions."""
+    bodies, joints = [], []
+    for k, signs in enumerate(product((1, -1), repeat=3)):
+        axis = np.array([1.0, 2.0, 3.0]) * signs / np.sqrt(14)
+        turn = so3.from_axis_angle(axis, np.radians(100 + 70 * (k % 2)))
+        at = [3.0 * k, 0.0, 0.0]
+        bodies.append({**box((0.2, 0.3, 0.4)), "name": f"b{k}", "at": at})
+        rotate = turn[[3, 0, 1, 2]].tolist()
+        joint = {"type": "fixed", "body": f"b{k}", "at": [3.0 * k, 0.5, 0]}
+        joints.append({**joint, "rotate": rotate})
+    found = Rigid(tmp_path, *bodies, joints=joints, forces=[], sleep={"speed": 0})
+    found.to(0.1)
+    assert_allclose(found.velocities(), 0, atol=1e-9)
+    assert_allclose(found.spins(), 0, atol=1e-9)
+    assert_allclose(np.abs(found.state.motion[:, 6]), 1, atol=1e-9)

@@ -403,3 +403,12 @@ def test_a_slide_is_measured_from_where_it_is_at_rest(rooted: bool) -> None:
     expected = [1, 2, 3] if rooted else [5 + 3, 2, -1]
     assert_allclose(frames[0, :3], expected, atol=1e-12)
     assert_allclose(frames[1, :3], [7, 8, 6])
+
+
+def test_what_falls_where_nothing_is_given() -> None:
+    own = RagdollOptions()
+    assert (own.start, own.end, own.blend) == (None, None, 4)
+    assert (own.mass, own.density) == (None, 1000)
+    assert (own.stiffness, own.damping, own.tone) == (0, 0.5, 1)
+    assert (own.fingers, own.gravity, own.friction) == (True, 9.81, 0.6)
+    assert (own.colliders, own.step, own.substeps) == ((), 0.005, 8)

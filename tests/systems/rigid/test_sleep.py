@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from support.rigid import FLOOR, GRAVITY, Rigid, ball, box
+
+from animtool.systems.rigid.simulation import RigidSimulation
 
 CUBE = (0.2, 0.2, 0.2)
 SLOW = 0.015
@@ -72,3 +76,32 @@ def test_what_stands_sleeps(tmp_path: Path) -> None:
     found.to(2.0)
     assert found.state.awake == 0
     assert np.abs(found.velocities()).max() == 0
+
+
+def test_those_whose_forces_change_wake_and_the_others_sleep() -> None:
+    """Of four the first is awake; of three who sleep one is pulled otherwise."""
+    motion = np.zeros((4, 14))
+    motion[:, 13] = [0.1, 0.5, 0.7, 0.9]
+    changed = np.array([True, False, True, False])
+    asked: list[Any] = []
+    forces = SimpleNamespace(
+        vary=True,
+        over=lambda *given: asked.append(given) or "varied",
+        change=lambda own, *_: (asked.append(own), changed)[1],
+    )
+    spec = SimpleNamespace(sleep=SimpleNamespace(time=0.5))
+    own: Any = SimpleNamespace(_spec=spec, _forces=forces)
+    loads: Any = SimpleNamespace(forces="kept")
+    found = RigidSimulation._woken(own, motion, loads, 1.0, 0.1)
+    assert found[:, 13].tolist() == [0.1, 0.5, 0.0, 0.9]
+    assert motion[2, 13] == 0.7
+    assert asked[-1] == "varied"
+    forces.vary = False
+    assert RigidSimulation._woken(own, motion, loads, 1.0, 0.1)[2, 13] == 0
+    assert asked[-1] == "kept"
+    changed[2] = False
+    assert RigidSimulation._woken(own, motion, loads, 1.0, 0.1) is motion
+    motion[:, 13] = 0.1
+    count = len(asked)
+    assert RigidSimulation._woken(own, motion, loads, 1.0, 0.1) is motion
+    assert len(asked) == count
