@@ -195,7 +195,6 @@ def ik(console: Console, /, **params: Any) -> None:
     )
     if cut is not None:
         params |= {"start": cut.media.path, "shot": cut.shot, "first_code": None}
-    as_json = params["report_format"] == "json"
     output = params["output"]
     to_stdout = goes_to_stdout(output, params)
     if params["table"]:
@@ -204,10 +203,11 @@ def ik(console: Console, /, **params: Any) -> None:
         if params["strict"]:
             message = "--table measures, and its rows miss by design: no --strict."
             raise click.UsageError(message)
-        _table(console, params, as_json=as_json)
+        _table(console, params)
         return
     if skipped(console, "ik", params, output, lambda: _outputs(params)):
         return
+    from animtool.cli.ik_summary import SOLVED
     from animtool.scene.solves.ik import MissedGoalsError, run_ik
 
     label = f"ik {params['targets'].name}"
@@ -215,9 +215,10 @@ def ik(console: Console, /, **params: Any) -> None:
         try:
             report = run_ik(_job(params), progress=progress)
         except MissedGoalsError as error:
-            _say(console, error.report, as_json=as_json, faults=False)
+            console.report(params["report_format"], error.report, SOLVED)
             raise
-    _say(console, report, as_json=as_json)
+    console.faults(report.notices)
+    console.report(params["report_format"], report, SOLVED)
 
 
 def _match(console: Console, params: dict[str, Any], source: Any) -> None:
@@ -226,7 +227,7 @@ def _match(console: Console, params: dict[str, Any], source: Any) -> None:
     output = params["output"]
     if skipped(console, "ik", params, output, lambda: [output]):
         return
-    from animtool.cli.ik_summary import match_json, match_text
+    from animtool.cli.ik_summary import MATCHED
     from animtool.scene.bake.options import BakeOptions
     from animtool.scene.solves.ik_match import MatchJob, run_match
 
@@ -246,12 +247,7 @@ def _match(console: Console, params: dict[str, Any], source: Any) -> None:
     with console.progress(f"match {params['start'].name}") as progress:
         report = run_match(job, progress=progress)
     console.faults(report.notices)
-    console.summary(
-        params["report_format"],
-        lambda: match_json(report),
-        lambda: match_text(report),
-        report.seconds,
-    )
+    console.report(params["report_format"], report, MATCHED)
 
 
 def _check_match(params: dict[str, Any]) -> None:
@@ -285,22 +281,8 @@ def _source(params: dict[str, Any]) -> Any:
     return source_options_record(params, *named, **own)
 
 
-def _say(console: Console, report: Any, *, as_json: bool, faults: bool = True) -> None:
-    from animtool.cli.ik_summary import ik_details, ik_json, ik_text
-
-    if faults:
-        console.faults(report.notices)
-    if as_json:
-        console.result_json(ik_json(report))
-        return
-    for line in ik_text(report):
-        console.say(line)
-    for line in ik_details(report):
-        console.detail(line)
-
-
-def _table(console: Console, params: dict[str, Any], *, as_json: bool) -> None:
-    from animtool.cli.ik_summary import ik_table_json, ik_table_text
+def _table(console: Console, params: dict[str, Any]) -> None:
+    from animtool.cli.ik_summary import TABLE
     from animtool.preview.work_precision import ik_panels
     from animtool.scene.tables.ik import ik_table
 
@@ -309,10 +291,7 @@ def _table(console: Console, params: dict[str, Any], *, as_json: bool) -> None:
     check_plot(params["plot"], inputs, overwrite=params["overwrite"])
     with console.progress(f"measure {params['targets'].name}") as progress:
         table = ik_table(_job(params), progress=progress)
-    if as_json:
-        console.result_json(ik_table_json(table))
-    else:
-        console.result(*ik_table_text(table))
+    console.report(params["report_format"], table, TABLE)
     draw(console, lambda: ik_panels(table, params["targets"].name), params["plot"])
 
 

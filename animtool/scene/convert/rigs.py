@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import ClassVar
 
 from animtool.core.arguments import argument, flag
 from animtool.core.errors import (
@@ -39,6 +40,19 @@ class RigReport:
     controls: int
     physics: int | None  # joint prims written; None where they were not asked for
     notices: list[Fault]  # warnings and notes
+    json_keys: ClassVar[str] = (
+        "'convert' outputs joints meshes shapes controls physics notices"
+    )
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """How many there are of what a rig has, by noun."""
+        return {
+            "joint": self.joints,
+            "mesh/meshes": self.meshes,
+            "shape": self.shapes,
+            "control": self.controls,
+        }
 
 
 def convert_rig(

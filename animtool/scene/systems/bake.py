@@ -112,7 +112,6 @@ class SystemPrims:
             len(self.codes),
             metadata.fps,
             "",
-            meshes_of=self.scene.path.name,
         )
         draft.report = plan.report(
             [report],
@@ -176,7 +175,7 @@ class SystemFrames:
         report.result.outputs[:0] = self.files
         report.result.bytes += sum(map(size_of, self.files))
         for take in report.takes:
-            take.meshes += run.reports(written)
+            take.meshes += run.reports(written, take.source.name)
             take.simulated += run.simulated
         if self.prims.watch is not None:
             return

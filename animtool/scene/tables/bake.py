@@ -10,6 +10,7 @@ from dataclasses import replace
 from enum import StrEnum
 from fractions import Fraction
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 
@@ -71,6 +72,10 @@ class BakeTable:
     source: Path
     instants: int  # at how many times samples were compared
     rows: list[TableRow]  # in the order tried
+    json_keys: ClassVar[str] = (
+        "'table' source instants "
+        "rows{kind setting count seconds~ bytes error=.{meters=error joint time}}"
+    )
 
 
 def bake_table(

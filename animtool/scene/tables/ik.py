@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import ClassVar
 
 import numpy as np
 
@@ -44,6 +45,9 @@ class IkTable:
     # A row for each of `TOLERANCES`, by the method asked for.
     tolerances: list[IkTableRow]
     methods: list[IkTableRow]  # A row for each `IkMethod`, at the tolerance asked for
+    json_keys: ClassVar[str] = (
+        "'ik_table' frames degrees_of_freedom=degrees tolerances methods"
+    )
 
 
 def ik_table(job: IkJob, *, progress: Progress = None) -> IkTable:

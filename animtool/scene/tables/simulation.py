@@ -7,7 +7,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -49,6 +49,7 @@ class SimulationTable:
 
     source: Path  # the scene
     tables: list[TrialTable]  # in its order
+    json_keys: ClassVar[str] = "'simulation_table' source simulated=tables notices"
 
     @property
     def notices(self) -> list[Fault]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import field, replace
 from itertools import pairwise
+from typing import ClassVar
 
 import numpy as np
 
@@ -55,6 +56,7 @@ class Reference:
     # Whether halving the steps hardly brings it nearer: then nothing is near, and
     # errors say little.
     sensitive: bool
+    json_keys: ClassVar[str] = "*setting error order sensitive"
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,6 +82,23 @@ class TrialRow:
     chosen: bool = False  # whether the file has it so
     best: bool = False  # whether no other that is as exact is faster
     recommended: bool = False  # whether to take it in place of the chosen one
+    span: float = 0.0  # how long it simulates [s]
+    json_keys: ClassVar[str] = (
+        "*setting status=ended reason stable_step seconds~ simulated_per_second steps "
+        "error energy_drift stretch chosen best recommended"
+    )
+
+    @property
+    def ended(self) -> str:
+        """How it ended, in words."""
+        if self.status is None:
+            return "left out"
+        return "blew up" if self.status == "unstable" else str(self.status)
+
+    @property
+    def simulated_per_second(self) -> float | None:
+        """How much a second simulates [s]; None where it took no time."""
+        return self.span / self.seconds if self.seconds else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,6 +115,17 @@ class TrialTable:
     reference: Reference | None
     rows: list[TrialRow]  # in the order tried
     notices: list[Fault] = field(default_factory=list)  # what is odd about it
+    json_keys: ClassVar[str] = "name kind span instants points extent reference rows"
+
+    @property
+    def tried(self) -> list[TrialRow]:
+        """The rows of methods that are for it."""
+        return [row for row in self.rows if row.status is not None]
+
+    @property
+    def has_lone(self) -> bool:
+        """Whether points are compared that only one of two has."""
+        return any(row.error is not None and row.error.apart for row in self.tried)
 
 
 def measure(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from typing import ClassVar
 
 import numpy as np
 
@@ -29,6 +30,12 @@ class Setting:
     method: str  # an integrator or a solver
     # Names and values that go with it, as the scene file writes them.
     options: tuple[tuple[str, float], ...]
+    json_keys: ClassVar[str] = "method options=by_name"
+
+    @property
+    def by_name(self) -> dict[str, float]:
+        """The options by name."""
+        return dict(self.options)
 
     @staticmethod
     def of(method: str, **options: float) -> Setting:
@@ -127,6 +134,7 @@ class Distances:
     # Root of the mean of squares of the angles between their orientations [rad]; None
     # where they have none.
     angle: float | None = None
+    json_keys: ClassVar[str] = "largest rms median apart angle?"
 
     def with_reach(self, reach: float) -> float:
         """Return the distance (rms) of what reaches so far from the points [m]."""

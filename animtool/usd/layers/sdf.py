@@ -35,6 +35,7 @@ from animtool.core.readers import PACKAGE
 from animtool.core.record import dataclass
 from animtool.core.shot import Shot
 from animtool.core.units import UpAxis
+from animtool.core.values import plain_value
 from animtool.maths import so3
 from animtool.usd.layers.finite import (
     Labels,
@@ -86,7 +87,7 @@ def author_metadata(layer: Any, metadata: StageMetadata) -> None:
     root.SetInfo("upAxis", metadata.up.value)
     if metadata.shot is not None:
         data = dict(layer.customLayerData)
-        shot = metadata.shot.as_dict().items()
+        shot = plain_value(metadata.shot).items()
         stated = {_SHOT_KEYS.get(key, key): value for key, value in shot}
         data["animtool"] = {**data.get("animtool", {}), "shot": stated}
         layer.customLayerData = data

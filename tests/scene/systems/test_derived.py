@@ -13,7 +13,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from support.faults import raises
 from support.swing import Spec
 
-from animtool.cli.simulation_summary import simulation_table_text
+from animtool.cli.simulation_summary import TABLE
 from animtool.core.errors import FormatError, OptionError, ToleranceError
 from animtool.documents.document import Document, read_document
 from animtool.motion.frames import TransformsFrame
@@ -210,7 +210,7 @@ def test_copies_that_turn_in_place_are_measured_by_angles(tmp_path: Path) -> Non
     assert_allclose(angles[:-1], 4 * np.array(angles[1:]), rtol=0.1)
     # One step for all is fast, and yet no more exact.
     assert not any(row.recommended for row in rows if row.setting["step"] > 0.01)
-    text = simulation_table_text(SimulationTable(tmp_path, [table]))
+    text = TABLE.text(SimulationTable(tmp_path, [table]))
     assert any("rms deg" in line for line in text)
 
 
