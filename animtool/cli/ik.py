@@ -315,7 +315,6 @@ def _job(params: dict[str, Any]) -> Any:
         options=TakeOptions(**read_values(TakeOptions, params)),
         tolerance=params["tol"],
         angle_tolerance=None if degrees is None else math.radians(degrees),
-        strict=params["strict"],
         output=params["output"],
         bake=_bake_options(params),
     )
@@ -346,4 +345,5 @@ def _bake_options(params: dict[str, Any]) -> Any:
         start=params["first_code"],
         sparse=params["sparse"],
         shot=params["shot"],
+        strict=params["strict"],
     )

@@ -20,8 +20,8 @@ from animtool.scene.bake.options import BakeOptions
 from animtool.scene.bake.progress import OutputCost, Progress
 from animtool.scene.sources.open import motion_bytes
 from animtool.usd.layers.jobs import Form, UsdResult, WrittenTake
-from animtool.usd.layers.names import RigPaths, legal_name
-from animtool.usd.layers.sdf import save_layer
+from animtool.usd.layers.names import RigPaths
+from animtool.usd.layers.sdf import model_path, save_layer
 
 if TYPE_CHECKING:
     from animtool.edit.thin import Thinned
@@ -311,7 +311,7 @@ class BakePlan:
         name, *others = {take.stream.rig.name: None for take in self.takes}
         if others and self.output is not None:
             name = self.output.stem
-        return RigPaths.below(self.options.prim_path or f"/{legal_name(name)}")
+        return RigPaths.below(model_path(self.options.prim_path, name))
 
     def report(
         self,

@@ -70,11 +70,10 @@ class IkJob:
     tolerance: float | None = None
     # An orientation, aim or pole likewise [rad]; None is a tenth of a degree.
     angle_tolerance: float | None = None
-    # Refuse to write what misses, or what there are warnings about.
-    strict: bool = False
     # USD file, ``.clip.yaml`` or ``.bvh``, or `STDOUT` for usda; None writes nothing.
     output: Path | None = None
-    # How USD is written; its ``reduce`` and ``overwrite`` are for others too.
+    # How USD is written; its ``reduce`` and ``overwrite`` are for others too, and
+    # ``strict`` refuses to write what misses, or what there are warnings about.
     bake: BakeOptions = field(default_factory=BakeOptions)
 
 
@@ -297,9 +296,9 @@ def _solved(job: IkJob, progress: Progress) -> IkReport:
         *jump_notices(solved),
     ]
     report = IkReport(solved, goals, [*odd, *missed], seconds)
-    if job.strict and missed:
+    if job.bake.strict and missed:
         raise MissedGoalsError(missed, report)
-    refuse_warnings(odd, strict=job.strict)
+    refuse_warnings(odd, strict=job.bake.strict)
     return report
 
 

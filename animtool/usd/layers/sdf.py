@@ -44,6 +44,7 @@ from animtool.usd.layers.finite import (
     check_value,
     largest,
 )
+from animtool.usd.layers.names import legal_name
 from animtool.usd.layers.package import unpacked
 
 # USD maps binary layers into memory, and reads those of text whole.
@@ -123,6 +124,18 @@ def layer_shot(layer: Any) -> dict[str, object] | None:
     }
     frames = ("start", "end", "cut_in", "cut_out", "head", "tail")
     return shot if all(isinstance(shot.get(key), int) for key in frames) else None
+
+
+def model_path(prim_path: str | None, name: str) -> str:
+    """Return where a model goes: where it is told to, else below the root by its name.
+
+    Raises:
+        OptionError: It is no absolute prim path (CLI003).
+    """
+    if prim_path is None:
+        return f"/{legal_name(name)}"
+    check_prim_path(prim_path)
+    return prim_path
 
 
 def check_prim_path(text: str) -> None:
