@@ -31,6 +31,7 @@ from animtool.core.files.reading import MatchedFile
 from animtool.core.names import is_named, nearest
 from animtool.core.record import dataclass
 from animtool.core.shot import Shot
+from animtool.core.values import plain_value
 from animtool.scene.bake.options import BakeOptions
 from animtool.scene.sources.open import OpenTake, fitting_options, source_stem
 
@@ -404,7 +405,7 @@ class ItemTask:
                 names[key] = named_from(Path(names[key]), root)
             plain["variables"] = names
         if item.shot is not None:
-            plain["shot"] = {k: str(v) for k, v in item.shot.as_dict().items()}
+            plain["shot"] = {k: str(v) for k, v in plain_value(item.shot).items()}
         if self.scene is not None:
             plain["scene"] = named_from(self.scene, root)
             plain["strict"] = self.options.strict

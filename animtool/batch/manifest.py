@@ -31,6 +31,7 @@ from animtool.core.errors import Fault
 from animtool.core.files.output import replacing
 from animtool.core.files.reading import FileState, open_input
 from animtool.core.record import dataclass
+from animtool.core.values import picked
 from animtool.motion.scores import PassScores, Score, ScoreUnit
 
 # What names, digests and clocks can be.
@@ -97,7 +98,7 @@ class ItemRecord:
             "inputs": [numbers[record] for record in self.inputs],
             "outputs": [record.as_dict() for record in self.outputs],
             "at": self.at,
-            **({"scores": [s.as_dict() for s in self.scores]} if self.scores else {}),
+            **picked(self, "scores+"),
         }
 
     @classmethod
@@ -282,7 +283,7 @@ def rewrite_manifest(
 
 
 def scores_in(record: Mapping[str, Any], key: str) -> tuple[PassScores, ...]:
-    """Return the scores that `PassScores.as_dict` wrote; none without the key."""
+    """Return the scores that a record has; none without the key."""
     if key not in record:
         return ()
     return tuple(_pass_scores(object_of(one)) for one in list_in(record, key))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import ClassVar
 
 from animtool.batch.discover import Batch
 from animtool.batch.item import Item
@@ -14,6 +15,7 @@ from animtool.core.arguments import Calling
 from animtool.core.errors import ExitCode, Fault, Severity
 from animtool.core.junit import JunitCase, junit_xml
 from animtool.core.record import dataclass
+from animtool.core.values import picked
 from animtool.motion.scores import PassScores, badness
 
 # How many of the slowest items, and of the worst errors, a summary names.
@@ -35,6 +37,12 @@ class ItemReport:
     measured: Measured | None = None
     # How well passes did, also where an earlier run made it.
     scores: tuple[PassScores, ...] = ()
+    json_keys: ClassVar[str] = (
+        "item=item.number input=item.file.path values=item.values+ "
+        "variables=item.variables+ output=item.output outputs=item.files+ status "
+        "reason shot=item.shot? detail+ seconds=spent?~ samples=measured.samples? "
+        "error=measured?{meters=error joint} scores+ faults+ notices+"
+    )
 
     @classmethod
     def of(
@@ -62,45 +70,18 @@ class ItemReport:
         return replace(self, faults=faults, notices=notices)
 
     @property
+    def spent(self) -> float | None:
+        """Wall time of making it [s]; None where it was not made."""
+        made = self.status in {Status.DONE, Status.FAILED}
+        return self.seconds if made else None
+
+    @property
     def why(self) -> str:
         """Why it failed, in a line."""
         if not self.faults:
             return ""
         more = f" (and {len(self.faults) - 1} more)" if len(self.faults) > 1 else ""
         return f"{self.faults[0].code} " + self.faults[0].message + more
-
-    def as_dict(self) -> dict[str, object]:
-        """Return it as plain values."""
-        files = self.item.files
-        report: dict[str, object] = {
-            "item": self.item.number,
-            "input": str(self.item.file.path),
-            **({"values": dict(self.item.values)} if self.item.values else {}),
-            **({"variables": dict(self.item.variables)} if self.item.variables else {}),
-            "output": str(self.item.output),
-            **({"outputs": [str(path) for path in files]} if files else {}),
-            "status": str(self.status),
-            "reason": str(self.reason),
-        }
-        if self.item.shot is not None:
-            report["shot"] = self.item.shot.as_dict()
-        if self.detail:
-            report["detail"] = self.detail
-        if self.status in {Status.DONE, Status.FAILED}:
-            report["seconds"] = round(self.seconds, 6)
-        if self.measured is not None:
-            report["samples"] = self.measured.samples
-            report["error"] = {
-                "meters": self.measured.error,
-                "joint": self.measured.joint,
-            }
-        if self.scores:
-            report["scores"] = [one.as_dict() for one in self.scores]
-        if self.faults:
-            report["faults"] = [fault.as_dict() for fault in self.faults]
-        if self.notices:
-            report["notices"] = [notice.as_dict() for notice in self.notices]
-        return report
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,6 +92,17 @@ class BatchReport:
     items: tuple[ItemReport, ...]  # those that were looked at, in order
     seconds: float  # wall time of all
     notices: tuple[Fault, ...] = ()  # warnings of the records of earlier runs
+    json_keys: ClassVar[str] = "*summary items"
+
+    @property
+    def summary(self) -> dict[str, object]:
+        """The report without its items, as plain values."""
+        return picked(self, "'batch' *counts seconds~ notices+")
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Of how many items each became."""
+        return {str(s).replace(" ", "_"): self.count(s) for s in Status}
 
     def count(self, status: Status) -> int:
         """Return of how many items something became."""
@@ -163,18 +155,6 @@ class BatchReport:
     def exit_code(self) -> ExitCode:
         """What a process that ran the batch returns."""
         return ExitCode.FINDINGS if self.failed else ExitCode.OK
-
-    def as_dict(self) -> dict[str, object]:
-        """Return it as plain values."""
-        return {
-            "batch": "animtool/1",
-            **{str(status).replace(" ", "_"): self.count(status) for status in Status},
-            "seconds": round(self.seconds, 6),
-            **(
-                {"notices": [n.as_dict() for n in self.notices]} if self.notices else {}
-            ),
-            "items": [report.as_dict() for report in self.items],
-        }
 
 
 def _error(report: ItemReport) -> float:

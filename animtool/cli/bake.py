@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -33,6 +33,7 @@ from animtool.cli.outputs import (
     skipped,
     writing_options,
 )
+from animtool.core.values import VERSION, plain_value
 from animtool.core.writers import file_suffixes
 
 if TYPE_CHECKING:
@@ -169,14 +170,10 @@ def _check_library(scene: Scene, params: dict[str, Any]) -> None:
 
 def _plan(console: Console, outline: Outline, params: dict[str, Any]) -> None:
     """Print what a bake would do."""
-    from animtool.cli.plan_summary import steps_json, steps_text
-    from animtool.scene.bake.steps import bake_steps
+    from animtool.cli.summary import PLAN
+    from animtool.scene.bake.steps import Steps, bake_steps
 
-    steps = bake_steps(outline)
-    if params["report_format"] == "json":
-        console.result_json(steps_json(steps))
-        return
-    console.result(*steps_text(steps))
+    console.report(params["report_format"], Steps(bake_steps(outline)), PLAN)
 
 
 def _bake(
@@ -211,35 +208,29 @@ def _say_reports(
 
     No scene has no stages.
     """
-    from animtool.cli.plan_summary import stats_json, stats_text
-    from animtool.cli.summary import bake_details, output_json, output_text
-    from animtool.scene.bake.prims import BakeReport, raise_stopped
+    from animtool.cli.summary import STATS, template_of
+    from animtool.scene.bake.prims import raise_stopped
+    from animtool.scene.bake.progress import Stats
 
     notices = [notice for report in reports for notice in report.notices]
     # What the sources and passes say stands in every report.
     console.faults(dict.fromkeys(notices) if several else notices)
     stages = [] if scene is None else scene.meter.stages
+    costs = Stats([*stages, *(report.cost for report in reports)])
     if params["report_format"] == "json":
-        costs = {"stats": stats_json(stages, reports)} if params["stats"] else {}
-        written = [output_json(report) for report in reports]
-        whole = {"bake": "animtool/1", "written": written} if several else written[0]
-        console.result_json({**whole, **costs})
+        whole = {"bake": VERSION, "written": reports} if several else reports[0]
+        stats = plain_value(costs) if params["stats"] else {}
+        console.result_json({**plain_value(whole), **stats})
         raise_stopped(reports)
         return
     for report in reports:
-        _say(console, output_text(report))
-    for report in () if several else reports:
-        details = bake_details(report) if isinstance(report, BakeReport) else ()
-        for line in details:
-            console.detail(line)
+        template = template_of(report)
+        console.lines(template.text(report))
+        if not several and console.verbosity > 0:
+            console.details(template.detailed(report))
     if params["stats"]:
-        _say(console, stats_text(stages, reports))
+        console.lines(STATS.text(costs))
     raise_stopped(reports)
-
-
-def _say(console: Console, lines: Iterable[str]) -> None:
-    for line in lines:
-        console.say(line)
 
 
 def _measure(

@@ -387,9 +387,8 @@ def _tell(
     elif form == "jsonl":
         if params["dry_run"]:
             for entry in report.items:
-                console.result_json(entry.as_dict(), line=True)
-        summary = {k: v for k, v in report.as_dict().items() if k != "items"}
-        console.result_json(summary, line=True)
+                console.result_json(entry, line=True)
+        console.result_json(report.summary, line=True)
     elif params["dry_run"]:
         for line in planned_text(report):
             console.result(line)

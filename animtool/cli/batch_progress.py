@@ -16,6 +16,7 @@ from animtool.cli.console import Console
 from animtool.core.arguments import Calling
 from animtool.core.errors import AnimtoolError, Fault, counted
 from animtool.core.quantities import escaped, json_printed, length_text
+from animtool.core.values import plain_value
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -83,13 +84,12 @@ def report_json(
     report: BatchReport, command: Callable[[ItemReport], str]
 ) -> dict[str, object]:
     """Return the report as plain values."""
-    items = []
-    for entry in report.items:
-        plain = entry.as_dict()
-        if entry.status is Status.FAILED:
-            plain["again"] = command(entry)
-        items.append(plain)
-    return {**report.as_dict(), "items": items}
+    items = [
+        plain_value(entry)
+        | ({"again": command(entry)} if entry.status is Status.FAILED else {})
+        for entry in report.items
+    ]
+    return {**report.summary, "items": items}
 
 
 def openjd_lines(other: Listener, calling: Calling) -> Listener:
@@ -256,7 +256,7 @@ def _table(
 
 
 def _write(report: ItemReport) -> None:
-    sys.stdout.write(json_printed(report.as_dict(), ascii_only=True) + "\n")
+    sys.stdout.write(json_printed(plain_value(report), ascii_only=True) + "\n")
     sys.stdout.flush()
 
 

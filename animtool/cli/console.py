@@ -12,7 +12,7 @@ from collections.abc import (
 )
 from contextlib import contextmanager
 from dataclasses import replace
-from typing import TextIO
+from typing import TYPE_CHECKING, TextIO
 
 from animtool.cli.calling import as_flag
 from animtool.core.arguments import Calling, worded
@@ -20,6 +20,10 @@ from animtool.core.errors import Fault, Severity
 from animtool.core.process.supervisor import note_said
 from animtool.core.quantities import escaped, json_printed
 from animtool.core.record import dataclass
+from animtool.core.values import plain_value
+
+if TYPE_CHECKING:
+    from animtool.report.text import Template
 
 _COLORS = {Severity.ERROR: "31", Severity.WARNING: "33", Severity.NOTE: "36"}
 
@@ -40,9 +44,9 @@ class Console:
         note_said()
 
     def result_json(self, value: object, *, line: bool = False) -> None:
-        """Write a result to stdout as JSON, or as a line of JSON in ASCII."""
+        """Write a record or plain values to stdout, or as a line of JSON in ASCII."""
         indent = None if line else 2
-        value = self._worded(value)
+        value = self._worded(plain_value(value))
         self.document(json_printed(value, indent=indent, ascii_only=line))
         sys.stdout.flush()
 
@@ -67,34 +71,40 @@ class Console:
             fault = unworded.worded(self.calling)
             if fatal or self.verbosity >= 0 or fault.severity is Severity.ERROR:
                 code = self._color(escaped(fault.code), _COLORS[fault.severity])
-                entry = {"level": str(fault.severity), **fault.as_dict()}
+                entry = {"level": str(fault.severity), **plain_value(fault)}
                 shown = fault
                 if fault.brief and self.verbosity <= 0:
                     shown = replace(fault, message=fault.brief)
                 self._write(entry, str(shown).replace(escaped(fault.code), code, 1))
 
-    def summary(
-        self,
-        form: str,
-        as_json: Callable[[], object],
-        lines: Callable[[], Iterable[str]],
-        seconds: Mapping[str, float] | None = None,
-    ) -> None:
-        """Write the summary of a command, as JSON to stdout or as lines to stderr.
+    def report(self, form: str, record: object, template: Template) -> None:
+        """Write a report, as JSON to stdout or as lines.
 
         Args:
             form: ``json``, or another for lines.
-            as_json: Returns it as plain values.
-            lines: Returns its lines.
-            seconds: By stage, for the verbose.
+            record: The report.
+            template: Its lines; those of a result go to stdout, others to stderr.
         """
         if form == "json":
-            self.result_json(as_json())
+            self.result_json(record)
             return
-        for line in lines():
+        lines = template.text(record, whole=self.verbosity > 0)
+        if template.is_result:
+            self.result(*lines)
+        else:
+            self.lines(lines)
+        if self.verbosity > 0:
+            self.details(template.detailed(record))
+
+    def details(self, lines: Iterable[str]) -> None:
+        """Write lines to stderr, if verbose."""
+        for line in lines:
+            self.detail(line)
+
+    def lines(self, lines: Iterable[str]) -> None:
+        """Write lines of the summary to stderr, unless quiet."""
+        for line in lines:
             self.say(line)
-        for stage, spent in (seconds or {}).items():
-            self.detail(f"{stage}: {spent:.3f} s")
 
     def error(self, message: str, *others: str) -> None:
         """Write an error that has no code to stderr, and further lines about it."""

@@ -19,8 +19,10 @@ from animtool.cli.options import (
 )
 from animtool.cli.outputs import all_named, skipped, writing_options
 from animtool.clip.reduction.tolerance import KEY_TOLERANCE
+from animtool.core.errors import counted
 from animtool.core.names import is_named
 from animtool.core.record import dataclass
+from animtool.report.text import Template
 
 
 @click.command(
@@ -113,13 +115,9 @@ def convert(console: Console, /, source: Path, output: Path, **params: Any) -> N
             progress=progress,
         )
     console.faults(report.notices)
-    from animtool.cli.convert_summary import convert_json, convert_text
+    from animtool.cli.summary import CONVERTED
 
-    console.summary(
-        params["report_format"],
-        lambda: convert_json(report),
-        lambda: convert_text(report),
-    )
+    console.report(params["report_format"], report, CONVERTED)
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,9 +127,6 @@ class _Converted:
     frames: int
     markers: int
     notices: tuple[()] = ()
-
-    def as_dict(self) -> dict[str, Any]:
-        return {"frames": self.frames, "markers": self.markers}
 
 
 def _markers(
@@ -147,11 +142,10 @@ def _markers(
     def work(read: Any) -> tuple[Any, Any]:
         return read, _Converted(len(read), len(read.names))
 
-    run_on_markers(console, "convert", (source,), output, params, work, lambda _: [])
+    run_on_markers(console, "convert", (source,), output, params, work)
 
 
 def _rig(console: Console, source: Path, output: Path, params: dict[str, Any]) -> None:
-    from animtool.core.errors import counted
     from animtool.scene.convert.rigs import convert_rig
 
     for name in (
@@ -178,30 +172,18 @@ def _rig(console: Console, source: Path, output: Path, params: dict[str, Any]) -
             strict=params["strict"],
         )
     console.faults(report.notices)
-    counts = {
-        "joints": report.joints,
-        "meshes": report.meshes,
-        "shapes": report.shapes,
-        "controls": report.controls,
-    }
-    if params["report_format"] == "json":
-        console.result_json(
-            {
-                "convert": "animtool/1",
-                "outputs": [str(path) for path in report.outputs],
-                **counts,
-                "physics": report.physics,
-                "notices": [notice.as_dict() for notice in report.notices],
-            }
+    console.report(params["report_format"], report, _RIG)
+
+
+_RIG = Template(
+    "animtool.scene.convert.rigs:RigReport",
+    (
+        "{outputs:join}: [{counts:several}]",
+        "[  {physics:n joint} as UsdPhysics has them]",
+    ),
+    {
+        "several": lambda counts: ", ".join(
+            counted(count, *noun.split("/")) for noun, count in counts.items() if count
         )
-        return
-    nouns = [("joint", ""), ("mesh", "meshes"), ("shape", ""), ("control", "")]
-    summary = ", ".join(
-        counted(count, *noun)
-        for noun, count in zip(nouns, counts.values(), strict=True)
-        if count
-    )
-    console.say(f"{', '.join(map(str, report.outputs))}: {summary}")
-    if report.physics is not None:
-        joints = counted(report.physics, "joint")
-        console.say(f"  {joints} as UsdPhysics has them")
+    },
+)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,8 @@ from animtool.cli.options import (
     source_options_record,
 )
 from animtool.core.errors import ExitCode, counted
-from animtool.report.text import Each, Line, render
+from animtool.core.values import VERSION, plain_value
+from animtool.report.text import Each, Template
 
 
 def _largest(kind: str, size: str, where: str) -> str:
@@ -32,30 +33,36 @@ def _largest(kind: str, size: str, where: str) -> str:
     return (
         f"  {kind:<{width}}{{{kind}.value:{size}}}"
         f"[{{?{kind}.value}}  {at}, time code {{{kind}.code:frame}}"
-        f"[, {{{kind}.skeleton}}]]"
+        + (f"[, {{{kind}.skeleton}}]]" if width == 12 else "]")
     )
 
 
 _JOINT, _POINT = "joint {@.joint:repr}", "{@.prim:repr}, point {@.point}"
 _FOUND = (Each("mismatches", ("  {self}",)), Each("notes", ("  note: {self}",)))
-_TAKES: tuple[Line, ...] = (
-    "[{skeletons:several}, ]{joints:n joint}, [{?shapes}{shapes:n shape}, ]"
-    "{frames:n frame} compared",
-    _largest("world", "length", _JOINT),
-    _largest("translation", "length", _JOINT),
-    _largest("rotation", "plain", _JOINT).replace("plain}", "plain} deg"),
-    _largest("scale", "plain", _JOINT),
-    f"[{{?shapes}}{_largest('weight', 'plain', 'shape {@.shape:repr}')}]",
-    *_FOUND,
+_TAKES = Template(
+    "animtool.report.compare:TakeDifference",
+    (
+        "[{skeletons:several}, ]{joints:n joint}, [{?shapes}{shapes:n shape}, ]"
+        "{frames:n frame} compared",
+        _largest("world", "length", _JOINT),
+        _largest("translation", "length", _JOINT),
+        _largest("rotation", "plain", _JOINT).replace("plain}", "plain} deg"),
+        _largest("scale", "plain", _JOINT),
+        f"[{{?shapes}}{_largest('weight', 'plain', 'shape {@.shape:repr}')}]",
+        *_FOUND,
+    ),
+    {"several": lambda n: counted(n, "skeleton") if n > 1 else ""},
 )
-_POINTS: tuple[Line, ...] = (
-    "{prims:n prim}, {samples:n sample} compared",
-    _largest("points", "length", _POINT),
-    _largest("orientations", "plain", _POINT).replace("plain}", "plain} deg"),
-    _largest("scales", "plain", _POINT),
-    *_FOUND,
+_POINTS = Template(
+    "animtool.report.compare_points:PointsDifference",
+    (
+        "{prims:n prim}, {samples:n sample} compared",
+        _largest("points", "length", _POINT),
+        _largest("orientations", "plain", _POINT).replace("plain}", "plain} deg"),
+        _largest("scales", "plain", _POINT),
+        *_FOUND,
+    ),
 )
-_PRINTERS = {"several": lambda n: counted(n, "skeleton") if n > 1 else ""}
 
 
 def _choices(command: Command) -> Command:
@@ -130,21 +137,17 @@ def diff(console: Console, /, first: Path, second: Path, **params: Any) -> None:
         difference = compare_points(first, second)
     if difference is not None:
         same = difference.within(params["tol"], params["tol_degrees"])
-        lines, notices = _POINTS, []
+        template, notices = _POINTS, []
     else:
         difference = compare(first, second, *_options(first, second, params))
         same = difference.within(
             params["tol"], params["tol_degrees"], params["tol_weight"]
         )
-        lines, notices = _TAKES, difference.notices
+        template, notices = _TAKES, difference.notices
     if params["report_format"] == "json":
-        values = {"diff": "animtool/1", "same": same, **asdict(difference)}
-        if "notices" in values:
-            values["notices"] = [notice.as_dict() for notice in notices]
-        console.result_json(values)
+        console.result_json({"diff": VERSION, "same": same, **plain_value(difference)})
     else:
-        text = render(difference, lines, _PRINTERS)
-        console.result(*text, "same" if same else "different")
+        console.result(*template.text(difference), "same" if same else "different")
         console.faults(notices)
     click.get_current_context().exit(int(ExitCode.OK if same else ExitCode.FINDINGS))
 

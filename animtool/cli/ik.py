@@ -195,7 +195,6 @@ def ik(console: Console, /, **params: Any) -> None:
     )
     if cut is not None:
         params |= {"start": cut.media.path, "shot": cut.shot, "first_code": None}
-    as_json = params["report_format"] == "json"
     output = params["output"]
     to_stdout = goes_to_stdout(output, params)
     if params["table"]:
@@ -208,6 +207,7 @@ def ik(console: Console, /, **params: Any) -> None:
         return
     if skipped(console, "ik", params, output, lambda: _outputs(params)):
         return
+    from animtool.cli.ik_summary import SOLVED
     from animtool.scene.solves.ik import MissedGoalsError, run_ik
 
     label = f"ik {params['targets'].name}"
@@ -215,9 +215,10 @@ def ik(console: Console, /, **params: Any) -> None:
         try:
             report = run_ik(_job(params), progress=progress)
         except MissedGoalsError as error:
-            _say(console, error.report, as_json=as_json, faults=False)
+            console.report(params["report_format"], error.report, SOLVED)
             raise
-    _say(console, report, as_json=as_json)
+    console.faults(report.notices)
+    console.report(params["report_format"], report, SOLVED)
 
 
 def _match(console: Console, params: dict[str, Any], source: Any) -> None:
@@ -226,7 +227,7 @@ def _match(console: Console, params: dict[str, Any], source: Any) -> None:
     output = params["output"]
     if skipped(console, "ik", params, output, lambda: [output]):
         return
-    from animtool.cli.ik_summary import match_json, match_text
+    from animtool.cli.ik_summary import MATCHED
     from animtool.scene.bake.options import BakeOptions
     from animtool.scene.solves.ik_match import MatchJob, run_match
 
@@ -246,12 +247,7 @@ def _match(console: Console, params: dict[str, Any], source: Any) -> None:
     with console.progress(f"match {params['start'].name}") as progress:
         report = run_match(job, progress=progress)
     console.faults(report.notices)
-    console.summary(
-        params["report_format"],
-        lambda: match_json(report),
-        lambda: match_text(report),
-        report.seconds,
-    )
+    console.report(params["report_format"], report, MATCHED)
 
 
 def _check_match(params: dict[str, Any]) -> None:
@@ -285,20 +281,6 @@ def _source(params: dict[str, Any]) -> Any:
     return source_options_record(params, *named, **own)
 
 
-def _say(console: Console, report: Any, *, as_json: bool, faults: bool = True) -> None:
-    from animtool.cli.ik_summary import ik_details, ik_json, ik_text
-
-    if faults:
-        console.faults(report.notices)
-    if as_json:
-        console.result_json(ik_json(report))
-        return
-    for line in ik_text(report):
-        console.say(line)
-    for line in ik_details(report):
-        console.detail(line)
-
-
 def _table(console: Console, params: dict[str, Any]) -> None:
     from animtool.scene.tables.tradeoffs import ik_tradeoffs
 
@@ -330,7 +312,6 @@ def _job(params: dict[str, Any]) -> Any:
         options=TakeOptions(**read_values(TakeOptions, params)),
         tolerance=params["tol"],
         angle_tolerance=None if degrees is None else math.radians(degrees),
-        strict=params["strict"],
         output=params["output"],
         bake=_bake_options(params),
     )
@@ -361,4 +342,5 @@ def _bake_options(params: dict[str, Any]) -> Any:
         start=params["first_code"],
         sparse=params["sparse"],
         shot=params["shot"],
+        strict=params["strict"],
     )

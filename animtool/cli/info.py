@@ -18,6 +18,7 @@ from animtool.cli.options import (
     source_options_record,
 )
 from animtool.core.names import check_given, is_named
+from animtool.core.values import VERSION
 
 
 @click.command(
@@ -59,13 +60,12 @@ def info(console: Console, /, files: tuple[Path, ...], **params: Any) -> None:
                 raise
             errors.append(error)
     if params["report_format"] == "json":
-        files_json = [found.as_dict() for found in described]
-        console.result_json({"info": "animtool/1", "files": files_json})
+        console.result_json({"info": VERSION, "files": described})
     else:
-        from animtool.cli.info_summary import info_lines
+        from animtool.cli.info_summary import TEMPLATES
 
         for found in described:
-            console.result(*info_lines(found))
+            console.result(*TEMPLATES[type(found).__name__].text(found))
             console.faults(found.notices)
     for one in errors:
         console.faults(one.faults)

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from animtool.core.errors import counted, listed, percent
 from animtool.core.quantities import plain
-from animtool.report.text import Each, Line
+from animtool.report.text import Each, Line, Template
 
 if TYPE_CHECKING:
     from animtool.report.describe_characters import Extreme
@@ -28,8 +28,7 @@ _FRAMES = (
     "  frames    {frames} at {fps:rate}, {duration:plain 4} s, time codes "
     "{start:frame} to {end:frame}"
 )
-# The lines of what `animtool info` describes, by the name of the record.
-LINES: Mapping[str, tuple[Line, ...]] = {
+_LINES: Mapping[str, tuple[Line, ...]] = {
     "TargetsDescription": (
         "{path}: targets, [{goals:n goal}|0 goals]",
         "  frames    {first:frame} to {last:frame}[ at {fps}]",
@@ -116,7 +115,7 @@ LINES: Mapping[str, tuple[Line, ...]] = {
         "  source    [{sources:list}|none: it is simulated]",
         "[  rig       {rig}]",
         Each("props", ("  beside    {prim} of {file} at {path}",)),
-        "[  passes    {passes:names 40}]",
+        "[  passes    {passes:named 40}]",
         Each(
             "systems",
             (
@@ -195,14 +194,21 @@ PRINTERS: dict[str, Callable[..., str]] = {
         for side, foot in feet.items()
     ),
     "extreme": _extreme,
-    "names": lambda named, most: listed([own.name for own in named], int(most)),
+    "named": lambda named, most: listed([own.name for own in named], int(most)),
     "made": _made,
     "met": _met,
 }
 
 
-def info_lines(found: Any) -> list[str]:
-    """Return the lines of what a file holds."""
-    from animtool.report.text import render
-
-    return render(found, LINES[type(found).__name__], PRINTERS)
+# How what `animtool info` describes is printed, by the name of the record.
+TEMPLATES = {
+    name: Template(f"animtool.{module}:{name}", _LINES[name], PRINTERS)
+    for name, module in (
+        ("TargetsDescription", "report.describe_rig"),
+        ("RigDescription", "report.describe_rig"),
+        ("MarkersDescription", "report.describe_markers"),
+        ("TakeDescription", "report.describe"),
+        ("PointsDescription", "usd.caches.info"),
+        ("SceneDescription", "report.describe_scene"),
+    )
+}

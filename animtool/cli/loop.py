@@ -19,9 +19,8 @@ from animtool.cli.options import (
     strict_option,
 )
 from animtool.cli.outputs import all_named, skipped, writing_options
-from animtool.core.errors import percent
-from animtool.core.quantities import length_text, plain
 from animtool.edit.loop_options import LoopOptions
+from animtool.report.text import Template
 
 
 @click.command(
@@ -63,7 +62,7 @@ def loop(console: Console, /, source: Path, output: Path | None, **params: Any) 
         values[end] = None if values[end] is None else float(values[end])
     find = values["first"] is None or values["last"] is None
     with all_named(), console.progress(f"loop {source.name}") as progress:
-        result, report = loop_source(
+        result = loop_source(
             source,
             output,
             LoopOptions(find=find, **values),
@@ -76,31 +75,19 @@ def loop(console: Console, /, source: Path, output: Path | None, **params: Any) 
             strict=params["strict"],
             progress=progress,
         )
-    notices = result.notices if report is None else report.notices
-    console.faults(notices)
-    if params["report_format"] == "json":
-        console.result_json(
-            {
-                "loop": "animtool/1",
-                "source": str(source),
-                "output": None if output is None else str(output),
-                "first": result.cycle.first,
-                "last": result.cycle.last,
-                "seconds": result.seconds,
-                "apart": result.cycle.apart,
-                "share": result.cycle.share,
-                "notices": [notice.as_dict() for notice in notices],
-            }
-        )
-        return
-    best = result.cycle
-    console.say(
-        f"{source}: a cycle of {plain(result.seconds, 4)} s, frames {best.first:g} to "
-        f"{best.last:g}; its ends differ by {length_text(best.apart)}, "
-        f"{percent(best.share)} of what moves"
-    )
-    if report is not None:
-        from animtool.cli.convert_summary import convert_text
+    console.faults(result.notices)
+    console.report(params["report_format"], result, _TEMPLATE)
+    if result.written is not None and params["report_format"] != "json":
+        from animtool.cli.summary import CONVERTED
 
-        for line in convert_text(report):
-            console.say(line)
+        console.lines(CONVERTED.text(result.written))
+
+
+_TEMPLATE = Template(
+    "animtool.scene.solves.cycle:LoopResult",
+    (
+        "{source}: a cycle of {seconds:plain 4} s, frames {cycle.first:g} to "
+        "{cycle.last:g}; its ends differ by {cycle.apart:length}, "
+        "{cycle.share:percent} of what moves",
+    ),
+)

@@ -17,6 +17,8 @@ from animtool.cli.options import (
     strict_option,
 )
 from animtool.cli.outputs import all_named, writing_options
+from animtool.core.values import VERSION, plain_value
+from animtool.report.text import Template
 
 marker_options = stacked(
     source_options,
@@ -59,11 +61,12 @@ def run_on_markers(
     output: Path,
     params: Mapping[str, Any],
     work: Callable[..., tuple[Any, Any]],
-    said: Callable[[Any], list[str]],
+    template: Template | None = None,
 ) -> None:
     """Read files of markers, work on them, write the result and report.
 
     work: From the markers of the sources to markers and a report, which has notices.
+    template: Further lines of the report.
     """
     from animtool.cli.outputs import skipped
     from animtool.core.errors import refuse_warnings
@@ -79,15 +82,14 @@ def run_on_markers(
     with all_named(), console.progress(f"{command} {sources[0].name}"):
         read = [read_marker_file(path, params) for path in sources]
         made, report = work(*read)
-        notices = [*(n for one in read for n in one.notices), *report.notices]
+        notices = [n for one in (*read, report) for n in one.notices]
         refuse_warnings(notices, strict=params["strict"])
         notices += write_markers(made, output, overwrite=params["overwrite"])
     console.faults(notices)
+    found = {"output": output, **plain_value(report), "notices": notices}
     if params["report_format"] == "json":
-        described = {command: "animtool/1", "output": str(output), **report.as_dict()}
-        described["notices"] = [notice.as_dict() for notice in notices]
-        console.result_json(described)
+        console.result_json({command: VERSION, **found})
         return
-    for line in (f"{output}: {made!r}".replace("<Markers: ", "").rstrip(">"),
-                 *said(report)):  # fmt: skip
-        console.say(line)
+    console.say(f"{output}: {made!r}".replace("<Markers: ", "").rstrip(">"))
+    if template is not None:
+        console.lines(template.text(report))

@@ -15,6 +15,7 @@ from animtool.cli.options import (
     overwrites,
     strict_option,
 )
+from animtool.core.values import VERSION, picked
 
 if TYPE_CHECKING:
     from animtool.documents.migrate import Migration
@@ -55,8 +56,9 @@ def migrate(console: Console, /, files: tuple[Path, ...], **params: Any) -> None
     for plan in plans:
         console.faults(plan.notices)
     if params["report_format"] == "json":
-        entries = [_entry(plan, written=plan.needed and not check) for plan in plans]
-        console.result_json({"migrate": "animtool/1", "files": entries})
+        keys = "path kind from=version to=newest needed written difference notices"
+        entries = [picked(plan, keys) for plan in plans]
+        console.result_json({"migrate": VERSION, "files": entries})
     else:
         for plan in plans:
             _say(console, plan, check=check)
@@ -74,17 +76,4 @@ def _say(console: Console, plan: Migration, *, check: bool) -> None:
         steps = f"keys {'would be' if check else 'are'} renamed"
     console.say(f"{plan.path}: {plan.kind}, {steps}")
     if check:
-        console.result(*plan.difference())
-
-
-def _entry(plan: Migration, *, written: bool) -> dict[str, Any]:
-    return {
-        "path": str(plan.path),
-        "kind": plan.kind,
-        "from": plan.version,
-        "to": plan.newest,
-        "needed": plan.needed,
-        "written": written,
-        "difference": plan.difference(),
-        "notices": [notice.as_dict() for notice in plan.notices],
-    }
+        console.result(*plan.difference)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -92,10 +93,7 @@ def clean(console: Console, /, source: Path, output: Path, **params: Any) -> Non
             progress=progress,
         )
     console.faults(report.notices)
-    from animtool.cli.convert_summary import convert_json, convert_text
+    from animtool.cli.summary import CONVERTED
 
-    console.summary(
-        params["report_format"],
-        lambda: convert_json(report, "mocap clean"),
-        lambda: convert_text(report),
-    )
+    report = replace(report, command="mocap clean")
+    console.report(params["report_format"], report, CONVERTED)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,8 +23,7 @@ from animtool.cli.options import (
 )
 from animtool.cli.outputs import all_named, skipped, writing_options
 from animtool.core.quantities import length_text
-from animtool.report.text import Line, render
-from animtool.report.values import picked, plain_value
+from animtool.report.text import Each, Template
 
 if TYPE_CHECKING:
     from animtool.scene.solves.face import FaceResult
@@ -101,79 +102,36 @@ def face(console: Console, /, landmarks: Path, **params: Any) -> None:
     with all_named(), console.progress(f"face {landmarks.name}") as progress:
         result = run_face(job, progress=progress)
     console.faults(result.notices)
-    console.summary(
-        params["report_format"],
-        lambda: face_json(result),
-        lambda: face_text(result),
-        result.seconds,
-    )
+    console.report(params["report_format"], result, _template(result))
 
 
-def _residual(result: FaceResult, value: float) -> str:
-    if not result.pixels:
-        return length_text(value)
-    return f"{value:.3g} px ({length_text(value / result.pixels_per_meter)})"
-
-
-_LINES: tuple[Line, ...] = (
-    "{job.capture} onto {take.rig.name}: [{fit.weights:n frame}|0 frames], "
-    "{fit.model.names:n landmark}, {moved} of [{fit.model.shapes:n shape}|0 shapes] "
-    "move, {rate:.0f} frames a second",
-    "  landmarks within {fit.rms:residual} RMS; noise {fit.noise:residual} in each "
-    "direction",
-    "[  frames: {ends:list}]",
-    "[  shapes that the rig lacks: {links.lost:list 8}]",
-    "[  written: {written.files:join}]",
-)
-
-
-def face_text(result: FaceResult) -> list[str]:
-    """Return the lines of a summary."""
-    fit = result.fit
-    counts = Counter(map(str, fit.status))
+def _ends(status: Sequence[object]) -> list[str]:
+    """Return how many frames ended how, nothing where all are solved."""
+    counts = Counter(map(str, status))
     ends = [f"{count} {name}" for name, count in sorted(counts.items())]
-    return render(
-        result,
-        _LINES,
-        {"residual": lambda value: _residual(result, value)},
-        moved=int((fit.weights.max(axis=0, initial=0) > 0).sum()),
-        rate=len(fit.weights) / max(result.seconds["solve"], 1e-9),
-        ends=[] if set(counts) == {"solved"} else ends,
-    )
+    return [] if set(counts) == {"solved"} else ends
 
 
-def face_json(result: FaceResult) -> dict[str, object]:
-    """Return a summary as plain values; residuals in metres, or pixels of a camera."""
-    import numpy as np
+def _template(result: FaceResult) -> Template:
+    def residual(value: float) -> str:
+        if not result.pixels:
+            return length_text(value)
+        return f"{value:.3g} px ({length_text(value / result.pixels_per_meter)})"
 
-    fit = result.fit
-    used = np.isfinite(fit.residuals) & (fit.shares >= 0.5)
-    squares = np.where(used, fit.residuals, 0.0) ** 2
-    rms = np.sqrt(squares.sum(axis=0) / np.maximum(used.sum(axis=0), 1))
-    files = [] if result.written is None else result.written.files
-    return {
-        "mocap face": "animtool/1",
-        **picked(result.job, "source=capture rig"),
-        "outputs": plain_value(files),
-        "frames": len(fit.weights),
-        "residual_unit": "px" if result.pixels else "m",
-        "pixels_per_meter": result.pixels_per_meter or None,
-        **picked(fit, "rms noise rounds change"),
-        "landmarks": [
-            {
-                "name": name,
-                "rms": float(rms[i]),
-                "seen": int(np.isfinite(fit.residuals[:, i]).sum()),
-                "outliers": int((np.isfinite(fit.residuals[:, i]) & ~used[:, i]).sum()),
-            }
-            for i, name in enumerate(fit.model.names)
-        ],
-        "shapes": [
-            {"name": name, "max": float(fit.weights[:, i].max(initial=0.0))}
-            for i, name in enumerate(fit.model.shapes)
-        ],
-        "status": plain_value(fit.status),
-        "lost": list(result.links.lost),
-        "seconds": result.seconds,
-        "notices": plain_value(result.notices),
-    }
+    return replace(_TEMPLATE, printers={"residual": residual, "ends": _ends})
+
+
+_TEMPLATE = Template(
+    "animtool.scene.solves.face:FaceResult",
+    (
+        "{job.capture} onto {take.rig.name}: [{fit.weights:n frame}|0 frames], "
+        "{fit.model.names:n landmark}, {moved} of "
+        "[{fit.model.shapes:n shape}|0 shapes] move, {rate:.0f} frames a second",
+        "  landmarks within {fit.rms:residual} RMS; noise {fit.noise:residual} in each "
+        "direction",
+        "[  frames: {fit.status:ends | list}]",
+        "[  shapes that the rig lacks: {links.lost:list 8}]",
+        "[  written: {written.files:join}]",
+    ),
+    details=(Each("seconds", ("{key}: {value:.3f} s",)),),
+)

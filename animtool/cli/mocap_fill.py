@@ -12,7 +12,7 @@ from animtool.capture.options import FillOptions
 from animtool.cli.console import Console
 from animtool.cli.marker_files import marker_options, output_option, run_on_markers
 from animtool.cli.options import INPUT, read_values, record_option
-from animtool.report.text import Each, Line, Printers, render
+from animtool.report.text import Each, Template
 
 
 @click.command(
@@ -88,17 +88,9 @@ def fill(
         return made, report
 
     sources = (markers,) if static is None else (markers, static)
-    run_on_markers(console, "mocap fill", sources, output, params, work, _said)
+    run_on_markers(console, "mocap fill", sources, output, params, work, _TEMPLATE)
 
 
-_LINES: tuple[Line, ...] = (
-    Each("swaps", ("  swapped: {markers:pair} in frames {first} to {last}",)),
-    Each(
-        "spikes", ("  spike: {marker} by {size:mm_whole} in frames {first} to {last}",)
-    ),
-    "  [{gaps:n gap}: {gaps:methods}|0 gaps]",
-    "  {filled} positions filled, {left} still missing",
-)
 _METHODS = {
     "skeleton": "by the skeleton",
     "curve": "by a curve",
@@ -107,19 +99,26 @@ _METHODS = {
 }
 
 
-def _said(report: Any) -> list[str]:
-    """Return what was done, in words."""
-    return render(report, _LINES, _PRINTERS)
-
-
 def _methods(gaps: Any) -> str:
     """Return how gaps were filled."""
     counts = Counter(gap.method for gap in gaps)
     return ", ".join(f"{counts[m]} {word}" for m, word in _METHODS.items() if counts[m])
 
 
-_PRINTERS: Printers = {
-    "pair": " and ".join,
-    "mm_whole": lambda size: f"{1000 * size:.0f} mm",
-    "methods": _methods,
-}
+_TEMPLATE = Template(
+    "animtool.capture.markers.fill:FillReport",
+    (
+        Each("swaps", ("  swapped: {markers:pair} in frames {first} to {last}",)),
+        Each(
+            "spikes",
+            ("  spike: {marker} by {size:mm_whole} in frames {first} to {last}",),
+        ),
+        "  [{gaps:n gap}: {gaps:methods}|0 gaps]",
+        "  {filled} positions filled, {left} still missing",
+    ),
+    {
+        "pair": " and ".join,
+        "mm_whole": lambda size: f"{1000 * size:.0f} mm",
+        "methods": _methods,
+    },
+)

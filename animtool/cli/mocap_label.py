@@ -10,6 +10,7 @@ import click
 from animtool.cli.console import Console
 from animtool.cli.marker_files import marker_options, output_option, run_on_markers
 from animtool.cli.options import INPUT
+from animtool.report.text import Each, Template
 
 
 @click.command(
@@ -43,17 +44,24 @@ def label(
 
         return run_label(points, trial)
 
-    run_on_markers(console, "mocap label", (cloud, static), output, params, work, _said)
+    run_on_markers(
+        console, "mocap label", (cloud, static), output, params, work, _TEMPLATE
+    )
 
 
-def _said(report: Any) -> list[str]:
-    """Return what was found, in words."""
-    share = 100.0 * report.labelled / max(1, report.points)
-    lines = [
-        f"  {report.labelled} of {report.points} points named ({share:.1f}%), "
-        f"{report.rejected} are no marker; {report.runs} runs"
-    ]
-    partial = [(n, c) for n, c in report.coverage.items() if c < 0.5]
-    for name, coverage in sorted(partial, key=lambda entry: entry[1]):
-        lines.append(f"  {name}: seen in {100 * coverage:.0f}% of the frames")
-    return lines
+def _partial(coverage: dict[str, float]) -> list[str]:
+    """Return the markers that are seen in less than half of the frames."""
+    partial = [(name, share) for name, share in coverage.items() if share < 0.5]
+    partial.sort(key=lambda entry: entry[1])
+    return [f"{name}: seen in {100 * c:.0f}% of the frames" for name, c in partial]
+
+
+_TEMPLATE = Template(
+    "animtool.capture.markers.label:LabelReport",
+    (
+        "  {labelled} of {points} points named ({share:.1%}), {rejected} are no "
+        "marker; {runs} runs",
+        Each("coverage:partial", ("  {self}",)),
+    ),
+    {"partial": _partial},
+)

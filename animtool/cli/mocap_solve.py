@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -25,17 +26,14 @@ from animtool.cli.outputs import (
     written_options,
     written_options_record,
 )
-from animtool.core.errors import listed, percent
+from animtool.core.errors import percent
 from animtool.core.quantities import length_text
-from animtool.report.text import Line, render
-from animtool.report.values import picked, plain_value
+from animtool.report.text import Each, Template
 
 if TYPE_CHECKING:
     from animtool.capture.solve.calibration import Calibration
     from animtool.capture.solve.report import MarkerScore
-    from animtool.scene.solves.mocap_solve import MocapSolveResult
-
-MAX_NAMED = 8
+    from animtool.capture.solve.run import MarkerSolve
 
 
 @click.command(
@@ -128,50 +126,7 @@ def solve(
     with console.progress(f"solve {source.name}", stdout=to_stdout) as progress:
         report = run_solve(job, progress=progress)
     console.faults(report.notices)
-    most = MAX_NAMED if console.verbosity <= 0 else None
-    console.summary(
-        params["report_format"],
-        lambda: solve_json(report),
-        lambda: solve_text(report, most),
-        report.seconds,
-    )
-
-
-_LINES: tuple[Line, ...] = (
-    "{source} onto {solve.model.rig.name}: {score.frames:n frame}, "
-    "[{score.markers:n marker}|0 markers], {each:duration} a frame",
-    "[  calibrated over {calibration.frames:n frame} in {calibration.rounds:n step}: "
-    "bones {calibration:bones} times as long]",
-    "  markers {score.total:length} off (RMS); most: [{worst:names 3}]",
-    "[  do not fit in some frames: {strays:names}]",
-    "[  labels mixed up: {exchanged:names}]",
-    "[  not in the capture: {solve.match.missing:names}]",
-    "[  not in the template: {solve.match.unused:names}]",
-    "[  written: {outputs:join}]",
-)
-
-
-def solve_text(report: MocapSolveResult, most: int | None = MAX_NAMED) -> list[str]:
-    """Return the lines of a summary; ``most``: names in a line, None is all."""
-    score = report.solve.score
-    worst = sorted(score.markers, key=lambda each: -each.rms if each.seen else 1.0)
-    strays = [each for each in score.markers if each.outliers > 0.01]
-    strays.sort(key=lambda each: -each.outliers)
-    return render(
-        report,
-        _LINES,
-        {
-            "names": lambda names, usual="": listed(
-                list(names), most or int(usual or len(names))
-            ),
-            "bones": _bones,
-        },
-        score=score,
-        each=report.seconds["solve"] / max(score.frames, 1),
-        worst=[_marker(each) for each in worst[:3]],
-        strays=[f"{each.name} ({percent(each.outliers)})" for each in strays],
-        exchanged=_exchanged(report),
-    )
+    console.report(params["report_format"], report, _TEMPLATE)
 
 
 def _bones(found: Calibration) -> str:
@@ -180,42 +135,44 @@ def _bones(found: Calibration) -> str:
     return f"{bones.min(initial=1.0):.3g} to {bones.max(initial=1.0):.3g}"
 
 
-def _marker(each: MarkerScore) -> str:
-    return f"{each.name} {length_text(each.rms)}"
+def _worst(markers: Sequence[MarkerScore]) -> list[str]:
+    """Return the markers that are farthest off."""
+    worst = sorted(markers, key=lambda each: -each.rms if each.seen else 1.0)
+    return [f"{each.name} {length_text(each.rms)}" for each in worst[:3]]
 
 
-def _exchanged(report: MocapSolveResult) -> list[str]:
-    frames = report.solve.markers.clock.times
+def _strays(markers: Sequence[MarkerScore]) -> list[str]:
+    """Return the markers that do not fit in some frames."""
+    strays = [each for each in markers if each.outliers > 0.01]
+    strays.sort(key=lambda each: -each.outliers)
+    return [f"{each.name} ({percent(each.outliers)})" for each in strays]
+
+
+def _exchanged(solve: MarkerSolve) -> list[str]:
+    frames = solve.markers.clock.times
     return [
         f"{each.marker} is {each.label} in {frames[each.first]:g} to "
         f"{frames[each.last]:g}"
-        for each in report.solve.score.exchanged
+        for each in solve.score.exchanged
     ]
 
 
-def solve_json(report: MocapSolveResult) -> dict[str, object]:
-    """Return a summary as plain values; lengths in metres, frames by index."""
-    score, solve = report.solve.score, report.solve
-    found = report.calibration
-    calibration = None
-    if found is not None:
-        calibration = {
-            **picked(found, "rounds frames converged"),
-            "bones": dict(zip(found.rig.names, found.scales.tolist(), strict=True)),
-            "shifts": dict(
-                zip(found.template.names, plain_value(found.shifts), strict=True)
-            ),
-        }
-    return {
-        "mocap solve": "animtool/1",
-        **picked(report, "source rig outputs"),
-        **picked(score, "frames rms=total frame_rms=rms sparse poor searched"),
-        "markers": [picked(each, "name rms seen outliers") for each in score.markers],
-        "exchanged": [
-            picked(each, "marker label first last") for each in score.exchanged
-        ],
-        **picked(solve.match, "missing unused"),
-        "calibration": calibration,
-        "seconds": report.seconds,
-        "notices": plain_value(report.notices),
-    }
+_TEMPLATE = Template(
+    "animtool.scene.solves.mocap_solve:MocapSolveResult",
+    (
+        "{source} onto {solve.model.rig.name}: {solve.score.frames:n frame}, "
+        "[{solve.score.markers:n marker}|0 markers], {seconds_per_frame:duration} a "
+        "frame",
+        "[  calibrated over {calibration.frames:n frame} in {calibration.rounds:n step}"
+        ": bones {calibration:bones} times as long]",
+        "  markers {solve.score.total:length} off (RMS); most: "
+        "[{solve.score.markers:worst | names 3}]",
+        "[  do not fit in some frames: {solve.score.markers:strays | names}]",
+        "[  labels mixed up: {solve:exchanged | names}]",
+        "[  not in the capture: {solve.match.missing:names}]",
+        "[  not in the template: {solve.match.unused:names}]",
+        "[  written: {outputs:join}]",
+    ),
+    {"bones": _bones, "worst": _worst, "strays": _strays, "exchanged": _exchanged},
+    (Each("seconds", ("{key}: {value:.3f} s",)),),
+)

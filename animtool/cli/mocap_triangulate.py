@@ -19,11 +19,10 @@ from animtool.cli.options import (
 )
 from animtool.cli.outputs import all_named, skipped, writing_options
 from animtool.core.units import LengthUnit, UpAxis
-from animtool.report.text import Line, Table, render
-from animtool.report.values import picked, plain_value
+from animtool.report.text import Table, Template
 
 if TYPE_CHECKING:
-    from animtool.capture.cameras.report import CameraReport, Triangulation
+    from animtool.capture.cameras.report import CameraReport
 
 
 @click.command(
@@ -104,33 +103,11 @@ def triangulate(
         found = solve(seen, cameras, options, progress=progress)
         refuse_warnings(found.notices, strict=params["strict"])
         lost = write_markers(found.markers, output, overwrite=params["overwrite"])
-    found = replace(found, notices=(*found.notices, *lost))
-    console.faults(found.notices)
-    console.summary(
-        params["report_format"],
-        lambda: triangulation_json(found, observations, output),
-        lambda: triangulation_text(found, output),
+    found = replace(
+        found, source=observations, output=output, notices=(*found.notices, *lost)
     )
-
-
-_LINES: tuple[Line, ...] = (
-    "{output}: {found_markers}",
-    "{found} of {seen} points that two cameras see ({share:.2f} %), "
-    "reprojection {error_px:.3f} px ({error_mm:.3f} mm)",
-    Table(
-        "cameras",
-        {
-            "camera": "{name}",
-            "seen": "{observed}",
-            "used": "{used}",
-            "outliers": "{outliers:hundredths2} %",
-            "error px": "{error_px:.3f}",
-            "error mm": "{error_mm:.3f}",
-            "": "{self:remarks}",
-        },
-        left=("camera", ""),
-    ),
-)
+    console.faults(found.notices)
+    console.report(params["report_format"], found, _TEMPLATE)
 
 
 def _remarks(report: CameraReport) -> str:
@@ -139,59 +116,34 @@ def _remarks(report: CameraReport) -> str:
 
     said = [f"{'off' if m.kept else 'out'} {m.first + 1}-{m.end}" for m in report.moved]
     if report.disagrees:
-        frames = [each.frame + 1 for each in report.disagrees]
+        frames = [each.number for each in report.disagrees]
         said.append(f"disagrees {frame_spans(frames)}")
     return ", ".join(said)
 
 
-def triangulation_text(found: Triangulation, output: Path) -> list[str]:
-    """Return a report in lines: what was found, and a table of the cameras."""
-    return render(
-        found,
-        _LINES,
-        {"remarks": _remarks, "hundredths2": lambda share: f"{100 * share:.2f}"},
-        output=output,
-        found_markers=f"{found.markers!r}".replace("<", "").replace(">", ""),
-        share=100 * found.found / max(1, found.seen),
-    )
-
-
-_REPROJECTION = "px=error_px mm=error_mm"
-
-
-def triangulation_json(
-    found: Triangulation, observations: Path, output: Path
-) -> dict[str, Any]:
-    """Return a report as plain values."""
-    return {
-        "mocap triangulate": "animtool/1",
-        "observations": str(observations),
-        "output": str(output),
-        "frames": len(found.markers),
-        **picked(found.markers, "fps=clock.rate markers=names"),
-        "points": picked(found, "seen found"),
-        "reprojection": picked(found, _REPROJECTION),
-        "cameras": [camera_json(each) for each in found.cameras],
-        "notices": plain_value(found.notices),
-    }
-
-
-def camera_json(report: CameraReport) -> dict[str, Any]:
-    """Return the report of a camera as plain values."""
-    change = "angle_rad=angle distance_m=distance reprojection_px=error_px"
-    return {
-        **picked(report, "name observed used outliers noise_px"),
-        "reprojection": picked(report, _REPROJECTION),
-        "moved": [
+_TEMPLATE = Template(
+    "animtool.capture.cameras.report:Triangulation",
+    (
+        "{output}: {markers:summary}",
+        "{found} of {seen} points that two cameras see ({share:hundredths2} %), "
+        "reprojection {error_px:.3f} px ({error_mm:.3f} mm)",
+        Table(
+            "cameras",
             {
-                "first": each.first + 1,
-                **picked(each, "last=end outliers kept"),
-                "change": each.change and picked(each.change, change),
-            }
-            for each in report.moved
-        ],
-        "disagrees": [
-            {"frame": each.frame + 1, **picked(each, "outliers error_px")}
-            for each in report.disagrees
-        ],
-    }
+                "camera": "{name}",
+                "seen": "{observed}",
+                "used": "{used}",
+                "outliers": "{outliers:hundredths2} %",
+                "error px": "{error_px:.3f}",
+                "error mm": "{error_mm:.3f}",
+                "": "{self:remarks}",
+            },
+            left=("camera", ""),
+        ),
+    ),
+    {
+        "summary": lambda markers: f"{markers!r}".strip("<>"),
+        "remarks": _remarks,
+        "hundredths2": lambda share: f"{100 * share:.2f}",
+    },
+)

@@ -147,13 +147,10 @@ def say_tradeoffs(
     console: Console, report: Tradeoffs, form: str, plot: Path | None = None
 ) -> None:
     """Print tables of time against error, and draw them where that is asked for."""
-    from animtool.report.tradeoffs import tradeoffs_json, tradeoffs_text
+    from animtool.report.tradeoffs import TABLES
 
     console.faults(report.notices)
-    if form == "json":
-        console.result_json(tradeoffs_json(report))
-    else:
-        console.result(*tradeoffs_text(report))
+    console.report(form, report, TABLES)
     if plot is None:
         return
     from animtool.preview.work_precision import draw_panels, panels_of

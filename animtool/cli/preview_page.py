@@ -7,13 +7,14 @@ import threading
 from pathlib import Path
 
 from animtool.cli.console import Console
-from animtool.cli.plan_summary import steps_json, steps_text
+from animtool.cli.summary import PLAN
 from animtool.core.errors import AnimtoolError, counted
 from animtool.preview.build import Page, check_page_output, make_page, write_page
 from animtool.preview.options import PreviewOptions, ShowOptions
 from animtool.preview.plan import page_steps
 from animtool.preview.serve import PageServer, Watched, follow
 from animtool.preview.show import has_browser, open_browser, temporary_page
+from animtool.scene.bake.steps import Steps
 
 
 def plan(
@@ -28,10 +29,7 @@ def plan(
     if output is not None:
         check_page_output(output, files, overwrite=True)
     steps = page_steps(files, output, options)
-    if as_json:
-        console.result_json(steps_json(steps))
-    else:
-        console.result(*steps_text(steps))
+    console.report("json" if as_json else "text", Steps(steps), PLAN)
 
 
 def write(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -30,58 +31,19 @@ from animtool.cli.outputs import (
 from animtool.core.errors import listed, percent
 from animtool.core.options import options_of
 from animtool.core.quantities import angle_text, length_text
-from animtool.report.text import Line, render
-from animtool.report.values import picked, plain_value
+from animtool.report.text import Each, Template
 from animtool.retarget.options import RetargetOptions
 
 if TYPE_CHECKING:
-    from animtool.retarget.report import RetargetReport
     from animtool.retarget.verdict import Verdict
-    from animtool.scene.solves.retarget import RetargetResult
 
 
-# What ``animtool retarget`` prints of a take on its rig.
-
-MAX_NAMED = 8
 MAX_RUNS = 6
 # What rounding leaves of lengths and angles [m, rad].
 NEGLIGIBLE = 1e-9
 
 
-_LINES: tuple[Line, ...] = (
-    "{verdict_text}",
-    "{source} onto {target.name}: {score.frames:n frame}, {score.pairs:n joint} "
-    "paired, scaled by {score.scale:.3g}, {each:duration} a frame",
-    "[{?score.contacts}  feet stand in {score.contacts:percent} of frames; they drift "
-    "{score.drift_mean:metres}, {score.drift_max:metres} at most (the source "
-    "{score.source_drift_max:metres}, scaled); soles within {score.sole_error:metres}]",
-    "  {fit}",
-    "[{?score.hand_error}  hands within {score.hand_error:length} of what they hold]",
-    "[{?score.lowered}  hips lowered by up to {score.lowered:length}: legs reach]",
-    "[  stopped by their limits: {held:names}]",
-    "[  not mapped, of the source: {score.unmapped_source:names}]",
-    "[  not mapped, of the rig: {score.unmapped_target:names}]",
-    "[  written: {outputs:join}]",
-)
-
-
-def retarget_text(report: RetargetResult, most: int | None = MAX_NAMED) -> list[str]:
-    """Return the lines of a summary; ``most``: names in a line, None is all."""
-    return render(
-        report,
-        _LINES,
-        {
-            "metres": _length,
-            "names": lambda names: listed(names, most or len(names)),
-        },
-        verdict_text=verdict_text(report.verdict),
-        each=report.seconds["solve"] / max(report.score.frames, 1),
-        fit="; ".join(_fit(report.score)),
-        held=_held(report),
-    )
-
-
-def verdict_text(verdict: Verdict) -> str:
+def _verdict(verdict: Verdict) -> str:
     """Return a verdict in a line: what to look at, and in which frames."""
     reasons = []
     for reason in verdict.reasons:
@@ -95,23 +57,6 @@ def verdict_text(verdict: Verdict) -> str:
     return f"{verdict.status}: {'; '.join(reasons)}"
 
 
-def _fit(score: RetargetReport) -> list[str]:
-    """Return what limbs, hands and accelerations are like; scores of none are none."""
-    limbs = "no limb is paired: its angles have no score"
-    if not math.isnan(score.bone_angle_mean):
-        limbs = (
-            f"limbs {_angle(score.bone_angle_mean)} off the source's, "
-            f"{_angle(score.bone_angle_max)} at most"
-        )
-    parts = [limbs]
-    if not math.isnan(score.reach_error):
-        parts.append(f"hands reach within {percent(score.reach_error)} of the arm")
-    if not math.isnan(score.acceleration):
-        fast = f"accelerations up to {score.acceleration:.3g} times the source's"
-        parts.append(fast)
-    return parts
-
-
 def _length(meters: float) -> str:
     return length_text(meters if meters > NEGLIGIBLE else 0.0)
 
@@ -120,33 +65,45 @@ def _angle(radians: float) -> str:
     return angle_text(math.degrees(radians if radians > NEGLIGIBLE else 0.0))
 
 
-def _held(report: RetargetResult) -> list[str]:
-    most = sorted(report.score.held.items(), key=lambda item: -item[1])
+def _held(held: Mapping[str, float]) -> list[str]:
+    most = sorted(held.items(), key=lambda item: -item[1])
     return [f"{name} ({percent(share)} of frames)" for name, share in most]
 
 
-def retarget_json(report: RetargetResult) -> dict[str, object]:
-    """Return a summary as plain values; lengths in metres, angles in radians.
+def _scored(value: float, printer: str) -> str:
+    """Return a score; nothing of what there is none of."""
+    if math.isnan(value):
+        return ""
+    printers = {"angle": _angle, "percent": percent, "times": "{:.3g}".format}
+    return printers[printer](value)
 
-    Scores of nothing are null.
-    """
-    ours, theirs = report.source_rig.names, report.target.names
-    return {
-        **report.verdict.as_dict(),
-        "retarget": "animtool/1",
-        **picked(report, "source rig outputs"),
-        **plain_value(report.score),
-        "joints": [
-            {
-                "source": ours[pair.source],
-                "target": theirs[pair.target],
-                **picked(pair, "role found confidence"),
-            }
-            for pair in report.joint_map.pairs
-        ],
-        "seconds": report.seconds,
-        "notices": plain_value(report.notices),
-    }
+
+_TEMPLATE = Template(
+    "animtool.scene.solves.retarget:RetargetResult",
+    (
+        "{verdict:verdict}",
+        "{source} onto {target.name}: {score.frames:n frame}, {score.pairs:n joint} "
+        "paired, scaled by {score.scale:.3g}, {seconds_per_frame:duration} a frame",
+        "[{?score.contacts}  feet stand in {score.contacts:percent} of frames; they "
+        "drift {score.drift_mean:metres}, {score.drift_max:metres} at most (the source "
+        "{score.source_drift_max:metres}, scaled); soles within "
+        "{score.sole_error:metres}]",
+        "  [limbs {score.bone_angle_mean:scored angle} off the source's, "
+        "{score.bone_angle_max:scored angle} at most|no limb is paired: its angles "
+        "have no score][; hands reach within {score.reach_error:scored percent} of the "
+        "arm][; accelerations up to {score.acceleration:scored times} times the "
+        "source's]",
+        "[{?score.hand_error}  hands within {score.hand_error:length} of what they "
+        "hold]",
+        "[{?score.lowered}  hips lowered by up to {score.lowered:length}: legs reach]",
+        "[  stopped by their limits: {score.held:held | names}]",
+        "[  not mapped, of the source: {score.unmapped_source:names}]",
+        "[  not mapped, of the rig: {score.unmapped_target:names}]",
+        "[  written: {outputs:join}]",
+    ),
+    {"verdict": _verdict, "metres": _length, "held": _held, "scored": _scored},
+    (Each("seconds", ("{key}: {value:.3f} s",)),),
+)
 
 
 # Options of retargeting that those of writing do not have.
@@ -224,10 +181,4 @@ def retarget(
     with console.progress(f"retarget {source.name}", stdout=to_stdout) as progress:
         report = run_retarget(job, progress=progress)
     console.faults(report.notices)
-    most = MAX_NAMED if console.verbosity <= 0 else None
-    console.summary(
-        params["report_format"],
-        lambda: retarget_json(report),
-        lambda: retarget_text(report, most),
-        report.seconds,
-    )
+    console.report(params["report_format"], report, _TEMPLATE)

@@ -1,53 +1,94 @@
-"""The summary of a bake, in words and in JSON."""
+"""How what was written, and what it cost, is printed: templates of records."""
 
 from __future__ import annotations
 
-import math
-from typing import TYPE_CHECKING
+from collections import Counter
+from typing import TYPE_CHECKING, Any
 
-from animtool.cli.convert_summary import (
-    SCORES,
-    SHOT,
-    convert_json,
-    convert_text,
-    scores_json,
-    scores_lines,
-    shot_json,
-)
-from animtool.cli.plan_summary import mesh_json, mesh_text
-from animtool.core.clock import FrameSpan, frame_label
-from animtool.core.errors import counted, listed
-from animtool.core.quantities import length_text, plain
-from animtool.core.rates import rate_label
-from animtool.core.units import unit_name
-from animtool.report.text import Each, Line, render
-from animtool.report.values import picked, plain_value
+from animtool.core.clock import FrameSpan
+from animtool.core.errors import counted, excerpt
+from animtool.core.quantities import duration_text, plain, size_text
+from animtool.report.text import Each, Line, Table, Template
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Mapping, Sequence
     from pathlib import Path
 
+    from animtool.clip.key_report import ChannelError
+    from animtool.core.errors import Fault
     from animtool.scene.bake.files import ConvertReport
-    from animtool.scene.bake.prims import BakeReport, TakeReport
+    from animtool.scene.bake.prims import BakeReport, MeshReport, TakeReport
+    from animtool.scene.bake.steps import Step
+    from animtool.usd.layers.jobs import WrittenTake
     from animtool.usd.takes.splines import CurveReport
 
-
+# Errors of channels that are not worth a line, in their units.
+ROUNDING = 1e-9
 # A stage in three files names all; chunks can be thousands.
 MAX_FILES = 3
+SHOT = "[  {shot.label}]"
+# How long stages took, for the verbose.
+SECONDS = Each("seconds", ("{key}: {value:.3f} s",))
 
 
-def _files_text(files: Sequence[Path]) -> str:
-    """Return the files of an output, or the one to open and the number of the rest."""
-    if len(files) <= MAX_FILES:
-        return ", ".join(map(str, files)) or "stdout"
-    return f"{files[-1]} and {len(files) - 1} more files"
+def _scores(indent: str) -> Each:
+    """Return the lines of the passes of a take: scores, and what they concern."""
+    names = Each("names", (indent + "  {key}: [{value:list 8}]",))
+    return Each("scores", (indent + "{pass_name}: [{scores:scores}]", names))
 
 
-def _extras(indent: str) -> tuple[Line, ...]:
+def channel_lines(errors: Sequence[ChannelError]) -> list[str]:
+    """Return what the channels of a clip are, and the largest error by their unit."""
+    if not errors:
+        return []
+    groups = Counter(error.target.partition("/")[0] for error in errors)
+    nouns = {"control": "control", "joint": "joint channel", "shape": "shape"}
+    counts = [counted(groups[g], noun) for g, noun in nouns.items() if g in groups]
+    worst: dict[tuple[str, bool], ChannelError] = {}
+    for error in errors:
+        key = error.unit, error.target.startswith("control/")
+        if key not in worst or error.error > worst[key].error:
+            worst[key] = error
+    off = [
+        f"{' '.join([plain(error.error), error.unit]).strip()} ({error.target})"
+        for error in worst.values()
+        if error.error > ROUNDING
+    ]
+    lines = [f"keys on {', '.join(counts)}"]
+    return [*lines, f"largest errors of channels: {', '.join(off)}"] if off else lines
+
+
+_PRINTERS: Mapping[str, Callable[..., Any]] = {
+    "scores": lambda scores: ", ".join(f"{one.name} {one.text}" for one in scores),
+    "channels": channel_lines,
+    "next": lambda number: str(number + 1),
+}
+CONVERTED = Template(
+    "animtool.scene.bake.files:ConvertReport",
+    (
+        "{output}: {frames:n frame}, {joints:n joint}",
+        "  {span}",
+        SHOT,
+        _scores("  "),
+        "[{?reduction.samples}  {reduction.samples:n sample} of what moves became "
+        "{reduction.keys:n key}: {reduction.samples_per_key:.3g} a key"
+        "|{?reduction}  nothing moves: [{?reduction.keys}{reduction.keys:n key}, for "
+        "what is not at rest|no keys]]",
+        "[  largest error: {reduction.error:length}[{?reduction.error} (joint "
+        "{reduction.joint:repr}, frame {reduction.frame:next} of {frames})]]",
+        "[{?reduction.weight_error}  largest error of a shape's weight: "
+        "{reduction.weight_error:plain}]",
+        Each("keyed.errors:channels", ("  {self}",)),
+    ),
+    _PRINTERS,
+)
+
+
+def _thinned(indent: str) -> tuple[Line, ...]:
     """Return the lines of what only some bakes do to a take."""
     return (
-        scores_lines(indent),
-        f"[{indent}{{thinned.samples:n sample}} reduced to {{thinned.kept:len}}: "
+        _scores(indent),
+        f"[{indent}{{thinned.samples:n sample}} reduced to {{thinned.count}}: "
         "largest error between them {thinned.error:length}"
         "[{?thinned.error} (joint {thinned_joint:repr}, frame {thinned.code:frame})]]",
         f"[{indent}{{written.curves:n curve of a control/curves of controls}} kept, "
@@ -55,87 +96,60 @@ def _extras(indent: str) -> tuple[Line, ...]:
     )
 
 
-_LINES: tuple[Line, ...] = (
-    "{files}: {form}",
-    "  [{frames}|{takes:n take}, {span}]",
-    SHOT,
-    "[{?posed}  {result.joints:n joint}, {moving} animated]",
-    Each("parts", ("{self}",)),
-    "  {up} up, lengths in {unit}[{?unstated}; the source taken to be in cm (--units)]",
-    "  {result.bytes:size} written in {total:duration}"
-    "[{?posed}{?source_bytes}, {speed:size}/s of source]",
-    "[{?posed}  largest error of {worst:rounded}[{?beyond} (without values beyond it)]:"
-    " {worst:error}[{?many} (take {worst.written.name:repr}, {worst:place})"
-    "|{?worst.written.rounding.error} ({worst:place})]]",
-    Each("alone", _extras("  ")),
-    Each(
-        "several",
-        (
-            "  take {written.name}: {self:frames}",
-            "    error of {self:rounded}: {self:error}"
-            "[{?written.rounding.error} ({self:place})]",
-            *_extras("    "),
-        ),
-    ),
-)
-_DETAILS: tuple[Line, ...] = (
-    Each(
-        "takes",
-        (
-            "  source: [{details:stated}]",
-            "  animation: [{written.animation}]",
-            Each("simulated", ("  simulated: [{self:stated}]",)),
-        ),
-    ),
-    "  seconds: [{seconds:seconds}] (read runs beside author)",
-    "  skeleton at rest: {size:length 4} across",
-)
-
-
-def bake_text(report: BakeReport) -> list[str]:
-    """Return the lines of a summary."""
-    takes, total = report.takes, report.seconds["total"]
-    one = takes[0] if len(takes) == 1 else None
-    posed = one is None or not one.meshes or bool(one.written.animation)
-    parts = [_props_text(report), mesh_text(one) if one and one.meshes else []]
-    return render(
-        report,
-        _LINES,
-        {**_PRINTERS, "frames": lambda take: _frames_text(report, take)},
-        files=_files_text(report.result.outputs),
-        frames=None if one is None else _frames_text(report, one),
-        posed=posed,
-        moving=" and ".join(report.result.sampled) or "nothing",
-        parts=[line for part in (parts if posed else parts[::-1]) for line in part],
-        unit=unit_name(report.meters_per_unit),
-        unstated=any(take.unit_assumed for take in takes),
-        total=total,
-        speed=report.source_bytes / total,
-        beyond=any(notice.code == "BVH104" for notice in report.notices),
-        many=one is None and report.worst.written.rounding.error,
-        alone=[] if one is None or not posed else takes,
-        several=takes if one is None else [],
+def _from(take: str) -> str:
+    """Return of which frames samples are, where that is not one each."""
+    return (
+        f"[{{?{take}resampled}}, from {{{take}source_frames:n frame}} at "
+        f"{{{take}source_fps:rate}}][{{?{take}between}}, {{{take}between}} of which "
+        "fall between frames]"
     )
 
 
-def _frames_text(report: BakeReport, take: TakeReport) -> str:
-    """Return what was written of a take, and of what."""
-    written, span = take.written, report.span
-    if written.name:
-        span = FrameSpan(written.first, written.last, span.fps)
-    text = f"{counted(written.samples, 'sample')}, {span}"
-    if take.source_fps != span.fps or take.source_frames != written.samples:
-        text += f", from {counted(take.source_frames, 'frame')}"
-        text += f" at {rate_label(take.source_fps)}"
-    if take.between:
-        text += f", {take.between} of which fall between frames"
-    return text
+_MESHES = Each(
+    "only.meshes:groups",
+    (
+        "  {title}",
+        Each(
+            "meshes",
+            (
+                "    {name}: {self:points}, [{?written.characters}"
+                "{written.samples:n frame}, {milliseconds_per_frame:ms} a frame"
+                "|[{?written.samples}{written.samples:n frame}, {written.bytes:size}"
+                "|still, no samples], {milliseconds_per_frame:ms} a frame, largest "
+                "error of float32 {written.error:length 2}"
+                "[{?written.error} ({written:worst_point}, frame "
+                "{written.error_code:frame})]]",
+                "[      {written.characters.own} with an animation of their own, "
+                "{written.characters:kept} of poses written: joints within "
+                "{written.characters.error:length 2}, standing feet "
+                "{written.characters.slide:length 2}]",
+                "[      {written.characters.shared} with a part in an animation of who "
+                "stands]",
+            ),
+        ),
+    ),
+)
+_PROPS = "  beside: {props:list}]"
 
 
-def _place(take: TakeReport) -> str:
-    """Return where rounding moved a take most."""
-    frame = frame_label(take.written.rounding.code)
-    return f"joint {take.error_joint!r}, frame {frame}"
+def _ends(take: WrittenTake) -> str:
+    return FrameSpan(take.first, take.last, take.last).ends
+
+
+def _speed(report: BakeReport) -> str:
+    return size_text(report.source_bytes / report.seconds["total"])
+
+
+def _files(files: Sequence[Path]) -> str:
+    """Return the files of an output, or the one to open and the number of the rest."""
+    if len(files) <= MAX_FILES:
+        return ", ".join(map(str, files)) or "stdout"
+    return f"{files[-1]} and {len(files) - 1} more files"
+
+
+def _beyond(notices: Sequence[Fault]) -> str:
+    beyond = any(notice.code == "BVH104" for notice in notices)
+    return " (without values beyond it)" if beyond else ""
 
 
 def _difference(curves: Sequence[CurveReport]) -> str:
@@ -145,133 +159,164 @@ def _difference(curves: Sequence[CurveReport]) -> str:
     return f"{plain(worst.difference, 2)}{where}"
 
 
-_PRINTERS: dict[str, Callable[..., str]] = {
-    **SCORES,
-    "rounded": lambda take: (
-        "float32 and half scales" if take.written.rounding.scales else "float32"
-    ),
-    "error": lambda take: length_text(take.written.rounding.error, 2),
-    "place": _place,
-    "knots": lambda curves: counted(sum(curve.knots for curve in curves), "knot"),
-    "difference": _difference,
-    "stated": lambda values: ", ".join(f"{key} {own}" for key, own in values.items()),
-    "seconds": lambda values: ", ".join(f"{k} {own:.3f}" for k, own in values.items()),
-}
+def _rounded(take: TakeReport) -> str:
+    return "float32 and half scales" if take.written.rounding.scales else "float32"
 
 
-def bake_details(report: BakeReport) -> list[str]:
-    """Return what only the verbose are told."""
-    return render(report, _DETAILS, _PRINTERS)
+def mesh_groups(meshes: Sequence[MeshReport]) -> list[dict[str, Any]]:
+    """Return meshes that are deformed, and what is simulated, with what they are."""
+    groups = []
+    for simulated, print_title in ((False, _deformed), (True, _simulated)):
+        own = [mesh for mesh in meshes if mesh.simulated is simulated]
+        if own:
+            groups.append({"title": print_title(own), "meshes": own})
+    return groups
 
 
-def _props_text(report: BakeReport) -> list[str]:
-    """Return the line of what is written beside the characters, if there is any."""
-    paths = [path for take in report.takes for path in take.written.props]
-    return [f"  beside: {listed(paths)}"] if paths else []
+def _deformed(meshes: list[MeshReport]) -> str:
+    strands = sum(mesh.kind == "strands" for mesh in meshes)
+    shown = counted(len(meshes) - strands, "mesh", "meshes")
+    if strands:
+        shown += f" and {counted(strands, 'set', 'sets')} of strands"
+    return f"{shown} of {meshes[0].of}, deformed"
 
 
-def bake_json(report: BakeReport) -> dict[str, object]:
-    """Return the summary as plain values.
-
-    Of a library ``takes`` says what became of each; what stands beside it is of all.
-    """
-    takes, span, stopped = report.takes, report.span, report.stopped
-    several = [_take_json(report, take) for take in takes] if len(takes) > 1 else []
-    return {
-        "bake": "animtool/1",
-        **({} if several else _take_json(report, takes[0])),
-        **picked(report, "outputs=result.outputs form samples=result.samples"),
-        **picked(span, "start=first end=last fps"),
-        "rate": str(span.fps),
-        **picked(report, "joints joints_written=result.joints animated=result.sampled"),
-        "meters_per_unit": report.meters_per_unit,
-        "units": unit_name(report.meters_per_unit),
-        **picked(report, "up bytes=result.bytes"),
-        **shot_json(report),
-        "seconds": {name: round(value, 6) for name, value in report.seconds.items()},
-        "megabytes_per_second": _speed(report),
-        "error": _error_json(report, report.worst),
-        **({"takes": several} if several else {}),
-        "notices": plain_value(report.notices),
-        **({} if stopped is None else {"stopped": plain_value(stopped.faults)}),
-    }
+def _simulated(meshes: list[MeshReport]) -> str:
+    return f"{counted(len(meshes), 'system')} of {meshes[0].of}, simulated"
 
 
-def _speed(report: BakeReport) -> float | None:
-    """Return how fast sources were read [MB/s]; None where none is a file of motion."""
-    if not report.source_bytes:
-        return None
-    return round(report.source_bytes / 1e6 / report.seconds["total"], 3)
+# What is counted of a kind of system.
+_NOUNS = {"rigid": ("body", "bodies"), "crowds": ("agent",)}
 
 
-def _error_json(report: BakeReport, take: TakeReport) -> dict[str, object]:
-    error = take.written.rounding.error
-    return {
-        **({"take": take.written.name} if take.written.name else {}),
-        "meters": plain_value(error),
-        "relative": plain_value(error / (report.size or math.inf)),
-        **picked(
-            take,
-            "joint=error_joint frame=written.rounding.code "
-            "half_scales=written.rounding.scales",
+def _points(mesh: MeshReport) -> str:
+    count = mesh.written.vertices
+    if not mesh.simulated:
+        return counted(count, "vertex", "vertices")
+    text = counted(count, *_NOUNS.get(mesh.kind, ("particle",)))
+    return f"up to {text}" if mesh.kind == "particles" else text
+
+
+def _worst_point(written: Any) -> str:
+    point = written.error_vertex
+    return (
+        f"body {excerpt(written.names[point])}" if written.names else f"vertex {point}"
+    )
+
+
+def _kept(characters: Any) -> str:
+    frames = characters.frames
+    return f"{characters.samples / frames:.0%}" if frames else "none"
+
+
+_WHERE = "joint {@error_joint:repr}, frame {@written.rounding.code:frame}"
+BAKED = Template(
+    "animtool.scene.bake.prims:BakeReport",
+    (
+        "{files:files}: {form}",
+        "  [{?only}{only.written.samples:n sample}, [{?only.written.name}"
+        f"{{only.written:ends}} at {{fps:rate}}|{{span}}]{_from('only.')}"
+        "|{takes:n take}, {span}]",
+        SHOT,
+        "[{?posed}  {result.joints:n joint}, [{result.sampled:and}|nothing] animated]",
+        f"[{{?posed}}{_PROPS}",
+        _MESHES,
+        f"[{{!posed}}{_PROPS}",
+        "  {up} up, lengths in {units}[{?unit_assumed}; the source taken to be in cm "
+        "(--units)]",
+        "  {result.bytes:size} written in {seconds.total:duration}"
+        "[{?posed}{?source_bytes}, {self:speed}/s of source]",
+        "[{?posed}  largest error of {worst:rounded}[{notices:beyond}]: "
+        "{worst.written.rounding.error:length 2}[{?worst.written.rounding.error} "
+        f"([{{?library}}take {{worst.written.name:repr}}, ]"
+        f"{_WHERE.replace('@', 'worst.')})]]",
+        Each("only:posed", _thinned("  ")),
+        Each(
+            "library",
+            (
+                "  take {written.name}: {written.samples:n sample}, {written:ends} at "
+                f"{{fps:rate}}{_from('')}",
+                "    error of {self:rounded}: {written.rounding.error:length 2}"
+                f"[{{?written.rounding.error}} ({_WHERE.replace('@', '')})]",
+                *_thinned("    "),
+            ),
         ),
-    }
-
-
-def _take_json(report: BakeReport, take: TakeReport) -> dict[str, object]:
-    """Return what became of one source."""
-    written = take.written
-    values: dict[str, object] = {
-        **picked(take, "source source_frames"),
-        "source_rate": str(take.source_fps),
-        **picked(take, "between_frames=between animation=written.animation"),
-        **({"props": written.props} if written.props else {}),
-    }
-    if "fit" in take.details:
-        values["fit"] = take.details["fit"]
-    if written.name:
-        values = {
-            "take": written.name,
-            **values,
-            **picked(
-                written,
-                "samples start=first end=last joints_written=joints animated=sampled",
+    ),
+    {
+        **_PRINTERS,
+        "files": _files,
+        "and": " and ".join,
+        "groups": mesh_groups,
+        "ms": lambda spent: duration_text(spent / 1e3),
+        "points": _points,
+        "worst_point": _worst_point,
+        "kept": _kept,
+        "ends": _ends,
+        "speed": _speed,
+        "rounded": _rounded,
+        "beyond": _beyond,
+        "posed": lambda take: [take] if take.posed else [],
+        "knots": lambda curves: counted(sum(curve.knots for curve in curves), "knot"),
+        "difference": _difference,
+        "stated": lambda values: ", ".join(f"{k} {own}" for k, own in values.items()),
+        "times": lambda values: ", ".join(f"{k} {s:.3f}" for k, s in values.items()),
+    },
+    (
+        Each(
+            "takes",
+            (
+                "  source: [{details:stated}]",
+                "  animation: [{written.animation}]",
+                Each("simulated", ("  simulated: [{self:stated}]",)),
             ),
-            "error": _error_json(report, take),
-        }
-    if take.meshes:
-        values["meshes"] = mesh_json(take)
-    if take.simulated:
-        values["simulated"] = take.simulated
-    values |= scores_json(take.scores)
-    if take.thinned is not None:
-        values["reduction"] = {
-            "samples": take.thinned.samples,
-            "kept": len(take.thinned.kept),
-            "error": picked(
-                take, "meters=thinned.error joint=thinned_joint frame=thinned.code"
+        ),
+        "  seconds: [{seconds:times}] (read runs beside author)",
+        "  skeleton at rest: {size:length 4} across",
+    ),
+)
+_OUTPUTS = {"BakeReport": BAKED, "ConvertReport": CONVERTED}
+
+
+def template_of(report: BakeReport | ConvertReport) -> Template:
+    """Return how what a bake reports of one of its outputs is printed."""
+    return _OUTPUTS[type(report).__name__]
+
+
+def _others(step: Step, name: str) -> str:
+    """Return what a step reads or makes, but for itself."""
+    entries = getattr(step, name)
+    return "" if entries == (step.name,) else ", ".join(entries)
+
+
+PLAN = Template(
+    "animtool.scene.bake.steps:Steps",
+    (
+        Each(
+            "steps",
+            (
+                "{number}  {kind} {name}[ ({where})]",
+                "[     reads {self:others reads}]",
+                "[     makes {self:others makes}]",
+                Each("left_out", ("     leaves out {self}",)),
             ),
-            "weight_error": take.thinned.weight_error,
-        }
-    if written.curves:
-        names = "control=name knots split difference seam"
-        values["curves"] = [picked(curve, names) for curve in written.curves]
-    return values
-
-
-def output_text(report: BakeReport | ConvertReport) -> list[str]:
-    """Return the lines of a summary of one of several outputs."""
-    from animtool.scene.bake.files import ConvertReport
-
-    return (
-        convert_text(report) if isinstance(report, ConvertReport) else bake_text(report)
-    )
-
-
-def output_json(report: BakeReport | ConvertReport) -> dict[str, object]:
-    """Return the summary of one of several outputs as plain values."""
-    from animtool.scene.bake.files import ConvertReport
-
-    return (
-        convert_json(report) if isinstance(report, ConvertReport) else bake_json(report)
-    )
+        ),
+    ),
+    {"others": _others},
+    is_result=True,
+)
+STATS = Template(
+    "animtool.scene.bake.progress:Stats",
+    (
+        Table(
+            "stats",
+            {
+                "stage": "{name}[ ({where})]",
+                "seconds": "{seconds:.3f}",
+                "peak MB": "{peak:MB}",
+                "error mm": "{error:mm}",
+            },
+            left=("stage",),
+        ),
+    ),
+    {"MB": lambda size: f"{size / 1e6:.1f}"},
+)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from typing import ClassVar
 
 import numpy as np
 
@@ -33,6 +34,7 @@ class ChannelError:
     error: float  # the largest, in ``unit``
     unit: str  # of the clip's file: ``deg``, ``rad``, a length, or empty
     frame: float  # time code where that is
+    json_keys: ClassVar[str] = "target error unit! frame"
 
 
 def channel_errors(

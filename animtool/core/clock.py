@@ -120,9 +120,13 @@ class FrameSpan:
         >>> str(FrameSpan(Fraction(1001), Fraction(2017, 2), Fraction(24)))
         'frames 1001 to 1008.5 at 24 fps'
         """
+        return f"{self.ends} at {rate_label(self.fps)}"
+
+    @property
+    def ends(self) -> str:
+        """The first and the last frame, as people read them."""
         ends = dict.fromkeys(map(frame_label, (self.first, self.last)))
-        word = "frames" if len(ends) > 1 else "frame"
-        return f"{word} {' to '.join(ends)} at {rate_label(self.fps)}"
+        return f"{'frames' if len(ends) > 1 else 'frame'} {' to '.join(ends)}"
 
 
 def span_label(first: Fraction | float, last: Fraction | float) -> str:

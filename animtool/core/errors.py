@@ -11,6 +11,7 @@ from typing import ClassVar, NoReturn, TypeAlias
 from animtool.core.arguments import Calling, marked, worded
 from animtool.core.quantities import escaped
 from animtool.core.record import dataclass
+from animtool.core.values import picked
 
 # Names in a message in brief.
 MAX_NAMED = 12
@@ -67,6 +68,9 @@ class Fault:
     brief: str = field(default="", repr=False, compare=False)
     frame: float | None = field(default=None, repr=False)
     joint: str | None = field(default=None, repr=False)
+    json_keys: ClassVar[str] = (
+        "code severity message path lines column where frame joint hint"
+    )
 
     def __post_init__(self) -> None:
         """Keep what the texts name as arguments."""
@@ -98,18 +102,7 @@ class Fault:
 
     def as_dict(self) -> dict[str, object]:
         """Return the fault as plain values for a JSON report."""
-        return {
-            "code": self.code,
-            "severity": str(self.severity),
-            "message": self.message,
-            "path": self.path,
-            "lines": list(self.lines),
-            "column": self.column,
-            "where": self.where,
-            "frame": self.frame,
-            "joint": self.joint,
-            "hint": self.hint,
-        }
+        return picked(self, self.json_keys)
 
 
 def warning(

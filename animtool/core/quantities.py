@@ -15,8 +15,6 @@ from __future__ import annotations
 import json
 import math
 import re
-from dataclasses import asdict
-from typing import Any
 
 # A class of a regular expression: what no name has a use for.
 CONTROL = "\x00-\x1f\x7f-\x9f\ud800-\udfff"
@@ -181,26 +179,3 @@ def _text(
         return f"0 {zero}"
     _, unit, name = next(entry for entry in units if abs(value) >= entry[0])
     return f"{plain(value / unit, digits)} {name}"
-
-
-class Description:
-    """What a file holds, as a dataclass with notices."""
-
-    __slots__ = ()
-
-    def as_dict(self) -> dict[str, object]:
-        """Return plain values for a JSON report; a rate also as exact text."""
-        from fractions import Fraction  # every command imports this module
-        from pathlib import PurePath
-
-        record: Any = self
-        values = asdict(record)
-        for name, value in values.items():
-            if isinstance(value, Fraction):
-                values[name] = float(value)
-            elif isinstance(value, PurePath):
-                values[name] = str(value)
-        if isinstance(getattr(record, "fps", None), Fraction):
-            values["rate"] = str(record.fps)
-        values["notices"] = [notice.as_dict() for notice in record.notices]
-        return values

@@ -42,7 +42,7 @@ class Kind(StrEnum):
     REMAP = "remap"
     LIVELINK = "livelink"
     CAMERAS = "cameras"
-    TAKE = "take"  # of a format that no rule knows
+    TAKE = "take"  # of a format that has no rules of its own
     TRAJECTORIES = "trajectories"
     COORDINATES = "coordinates"
     BVH = "bvh"

@@ -11,7 +11,7 @@ from collections.abc import Iterable
 from dataclasses import replace
 from fractions import Fraction
 from numbers import Integral
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
 
 from animtool.core.rates import NO_FRACTION, OptionalFraction, rate_label, rate_option
 from animtool.core.record import dataclass
@@ -170,24 +170,18 @@ class Shot:
             text += f", {float(first):.6g} s to {float(last):.6g} s of its media"
         return text
 
-    def as_dict(self) -> dict[str, object]:
-        """Return the shot as plain values for a JSON report."""
-        values: dict[str, object] = {
-            "name": self.name,
-            "start": self.start,
-            "end": self.end,
-            "cut_in": self.cut_in,
-            "cut_out": self.cut_out,
-            "head": self.head,
-            "tail": self.tail,
-        }
-        if self.fps is not None:
-            values |= {"fps": float(self.fps), "rate": str(self.fps)}
-        if self.places_media:
-            first, last = self.seconds_at(self.cut_in), self.seconds_at(self.cut_out)
-            values |= {"media_in": float(first), "media_out": float(last)}
-            values["speed"] = float(self.speed)
-        return values
+    @property
+    def media_times(self) -> dict[str, float]:
+        """The times of its media and their speed; nothing where it places none."""
+        if not self.places_media:
+            return {}
+        first, last = self.seconds_at(self.cut_in), self.seconds_at(self.cut_out)
+        speed = float(self.speed)
+        return {"media_in": float(first), "media_out": float(last), "speed": speed}
+
+    json_keys: ClassVar[str] = (
+        "name start end cut_in cut_out head tail fps? rate=fps?# *media_times"
+    )
 
     def names(self) -> dict[str, str]:
         """Return the shot's frames and times by the names that scenes use.

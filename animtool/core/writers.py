@@ -6,13 +6,14 @@ The table holds the writers; what they write a file with is imported when used.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
 from animtool.core.errors import Fault, OptionError
 from animtool.core.files.reading import is_there
 from animtool.core.format_table import FormatTable, ListedFormat, suffix_text
-from animtool.core.names import KINDS
+from animtool.core.names import KINDS, is_named
 from animtool.core.plugins import load_object
 from animtool.core.record import dataclass
 
@@ -35,6 +36,9 @@ class Writer:
         stage: Whether it is USD, which a bake writes block by block.
         markers: ``module:object`` of a function from markers, a path and ``overwrite``
             to what the format cannot hold; empty where such files hold no markers.
+        rig: ``module:object`` of a function from an
+            `animtool.scene.convert.rigs.RigJob` to its report, which writes a rig;
+            empty where such files hold none.
         sidecars: Suffixes of files that are written beside the output.
         options: Names of the options of a bake that are for such files alone.
         holds: Which parts of a take have a place: ``joints``, ``shapes``,
@@ -49,6 +53,7 @@ class Writer:
     text: str = ""
     stage: bool = False
     markers: str = ""
+    rig: str = ""
     sidecars: tuple[str, ...] = ()
     options: tuple[str, ...] = ()
     holds: frozenset[str] = frozenset()
@@ -77,7 +82,14 @@ def output_stem(path: Path) -> str:
     return path.name.removesuffix(path.suffix).removesuffix(".clip")
 
 
-USD = Writer("usd", "USD", stage=True)
+USD = Writer("usd", "USD", stage=True, rig="animtool.scene.convert.rigs:rig_to_usd")
+# An archive is made of what is complete: no layer goes over it.
+USDZ = replace(USD, rig="")
+RIG = Writer(
+    "rig",
+    "rig files, arrays beside them",
+    rig="animtool.scene.convert.rigs:rig_to_file",
+)
 CLIP = Writer(
     "clip",
     "clip files, keys within a tolerance",
@@ -119,7 +131,8 @@ WRITERS: dict[str, Writer] = {
     ".usd": USD,
     ".usda": USD,
     ".usdc": USD,
-    ".usdz": USD,
+    ".usdz": USDZ,
+    ".rig.yaml": RIG,
     ".yaml": CLIP,
     ".yml": CLIP,
     ".csv": LIVELINK,
@@ -189,9 +202,21 @@ def marker_writer(path: Path) -> Callable[..., list[Fault]]:
     return cast(Callable[..., list[Fault]], load_object(writer.markers))
 
 
+def rig_writer(path: Path) -> Callable[..., Any]:
+    """Return what writes a rig to a file; OUT004 where nothing does."""
+    writer = RIG if is_named(path, "rig") else writer_of(path)
+    if writer is None or not writer.rig:
+        message = f"suffix {path.suffix!r} holds no rig"
+        own = [suffix for suffix, one in WRITERS.items() if one.rig]
+        hint = f"allowed: {', '.join(sorted(own))}"
+        raise OptionError(Fault("OUT004", message, str(path), (), hint))
+    return cast(Callable[..., Any], load_object(writer.rig))
+
+
 def writes_stage(path: Path) -> bool:
     """Return whether a path is that of a USD file to write."""
-    return WRITERS.get(path.suffix.lower()) is USD
+    writer = WRITERS.get(path.suffix.lower())
+    return writer is not None and writer.stage
 
 
 def file_suffixes() -> list[str]:
@@ -223,5 +248,9 @@ def listed_writers() -> list[ListedFormat]:
 
 
 def _writes(writer: Writer) -> tuple[str, ...]:
-    named: dict[str, Any] = {"motion": writer.holds_motion, "markers": writer.markers}
+    named: dict[str, Any] = {
+        "motion": writer.holds_motion,
+        "markers": writer.markers,
+        "rig": writer.rig,
+    }
     return tuple(name for name, has in named.items() if has)

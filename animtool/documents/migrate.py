@@ -56,6 +56,7 @@ class Migration:
         """Whether the file is of an older version, or has keys of old names."""
         return self.before != self.after
 
+    @property
     def difference(self) -> list[str]:
         """Return the lines that change, as ``diff -u`` writes them."""
         lines = difflib.unified_diff(

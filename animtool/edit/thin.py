@@ -37,6 +37,11 @@ class Thinned:
     code: float  # time code of that
     weight_error: float  # largest error of a shape's weight [1]
 
+    @property
+    def count(self) -> int:
+        """Number of samples that stay."""
+        return len(self.kept)
+
 
 def thin_samples(
     rig: Rig,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import ClassVar
 
 import numpy as np
 
@@ -44,6 +45,12 @@ class Jump:
     source: float = 0.0
     slides: bool = False
     by_goals: bool = False
+    json_keys: ClassVar[str] = "frame joint unit size source by_goals"
+
+    @property
+    def unit(self) -> str:
+        """The unit of the sizes."""
+        return "m" if self.slides else "rad"
 
 
 def largest_step(fps: float) -> float:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
+from typing import ClassVar
 
 import numpy as np
 
@@ -49,10 +49,17 @@ class Misses:
     max: float  # of the worst
     frame: float  # time code of the worst
 
+    json_keys: ClassVar[str] = "unit frames mean p95 max frame"
+
     @property
     def metric(self) -> bool:
         """Whether it is a length [m], not an angle [rad]."""
         return bool(METRIC[PARTS.index(self.part)])
+
+    @property
+    def unit(self) -> str:
+        """The unit of the numbers."""
+        return "m" if self.metric else "rad"
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,6 +85,11 @@ class GoalReport:
     place: tuple[int, int]  # line and column in the targets file
     misses: tuple[Misses, ...]  # one for each part that is asked
     spans: tuple[MissedSpan, ...]  # where it is missed by more than the tolerances
+
+    @property
+    def residuals(self) -> dict[str, Misses]:
+        """How far each part is missed."""
+        return {miss.part: miss for miss in self.misses}
 
 
 def goal_reports(
@@ -427,7 +439,7 @@ def status_text(solved: TakeIk) -> str:
 
     Only where all frames out of reach are at the nearest is that said of them.
     """
-    counts = {IkStatus(name): count for name, count in status_counts(solved).items()}
+    counts = {IkStatus(name): count for name, count in solved.status_counts.items()}
     steadier = counts.pop(IkStatus.STEADIER, 0)
     if steadier:
         missed = steadier + counts.pop(IkStatus.NEAREST, 0)
@@ -437,15 +449,3 @@ def status_text(solved: TakeIk) -> str:
              f"{missed} out of reach ({tail})"]
         )  # fmt: skip
     return ", ".join(f"{count} {status}" for status, count in counts.items())
-
-
-def status_counts(solved: TakeIk) -> dict[str, int]:
-    """Return how many frames ended how."""
-    counts = Counter(solved.statuses)
-    return {str(status): counts[status] for status in IkStatus if counts[status]}
-
-
-def limit_counts(solved: TakeIk) -> dict[str, int]:
-    """Return in how many frames joints stand on a limit, those that ever do."""
-    counts = {name: int(on.sum()) for name, on in solved.on_limits.items()}
-    return {name: count for name, count in counts.items() if count}

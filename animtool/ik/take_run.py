@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -11,6 +12,7 @@ import numpy as np
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.errors import Fault, OptionError
 from animtool.core.record import dataclass
+from animtool.core.values import plain_value
 from animtool.ik.chain_frame import Part
 from animtool.ik.goals import PARTS, Goal, Targets, rows_of
 from animtool.ik.jumps import Jump, find_jumps
@@ -83,6 +85,54 @@ class TakeIk:
     away: tuple[float, ...] = ()
     size: float = 0.0
     steadier: Smoothing | None = None
+
+    @property
+    def frames(self) -> int:
+        """Number of frames."""
+        return len(self.statuses)
+
+    @property
+    def mean_iterations(self) -> float:
+        """Iterations of a frame in the mean."""
+        return float(self.iterations.mean())
+
+    @property
+    def max_iterations(self) -> int:
+        """Iterations of a frame at most."""
+        return int(self.iterations.max())
+
+    @property
+    def restarts(self) -> int:
+        """How often frames were begun again."""
+        return int((self.descents - 1).clip(min=0).sum())
+
+    @property
+    def seconds_per_frame(self) -> float:
+        """How long a frame took [s]."""
+        return self.seconds / self.frames
+
+    @property
+    def microseconds_per_frame(self) -> float:
+        """How long a frame took [µs]."""
+        return 1e6 * self.seconds / self.frames
+
+    @property
+    def status_counts(self) -> dict[str, int]:
+        """How many frames ended how."""
+        counts = Counter(self.statuses)
+        return {str(status): counts[status] for status in IkStatus if counts[status]}
+
+    @property
+    def limit_counts(self) -> dict[str, int]:
+        """In how many frames joints stand on a limit, those that ever do."""
+        counts = {name: int(on.sum()) for name, on in self.on_limits.items()}
+        return {name: count for name, count in counts.items() if count}
+
+    @property
+    def jumps_at_codes(self) -> list[dict[str, object]]:
+        """The jumps as plain values, their frames as time codes."""
+        times = self.take.clock.times
+        return [{**plain_value(one), "frame": times[one.frame]} for one in self.jumps]
 
 
 @dataclass(frozen=True, slots=True)

@@ -195,6 +195,11 @@ class GoalTrack:
     # Frames in which anything is asked, ascending; none is all.
     during: tuple[Span, ...] = ()
 
+    @property
+    def parts(self) -> list[str]:
+        """What has a value."""
+        return [part for part, value in self.values.items() if value is not None]
+
 
 @dataclass(frozen=True)
 class TargetTracks:

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import field, replace
 from enum import StrEnum
+from typing import ClassVar
 
 from animtool.core.errors import percent
 from animtool.core.quantities import angle_text, length_text, plain
@@ -72,16 +73,6 @@ class Score:
             return angle_text(math.degrees(value))
         return percent(value) if self.unit is ScoreUnit.SHARE else plain(value)
 
-    def as_dict(self) -> dict[str, object]:
-        """Return it as plain values."""
-        return {
-            "name": self.name,
-            "value": None if math.isnan(self.value) else self.value,
-            "unit": str(self.unit),
-            "usual": self.usual,
-            "ideal": self.ideal,
-        }
-
 
 @dataclass(frozen=True, slots=True)
 class PassScores:
@@ -98,6 +89,7 @@ class PassScores:
     names: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     pass_name: str = ""
     where: str = ""
+    json_keys: ClassVar[str] = "pass=pass_name where scores names"
 
     def of_pass(self, name: str, where: str) -> PassScores:
         """Return them as those of a pass at its entry in a scene."""
@@ -108,15 +100,6 @@ class PassScores:
         """The scores above what a good result has, the worst first."""
         worse = [score for score in self.scores if score.excess > 1.0]
         return sorted(worse, key=lambda score: -score.excess)
-
-    def as_dict(self) -> dict[str, object]:
-        """Return them as plain values."""
-        return {
-            "pass": self.pass_name,
-            "where": self.where,
-            "scores": [score.as_dict() for score in self.scores],
-            "names": {what: list(names) for what, names in self.names.items()},
-        }
 
 
 def badness(scores: Iterable[PassScores]) -> list[float]:

@@ -5,12 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
 from animtool.core.errors import Fault, FormatError, OptionError
-from animtool.core.quantities import Description
 from animtool.core.record import dataclass
 from animtool.core.units import unit_name
 from animtool.motion.take import Take, TakeStream
@@ -31,7 +30,7 @@ CYCLE_FRAMES = 6000
 
 
 @dataclass(frozen=True, slots=True)
-class TakeDescription(Description):
+class TakeDescription:
     """A take in numbers."""
 
     path: str  # the file
@@ -63,6 +62,7 @@ class TakeDescription(Description):
     cycle: Cycle | None = None  # of a person who repeats something
     # All characters of the stage, where it has several and none is named.
     characters: CharactersFacts | None = None
+    json_keys: ClassVar[str] = "* rate=fps#"
 
     @property
     def strides(self) -> bool:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from fractions import Fraction
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 
 from animtool.capture.markers.spikes import find_spikes
 from animtool.core.errors import Fault
-from animtool.core.quantities import Description
 from animtool.core.readers import find_reader
 from animtool.core.record import dataclass
 from animtool.formats.marker_files import file_of
@@ -17,7 +17,7 @@ from animtool.motion.markers import Markers
 
 
 @dataclass(frozen=True, slots=True)
-class MarkersDescription(Description):
+class MarkersDescription:
     """Markers in numbers."""
 
     path: str  # the file
@@ -38,6 +38,7 @@ class MarkersDescription(Description):
     bounds: tuple[list[float], list[float]] | None
     names: list[str]  # of the labelled markers
     notices: list[Fault]  # what is odd
+    json_keys: ClassVar[str] = "* rate=fps#"
 
     @property
     def labelled(self) -> int:

@@ -6,7 +6,6 @@ from collections import Counter
 from pathlib import Path
 
 from animtool.core.errors import Fault
-from animtool.core.quantities import Description
 from animtool.core.rates import rate_label
 from animtool.core.record import dataclass
 from animtool.core.units import unit_name
@@ -32,7 +31,7 @@ class MeshDescription:
 
 
 @dataclass(frozen=True, slots=True)
-class RigDescription(Description):
+class RigDescription:
     """A rig in numbers."""
 
     path: str  # the file
@@ -136,7 +135,7 @@ class GoalDescription:
 
 
 @dataclass(frozen=True, slots=True)
-class TargetsDescription(Description):
+class TargetsDescription:
     """A targets file, its effectors not compared with a rig."""
 
     path: Path  # the file

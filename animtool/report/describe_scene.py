@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import field
+
 from animtool.core.errors import Fault
-from animtool.core.quantities import Description
 from animtool.core.record import dataclass
 from animtool.core.writers import writer_of
 from animtool.scene.bake.reading import default_output, form_of, output_files
@@ -66,7 +67,7 @@ class OutputDescription:
 
 
 @dataclass(frozen=True, slots=True)
-class SceneDescription(Description):
+class SceneDescription:
     """A scene as its file says it; nothing that it names is read."""
 
     path: str  # the file
@@ -81,11 +82,8 @@ class SceneDescription(Description):
     first: int | None  # first frame to write; None is that of the source
     last: int | None  # last frame to write; likewise
     variables: list[str]  # names of variables that it uses or gives
-
-    @property
-    def notices(self) -> list[Fault]:
-        """Nothing: what is odd about a scene is for `animtool validate`."""
-        return []
+    # None: what is odd about a scene is for `animtool validate`.
+    notices: list[Fault] = field(default_factory=list)
 
 
 def describe_scene(scene: Scene) -> SceneDescription:

@@ -8,7 +8,10 @@ behind a colon (`PRINTED`, with its width last, else as `format` has it)::
 What is in brackets is left out where a field in it is None, empty or printed as
 nothing, and so is a line; of ``[a|b]`` the first is taken that has all. ``{?name}`` and
 ``{!name}`` print nothing: the part is for what there is, and what there is not. Fields
-of fields are joined by dots, and ``{self}`` is the record.
+of fields are joined by dots, and ``{self}`` is the record. What a printer returns may
+be printed by another, behind a bar, as in ``{limits:most | list 8}``.
+
+A name that no record has is an error; `tests/report/test_templates.py` looks at all.
 """
 
 from __future__ import annotations
@@ -16,6 +19,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import field
 from functools import cache
 from typing import Any, TypeAlias
 
@@ -30,6 +34,7 @@ from animtool.core.quantities import (
 )
 from animtool.core.rates import rate_label
 from animtool.core.record import dataclass
+from animtool.core.values import at_path
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,8 +42,9 @@ class Each:
     """Lines for each entry of a field, which are looked at before the record is.
 
     Attributes:
-        name: Of the field; entries of a mapping have ``key`` and ``value``.
-        lines: Of one; ``{self}`` is the entry.
+        name: Of the field, with a printer of entries behind a colon where it has none;
+            those of a mapping have ``key`` and ``value``.
+        lines: Of one; ``{self}`` is the entry, ``{number}`` counts them.
         most: How many entries have lines; the others are told of in ``rest``.
         rest: A line where there are more, which are ``{left}``.
     """
@@ -69,16 +75,50 @@ class Table:
 
 
 Line: TypeAlias = str | Each | Table
+Printers: TypeAlias = Mapping[str, Callable[..., Any]]
 
 
-Printers: TypeAlias = Mapping[str, Callable[..., str]]
+# Names in a line, where nobody asked for all.
+MAX_NAMED = 8
+
+
+@dataclass(frozen=True, slots=True)
+class Template:
+    """How records of a kind are printed.
+
+    Attributes:
+        record: The class, as ``module:name``.
+        lines: Its templates.
+        printers: More of `PRINTED`, which these templates have alone.
+        details: Templates of lines for the verbose.
+        is_result: Whether its lines are the result of the command itself.
+    """
+
+    record: str
+    lines: tuple[Line, ...]
+    printers: Printers = field(default_factory=dict)
+    details: tuple[Line, ...] = ()
+    is_result: bool = False
+
+    def text(self, record: object, *, whole: bool = False) -> list[str]:
+        """Return the lines of a record; whole: with all names, of however many."""
+        names = _names(None if whole else MAX_NAMED)
+        return render(record, self.lines, {**self.printers, "names": names})
+
+    def detailed(self, record: object) -> list[str]:
+        """Return the lines of a record for the verbose."""
+        return render(record, self.details, self.printers)
+
+
+def _names(most: int | None) -> Callable[..., str]:
+    def print_names(value: Any, usual: str = "") -> str:
+        return listed(list(value), most or int(usual or len(value)))
+
+    return print_names
 
 
 def render(
-    record: object,
-    lines: Sequence[Line],
-    printers: Printers | None = None,
-    **facts: object,
+    record: object, lines: Sequence[Line], printers: Printers | None = None
 ) -> list[str]:
     """Return the lines of a record.
 
@@ -86,29 +126,25 @@ def render(
         record: A dataclass or a mapping.
         lines: Its templates.
         printers: More of `PRINTED`, which these templates have alone.
-        facts: What they name beside the fields of the record.
+
+    Raises:
+        AttributeError: A name is of no field.
 
     >>> render({"path": "a.bvh", "joints": 1, "odd": []}, ["{path}: {joints:n joint}", \
 "  odd  [{odd:list}|nothing]"])
     ['a.bvh: 1 joint', '  odd  nothing']
     """
-    return list(
-        _Renderer({**PRINTED, **(printers or {})}).lines((facts, record), lines)
-    )
+    return list(_Renderer({**PRINTED, **(printers or {})}).lines((record,), lines))
 
 
 def table_cells(
-    record: object,
-    table: Table,
-    printers: Printers | None = None,
-    **facts: object,
+    record: object, table: Table, printers: Printers | None = None
 ) -> tuple[list[list[str]], set[int]]:
     """Return the cells of a table, heads first, and which columns are flush left.
 
     Arguments are those of `render`.
     """
-    renderer = _Renderer({**PRINTED, **(printers or {})})
-    return renderer.cells((facts, record), table)
+    return _Renderer({**PRINTED, **(printers or {})}).cells((record,), table)
 
 
 _Scope: TypeAlias = tuple[Any, ...]  # records, the innermost first
@@ -133,12 +169,21 @@ class _Renderer:
                 yield from self._table(scope, line)
 
     def _each(self, scope: _Scope, line: Each) -> Iterator[str]:
-        entries = _entries(_value(scope, line.name))
-        for entry in entries[: line.most]:
-            yield from self.lines((entry, *scope), line.lines)
+        entries = self._entries(scope, line.name)
+        for number, entry in enumerate(entries[: line.most], 1):
+            yield from self.lines((entry, {"number": number}, *scope), line.lines)
         left = len(entries) - (line.most or len(entries))
         if left > 0:
             yield from self.lines(({"left": left}, *scope), (line.rest,))
+
+    def _entries(self, scope: _Scope, name: str) -> list[Any]:
+        name, _, spec = name.partition(":")
+        value = _value(scope, name)
+        for printer in filter(None, spec.split(" | ")):
+            value = None if value is None else self.printers[printer](value)
+        if isinstance(value, Mapping):
+            return [{"key": key, "value": own} for key, own in value.items()]
+        return list(value or ())
 
     def _table(self, scope: _Scope, table: Table) -> Iterator[str]:
         for text in columns(*self.cells(scope, table)):
@@ -149,7 +194,7 @@ class _Renderer:
         templates = [_parsed(cell) for cell in table.columns.values()]
         cells = [
             [self.filled((entry, *scope), cell) or "" for cell in templates]
-            for entry in _entries(_value(scope, table.name))
+            for entry in self._entries(scope, table.name)
         ]
         shown = [
             (i, head)
@@ -174,18 +219,21 @@ class _Renderer:
             texts.append(text)
         return "".join(texts)
 
-    def _printed(self, scope: _Scope, field: _Field) -> str | None:
+    def _printed(self, scope: _Scope, node: _Field) -> str | None:
         """Return a field, None where it is not there; nothing of one that is tested."""
-        value = _value(scope, field.name)
-        if field.test:
-            return "" if bool(value) is (field.test == "?") else None
-        if value is None or (hasattr(value, "__len__") and not len(value)):
-            return None
-        word, *arguments = field.spec.split(" ")
-        if word in self.printers:
+        value = _value(scope, node.name)
+        if node.test:
+            return "" if bool(value) is (node.test == "?") else None
+        width = ""
+        for spec in node.spec.split(" | "):
+            if value is None or (hasattr(value, "__len__") and not len(value)):
+                return None
+            word, *arguments = spec.split(" ")
+            if word not in self.printers:
+                return format(value, spec)
             width = arguments.pop() if arguments and arguments[-1][0] in "<>" else ""
-            return format(self.printers[word](value, *arguments), width) or None
-        return format(value, field.spec)
+            value = self.printers[word](value, *arguments)
+        return format(value, width) or None
 
 
 def columns(rows: Sequence[Sequence[str]], left: Collection[int]) -> list[str]:
@@ -198,12 +246,6 @@ def columns(rows: Sequence[Sequence[str]], left: Collection[int]) -> list[str]:
         ).rstrip()
         for row in rows
     ]
-
-
-def _entries(value: Any) -> list[Any]:
-    if isinstance(value, Mapping):
-        return [{"key": key, "value": own} for key, own in value.items()]
-    return list(value or ())
 
 
 @dataclass(frozen=True, slots=True)
@@ -255,22 +297,14 @@ def _choice(
 
 def _value(scope: _Scope, name: str) -> Any:
     """Return a field, of the innermost record that has it."""
-    first, *others = name.split(".")
-    if first == "self":
-        value = scope[0]
-    else:
-        value = next((_own(own, first) for own in scope if _has(own, first)), None)
-    for other in others:
-        value = _own(value, other) if _has(value, other) else None
-    return value
-
-
-def _has(record: Any, name: str) -> bool:
-    return name in record if isinstance(record, Mapping) else hasattr(record, name)
-
-
-def _own(record: Any, name: str) -> Any:
-    return record.get(name) if isinstance(record, Mapping) else getattr(record, name)
+    first, _, others = name.partition(".")
+    for record in scope:
+        if first == "self":
+            return at_path(record, others)
+        if first in record if isinstance(record, Mapping) else hasattr(record, first):
+            return at_path(record, name)
+    kinds = ", ".join(type(record).__name__ for record in scope)
+    raise AttributeError(f"{kinds}: no field {first!r}")
 
 
 def _count(value: Any, *nouns: str) -> str:
@@ -291,7 +325,7 @@ def _digits(printer: Callable[..., str], scale: float = 1.0) -> Callable[..., st
 
 
 # How values are printed, by the first word of a template; others are arguments.
-PRINTED: dict[str, Callable[..., str]] = {
+PRINTED: dict[str, Callable[..., Any]] = {
     "n": _count,
     "len": lambda value: str(len(value)),
     "total": lambda value: str(sum(value.values())),

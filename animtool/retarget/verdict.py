@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from enum import StrEnum
 from fractions import Fraction
+from typing import ClassVar
 
 import numpy as np
 
@@ -90,6 +91,7 @@ class Verdict:
 
     status: Status
     reasons: tuple[Reason, ...] = ()
+    json_keys: ClassVar[str] = "verdict=status look_at=reasons{what value=text frames}"
 
     def numbered(self, numbers: FrameNumbers) -> Verdict:
         """Return that of the frames of an output, as it numbers them."""
@@ -97,20 +99,6 @@ class Verdict:
         reasons = tuple(reason for reason in found if reason is not None)
         good = self.status is Status.LOOK and not reasons
         return Verdict(Status.GOOD if good else self.status, reasons)
-
-    def as_dict(self) -> dict[str, object]:
-        """Return it as plain values."""
-        return {
-            "verdict": str(self.status),
-            "look_at": [
-                {
-                    "what": reason.what,
-                    "value": reason.text,
-                    "frames": [list(frames) for frames in reason.frames],
-                }
-                for reason in self.reasons
-            ],
-        }
 
 
 def verdict_of(

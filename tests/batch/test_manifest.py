@@ -19,6 +19,7 @@ from animtool.batch.manifest import (
 )
 from animtool.batch.spec import named_from, place_of
 from animtool.core.files.reading import FileState
+from animtool.core.values import plain_value
 
 SHARED = FileRecord("../rig.yaml", FileState(3, 4, 5), "ab")
 ABSENT = FileRecord("../animtool.toml", None)
@@ -116,7 +117,7 @@ def test_lines_that_are_damaged_are_left_out(
     assert list(found.items) == ([] if old else ["a"])
     if not old:
         (own,) = found.items["a"].scores
-        assert own.as_dict() == json.loads(line)["scores"][0]
+        assert plain_value(own) == json.loads(line)["scores"][0]
     assert [notice.code for notice in found.damaged] == (["BAT070"] if old else [])
     assert not found.known - {"o"}
 

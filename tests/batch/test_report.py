@@ -14,6 +14,7 @@ from animtool.batch.report import BatchReport, junit_report
 from animtool.batch.run import RunOptions, run_batch
 from animtool.batch.spec import BatchSpec
 from animtool.core.errors import Fault, Severity
+from animtool.core.values import plain_value
 
 
 @pytest.fixture
@@ -27,7 +28,7 @@ def report(tmp_path: Path) -> BatchReport:
 
 
 def test_plain_values(report: BatchReport) -> None:
-    found = json.loads(json.dumps(report.as_dict(), allow_nan=False))
+    found = json.loads(json.dumps(plain_value(report), allow_nan=False))
     counts = {key: found[key] for key in ("done", "skipped", "failed", "not_run")}
     assert counts == {"done": 2, "skipped": 1, "failed": 1, "not_run": 0}
     assert [entry["item"] for entry in found["items"]] == [1, 2, 3, 4]

@@ -19,6 +19,7 @@ from animtool.batch.spec import BatchSpec
 from animtool.batch.work import Outcome, Status
 from animtool.core.errors import ExitCode, OptionError
 from animtool.core.units import UpAxis
+from animtool.core.values import plain_value
 from animtool.scene.bake.options import BakeOptions
 
 SERIAL = RunOptions(executor="serial")
@@ -260,7 +261,7 @@ def test_scenes_of_several_outputs(several: BatchSpec, tmp_path: Path) -> None:
     }
     suffixes = (".usda", ".bvh", ".rig.yaml", ".clip.yaml")
     assert set(made) == {f"take00{i}{suffix}" for i in (0, 1) for suffix in suffixes}
-    plain = report.items[0].as_dict()
+    plain = plain_value(report.items[0])
     assert [Path(name).suffix for name in plain["outputs"]] == [  # type: ignore[attr-defined]
         ".usda",
         ".bvh",

@@ -128,7 +128,7 @@ def test_a_table_in_words(comets: Path) -> None:
     assert lines[0].startswith("comets: particles, 0.08333 s")
     heads = next(line for line in lines if "method" in line).split("  ")
     names = [head.strip() for head in heads if head.strip()]
-    assert names[:4] == ["method", "setting", "seconds", "steps"]
+    assert names[:4] == ["method", "setting", "seconds", "work"]
     assert names[4:] == ["largest mm", "rms mm", "median mm", "energy %"]
     (chosen,) = [line for line in lines if line.lstrip().startswith(">")][:-2]
     assert chosen.split()[1:4] == ["midpoint", "step", "0.02"]

@@ -112,6 +112,27 @@ def test_a_reader_of_a_plugin(
         validate(path)
 
 
+def test_rules_look_at_takes_of_a_plugin(
+    tmp_path: Path, walk: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "bvh_marks_reader.py").write_text(
+        "from animtool.core.readers import Reader\n"
+        "from animtool.formats.bvh import read_bvh\n"
+        "READER = Reader('marks', source='bvh_marks_reader:read_bvh')\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    install(monkeypatch, "animtool.readers", marks="bvh_marks_reader:READER")
+    # A frame in which everything is somewhere else.
+    rows = walk.read_text().splitlines()
+    rows[-20] = " ".join(f"{float(number) + 60:g}" for number in rows[-20].split())
+    found = []
+    for name in ("walk.bvh", "walk.marks"):
+        path = tmp_path / name
+        path.write_text("\n".join(rows))
+        found.append({f.code: f.frame for f in validate(path) if f.code[:3] == "MOT"})
+    assert found[0] == found[1] != {}
+
+
 @pytest.mark.parametrize(
     ("place", "why"),
     [("no_such_module:READER", "no_such_module"), ("fractions:Fraction", "no Reader")],

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from animtool.core.errors import OptionError
 from animtool.core.rates import FractionLike
 from animtool.core.shot import Shot, frame_spans, frames_within
+from animtool.core.values import plain_value
 
 RATES = st.sampled_from(
     [Fraction(n) for n in (24, 25, 30, 120)]
@@ -77,7 +78,7 @@ def test_frames_that_follow_each_other_are_a_span() -> None:
 
 def test_names_and_reports_say_the_same() -> None:
     shot = Shot(1009, 1056, 8, 4, "sh010", Fraction(24000, 1001), Fraction(2))
-    names, plain = shot.names(), shot.as_dict()
+    names, plain = shot.names(), plain_value(shot)
     for name, key in (
         ("first", "cut_in"),
         ("last", "cut_out"),
@@ -98,7 +99,7 @@ def test_names_and_reports_say_the_same() -> None:
 
 def test_a_shot_that_places_no_media_has_no_seconds() -> None:
     shot = Shot(1, 2, fps=Fraction(24))
-    assert "media_in" not in {**shot.names(), **shot.as_dict()}
+    assert "media_in" not in {**shot.names(), **plain_value(shot)}
     for other in (shot, replace(shot, fps=None, media_in=Fraction(0))):
         with pytest.raises(ValueError, match="does not place"):
             other.seconds_at(1)

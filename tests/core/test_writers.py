@@ -38,7 +38,7 @@ def folder(walk: Path, tmp_path: Path) -> Path:
     "writer", dict.fromkeys(WRITERS.values()), ids=lambda one: one.name
 )
 def test_a_writer_keeps_its_promises(writer: Writer) -> None:
-    places = (writer.take, writer.text, writer.markers)
+    places = (writer.take, writer.text, writer.markers, writer.rig)
     assert writer.stage or any(places)
     for place in filter(None, places):
         assert callable(load_object(place))

@@ -91,7 +91,7 @@ def test_where_only_the_version_changes_so_does_a_word(
     (plan,) = migrate([path], overwrite=True, table=TABLE)
     assert path.read_bytes().decode() == f"{head}2{tail}"
     assert not plan.notices
-    assert [line[0] for line in plan.difference()[2:]] == ["@", " ", "-", "+", " "]
+    assert [line[0] for line in plan.difference[2:]] == ["@", " ", "-", "+", " "]
 
 
 def test_json_stays_json(tmp_path: Path) -> None:
@@ -106,7 +106,7 @@ def test_the_newest_is_left_alone(tmp_path: Path) -> None:
     path = written(tmp_path, "scene: animtool/1  # kept\nrig: a.rig.yaml\n")
     before = path.stat()
     (plan,) = migrate([path], table=TABLE)
-    assert (plan.kind, plan.needed, plan.difference()) == ("scene", False, [])
+    assert (plan.kind, plan.needed, plan.difference) == ("scene", False, [])
     after = path.stat()
     assert (before.st_mtime_ns, before.st_ino) == (after.st_mtime_ns, after.st_ino)
 
@@ -200,7 +200,7 @@ def test_keys_of_new_names_are_renamed_and_nothing_else(tmp_path: Path) -> None:
     path = written(tmp_path, RENAMED, "a.scene.yaml")
     plan = plan_migration(path)
     assert plan.needed
-    assert [line for line in plan.difference() if line[0] in "+-"][2:] == [
+    assert [line for line in plan.difference if line[0] in "+-"][2:] == [
         "-beside:  # the ball",
         "+props:  # the ball",
         '-- particles: {emitters: [{rate: 5, most: 3}], "most": 7}',

@@ -19,10 +19,11 @@ from support.drifting import author_samples
 from support.small_takes import small
 from support.suite import examples
 
-from animtool.cli.summary import bake_json, bake_text
+from animtool.cli.summary import BAKED
 from animtool.core.clock import Clock
 from animtool.core.errors import OptionError
 from animtool.core.shot import FrameRange
+from animtool.core.values import plain_value
 from animtool.motion.take import Take, TakeStream
 from animtool.scene.bake.bake import bake
 from animtool.scene.bake.options import BakeOptions
@@ -118,7 +119,7 @@ def test_what_is_printed_is_what_is_written(
     layer = Sdf.Layer.FindOrOpen(str(path))
     layer.Reload(force=True)
     codes = layer.ListTimeSamplesForPath("/small/Rig/Anim.rotations")
-    said = bake_json(report)
+    said = plain_value(report)
     assert (said["start"], said["end"]) == (layer.startTimeCode, layer.endTimeCode)
     assert said["fps"] == layer.timeCodesPerSecond == layer.framesPerSecond
     if "rotations" in said["animated"]:
@@ -150,7 +151,7 @@ def _check_samples(
 
 
 def _text(report: BakeReport) -> str:
-    return "\n".join(bake_text(report))
+    return "\n".join(BAKED.text(report))
 
 
 TARGETS = """targets: animtool/1
@@ -234,4 +235,4 @@ def test_samples_between_frames_are_counted(baked: Baked) -> None:
     # Of 13 samples 0, 5 and 10 are on frames; 11 and 12 come after the last.
     assert report.takes[0].between == 8
     assert "8 of which fall between frames" in _text(report)
-    assert bake_json(report)["between_frames"] == 8
+    assert plain_value(report)["between_frames"] == 8

@@ -12,8 +12,9 @@ from support.bvh import random_rows, read_reference, small_bvh
 from support.cli import animtool
 from support.drifting import author_samples
 
-from animtool.cli.info_summary import info_lines
+from animtool.cli.info_summary import TEMPLATES
 from animtool.core.files.reading import recorded_inputs
+from animtool.core.values import plain_value
 from animtool.report import describe as module
 from animtool.report.describe import describe
 from animtool.usd.caches.info import describe_points
@@ -30,7 +31,7 @@ def test_numbers(tmp_path: Path, monkeypatch) -> None:  # type: ignore[no-untype
     assert_allclose(found.bounds[0], truth.min(axis=(0, 1)), rtol=1e-12)
     assert_allclose(found.bounds[1], truth.max(axis=(0, 1)), rtol=1e-12)
     assert found.animated == {"translation": 1, "rotation": 1}
-    values = found.as_dict()
+    values = plain_value(found)
     assert values["rate"] == "24000/1001"
     assert json.dumps(values)
 
@@ -179,7 +180,11 @@ def test_many_prims_are_counted_beyond_the_first(tmp_path: Path, count: int) -> 
         found = describe_points(path)
     assert path in inputs.states
     assert found is not None
-    more = [line for line in info_lines(found) if line.startswith("  and ")]
+    more = [
+        line
+        for line in TEMPLATES["PointsDescription"].text(found)
+        if line.startswith("  and ")
+    ]
     assert more == ["  and       1 more"] * (count - 20)
 
 

@@ -9,6 +9,7 @@ from support.bvh import random_rows, small_bvh
 from support.cli import animtool
 from support.props import write_props
 
+from animtool.core.values import plain_value
 from animtool.report.describe_scene import describe_scene
 from animtool.scene.file.read import load_scene
 
@@ -47,7 +48,7 @@ output: {file: snow.usdc, chunk: 5}
 def described(folder: Path, text: str) -> dict[str, object]:
     path = folder / "shot.scene.yaml"
     path.write_text(text, "utf-8")
-    return describe_scene(load_scene(path)).as_dict()
+    return plain_value(describe_scene(load_scene(path)))  # type: ignore[no-any-return]
 
 
 def test_systems_in_numbers(tmp_path: Path) -> None:

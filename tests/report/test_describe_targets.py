@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from animtool.core.values import plain_value
 from animtool.report.describe_rig import describe_targets
 
 TEXT = """\
@@ -34,4 +35,4 @@ def test_parts_that_weigh_spans_and_frames_are_told(tmp_path: Path) -> None:
         ("leg_r", ("orientation",), ((1003, 1010), (1020, 1020.5))),
         ("head", ("position", "aim"), ()),
     ]
-    assert found.as_dict()["path"] == str(path)
+    assert plain_value(found)["path"] == str(path)

@@ -17,6 +17,7 @@ from animtool.report.text import PRINTED, Each, Table, render
 class Joint:
     name: str
     size: float | None = None
+    lost: str = ""
 
 
 @dataclass(frozen=True)
@@ -24,6 +25,10 @@ class Rig:
     joints: list[Joint] = field(default_factory=list)
     counts: dict[str, int] = field(default_factory=dict)
     named: str = ""
+
+    @property
+    def first(self) -> Joint | None:
+        return self.joints[0] if self.joints else None
 
 
 @pytest.mark.parametrize(
@@ -33,14 +38,15 @@ class Rig:
         ("a[, {named}] b", "a b"),
         ("[{named}|none]", "none"),
         ("[{?counts}some|{!named}no name]", "no name"),
+        ("{joints:last | n joint}", "1 joint"),
         ("{first.size:length 2} {first.size:mm >8}", "12 mm       12"),
         ("[{first.size:nothing}|{first.lost}|left]", "left"),
     ],
 )
 def test_a_line_is_a_template(template: str, line: str) -> None:
     joints = [Joint("hips", 0.012), Joint("knee")]
-    printers = {"nothing": lambda _: ""}
-    assert render(Rig(joints), [template], printers, first=joints[0]) == [line]
+    printers = {"nothing": lambda _: "", "last": lambda joints: joints[-1:]}
+    assert render(Rig(joints), [template], printers) == [line]
 
 
 def test_a_line_without_its_field_is_none() -> None:
@@ -75,7 +81,10 @@ COMMANDS = sorted(Path(animtool.cli.__file__).parent.glob("*.py"))
 def test_templates_name_printers_that_there_are(path: Path) -> None:
     nodes = [*ast.walk(ast.parse(path.read_text("utf-8")))]
     keys = [key for node in nodes if isinstance(node, ast.Dict) for key in node.keys]
-    known = {key.value for key in keys if isinstance(key, ast.Constant)} | set(PRINTED)
+    known = {key.value for key in keys if isinstance(key, ast.Constant)} | {
+        *PRINTED,
+        "names",
+    }
     texts = [
         node.value
         for node in nodes

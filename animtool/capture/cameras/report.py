@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import field
+from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 
@@ -51,6 +53,10 @@ class CameraReport:
     outside: int = 0
     moved: tuple[Moved, ...] = ()
     disagrees: tuple[Disagreement, ...] = ()
+    json_keys: ClassVar[str] = (
+        "name observed used outliers noise_px reprojection=.{px=error_px mm=error_mm} "
+        "moved disagrees"
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,6 +82,18 @@ class Triangulation:
     seen: int
     found: int
     notices: tuple[Fault, ...]
+    source: Path | None = None  # what the cameras see, where it is in files
+    output: Path | None = None  # the file of the markers, likewise
+    json_keys: ClassVar[str] = (
+        "'mocap triangulate' observations=source output frames=markers.clock.count "
+        "fps=markers.clock.rate markers=markers.names points=.{seen found} "
+        "reprojection=.{px=error_px mm=error_mm} cameras notices"
+    )
+
+    @property
+    def share(self) -> float:
+        """Share of the points that cameras see which have a position [1]."""
+        return self.found / max(1, self.seen)
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import numpy as np
 
 from animtool.capture.cameras.camera import Camera, project
@@ -58,6 +60,15 @@ class Moved:
     outliers: float
     change: PoseChange | None = None
     kept: bool = False
+    json_keys: ClassVar[str] = (
+        "first=number last=end outliers kept "
+        "change{angle_rad=angle distance_m=distance reprojection_px=error_px}"
+    )
+
+    @property
+    def number(self) -> int:
+        """The first one, from 1."""
+        return self.first + 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,6 +84,12 @@ class Disagreement:
     frame: int
     outliers: float
     error_px: float
+    json_keys: ClassVar[str] = "frame=number outliers error_px"
+
+    @property
+    def number(self) -> int:
+        """The frame, from 1."""
+        return self.frame + 1
 
 
 def moved_ranges(

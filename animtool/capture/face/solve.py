@@ -67,6 +67,24 @@ class FrameStatus(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
+class LandmarkScore:
+    """How well a landmark fits."""
+
+    name: str  # of the landmark
+    rms: float  # root of the mean square residual where it counts by half or more
+    seen: int  # frames in which it is seen
+    outliers: int  # those of them in which it counts less
+
+
+@dataclass(frozen=True, slots=True)
+class ShapePeak:
+    """How far a shape goes."""
+
+    name: str  # of the shape
+    max: float  # its largest weight
+
+
+@dataclass(frozen=True, slots=True)
 class FaceFit:
     """Weights of a face over frames, and how well they fit.
 
@@ -102,6 +120,25 @@ class FaceFit:
         """Root of the mean square residual of landmarks that count by half or more."""
         good = (self.shares >= POOR_SHARE) & np.isfinite(self.residuals)
         return float(np.sqrt((self.residuals[good] ** 2).mean())) if good.any() else 0.0
+
+    @property
+    def landmarks(self) -> list[LandmarkScore]:
+        """How well each landmark fits."""
+        seen = np.isfinite(self.residuals)
+        used = seen & (self.shares >= POOR_SHARE)
+        squares = np.where(used, self.residuals, 0.0) ** 2
+        rms = np.sqrt(squares.sum(axis=0) / np.maximum(used.sum(axis=0), 1))
+        counts = seen.sum(axis=0), (seen & ~used).sum(axis=0)
+        columns = (rms.tolist(), *(each.tolist() for each in counts))
+        return [
+            LandmarkScore(*row) for row in zip(self.model.names, *columns, strict=True)
+        ]
+
+    @property
+    def peaks(self) -> list[ShapePeak]:
+        """The largest weight of each shape."""
+        largest = self.weights.max(axis=0, initial=0.0).tolist()
+        return [ShapePeak(*row) for row in zip(self.model.shapes, largest, strict=True)]
 
 
 def fit_face(

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, field, replace
-from typing import TYPE_CHECKING, Any
+from dataclasses import field, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -74,16 +74,6 @@ class FillReport:
     spikes: list[Spike] = field(default_factory=list)
     swaps: list[Swap] = field(default_factory=list)
     notices: list[Fault] = field(default_factory=list)
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the report as plain values."""
-        found = {f: getattr(self, f) for f in ("frames", "markers", "filled", "left")}
-        listed = {
-            name: [asdict(entry) for entry in getattr(self, name)]
-            for name in ("gaps", "spikes", "swaps")
-        }
-        notices = [notice.as_dict() for notice in self.notices]
-        return {**found, **listed, "notices": notices}
 
 
 def fill(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, field, fields, replace
+from dataclasses import field, replace
 from itertools import combinations
 from typing import Any
 
@@ -194,11 +194,10 @@ class LabelReport:
     doubts: list[Doubt]
     notices: list[Fault] = field(default_factory=list)
 
-    def as_dict(self) -> dict[str, Any]:
-        """Return the report as plain values."""
-        found = {f.name: getattr(self, f.name) for f in fields(self)}
-        found["doubts"] = [asdict(doubt) for doubt in self.doubts]
-        return {**found, "notices": [notice.as_dict() for notice in self.notices]}
+    @property
+    def share(self) -> float:
+        """Share of the points that have a name [1]."""
+        return self.labelled / max(1, self.points)
 
 
 def label(cloud: Markers, static: Markers) -> tuple[Markers, LabelReport]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import ClassVar
 
 import numpy as np
 
@@ -86,6 +87,17 @@ class Calibration:
     frames: int
     converged: bool
     notices: tuple[Fault, ...] = ()
+    json_keys: ClassVar[str] = "rounds frames converged bones shifts=moved"
+
+    @property
+    def bones(self) -> dict[str, float]:
+        """The scale of each joint's bone."""
+        return dict(zip(self.rig.names, self.scales.tolist(), strict=True))
+
+    @property
+    def moved(self) -> dict[str, float]:
+        """How far each marker went from its offset [m]."""
+        return dict(zip(self.template.names, self.shifts.tolist(), strict=True))
 
 
 def calibrate(

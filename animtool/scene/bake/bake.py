@@ -21,7 +21,7 @@ from animtool.scene.bake.progress import Progress, share_of
 from animtool.scene.bake.reading import Source
 
 # What became of one output.
-OutputReport: TypeAlias = "BakeReport | ConvertReport"
+OutputReport: TypeAlias = BakeReport | ConvertReport
 
 
 def bake(

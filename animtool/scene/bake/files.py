@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import field, replace
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, ClassVar, cast
 
 from animtool.core.clock import Clock, FrameSpan
 from animtool.core.errors import Fault, refuse_warnings
@@ -19,10 +19,11 @@ from animtool.motion.scores import PassScores
 from animtool.motion.take import Take, TakeStream
 from animtool.motion.take_files import TakeFiles, WriteOptions
 from animtool.scene.bake.frames import TakePlan, in_frames
-from animtool.scene.bake.progress import Progress
+from animtool.scene.bake.progress import OutputCost, Progress
 from animtool.scene.sources.open import SourceOptions, open_source
 
 if TYPE_CHECKING:
+    from animtool.clip.key_report import ChannelError
     from animtool.clip.keyed_take import KeyedTake
     from animtool.clip.reduction.keys import Reduction
     from animtool.formats.take_text import TakeText
@@ -44,6 +45,29 @@ class ConvertReport:
     shot: Shot | None = None  # the shot that was written; None is no shot
     # How well the passes of the source did.
     scores: list[PassScores] = field(default_factory=list)
+    command: str = "convert"  # what it is the report of
+    json_keys: ClassVar[str] = (
+        "@command output frames start=span.first end=span.last fps=span.fps "
+        "rate=span.fps# joints shot? scores+ reduction?{samples keys "
+        "error=.{meters=error joint} weight_error held} "
+        "channels? notices"
+    )
+
+    @property
+    def named(self) -> list[Path]:
+        """The file that reports of solves name."""
+        return [self.output]
+
+    @property
+    def channels(self) -> Sequence[ChannelError] | None:
+        """The errors of channels, where a clip was written."""
+        return None if self.keyed is None else self.keyed.errors
+
+    @property
+    def cost(self) -> OutputCost:
+        """What it took, as far as it is known."""
+        error = None if self.reduction is None else self.reduction.error
+        return OutputCost(str(self.output), None, error)
 
     @property
     def reduction(self) -> Reduction | None:

@@ -345,13 +345,15 @@ class PointPrims:
         surfaces = len(character.surfaces)
         kinds = ["mesh"] * surfaces + ["strands"] * (len(character.meshes) - surfaces)
         reports = [
-            MeshReport(mesh.name, report, spent, run.samples, kind)
+            MeshReport(
+                *(mesh.name, report, spent, run.samples, kind), of=character.origin
+            )
             for mesh, report, spent, kind in zip(
                 character.meshes, meshes, points.seconds, kinds, strict=True
             )
         ]
         draft.report = plan.report(
-            [take_report(run, result.takes[0], "", reports, character.origin)],
+            [take_report(run, result.takes[0], "", reports)],
             result,
             stream.notices + plan.notices,
             joints=len(stream.rig.joints),

@@ -2,25 +2,26 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import field
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol, TypeAlias
 
 from animtool.core.clock import FrameSpan
 from animtool.core.errors import Fault, ToleranceError
 from animtool.core.record import dataclass
 from animtool.core.shot import Shot
-from animtool.core.units import UpAxis
+from animtool.core.units import UpAxis, unit_name
 from animtool.motion.scores import PassScores
 from animtool.rig.skeleton import Rig
 from animtool.scene.bake.options import BakeOptions
-from animtool.scene.bake.progress import Progress
+from animtool.scene.bake.progress import OutputCost, Progress
 from animtool.scene.sources.open import motion_bytes
 from animtool.usd.layers.jobs import Form, UsdResult, WrittenTake
-from animtool.usd.layers.names import RigPaths, legal_name
-from animtool.usd.layers.sdf import save_layer
+from animtool.usd.layers.names import RigPaths
+from animtool.usd.layers.sdf import model_path, save_layer
 
 if TYPE_CHECKING:
     from animtool.edit.thin import Thinned
@@ -40,6 +41,27 @@ class MeshReport:
     frames: int  # how many frames that was for
     kind: str  # ``mesh`` or ``strands`` of a character, or a kind of system
     simulated: bool = False  # whether it is a system, and not deformed
+    of: str = ""  # whose it is: of a character or a scene
+    json_keys: ClassVar[str] = (
+        "mesh=name kind prim=written.path of vertices=written.vertices "
+        "characters=written.characters? samples=written.samples "
+        "animated=written.sampled bytes=written.bytes milliseconds_per_frame~ "
+        "error=.{meters=written.error vertex=written.error_vertex "
+        "frame=written.error_code}"
+    )
+
+    @property
+    def milliseconds_per_frame(self) -> float:
+        """How long a frame took [ms]."""
+        return self.seconds * 1e3 / max(self.frames, 1)
+
+
+# Keys of what rounding did to a take.
+_ERROR = (
+    "{take=written.name+ meters=written.rounding.error relative=relative_error "
+    "joint=error_joint frame=written.rounding.code "
+    "half_scales=written.rounding.scales}"
+)
 
 
 @dataclass(slots=True)
@@ -60,11 +82,49 @@ class TakeReport:
     thinned_joint: str = ""  # name of the joint that this moved most
     # What was written of each mesh, where it was deformed.
     meshes: list[MeshReport] = field(default_factory=list)
-    meshes_of: str = ""  # whose meshes they are
     # What became of each thing that was simulated, as plain values.
     simulated: list[dict[str, object]] = field(default_factory=list)
     scores: list[PassScores] = field(default_factory=list)  # of its passes
     between: int = 0  # samples of the source that fall between the frames written
+    size: float = 0.0  # extent of the skeleton at rest [m]
+    fps: Fraction = Fraction(0)  # time codes a second of the output
+    json_keys: ClassVar[str] = (
+        "take=written.name+ source source_frames source_rate=source_fps# "
+        "between_frames=between animation=written.animation props=written.props+ "
+        "fit=details.fit? *in_library{samples=written.samples start=written.first "
+        "end=written.last joints_written=written.joints animated=written.sampled "
+        f"error=.{_ERROR}}} meshes+ simulated+ scores+ "
+        "reduction=if_thinned?{samples=thinned.samples kept=thinned.count "
+        "error=.{meters=thinned.error joint=thinned_joint frame=thinned.code} "
+        "weight_error=thinned.weight_error} "
+        "curves=written.curves+{control=name knots split difference seam}"
+    )
+
+    @property
+    def posed(self) -> bool:
+        """Whether joints were written."""
+        return not self.meshes or bool(self.written.animation)
+
+    @property
+    def resampled(self) -> bool:
+        """Whether samples are not one of each frame of the source."""
+        counts = self.source_frames, self.written.samples
+        return self.source_fps != self.fps or counts[0] != counts[1]
+
+    @property
+    def relative_error(self) -> float:
+        """The largest distance that rounding moved a joint, over the size [1]."""
+        return self.written.rounding.error / (self.size or math.inf)
+
+    @property
+    def in_library(self) -> TakeReport | None:
+        """The report, if the take is one of a library."""
+        return self if self.written.name else None
+
+    @property
+    def if_thinned(self) -> TakeReport | None:
+        """The report, if samples were left out."""
+        return None if self.thinned is None else self
 
 
 def take_report(
@@ -72,7 +132,6 @@ def take_report(
     written: WrittenTake,
     joint: str = "",
     meshes: Sequence[MeshReport] = (),
-    meshes_of: str = "",
 ) -> TakeReport:
     """Return the result of a take: what rounding moved most, and its meshes."""
     plan, stream, times = run.plan, run.plan.stream, run.open().times
@@ -86,7 +145,6 @@ def take_report(
         motion_bytes(plan.source),
         stream.details,
         meshes=list(meshes),
-        meshes_of=meshes_of,
         simulated=list(stream.simulated),
         scores=list(stream.scores),
         between=0 if times is None else times.between,
@@ -110,6 +168,67 @@ class BakeReport:
     shot: Shot | None = None  # the shot that was written; None is no shot
     # Why a system ended before the last frame, where the frames before were to be kept.
     stopped: ToleranceError | None = None
+    json_keys: ClassVar[str] = (
+        "'bake' *only outputs=files form samples=result.samples start=span.first "
+        "end=span.last fps rate=fps# joints joints_written=result.joints "
+        "animated=result.sampled meters_per_unit units up bytes=result.bytes shot? "
+        f"seconds~ megabytes_per_second error=worst{_ERROR} takes=library+ notices "
+        "stopped=stopped.faults?"
+    )
+
+    @property
+    def only(self) -> TakeReport | None:
+        """The take, where it is the only one."""
+        return self.takes[0] if len(self.takes) == 1 else None
+
+    @property
+    def library(self) -> list[TakeReport]:
+        """The takes, where there are several."""
+        return [] if len(self.takes) == 1 else self.takes
+
+    @property
+    def posed(self) -> bool:
+        """Whether joints were written."""
+        return self.only is None or self.only.posed
+
+    @property
+    def unit_assumed(self) -> bool:
+        """Whether nothing states the unit of some source."""
+        return any(take.unit_assumed for take in self.takes)
+
+    @property
+    def props(self) -> list[str]:
+        """Paths of what is written beside the characters."""
+        return [path for take in self.takes for path in take.written.props]
+
+    @property
+    def named(self) -> list[Path]:
+        """The files that reports of solves name; none of stdout."""
+        return self.files
+
+    @property
+    def channels(self) -> None:
+        """Nothing: a layer has no channels of keys."""
+        return None
+
+    @property
+    def cost(self) -> OutputCost:
+        """What it took."""
+        name = str(self.files[-1]) if self.files else "stdout"
+        error = self.worst.written.rounding.error
+        return OutputCost(name, self.seconds["total"], error)
+
+    @property
+    def units(self) -> str:
+        """The unit of the output by its name."""
+        return unit_name(self.meters_per_unit)
+
+    @property
+    def megabytes_per_second(self) -> float | None:
+        """How fast sources were read [MB/s]; None where none is a file of motion."""
+        if not self.source_bytes:
+            return None
+        return round(self.source_bytes / 1e6 / self.seconds["total"], 3)
 
     @property
     def span(self) -> FrameSpan:
@@ -192,7 +311,7 @@ class BakePlan:
         name, *others = {take.stream.rig.name: None for take in self.takes}
         if others and self.output is not None:
             name = self.output.stem
-        return RigPaths.below(self.options.prim_path or f"/{legal_name(name)}")
+        return RigPaths.below(model_path(self.options.prim_path, name))
 
     def report(
         self,
@@ -207,6 +326,8 @@ class BakePlan:
         what: str = "",
     ) -> BakeReport:
         """Return the report of what was written of takes; ``what`` names its form."""
+        for take in takes:
+            take.size, take.fps = size, result.span.fps
         return BakeReport(
             takes,
             result,

@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Generator, Iterator, MutableMapping
 from contextlib import contextmanager
 from dataclasses import field
-from typing import TYPE_CHECKING, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, ClassVar, TypeAlias, TypeVar
 
 from animtool.core.record import dataclass
 
@@ -300,6 +300,26 @@ class StageCost:
     # Largest distance in the world by which it missed what it was to reach [m]; None
     # where it reports none.
     error: float | None = None
+    json_keys: ClassVar[str] = "stage=name where seconds~ peak_bytes=peak error"
+
+
+@dataclass(frozen=True, slots=True)
+class OutputCost:
+    """What an output cost."""
+
+    name: str  # the file
+    seconds: float | None  # as `StageCost`; None is not known
+    error: float | None  # largest distance by which it is off [m]; likewise
+    where: ClassVar[str] = ""
+    peak: ClassVar[int | None] = None
+    json_keys: ClassVar[str] = "output=name seconds error"
+
+
+@dataclass(frozen=True, slots=True)
+class Stats:
+    """What stages and outputs cost."""
+
+    stats: list[StageCost | OutputCost]
 
 
 @dataclass(slots=True)

@@ -7,6 +7,7 @@ from dataclasses import fields, replace
 from enum import StrEnum
 from fractions import Fraction
 from pathlib import Path
+from typing import ClassVar
 
 from animtool.core.clock import Clock
 from animtool.core.errors import counted, listed
@@ -51,6 +52,14 @@ class Step:
     reads: tuple[str, ...]  # what it looks at: files, and parts of the take
     makes: tuple[str, ...]  # what comes of it
     left_out: tuple[str, ...] = ()  # what is not made, each with the reason
+
+
+@dataclass(frozen=True, slots=True)
+class Steps:
+    """What is done one after the other."""
+
+    steps: list[Step]
+    json_keys: ClassVar[str] = "'plan' steps"
 
 
 def bake_steps(outline: Outline) -> list[Step]:

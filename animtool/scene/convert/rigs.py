@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import ClassVar
 
 from animtool.core.arguments import argument, flag
 from animtool.core.errors import (
@@ -22,6 +23,7 @@ from animtool.core.files.output import (
 from animtool.core.files.reading import recorded_inputs
 from animtool.core.names import file_suffixes, is_named
 from animtool.core.record import dataclass
+from animtool.core.writers import rig_writer
 from animtool.rig.skeleton import Rig
 from animtool.rig.surfaces import StoredArrays, with_file
 from animtool.rig.write import rig_text
@@ -39,6 +41,19 @@ class RigReport:
     controls: int
     physics: int | None  # joint prims written; None where they were not asked for
     notices: list[Fault]  # warnings and notes
+    json_keys: ClassVar[str] = (
+        "'convert' outputs joints meshes shapes controls physics notices"
+    )
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """How many there are of what a rig has, by noun."""
+        return {
+            "joint": self.joints,
+            "mesh/meshes": self.meshes,
+            "shape": self.shapes,
+            "control": self.controls,
+        }
 
 
 def convert_rig(
@@ -67,19 +82,23 @@ def convert_rig(
         OutputError: A file cannot be written.
         StrictError: There were warnings, and ``strict`` is on.
     """
-    source, output = Path(source), Path(output)
-    if is_named(output, "rig"):
-        if physics:
-            message = f"{argument('physics')} is for a USD file, and this is none"
-            raise OptionError(Fault("CLI004", message, str(output)))
-        with together():
-            return _to_file(source, output, prim_path, overwrite, strict)
-    if output.suffix.lower() in {".usd", ".usda", ".usdc"}:
-        with together():
-            return _to_usd(source, output, prim_path, physics, overwrite, strict)
-    message = f"suffix {output.suffix!r} holds no rig"
-    hint = "allowed: .rig.yaml, .usd, .usda, .usdc"
-    raise OptionError(Fault("OUT004", message, str(output), (), hint))
+    job = RigJob(Path(source), Path(output), prim_path, physics, overwrite, strict)
+    write = rig_writer(job.output)
+    with together():
+        report: RigReport = write(job)
+    return report
+
+
+@dataclass(frozen=True, slots=True)
+class RigJob:
+    """A rig to write, as `convert_rig` is told."""
+
+    source: Path
+    output: Path
+    prim_path: str | None
+    physics: bool
+    overwrite: bool
+    strict: bool
 
 
 def rig_outputs(output: Path, *, physics: bool = False) -> list[Path]:
@@ -98,14 +117,17 @@ def _report(
     return RigReport(outputs, *counts, physics, notices)
 
 
-def _to_file(
-    source: Path, output: Path, prim_path: str | None, overwrite: bool, strict: bool
-) -> RigReport:
+def rig_to_file(job: RigJob) -> RigReport:
+    """Write a rig file, its arrays beside it."""
+    if job.physics:
+        message = f"{argument('physics')} is for a USD file, and this is none"
+        raise OptionError(Fault("CLI004", message, str(job.output)))
     with recorded_inputs() as inputs:
-        rig, notices = open_rig(source, prim_path)
-    file = rig_file(rig, output, source)
-    check_outputs(file.outputs, [source, *inputs.opened], overwrite=overwrite)
-    refuse_warnings(notices, strict=strict)
+        rig, notices = open_rig(job.source, job.prim_path)
+    file = rig_file(rig, job.output, job.source)
+    opened = [job.source, *inputs.opened]
+    check_outputs(file.outputs, opened, overwrite=job.overwrite)
+    refuse_warnings(notices, strict=job.strict)
     file.write()
     return _report(file.rig, file.outputs, notices)
 
@@ -158,24 +180,18 @@ def _motion_left_out(source: Path, output: Path, prim_path: str | None) -> list[
     return [Fault("CLI104", message, str(source), (), hint, Severity.NOTE)]
 
 
-def _to_usd(
-    source: Path,
-    output: Path,
-    prim_path: str | None,
-    physics: bool,
-    overwrite: bool,
-    strict: bool,
-) -> RigReport:
-    outputs = rig_outputs(output, physics=physics)
-    check_outputs(outputs, [source], overwrite=overwrite)
+def rig_to_usd(job: RigJob) -> RigReport:
+    """Write a rig layer, and one of its physics where that is asked for."""
+    output, outputs = job.output, rig_outputs(job.output, physics=job.physics)
+    check_outputs(outputs, [job.source], overwrite=job.overwrite)
     with sparing_inputs(outputs):
-        rig, notices = open_rig(source, prim_path)
-    notices = notices + _motion_left_out(source, output, prim_path)
+        rig, notices = open_rig(job.source, job.prim_path)
+    notices = notices + _motion_left_out(job.source, output, job.prim_path)
     from animtool.usd.rigs.layer import write_physics_layer, write_rig_layer
 
-    refuse_warnings(notices, strict=strict)
+    refuse_warnings(notices, strict=job.strict)
     _, more = write_rig_layer(rig, output)
     written = None
-    if physics:
+    if job.physics:
         _, written = write_physics_layer(rig, outputs[1], output)
     return _report(rig, outputs, notices + more, written)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
+from typing import ClassVar
 
 from animtool.core.errors import Fault, refuse_warnings
 from animtool.core.record import dataclass
@@ -20,9 +22,16 @@ from animtool.scene.sources.open import SourceOptions, open_source
 class LoopResult:
     """The cycle of a take, its length, and notices."""
 
+    source: Path
+    output: Path | None
     cycle: Cycle
     seconds: float  # its length
-    notices: list[Fault]
+    notices: list[Fault]  # those of what was written, where it was
+    written: ConvertReport | None = None
+    json_keys: ClassVar[str] = (
+        "'loop' source output first=cycle.first last=cycle.last seconds "
+        "apart=cycle.apart share=cycle.share notices"
+    )
 
 
 def loop_source(
@@ -34,7 +43,7 @@ def loop_source(
     overwrite: bool = False,
     strict: bool = False,
     progress: Progress = None,
-) -> tuple[LoopResult, ConvertReport | None]:
+) -> LoopResult:
     """Return the cycle of a take; with an output, also write it, repeated.
 
     Args:
@@ -63,10 +72,10 @@ def loop_source(
             best = measure_cycle(take, options.first, options.last)
     seconds = (best.last - best.first) / float(take.clock.fps)
     notices = [*stream.notices, *said_of(best, searched=options.find)]
-    cycle = LoopResult(best, seconds, notices)
+    result = LoopResult(source, output, best, seconds, notices)
     if output is None:
         refuse_warnings(notices, strict=strict)
-        return cycle, None
+        return result
     report = convert_with_passes(
         source,
         output,
@@ -76,4 +85,4 @@ def loop_source(
         strict=strict,
         progress=progress,
     )
-    return cycle, report
+    return replace(result, written=report, notices=report.notices)

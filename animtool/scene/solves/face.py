@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from dataclasses import field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
@@ -78,6 +78,37 @@ class FaceResult:
     # Pixels a metre at the face, of landmarks in pixels; else 0.
     pixels_per_meter: float = 0.0
     written: OutputReport | None = None
+    json_keys: ClassVar[str] = (
+        "'mocap face' source=job.capture rig=job.rig outputs frames residual_unit "
+        "pixels_per_meter! rms=fit.rms noise=fit.noise rounds=fit.rounds "
+        "change=fit.change landmarks=fit.landmarks shapes=fit.peaks status=fit.status "
+        "lost=links.lost seconds notices"
+    )
+
+    @property
+    def outputs(self) -> list[Path]:
+        """The files that were written."""
+        return [] if self.written is None else self.written.files
+
+    @property
+    def frames(self) -> int:
+        """Number of frames."""
+        return len(self.fit.weights)
+
+    @property
+    def residual_unit(self) -> str:
+        """The unit of residuals."""
+        return "px" if self.pixels else "m"
+
+    @property
+    def moved(self) -> int:
+        """Number of shapes that move."""
+        return sum(shape.max > 0 for shape in self.fit.peaks)
+
+    @property
+    def rate(self) -> float:
+        """Frames solved a second."""
+        return self.frames / max(self.seconds["solve"], 1e-9)
 
 
 def face_outputs(job: FaceJob) -> list[Path]:

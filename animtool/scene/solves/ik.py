@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import field, replace
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 from animtool.core.clock import FrameSpan
 from animtool.core.config import project_roots
@@ -49,6 +49,7 @@ from animtool.scene.sources.onto_rig import open_rig
 from animtool.scene.sources.open import SourceOptions
 
 if TYPE_CHECKING:
+    from animtool.clip.key_report import ChannelError
     from animtool.scene.bake.bake import OutputReport
 
 
@@ -69,11 +70,10 @@ class IkJob:
     tolerance: float | None = None
     # An orientation, aim or pole likewise [rad]; None is a tenth of a degree.
     angle_tolerance: float | None = None
-    # Refuse to write what misses, or what there are warnings about.
-    strict: bool = False
     # USD file, ``.clip.yaml`` or ``.bvh``, or `STDOUT` for usda; None writes nothing.
     output: Path | None = None
-    # How USD is written; its ``reduce`` and ``overwrite`` are for others too.
+    # How USD is written; its ``reduce`` and ``overwrite`` are for others too, and
+    # ``strict`` refuses to write what misses, or what there are warnings about.
     bake: BakeOptions = field(default_factory=BakeOptions)
 
 
@@ -87,6 +87,37 @@ class IkReport:
     seconds: dict[str, float]  # wall time by stage
     # The report of what was written; None where nothing was.
     written: OutputReport | None = None
+    json_keys: ClassVar[str] = (
+        "'ik' targets=solved.tracks.path outputs frames=solved.frames "
+        "first=span.first last=span.last fps=span.fps# "
+        "solved=solved.take.clock.span{first last fps#} joints=solved.problem.joints "
+        "degrees_of_freedom=solved.problem.degrees conditions=solved.problem.rows "
+        "statuses=solved.status_counts "
+        "iterations=solved{mean=mean_iterations max=max_iterations} "
+        "restarts=solved.restarts microseconds_per_frame=solved.microseconds_per_frame "
+        "goals{effector=name joint residuals missed=spans} "
+        "on_limits=solved.limit_counts jumps=solved.jumps_at_codes "
+        "channels? notices"
+    )
+
+    @property
+    def channels(self) -> Sequence[ChannelError] | None:
+        """The errors of channels, where a clip was written."""
+        return None if self.written is None else self.written.channels
+
+    @property
+    def outputs(self) -> list[str]:
+        """The files that were written."""
+        if self.written is None:
+            return []
+        return [str(path) for path in self.written.named] or ["stdout"]
+
+    @property
+    def moved(self) -> bool:
+        """Whether frames are written under other numbers than they were solved as."""
+        clock, span = self.solved.take.clock, self.span
+        same = (span.first, span.fps) == (clock.start, clock.fps)
+        return self.written is not None and not same
 
     @property
     def span(self) -> FrameSpan:
@@ -265,9 +296,9 @@ def _solved(job: IkJob, progress: Progress) -> IkReport:
         *jump_notices(solved),
     ]
     report = IkReport(solved, goals, [*odd, *missed], seconds)
-    if job.strict and missed:
+    if job.bake.strict and missed:
         raise MissedGoalsError(missed, report)
-    refuse_warnings(odd, strict=job.strict)
+    refuse_warnings(odd, strict=job.bake.strict)
     return report
 
 

@@ -6,6 +6,7 @@ import time
 from dataclasses import field, replace
 from fractions import Fraction
 from pathlib import Path
+from typing import ClassVar
 
 from animtool.clip.channels import ClipUnits
 from animtool.core.array_types import FloatArray
@@ -58,6 +59,10 @@ class MatchReport:
     outputs: list[Path]  # the files written
     notices: list[Fault]  # warnings and notes
     seconds: dict[str, float]  # wall time by stage
+    json_keys: ClassVar[str] = (
+        "'ik' outputs frames=clock.count first=clock.start fps=clock.fps# "
+        "matched=tracks.goals{chain=name joint=goal.joint parts} notices"
+    )
 
 
 def run_match(job: MatchJob, *, progress: Progress = None) -> MatchReport:

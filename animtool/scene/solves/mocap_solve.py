@@ -6,7 +6,7 @@ import time
 from collections import deque
 from dataclasses import field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from animtool.capture.options import SolveOptions
 from animtool.capture.solve.calibration import Calibration, calibrate
@@ -75,6 +75,19 @@ class MocapSolveResult:
     seconds: dict[str, float]  # wall time by stage
     outputs: list[Path] = field(default_factory=list)
     written: OutputReport | None = None
+    json_keys: ClassVar[str] = (
+        "'mocap solve' source rig outputs frames=solve.score.frames "
+        "rms=solve.score.total frame_rms=solve.score.rms sparse=solve.score.sparse "
+        "poor=solve.score.poor searched=solve.score.searched "
+        "markers=solve.score.markers exchanged=solve.score.exchanged "
+        "missing=solve.match.missing unused=solve.match.unused calibration seconds "
+        "notices"
+    )
+
+    @property
+    def seconds_per_frame(self) -> float:
+        """How long a frame took [s]."""
+        return self.seconds["solve"] / max(self.solve.score.frames, 1)
 
 
 def solve_outputs(job: MocapSolveJob) -> list[Path]:

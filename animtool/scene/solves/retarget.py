@@ -7,7 +7,7 @@ from collections import deque
 from dataclasses import field, replace
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 from animtool.core.errors import Fault, OptionError, refuse_warnings
 from animtool.core.files.output import (
@@ -19,6 +19,7 @@ from animtool.core.files.output import (
 from animtool.core.names import is_named
 from animtool.core.record import dataclass
 from animtool.core.units import unit_name
+from animtool.core.values import picked
 from animtool.motion.driving import driven_stream
 from animtool.motion.reorient import off_its_place
 from animtool.motion.take import TakeStream
@@ -77,6 +78,27 @@ class RetargetResult:
     numbers: FrameNumbers = field(default_factory=FrameNumbers)
     outputs: list[Path] = field(default_factory=list)
     written: OutputReport | None = None
+    json_keys: ClassVar[str] = (
+        "*verdict 'retarget' source rig outputs *score joints=pairs seconds notices"
+    )
+
+    @property
+    def pairs(self) -> list[dict[str, object]]:
+        """The joints that follow each other, by their names."""
+        ours, theirs = self.source_rig.names, self.target.names
+        return [
+            {
+                "source": ours[pair.source],
+                "target": theirs[pair.target],
+                **picked(pair, "role found confidence"),
+            }
+            for pair in self.joint_map.pairs
+        ]
+
+    @property
+    def seconds_per_frame(self) -> float:
+        """How long a frame took [s]."""
+        return self.seconds["solve"] / max(self.score.frames, 1)
 
     @property
     def verdict(self) -> Verdict:

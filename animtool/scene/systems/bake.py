@@ -27,12 +27,11 @@ from animtool.scene.systems.run import SystemRun, system_job
 from animtool.usd.caches.writer import CachedMesh
 from animtool.usd.layers.chunks import growing_layer, system_files
 from animtool.usd.layers.jobs import Form, Rounding, UsdResult, WrittenTake
-from animtool.usd.layers.names import legal_name
 from animtool.usd.layers.sdf import (
     StageMetadata,
     author_metadata,
-    check_prim_path,
     layer_span,
+    model_path,
     save_layer,
 )
 from animtool.usd.props.simulated import (
@@ -112,7 +111,6 @@ class SystemPrims:
             len(self.codes),
             metadata.fps,
             "",
-            meshes_of=self.scene.path.name,
         )
         draft.report = plan.report(
             [report],
@@ -176,7 +174,7 @@ class SystemFrames:
         report.result.outputs[:0] = self.files
         report.result.bytes += sum(map(size_of, self.files))
         for take in report.takes:
-            take.meshes += run.reports(written)
+            take.meshes += run.reports(written, take.source.name)
             take.simulated += run.simulated
         if self.prims.watch is not None:
             return
@@ -206,9 +204,7 @@ def plan_systems(scene: Scene, options: BakeOptions) -> SystemPrims:
     # Where only a part is asked for, the simulation still begins with the whole.
     first = Fraction((own or frames).first) if options.start is None else options.start
     codes = _codes(frames, options.samples)
-    if options.prim_path is not None:
-        check_prim_path(options.prim_path)
-    model = options.prim_path or f"/{legal_name(source_stem(scene.path))}"
+    model = model_path(options.prim_path, source_stem(scene.path))
     unit = 1.0 if options.to_units is None else options.to_units.meters
     up = options.to_up or UpAxis.Y
     span = Fraction(frames.first), Fraction(frames.last)

@@ -278,8 +278,8 @@ class SystemRun:
             for notice in found.notices
         ]
 
-    def reports(self, written: Sequence[CachedMesh]) -> list[MeshReport]:
-        """Return what became of each that is written."""
+    def reports(self, written: Sequence[CachedMesh], scene: str) -> list[MeshReport]:
+        """Return what became of each that is written, of a file."""
         return [
             MeshReport(
                 self.systems[i].name,
@@ -288,6 +288,7 @@ class SystemRun:
                 found.samples,
                 self.systems[i].kind,
                 True,
+                scene,
             )
             for i, found in zip(self.written, written, strict=True)
         ]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import field, replace
 from pathlib import Path
+from typing import ClassVar
 
 from animtool.core.errors import Fault, OptionError, Severity
 from animtool.core.names import is_named
@@ -43,6 +44,7 @@ class Tradeoffs:
     notices: list[Fault] = field(default_factory=list)
     budget: float | None = None
     pairs: list[Pair] = field(default_factory=list)
+    json_keys: ClassVar[str] = "'report' source budget tables notices"
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import field, replace
 from itertools import pairwise
+from typing import ClassVar
 
 import numpy as np
 
@@ -66,6 +67,7 @@ class Reference:
     # Whether halving the steps hardly brings it nearer: then nothing is near, and
     # errors say little.
     sensitive: bool
+    json_keys: ClassVar[str] = "*setting error order sensitive"
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,6 +96,17 @@ class TrialRow:
     best: bool = False  # whether no other that is as exact is cheaper
     # Whether to take it in place of the chosen one, or the cheapest within a budget.
     recommended: bool = False
+    json_keys: ClassVar[str] = (
+        "*setting status=ended reason stable_step seconds~ steps bytes "
+        "error energy_drift figures worst chosen best recommended"
+    )
+
+    @property
+    def ended(self) -> str:
+        """How it ended, in words."""
+        if self.status is None:
+            return "left out"
+        return "blew up" if self.status == "unstable" else str(self.status)
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,6 +129,10 @@ class TrialTable:
     budget: float | None = None  # largest error that will do [m]
     # How the recommended setting is asked for; empty where there is none.
     lines: tuple[str, ...] = ()
+    json_keys: ClassVar[str] = (
+        "name kind span instants points extent measure=error cost unit lines reference "
+        "rows"
+    )
 
     @property
     def chosen(self) -> TrialRow:
@@ -126,6 +143,21 @@ class TrialTable:
     def recommended(self) -> TrialRow | None:
         """The row to take; None where the chosen one is right, or nothing is known."""
         return next((row for row in self.rows if row.recommended), None)
+
+    @property
+    def tried(self) -> list[TrialRow]:
+        """The rows of methods that are for it."""
+        return [row for row in self.rows if row.status is not None]
+
+    @property
+    def by_rms(self) -> bool:
+        """Whether points are judged together, not by the largest distance."""
+        return self.error is ErrorMeasure.RMS
+
+    @property
+    def has_lone(self) -> bool:
+        """Whether points are compared that only one of two has."""
+        return any(row.error is not None and row.error.apart for row in self.tried)
 
 
 def measure(

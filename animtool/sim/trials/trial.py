@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import field
 from enum import StrEnum
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -30,6 +30,12 @@ class Setting:
     method: str  # an integrator or a solver
     # Names and values that go with it, as the scene file writes them.
     options: tuple[tuple[str, float], ...]
+    json_keys: ClassVar[str] = "method options=by_name"
+
+    @property
+    def by_name(self) -> dict[str, float]:
+        """The options by name."""
+        return dict(self.options)
 
     @staticmethod
     def of(method: str, **options: float) -> Setting:
@@ -170,6 +176,7 @@ class Distances:
     # where they have none.
     angle: float | None = None
     at: tuple[int, int] | None = None  # shot and point of the largest; None of none
+    json_keys: ClassVar[str] = "largest rms median apart angle?"
 
     def error(self, measure: ErrorMeasure, reach: float) -> float:
         """Return the distance of what reaches so far from the points [m]."""

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from pxr import Sdf, Usd, UsdGeom
@@ -14,7 +14,6 @@ from pxr import Sdf, Usd, UsdGeom
 from animtool.core.clock import time_fraction
 from animtool.core.errors import Fault, Severity, listed
 from animtool.core.files.reading import note_input
-from animtool.core.quantities import Description
 from animtool.core.rates import rate_from_float
 from animtool.core.record import dataclass
 from animtool.core.units import unit_name
@@ -84,7 +83,7 @@ class ChunkSet:
 
 
 @dataclass(frozen=True, slots=True)
-class PointsDescription(Description):
+class PointsDescription:
     """A USD file of points in numbers."""
 
     path: str  # the file
@@ -100,6 +99,7 @@ class PointsDescription(Description):
     units: str  # unit of the file
     up: str  # up axis of the file
     notices: list[Fault]  # what is odd
+    json_keys: ClassVar[str] = "* rate=fps#"
 
 
 def describe_points(path: Path) -> PointsDescription | None:

@@ -35,6 +35,7 @@ from animtool.core.readers import PACKAGE
 from animtool.core.record import dataclass
 from animtool.core.shot import Shot
 from animtool.core.units import UpAxis
+from animtool.core.values import plain_value
 from animtool.maths import so3
 from animtool.usd.layers.finite import (
     Labels,
@@ -43,6 +44,7 @@ from animtool.usd.layers.finite import (
     check_value,
     largest,
 )
+from animtool.usd.layers.names import legal_name
 from animtool.usd.layers.package import unpacked
 
 # USD maps binary layers into memory, and reads those of text whole.
@@ -86,7 +88,7 @@ def author_metadata(layer: Any, metadata: StageMetadata) -> None:
     root.SetInfo("upAxis", metadata.up.value)
     if metadata.shot is not None:
         data = dict(layer.customLayerData)
-        shot = metadata.shot.as_dict().items()
+        shot = plain_value(metadata.shot).items()
         stated = {_SHOT_KEYS.get(key, key): value for key, value in shot}
         data["animtool"] = {**data.get("animtool", {}), "shot": stated}
         layer.customLayerData = data
@@ -122,6 +124,18 @@ def layer_shot(layer: Any) -> dict[str, object] | None:
     }
     frames = ("start", "end", "cut_in", "cut_out", "head", "tail")
     return shot if all(isinstance(shot.get(key), int) for key in frames) else None
+
+
+def model_path(prim_path: str | None, name: str) -> str:
+    """Return where a model goes: where it is told to, else below the root by its name.
+
+    Raises:
+        OptionError: It is no absolute prim path (CLI003).
+    """
+    if prim_path is None:
+        return f"/{legal_name(name)}"
+    check_prim_path(prim_path)
+    return prim_path
 
 
 def check_prim_path(text: str) -> None:

@@ -29,6 +29,7 @@ from animtool.core.files.reading import read_input
 from animtool.core.junit import JunitCase, junit_xml
 from animtool.core.quantities import escaped, json_printed
 from animtool.core.record import dataclass
+from animtool.core.values import plain_value
 from animtool.validation.run import Report
 
 # What YAML takes for the end of a line.
@@ -188,12 +189,14 @@ def json_report(report: Report) -> str:
     """Return every file that was looked at, and every finding."""
     value = {
         "validate": "animtool/1",
-        "files": [str(path) for path in report.files],
+        "files": plain_value(report.files),
         "findings": [
-            {**fault.as_dict(), "fixable": fault in report.fixable}
+            {**plain_value(fault), "fixable": fault in report.fixable}
             for fault in report.findings
         ],
-        "mended": [{**fault.as_dict(), "done": done} for fault, done in report.mended],
+        "mended": [
+            {**plain_value(fault), "done": done} for fault, done in report.mended
+        ],
         "summary": {str(kind): report.count(kind) for kind in Severity},
     }
     return json_printed(value, indent=2) + "\n"

@@ -12,7 +12,7 @@ from animtool.core.errors import Fault
 from animtool.core.files.reading import open_input
 from animtool.core.record import dataclass
 from animtool.core.rules import Kind
-from animtool.motion.take import Take
+from animtool.motion.take import Take, TakeStream
 from animtool.scene.sources.open import open_source
 from animtool.validation.motion.subject import MotionSubject
 from animtool.validation.subjects.subject import CheckedFile
@@ -67,19 +67,28 @@ def open_bvh(path: Path) -> CheckedFile:
 
 def open_livelink(path: Path) -> CheckedFile:
     """Return what is wrong with a face recording."""
-    return _read(Kind.LIVELINK, path)
+    return _read(Kind.LIVELINK, path)[0]
 
 
 def open_take(path: Path) -> CheckedFile:
-    """Return what the reader of a format without rules finds wrong with a file."""
-    return _read(Kind.TAKE, path)
+    """Return a take of a format that has no rules of its own: those of takes are."""
+    checked, stream, take = _read(Kind.TAKE, path)
+
+    def fault_at(
+        code: str, joint: str, frame: float | None, message: str, hint: str
+    ) -> Fault:
+        del frame
+        return Fault(code, message, str(path), (), hint, where=joint or None)
+
+    motion = MotionSubject(take, fault_at, has_units="units" in stream.details)
+    return replace(checked, takes=(motion,))
 
 
-def _read(kind: Kind, path: Path) -> CheckedFile:
+def _read(kind: Kind, path: Path) -> tuple[CheckedFile, TakeStream, Take]:
     stream = open_source(path)
-    stream.collect()
+    take = stream.collect()
     faults = [f if f.path else replace(f, path=str(path)) for f in stream.notices]
-    return CheckedFile(kind, faults)
+    return CheckedFile(kind, faults), stream, take
 
 
 def open_usd(path: Path) -> CheckedFile:

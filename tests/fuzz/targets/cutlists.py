@@ -16,6 +16,7 @@ from animtool.batch.cut_frames import CutOptions
 from animtool.batch.cuts import read_cut, read_cuts
 from animtool.core.errors import AnimtoolError
 from animtool.core.files.reading import MatchedFile
+from animtool.core.values import plain_value
 from fuzz.mutations import spoil, spoil_values
 
 ABOUT = "timelines of OpenTimelineIO and cut lists (EDL), read to shots"
@@ -61,7 +62,7 @@ def make(folder: Path) -> Callable[[np.random.Generator], str]:
                 assert cut.shot is not None
                 assert cut.shot.cut_in <= cut.shot.cut_out
                 assert all(isinstance(v, str) for v in cut.names.values())
-                json.dumps(cut.shot.as_dict(), allow_nan=False)
+                json.dumps(plain_value(cut.shot), allow_nan=False)
                 assert math.isfinite(float(cut.shot.media_in))
             if rng.integers(4) == 0:
                 read_cut(path, "walk", CutOptions())

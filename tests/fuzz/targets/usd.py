@@ -15,6 +15,7 @@ from support.broken_usd import write_good
 from support.clean_layer import make_layer
 
 from animtool.core.errors import AnimtoolError
+from animtool.core.values import plain_value
 from animtool.motion.take import TakeStream
 from animtool.report.describe import describe
 from animtool.scene.sources.open import SourceOptions
@@ -213,9 +214,9 @@ def _check_finite(stream: TakeStream) -> None:
 def _described(path: Path) -> str:
     points = describe_points(path)
     if points is not None:
-        points.as_dict()
+        plain_value(points)
         return "points"
-    describe(path, SourceOptions()).as_dict()
+    plain_value(describe(path, SourceOptions()))
     return "described"
 
 

@@ -11,8 +11,9 @@ from pxr import Sdf, Usd, UsdGeom
 from support.faults import raises
 
 from animtool import BakeOptions, bake
-from animtool.cli.summary import bake_json, bake_text
+from animtool.cli.summary import BAKED
 from animtool.core.errors import AnimtoolError, FormatError, OptionError, ToleranceError
+from animtool.core.values import plain_value
 from animtool.scene.bake.outline import outlined
 from animtool.scene.bake.steps import StepKind, bake_steps
 from animtool.scene.file.read import load_scene
@@ -89,10 +90,10 @@ def test_points_are_written_with_all_that_they_are(tmp_path: Path) -> None:
 
 def test_the_summary_says_what_was_simulated(tmp_path: Path) -> None:
     report = bake(written(tmp_path, SCENE), tmp_path / "embers.usdc")
-    lines = bake_text(report)
+    lines = BAKED.text(report)
     assert any("1 system of shot.scene.yaml, simulated" in line for line in lines)
     assert any("embers: up to" in line and "12 frames" in line for line in lines)
-    (mesh,) = bake_json(report)["meshes"]  # type: ignore[misc]
+    (mesh,) = plain_value(report)["meshes"]
     assert (mesh["kind"], mesh["prim"]) == ("particles", "/shot/embers")
 
 

@@ -16,7 +16,7 @@ from support.swing import Spec
 from animtool.core.errors import FormatError, OptionError, ToleranceError
 from animtool.documents.document import Document, read_document
 from animtool.motion.frames import TransformsFrame
-from animtool.report.tradeoffs import tradeoffs_text
+from animtool.report.tradeoffs import TABLES
 from animtool.scene.file.entries import Place, SceneSystem
 from animtool.scene.systems.derived import SystemSetup, read_spec
 from animtool.scene.systems.simulation import open_systems
@@ -210,7 +210,7 @@ def test_copies_that_turn_in_place_are_measured_by_angles(tmp_path: Path) -> Non
     assert_allclose(angles[:-1], 4 * np.array(angles[1:]), rtol=0.1)
     # One step for all is fast, and yet no more exact.
     assert not any(row.recommended for row in rows if row.setting["step"] > 0.01)
-    text = tradeoffs_text(Tradeoffs(tmp_path, [table]))
+    text = TABLES.text(Tradeoffs(tmp_path, [table]))
     assert any("rms deg" in line for line in text)
 
 

@@ -17,10 +17,11 @@ from support.suite import some_quick
 from support.usd import validation_errors
 
 from animtool import BakeOptions, bake
-from animtool.cli.summary import bake_json, bake_text
+from animtool.cli.summary import BAKED
 from animtool.core.errors import AnimtoolError, FormatError, OptionError
 from animtool.core.shot import FrameRange
 from animtool.core.units import LengthUnit, UpAxis
+from animtool.core.values import plain_value
 from animtool.rig.file import load_rig
 from animtool.scene.bake.bake import bake_outputs
 from animtool.scene.bake.outline import outlined
@@ -210,10 +211,10 @@ def test_it_is_below_the_character(tmp_path: Path) -> None:
     assert UsdGeom.GetStageMetersPerUnit(stage) == 0.01
     assert (stage.GetStartTimeCode(), stage.GetEndTimeCode()) == (1, 9)
     assert not validation_errors(stage)
-    text = "\n".join(bake_text(report))
+    text = "\n".join(BAKED.text(report))
     assert "1 system of shot.scene.yaml, simulated" in text
     assert "4 joints" in text
-    (mesh,) = bake_json(report)["meshes"]  # type: ignore[misc]
+    (mesh,) = plain_value(report)["meshes"]
     assert (mesh["kind"], mesh["prim"]) == ("particles", "/pair/dust")
     assert mesh["of"] == "shot.scene.yaml"
 

@@ -15,9 +15,10 @@ from support.faults import raises
 
 import animtool
 from animtool import BakeOptions, bake
-from animtool.cli.summary import bake_json, bake_text
+from animtool.cli.summary import BAKED
 from animtool.core.errors import FormatError, Severity, ToleranceError
 from animtool.core.shot import FrameRange
+from animtool.core.values import plain_value
 from animtool.rig.kinematics import forward
 from animtool.scene.file.read import load_scene
 from animtool.scene.systems.run import SystemRun
@@ -168,7 +169,7 @@ def test_the_bytes_are_the_same_and_frames_do_not_matter(tmp_path: Path) -> None
 
 def test_the_report_says_which_solver_and_why(tmp_path: Path) -> None:
     report = bake(written(tmp_path, ROPE), tmp_path / "o.usdc")
-    (said,) = bake_json(report)["simulated"]  # type: ignore[misc]
+    (said,) = plain_value(report)["simulated"]
     assert (said["name"], said["kind"], said["particles"]) == ("lead", "rope", 11)
     assert said["solver"] == "symplectic_euler"
     assert "steps a second" in said["reason"]
@@ -176,7 +177,7 @@ def test_the_report_says_which_solver_and_why(tmp_path: Path) -> None:
     (note,) = report.notices
     assert (note.code, note.severity) == ("SIM130", Severity.NOTE)
     assert note.lines == (6,)
-    assert any("lead: 11 particles" in line for line in bake_text(report))
+    assert any("lead: 11 particles" in line for line in BAKED.text(report))
 
 
 def test_a_scene_is_what_python_simulates(tmp_path: Path) -> None:

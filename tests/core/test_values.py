@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from animtool.core.errors import Fault, Severity
-from animtool.report.values import picked, plain_value
+from animtool.core.values import picked, plain_value
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,187 @@
+"""The one way from a record to plain values of a JSON report: its fields.
+
+A record whose report has other keys says them in ``json_keys``, a template of names of
+fields, or of properties, in the order of the report::
+
+    json_keys: ClassVar[str] = "'ik' frames fps=clock.fps# goals{name joint} shot?"
+
+``key=path.of.field`` is one under another key, and ``path{…}`` has these keys of the
+value, or of each of a list; ``.{…}`` are further ones of the record. Signs behind a
+path are of its value: with ``?`` the key is left out for None, with ``+`` for what is
+empty too; ``!`` is null for what is empty, ``#`` the text of it, ``~`` numbers to
+microseconds. ``*path`` are the keys of a value, if it is none of None, and ``*`` all
+fields of the record. A name in quotes is that of the report, ``@path`` one by a field.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import fields, is_dataclass
+from enum import Enum
+from functools import cache
+from pathlib import PurePath
+from typing import Any
+
+from animtool.core.record import dataclass
+
+VERSION = "animtool/1"
+
+
+def plain_value(value: Any) -> Any:
+    """Return a value as JSON has it: records as their fields, null for no number.
+
+    >>> from fractions import Fraction
+    >>> plain_value({"fps": Fraction(24), "error": math.inf, "names": ("a",)})
+    {'fps': 24.0, 'error': None, 'names': ['a']}
+    """
+    if isinstance(value, Enum | PurePath):
+        return str(value)
+    if value is None or isinstance(value, bool | int | str):
+        return value
+    if hasattr(value, "as_integer_ratio"):  # a float, a fraction
+        return float(value) if math.isfinite(value) else None
+    return _plain_parts(value)
+
+
+def _plain_parts(value: Any) -> Any:
+    """Return what holds others as plain values."""
+    keys = getattr(value, "json_keys", None)
+    if isinstance(keys, str):
+        return picked(value, keys)
+    if is_dataclass(value):
+        return _fields_of(value)
+    if hasattr(value, "tolist"):  # an array, or a number of one
+        return plain_value(value.tolist())
+    if isinstance(value, Mapping):
+        return {str(key): plain_value(own) for key, own in value.items()}
+    return [plain_value(own) for own in value]
+
+
+def _fields_of(record: Any) -> dict[str, Any]:
+    return {own.name: plain_value(getattr(record, own.name)) for own in fields(record)}
+
+
+def picked(record: Any, keys: str) -> dict[str, Any]:
+    """Return values of a record by a template of keys.
+
+    >>> from fractions import Fraction
+    >>> picked(Fraction(1, 3), "over=denominator numerator one=denominator{real}")
+    {'over': 3, 'numerator': 1, 'one': {'real': 3}}
+    """
+    return _filled(record, parsed(keys))
+
+
+def at_path(value: Any, path: str) -> Any:
+    """Return a field of fields, or a value of a mapping; None below None.
+
+    >>> at_path({"a": 3.5}, "a.real")
+    3.5
+    """
+    for name in filter(None, path.split(".")):
+        if value is None:
+            return None
+        value = value.get(name) if isinstance(value, Mapping) else getattr(value, name)
+    return value
+
+
+@dataclass(frozen=True, slots=True)
+class JsonKey:
+    """A key of a template."""
+
+    key: str  # empty for the keys of a value
+    path: str  # of the field; empty is the record
+    sign: str = ""  # `?`, `+`, `!`, `#`, `~`; `'` or `@` of the name of a report
+    keys: tuple[JsonKey, ...] | None = None  # of the value
+
+
+_TOKEN = re.compile(
+    r"\s*(?:(\})|'([^']+)'|@([\w.]+)|(\*)?(?:(\w+)=)?([\w.]*)([?+!#~]*)(\{)?)\s*"
+)
+
+
+@cache
+def parsed(template: str) -> tuple[JsonKey, ...]:
+    """Return the keys of a template.
+
+    Raises:
+        ValueError: It is malformed.
+    """
+    return tuple(_parsed(_tokens(template)))
+
+
+def _tokens(template: str) -> Iterator[re.Match[str]]:
+    at = 0
+    while at < len(template):
+        token = _TOKEN.match(template, at)
+        if token is None or token.end() == at:
+            raise ValueError(f"malformed template at {template[at:]!r}")
+        at = token.end()
+        yield token
+
+
+def _parsed(tokens: Iterator[re.Match[str]]) -> Iterator[JsonKey]:
+    for token in tokens:
+        closes, head, named, star, key, path, signs, opens = token.groups()
+        if closes:
+            return
+        if head or named:
+            yield JsonKey(head or "", named or "", "'" if head else "@")
+            continue
+        inner = tuple(_parsed(tokens)) if opens else None
+        yield JsonKey("" if star else key or path, path.strip("."), signs, inner)
+
+
+def _filled(record: Any, keys: tuple[JsonKey, ...]) -> dict[str, Any]:
+    values: dict[str, Any] = {}
+    for each in keys:
+        value = at_path(record, each.path)
+        if each.sign in {"'", "@"}:
+            values[each.key or value] = VERSION
+        elif not each.key:
+            values |= _spread(record, value, each)
+        elif not _is_left_out(value, each.sign):
+            values[each.key] = _keyed(value, each)
+    return values
+
+
+def _spread(record: Any, value: Any, key: JsonKey) -> dict[str, Any]:
+    """Return the keys of a value, or all fields of the record."""
+    if value is None:
+        return {}
+    if key.keys is not None:
+        return _filled(value, key.keys)
+    if value is record:
+        return _fields_of(record)
+    plain: dict[str, Any] = plain_value(value)
+    return plain
+
+
+def _is_empty(value: Any) -> bool:
+    return value is None or (hasattr(value, "__len__") and not len(value))
+
+
+def _is_left_out(value: Any, sign: str) -> bool:
+    return ("?" in sign and value is None) or ("+" in sign and _is_empty(value))
+
+
+def _keyed(value: Any, key: JsonKey) -> Any:
+    """Return the value of a key."""
+    if value is None or ("!" in key.sign and not value):
+        return None
+    if "#" in key.sign:
+        return str(value)
+    if "~" in key.sign:
+        return _rounded(value)
+    if key.keys is None:
+        return plain_value(value)
+    if isinstance(value, list | tuple):
+        return [_filled(one, key.keys) for one in value]
+    return _filled(value, key.keys)
+
+
+def _rounded(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {name: _rounded(own) for name, own in value.items()}
+    return round(value, 6)
