@@ -4,7 +4,7 @@ import { CELL, SHADE, Table, attribute, makeBuffer, makeProgram, use } from './g
 import { multiply, transform } from './maths.js';
 import { display } from './points.js';
 
-/** @typedef {import('./camera.js').View} View */
+/** @typedef {import('./camera.js').Eye} View */
 /** @typedef {import('./data.js').Streams} Streams */
 /** @typedef {import('./data.js').Values} Values */
 /** @typedef {import('./skeleton.js').Pose} Pose */
