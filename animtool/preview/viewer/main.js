@@ -68,7 +68,7 @@ export class App {
     this.curves = new Curves(this);
     this.findings = new Findings(this);
     connect(this);
-    await this.#frameAll();
+    const whole = await this.#frameAll();
     describe(this);
     this.pace.setSimple(this.scene.simple);
     this.awake = false;
@@ -81,7 +81,12 @@ export class App {
     addEventListener('hashchange', () => this.open(readFragment(location.hash)));
     this.open(pins);
     await this.drawn();
+    const { text } = this.view;
     await this.curves.begin();
+    // The picture is lower above curves.
+    this.#fit();
+    if (pins.cam === undefined && this.view.text === text && !this.compare.beside) this.view.frame(whole);
+    await this.drawn();
     if (this.manifest.watch) watch(this.manifest.watch);
   }
 
@@ -104,7 +109,7 @@ export class App {
     }, 150);
   }
 
-  /** Show all that is there from first to last; a character that travels is followed. */
+  /** Show all that is there from first to last; a character that travels is followed. @returns {Promise<Box>} What is shown. */
   async #frameAll() {
     const { scene, timeline: { sample, count }, streams } = this, [pose] = scene.poses;
     const parts = [];
@@ -126,6 +131,7 @@ export class App {
     this.view.frame(box);
     scene.ground = new Ground(this.gl, box.radius);
     this.setFollow(follow);
+    return box;
   }
 
   /** Show all. */
