@@ -14,6 +14,7 @@ import numpy as np
 from animtool.core.errors import Fault, OptionError, Severity, counted
 from animtool.core.files.output import check_outputs, sparing_inputs, write_parts
 from animtool.core.record import dataclass
+from animtool.core.shot import FrameList
 from animtool.core.units import UpAxis, up_from_up
 from animtool.maths import so3
 from animtool.motion.markers import Markers
@@ -124,6 +125,10 @@ def write_page(
     """
     paths = [Path(file) for file in files]
     check_page_output(output, paths, overwrite=overwrite)
+    if options is not None and isinstance(options.frame_range, FrameList):
+        message = "a page plays a range of frames"
+        hint = "1-240x2 plays every second one; .png and .webp show listed ones"
+        raise OptionError(Fault("PRV007", message, hint=hint, where="frames"))
     with sparing_inputs([output]):
         page = make_page(paths, options)
     write_parts(output, page.parts())

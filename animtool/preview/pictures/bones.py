@@ -75,9 +75,7 @@ class Bones:
         if len(made):
             self._table.send(made.reshape(-1, 4))
             thickest = size * 0.03
-            self._device.use(
-                self._program, eye, bones=self._table, thickest=thickest
-            )
+            self._device.use(self._program, eye, bones=self._table, thickest=thickest)
             self._device.draw_plain(self._program, len(made) * 24)
         self._balls.set(np.concatenate(balls), np.concatenate(tints))
         self._balls.draw(eye, size * 0.008, 2.5)

@@ -65,7 +65,8 @@ class Box:
         """Its middle."""
         if self.empty:
             return np.array([0.0, 0.5, 0.0])
-        return (self.low + self.high) / 2
+        center: FloatArray = (self.low + self.high) / 2
+        return center
 
     @property
     def radius(self) -> float:
@@ -195,7 +196,7 @@ class View:
     def through(
         self, camera: Mapping[str, Any], streams: Streams, sample: int
     ) -> Eye | None:
-        """Return it looking through a camera of the shot; None where that is nowhere."""
+        """Return it through a camera of the shot; None where that is nowhere."""
         t, r = (streams.at(camera[part], sample) for part in "tr")
         if not (len(t) and len(r)):
             return None

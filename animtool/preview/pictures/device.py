@@ -177,8 +177,8 @@ def _context(module: ModuleType) -> Any:
     for backend in backends:
         try:
             return module.create_context(standalone=True, require=330, **backend)
-        # It raises whatever its backends do.
-        except Exception as error:  # noqa: BLE001
+        # Backends raise whatever they like.
+        except Exception as error:
             reasons.append(str(error))
     message = f"no OpenGL 3.3 could be started to draw with: {reasons[0]}"
     raise OptionError(Fault("PRV006", message, hint=_PACKAGES))

@@ -69,7 +69,8 @@ class Ground:
         ends = np.zeros((2, len(made), 3))
         ends[0][:, [0, 2]], ends[1][:, [0, 2]] = made[:, :2], made[:, 2:4]
         alpha = np.full((len(made), 1), 255.0)
-        self._lines.set(*ends, np.concatenate([made[:, 4:], alpha], axis=1))
+        colors = np.concatenate([made[:, 4:], alpha], axis=1)
+        self._lines.set(ends[0], ends[1], colors)
 
 
 class Trails:
@@ -117,7 +118,9 @@ class Trails:
         for column in range(len(pose.trailed)):
             tints = np.where(touching[1:, column, None], contact, color)
             at = paths[:, column]
-            parts.append(np.concatenate([at[:-1], at[1:], tints, alpha[1:, None]], axis=1))
+            parts.append(
+                np.concatenate([at[:-1], at[1:], tints, alpha[1:, None]], axis=1)
+            )
         return np.concatenate(parts)
 
     def draw(self, eye: Eye) -> None:

@@ -62,7 +62,7 @@ class Lines:
         world: float = 0.0,
         fade: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0),
     ) -> None:
-        """Draw them; their width is in pixels and in metres, and fades around a point."""
+        """Draw them, as wide as pixels or metres say; they fade around a point."""
         if not self.count:
             return
         self._device.use(
@@ -105,9 +105,7 @@ class Sprites:
         self._array: Any = None
         self._count = 0
 
-    def set(
-        self, positions: Array, colors: Bytes, radii: Array | None = None
-    ) -> None:
+    def set(self, positions: Array, colors: Bytes, radii: Array | None = None) -> None:
         """Draw points from now on ``(N, 3)``, with colours and radii of their own."""
         self._count = len(positions)
         own = np.zeros(self._count) if radii is None else radii

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from animtool.core.array_types import BoolArray, FloatArray
+from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.preview.pictures.data import Streams
 
 _FOOT = re.compile("foot|toe|ankle|paw|hoof|ball", re.I)
@@ -122,11 +122,13 @@ class Pose:
     def tip_ends(self) -> tuple[list[int], FloatArray]:
         """Return the joints that have tips, and where these are ``(N, 3)``."""
         joints = [j for j, _ in self.tips]
-        ends = [self.world[j, :3, :3] @ at + self.world[j, :3, 3] for j, at in self.tips]
+        ends = [
+            self.world[j, :3, :3] @ at + self.world[j, :3, 3] for j, at in self.tips
+        ]
         return joints, np.reshape(ends, (-1, 3))
 
     def path(self, first: int, last: int) -> FloatArray:
-        """Return where the trailed joints are from a sample to another ``(F, T, 3)``."""
+        """Return where trailed joints are in samples, both ends too ``(F, T, 3)``."""
         known = self._paths
         # Those that the next picture of a film needs are kept.
         self._paths = {i: known[i] for i in range(first, last + 1) if i in known}
@@ -154,13 +156,13 @@ def in_spans(codes: FloatArray, spans: list[list[float]]) -> BoolArray:
     return found
 
 
-def _levels(parents: FloatArray) -> list[FloatArray]:
+def _levels(parents: IntArray) -> list[IntArray]:
     """Return joints by how many others are above them, each level after the last."""
     depth = np.full(len(parents), -1)
     level = np.flatnonzero(parents < 0)
-    levels = []
+    levels: list[IntArray] = []
     while len(level):
         depth[level] = len(levels)
-        levels.append(level)
+        levels.append(level.astype(np.int64))
         level = np.flatnonzero((depth < 0) & np.isin(parents, level))
     return levels

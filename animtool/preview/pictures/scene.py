@@ -117,7 +117,8 @@ class Scene:
         pose = self._poses[0]
         pose.update(sample)
         self._sample = -1
-        return pose.positions[pose.root].copy()
+        at: FloatArray = pose.positions[pose.root].copy()
+        return at
 
     def _grown(self, box: Box, cast: Box, shift: FloatArray | float) -> Box:
         """Grow boxes around all and around characters; return that to look at."""
@@ -128,7 +129,9 @@ class Scene:
         for mesh in self._meshes:
             mesh.bound(around if mesh.skinned else own)
         own.join(around)
-        for each in (*self._instances, *self._clouds, *self._strands):
+        others: list[Instances | PointCloud | Strands]
+        others = [*self._instances, *self._clouds, *self._strands]
+        for each in others:
             each.bound(own)
         cast.join(around, shift)
         box.join(own, shift)

@@ -57,7 +57,8 @@ class Geometry:
             (self.points.buffer, "3f", "point"),
             (self.normals.buffer, "3f", "normal"),
         ]
-        self.joints, self.bind = np.zeros(0, np.uint16), np.zeros((0, 4, 4))
+        self.joints: Array = np.zeros((0, 4), np.uint16)
+        self.bind: FloatArray = np.zeros((0, 4, 4))
         if skin := record.get("skin"):
             self.joints = streams.whole(skin["joints"]).astype(np.uint16)
             bind = streams.whole(skin["bind"]).reshape(-1, 4, 4)
@@ -106,7 +107,9 @@ class Mesh:
         self._joints = np.array(skin["palette"], np.int64) if skin else None
         self._palette = Table(device)
         self.hidden = False
-        kinds = [name for name, on in (("SKIN", skin), ("INSTANCES", self.copied)) if on]
+        kinds = [
+            name for name, on in (("SKIN", skin), ("INSTANCES", self.copied)) if on
+        ]
         self.program = device.program("meshes.js", kinds=tuple(kinds))
         color = record.get("color")
         self._color = display(COLOR if color is None else color) / 255
@@ -129,8 +132,10 @@ class Mesh:
 
     def array(self, more: list[tuple[Any, str, str]]) -> Any:
         """Return what draws it, with further parts."""
-        parts = self.geometry.parts if self._joints is not None else (
-            self.geometry.parts[:2]
+        parts = (
+            self.geometry.parts
+            if self._joints is not None
+            else (self.geometry.parts[:2])
         )
         return self._device.gl.vertex_array(
             self.program, [*parts, *more], self.geometry.index, index_element_size=4
@@ -190,7 +195,9 @@ class Mesh:
         first = geometry.joints[some, 0]
         matrices = pose.world[self._joints[first]] @ geometry.bind[first]
         points = geometry.rest[some].astype(np.float64)
-        box.add(np.einsum("vij,vj->vi", matrices[:, :3, :3], points) + matrices[:, :3, 3])
+        box.add(
+            np.einsum("vij,vj->vi", matrices[:, :3, :3], points) + matrices[:, :3, 3]
+        )
 
     def draw(self, eye: Eye, array: Any = None, copies: int = 1) -> None:
         """Draw it, or copies of it, each where the parts of an array say."""
@@ -244,7 +251,9 @@ class Instances:
             turns = r.reshape(-1, 4)[:count].astype(np.float64)
         sizes = None
         if s is not None:
-            each = s.reshape(-1, 3) if len(s) >= 3 * count else np.repeat(s[:, None], 3, 1)
+            each = (
+                s.reshape(-1, 3) if len(s) >= 3 * count else np.repeat(s[:, None], 3, 1)
+            )
             sizes = each[:count].astype(np.float64)[shown]
         self.matrices = composed(places[shown], turns[shown], sizes)
         if self._places.write(self.matrices.swapaxes(1, 2).astype("<f4")):
@@ -302,7 +311,11 @@ class Strands:
     """Strands and ropes: polylines in space, as wide as they are, at least a pixel."""
 
     def __init__(
-        self, device: Device, streams: Streams, record: dict[str, Any], pose: Pose | None
+        self,
+        device: Device,
+        streams: Streams,
+        record: dict[str, Any],
+        pose: Pose | None,
     ) -> None:
         self._streams, self._record, self.pose = streams, record, pose
         self._lines = Lines(device)
