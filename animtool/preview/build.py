@@ -31,6 +31,7 @@ from animtool.preview.meshes import add_character
 from animtool.preview.opened import OpenFile, open_file
 from animtool.preview.options import PreviewOptions
 from animtool.preview.page import page_parts
+from animtool.preview.pictures.kinds import PAGE_SUFFIXES
 from animtool.preview.streams import quantized_range
 from animtool.preview.takes import Shown, add_take
 from animtool.preview.timing import FEWER, TimedPart, align, gathered_part, timeline_of
@@ -128,7 +129,7 @@ def write_page(
     if options is not None and isinstance(options.frame_range, FrameList):
         message = "a page plays a range of frames"
         hint = "1-240x2 plays every second one; .png and .webp show listed ones"
-        raise OptionError(Fault("PRV007", message, hint=hint, where="frames"))
+        raise OptionError(Fault("PRV006", message, hint=hint, where="frames"))
     with sparing_inputs([output]):
         page = make_page(paths, options)
     write_parts(output, page.parts())
@@ -137,9 +138,9 @@ def write_page(
 
 def check_page_output(output: Path, files: Sequence[Path], *, overwrite: bool) -> None:
     """Refuse a page that cannot or must not be written."""
-    if output.suffix.lower() not in {".html", ".htm"}:
+    if output.suffix.lower() not in PAGE_SUFFIXES:
         message = f"a page is an .html file, and {output.name!r} is none"
-        raise OptionError(Fault("PRV002", message, hint="name it -o page.html"))
+        raise OptionError(Fault("PRV002", message, hint="name it page.html"))
     check_outputs([output], files, overwrite=overwrite)
 
 

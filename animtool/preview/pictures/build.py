@@ -120,8 +120,8 @@ def write_pictures(
     Raises:
         FormatError: A file cannot be read, or is malformed.
         OptionError: A file shows nothing (PRV001), the output is no picture (PRV002) or
-            exists (OUT001), a package is missing (IO005), no OpenGL starts (PRV006), an
-            option makes no sense (PRV007), or frames are not in the files (CLI005).
+            exists (OUT001), a package is missing (IO005), no OpenGL starts (PRV005), an
+            option makes no sense (PRV006), or frames are not in the files (CLI005).
         OutputError: It cannot be written.
     """
     paths, output = [Path(file) for file in files], Path(output)
@@ -175,14 +175,16 @@ def _check(
     light_of(pictures)
     sheet = sheet_of(pictures)
     size_of(pictures, kind, sheet=bool(sheet or frames))
-    if kind.codec and not kind.still and (sheet or frames):
-        message = "a film plays frames one after another"
+    asked = {"sheet": sheet, "frames": frames, "camera": pictures.camera[1:]}
+    several = [name for name, value in asked.items() if value]
+    if several and not kind.still:
+        message = "a film plays frames one after another, by one camera"
         hint = "a sheet, or listed frames, are .png or .webp; 1-240x2 plays some"
-        raise refused("sheet" if sheet else "frames", message, hint)
+        raise refused(several[0], message, hint)
     if sheet and len(frames) > sheet[0] * sheet[1]:
         message = f"{len(frames)} frames are more than a sheet of {pictures.sheet} has"
         raise refused("frames", message, "fewer, or a larger sheet")
-    if pictures.turntable and not (kind.codec and not sheet and not frames):
+    if pictures.turntable and (several or not kind.codec):
         hint = "name it .gif, .webp, .mp4 or .webm"
         raise refused("turntable", "a still does not go round", hint)
 

@@ -54,7 +54,7 @@ def caption_of(text: str, width: int, height: int) -> Caption:
     """Return text broken for a picture, in smaller letters where it is long.
 
     Raises:
-        OptionError: It does not fit (PRV007).
+        OptionError: It does not fit (PRV006).
     """
     if not text.strip():
         return Caption((), LEAST)
@@ -65,7 +65,7 @@ def caption_of(text: str, width: int, height: int) -> Caption:
             return caption
     message = f"the caption needs {len(lines)} lines on {width}x{height} pixels"
     hint = "a shorter one, or a larger size"
-    raise OptionError(Fault("PRV007", message, hint=hint, where="caption"))
+    raise OptionError(Fault("PRV006", message, hint=hint, where="caption"))
 
 
 def _broken(text: str, width: float, font: Any) -> Iterator[str]:

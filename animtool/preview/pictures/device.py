@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from importlib import import_module
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -31,8 +32,6 @@ _PACKAGES = (
 
 def needed(name: str) -> ModuleType:
     """Import a package of the extra (else IO005)."""
-    from importlib import import_module
-
     try:
         return import_module(name)
     except ModuleNotFoundError as error:
@@ -74,7 +73,6 @@ class Device:
     def __init__(self) -> None:
         self.module = needed("moderngl")
         self.gl = _context(self.module)
-        self.gl.gc_mode = "auto"
         self.gl.enable(self.module.PROGRAM_POINT_SIZE)
         self._programs: dict[tuple[str, ...], Any] = {}
         self._plain: dict[Any, Any] = {}
@@ -169,7 +167,7 @@ class Picture:
 
 
 def _context(module: ModuleType) -> Any:
-    """Return a context without a window (PRV006 where none can be made)."""
+    """Return a context without a window (PRV005 where none can be made)."""
     backends: list[dict[str, Any]] = [{}]
     if sys.platform.startswith("linux"):
         backends = [{"backend": "egl"}, {}]
@@ -181,4 +179,4 @@ def _context(module: ModuleType) -> Any:
         except Exception as error:
             reasons.append(str(error))
     message = f"no OpenGL 3.3 could be started to draw with: {reasons[0]}"
-    raise OptionError(Fault("PRV006", message, hint=_PACKAGES))
+    raise OptionError(Fault("PRV005", message, hint=_PACKAGES))

@@ -91,6 +91,8 @@ class Stored:
         if self.buffer is not None and self.buffer.size >= len(raw):
             self.buffer.write(raw)
             return False
+        if self.buffer is not None:
+            self.buffer.release()
         self.buffer = self._device.gl.buffer(raw or b"\0" * 4, dynamic=True)
         return True
 

@@ -54,7 +54,7 @@ class Camera:
 
 def refused(where: str, message: str, hint: str) -> OptionError:
     """Return the error of an option that a picture cannot have."""
-    return OptionError(Fault("PRV007", message, hint=hint, where=where))
+    return OptionError(Fault("PRV006", message, hint=hint, where=where))
 
 
 def size_of(
