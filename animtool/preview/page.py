@@ -90,14 +90,14 @@ def page_parts(
     filled = {
         "title": html.escape(str(manifest["title"])),
         "csp": _POLICY.format(connect="'self'" if watched else "'none'"),
-        "style": _read("viewer.css"),
+        "style": viewer_text("viewer.css"),
         "manifest": f'<script type="application/json" id="manifest">'
         f"{json_text(manifest)}</script>",
         "modules": f'<script type="text/plain" id="modules">'
         f"{deflated([json.dumps(viewer_modules()).encode()])}</script>",
         "bootstrap": _BOOTSTRAP,
     }
-    template = _read("page.html")
+    template = viewer_text("page.html")
     # Split once, so that what is filled in is never looked at again.
     for part in re.split(r"(\{\{\w+\}\})", template):
         name = part.strip("{}")
@@ -142,6 +142,7 @@ def compact(text: str) -> str:
     return text
 
 
-def _read(name: str) -> str:
+def viewer_text(name: str) -> str:
+    """Return a file of the viewer."""
     path = VIEWER / name
     return path.read_text("utf-8")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from functools import cache
 
-from animtool.preview.page import VIEWER
+from animtool.preview.page import viewer_text
 
 # Constants of modules of the viewer that hold nothing but GLSL.
 _CONSTANT = re.compile(
@@ -34,7 +34,7 @@ def shader(module: str, name: str) -> str:
 
 @cache
 def _constants(module: str) -> dict[str, str]:
-    text = _read(module)
+    text = viewer_text(module)
     return {name: a or b for name, a, b in _CONSTANT.findall(text)}
 
 
@@ -45,13 +45,9 @@ def theme_colors() -> dict[str, tuple[int, int, int]]:
     >>> sorted(theme_colors())[:3]
     ['accent', 'bone', 'contact']
     """
-    light = _read("viewer.css").partition("}")[0]
+    light = viewer_text("viewer.css").partition("}")[0]
     return {
         name: (int(code[:2], 16), int(code[2:4], 16), int(code[4:], 16))
         for name, code in _COLOR.findall(light)
     }
 
-
-def _read(name: str) -> str:
-    path = VIEWER / name
-    return path.read_text("utf-8")
