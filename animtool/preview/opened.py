@@ -71,6 +71,8 @@ class ShownTake:
     strands: tuple[Strands, ...] = ()
     clip: Clip | None = None
     prim: str = ""  # its Skeleton, on the stage of its file
+    # Linear, of meshes by name: of points or of all ``(V or 1, 3)``.
+    colors: Mapping[str, FloatArray] = field(default_factory=dict)
 
 
 @dataclass(slots=True)
@@ -247,8 +249,17 @@ def _open_stage(path: Path, name: str, source: SourceOptions) -> OpenFile:
         bones = contents.bone_names
         own = [surface for surface in meshes.surfaces if surface.name not in bones]
         surfaces = contents.turned_surfaces(own)
+        colors = contents.bound_colors(prim)
         opened.takes.append(
-            ShownTake(label, turned, bind, surfaces, meshes.strands, prim=prim)
+            ShownTake(
+                label,
+                turned,
+                bind,
+                surfaces,
+                meshes.strands,
+                prim=prim,
+                colors=colors,
+            )
         )
     return opened
 

@@ -57,6 +57,10 @@ class Geometry:
             (self.points.buffer, "3f", "point"),
             (self.normals.buffer, "3f", "normal"),
         ]
+        self.painted = record.get("colors") is not None
+        if self.painted:
+            paint = streams.whole(record["colors"]).astype(np.uint8)
+            self.parts.append((device.gl.buffer(paint.tobytes()), "3f1", "paint"))
         self.joints: Array = np.zeros((0, 4), np.uint16)
         self.bind: FloatArray = np.zeros((0, 4, 4))
         if skin := record.get("skin"):
@@ -107,10 +111,10 @@ class Mesh:
         self._joints = np.array(skin["palette"], np.int64) if skin else None
         self._palette = Table(device)
         self.hidden = False
-        kinds = [
-            name for name, on in (("SKIN", skin), ("INSTANCES", self.copied)) if on
-        ]
-        self.program = device.program("meshes.js", kinds=tuple(kinds))
+        painted = self.geometry.painted
+        kinds = {"SKIN": skin, "PAINT": painted, "INSTANCES": self.copied}
+        names = tuple(name for name, on in kinds.items() if on)
+        self.program = device.program("meshes.js", kinds=names)
         color = record.get("color")
         self._color = display(COLOR if color is None else color) / 255
         self._array: Any = None
@@ -121,7 +125,7 @@ class Mesh:
         record, skin = self.record, self.record.get("skin") or {}
         if record.get("cache") is not None or record.get("shapes"):
             return Geometry(self._device, self._streams, record)
-        names = ("points", "faces", "normals")
+        names = ("points", "faces", "normals", "colors")
         key = tuple(
             [record.get(name) for name in names]
             + [skin.get(name) for name in ("joints", "weights", "bind")]
@@ -132,11 +136,8 @@ class Mesh:
 
     def array(self, more: list[tuple[Any, str, str]]) -> Any:
         """Return what draws it, with further parts."""
-        parts = (
-            self.geometry.parts
-            if self._joints is not None
-            else (self.geometry.parts[:2])
-        )
+        rigid = {"joints", "weights"} if self._joints is None else set()
+        parts = [part for part in self.geometry.parts if part[2] not in rigid]
         return self._device.gl.vertex_array(
             self.program, [*parts, *more], self.geometry.index, index_element_size=4
         )

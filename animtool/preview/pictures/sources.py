@@ -50,4 +50,3 @@ def theme_colors() -> dict[str, tuple[int, int, int]]:
         name: (int(code[:2], 16), int(code[2:4], 16), int(code[4:], 16))
         for name, code in _COLOR.findall(light)
     }
-
