@@ -50,7 +50,7 @@ Examples:
 @record_option(ShowOptions)
 @record_option(PreviewOptions, "frame_range", "findings")
 @source_options
-@record_option(PreviewOptions, "prim_path")
+@record_option(PreviewOptions, "prim_path", "over")
 @record_option(PictureOptions)
 @source_option(*_OF_SOURCES)
 @set_option

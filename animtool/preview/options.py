@@ -29,6 +29,13 @@ class PreviewOptions:
         metavar="PATH",
         help="What to show of a USD file.  [default: all]",
     )
+    over: tuple[str, ...] = option(
+        (),
+        "texts",
+        metavar="LAYER",
+        help="A USD layer laid over a USD file, or over what a scene bakes, such as a "
+        "look or props; of several the first is the strongest.",
+    )
     frame_range: FrameRange | None = option(
         None,
         "frames",

@@ -23,6 +23,15 @@ def need_drawing() -> None:
         pytest.skip(str(error))
 
 
+def can_draw() -> bool:
+    """Return whether pictures can be drawn."""
+    try:
+        need_drawing()
+    except pytest.skip.Exception:
+        return False
+    return True
+
+
 @contextmanager
 def drawing() -> Iterator[Device]:
     """Give a context, or skip."""
