@@ -39,7 +39,9 @@ if TYPE_CHECKING:
     from animtool.motion.motion import Motion as Motion
     from animtool.motion.take import Take as Take
     from animtool.motion.take import TakeStream as TakeStream
+    from animtool.preview.options import PictureOptions as PictureOptions
     from animtool.preview.options import PreviewOptions as PreviewOptions
+    from animtool.preview.pictures.build import write_pictures as write_pictures
     from animtool.preview.show import show as show
     from animtool.report.compare import compare as compare
     from animtool.report.describe import describe as describe
@@ -69,6 +71,7 @@ _PUBLIC = {
     "Joint": "animtool.rig.skeleton",
     "Motion": "animtool.motion.motion",
     "OpenTake": "animtool.scene.sources.open",
+    "PictureOptions": "animtool.preview.options",
     "PreviewOptions": "animtool.preview.options",
     "Rig": "animtool.rig.skeleton",
     "RunOptions": "animtool.batch.run",
@@ -94,6 +97,7 @@ _PUBLIC = {
     "usd": "animtool.usd",
     "validate": "animtool.validation.run",
     "write_bvh": "animtool.formats.bvh",
+    "write_pictures": "animtool.preview.pictures.build",
 }
 
 __all__ = sorted(_PUBLIC)  # noqa: PLE0605 - the table above is the list

@@ -218,6 +218,8 @@ _TYPES: dict[str, tuple[Any, str | None]] = {
     "axis": (click.Choice(["Y", "Z"], case_sensitive=False), None),
     "rate": (RATE, "RATE"),
     "range": (Parsed("frame_range", _of_scene("frame_range")), "A-B[xN]"),
+    "frames": (Parsed("frames", _of_scene("frames")), "A-B[xN]|A,B,..."),
+    "texts": (str, "TEXT"),
     "frame": (Parsed("frame", _of_scene("frame")), "FRAME"),
     "rest": (Parsed("rest", _of_scene("rest")), None),
     "source_rest": (Parsed("rest", _of_scene("source_rest")), None),
@@ -233,7 +235,7 @@ _TYPES: dict[str, tuple[Any, str | None]] = {
     "processes": (Parsed("processes", _processes), "N"),
 }
 # Kinds that can be given several times.
-_MULTIPLE = {"lengths", "codes", "severities"}
+_MULTIPLE = {"lengths", "codes", "severities", "texts"}
 
 
 class _OneOf(click.ParamType[Any]):

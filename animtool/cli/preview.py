@@ -20,7 +20,8 @@ from animtool.cli.options import (
     source_options,
     source_options_record,
 )
-from animtool.preview.options import PreviewOptions, ShowOptions
+from animtool.core.options import given_options
+from animtool.preview.options import PictureOptions, PreviewOptions, ShowOptions
 
 _OF_SOURCES = ("rig", "take", "positions", "remap", "dropped", "template", "cameras")
 
@@ -33,7 +34,9 @@ Examples:
   animtool preview walk.bvh walk.usdc -o compared.html
   animtool preview hero.rig.yaml reach.targets.yaml
   animtool preview walk.clip.yaml --watch
-  animtool preview shot.usda --frames 1001-1100 -o shot.html"""
+  animtool preview shot.usda --frames 1001-1100 -o shot.html
+  animtool preview walk.bvh -o walk.png --frames 1,20,40
+  animtool preview hero.rig.yaml -o hero.webm --turntable"""
 )
 @click.argument("files", nargs=-1, required=True, type=INPUT)
 @click.option(
@@ -41,30 +44,38 @@ Examples:
     "--output",
     type=INPUT,
     metavar="FILE",
-    help="Write the page here (.html).  [default: a temporary file, which is opened]",
+    help="Write the page here (.html), or a picture or film of it (.png, .gif, .webp, "
+    ".mp4, .webm).  [default: a temporary page, which is opened]",
 )
 @record_option(ShowOptions)
 @record_option(PreviewOptions, "frame_range", "findings")
 @source_options
-@record_option(PreviewOptions, "prim_path")
+@record_option(PreviewOptions, "prim_path", "over")
+@record_option(PictureOptions)
 @source_option(*_OF_SOURCES)
 @set_option
-@overwrites("a page that exists")
+@overwrites("a page or picture that exists")
 @format_option
 @common_options
 @click.pass_obj
 def preview(console: Console, /, files: tuple[Path, ...], **params: Any) -> None:
-    """Show FILES on a page that plays, in a browser.
+    """Show FILES on a page that plays, in a browser, or in a picture or film.
 
     BVH, USD, clips, rigs, scenes, targets, markers and motion files; several takes are
     compared. The page is one file that needs no network, and can be mailed. A scene is
-    baked for it.
+    baked for it. Pictures need the extra `pictures`, and no graphics card.
     """
-    from animtool.cli import preview_page
+    from animtool.cli import preview_page, preview_picture
+    from animtool.preview.pictures.kinds import picture_kind
 
     output, as_json = params["output"], params["report_format"] == "json"
     shows = ShowOptions(**read_values(ShowOptions, params))
     chosen = read_values(PreviewOptions, params)
+    pictures = PictureOptions(**read_values(PictureOptions, params))
+    pictured = output is not None and picture_kind(output) is not None
+    if not pictured and (given := given_options(pictures)):
+        words = f"--{next(iter(given))} is of pictures, such as -o walk.png."
+        raise click.UsageError(words)
     if shows.watch and (output is not None or as_json or shows.plan):
         words = "--watch serves the page: no -o, no --plan and no --format json."
         raise click.UsageError(words)
@@ -77,6 +88,16 @@ def preview(console: Console, /, files: tuple[Path, ...], **params: Any) -> None
         preview_page.plan(console, files, output, options, as_json=as_json)
     elif shows.watch:
         preview_page.watch(console, files, options, shows)
+    elif output is not None and pictured:
+        preview_picture.write(
+            console,
+            files,
+            output,
+            options,
+            pictures,
+            overwrite=params["overwrite"],
+            as_json=as_json,
+        )
     else:
         preview_page.write(
             console,

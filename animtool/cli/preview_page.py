@@ -9,8 +9,11 @@ from pathlib import Path
 from animtool.cli.console import Console
 from animtool.cli.summary import PLAN
 from animtool.core.errors import AnimtoolError, counted
+from animtool.core.files.output import check_outputs
+from animtool.core.quantities import size_text
 from animtool.preview.build import Page, check_page_output, make_page, write_page
 from animtool.preview.options import PreviewOptions, ShowOptions
+from animtool.preview.pictures.kinds import picture_kind
 from animtool.preview.plan import page_steps
 from animtool.preview.serve import PageServer, Watched, follow
 from animtool.preview.show import has_browser, open_browser, temporary_page
@@ -27,7 +30,8 @@ def plan(
 ) -> None:
     """Print what a page would show and where it would be."""
     if output is not None:
-        check_page_output(output, files, overwrite=True)
+        picture_kind(output)
+        check_outputs([output], files, overwrite=True)
     steps = page_steps(files, output, options)
     console.report("json" if as_json else "text", Steps(steps), PLAN)
 
@@ -56,7 +60,7 @@ def write(
         console.result_json(report.as_dict())
     else:
         _say(console, report.page)
-        console.say(f"{target}: {_size(report.size)}")
+        console.say(f"{target}: {size_text(report.size)}")
     if opens and not open_browser(target.resolve().as_uri()):
         console.say("no browser was found")
         opens = False
@@ -123,7 +127,3 @@ def _say(console: Console, page: Page) -> None:
     )
     for notice in manifest["notices"]:
         console.say(f"  {notice}")
-
-
-def _size(count: int) -> str:
-    return f"{count / 1e6:.3g} MB" if count >= 1e6 else f"{count / 1e3:.3g} kB"

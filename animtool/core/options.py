@@ -35,6 +35,7 @@ Kind: TypeAlias = Literal[
     "switch", "answer", "text", "file", "output", "choice", "unit", "axis", "rate",
     "range", "frame", "rest", "source_rest", "offsets", "length", "lengths", "count",
     "name", "names", "angle", "amount", "seed", "codes", "severities", "processes",
+    "frames", "texts",
 ]  # fmt: skip
 
 

@@ -264,6 +264,23 @@ class FrameRange:
         return found
 
 
+@dataclass(frozen=True, slots=True)
+class FrameList(FrameRange):
+    """Some frames, in any order, as the range that holds them."""
+
+    frames: tuple[int, ...] = ()
+
+    @staticmethod
+    def of_frames(frames: Iterable[int]) -> FrameList:
+        """Return a list of frames.
+
+        >>> FrameList.of_frames([40, 1, 20])
+        FrameList(first=1, last=40, step=1, frames=(40, 1, 20))
+        """
+        listed = tuple(frames)
+        return FrameList(min(listed), max(listed), 1, listed)
+
+
 # First and last frame, and the step; options of a bake read text as `1-40x2` too.
 FrameRangeLike: TypeAlias = FrameRange | tuple[int, int] | tuple[int, int, int] | str
 

@@ -14,6 +14,7 @@ import numpy as np
 from animtool.core.errors import Fault, OptionError, Severity, counted
 from animtool.core.files.output import check_outputs, sparing_inputs, write_parts
 from animtool.core.record import dataclass
+from animtool.core.shot import FrameList
 from animtool.core.units import UpAxis, up_from_up
 from animtool.maths import so3
 from animtool.motion.markers import Markers
@@ -30,6 +31,7 @@ from animtool.preview.meshes import add_character
 from animtool.preview.opened import OpenFile, open_file
 from animtool.preview.options import PreviewOptions
 from animtool.preview.page import page_parts
+from animtool.preview.pictures.kinds import PAGE_SUFFIXES
 from animtool.preview.streams import quantized_range
 from animtool.preview.takes import Shown, add_take
 from animtool.preview.timing import FEWER, TimedPart, align, gathered_part, timeline_of
@@ -124,6 +126,10 @@ def write_page(
     """
     paths = [Path(file) for file in files]
     check_page_output(output, paths, overwrite=overwrite)
+    if options is not None and isinstance(options.frame_range, FrameList):
+        message = "a page plays a range of frames"
+        hint = "1-240x2 plays every second one; .png and .webp show listed ones"
+        raise OptionError(Fault("PRV006", message, hint=hint, where="frames"))
     with sparing_inputs([output]):
         page = make_page(paths, options)
     write_parts(output, page.parts())
@@ -132,9 +138,9 @@ def write_page(
 
 def check_page_output(output: Path, files: Sequence[Path], *, overwrite: bool) -> None:
     """Refuse a page that cannot or must not be written."""
-    if output.suffix.lower() not in {".html", ".htm"}:
+    if output.suffix.lower() not in PAGE_SUFFIXES:
         message = f"a page is an .html file, and {output.name!r} is none"
-        raise OptionError(Fault("PRV002", message, hint="name it -o page.html"))
+        raise OptionError(Fault("PRV002", message, hint="name it page.html"))
     check_outputs([output], files, overwrite=overwrite)
 
 

@@ -39,7 +39,8 @@ def add_character(draft: Draft, character: ShownTake, shown: Shown) -> None:
     columns: list[FloatArray] = []
     labels: list[str] = []
     for surface, mesh in zip(character.surfaces, meshes, strict=True):
-        entry = _mesh(draft, shown, surface)
+        colors = character.colors.get(surface.name)
+        entry = _mesh(draft, shown, surface, colors)
         draft.meshes.append(entry)
         if needs_points(mesh.mesh.skin):
             draft.note(
@@ -114,8 +115,12 @@ def mesh_entry(
     *,
     take: int | None = None,
     double_sided: bool = True,
+    colors: FloatArray | None = None,
 ) -> dict[str, Any]:
-    """Return what the manifest says of a mesh: its points and its triangles."""
+    """Return what the manifest says of a mesh: its points and its triangles.
+
+    colors: linear, of points ``(V, 3)``; None where ``color`` is of all of it.
+    """
     usual = COLORS[len(draft.meshes) % len(COLORS)]
     triangles = triangulated(counts, indices)
     return {
@@ -127,11 +132,19 @@ def mesh_entry(
         "shapes": [],
         "cache": None,
         "color": list(usual if color is None else color),
+        "colors": None
+        if colors is None
+        # As screens show them, which eight bits are enough for.
+        else draft.packer.static(
+            np.rint(colors.clip(0, 1) ** (1 / 2.2) * 255).astype(np.uint8), "u8"
+        ),
         "doubleSided": double_sided,
     }
 
 
-def _mesh(draft: Draft, shown: Shown, surface: Surface) -> dict[str, Any]:
+def _mesh(
+    draft: Draft, shown: Shown, surface: Surface, colors: FloatArray | None
+) -> dict[str, Any]:
     points = surface.points
     if surface.skin is None:
         # Nothing else places it.
@@ -142,8 +155,9 @@ def _mesh(draft: Draft, shown: Shown, surface: Surface) -> dict[str, Any]:
         points,
         surface.counts,
         surface.indices,
-        None,
+        colors[0].tolist() if colors is not None and len(colors) == 1 else None,
         take=shown.index,
+        colors=colors if colors is not None and len(colors) == len(points) else None,
     )
 
 

@@ -71,6 +71,8 @@ class ShownTake:
     strands: tuple[Strands, ...] = ()
     clip: Clip | None = None
     prim: str = ""  # its Skeleton, on the stage of its file
+    # Linear, of meshes by name: of points or of all ``(V or 1, 3)``.
+    colors: Mapping[str, FloatArray] = field(default_factory=dict)
 
 
 @dataclass(slots=True)
@@ -155,7 +157,13 @@ def open_file(
     if is_marker_file(path) and source.template is None:
         return _open_markers(path, source)
     if is_usd(path):
-        return _open_stage(path, path.name, source)
+        shown = path
+        if options.over:
+            folder = Path(held.enter_context(tempfile.TemporaryDirectory("animtool")))
+            shown = _view(folder, path, options)
+        opened = _open_stage(shown, path.name, source)
+        opened.path = path
+        return opened
     stream = open_source(path, source)
     opened = OpenFile(path, unit_name(stream.rig.meters_per_unit), stream.rig.up)
     clip = None
@@ -247,8 +255,17 @@ def _open_stage(path: Path, name: str, source: SourceOptions) -> OpenFile:
         bones = contents.bone_names
         own = [surface for surface in meshes.surfaces if surface.name not in bones]
         surfaces = contents.turned_surfaces(own)
+        colors = contents.bound_colors(prim)
         opened.takes.append(
-            ShownTake(label, turned, bind, surfaces, meshes.strands, prim=prim)
+            ShownTake(
+                label,
+                turned,
+                bind,
+                surfaces,
+                meshes.strands,
+                prim=prim,
+                colors=colors,
+            )
         )
     return opened
 
@@ -289,11 +306,20 @@ def shown_scene(scene: Scene) -> Scene:
     return replace(scene, outputs=(replace(output, path=None, bake=usual),))
 
 
+def _view(
+    folder: Path, shown: Path, options: PreviewOptions, below: Sequence[Path] = ()
+) -> Path:
+    """Return a stage of a layer with those over it that are asked for."""
+    from animtool.usd.layers.view import write_view
+
+    over = [Path(layer) for layer in options.over]
+    return write_view(folder / "view.usda", shown, below, over)
+
+
 def _open_scene(path: Path, options: PreviewOptions, held: ExitStack) -> OpenFile:
     """Bake a scene to a temporary layer, and open that."""
     from animtool.scene.bake.bake import bake_outputs
     from animtool.scene.file.read import load_scene
-    from animtool.usd.layers.view import write_view
 
     scene = load_scene(path, dict(options.variables))
     if scene.kept:
@@ -312,8 +338,9 @@ def _open_scene(path: Path, options: PreviewOptions, held: ExitStack) -> OpenFil
         outputs.append(replace(output, path=bones, bake=joints, systems=()))
     reports = bake_outputs(replace(scene, outputs=tuple(outputs)))
     shown = layer
-    if usual.rig_layer is not None:
-        shown = write_view(folder / "view.usda", layer, usual.rig_layer)
+    if usual.rig_layer is not None or options.over:
+        below = [] if usual.rig_layer is None else [usual.rig_layer]
+        shown = _view(folder, layer, options, below)
     opened = _open_stage(shown, path.name, SourceOptions())
     opened.path, opened.folder = path, folder
     if len(outputs) > 1:

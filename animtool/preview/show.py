@@ -13,7 +13,7 @@ from pathlib import Path
 
 from animtool.motion.take import Take, TakeStream
 from animtool.preview.build import Page, make_page, make_take_page
-from animtool.preview.options import PreviewOptions
+from animtool.preview.options import PictureOptions, PreviewOptions
 
 HEIGHT = 560
 
@@ -74,19 +74,37 @@ class Preview:
             return make_take_page(stream.rig.name, stream)
         return make_page(self._shown, self._options)
 
-    def save(self, path: Path | str, *, overwrite: bool = False) -> Path:
-        """Write the page to a file, and return its path.
+    def save(
+        self,
+        path: Path | str,
+        *,
+        overwrite: bool = False,
+        pictures: PictureOptions | None = None,
+    ) -> Path:
+        """Write the page, or a picture or film of it, and return its path.
+
+        Args:
+            path: ``.html``, or as `animtool.write_pictures` has it.
+            overwrite: Replace a file that exists.
+            pictures: How a picture looks.
 
         Raises:
-            OptionError: It is no ``.html`` (PRV002), or exists (OUT001).
+            OptionError: It is no page and no picture (PRV002), or exists (OUT001); of a
+                picture also as `animtool.write_pictures` says.
             OutputError: It cannot be written (OUT002).
         """
-        from animtool.core.files.output import write_parts
-        from animtool.preview.build import check_page_output
+        from animtool.core.files.output import check_outputs, write_parts
+        from animtool.preview.pictures.kinds import picture_kind
 
         output = Path(path)
-        check_page_output(output, [], overwrite=overwrite)
-        write_parts(output, self.page.parts())
+        kind = picture_kind(output)
+        check_outputs([output], [], overwrite=overwrite)
+        if kind is None:
+            write_parts(output, self.page.parts())
+        else:
+            from animtool.preview.pictures.build import save_pictures
+
+            save_pictures(self.page, output, pictures)
         return output
 
     def _repr_html_(self) -> str:

@@ -68,6 +68,7 @@ def _entry(draft: Draft, name: str, faces: Faces) -> dict[str, Any]:
         faces.indices,
         faces.color,
         double_sided=faces.double_sided,
+        colors=faces.colors,
     )
 
 

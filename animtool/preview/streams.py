@@ -30,7 +30,7 @@ POSITION_ERROR = 1e-4
 
 Array = npt.NDArray[Any]
 _WIDTHS = {"u8": 1, "i16": 2, "u16": 2, "f32": 4, "u32": 4}
-_TYPES = {"u8": "<u1", "i16": "<i2", "u16": "<u2", "f32": "<f4", "u32": "<u4"}
+TYPES = {"u8": "<u1", "i16": "<i2", "u16": "<u2", "f32": "<f4", "u32": "<u4"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,7 +166,7 @@ class Packer:
 
     def static(self, values: npt.ArrayLike, kind: str) -> int:
         """Return the number of a stream of one sample, stored as it is."""
-        flat = np.asarray(values).reshape(1, -1).astype(_TYPES[kind])
+        flat = np.asarray(values).reshape(1, -1).astype(TYPES[kind])
         return self.add(Quantized(flat, kind))
 
     def static_range(self, values: FloatArray, period: int = 3) -> int:
@@ -236,7 +236,7 @@ def _encoded(stored: Array, kind: str) -> bytes:
     """Return samples column by column, as differences, in planes of bytes."""
     width = _WIDTHS[kind]
     columns = stored.reshape(1, -1) if len(stored) == 1 else stored.T
-    columns = np.ascontiguousarray(columns, _TYPES[kind])
+    columns = np.ascontiguousarray(columns, TYPES[kind])
     if kind != "f32":
         whole = columns.view(f"<u{width}")
         columns = whole.copy()

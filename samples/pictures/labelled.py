@@ -1,55 +1,18 @@
-"""Rendered pictures side by side with words beside them, by matplotlib."""
+"""Figures of samples that matplotlib draws, as small files."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from animtool import bake
 
-DPI = 96
 # Colours of a picture, to keep files small.
 COLOURS = 240
-
-
-def image_grid(
-    rows: Sequence[Sequence[NDArray[np.float64]]],
-    above: Sequence[str],
-    props: Sequence[str] = ("",),
-) -> Any:
-    """Return a figure of pictures, with words above its columns and beside its rows."""
-    import matplotlib as mpl
-
-    mpl.use("Agg")
-    import matplotlib.pyplot as plt
-
-    height, width = rows[0][0].shape[:2]
-    size = (
-        (len(rows[0]) * (width + 8) + 30) / DPI,
-        (len(rows) * (height + 8) + 30) / DPI,
-    )
-    figure, axes = plt.subplots(
-        len(rows),
-        len(above),
-        figsize=size,
-        dpi=DPI,
-        layout="constrained",
-        squeeze=False,
-    )
-    for line, row, name in zip(axes, rows, props, strict=True):
-        line[0].set_ylabel(name, fontsize=12)
-        for axis, image in zip(line, row, strict=True):
-            axis.imshow(image)
-            axis.set(xticks=[], yticks=[])
-            axis.spines[:].set_visible(False)
-    for axis, title in zip(axes[0], above, strict=True):
-        axis.set_title(title, fontsize=12)
-    return figure
 
 
 def save(figure: Any, out: Path) -> None:

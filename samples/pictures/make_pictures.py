@@ -1,255 +1,234 @@
-"""Make the pictures of rigs and samples: sheets of poses and of frames, as PNG files.
+"""Make the pictures of README, rigs and samples: the commands that bake and show them.
 
-Usage: ``python make_pictures.py [OUT]``; ``OUT`` is this file's folder unless given.
+Usage: ``make_pictures.py [NAME ...] [--size WxH] [--out DIR]``; without names all
+of them, into the folders that they belong to. Needs the extra ``pictures``.
 """
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+import shlex
+import subprocess
+import sys
+import tempfile
+from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-from picture import Camera, Surface, render, ribbons, write_png
-from posed import Array, Puppet, posed
-from props import stage_surfaces
-from solved import arm_surfaces, checkpoint, welding
-
-from animtool.clip.file import load_clip, open_clip
-from animtool.clip.sample import sample_channels
-from animtool.documents.arrays import load_array
-from animtool.motion.motion import Motion
-from animtool.scene.file.read import load_scene
-
 ROOT = Path(__file__).parents[2]
-Pose = Mapping[str, float | tuple[float, ...]]
-Shot = tuple[Camera, Pose]
-
-FRONT = Camera((0.0, 0.19, 0.05), 0.32)
-LATERAL = Camera((0.0, 0.19, 0.02), 0.32, turn=40, lift=4)
-EYE = Camera((0.0315, 0.217, 0.08), 0.075)
-MOUTH = Camera((0.0, 0.138, 0.08), 0.095)
-
-EXPRESSIONS: list[list[Shot]] = [
-    [(FRONT, {}), (LATERAL, {}), (FRONT, {"smile": 1}), (FRONT, {"jaw": 1})],
-    [
-        (FRONT, {"brows": 1, "wide": 0.6}),
-        (FRONT, {"brows": -1, "sneer": 0.8, "press": 0.5}),
-        (FRONT, {"pucker": 1}),
-        (FRONT, {"grin": 1, "jaw": 0.15}),
-    ],
-]
-LIDS: list[list[Shot]] = [
-    [(EYE, {"blink": amount}) for amount in (0, 1 / 3, 2 / 3, 1)],
-    [
-        (EYE, {"look_y": -22}),
-        (EYE, {"look_y": 22}),
-        (EYE, {"look_x": 28}),
-        (EYE, {"squint": 1}),
-    ],
-]
-# A shape's own channel adds to what controls give it: -1 takes a corrective away.
-OPEN_SMILE = {"smile": 1, "jaw": 1}
-UNCORRECTED = {f"shape/jawOpen_mouthSmile{side}": -1 for side in ("Left", "Right")}
-CORRECTIVES: list[list[Shot]] = [
-    [
-        (camera, {**OPEN_SMILE, **taken})
-        for camera in (MOUTH, LATERAL)
-        for taken in (UNCORRECTED, {})
-    ]
-]
-SPEECH = (3, 20, 34, 46, 53, 67, 76, 101)
-
-WHOLE = Camera((0.0, 0.9, 0.0), 1.95)
-BENT: Pose = {
-    "control/spine_bend": 25,
-    "control/look_x": 20,
-    "control/fist_r": 1,
-    "joint/shoulder_l.rotation": (0, 0, -60),
-    "joint/shoulder_r.rotation": (0, 0, -50),
-    "joint/elbow_l.angle": 95,
-    "joint/elbow_r.angle": 125,
-    "joint/hip_l.rotation": (-85, 0, 0),
-    "joint/hip_r.rotation": (10, 0, 0),
-    "joint/knee_l.angle": 100,
-    "joint/knee_r.angle": 35,
-}
-ELBOW = Camera((0.33, 1.40, 0.02), 0.75, lift=35)
-TAIL = Camera((0.0, 1.56, -0.05), 0.5, turn=130, lift=10)
-SCARLET, BROWN = (0.62, 0.13, 0.14), (0.34, 0.24, 0.17)
-KNEE = Camera((0.05, 0.75, 0.1), 0.95, turn=60)
-
-WALK = (0, 6, 12, 18)
-CARRY = (1, 36, 48, 68, 108)
-ROOM = Camera((0.22, 0.78, 0.17), 1.85, turn=-50, lift=10)
-WELD = (100, 200, 290, 360, 430)
-CELL = Camera((0.0, 0.45, 0.3), 1.05, turn=55, lift=15)
-SEAM = Camera((0.0, 0.31, 0.56), 0.36, turn=100, lift=25)
+LOOKS = "samples/pictures/{}.look.usdc"
+HEAD, BIPED = (LOOKS.format(rig) for rig in ("head", "biped"))
+PLAIN = "--show meshes --no-numbers"
+GROUND = "--show meshes,grid,shadows"
 
 
-def head_surfaces(head: Puppet, motion: Motion, frame: int = 0) -> list[Surface]:
-    """Return the head's surfaces in a frame of a motion."""
-    source = ROOT / "rigs/head/head.npz"
-    made = []
-    for mesh in head.rig.meshes:
-        colours = load_array(
-            source, "colours" if mesh.name == "face" else "eye_colours"
+@dataclass(frozen=True)
+class Made:
+    """A picture, and the commands that make it.
+
+    Attributes:
+        path: The picture, seen from the project.
+        source: The scene that is shown, or what is baked first: ``bake`` or ``ik`` and
+            its arguments.
+        show: How it is shown.
+        over: Layers over it: looks and props.
+    """
+
+    path: str
+    source: str
+    show: str
+    over: tuple[str, ...] = ()
+
+    @property
+    def name(self) -> str:
+        """Its name without suffix."""
+        return Path(self.path).stem
+
+
+def scene(name: str) -> str:
+    """Return the scene of a sample."""
+    return f"samples/{name}/{name}.scene.yaml"
+
+
+PICTURES = (
+    Made(
+        "samples/pictures/walk.webp",
+        scene("cape"),
+        "--show meshes,shadows --no-numbers --camera 145,8 --size 640x480",
+        (BIPED,),
+    ),
+    Made(
+        "samples/pictures/expressions.png",
+        "bake samples/pictures/expressions.clip.yaml",
+        f"{PLAIN} --frames 1,2,3,4,5,6,7,8 --sheet 4x2 --size 220x260 "
+        "--camera 0,0.03,0.62,0,0.19,0.02",
+        (HEAD,),
+    ),
+    Made(
+        "samples/pictures/lids.png",
+        "bake samples/pictures/lids.clip.yaml",
+        f"{PLAIN} --frames 1,2,3,4,5,6,7,8 --sheet 4x2 --size 200x160 "
+        "--camera 0,0,0.12,0.0315,0.217,0.08",
+        (HEAD,),
+    ),
+    Made(
+        "samples/pictures/correctives.png",
+        "bake samples/pictures/correctives.clip.yaml",
+        f"{PLAIN} --frames 1,2 --sheet 4x1 --size 220x220 "
+        "--camera 0,0,0.2,0,0.138,0.08 --camera 0.7,0.07,0.25,0,0.138,0.05",
+        (HEAD,),
+    ),
+    Made(
+        "samples/pictures/speech.png",
+        "bake samples/speech/speech.clip.yaml",
+        "--show meshes --frames 3,20,34,46,53,67,76,101 --sheet 4x2 --size 200x230 "
+        "--camera 0,0.03,0.62,0,0.19,0.02",
+        (HEAD,),
+    ),
+    Made(
+        "samples/pictures/body.png",
+        "bake samples/pictures/poses.clip.yaml",
+        f"{GROUND} --no-numbers --frames 1,2,3 --camera 25,6 --size 320x320",
+        (BIPED,),
+    ),
+    Made(
+        "samples/pictures/cape.png",
+        "bake samples/pictures/poses.clip.yaml",
+        f"{GROUND} --no-numbers --frames 1,2,4 --camera 150,10 --size 320x320",
+        (BIPED,),
+    ),
+    Made(
+        "samples/pictures/strides.png",
+        scene("cape"),
+        f"{GROUND} --frames 1,7,13,19 --camera side --camera 150,8 --size 280x280",
+        (BIPED,),
+    ),
+    Made(
+        "samples/pictures/carry.png",
+        scene("carry"),
+        f"{GROUND} --frames 1,36,48,68,108 --camera=-50,10 --size 260x260",
+        ("samples/carry/prop.usda", BIPED),
+    ),
+    Made(
+        "samples/pictures/weld.png",
+        "ik rigs/arm/arm.rig.yaml --targets samples/weld/weld.targets.yaml",
+        "--show meshes,bones,grid,shadows --frames 100,200,290,360,430 --camera 35,15 "
+        "--size 260x220",
+        ("samples/weld/pipes.usda",),
+    ),
+    Made(
+        "samples/flag/flag.png",
+        scene("flag"),
+        f"{GROUND} --sheet 4x1 --size 280x220",
+    ),
+    Made(
+        "samples/drape/drape.png",
+        scene("drape"),
+        f"{GROUND} --sheet 4x1 --size 260x240",
+        ("samples/drape/vase.usda",),
+    ),
+    Made(
+        "samples/dominoes/dominoes.png",
+        scene("dominoes"),
+        f"{GROUND} --frames 1,24,40,72 --sheet 2x2 --size 400x240 --camera 30,40",
+    ),
+    Made(
+        "samples/galaxies/galaxies.png",
+        scene("galaxies"),
+        "--show meshes --frames 1,36,56,80 --sheet 2x2 --size 400x300 --camera 23,52",
+    ),
+    Made(
+        "samples/argon/argon.png",
+        scene("argon"),
+        "--show meshes --frames 1,50,80,120 --sheet 4x1 --size 260x260 --camera 30,20",
+    ),
+    Made(
+        "samples/swing/swing.png",
+        scene("swing"),
+        f"{GROUND} --frames 1,7,13,21,29,40 --sheet 6x1 --size 170x200 --camera 20,8",
+    ),
+    Made(
+        "samples/wingnut/wingnut.png",
+        scene("wingnut"),
+        "--show meshes --frames 58,63,68,73,78,83,88,93 --sheet 4x2 --size 200x160 "
+        "--camera 0.5,0.3,0.5,0,0.29,0",
+    ),
+    Made(
+        "samples/wrecking_ball/wrecking_ball.png",
+        scene("wrecking_ball"),
+        f"{GROUND} --frames 1,24,30,40 --sheet 2x2 --size 400x300 --camera=-52,14",
+    ),
+    Made(
+        "samples/sheets/sheets.png",
+        scene("sheets"),
+        f"{GROUND} --frames 96 --no-numbers --camera 15,14 --size 960x420",
+        ("samples/sheets/tables.usda",),
+    ),
+    Made(
+        "samples/fall/fall.png",
+        scene("fall"),
+        f"{GROUND} --frames 1,20,26,32,38,44,52,92 --sheet 4x2 --size 240x200 "
+        "--camera 80,8",
+        ("samples/fall/stairs.usda", BIPED),
+    ),
+    Made(
+        "samples/murmuration/murmuration.png",
+        scene("murmuration"),
+        f"{GROUND} --frames 30,38,46 --size 300x260 --camera 60,5",
+        ("samples/murmuration/tower.usda",),
+    ),
+    Made(
+        "samples/rope/rope.png",
+        scene("rope"),
+        f"{GROUND} --sheet 6x1 --size 170x240 --camera 20,6",
+    ),
+)
+
+
+def commands(made: Made, out: Path, work: Path, size: str | None) -> list[list[str]]:
+    """Return the command lines that make a picture, without their first word.
+
+    Args:
+        made: The picture.
+        out: Where it is written.
+        work: A folder for what is baked.
+        size: Of each part of it, in place of its own; None is its own.
+    """
+    show = shlex.split(made.show)
+    if size is not None:
+        show[show.index("--size") + 1] = size
+    for layer in made.over:
+        show += ["--over", layer]
+    lines, shown = [], made.source
+    if not made.source.endswith(".scene.yaml"):
+        shown = str(work / f"{made.name}.usdc")
+        lines = [[*shlex.split(made.source), "-o", shown, "--overwrite"]]
+    return [*lines, ["preview", shown, "-o", str(out), "--overwrite", *show]]
+
+
+def make(
+    made: Made, out: Path, work: Path, size: str | None = None, root: Path = ROOT
+) -> None:
+    """Make a picture; root: the project, in which its files are."""
+    for words in commands(made, out, work, size):
+        print("animtool", shlex.join(words), flush=True)
+        subprocess.run(
+            [sys.executable, "-m", "animtool", *words, "-q"], cwd=root, check=True
         )
-        points = head.points(mesh, motion, frame)
-        made.append(Surface(points, head.triangles(mesh), colours / 255))
-    return made
-
-
-def head_pose(head: Puppet, pose: Pose) -> list[Surface]:
-    """Return the head's surfaces at values of controls and shapes."""
-    keyed = {k if "/" in k else f"control/{k}": v for k, v in pose.items()}
-    return head_surfaces(head, posed(head.rig, keyed))
-
-
-def sheet(pictures: Sequence[Sequence[Array]]) -> Array:
-    """Return rows of pictures as one."""
-    return np.concatenate([np.concatenate(row, axis=1) for row in pictures])
-
-
-def head_sheet(head: Puppet, shots: list[list[Shot]], size: int) -> Array:
-    """Return a sheet of poses."""
-    return sheet(
-        [[render(head_pose(head, p), c, (size, size)) for c, p in row] for row in shots]
-    )
-
-
-def speech_sheet(head: Puppet, size: int) -> Array:
-    """Return frames of the speech."""
-    file = open_clip(ROOT / "samples/speech/speech.clip.yaml")
-    frames = np.array(SPEECH, np.float64)
-    motion = sample_channels(
-        load_clip(file, head.rig).channels, head.rig, frames
-    ).motion
-    pictures = [
-        render(head_surfaces(head, motion, k), FRONT, (size, size))
-        for k in range(len(SPEECH))
-    ]
-    return sheet([pictures[:4], pictures[4:]])
-
-
-def body_sheet(body: Puppet, size: int) -> Array:
-    """Return the biped at rest, in a pose, and its elbow and knee bent."""
-
-    def shot(camera: Camera, pose: Pose) -> Array:
-        surface = body_surface(body, posed(body.rig, pose))
-        return render([surface], camera, (size, size))
-
-    passthrough = replace(WHOLE, turn=35, lift=8)
-    return sheet(
-        [
-            [
-                shot(WHOLE, {}),
-                shot(passthrough, BENT),
-                shot(ELBOW, {"joint/elbow_l.angle": 110}),
-                shot(KNEE, BENT),
-            ]
-        ]
-    )
-
-
-def cape_sheet(body: Puppet, size: int) -> Array:
-    """Return the biped's cape and hair at rest and in a pose."""
-    cape = next(mesh for mesh in body.rig.meshes if mesh.name == "cape")
-    (hair,) = [entry for entry in body.rig.attach if entry.kind == "strands"]
-    scarlet = np.tile(SCARLET, (len(body.meshes["cape"].points), 1))
-
-    def shot(camera: Camera, pose: Pose) -> Array:
-        motion = posed(body.rig, pose)
-        cloth = Surface(body.points(cape, motion), body.triangles(cape), scarlet)
-        strands = ribbons(body.strands(hair, motion), BROWN, 0.0025, camera)
-        surfaces = [body_surface(body, motion), cloth, strands]
-        return render(surfaces, camera, (size, size))
-
-    behind = replace(WHOLE, turn=180)
-    return sheet(
-        [
-            [
-                shot(behind, {}),
-                shot(replace(WHOLE, turn=130, lift=8), {}),
-                shot(replace(WHOLE, turn=145, lift=12), BENT),
-                shot(TAIL, {"control/look_x": 30, "control/look_y": 15}),
-            ]
-        ]
-    )
-
-
-def walk_sheet(body: Puppet, size: int) -> Array:
-    """Return frames of the walk whose cape and hair move by themselves."""
-    take = load_scene(ROOT / "samples/cape/cape.scene.yaml").open().collect()
-    cape = next(mesh for mesh in body.rig.meshes if mesh.name == "cape")
-    moved = {name: points.dense() for name, points in take.motion.points.items()}
-    scarlet = np.tile(SCARLET, (moved["cape"].shape[1], 1))
-    count = len(body.rig.attach[1].points.load())
-
-    def shot(camera: Camera, frame: int) -> Array:
-        hips = take.motion.translations.dense()[frame, 0]
-        here = replace(camera, centre=(hips[0], 0.87, hips[2] - 0.1))
-        hair = moved["hair"][frame].reshape(count, -1, 3)
-        surfaces = [
-            body_surface(body, take.motion, frame),
-            Surface(moved["cape"][frame], body.triangles(cape), scarlet),
-            ribbons(hair, BROWN, 0.0025, here),
-        ]
-        return render(surfaces, here, (size, size))
-
-    passthrough, behind = replace(WHOLE, turn=90), replace(WHOLE, turn=150, lift=8)
-    return sheet([[shot(camera, i) for i in WALK] for camera in (passthrough, behind)])
-
-
-def carry_sheet(body: Puppet, size: int) -> Array:
-    """Return frames of the carried box."""
-    take = checkpoint(body.rig)
-
-    def shot(frame: int) -> Array:
-        surface = body_surface(body, take.motion, frame - 1)
-        props = stage_surfaces(ROOT / "samples/carry/prop.usda", frame)
-        return render([surface, *props], ROOM, (size, size * 3 // 4))
-
-    return sheet([[shot(frame) for frame in CARRY]])
-
-
-def weld_sheet(size: int) -> Array:
-    """Return frames of the weld, whole and from near."""
-    take = welding()
-    pipes = stage_surfaces(ROOT / "samples/weld/pipes.usda", 1)
-
-    def shot(frame: int, camera: Camera) -> Array:
-        surfaces = [*arm_surfaces(take, frame - 1), *pipes]
-        upright = [replace(s, points=s.points[:, [1, 2, 0]]) for s in surfaces]
-        return render(upright, camera, (size, size))
-
-    return sheet([[shot(f, camera) for f in WELD] for camera in (CELL, SEAM)])
-
-
-def body_surface(body: Puppet, motion: Motion, frame: int = 0) -> Surface:
-    """Return the biped's body in a frame of a motion."""
-    mesh = next(mesh for mesh in body.rig.meshes if mesh.name == "body")
-    colours = load_array(ROOT / "rigs/biped/body.npz", "colours") / 255
-    return Surface(body.points(mesh, motion, frame), body.triangles(mesh), colours)
 
 
 def main() -> None:
-    """Write the pictures to the folder named on the command line."""
-    parser = argparse.ArgumentParser(description="Make the pictures.")
-    parser.add_argument("out", nargs="?", type=Path, default=Path(__file__).parent)
-    out: Path = parser.parse_args().out
-    head = Puppet.load(ROOT / "rigs/head/head.rig.yaml")
-    write_png(out / "expressions.png", head_sheet(head, EXPRESSIONS, 220))
-    write_png(out / "lids.png", head_sheet(head, LIDS, 180))
-    write_png(out / "correctives.png", head_sheet(head, CORRECTIVES, 220))
-    write_png(out / "speech.png", speech_sheet(head, 200))
-    body = Puppet.load(ROOT / "rigs/biped/biped.rig.yaml")
-    write_png(out / "body.png", body_sheet(body, 300))
-    write_png(out / "cape.png", cape_sheet(body, 300))
-    write_png(out / "walk.png", walk_sheet(body, 300))
-    write_png(out / "carry.png", carry_sheet(body, 320))
-    write_png(out / "weld.png", weld_sheet(240))
+    """Make the pictures named on the command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("names", nargs="*", choices=[[], *(m.name for m in PICTURES)])
+    parser.add_argument("--size", help="of each part of a picture, such as 96x72")
+    parser.add_argument("--out", type=Path, help="a folder for all of them")
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory() as work:
+        for made in PICTURES:
+            if not options.names or made.name in options.names:
+                own = ROOT / made.path
+                out = own if options.out is None else options.out / own.name
+                make(made, out.resolve(), Path(work), options.size)
 
 
 if __name__ == "__main__":

@@ -10,6 +10,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
+from support.drawing import can_draw
 from support.printed import (
     DOCUMENTS,
     ROOT,
@@ -44,7 +45,9 @@ DOCUMENTS_WITH = Counter(
 
 # What the commands of a section take, where that is long [s].
 SECONDS = {
+    "animtool": 8,
     "What it does": 7,
+    "Pictures and films": 9,
     "Springs": 2,
     "Inverse kinematics": 2,
     "Time against error": 1,
@@ -57,6 +60,10 @@ SECONDS = {
     "drape": 2,
     "face": 1,
 }
+
+
+# What needs the extra `pictures`, and OpenGL.
+PICTURE = re.compile(r"animtool preview .* -o \S+\.(?:png|gif|webp|mp4|webm)\b")
 
 
 def section_parameters() -> list[object]:
@@ -135,6 +142,8 @@ def test_printed_commands(
     printed = Printed(tmp_path_factory, short=True)
     for command in needed(document, title) + SECTIONS[document][title]:
         if "--plot" in command and find_spec("matplotlib") is None:
+            continue
+        if PICTURE.match(command) and not can_draw():
             continue
         if is_shared(command, workplace):
             printed.copy(command, workplace)

@@ -5,7 +5,7 @@ import { Lines } from './lines.js';
 import { Sprites } from './points.js';
 import { sub, unit } from './maths.js';
 
-/** @typedef {import('./camera.js').View} View */
+/** @typedef {import('./camera.js').Eye} View */
 /** @typedef {import('./skeleton.js').Pose} Pose */
 
 const VERTEX = `${CELL}
@@ -33,14 +33,14 @@ void main() {
 }`;
 
 const FRAGMENT = `${SHADE}
-in vec3 n; in vec3 tint; out vec4 result;
-void main() { result = vec4(shade(tint, normalize(n)), 1.); }`;
+in vec3 n; in vec3 tint; uniform float opacity; out vec4 result;
+void main() { result = vec4(shade(tint, normalize(n)), opacity); }`;
 
 const THIN_VERTEX = `
 layout(location=0) in vec3 point; layout(location=1) in vec3 color; uniform mat4 viewProjection; out vec3 tint;
 void main() { gl_Position = viewProjection * vec4(point, 1.); tint = color; }`;
 
-const THIN_FRAGMENT = 'in vec3 tint; out vec4 result; void main() { result = vec4(tint, 1.); }';
+const THIN_FRAGMENT = 'in vec3 tint; uniform float opacity; out vec4 result; void main() { result = vec4(tint, opacity); }';
 
 /** Most joints that are drawn with thick bones: those of a crowd are lines. */
 const THICK = 1500;

@@ -1,11 +1,21 @@
 /** The camera: it orbits a target, or looks through a camera of the shot. */
 
 import { gestures } from './gestures.js';
-import { add, clamp, compose, identity, invertRigid, lookAt, multiply, perspective, sub, transform } from './maths.js';
+import { add, clamp, compose, identity, invertRigid, lookAt, multiply, perspective, sub, transform, unit } from './maths.js';
 
 /** @typedef {import('./types.js').CameraRecord} CameraRecord */
 /** @typedef {import('./data.js').Streams} Streams */
 
+/**
+ * What drawing needs of a camera: where it looks from, the size of its picture, the key
+ * light in its frame, and how opaque what is laid over other things is.
+ *
+ * @typedef {{view: Float32Array, viewProjection: Float32Array, width: number, height: number,
+ *   ratio: number, perMetre: number, light: number[], opacity: number}} Eye
+ */
+
+/** From where the key light comes, in the frame of the view. */
+export const LIGHT = unit([-0.35, 0.65, 0.68]);
 /** Tangent of half the angle of view. */
 const HALF = 0.3;
 /** What the gate of a camera of the shot fills of the picture. */
@@ -24,6 +34,8 @@ export class View {
     this.distance = 4;
     this.target = [0, 0.9, 0];
     this.radius = 1;
+    /** Height of the lowest of what it shows [m]. */
+    this.floor = 0;
     /** Index of the shot's camera that it looks through, −1 for none. */
     this.shot = -1;
     this.follow = false;
@@ -37,6 +49,8 @@ export class View {
     this.projection = identity();
     this.viewProjection = identity();
     this.perMetre = 1;
+    this.light = LIGHT;
+    this.opacity = 1;
     /** What buttons cover at the top [CSS pixels]: the picture is centred beneath. */
     this.inset = 0;
     /** @type {number[]|null} The shot's gate in CSS pixels: left, top, width, height. */
@@ -63,6 +77,7 @@ export class View {
   frame(box) {
     this.target = box.center;
     this.radius = box.radius;
+    this.floor = box.low[1];
     const back = this.#back(1), world = lookAt(back, [0, 0, 0], [0, 1, 0]);
     const [wide, high] = this.#halves(), { low, high: top } = box;
     this.distance = this.radius * 0.2;

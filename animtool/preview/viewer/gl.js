@@ -1,13 +1,15 @@
 /** WebGL2: programs, buffers and the shading that all surfaces share. */
 
+/** @typedef {{bind: (slot: number, where: WebGLUniformLocation|null) => void}} Sampled What samplers read. */
 /** @typedef {{program: WebGLProgram, at: (name: string) => WebGLUniformLocation|null}} Program */
 
 const HEAD = '#version 300 es\nprecision highp float;\nprecision highp int;\nprecision highp sampler2D;\n';
 
-/** Shade of a surface: a soft key from the upper left of the view, a sky and a rim. */
+/** Shade of a surface: a soft key light that goes along with the view, a sky and a rim. */
 export const SHADE = `
+uniform vec3 light;
 vec3 shade(vec3 color, vec3 n) {
-  float key = max(dot(n, normalize(vec3(-.35, .65, .68))), 0.);
+  float key = max(dot(n, light), 0.);
   float sky = .5 + .5 * n.y;
   return color * (.55 + .14 * sky + .44 * key) + pow(1. - abs(n.z), 4.) * .05;
 }
@@ -131,16 +133,18 @@ export class Table {
 /**
  * Draw with a program from now on.
  *
- * @param {WebGL2RenderingContext} gl @param {Program} program @param {import('./camera.js').View} view
- * @param {Record<string, number|ArrayLike<number>|Table|undefined>} uniforms
+ * @param {WebGL2RenderingContext} gl @param {Program} program @param {import('./camera.js').Eye} view
+ * @param {Record<string, number|ArrayLike<number>|Sampled|undefined>} uniforms
  */
 export function use(gl, { program, at }, view, uniforms) {
   gl.useProgram(program);
   gl.uniformMatrix4fv(at('viewProjection'), false, view.viewProjection);
   gl.uniformMatrix4fv(at('view'), false, view.view);
+  gl.uniform3fv(at('light'), view.light);
+  gl.uniform1f(at('opacity'), view.opacity);
   for (const [name, value] of Object.entries(uniforms)) {
-    if (value instanceof Table) value.bind(0, at(name));
-    else if (typeof value === 'number') gl.uniform1f(at(name), value);
+    if (typeof value === 'number') gl.uniform1f(at(name), value);
+    else if (value && 'bind' in value) value.bind(0, at(name));
     else if (value) gl[value.length === 2 ? 'uniform2fv' : value.length === 3 ? 'uniform3fv' : 'uniform4fv'](at(name), Array.from(value));
   }
 }

@@ -5,7 +5,7 @@ import { compose } from './maths.js';
 import { COLOR } from './meshes.js';
 import { display, repeated } from './points.js';
 
-/** @typedef {import('./camera.js').View} View */
+/** @typedef {import('./camera.js').Eye} View */
 /** @typedef {import('./data.js').Streams} Streams */
 /** @typedef {import('./meshes.js').Mesh} Mesh */
 /** @typedef {import('./types.js').InstancesRecord} InstancesRecord */

@@ -2,7 +2,7 @@
 
 import { CELL, Table, drawTable, makeProgram, use } from './gl.js';
 
-/** @typedef {import('./camera.js').View} View */
+/** @typedef {import('./camera.js').Eye} View */
 /** @typedef {{width?: number, world?: number, fade?: number[]|null}} Look */
 
 /** Cells of a segment: its ends and its colour. */
@@ -32,10 +32,10 @@ void main() {
 }`;
 
 const FRAGMENT = `
-in vec4 tint; in vec3 where; uniform vec4 fade; out vec4 result;
+in vec4 tint; in vec3 where; uniform vec4 fade; uniform float opacity; out vec4 result;
 void main() {
   float away = fade.w > 0. ? 1. - smoothstep(.25, 1., distance(where, fade.xyz) / fade.w) : 1.;
-  result = vec4(tint.rgb, tint.a * away);
+  result = vec4(tint.rgb, tint.a * away * opacity);
 }`;
 
 /** Segments that are drawn together. */

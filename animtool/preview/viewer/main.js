@@ -23,6 +23,11 @@ const page = /** @type {Window & {animtool: Page}} */ (/** @type {unknown} */ (w
 
 /** How near to a joint a click selects it [CSS pixels]. */
 const NEAR = 14;
+/** Parts of the motion, at whose ends the camera looks where everything is. */
+const LOOKS = 12;
+
+/** @param {number} count @returns {number[]} Samples that say where the whole motion is, the first and the last of them. */
+const samplesOf = (count) => [...new Set(Array.from({ length: LOOKS + 1 }, (_, i) => Math.round(i / LOOKS * (count - 1))))];
 
 export class App {
   /** @param {import('./types.js').Manifest} manifest @param {WebGL2RenderingContext} gl */
@@ -36,7 +41,8 @@ export class App {
     this.view = new View();
     this.colors = themeColors();
     this.show = {
-      bones: true, axes: false, names: false, meshes: true, trails: true, contacts: true, grid: true, cameras: true };
+      bones: true, axes: false, names: false, meshes: true, trails: true, contacts: true, grid: true, shadows: true,
+      cameras: true };
     /** @type {Selected|null} */
     this.selected = null;
     this.timeline = new Timeline(manifest, () => this.invalidate(true));
@@ -62,7 +68,7 @@ export class App {
     this.curves = new Curves(this);
     this.findings = new Findings(this);
     connect(this);
-    await this.#frameAll();
+    const whole = await this.#frameAll();
     describe(this);
     this.pace.setSimple(this.scene.simple);
     this.awake = false;
@@ -75,7 +81,12 @@ export class App {
     addEventListener('hashchange', () => this.open(readFragment(location.hash)));
     this.open(pins);
     await this.drawn();
+    const { text } = this.view;
     await this.curves.begin();
+    // The picture is lower above curves.
+    this.#fit();
+    if (pins.cam === undefined && this.view.text === text && !this.compare.beside) this.view.frame(whole);
+    await this.drawn();
     if (this.manifest.watch) watch(this.manifest.watch);
   }
 
@@ -98,11 +109,11 @@ export class App {
     }, 150);
   }
 
-  /** Show all that is there from first to last; a character that travels is followed. */
+  /** Show all that is there from first to last; a character that travels is followed. @returns {Promise<Box>} What is shown. */
   async #frameAll() {
     const { scene, timeline: { sample, count }, streams } = this, [pose] = scene.poses;
     const parts = [];
-    for (const i of [0, 0.25, 0.5, 0.75, 1].map((x) => Math.round(x * (count - 1))).concat(sample)) {
+    for (const i of samplesOf(count).concat(sample)) {
       await streams.load(i);
       scene.update(i);
       parts.push({ i, at: pose?.count ? pose.position(pose.root) : [0, 0, 0] });
@@ -120,6 +131,7 @@ export class App {
     this.view.frame(box);
     scene.ground = new Ground(this.gl, box.radius);
     this.setFollow(follow);
+    return box;
   }
 
   /** Show all. */

@@ -4,17 +4,20 @@ import { CELL, SHADE, Table, attribute, makeBuffer, makeProgram, use } from './g
 import { multiply, transform } from './maths.js';
 import { display } from './points.js';
 
-/** @typedef {import('./camera.js').View} View */
+/** @typedef {import('./camera.js').Eye} View */
 /** @typedef {import('./data.js').Streams} Streams */
 /** @typedef {import('./data.js').Values} Values */
 /** @typedef {import('./skeleton.js').Pose} Pose */
 /** @typedef {import('./types.js').MeshRecord} MeshRecord */
-/** @typedef {{skin?: boolean, instances?: boolean}} Kind */
+/** @typedef {{skin?: boolean, paint?: boolean, instances?: boolean}} Kind */
 
 const VERTEX = `${CELL}
 layout(location=0) in vec3 point; layout(location=1) in vec3 normal;
 #ifdef SKIN
 layout(location=2) in uvec4 joints; layout(location=3) in vec4 weights;
+#endif
+#ifdef PAINT
+layout(location=4) in vec3 paint;
 #endif
 #ifdef INSTANCES
 layout(location=5) in mat4 placed; layout(location=9) in vec3 ownColor;
@@ -25,6 +28,9 @@ void main() {
   vec4 p = vec4(point, 1.);
   vec3 m = normal;
   tint = color; heat = -1.;
+#ifdef PAINT
+  tint = paint;
+#endif
 #ifdef SKIN
   vec4 a = vec4(0), b = vec4(0), c = vec4(0), extra = vec4(0);
   for (int k = 0; k < 4; k++) {
@@ -101,7 +107,7 @@ export class Geometry {
   }
 
   /** Decode it and give it to the graphics processor. @param {Streams} streams @param {MeshRecord} record */
-  async load(streams, { points, faces, normals, skin }) {
+  async load(streams, { points, faces, normals, skin, colors }) {
     const { gl, array } = this;
     this.rest = await streams.whole(points);
     this.faces = new Uint32Array(await streams.whole(faces));
@@ -120,6 +126,12 @@ export class Geometry {
       attribute(gl, 2, makeBuffer(gl, joints), 4, { type: gl.UNSIGNED_SHORT, whole: true });
       attribute(gl, 3, makeBuffer(gl, weights), 4);
     }
+    if (colors != null) {
+      const paint = new Uint8Array(await streams.whole(colors));
+      gl.bindVertexArray(array);
+      attribute(gl, 4, makeBuffer(gl, paint), 3, { type: gl.UNSIGNED_BYTE, normal: true });
+    }
+    gl.bindVertexArray(array);
     makeBuffer(gl, this.faces, gl.ELEMENT_ARRAY_BUFFER);
     gl.bindVertexArray(null);
     return this;
@@ -157,15 +169,15 @@ export class Mesh {
     /** Weights that the points were last made of. */
     this.amounts = '';
     this.hidden = false;
-    this.program = programOf(gl, { skin: !!(pose && record.skin), instances: this.instances });
+    this.program = programOf(gl, { skin: !!(pose && record.skin), paint: record.colors != null, instances: this.instances });
     streams.use([record.cache, record.visible], pose?.span[0]);
   }
 
   /** Decode what does not move. */
   async load() {
-    const { gl, record, streams, known } = this, { points, faces, normals, skin, shapes } = record;
+    const { gl, record, streams, known } = this, { points, faces, normals, skin, shapes, colors } = record;
     const own = record.cache != null || shapes?.length;
-    const key = own ? '' : [points, faces, normals, skin?.joints, skin?.weights, skin?.bind].join();
+    const key = own ? '' : [points, faces, normals, colors, skin?.joints, skin?.weights, skin?.bind].join();
     const wait = known.get(key) ?? this.geometry.load(streams, record);
     if (key) known.set(key, wait);
     this.geometry = await wait;

@@ -2,7 +2,7 @@
 
 import { SHADE, attribute, makeBuffer, makeProgram, use } from './gl.js';
 
-/** @typedef {import('./camera.js').View} View */
+/** @typedef {import('./camera.js').Eye} View */
 /** @typedef {import('./data.js').Streams} Streams */
 /** @typedef {import('./types.js').PointsRecord} PointsRecord */
 
@@ -17,12 +17,12 @@ void main() {
 }`;
 
 const FRAGMENT = `${SHADE}
-in vec3 tint; in float fine; out vec4 result;
+in vec3 tint; in float fine; uniform float opacity; out vec4 result;
 void main() {
   vec2 p = gl_PointCoord * 2. - 1.; p.y = -p.y;
   float r = dot(p, p);
   if (r > 1. && fine > 2.5) discard;
-  result = vec4(shade(tint, vec3(p, sqrt(max(0., 1. - r)))), 1.);
+  result = vec4(shade(tint, vec3(p, sqrt(max(0., 1. - r)))), opacity);
 }`;
 
 /** Where points without a position go: outside of every view. */

@@ -7,6 +7,7 @@ import { Instances } from './instances.js';
 import { Lines } from './lines.js';
 import { Mesh } from './meshes.js';
 import { PointCloud } from './points.js';
+import { Shadow } from './shadow.js';
 import { Pose } from './skeleton.js';
 import { Strands } from './strands.js';
 import { Ground, Trails } from './trails.js';
@@ -16,7 +17,7 @@ import { SERIES } from './dom.js';
 /** @typedef {import('./data.js').Streams} Streams */
 /** @typedef {import('./types.js').Manifest} Manifest */
 /** @typedef {ReturnType<typeof import('./dom.js').themeColors>} Colors */
-/** @typedef {Record<'bones'|'axes'|'names'|'meshes'|'trails'|'contacts'|'grid'|'cameras', boolean>} Show */
+/** @typedef {Record<'bones'|'axes'|'names'|'meshes'|'trails'|'contacts'|'grid'|'shadows'|'cameras', boolean>} Show */
 
 /** Most takes that are looked at one by one: with more it is a crowd. */
 const CAST = 4;
@@ -45,6 +46,7 @@ export class Scene {
     this.trails = new Trails(gl, manifest.time);
     this.frusta = new Lines(gl);
     this.ground = new Ground(gl, 1);
+    this.shadow = new Shadow(gl);
     this.sample = 0;
     this.picture = new Picture(gl);
     /** Whether there are too many takes for paths and close looks at each. */
@@ -135,6 +137,7 @@ export class Scene {
   /** Give the graphics processor what moved. @param {Show} show @param {Colors} colors */
   prepare(show, colors) {
     const { sample } = this, visible = this.poses.filter((pose) => pose.visible);
+    this.shadow.stale = true;
     if (show.meshes) {
       for (const each of this.#solids) each.update(sample);
     }
@@ -149,6 +152,14 @@ export class Scene {
   draw(view, show, colors, selected, fine) {
     const { gl } = this;
     const [r, g, b] = colors.back.map((x) => x / 255);
+    const solid = show.meshes && !this.simple && this.meshes.some((mesh) => mesh.pose || mesh.record.cache != null);
+    const visible = this.poses.filter((pose) => pose.visible), bones = show.bones || this.simple;
+    const skeletons = (/** @type {import('./camera.js').Eye} */ eye, axes = false) => this.bones.draw(
+      eye, visible, (take) => this.color(take, colors), selected, colors.accent, { bones, axes });
+    const shaded = show.shadows && fine && this.shadow.cast(view, (eye) => {
+      this.#shapes(eye, show);
+      if (!solid) skeletons(eye);
+    });
     this.picture.begin(view.width, view.height, fine);
     gl.clearColor(r, g, b, 1);
     gl.depthMask(true);
@@ -156,13 +167,11 @@ export class Scene {
     gl.enable(gl.DEPTH_TEST);
     gl.disable(gl.BLEND);
     gl.depthRange(0.1, 1);
-    const solid = show.meshes && !this.simple && this.meshes.some((mesh) => mesh.pose || mesh.record.cache != null);
-    if (show.meshes) {
-      for (const each of this.#solids) if (!(each instanceof Mesh && each.instances)) each.draw(view);
-    }
+    this.#shapes(view, show);
     gl.enable(gl.BLEND);
     gl.blendFunc(gl.SRC_ALPHA, gl.ONE_MINUS_SRC_ALPHA);
     gl.depthMask(false);
+    if (shaded) this.shadow.draw(view);
     if (show.grid) {
       const center = view.target;
       this.ground.lay(center, colors.line, colors.strong);
@@ -176,12 +185,16 @@ export class Scene {
     if (solid) {
       gl.depthRange(0, 0.1);
       gl.enable(gl.BLEND);
-      gl.blendColor(0, 0, 0, 0.5);
-      gl.blendFunc(gl.CONSTANT_ALPHA, gl.ONE_MINUS_CONSTANT_ALPHA);
+      view.opacity = 0.5;
     }
-    const visible = this.poses.filter((pose) => pose.visible);
-    this.bones.draw(view, visible, (take) => this.color(take, colors), selected, colors.accent, { ...show, bones: show.bones || this.simple });
+    skeletons(view, show.axes);
+    view.opacity = 1;
     this.picture.end(view.width, view.height, fine);
+  }
+
+  /** @param {import('./camera.js').Eye} eye @param {Show} show */
+  #shapes(eye, show) {
+    for (const each of show.meshes ? this.#solids : []) if (!(each instanceof Mesh && each.instances)) each.draw(eye);
   }
 
   /** @param {View} view @param {number[]} color */

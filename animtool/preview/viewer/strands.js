@@ -4,7 +4,7 @@ import { Lines } from './lines.js';
 import { identity, multiply } from './maths.js';
 import { display } from './points.js';
 
-/** @typedef {import('./camera.js').View} View */
+/** @typedef {import('./camera.js').Eye} View */
 /** @typedef {import('./data.js').Streams} Streams */
 /** @typedef {import('./skeleton.js').Pose} Pose */
 /** @typedef {import('./types.js').StrandsRecord} StrandsRecord */

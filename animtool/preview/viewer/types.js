@@ -19,6 +19,7 @@
  * @typedef {{name: string, column: number, vertices: number, offsets: number}} Shape
  * @typedef {{name: string, take?: number|null, points: number, faces: number,
  *   normals?: number|null, skin?: Skin|null, shapes?: Shape[]|null, color?: Vec|null,
+ *   colors?: number|null,
  *   doubleSided?: boolean, cache?: number|null,
  *   prototype?: boolean, visible?: number|null}} MeshRecord
  * @typedef {{name: string, counts: number, points: number, width?: number, take?: number|null,

@@ -26,7 +26,7 @@ function toggles(app) {
     bones: joints, axes: joints, names: joints || scene.clouds.some(({ record }) => record.names), trails: joints,
     meshes: !!(scene.meshes.length + scene.clouds.length + scene.strands.length),
     contacts: (manifest.takes ?? []).some((take) => take.contacts?.length),
-    grid: true, cameras: scene.cameras.length > 0,
+    grid: true, shadows: true, cameras: scene.cameras.length > 0,
   };
   for (const name of /** @type {(keyof typeof there)[]} */ (Object.keys(there))) {
     const own = button(`show-${name}`);

@@ -7,7 +7,7 @@ from fractions import Fraction
 
 from animtool.core.errors import excerpt
 from animtool.core.rates import LARGEST_FRAME, FractionLike, exact_number
-from animtool.core.shot import FrameRange
+from animtool.core.shot import FrameList, FrameRange
 
 _RANGE = re.compile(r"(-?\d{1,9})(?:-(-?\d{1,9})(?:x(\d{1,9}))?)?")
 
@@ -29,6 +29,23 @@ def parse_frame_range(text: str) -> FrameRange:
     if last < first or step < 1:
         raise ValueError(f"{text!r} has no frame")
     return FrameRange(first, last, step)
+
+
+def parse_frames(text: str) -> FrameRange:
+    """Return the range of ``1-240x2``, or the list of ``1,20,40``.
+
+    Raises:
+        ValueError: It is neither.
+
+    >>> parse_frames("1,20,40").frames
+    (1, 20, 40)
+    """
+    if "," not in text:
+        return parse_frame_range(text)
+    try:
+        return FrameList.of_frames([int(part) for part in text.split(",")])
+    except ValueError as error:
+        raise ValueError(f"{text!r} is not a list such as 1,20,40") from error
 
 
 def parse_offsets(text: str) -> tuple[Fraction, ...]:

@@ -32,6 +32,7 @@ from animtool.usd.caches.reader import (
 from animtool.usd.layers.sdf import usd_errors
 from animtool.usd.layers.stderr import without_usd_warnings
 from animtool.usd.rigs.mesh_read import bound_meshes
+from animtool.usd.rigs.meshes import COLORS
 from animtool.usd.rigs.prims import (
     find_skeletons,
     numbers,
@@ -60,6 +61,8 @@ class Faces:
     indices: IntArray  # corners, face by face
     color: tuple[float, float, float] | None  # None where none is stated
     double_sided: bool
+    # Linear, of each point ``(N, 3)``; None where they have none of their own.
+    colors: FloatArray | None = None
 
 
 class ShownPrim:
@@ -122,7 +125,10 @@ class ShownPrim:
         else:
             points, counts, indices = _solid(self.prim)
             sided = False
-        return Faces(points * self._stage.meters, counts, indices, self.color, sided)
+        colors = self.colors(self._stage.stage.GetStartTimeCode())
+        own = colors if len(colors) == len(points) > 1 else None
+        place = points * self._stage.meters
+        return Faces(place, counts, indices, self.color, sided, own)
 
     def counts(self) -> IntArray:
         """Return how many points each curve has ``(C,)``."""
@@ -144,14 +150,7 @@ class ShownPrim:
 
     def colors(self, code: float) -> FloatArray:
         """Return linear colours, of points or of all ``(N or 1, 3)``; none without."""
-        primvar = UsdGeom.PrimvarsAPI(self.prim).FindPrimvarWithInheritance(
-            "displayColor"
-        )
-        value = primvar.Get(Usd.TimeCode(code)) if primvar else None
-        if value is None:
-            return np.zeros((0, 3))
-        rows = np.array(value, np.float64).reshape(-1, 3)
-        return rows if np.isfinite(rows).all() else rows[:0]
+        return _colors(self.prim, code)
 
     @cached_property
     def color(self) -> tuple[float, float, float] | None:
@@ -201,6 +200,16 @@ class ShownPrim:
     def visible(self, codes: FloatArray) -> BoolArray:
         """Return at which time codes it is not hidden ``(F,)``."""
         return _visible(self.prim, codes)
+
+
+def _colors(prim: Any, code: float) -> FloatArray:
+    """Return linear colours that a prim or one above it states; none without."""
+    primvar = UsdGeom.PrimvarsAPI(prim).FindPrimvarWithInheritance("displayColor")
+    value = primvar.ComputeFlattened(Usd.TimeCode(code)) if primvar else None
+    if value is None:
+        return np.zeros((0, 3))
+    rows = np.array(value, np.float64).reshape(-1, 3)
+    return rows if np.isfinite(rows).all() else rows[:0]
 
 
 class StageContents:
@@ -319,6 +328,22 @@ class StageContents:
             else replace(surface, geom_bind=whole @ surface.geom_bind)
             for surface in surfaces
         )
+
+    def bound_colors(self, skeleton: str) -> dict[str, FloatArray]:
+        """Return linear colours of meshes that a Skeleton moves, by their names.
+
+        They are of points or of all ``(N or 1, 3)``; those that animtool gives what has
+        none are left out.
+        """
+        prim = self.stage.GetPrimAtPath(skeleton)
+        found = {}
+        code = self.stage.GetStartTimeCode()
+        for name, query in bound_meshes(UsdSkel.Skeleton(prim)):
+            colors = _colors(query.GetPrim(), code)
+            plain = len(colors) == 1 and np.isclose(colors, COLORS, atol=1e-6).all(1)
+            if len(colors) and not np.any(plain):
+                found[name] = colors
+        return found
 
     def cameras(self) -> list[str]:
         """Return the paths of its cameras."""

@@ -1,7 +1,8 @@
-"""A stage that shows an animation layer over its rig layer."""
+"""A stage that shows a layer with others over and below it."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from pxr import Sdf
@@ -20,15 +21,32 @@ _METADATA = (
 )
 
 
-def write_view(path: Path, animation: Path, rig: Path) -> Path:
-    """Write a stage of an animation layer over its rig layer; return its path."""
-    with usd_errors(animation):
-        stated = find_layer(animation).pseudoRoot
-        layer = Sdf.Layer.CreateAnonymous(".usda")
-        layer.subLayerPaths = [animation.name, str(rig.resolve())]
+def write_view(
+    path: Path, shown: Path, below: Sequence[Path] = (), over: Sequence[Path] = ()
+) -> Path:
+    """Write a stage that states what a layer does; return its path.
+
+    Args:
+        path: The stage.
+        shown: The layer.
+        below: Weaker layers, such as the rig of an animation layer.
+        over: Stronger layers, such as looks and props, the strongest first.
+
+    Raises:
+        FormatError: One is no USD layer (USD001).
+    """
+    for other in (*over, *below):
+        find_layer(other)
+    with usd_errors(shown):
+        # Held, so that it stays open.
+        source = find_layer(shown)
+        stated = source.pseudoRoot
+        view = Sdf.Layer.CreateAnonymous(".usda")
+        layers = [*over, shown, *below]
+        view.subLayerPaths = [str(layer.resolve()) for layer in layers]
         for name in _METADATA:
             if stated.HasInfo(name):
-                layer.pseudoRoot.SetInfo(name, stated.GetInfo(name))
+                view.pseudoRoot.SetInfo(name, stated.GetInfo(name))
         with replacing(path) as temporary:
-            temporary.write_text(layer.ExportToString(), "utf-8")
+            temporary.write_text(view.ExportToString(), "utf-8")
     return path

@@ -1,0 +1,116 @@
+"""Skeletons of a page: bones as octahedra, joints as balls, and axes of joints."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from animtool.core.array_types import FloatArray
+from animtool.preview.pictures.camera import Eye
+from animtool.preview.pictures.device import Device, Table
+from animtool.preview.pictures.lines import Lines, Sprites, Stored
+from animtool.preview.pictures.pose import Pose
+
+# Most joints that are drawn with thick bones: those of a crowd are lines.
+THICK = 1500
+AXES = ((222, 82, 82), (92, 176, 88), (76, 130, 224))
+Color = tuple[int, int, int]
+
+
+class Bones:
+    """Skeletons of takes."""
+
+    def __init__(self, device: Device) -> None:
+        self._device = device
+        self._program = device.program("bones.js")
+        self._thin = device.program("bones.js", "THIN_VERTEX", "THIN_FRAGMENT")
+        self._table = Table(device)
+        self._balls = Sprites(device)
+        self._axes = Lines(device)
+        self._ends = Stored(device)
+        self._array: Any = None
+
+    def draw(
+        self,
+        eye: Eye,
+        poses: Sequence[Pose],
+        color: Callable[[int], Color],
+        *,
+        bones: bool,
+        axes: bool,
+    ) -> None:
+        """Draw the skeletons of takes."""
+        poses = [pose for pose in poses if pose.count]
+        if not poses:
+            return
+        if bones and sum(pose.count for pose in poses) > THICK:
+            self._lines(eye, poses, color)
+            return
+        if bones:
+            self._thick(eye, poses, color)
+        if axes:
+            self._draw_axes(eye, poses)
+
+    def _thick(
+        self, eye: Eye, poses: Sequence[Pose], color: Callable[[int], Color]
+    ) -> None:
+        size = max(pose.extent for pose in poses)
+        cells, balls, tints = [], [], []
+        for pose in poses:
+            child = np.flatnonzero(pose.parents >= 0)
+            joints, ends = pose.tip_ends()
+            at = pose.positions
+            heads = np.concatenate([at[pose.parents[child]], at[joints]])
+            tails = np.concatenate([at[child], ends])
+            long = np.linalg.norm(tails - heads, axis=1) > pose.extent * 1e-4
+            own = np.zeros((int(long.sum()), 3, 4))
+            own[:, 0, :3], own[:, 1, :3] = heads[long], tails[long]
+            own[:, 2, :3] = np.array(color(pose.index)) / 255
+            cells.append(own)
+            balls.append(at)
+            tints.append(np.tile(np.array(color(pose.index), np.uint8), (len(at), 1)))
+        made = np.concatenate(cells)
+        if len(made):
+            self._table.send(made.reshape(-1, 4))
+            thickest = size * 0.03
+            self._device.use(self._program, eye, bones=self._table, thickest=thickest)
+            self._device.draw_plain(self._program, len(made) * 24)
+        self._balls.set(np.concatenate(balls), np.concatenate(tints))
+        self._balls.draw(eye, size * 0.008, 2.5)
+
+    def _lines(
+        self, eye: Eye, poses: Sequence[Pose], color: Callable[[int], Color]
+    ) -> None:
+        """Draw many skeletons as thin lines."""
+        rows = []
+        for pose in poses:
+            child = np.flatnonzero(pose.parents >= 0)
+            ends = np.stack([child, pose.parents[child]], axis=1).ravel()
+            own = np.empty((len(ends), 6), "<f4")
+            own[:, :3] = pose.positions[ends]
+            own[:, 3:] = np.array(color(pose.index)) / 255
+            rows.append(own)
+        values = np.concatenate(rows)
+        if self._ends.write(values):
+            part = self._ends.buffer, "3f 3f", "point", "color"
+            self._array = self._device.gl.vertex_array(self._thin, [part])
+        self._device.use(self._thin, eye)
+        self._array.render(self._device.module.LINES, vertices=len(values))
+
+    def _draw_axes(self, eye: Eye, poses: Sequence[Pose]) -> None:
+        """Draw the axes of each joint, red, green and blue."""
+        begins: list[FloatArray] = []
+        ends: list[FloatArray] = []
+        colors: list[FloatArray] = []
+        for pose in poses:
+            axes = pose.world[:, :3, :3]
+            lengths = np.linalg.norm(axes, axis=1, keepdims=True)
+            axes = axes / np.where(lengths > 0, lengths, 1.0) * pose.extent * 0.06
+            for k in range(3):
+                begins.append(pose.positions)
+                ends.append(pose.positions + axes[:, :, k])
+                colors.append(np.tile([*AXES[k], 255.0], (pose.count, 1)))
+        self._axes.set(*map(np.concatenate, (begins, ends, colors)))
+        self._axes.draw(eye, width=1.5)

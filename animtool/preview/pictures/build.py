@@ -1,0 +1,367 @@
+"""Pictures of files: stills, sheets, and films that play or go round."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from animtool.core.clock import frame_label
+from animtool.core.errors import Fault, OptionError
+from animtool.core.files.output import check_outputs, sparing_inputs
+from animtool.core.record import dataclass
+from animtool.core.shot import FrameList
+from animtool.preview.build import Page, make_page
+from animtool.preview.options import PictureOptions, PreviewOptions
+from animtool.preview.pictures.camera import View
+from animtool.preview.pictures.captions import (
+    Caption,
+    caption_of,
+    joined,
+    spread,
+    written,
+)
+from animtool.preview.pictures.device import Array, Device, Picture, needed
+from animtool.preview.pictures.film import film, write_still
+from animtool.preview.pictures.kinds import PictureKind, picture_kind
+from animtool.preview.pictures.request import (
+    Camera,
+    camera_of,
+    layers_of,
+    light_of,
+    refused,
+    sheet_of,
+    size_of,
+)
+from animtool.preview.pictures.scene import Scene
+from animtool.preview.pictures.sources import theme_colors
+
+# Between the pictures of a sheet [px].
+GAP = 4
+# Pictures of a row, where a sheet states no columns.
+ROW = 6
+# Of a camera that goes round what does not move: seconds, and frames of each.
+ROUND, ROUND_RATE = 4, 24
+# Frames of whose colours those of a film are chosen that has few.
+SAMPLED = 6
+
+Progress = Callable[[float], None]
+
+
+@dataclass(frozen=True, slots=True)
+class PictureReport:
+    """A picture or film that was written.
+
+    Attributes:
+        path: The file.
+        size: Of it [bytes].
+        pixels: Width and height.
+        frames: Time codes of the frames shown, those of a film in order.
+        rate: Frames a second of a film; 0 of a still.
+        about: What it is written as, with the licence of what compresses it.
+        page: What it shows.
+    """
+
+    path: Path
+    size: int
+    pixels: tuple[int, int]
+    frames: tuple[float, ...]
+    rate: Fraction
+    about: str
+    page: Page
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return it as plain values for a JSON report."""
+        return {
+            "preview": "animtool/1",
+            "output": str(self.path),
+            "bytes": self.size,
+            "format": self.about,
+            "width": self.pixels[0],
+            "height": self.pixels[1],
+            "frames": len(self.frames),
+            "first": self.frames[0],
+            "last": self.frames[-1],
+            "fps": float(self.rate),
+            "not_shown": self.page.manifest["notices"],
+            "notices": [notice.as_dict() for notice in self.page.notices],
+        }
+
+
+def write_pictures(
+    files: Sequence[Path | str],
+    output: Path | str,
+    options: PreviewOptions | None = None,
+    pictures: PictureOptions | None = None,
+    *,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> PictureReport:
+    """Write a still, a sheet or a film of files, drawn as their page draws them.
+
+    It needs the extra ``pictures``, and OpenGL 3.3, which Mesa has without a graphics
+    card. Frames of a film are compressed as they are drawn: its length takes no memory.
+
+    Args:
+        files: Any that animtool reads: takes, rigs, scenes, stages, markers.
+        output: ``.png`` or ``.webp`` of a still or sheet; ``.gif``, ``.webp``, ``.mp4``
+            or ``.webm`` of a film.
+        options: How the files are read, and which frames are shown.
+        pictures: How it looks.
+        overwrite: Replace a file that exists.
+        progress: Told of the share that is done, from 0 to 1.
+
+    Raises:
+        FormatError: A file cannot be read, or is malformed.
+        OptionError: A file shows nothing (PRV001), the output is no picture (PRV002) or
+            exists (OUT001), a package is missing (IO005), no OpenGL starts (PRV005), an
+            option makes no sense (PRV006), or frames are not in the files (CLI005).
+        OutputError: It cannot be written.
+    """
+    paths, output = [Path(file) for file in files], Path(output)
+    kind = picture_kind(output)
+    if kind is None:
+        message, hint = "a page is no picture", "write_page writes it"
+        raise OptionError(Fault("PRV002", message, str(output), (), hint))
+    check_outputs([output], paths, overwrite=overwrite)
+    options = replace(options or PreviewOptions(), findings=False)
+    pictures = pictures or PictureOptions()
+    listed = options.frame_range
+    frames = listed.frames if isinstance(listed, FrameList) else ()
+    _check(pictures, kind, frames)
+    # What is missing is said before scenes are baked.
+    with _device() as device:
+        with sparing_inputs([output]):
+            page = make_page(paths, options)
+        studio = Studio(device, page, pictures, kind, frames, progress)
+        return studio.write(output)
+
+
+def save_pictures(
+    page: Page, output: Path, pictures: PictureOptions | None = None
+) -> PictureReport:
+    """Write a still, a sheet or a film of a page; see `write_pictures`."""
+    kind = picture_kind(output)
+    assert kind is not None
+    pictures = pictures or PictureOptions()
+    _check(pictures, kind, ())
+    with _device() as device:
+        return Studio(device, page, pictures, kind, (), None).write(output)
+
+
+@contextmanager
+def _device() -> Iterator[Device]:
+    device = Device()
+    try:
+        yield device
+    finally:
+        device.close()
+
+
+def _check(
+    pictures: PictureOptions, kind: PictureKind, frames: tuple[int, ...]
+) -> None:
+    """Refuse what no picture of this kind can be, before anything is read."""
+    needed("PIL.Image")
+    if kind.codec:
+        needed("av")
+    layers_of(pictures)
+    light_of(pictures)
+    sheet = sheet_of(pictures)
+    size_of(pictures, kind, sheet=bool(sheet or frames))
+    asked = {"sheet": sheet, "frames": frames, "camera": pictures.camera[1:]}
+    several = [name for name, value in asked.items() if value]
+    if several and not kind.still:
+        message = "a film plays frames one after another, by one camera"
+        hint = "a sheet, or listed frames, are .png or .webp; 1-240x2 plays some"
+        raise refused(several[0], message, hint)
+    if sheet and len(frames) > sheet[0] * sheet[1]:
+        message = f"{len(frames)} frames are more than a sheet of {pictures.sheet} has"
+        raise refused("frames", message, "fewer, or a larger sheet")
+    if pictures.turntable and (several or not kind.codec):
+        hint = "name it .gif, .webp, .mp4 or .webm"
+        raise refused("turntable", "a still does not go round", hint)
+
+
+class Studio:
+    """A page, and how pictures of it are taken."""
+
+    def __init__(
+        self,
+        device: Device,
+        page: Page,
+        options: PictureOptions,
+        kind: PictureKind,
+        frames: tuple[int, ...],
+        progress: Progress | None,
+    ) -> None:
+        self._device, self._page = device, page
+        self._options, self._kind = options, kind
+        self._progress = progress or (lambda _: None)
+        names = [camera["name"] for camera in page.manifest["cameras"]]
+        asked = options.camera or ("home",)
+        self._cameras = [camera_of(text, names) for text in asked]
+        self._frames = frames
+        shown = layers_of(options)
+        self._scene = Scene(device, page.manifest, page.blocks, shown)
+        self._colors = theme_colors()
+
+    def write(self, output: Path) -> PictureReport:
+        """Write the picture or the film."""
+        still = not self._kind.codec or self._is_sheet
+        if not still:
+            return self._film(output)
+        pixels, samples = self._still()
+        write_still(output, pixels)
+        return self._report(output, pixels.shape, samples, Fraction(0))
+
+    @property
+    def _is_sheet(self) -> bool:
+        several = len(self._cameras) > 1
+        return bool(self._options.sheet or self._frames) or several
+
+    def _report(
+        self,
+        output: Path,
+        shape: tuple[int, ...],
+        samples: Sequence[int],
+        rate: Fraction,
+    ) -> PictureReport:
+        codes = tuple(float(self._scene.codes[i]) for i in samples)
+        size = output.stat().st_size
+        pixels = shape[1], shape[0]
+        about = self._kind.about
+        return PictureReport(output, size, pixels, codes, rate, about, self._page)
+
+    def _samples(self) -> list[int]:
+        """Return the samples of a still or a sheet."""
+        codes = self._scene.codes
+        if self._frames:
+            found = []
+            for frame in self._frames:
+                sample = int(np.argmin(np.abs(codes - frame)))
+                if abs(codes[sample] - frame) > 0.5:
+                    ends = frame_label(codes[0]), frame_label(codes[-1])
+                    message = f"frame {frame} is not in the file, which has {ends[0]}"
+                    raise OptionError(Fault("CLI005", f"{message}-{ends[1]}"))
+                found.append(sample)
+            return found
+        sheet = sheet_of(self._options)
+        if sheet is None:
+            return [0]
+        cells = sheet[0] * sheet[1] // len(self._cameras)
+        return [int(i) for i in spread(len(codes), max(cells, 1))]
+
+    def _still(self) -> tuple[Array, list[int]]:
+        samples = self._samples()
+        cells = [(camera, i) for camera in self._cameras for i in samples]
+        several = len(cells) > 1
+        size = size_of(self._options, self._kind, sheet=several)
+        captions = self._captions(len(cells), size)
+        picture = Picture(self._device, *size)
+        numbered = self._options.numbers
+        if numbered is None:
+            numbered = len(samples) > 1
+        made: list[Array] = []
+        view: View | None = None
+        for k, ((camera, sample), caption) in enumerate(
+            zip(cells, captions, strict=True)
+        ):
+            if view is None or k % len(samples) == 0:
+                view = self._view(camera, size, caption, sample)
+            view.inset = caption.height
+            pixels = self._scene.draw(view, sample, picture, camera.shot)
+            made.append(self._written(pixels, caption, sample if numbered else None))
+            self._progress((k + 1) / len(cells))
+        if not several:
+            return made[0], samples
+        columns = self._columns(len(samples), len(cells))
+        rows = [made[k : k + columns] for k in range(0, len(made), columns)]
+        wide = columns * (size[0] + GAP) - GAP
+        title = self._title(len(cells), wide, size[1])
+        sheet = joined(rows, GAP, self._colors["page"], title, self._colors["ink"])
+        return sheet, samples
+
+    def _columns(self, samples: int, cells: int) -> int:
+        sheet = sheet_of(self._options)
+        if sheet is not None:
+            return min(sheet[0], cells)
+        if samples < cells and samples > 1:
+            return samples
+        return math.ceil(cells / math.ceil(cells / ROW))
+
+    def _captions(self, cells: int, size: tuple[int, int]) -> list[Caption]:
+        """Return what is written on each picture."""
+        texts = self._options.caption
+        if len(texts) not in {0, 1, cells}:
+            message = f"{len(texts)} captions are given for {cells} pictures"
+            raise refused("caption", message, "one, or one for each")
+        if len(texts) == cells:
+            return [caption_of(text, *size) for text in texts]
+        return [Caption((), 0)] * cells
+
+    def _title(self, cells: int, width: int, height: int) -> Caption:
+        """Return what is written on a sheet as a whole."""
+        texts = self._options.caption
+        one = texts[0] if len(texts) == 1 < cells else ""
+        return caption_of(one, width, height)
+
+    def _view(
+        self, camera: Camera, size: tuple[int, int], caption: Caption, sample: int
+    ) -> View:
+        """Return a view that has the whole motion in its picture."""
+        view = View(*size, caption.height, light=light_of(self._options))
+        camera.aim(view)
+        self._scene.look(view, sample)
+        camera.place(view)
+        return view
+
+    def _written(self, pixels: Array, caption: Caption, sample: int | None) -> Array:
+        number = ""
+        if sample is not None:
+            number = f"frame {frame_label(self._scene.codes[sample])}"
+        ink, back = self._colors["ink"], self._colors["view"]
+        return written(pixels, caption, number, ink, back)
+
+    def _film(self, output: Path) -> PictureReport:
+        samples, rate = self._played()
+        size = size_of(self._options, self._kind, sheet=False)
+        (caption,) = self._captions(1, size)
+        (camera,) = self._cameras
+        picture = Picture(self._device, *size)
+        view = self._view(camera, size, caption, samples[0])
+        yaw = view.yaw
+        numbered = self._options.numbers
+        if numbered is None:
+            numbered = len(set(samples)) > 1
+
+        def shot(k: int) -> Array:
+            if self._options.turntable:
+                view.yaw = yaw + 2 * math.pi * k / len(samples)
+            pixels = self._scene.draw(view, samples[k], picture, camera.shot)
+            return self._written(pixels, caption, samples[k] if numbered else None)
+
+        sampled: list[Array] = []
+        if self._kind.pixels == "pal8":
+            sampled = [shot(k) for k in sorted({*spread(len(samples), SAMPLED)})]
+        with film(output, self._kind, size, rate, sampled) as add:
+            for k in range(len(samples)):
+                add(shot(k))
+                self._progress((k + 1) / len(samples))
+        return self._report(output, (size[1], size[0]), samples, rate)
+
+    def _played(self) -> tuple[list[int], Fraction]:
+        """Return the samples of a film, and how many it shows a second."""
+        time = self._page.manifest["time"]
+        rate = Fraction(*time["rate"]) / Fraction(time["step"])
+        if time["count"] == 1:
+            frames = ROUND * ROUND_RATE if self._options.turntable else 1
+            return [0] * frames, Fraction(ROUND_RATE)
+        every = max(1, math.ceil(rate / self._kind.most_rate))
+        return list(range(0, time["count"], every)), rate / every

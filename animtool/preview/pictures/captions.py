@@ -1,0 +1,158 @@
+"""Text on pictures: captions at the top, frame numbers at the bottom."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from animtool.core.array_types import IntArray
+from animtool.core.errors import Fault, OptionError
+from animtool.core.record import dataclass
+from animtool.preview.pictures.device import Array, needed
+
+# Height of letters, of that of the picture, and the least [px].
+LETTERS, LEAST = 0.042, 10
+# Free at each side of text, and between lines, of the height of letters.
+MARGIN, LEADING = 0.7, 1.3
+# Most of a picture that its caption may cover.
+MOST = 0.4
+Color = tuple[int, int, int]
+
+
+@dataclass(frozen=True, slots=True)
+class Caption:
+    """Text, broken into lines that fit.
+
+    Attributes:
+        lines: Of it.
+        letters: Their height [px].
+    """
+
+    lines: tuple[str, ...]
+    letters: int
+
+    @property
+    def height(self) -> int:
+        """What it covers at the top [px]."""
+        if not self.lines:
+            return 0
+        return round(self.letters * (2 * MARGIN + LEADING * len(self.lines)))
+
+
+def letters_of(height: int) -> int:
+    """Return the height of letters of a picture [px].
+
+    >>> letters_of(540), letters_of(90)
+    (23, 10)
+    """
+    return max(LEAST, round(height * LETTERS))
+
+
+def caption_of(text: str, width: int, height: int) -> Caption:
+    """Return text broken for a picture, in smaller letters where it is long.
+
+    Raises:
+        OptionError: It does not fit (PRV006).
+    """
+    if not text.strip():
+        return Caption((), LEAST)
+    for letters in range(letters_of(height), LEAST - 1, -1):
+        lines = tuple(_broken(text, width - 2 * MARGIN * letters, _font(letters)))
+        caption = Caption(lines, letters)
+        if caption.height <= MOST * height:
+            return caption
+    message = f"the caption needs {len(lines)} lines on {width}x{height} pixels"
+    hint = "a shorter one, or a larger size"
+    raise OptionError(Fault("PRV006", message, hint=hint, where="caption"))
+
+
+def _broken(text: str, width: float, font: Any) -> Iterator[str]:
+    """Yield lines that are no wider than a width, broken in words where they must."""
+    for paragraph in text.splitlines():
+        line = ""
+        for whole in paragraph.split():
+            word = whole
+            longer = f"{line} {word}".strip()
+            if font.getlength(longer) <= width:
+                line = longer
+                continue
+            if line:
+                yield line
+            while font.getlength(word) > width and len(word) > 1:
+                fits = (n for n in range(len(word), 1, -1))
+                kept = next((n for n in fits if font.getlength(word[:n]) <= width), 1)
+                yield word[:kept]
+                word = word[kept:]
+            line = word
+        if line:
+            yield line
+
+
+def written(
+    pixels: Array, caption: Caption, number: str, ink: Color, back: Color
+) -> Array:
+    """Return pixels with a caption at the top and a number at the bottom left."""
+    if not (caption.lines or number):
+        return pixels
+    image_of, draw_on = needed("PIL.Image"), needed("PIL.ImageDraw")
+    image = image_of.fromarray(np.ascontiguousarray(pixels))
+    pen = draw_on.Draw(image)
+    letters = caption.letters
+    for i, line in enumerate(caption.lines):
+        at = MARGIN * letters, letters * (MARGIN + LEADING * i)
+        _write(pen, at, line, _font(letters), ink, back)
+    if number:
+        letters = max(LEAST, round(letters_of(image.height) * 0.8))
+        at = MARGIN * letters, image.height - letters * (MARGIN + LEADING)
+        _write(pen, at, number, _font(letters), ink, back)
+    return np.asarray(image)
+
+
+def _write(
+    pen: Any, at: tuple[float, float], text: str, font: Any, ink: Color, back: Color
+) -> None:
+    place = tuple(map(round, at))
+    pen.text(place, text, fill=ink, font=font, stroke_width=2, stroke_fill=back)
+
+
+def _font(letters: int) -> Any:
+    """Return the font that Pillow has with it, the same on all machines."""
+    return needed("PIL.ImageFont").load_default(letters)
+
+
+def joined(
+    rows: list[list[Array]], gap: int, color: Color, caption: Caption, ink: Color
+) -> Array:
+    """Return pictures of one size as a sheet, with a caption above.
+
+    Args:
+        rows: The pictures; rows may be short.
+        gap: Between them [px].
+        color: Of what is between them.
+        caption: Of the sheet.
+        ink: Of its letters.
+    """
+    high, wide = rows[0][0].shape[:2]
+    columns = max(map(len, rows))
+    size = _span(len(rows), high, gap), _span(columns, wide, gap)
+    sheet = np.full((caption.height + size[0], size[1], 3), color, np.uint8)
+    for i, row in enumerate(rows):
+        for k, picture in enumerate(row):
+            y, x = caption.height + i * (high + gap), k * (wide + gap)
+            sheet[y : y + high, x : x + wide] = picture
+    return written(sheet, caption, "", ink, color)
+
+
+def _span(count: int, size: int, gap: int) -> int:
+    return count * size + (count - 1) * gap
+
+
+def spread(count: int, parts: int) -> IntArray:
+    """Return samples spread over some, the first and the last of them.
+
+    >>> spread(100, 4).tolist(), spread(1, 4).tolist()
+    ([0, 33, 66, 99], [0, 0, 0, 0])
+    """
+    return np.rint(np.linspace(0, count - 1, parts)).astype(np.int64)

@@ -1,0 +1,98 @@
+"""Streams of a page read again: blocks are decoded when needed, the last few kept."""
+
+from __future__ import annotations
+
+import base64
+import zlib
+from collections import OrderedDict
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from animtool.core.array_types import Float32Array
+from animtool.preview.streams import GAP, TYPES, Array
+
+# Decoded blocks that are kept [bytes].
+KEPT = 64_000_000
+
+
+class Streams:
+    """Values of the streams of a page, by number and sample."""
+
+    def __init__(self, entries: Sequence[dict[str, Any]], blocks: Sequence[str]):
+        self._entries = {entry["id"]: entry for entry in entries}
+        self._texts = blocks
+        self._contents: dict[int, list[tuple[dict[str, Any], int]]] = {}
+        for entry in sorted(entries, key=lambda each: int(each["id"])):
+            for block, _, samples in entry["block"]:
+                self._contents.setdefault(block, []).append((entry, samples))
+        self._decoded: OrderedDict[int, dict[int, Array]] = OrderedDict()
+        self._constant: dict[int, Array] = {}
+        self._size = 0
+
+    def width(self, number: int) -> int:
+        """Return how many values a sample of a stream has."""
+        return int(self._entries[number]["width"])
+
+    def whole(self, number: int | None) -> Array:
+        """Return the values of a stream of one sample."""
+        return np.zeros(0, np.float32) if number is None else self.at(number, 0)
+
+    def at(self, number: int, sample: int) -> Array:
+        """Return the values of a sample, that of the nearest where there is none."""
+        if number in self._constant:
+            return self._constant[number]
+        spans = self._entries[number]["block"]
+        if not spans:
+            return np.zeros(0, np.float32)
+        found = (span for span in spans if sample < span[1] + span[2])
+        block, first, samples = next(found, spans[-1])
+        values = self._block(block)[number]
+        one: Array = values[min(max(sample - first, 0), samples - 1)]
+        return one
+
+    def _block(self, number: int) -> dict[int, Array]:
+        if number in self._decoded:
+            self._decoded.move_to_end(number)
+            return self._decoded[number]
+        raw = zlib.decompress(base64.b64decode(self._texts[number]), -15)
+        values, begin = {}, 0
+        for entry, samples in self._contents[number]:
+            size = entry["width"] * samples * np.dtype(TYPES[entry["kind"]]).itemsize
+            part = _unpacked(raw[begin : begin + size], entry, samples)
+            begin += size
+            values[entry["id"]] = part
+            if sum(span[2] for span in entry["block"]) == 1:
+                self._constant[entry["id"]] = part[0]
+        self._decoded[number] = values
+        self._size += _size_of(values)
+        while self._size > KEPT and len(self._decoded) > 1:
+            self._size -= _size_of(self._decoded.popitem(last=False)[1])
+        return values
+
+
+def _size_of(values: dict[int, Array]) -> int:
+    return sum(part.nbytes for part in values.values())
+
+
+def _unpacked(raw: bytes, entry: dict[str, Any], samples: int) -> Array:
+    """Return the values of one stream of a block ``(samples, width)``."""
+    kind, width = np.dtype(TYPES[entry["kind"]]), entry["width"]
+    columns, rows = (1, width) if samples == 1 else (width, samples)
+    planes = np.frombuffer(raw, np.uint8).reshape(columns, kind.itemsize, rows)
+    whole = np.ascontiguousarray(planes.swapaxes(1, 2)).view(kind)[..., 0]
+    if entry["coding"] == "delta":
+        unsigned = whole.view(f"<u{kind.itemsize}")
+        whole = np.cumsum(unsigned, axis=1, dtype=unsigned.dtype).view(kind)
+    stored = whole.reshape(1, -1) if samples == 1 else whole.T
+    scale, offset = entry["scale"], entry["offset"]
+    if scale == 1 and offset == 0 and entry["kind"] != "i16":
+        return np.ascontiguousarray(stored)
+    values = np.resize(np.atleast_1d(offset), width) + stored * np.resize(
+        np.atleast_1d(scale), width
+    )
+    if entry.get("gaps"):
+        values[stored == GAP] = np.nan
+    decoded: Float32Array = values.astype(np.float32)
+    return decoded

@@ -1,0 +1,182 @@
+"""An off-screen context of OpenGL: programs, tables and the picture drawn into."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from importlib import import_module
+from types import ModuleType
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from animtool.core.errors import Fault, OptionError
+from animtool.preview.pictures.sources import HEAD, shader
+
+if TYPE_CHECKING:
+    from animtool.preview.pictures.camera import Eye
+
+Array: TypeAlias = npt.NDArray[Any]
+EXTRA = "pip install 'animtool[pictures]'"
+# Samples of a pixel, as the page has them.
+SAMPLES = 4
+# Cells of a row of a table, at most.
+ROW = 1024
+_PACKAGES = (
+    "apt-get install libegl1 libgl1 libgl1-mesa-dri, or "
+    "dnf install mesa-libEGL mesa-dri-drivers, draws without a graphics card"
+)
+
+
+def needed(name: str) -> ModuleType:
+    """Import a package of the extra (else IO005)."""
+    try:
+        return import_module(name)
+    except ModuleNotFoundError as error:
+        package = {"PIL": "Pillow", "PIL.Image": "Pillow"}.get(name, name)
+        message = f"pictures need the package {package}"
+        raise OptionError(Fault("IO005", message, hint=EXTRA)) from error
+
+
+class Table:
+    """Four numbers a cell that vertex shaders read."""
+
+    def __init__(self, device: Device) -> None:
+        self._device = device
+        self._wide = self._high = 0
+        self.texture: Any = None
+
+    def send(self, cells: Array) -> None:
+        """Replace the cells ``(N, 4)``."""
+        count = len(cells)
+        wide = min(ROW, max(count, 64))
+        high = max(-(-count // wide), 1)
+        if self.texture is None or wide > self._wide or high > self._high:
+            if self.texture is not None:
+                self.texture.release()
+            self._wide, self._high = max(wide, self._wide), max(high, self._high)
+            size = self._wide, self._high
+            self.texture = self._device.gl.texture(size, 4, dtype="f4")
+            nearest = self._device.module.NEAREST
+            self.texture.filter = nearest, nearest
+        rows = max(-(-count // self._wide), 1)
+        padded = np.zeros((rows * self._wide, 4), "<f4")
+        padded[:count] = cells
+        self.texture.write(padded.tobytes(), viewport=(0, 0, self._wide, rows))
+
+
+class Device:
+    """A context, and what was made in it once."""
+
+    def __init__(self) -> None:
+        self.module = needed("moderngl")
+        self.gl = _context(self.module)
+        self.gl.enable(self.module.PROGRAM_POINT_SIZE)
+        self._programs: dict[tuple[str, ...], Any] = {}
+        self._plain: dict[Any, Any] = {}
+
+    def program(
+        self,
+        module: str,
+        vertex: str = "VERTEX",
+        fragment: str = "FRAGMENT",
+        kinds: tuple[str, ...] = (),
+    ) -> Any:
+        """Return a program of the viewer; kinds: what its vertex shader defines."""
+        key = module, vertex, fragment, *kinds
+        if key not in self._programs:
+            defined = "".join(f"#define {kind}\n" for kind in kinds)
+            self._programs[key] = self.gl.program(
+                vertex_shader=HEAD + defined + shader(module, vertex),
+                fragment_shader=HEAD + shader(module, fragment),
+            )
+        return self._programs[key]
+
+    def use(self, program: Any, eye: Eye, **uniforms: Any) -> None:
+        """Set the uniforms of a program, those of the camera included."""
+        values = {
+            "viewProjection": eye.view_projection,
+            "view": eye.view,
+            "light": eye.light,
+            "opacity": eye.opacity,
+            **uniforms,
+        }
+        for name, value in values.items():
+            if name not in program:
+                continue
+            if hasattr(value, "texture"):
+                value.texture.use(0)
+                program[name].value = 0
+            elif isinstance(value, np.ndarray) and value.ndim == 2:
+                # Column by column.
+                program[name].write(value.T.astype("<f4").tobytes())
+            elif np.ndim(value):
+                program[name].value = tuple(map(float, value))
+            else:
+                program[name].value = float(value)
+
+    def draw_plain(self, program: Any, corners: int, mode: int | None = None) -> None:
+        """Draw triangles whose corners a vertex shader finds by itself."""
+        if program not in self._plain:
+            self._plain[program] = self.gl.vertex_array(program, [])
+        mode = self.module.TRIANGLES if mode is None else mode
+        self._plain[program].render(mode, vertices=corners)
+
+    @contextmanager
+    def blending(self) -> Iterator[None]:
+        """Lay what is drawn over what there is."""
+        self.gl.enable(self.module.BLEND)
+        self.gl.blend_func = self.module.SRC_ALPHA, self.module.ONE_MINUS_SRC_ALPHA
+        try:
+            yield
+        finally:
+            self.gl.disable(self.module.BLEND)
+
+    def close(self) -> None:
+        """Let go of all that was made."""
+        self.gl.release()
+
+
+class Picture:
+    """What is drawn into, with smooth edges."""
+
+    def __init__(self, device: Device, width: int, height: int) -> None:
+        gl = device.gl
+        self._device, self.size = device, (width, height)
+        most = min(SAMPLES, gl.max_samples)
+        self._drawn = gl.framebuffer(
+            [gl.renderbuffer(self.size, 3, samples=most)],
+            gl.depth_renderbuffer(self.size, samples=most),
+        )
+        self._smooth = gl.framebuffer([gl.renderbuffer(self.size, 3)])
+
+    def draw(self, back: tuple[int, int, int], draw: Callable[[Any], None]) -> Array:
+        """Return the pixels ``(H, W, 3)`` of what a function draws."""
+        gl = self._device.gl
+        self._drawn.use()
+        self._drawn.depth_mask = True
+        self._drawn.clear(*(x / 255 for x in back), 1.0, depth=1.0)
+        gl.enable(self._device.module.DEPTH_TEST)
+        draw(self._drawn)
+        gl.copy_framebuffer(self._smooth, self._drawn)
+        width, height = self.size
+        raw = self._smooth.read(components=3, alignment=1)
+        return np.frombuffer(raw, np.uint8).reshape(height, width, 3)[::-1]
+
+
+def _context(module: ModuleType) -> Any:
+    """Return a context without a window (PRV005 where none can be made)."""
+    backends: list[dict[str, Any]] = [{}]
+    if sys.platform.startswith("linux"):
+        backends = [{"backend": "egl"}, {}]
+    reasons = []
+    for backend in backends:
+        try:
+            return module.create_context(standalone=True, require=330, **backend)
+        # Backends raise whatever they like.
+        except Exception as error:
+            reasons.append(str(error))
+    message = f"no OpenGL 3.3 could be started to draw with: {reasons[0]}"
+    raise OptionError(Fault("PRV005", message, hint=_PACKAGES))

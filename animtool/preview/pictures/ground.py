@@ -1,0 +1,211 @@
+"""The ground of a picture: its grid, contact shadow, and the paths of root and feet."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from animtool.core.array_types import FloatArray
+from animtool.preview.pictures.bones import Color
+from animtool.preview.pictures.camera import Eye, View
+from animtool.preview.pictures.device import Device
+from animtool.preview.pictures.lines import Lines
+from animtool.preview.pictures.pose import Pose, in_spans
+
+CELLS, PIECE = 28, 4
+# Samples of a trail before and after the frame.
+REACH = 48
+# As the page's `shadow.js` has them.
+SIZE = 512
+WIDE, HIGH, FLAT, SUNK = 1.1, 0.35, 2e-3, 0.2
+
+
+def round_up(x: float) -> float:
+    """Return the next of 1, 2, 5, 10, …, or that which is hardly less.
+
+    >>> round_up(0.31), round_up(2.001)
+    (0.5, 2.0)
+    """
+    power = 10.0 ** math.floor(math.log10(max(x, 1e-9)))
+    return next((k for k in (1, 2, 5) if k * power >= x * 0.99), 10) * power
+
+
+class Ground:
+    """The grid."""
+
+    def __init__(self, device: Device, radius: float) -> None:
+        self._lines = Lines(device)
+        self._cell = round_up(max(radius, 1e-6) * 0.3)
+        self._key: tuple[int, int] | None = None
+
+    def draw(self, eye: Eye, center: FloatArray, line: Color, strong: Color) -> None:
+        """Draw it around a point."""
+        cell = self._cell
+        # As JavaScript rounds.
+        cx, cz = (math.floor(center[k] / cell + 0.5) for k in (0, 2))
+        if (cx, cz) != self._key:
+            self._key = cx, cz
+            self._lay(cx, cz, line, strong)
+        fade = (center[0], 0.0, center[2], cell * CELLS / 2)
+        self._lines.draw(eye, width=1, fade=fade)
+
+    def _lay(self, cx: int, cz: int, line: Color, strong: Color) -> None:
+        half, cell = CELLS // 2, self._cell
+        segments = []
+        for i in range(-half, half + 1):
+            x, z = (cx + i) * cell, (cz + i) * cell
+            # In pieces: what passes the camera is less exact.
+            for k in range(-half, half, PIECE):
+                # The rest has faded.
+                if math.hypot(i, min(abs(k), abs(k + PIECE))) > half:
+                    continue
+                left, right = (cx + k) * cell, (cx + k + PIECE) * cell
+                near, far = (cz + k) * cell, (cz + k + PIECE) * cell
+                segments.append((x, near, x, far, *(line if cx + i else strong)))
+                segments.append((left, z, right, z, *(line if cz + i else strong)))
+        made = np.array(segments, np.float64)
+        ends = np.zeros((2, len(made), 3))
+        ends[0][:, [0, 2]], ends[1][:, [0, 2]] = made[:, :2], made[:, 2:4]
+        alpha = np.full((len(made), 1), 255.0)
+        colors = np.concatenate([made[:, 4:], alpha], axis=1)
+        self._lines.set(ends[0], ends[1], colors)
+
+
+class Trails:
+    """Paths of roots and feet around the frame, and what touches the ground."""
+
+    def __init__(self, device: Device, codes: FloatArray) -> None:
+        self._codes = codes
+        self._trails, self._rings = Lines(device), Lines(device)
+
+    def update(
+        self,
+        poses: Sequence[Pose],
+        sample: int,
+        color: Callable[[int], Color],
+        contact: Color,
+        shown: frozenset[str],
+    ) -> None:
+        """Put them where they are at a sample."""
+        trails = [np.zeros((0, 10))]
+        rings = [np.zeros((0, 10))]
+        for pose in poses:
+            if "trails" in shown and pose.trailed:
+                trails.append(self._trail(pose, sample, color(pose.index), contact))
+            for each in pose.record.get("contacts") or []:
+                code = self._codes[sample : sample + 1]
+                if "contacts" in shown and in_spans(code, each["spans"])[0]:
+                    at = pose.positions[each["joint"]]
+                    rings.append(_ring(at, pose.extent * 0.045, contact))
+        for lines, parts in ((self._trails, trails), (self._rings, rings)):
+            made = np.concatenate(parts)
+            lines.set(made[:, :3], made[:, 3:6], made[:, 6:])
+
+    def _trail(
+        self, pose: Pose, sample: int, color: Color, contact: Color
+    ) -> FloatArray:
+        first = max(0, sample - REACH)
+        last = min(len(self._codes) - 1, sample + REACH)
+        paths = pose.path(first, last)
+        samples = np.arange(first, last + 1)
+        near = 1 - np.abs(samples - sample) / (REACH + 1)
+        alpha = 255 * near * np.where(samples <= sample, 0.95, 0.4)
+        touching = pose.touching(self._codes[samples])
+        parts = []
+        # One joint after another, as the page draws them.
+        for column in range(len(pose.trailed)):
+            tints = np.where(touching[1:, column, None], contact, color)
+            at = paths[:, column]
+            parts.append(
+                np.concatenate([at[:-1], at[1:], tints, alpha[1:, None]], axis=1)
+            )
+        return np.concatenate(parts)
+
+    def draw(self, eye: Eye) -> None:
+        """Draw them."""
+        self._trails.draw(eye, width=2)
+        self._rings.draw(eye, width=3)
+
+
+def _ring(at: FloatArray, radius: float, color: Color) -> FloatArray:
+    angles = np.arange(25) * np.pi / 12
+    flat = np.stack([np.cos(angles), np.zeros(25), np.sin(angles)], axis=1)
+    points = at + radius * flat
+    tints = np.tile([*color, 255.0], (24, 1))
+    return np.concatenate([points[:-1], points[1:], tints], axis=1)
+
+
+class Shadow:
+    """The contact shadow: what is near above the ground darkens it."""
+
+    def __init__(self, device: Device) -> None:
+        gl, module = device.gl, device.module
+        self._device = device
+        self._blur = device.program("shadow.js", "SCREEN_VERTEX", "BLUR_FRAGMENT")
+        self._ground = device.program("shadow.js", "GROUND_VERTEX", "GROUND_FRAGMENT")
+        self._heights = gl.depth_texture((SIZE, SIZE))
+        self._heights.compare_func = ""
+        self._heights.filter = module.NEAREST, module.NEAREST
+        self._below = gl.framebuffer([], self._heights)
+        self._maps = [gl.texture((SIZE, SIZE), 1) for _ in range(2)]
+        for texture in (self._heights, *self._maps):
+            texture.repeat_x = texture.repeat_y = False
+        self._frames = [gl.framebuffer([texture]) for texture in self._maps]
+        self._area = (0.0, 0.0, 1.0)
+
+    def cast(self, view: View, draw: Callable[[Eye], None]) -> bool:
+        """Make the map around what the camera looks at; return whether there is one."""
+        half = view.radius * WIDE
+        if view.floor < -SUNK * view.radius:
+            return False
+        texel = 2 * half / SIZE
+        x, z = (math.floor(view.target[k] / texel + 0.5) * texel for k in (0, 2))
+        self._area = x, z, half
+        gl, module = self._device.gl, self._device.module
+        self._below.use()
+        self._below.clear(depth=1.0)
+        gl.enable(module.DEPTH_TEST)
+        eye = _looking_up(view, x, z, half)
+        draw(eye)
+        gl.disable(module.DEPTH_TEST)
+        reach = 1.5 / SIZE
+        passes = (
+            (self._frames[0], self._heights, (reach, 0.0), 1.0),
+            (self._frames[1], self._maps[0], (0.0, reach), 0.0),
+        )
+        for frame, source, step, heights in passes:
+            frame.use()
+            source.use(0)
+            self._device.use(self._blur, eye, reach=step, heights=heights)
+            self._blur["source"].value = 0
+            self._device.draw_plain(self._blur, 3)
+        return True
+
+    def draw(self, eye: Eye) -> None:
+        """Darken the ground."""
+        self._maps[1].use(0)
+        self._device.use(self._ground, eye, area=self._area)
+        self._ground["map"].value = 0
+        strip = self._device.module.TRIANGLE_STRIP
+        self._device.draw_plain(self._ground, 4, strip)
+
+
+def _looking_up(view: View, x: float, z: float, half: float) -> Eye:
+    """Return a camera that looks up from the ground, without perspective."""
+    high = HIGH * view.radius
+    low = FLAT * high
+    k = 2 / (high - low)
+    from_world = np.array(
+        [[1, 0, 0, -x], [0, 0, 1, -z], [0, -1, 0, 0], [0, 0, 0, 1]], np.float64
+    )
+    matrix = np.array(
+        [
+            [1 / half, 0, 0, -x / half],
+            [0, 0, 1 / half, -z / half],
+            [0, k, 0, -1 - low * k],
+            [0, 0, 0, 1],
+        ]
+    )
+    return Eye(from_world, matrix, SIZE, SIZE, SIZE / (2 * half), view.light)

@@ -1,0 +1,94 @@
+"""Kinds of files that pictures are written to, by suffix."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from animtool.core.errors import Fault, OptionError
+from animtool.core.format_table import suffix_text
+from animtool.core.record import dataclass
+
+PAGE_SUFFIXES = (".html", ".htm")
+
+
+@dataclass(frozen=True, slots=True)
+class PictureKind:
+    """An entry of the table.
+
+    Attributes:
+        about: What such files are, with the licence of what compresses them.
+        still: Whether one holds a still, compressed by Pillow.
+        codec: What compresses films, by libav's name; empty where it holds none.
+        container: libav's name of the file's format.
+        pixels: libav's name of how pixels are stored.
+        most_rate: Most frames a second that players keep to.
+        size: Of films, where no other is asked for [px].
+        settings: Of the codec.
+        file_settings: Of the container.
+    """
+
+    about: str
+    still: bool = False
+    codec: str = ""
+    container: str = ""
+    pixels: str = "yuv420p"
+    most_rate: int = 60
+    size: tuple[int, int] = (960, 540)
+    settings: tuple[tuple[str, str], ...] = ()
+    file_settings: tuple[tuple[str, str], ...] = ()
+
+
+_SMALL = (640, 360)
+_MP4 = PictureKind(
+    "VP9 by libvpx (BSD) in MP4",
+    codec="libvpx-vp9",
+    container="mp4",
+    settings=(
+        *(("crf", "24"), ("b", "0"), ("deadline", "good"), ("cpu-used", "4")),
+        ("row-mt", "1"),
+    ),
+    file_settings=(("fflags", "+bitexact"),),
+)
+KINDS: dict[str, PictureKind] = {
+    ".png": PictureKind("PNG, lossless", still=True),
+    ".gif": PictureKind(
+        "GIF of 256 colours, LZW, free of patents",
+        codec="gif",
+        container="gif",
+        pixels="pal8",
+        most_rate=33,
+        size=_SMALL,
+        file_settings=(("loop", "0"),),
+    ),
+    ".webp": PictureKind(
+        "WebP by libwebp (BSD)",
+        still=True,
+        codec="libwebp_anim",
+        container="webp",
+        size=_SMALL,
+        settings=(("quality", "80"),),
+        file_settings=(("loop", "0"),),
+    ),
+    ".mp4": _MP4,
+    ".webm": replace(_MP4, about="VP9 by libvpx (BSD) in WebM", container="webm"),
+}
+
+
+def picture_kind(path: Path) -> PictureKind | None:
+    """Return what a path is written as; None is a page.
+
+    Raises:
+        OptionError: Its suffix is of neither (PRV002).
+
+    >>> picture_kind(Path("walk.WEBM")).codec
+    'libvpx-vp9'
+    """
+    suffix = path.suffix.lower()
+    if suffix in PAGE_SUFFIXES:
+        return None
+    if suffix not in KINDS:
+        message = f"{suffix_text(path)} is no page and no kind of picture"
+        hint = f"allowed: .html, {', '.join(KINDS)}"
+        raise OptionError(Fault("PRV002", message, str(path), (), hint))
+    return KINDS[suffix]

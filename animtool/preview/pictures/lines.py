@@ -1,0 +1,145 @@
+"""Lines of any width, and balls that face the view."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from animtool.core.array_types import FloatArray
+from animtool.preview.pictures.camera import Eye
+from animtool.preview.pictures.device import Array, Device, Table
+from animtool.preview.streams import Array as Values
+
+Bytes = npt.NDArray[np.uint8]
+# Where points without a position go: outside of every view.
+FAR = 1e30
+
+
+def display(color: npt.ArrayLike) -> FloatArray:
+    """Return linear colours from 0 to 1 as screens show them, 0 to 255.
+
+    >>> display([0.0, 1.0]).tolist()
+    [0.0, 255.0]
+    """
+    linear: FloatArray = np.maximum(np.asarray(color, np.float64), 0) ** (1 / 2.2) * 255
+    return linear
+
+
+def repeated(count: int, color: FloatArray) -> Bytes:
+    """Return one colour for each of some points ``(N, 3)``."""
+    return np.repeat(np.clip(color, 0, 255).astype(np.uint8)[None], count, axis=0)
+
+
+class Lines:
+    """Segments that are drawn together."""
+
+    def __init__(self, device: Device) -> None:
+        self._device, self._table = device, Table(device)
+        self._program = device.program("lines.js")
+        self.count = 0
+
+    def set(self, begins: FloatArray, ends: FloatArray, colors: FloatArray) -> None:
+        """Draw segments from now on.
+
+        Args:
+            begins: Where they begin ``(N, 3)``.
+            ends: Where they end.
+            colors: Of each or of all, with alpha ``(N, 4)``, 0 to 255.
+        """
+        self.count = len(begins)
+        cells = np.zeros((self.count, 3, 4), np.float32)
+        cells[:, 0, :3], cells[:, 1, :3] = begins, ends
+        cells[:, 2] = np.asarray(colors) / 255
+        if self.count:
+            self._table.send(cells.reshape(-1, 4))
+
+    def draw(
+        self,
+        eye: Eye,
+        width: float = 1.5,
+        world: float = 0.0,
+        fade: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0),
+    ) -> None:
+        """Draw them, as wide as pixels or metres say; they fade around a point."""
+        if not self.count:
+            return
+        self._device.use(
+            self._program,
+            eye,
+            size=(eye.width, eye.height),
+            width=width,
+            world=world,
+            perMetre=eye.per_metre,
+            fade=fade,
+            segments=self._table,
+        )
+        self._device.draw_plain(self._program, self.count * 6)
+
+
+class Stored:
+    """A buffer that is written again, and grows where it must."""
+
+    def __init__(self, device: Device) -> None:
+        self._device = device
+        self.buffer: Any = None
+
+    def write(self, values: Array) -> bool:
+        """Replace what it holds; return whether it is another buffer than before."""
+        raw = np.ascontiguousarray(values).tobytes()
+        if self.buffer is not None and self.buffer.size >= len(raw):
+            self.buffer.write(raw)
+            return False
+        if self.buffer is not None:
+            self.buffer.release()
+        self.buffer = self._device.gl.buffer(raw or b"\0" * 4, dynamic=True)
+        return True
+
+
+class Sprites:
+    """Balls: particles, markers and joints."""
+
+    def __init__(self, device: Device) -> None:
+        self._device = device
+        self._program = device.program("points.js")
+        self._parts = [Stored(device) for _ in range(3)]
+        self._array: Any = None
+        self._count = 0
+
+    def set(self, positions: Array, colors: Bytes, radii: Array | None = None) -> None:
+        """Draw points from now on ``(N, 3)``, with colours and radii of their own."""
+        self._count = len(positions)
+        own = np.zeros(self._count) if radii is None else radii
+        parts = np.asarray(positions, "<f4"), colors, np.asarray(own, "<f4")
+        if not self._count:
+            return
+        written = zip(self._parts, parts, strict=True)
+        if any([stored.write(part) for stored, part in written]):
+            forms = ("3f", "point"), ("3f1", "color"), ("1f", "own")
+            self._array = self._device.gl.vertex_array(
+                self._program,
+                [
+                    (stored.buffer, *form)
+                    for stored, form in zip(self._parts, forms, strict=True)
+                ],
+            )
+
+    def draw(self, eye: Eye, radius: float, least: float) -> None:
+        """Draw them; radius [m], and the least radius in pixels."""
+        if not self._count:
+            return
+        self._device.use(
+            self._program,
+            eye,
+            radius=radius,
+            least=least * 2,
+            perMetre=eye.per_metre,
+        )
+        self._array.render(self._device.module.POINTS, vertices=self._count)
+
+
+def placed(values: Values) -> FloatArray:
+    """Return positions ``(N, 3)``, far away where there is none."""
+    points = np.reshape(values, (-1, 3)).astype(np.float64)
+    return np.where(np.isfinite(points), points, FAR)

@@ -1,0 +1,168 @@
+"""Poses: where the joints of a take of a page are at a sample, and were around it."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import numpy as np
+
+from animtool.core.array_types import BoolArray, FloatArray, IntArray
+from animtool.preview.pictures.data import Streams
+
+_FOOT = re.compile("foot|toe|ankle|paw|hoof|ball", re.I)
+
+
+def composed(t: FloatArray, r: FloatArray, s: FloatArray | None) -> FloatArray:
+    """Return T·R·S ``(..., 4, 4)``; rotations may have any length."""
+    norm = np.linalg.norm(r, axis=-1, keepdims=True)
+    x, y, z, w = np.moveaxis(r / np.where(norm > 0, norm, 1.0), -1, 0)
+    out = np.zeros((*x.shape, 4, 4))
+    out[..., 0, 0] = 1 - 2 * (y * y + z * z)
+    out[..., 1, 0], out[..., 2, 0] = 2 * (x * y + z * w), 2 * (x * z - y * w)
+    out[..., 0, 1], out[..., 2, 1] = 2 * (x * y - z * w), 2 * (y * z + x * w)
+    out[..., 1, 1] = 1 - 2 * (x * x + z * z)
+    out[..., 0, 2], out[..., 1, 2] = 2 * (x * z + y * w), 2 * (y * z - x * w)
+    out[..., 2, 2] = 1 - 2 * (x * x + y * y)
+    if s is not None:
+        out[..., :3, :3] *= s[..., None, :]
+    out[..., :3, 3] = t
+    out[..., 3, 3] = 1
+    return out
+
+
+class Pose:
+    """A take of a page, posed at a sample.
+
+    Attributes:
+        world: Matrices of its joints ``(J, 4, 4)``.
+        visible: Whether it is drawn at the sample.
+        extent: Size of it [m].
+        root: The first joint that moves in space, else the first.
+        trailed: Joints whose paths are drawn.
+    """
+
+    def __init__(self, streams: Streams, record: dict[str, Any], index: int) -> None:
+        self._streams, self.record, self.index = streams, record, index
+        skeleton = record["skeleton"]
+        self.names: list[str] = skeleton["names"]
+        self.parents = np.array(skeleton["parents"], np.int64)
+        self.count = len(self.names)
+        self.levels = _levels(self.parents)
+        still = record.get("still") or skeleton["rest"]
+        ones = np.ones((self.count, 3))
+        self._values = {
+            "t": np.reshape(still["t"], (-1, 3)).astype(np.float64),
+            "r": np.reshape(still["r"], (-1, 4)).astype(np.float64),
+            "s": ones if still.get("s") is None else np.array(still["s"], np.float64),
+        }
+        self._moving = [
+            (part, record[part], np.array(record["moving"][part], np.int64))
+            for part in "trs"
+            if record.get(part) is not None and record["moving"].get(part)
+        ]
+        self.first: int = (record.get("span") or [0])[0]
+        self.shift = np.array(record.get("offset") or [0.0] * 3)
+        self.tips = [(int(j), np.array(at)) for j, *at in skeleton.get("tips") or []]
+        self.world = np.zeros((self.count, 4, 4))
+        self.visible, self.extent = True, 1.0
+        self.root = self._root()
+        self.trailed = self._trailed()
+        self._paths: dict[int, FloatArray] = {}
+
+    def _root(self) -> int:
+        moves = {int(j) for part, _, own in self._moving if part == "t" for j in own}
+        order = [int(j) for level in self.levels for j in level]
+        return next((j for j in order if j in moves), order[0] if order else 0)
+
+    def _trailed(self) -> list[int]:
+        if self.record.get("trails") is not None:
+            return list(self.record["trails"])
+        if not self.count:
+            return []
+        feet = [each["joint"] for each in self.record.get("contacts") or []]
+        if not feet:
+            above = [self.names[p] if p >= 0 else "" for p in self.parents]
+            feet = [
+                int(j)
+                for level in self.levels
+                for j in level
+                if _FOOT.search(self.names[j]) and not _FOOT.search(above[j])
+            ][:8]
+        return list(dict.fromkeys([self.root, *feet]))
+
+    def at(self, number: int | None, sample: int) -> FloatArray | None:
+        """Return values of a stream of the take at a sample of the page."""
+        if number is None:
+            return None
+        return self._streams.at(number, sample - self.first)
+
+    def update(self, sample: int) -> None:
+        """Pose the skeleton."""
+        seen = self.at(self.record.get("visible"), sample)
+        self.visible = seen is None or seen[0] != 0
+        self.world = self._posed(sample)
+
+    def _posed(self, sample: int) -> FloatArray:
+        values = self._values
+        for part, number, joints in self._moving:
+            stored = self._streams.at(number, sample - self.first)
+            values[part][joints] = stored.reshape(len(joints), -1)
+        world = composed(values["t"], values["r"], values["s"])
+        for level in self.levels[1:]:
+            world[level] = world[self.parents[level]] @ world[level]
+        world[:, :3, 3] += self.shift
+        return world
+
+    @property
+    def positions(self) -> FloatArray:
+        """Where the joints are ``(J, 3)``."""
+        return self.world[:, :3, 3]
+
+    def tip_ends(self) -> tuple[list[int], FloatArray]:
+        """Return the joints that have tips, and where these are ``(N, 3)``."""
+        joints = [j for j, _ in self.tips]
+        ends = [
+            self.world[j, :3, :3] @ at + self.world[j, :3, 3] for j, at in self.tips
+        ]
+        return joints, np.reshape(ends, (-1, 3))
+
+    def path(self, first: int, last: int) -> FloatArray:
+        """Return where trailed joints are in samples, both ends too ``(F, T, 3)``."""
+        known = self._paths
+        # Those that the next picture of a film needs are kept.
+        self._paths = {i: known[i] for i in range(first, last + 1) if i in known}
+        for sample in range(first, last + 1):
+            if sample not in self._paths:
+                world = self._posed(sample)
+                self._paths[sample] = world[self.trailed, :3, 3]
+        return np.stack([self._paths[i] for i in range(first, last + 1)])
+
+    def touching(self, codes: FloatArray) -> BoolArray:
+        """Return which trailed joints touch at time codes ``(F, T)``."""
+        found = np.zeros((len(codes), len(self.trailed)), bool)
+        for each in self.record.get("contacts") or []:
+            for column, joint in enumerate(self.trailed):
+                if joint == each["joint"]:
+                    found[:, column] |= in_spans(codes, each["spans"])
+        return found
+
+
+def in_spans(codes: FloatArray, spans: list[list[float]]) -> BoolArray:
+    """Return which time codes are in some spans ``(F,)``."""
+    found = np.zeros(len(codes), bool)
+    for first, last in spans:
+        found |= (codes >= first - 1e-6) & (codes <= last + 1e-6)
+    return found
+
+
+def _levels(parents: IntArray) -> list[IntArray]:
+    """Return joints by how many others are above them, each level after the last."""
+    depth = np.full(len(parents), -1)
+    level = np.flatnonzero(parents < 0)
+    levels: list[IntArray] = []
+    while len(level):
+        depth[level] = len(levels)
+        levels.append(level.astype(np.int64))
+        level = np.flatnonzero((depth < 0) & np.isin(parents, level))
+    return levels

@@ -1,0 +1,145 @@
+"""What is asked of pictures, read from text: sizes, cameras, light, what is shown."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+
+import numpy as np
+
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault, OptionError
+from animtool.core.record import dataclass
+from animtool.core.similar import similar
+from animtool.preview.options import PictureOptions
+from animtool.preview.pictures.camera import LIGHT, PRESETS, STEEP, View
+from animtool.preview.pictures.kinds import PictureKind
+from animtool.preview.pictures.scene import LAYERS, USUAL
+
+CELL = (480, 360)
+# Sizes of pictures, and cells of a sheet [px].
+LEAST, MOST, MOST_CELLS = 16, 8192, 400
+_PAIR = re.compile(r"(\d{1,5})x(\d{1,5})")
+_SHOT = re.compile(r"shot:(\d{1,6})")
+
+
+@dataclass(frozen=True, slots=True)
+class Camera:
+    """Where a picture is taken from.
+
+    Attributes:
+        yaw: Around what is shown [rad].
+        pitch: Likewise.
+        distance: From the target [m]; None shows all.
+        target: What it looks at [m].
+        shot: Number of a camera of the page; None looks from outside.
+    """
+
+    yaw: float = PRESETS["home"][0]
+    pitch: float = PRESETS["home"][1]
+    distance: float | None = None
+    target: tuple[float, ...] = ()
+    shot: int | None = None
+
+    def aim(self, view: View) -> None:
+        """Turn a view, before it is framed."""
+        view.yaw, view.pitch = self.yaw, min(max(self.pitch, -STEEP), STEEP)
+
+    def place(self, view: View) -> None:
+        """Put a view where it is said to be, after it is framed."""
+        if self.distance is not None:
+            view.distance, view.target = self.distance, np.array(self.target)
+
+
+def refused(where: str, message: str, hint: str) -> OptionError:
+    """Return the error of an option that a picture cannot have."""
+    return OptionError(Fault("PRV006", message, hint=hint, where=where))
+
+
+def size_of(
+    options: PictureOptions, kind: PictureKind, *, sheet: bool
+) -> tuple[int, int]:
+    """Return the size of a picture [px]."""
+    if options.size is None:
+        return CELL if sheet else kind.size
+    wide, high = _pair(options.size, "size", "960x540")
+    if not (LEAST <= wide <= MOST and LEAST <= high <= MOST):
+        message = f"{options.size} is no size: {LEAST} to {MOST} pixels a side"
+        raise refused("size", message, "such as 960x540")
+    return wide, high
+
+
+def sheet_of(options: PictureOptions) -> tuple[int, int] | None:
+    """Return columns and rows of a sheet; None where none is asked for."""
+    if options.sheet is None:
+        return None
+    columns, rows = _pair(options.sheet, "sheet", "4x3")
+    if not 1 <= columns * rows <= MOST_CELLS:
+        message = f"a sheet of {options.sheet} pictures"
+        raise refused("sheet", message, f"1 to {MOST_CELLS} of them, such as 4x3")
+    return columns, rows
+
+
+def _pair(text: str, where: str, example: str) -> tuple[int, int]:
+    found = _PAIR.fullmatch(text.strip().lower())
+    if found is None:
+        raise refused(where, f"{text!r} is not two whole numbers", f"such as {example}")
+    return int(found[1]), int(found[2])
+
+
+def layers_of(options: PictureOptions) -> frozenset[str]:
+    """Return what is drawn."""
+    for name in options.show:
+        if name not in LAYERS:
+            message = f"nothing of a picture is called {name!r}"
+            raise refused("show", message, f"allowed: {', '.join(LAYERS)}")
+    return frozenset(options.show) or USUAL
+
+
+def light_of(options: PictureOptions) -> FloatArray:
+    """Return from where the key light comes, in the frame of the view."""
+    if options.light is None:
+        light: FloatArray = LIGHT / np.linalg.norm(LIGHT)
+        return light
+    numbers = _numbers(options.light)
+    if len(numbers) != 2:
+        message = f"{options.light!r} is not two angles in degrees"
+        raise refused("light", message, "such as -27,40")
+    yaw, pitch = map(math.radians, numbers)
+    level = math.cos(pitch)
+    return np.array([math.sin(yaw) * level, math.sin(pitch), math.cos(yaw) * level])
+
+
+def camera_of(text: str, names: Sequence[str]) -> Camera:
+    """Return a camera; names: those of the page's own."""
+    text = text.strip()
+    if text in PRESETS:
+        return Camera(*PRESETS[text])
+    if text in names:
+        return Camera(shot=names.index(text))
+    if found := _SHOT.fullmatch(text):
+        if int(found[1]) < len(names):
+            return Camera(shot=int(found[1]))
+    else:
+        numbers = _numbers(text)
+        if len(numbers) == 2:
+            return Camera(math.radians(numbers[0]), math.radians(numbers[1]))
+        # As the address of a page has it.
+        if len(numbers) == 6 and numbers[2] > 0:
+            yaw, pitch, distance, *target = numbers
+            return Camera(yaw, pitch, distance, tuple(target))
+    known = [*PRESETS, *names]
+    near = similar(text, known)
+    hint = f"did you mean {near!r}?" if near else f"allowed: {', '.join(known)}"
+    hint += "; or YAW,PITCH in degrees, or the `cam` of a page's address"
+    raise refused("camera", f"no camera is called {text!r}", hint)
+
+
+def _numbers(text: str) -> list[float]:
+    """Return finite numbers that commas separate, none where there are others."""
+    try:
+        numbers = [float(part) for part in text.split(",")]
+    except ValueError:
+        return []
+    return numbers if all(map(math.isfinite, numbers)) else []

@@ -1,0 +1,52 @@
+"""What pictures have of the viewer of pages: its shaders and its colours, as text."""
+
+from __future__ import annotations
+
+import re
+from functools import cache
+
+from animtool.preview.page import viewer_text
+
+# Constants of modules of the viewer that hold nothing but GLSL.
+_CONSTANT = re.compile(
+    r"^(?:export )?const ([A-Z_]+) = (?:`([^`]*)`|'([^'\n]*)');$", re.M
+)
+_INSERTED = re.compile(r"\$\{([A-Z_]+)\}")
+_COLOR = re.compile(r"--([\w-]+): #([0-9a-f]{6});")
+# Module of what others insert.
+SHARED = "gl.js"
+# GLSL of desktop contexts that reads the same as that of pages.
+HEAD = (
+    "#version 330\nprecision highp float;\nprecision highp int;\n"
+    "precision highp sampler2D;\n"
+)
+
+
+def shader(module: str, name: str) -> str:
+    """Return a shader of the viewer, as the page gives it to WebGL.
+
+    >>> shader("bones.js", "THIN_FRAGMENT").startswith("in vec3 tint;")
+    True
+    """
+    shared, own = _constants(SHARED), _constants(module)
+    return _INSERTED.sub(lambda found: shared[found[1]], own[name])
+
+
+@cache
+def _constants(module: str) -> dict[str, str]:
+    text = viewer_text(module)
+    return {name: a or b for name, a, b in _CONSTANT.findall(text)}
+
+
+@cache
+def theme_colors() -> dict[str, tuple[int, int, int]]:
+    """Return the colours of the light theme by name, each 0 to 255.
+
+    >>> sorted(theme_colors())[:3]
+    ['accent', 'bone', 'contact']
+    """
+    light = viewer_text("viewer.css").partition("}")[0]
+    return {
+        name: (int(code[:2], 16), int(code[2:4], 16), int(code[4:], 16))
+        for name, code in _COLOR.findall(light)
+    }

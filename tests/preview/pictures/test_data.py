@@ -1,0 +1,42 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from preview.pages import ReadPage
+
+from animtool.preview.build import make_page
+from animtool.preview.options import PreviewOptions
+from animtool.preview.pictures.data import Streams
+from animtool.preview.pictures.pose import Pose
+from animtool.rig.kinematics import forward
+
+
+def test_streams_are_read_as_a_second_reader_reads_them(root: Path, walk: Path) -> None:
+    for path in (walk, root / "samples/speech/speech.clip.yaml"):
+        page = make_page([path], PreviewOptions(findings=False))
+        streams, second = Streams(page.manifest["streams"], page.blocks), None
+        second = ReadPage(page.html())
+        for entry in page.manifest["streams"]:
+            expected = second.values(entry["id"])
+            for sample in {0, len(expected) // 2, len(expected) - 1}:
+                found = streams.at(entry["id"], sample)
+                np.testing.assert_allclose(found, expected[sample], rtol=1e-6)
+
+
+def test_poses_are_where_kinematics_puts_them(walk: Path) -> None:
+    import animtool
+
+    page = make_page([walk], PreviewOptions(findings=False))
+    streams = Streams(page.manifest["streams"], page.blocks)
+    (record,) = page.manifest["takes"]
+    pose = Pose(streams, record, 0)
+    take = animtool.read_bvh(walk).collect()
+    t, r = ReadPage(page.html()).locals()
+    r /= np.linalg.norm(r, axis=-1, keepdims=True)
+    expected = forward(take.rig, t, r).positions
+    for sample in (0, 31, 63):
+        pose.update(sample)
+        np.testing.assert_allclose(pose.positions, expected[sample], atol=2e-6)
+    paths = pose.path(3, 9)
+    np.testing.assert_allclose(paths, expected[3:10][:, pose.trailed], atol=2e-6)
