@@ -10,7 +10,7 @@ from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.record import dataclass
 from animtool.formats.gltf.accessors import COMPONENTS, FLOAT, Accessor, Accessors
 from animtool.formats.gltf.places import Item, Log
-from animtool.formats.gltf.unused import is_read
+from animtool.formats.gltf.unused import is_known, is_read
 
 # Component types: signed and unsigned 8 and 16 bits, unsigned 32.
 I8, U8, I16, U16, U32 = 5120, 5121, 5122, 5123, 5125
@@ -118,16 +118,15 @@ def _primitive(item: Item, accessors: Accessors) -> Primitive:
     found: dict[str, int] = {}
     for name in attributes.values:
         if not is_read(name):
-            known = name.startswith(("TEXCOORD_", "COLOR_", "_")) or name == "TANGENT"
-            if not known:
+            if not is_known(name):
                 message = f"the attribute {name!r} is unknown: left out"
                 item.log.warn("GLT106", attributes.at(name), message)
             continue
         found[name] = attributes.index(name, count, "accessor")
     position, normal = found.get("POSITION", -1), found.get("NORMAL", -1)
     many = _check_vertices(attributes, found, accessors)
-    sets = sorted(name[7:] for name in found if name.startswith("JOINTS_"))
-    weights = sorted(name[8:] for name in found if name.startswith("WEIGHTS_"))
+    sets = sorted(int(name[7:]) for name in found if name.startswith("JOINTS_"))
+    weights = sorted(int(name[8:]) for name in found if name.startswith("WEIGHTS_"))
     if sets != weights:
         message = f"JOINTS {sets} and WEIGHTS {weights} do not belong together"
         item.log.fail("GLT011", attributes.pointer, message)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from typing import Any
 
@@ -9,7 +10,8 @@ from animtool.core.record import dataclass
 from animtool.formats.gltf.places import is_number
 
 # Of a primitive: what moves, and what faces are made of.
-_READ = ("POSITION", "NORMAL", "JOINTS_", "WEIGHTS_")
+_READ = re.compile(r"POSITION|NORMAL|(?:JOINTS|WEIGHTS)_(?:0|[1-9]\d{0,3})")
+_LOOKS = re.compile(r"TANGENT|(?:TEXCOORD|COLOR)_(?:0|[1-9]\d*)|_.*", re.DOTALL)
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +51,16 @@ def is_read(attribute: str) -> bool:
     >>> is_read("JOINTS_1"), is_read("TEXCOORD_0")
     (True, False)
     """
-    return attribute in _READ or attribute.startswith(_READ[2:])
+    return _READ.fullmatch(attribute) is not None
+
+
+def is_known(attribute: str) -> bool:
+    """Return whether an attribute of a vertex is one of the format, or an own one.
+
+    >>> is_known("COLOR_0"), is_known("_PAINT"), is_known("TEXCOORD_00")
+    (True, True, False)
+    """
+    return _LOOKS.fullmatch(attribute) is not None or is_read(attribute)
 
 
 def _dicts(value: Any) -> Iterator[dict[str, Any]]:
