@@ -81,6 +81,12 @@ USD = Reader(
     ("prim_path", "take", "placement"),
     "animtool.usd.props.prim_transforms:open_prim",
 )
+GLTF = Reader(
+    "glTF",
+    "animtool.formats.gltf.read:read_gltf_rig",
+    "animtool.formats.gltf.read:read_gltf",
+    ("unit", "up", "fps", "prim_path", "take"),
+)
 DOCUMENT = Reader(
     "rig and clip files",
     "animtool.rig.file:load_rig",
@@ -138,6 +144,9 @@ READERS: dict[str, Reader] = {
     ".usda": USD,
     ".usdc": USD,
     PACKAGE: USD,
+    ".glb": GLTF,
+    ".gltf": GLTF,
+    ".vrm": GLTF,
     ".yaml": DOCUMENT,
     ".yml": DOCUMENT,
     ".json": DOCUMENT,

@@ -16,7 +16,7 @@ from animtool.core.errors import FormatError, excerpt
 from animtool.core.files.reading import read_input, why_no_file
 from animtool.core.record import dataclass
 from animtool.formats.gltf.container import Container
-from animtool.formats.gltf.places import Item, Log
+from animtool.formats.gltf.places import Item, Notes
 
 COMPONENTS: dict[int, np.dtype[Any]] = {
     5120: np.dtype("i1"),
@@ -103,7 +103,7 @@ class Accessors:
 
     container: Container
     folder: Path
-    log: Log
+    notes: Notes
     skipped: frozenset[int]  # accessors that nothing here reads
     skipped_views: frozenset[int]
     skipped_buffers: frozenset[int]
@@ -185,7 +185,7 @@ class Accessors:
         )
         if self._numbers > most or self._zeros > MAX_ZEROS:
             message = f"{accessor.count} elements are more than the file has bytes for"
-            self.log.fail("GLT013", accessor.where, message)
+            self.notes.fail("GLT013", accessor.where, message)
 
     def _base(self, accessor: Accessor) -> AnyArray:
         kind = COMPONENTS[accessor.component]
@@ -215,7 +215,7 @@ class Accessors:
         )[:, 0].astype(np.int64)
         if (np.diff(indices) <= 0).any() or indices[-1] >= accessor.count:
             message = f"sparse indices must ascend, below {accessor.count}"
-            self.log.fail("GLT006", f"{where}/indices", message)
+            self.notes.fail("GLT006", f"{where}/indices", message)
         values = base.copy()
         values[indices] = _strided(
             self.bytes_of(own.buffer),
@@ -230,7 +230,7 @@ class Accessors:
     def _used_view(self, index: int, where: str) -> View:
         view = self.views[index]
         if view is None:
-            self.log.fail("GLT008", where, f"bufferView {index} holds an image")
+            self.notes.fail("GLT008", where, f"bufferView {index} holds an image")
         return view
 
     def bytes_of(self, index: int) -> memoryview:
@@ -247,7 +247,7 @@ class Accessors:
             binary = self.container.binary
             if index or binary is None:
                 message = "the buffer has no uri, and no chunk of a GLB holds it"
-                self.log.fail("GLT007", buffer.pointer, message)
+                self.notes.fail("GLT007", buffer.pointer, message)
             content = binary
         elif uri.startswith("data:"):
             content = memoryview(decode_data(uri, buffer))
@@ -255,7 +255,7 @@ class Accessors:
             content = memoryview(self._from_file(uri, buffer))
         if len(content) < length:
             message = f"byteLength is {length}, and there are {len(content)} bytes"
-            self.log.fail("GLT007", buffer.pointer, message)
+            self.notes.fail("GLT007", buffer.pointer, message)
         return content[:length]
 
     def _from_file(self, uri: str, buffer: Item) -> bytes:
@@ -263,11 +263,11 @@ class Accessors:
         reason = why_no_file(path)
         if reason is not None:
             message = f"the file {uri!r} {reason}"
-            self.log.fail("GLT007", buffer.at("uri"), message)
+            self.notes.fail("GLT007", buffer.at("uri"), message)
         try:
             return read_input(path)
         except FormatError as error:
-            self.log.fail("GLT007", buffer.at("uri"), str(error.faults[0].message))
+            self.notes.fail("GLT007", buffer.at("uri"), str(error.faults[0].message))
 
     def _resolved(self, uri: str, buffer: Item) -> Path:
         """Return the file that a URI means, which is in the folder of the glTF."""
@@ -276,21 +276,21 @@ class Accessors:
             parts = urlsplit(uri)
             name = unquote_to_bytes(parts.path).decode("utf-8")
         except ValueError:
-            self.log.fail("GLT007", where, f"{excerpt(uri)} is no URI")
+            self.notes.fail("GLT007", where, f"{excerpt(uri)} is no URI")
         if parts.scheme or parts.netloc:
             message = f"{excerpt(uri)} is on another machine or of another scheme"
             hint = "animtool fetches nothing: put the file beside the glTF"
-            self.log.fail("GLT007", where, message, hint)
+            self.notes.fail("GLT007", where, message, hint)
         if not name or "\0" in name or "\\" in name or parts.query or parts.fragment:
-            self.log.fail("GLT007", where, f"{excerpt(uri)} names no file")
+            self.notes.fail("GLT007", where, f"{excerpt(uri)} names no file")
         folder = self.folder.resolve()
         try:
             path = (folder / name).resolve()
         except (OSError, RuntimeError, ValueError):
-            self.log.fail("GLT007", where, f"{excerpt(uri)} names no file")
+            self.notes.fail("GLT007", where, f"{excerpt(uri)} names no file")
         if not path.is_relative_to(folder):
             message = f"{excerpt(uri)} leads out of the folder of the file"
-            self.log.fail("GLT007", where, message, "put the file beside the glTF")
+            self.notes.fail("GLT007", where, message, "put the file beside the glTF")
         return path
 
     def _check_buffer(self, index: int, buffer: Item) -> None:
@@ -302,13 +302,15 @@ class Accessors:
             if index == 0 and self.container.is_glb:
                 if binary is None:
                     message = "the buffer has no uri, and the GLB no binary chunk"
-                    self.log.fail("GLT007", buffer.pointer, message)
+                    self.notes.fail("GLT007", buffer.pointer, message)
                 if len(binary) < length:
                     message = f"byteLength is {length}, and the chunk has {len(binary)}"
-                    self.log.fail("GLT007", buffer.pointer, message)
+                    self.notes.fail("GLT007", buffer.pointer, message)
                 if len(binary) > length + 3:
-                    message = f"{len(binary) - length} bytes after the buffer are unused"
-                    self.log.warn("GLT101", buffer.pointer, message)
+                    message = (
+                        f"{len(binary) - length} bytes after the buffer are unused"
+                    )
+                    self.notes.warn("GLT101", buffer.pointer, message)
         elif uri.startswith("data:"):
             self.bytes_of(index)
         else:
@@ -316,7 +318,7 @@ class Accessors:
             reason = why_no_file(path)
             if reason is not None:
                 message = f"the file {uri!r} {reason}"
-                self.log.fail("GLT007", buffer.at("uri"), message)
+                self.notes.fail("GLT007", buffer.at("uri"), message)
 
     def _view(self, item: Item, skipped: bool) -> View | None:
         if skipped:
@@ -330,10 +332,10 @@ class Accessors:
         whole = self.buffers[buffer].size("byteLength", least=1)
         if offset + length > whole:
             message = f"ends at byte {offset + length} of a buffer of {whole}"
-            self.log.fail("GLT008", item.pointer, message)
+            self.notes.fail("GLT008", item.pointer, message)
         if stride and (stride % 4 or not 4 <= stride <= 252):
             message = f"byteStride {stride} is no multiple of 4 from 4 to 252"
-            self.log.warn("GLT105", item.at("byteStride"), message)
+            self.notes.warn("GLT105", item.at("byteStride"), message)
         return View(item, buffer, offset, length, stride)
 
     def _accessor(self, item: Item) -> Accessor | None:
@@ -347,12 +349,12 @@ class Accessors:
         for key, is_known in known.items():
             if not is_known:
                 message = f"{key} {item.values[key]!r} is unknown: left out"
-                self.log.warn("GLT106", item.at(key), message)
+                self.notes.warn("GLT106", item.at(key), message)
                 return None
         view = item.index("bufferView", len(self.views), "bufferView")
         offset = item.size("byteOffset", 0)
         if view < 0 and "byteOffset" in item.values:
-            self.log.warn("GLT106", item.at("byteOffset"), "there is no bufferView")
+            self.notes.warn("GLT106", item.at("byteOffset"), "there is no bufferView")
         accessor = Accessor(
             item,
             component,
@@ -375,14 +377,14 @@ class Accessors:
             stride = view.stride or size
             if stride < size:
                 message = f"elements have {size} bytes, and byteStride is {stride}"
-                self.log.fail("GLT008", accessor.where, message)
+                self.notes.fail("GLT008", accessor.where, message)
             end = accessor.offset + stride * (accessor.count - 1) + size
             if end > view.length:
                 message = f"reads up to byte {end} of a bufferView of {view.length}"
-                self.log.fail("GLT008", accessor.where, message)
+                self.notes.fail("GLT008", accessor.where, message)
             if (view.offset + accessor.offset) % kind.itemsize:
                 message = f"its bytes do not begin on a multiple of {kind.itemsize}"
-                self.log.warn("GLT105", accessor.where, message)
+                self.notes.warn("GLT105", accessor.where, message)
         sparse = accessor.sparse
         if sparse is None:
             return
@@ -400,7 +402,7 @@ class Accessors:
             if part is not None and end > part.length:
                 key = "indices" if name == "in" else "values"
                 message = f"reads up to byte {end} of a bufferView of {part.length}"
-                self.log.fail("GLT008", f"{accessor.where}/sparse/{key}", message)
+                self.notes.fail("GLT008", f"{accessor.where}/sparse/{key}", message)
 
     def _sparse(self, item: Item, count: int) -> Sparse | None:
         sparse = item.child("sparse")
@@ -465,7 +467,7 @@ def check_finite(values: AnyArray, accessor: Accessor) -> None:
     bad = np.argwhere(~np.isfinite(values))
     if len(bad):
         message = f"element {int(bad[0, 0])} is {values[tuple(bad[0])]}, not finite"
-        accessor.item.log.fail("GLT010", accessor.where, message)
+        accessor.item.notes.fail("GLT010", accessor.where, message)
 
 
 def decode_data(uri: str, item: Item) -> bytes:
@@ -473,10 +475,10 @@ def decode_data(uri: str, item: Item) -> bytes:
     head, comma, text = uri.partition(",")
     where = item.at("uri")
     if not comma or not _DATA.fullmatch(head):
-        item.log.fail("GLT007", where, f"{excerpt(uri)} is no data URI")
+        item.notes.fail("GLT007", where, f"{excerpt(uri)} is no data URI")
     if not head.endswith(";base64"):
         return unquote_to_bytes(text)
     try:
         return binascii.a2b_base64(unquote_to_bytes(text), strict_mode=True)
     except (binascii.Error, ValueError) as error:
-        item.log.fail("GLT007", where, f"the data URI is no base64: {error}")
+        item.notes.fail("GLT007", where, f"the data URI is no base64: {error}")

@@ -22,7 +22,7 @@ from animtool.formats.gltf.meshes import (
     check_bounds,
 )
 from animtool.formats.gltf.nodes import UNIT, VISIBILITY, Node
-from animtool.formats.gltf.places import Item, Log
+from animtool.formats.gltf.places import Item, Notes
 from animtool.maths import so3
 
 POINTER = "KHR_animation_pointer"
@@ -85,8 +85,7 @@ class Track:
         """
         values = self.values
         if len(self.times) == 1:
-            found = np.repeat(_unit(values, self.path), len(times), axis=0)
-            return found
+            return np.repeat(_unit(values, self.path), len(times), axis=0)
         low = np.clip(
             np.searchsorted(self.times, times, "right") - 1, 0, len(self.times) - 2
         )
@@ -101,7 +100,8 @@ class Track:
         if self.interpolation is Interpolation.STEP:
             return _unit(np.where(share < 1.0, a, b), self.path)
         if self.interpolation is Interpolation.CUBIC:
-            assert self.ins is not None and self.outs is not None
+            assert self.ins is not None
+            assert self.outs is not None
             found = _hermite(
                 a, self.outs[low], self.ins[low + 1], b, share, length[:, None]
             )
@@ -140,7 +140,7 @@ def _unit(values: FloatArray, path: Path) -> FloatArray:
         # Between opposite cubic keys it may vanish: the rotation there is anything.
         found = np.where(length[:, None] == 0.0, so3.IDENTITY, found)
         length = np.where(length == 0.0, 1.0, length)
-    return found / length[:, None]
+    return np.asarray(found / length[:, None])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -239,13 +239,13 @@ def _animation(
         own = (target.node, target.mesh, str(target.path), target.part)
         if own in taken:
             message = f"{target.path} is moved by two channels of the animation"
-            channel.log.fail("GLT012", f"{taken[own]}/target", message)
+            channel.notes.fail("GLT012", f"{taken[own]}/target", message)
         taken[own] = channel.pointer
         tracks.append(_track(channel, target, samplers, index, times))
     if left_out:
         names = ", ".join(left_out)
         message = f"channels of what is not read are left out: {names}"
-        item.log.warn("GLT108", item.pointer, message, severity=Severity.NOTE)
+        item.notes.warn("GLT108", item.pointer, message, severity=Severity.NOTE)
     extras = item.values.get("extras")
     return Animation(
         item.text("name"),
@@ -280,7 +280,7 @@ def _target(
     node = target.index("node", len(nodes), "node")
     if path not in {"translation", "rotation", "scale", "weights"}:
         message = f"the path {excerpt(path)} is unknown: the channel is left out"
-        target.log.warn("GLT106", target.at("path"), message)
+        target.notes.warn("GLT106", target.at("path"), message)
         return None
     if node < 0:
         # What it moves is for an extension, or for nobody.
@@ -301,12 +301,12 @@ def _of_node(
         count = meshes[mesh].targets if mesh >= 0 else 0
         if part >= count or not count:
             message = f"node {node} has {count} morph targets: the channel is left out"
-            target.log.warn("GLT106", target.pointer, message)
+            target.notes.warn("GLT106", target.pointer, message)
             return None
         return _Target(node, -1, path, part, count if part < 0 else 1)
     if nodes[node].has_matrix and path is not Path.VISIBLE:
         message = f"the matrix of node {node}, which moves, is split into its parts"
-        target.log.warn("GLT106", target.pointer, message)
+        target.notes.warn("GLT106", target.pointer, message)
     return _Target(node, -1, path, -1, _WIDTHS[path])
 
 
@@ -328,12 +328,12 @@ def _pointed(
     text = None if extension is None else extension.text("pointer")
     if text is None:
         message = f"a channel of {POINTER} without its pointer is left out"
-        target.log.warn("GLT106", target.pointer, message)
+        target.notes.warn("GLT106", target.pointer, message)
         return None
     if found := _NODE.fullmatch(text):
         node = int(found[1][:9])
         if node >= len(nodes):
-            target.log.fail("GLT006", target.pointer, f"{text} does not exist")
+            target.notes.fail("GLT006", target.pointer, f"{text} does not exist")
         path = Path.VISIBLE if "/" in found[2] else Path(found[2])
         if found[3] is None or path is Path.WEIGHTS:
             part = -1 if found[3] is None else int(found[3][:9])
@@ -341,7 +341,7 @@ def _pointed(
     elif found := _MESH.fullmatch(text):
         mesh = int(found[1][:9])
         if mesh >= len(meshes):
-            target.log.fail("GLT006", target.pointer, f"{text} does not exist")
+            target.notes.fail("GLT006", target.pointer, f"{text} does not exist")
         count = meshes[mesh].targets
         part = -1 if found[2] is None else int(found[2][:9])
         if count and part < count:
@@ -359,7 +359,7 @@ def _track(
 ) -> Track:
     """Return the keys of a channel, checked and put right."""
     item = samplers.items[index]
-    log = item.log
+    notes = item.notes
     interpolation = samplers.interpolation(index)
     source = samplers.ends[index][0]
     if source not in cache:
@@ -373,7 +373,7 @@ def _track(
         message = f"{rows} numbers for {len(times)} keys of {target.width}"
         if cubic:
             message += ", with a tangent before and after each"
-        log.fail("GLT011", channel.at("sampler"), message)
+        notes.fail("GLT011", channel.at("sampler"), message)
     table = values.reshape(len(times), -1, target.width)
     if target.path is Path.ROTATION:
         _check_unit(table[:, 1 if cubic else 0], channel, samplers, index)
@@ -383,7 +383,7 @@ def _track(
         times, table = _sorted(times, table, item, given=given)
     if times[0] < 0:
         message = f"the first key is at {times[0]:.6g} s, before time 0: it is kept"
-        log.warn("GLT107", item.at("input"), message)
+        notes.warn("GLT107", item.at("input"), message)
     keys = table[:, 1 if cubic else 0]
     return Track(
         target.node,
@@ -398,9 +398,7 @@ def _track(
     )
 
 
-def _values(
-    channel: Item, target: _Target, samplers: _Samplers, index: int
-) -> Any:
+def _values(channel: Item, target: _Target, samplers: _Samplers, index: int) -> Any:
     item, accessor = samplers.items[index], samplers.ends[index][1]
     accessors = samplers.accessors
     entry = accessors.entries[accessor]
@@ -416,7 +414,7 @@ def _values(
     if entry is None or entry.kind not in kinds or entry.component not in components:
         held = "an unknown type" if entry is None else entry.kind
         message = f"{target.path} takes no values of {held} in these components"
-        item.log.fail("GLT011", channel.at("sampler"), message)
+        item.notes.fail("GLT011", channel.at("sampler"), message)
     raw = accessors.numbers(accessor)
     if entry.component == FLOAT:
         return raw
@@ -438,19 +436,19 @@ def _sorted(
     given: whether the file holds the times, which are all 0 else.
     """
     order = np.argsort(times, kind="stable")
-    log, where = item.log, item.at("input")
+    notes, where = item.notes, item.at("input")
     if (np.diff(times) < 0).any():
-        log.warn("GLT107", where, "times are out of order: the keys are sorted")
+        notes.warn("GLT107", where, "times are out of order: the keys are sorted")
     times, table = times[order], table[order]
     same = np.flatnonzero(np.diff(times) == 0)
     if len(same):
         if given and (table[same] != table[same + 1]).any():
             at = float(times[same[0]])
             message = f"two keys at {at:.6g} s have different values"
-            log.fail("GLT012", where, message)
+            notes.fail("GLT012", where, message)
         message = f"{len(same)} keys at the time of another one, and equal, are dropped"
         if given:
-            log.warn("GLT107", where, message)
+            notes.warn("GLT107", where, message)
         kept = np.setdiff1d(np.arange(len(times)), same + 1)
         times, table = times[kept], table[kept]
     return times, table
@@ -465,8 +463,8 @@ def _check_unit(keys: Any, channel: Item, samplers: _Samplers, index: int) -> No
     low, high = float(squares.min()), float(squares.max())
     if low <= 0.0:
         message = "a rotation key has length 0"
-        samplers.items[index].log.fail("GLT010", entry.where, message)
+        samplers.items[index].notes.fail("GLT010", entry.where, message)
     if max(1.0 - low, high - 1.0) > 2 * tolerance:
         message = f"rotation keys have lengths from {low**0.5:.6g} to {high**0.5:.6g}"
-        log: Log = samplers.items[index].log
-        log.warn("GLT103", channel.at("sampler"), f"{message}: they are normalised")
+        notes: Notes = samplers.items[index].notes
+        notes.warn("GLT103", channel.at("sampler"), f"{message}: they are normalised")

@@ -1,10 +1,10 @@
 """How meshes of a glTF are bound: one bind pose of the joints for all of its skins.
 
 glTF has an inverse bind matrix for each joint of each skin; a rig has one bind pose,
-and for each mesh a transform of its points. With ``B`` the matrix that a joint of a skin
-applies, ``bind = geom_bind · B⁻¹``: what the joints of a skin have in common is the
-mesh's, the rest the joint's. Where skins do not agree about a joint, one below it with
-no motion of its own carries the mesh.
+and for each mesh a transform of its points. With ``B`` the matrix that a joint of a
+skin applies, ``bind = geom_bind · B⁻¹``: what the joints of a skin have in common is
+the mesh's, the rest the joint's. Where skins do not agree about a joint, one below it
+with no motion of its own carries the mesh.
 """
 
 from __future__ import annotations
@@ -80,7 +80,7 @@ class Binder:
                 note = Fault("GLT114", message, path, where=at, severity=Severity.NOTE)
                 self.notices.append(note)
             matrices = np.where(flat[:, None, None], np.eye(4), matrices)
-        back = np.linalg.inv(matrices)
+        back = np.asarray(np.linalg.inv(matrices), np.float64)
         geometry = self._geometry(back)
         binds = geometry @ back
         shared = [k for k, joint in enumerate(joints) if joint in self._bind]

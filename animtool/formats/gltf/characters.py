@@ -49,9 +49,9 @@ def characters(gltf: Gltf) -> tuple[Character, ...]:
     for skin in gltf.skins:
         for joint in skin.joints[1:]:
             join(skin.joints[0], joint)
-    for i, node in enumerate(gltf.nodes):
-        if node.skin >= 0 and gltf.skins[node.skin].joints:
-            join(i, gltf.skins[node.skin].joints[0])
+    for i, own in enumerate(gltf.nodes):
+        if own.skin >= 0:
+            join(i, gltf.skins[own.skin].joints[0])
     for skin in gltf.skins:
         skinned.update(skin.joints[:1])
     groups = sorted({found(tree[joint]) for joint in skinned})
@@ -82,9 +82,7 @@ def _paths(gltf: Gltf, members: dict[int, list[int]]) -> list[str]:
     return [f"/{name}" for name in distinct(names)]
 
 
-def chosen(
-    gltf: Gltf, prim_path: str | None
-) -> tuple[Character, list[Fault]]:
+def chosen(gltf: Gltf, prim_path: str | None) -> tuple[Character, list[Fault]]:
     """Return the character to read, and a note of the others.
 
     Args:

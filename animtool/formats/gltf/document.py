@@ -19,7 +19,7 @@ from animtool.formats.gltf.meshes import (
     skin_weights,
 )
 from animtool.formats.gltf.nodes import VISIBILITY, Node, read_nodes, read_scenes
-from animtool.formats.gltf.places import Item, Log
+from animtool.formats.gltf.places import Item, Notes
 from animtool.formats.gltf.unused import unused_parts
 
 # Extensions that a file may require.
@@ -62,7 +62,7 @@ class Gltf:
         default_scene: The one that is shown; -1 where there is none.
         accessors: The numbers that they refer to.
         root: The JSON.
-        log: What was put right, and where.
+        notes: What was put right, and where.
         left_out: What the file has that is not read.
     """
 
@@ -75,7 +75,7 @@ class Gltf:
     default_scene: int
     accessors: Accessors
     root: Item
-    log: Log
+    notes: Notes
     left_out: tuple[str, ...]
 
 
@@ -87,18 +87,18 @@ def open_gltf(path: Path | str) -> Gltf:
             with the JSON pointer or the byte offset.
     """
     path = Path(path)
-    log = Log(str(path))
-    container = read_container(path, log)
+    notes = Notes(str(path))
+    container = read_container(path, notes)
     root = container.root
-    _check_asset(root, log)
-    _check_extensions(root, log, path)
-    accessors = _accessors(container, path, log)
+    _check_asset(root, notes)
+    _check_extensions(root, notes, path)
+    accessors = _accessors(container, path, notes)
     many = [_count(root, key) for key in ("meshes", "skins")]
-    nodes = read_nodes(root, log, *many)
-    scenes, shown = read_scenes(root, log, nodes)
+    nodes = read_nodes(root, notes, *many)
+    scenes, shown = read_scenes(root, notes, nodes)
     meshes = read_meshes(root, accessors)
     skins = read_skins(root, accessors, len(nodes))
-    _check_weights(nodes, meshes, log)
+    _check_weights(nodes, meshes, notes)
     animations = read_animations(root, accessors, nodes, meshes)
     left_out = tuple(key for key in _NOT_READ if root.values.get(key))
     found = Gltf(
@@ -111,17 +111,17 @@ def open_gltf(path: Path | str) -> Gltf:
         shown,
         accessors,
         root,
-        log,
+        notes,
         left_out,
     )
     _check_skins(found)
     return found
 
 
-def _accessors(container: Container, path: Path, log: Log) -> Accessors:
+def _accessors(container: Container, path: Path, notes: Notes) -> Accessors:
     unused = unused_parts(container.root.values)
     return Accessors(
-        container, path.parent, log, unused.accessors, unused.views, unused.buffers
+        container, path.parent, notes, unused.accessors, unused.views, unused.buffers
     )
 
 
@@ -130,21 +130,21 @@ def _count(root: Item, key: str) -> int:
     return len(found) if isinstance(found, list) else 0
 
 
-def _check_asset(root: Item, log: Log) -> None:
+def _check_asset(root: Item, notes: Notes) -> None:
     asset = root.required("asset")
     version = asset.text("version")
     if version is None:
         asset.missing("version")
     if version.split(".")[0] != "2":
         message = f"glTF {excerpt(version)} is not read, only 2"
-        log.fail("GLT003", asset.at("version"), message, "export glTF 2.0")
+        notes.fail("GLT003", asset.at("version"), message, "export glTF 2.0")
     least = asset.text("minVersion")
     if least is not None and least != "2.0":
         message = f"the file needs glTF {excerpt(least)}, and 2.0 is read"
-        log.fail("GLT003", asset.at("minVersion"), message)
+        notes.fail("GLT003", asset.at("minVersion"), message)
 
 
-def _check_extensions(root: Item, log: Log, path: Path) -> None:
+def _check_extensions(root: Item, notes: Notes, path: Path) -> None:
     """Refuse a required extension that matters to motion and is not read."""
     used = root.list_of("extensionsUsed")
     for key, names in (
@@ -154,34 +154,34 @@ def _check_extensions(root: Item, log: Log, path: Path) -> None:
         for i, name in enumerate(names):
             if name in names[:i]:
                 message = f"{excerpt(str(name))} is listed twice"
-                log.warn("GLT106", f"{root.at(key)}/{i}", message)
+                notes.warn("GLT106", f"{root.at(key)}/{i}", message)
     for i, name in enumerate(root.list_of("extensionsRequired")):
         where = f"{root.at('extensionsRequired')}/{i}"
         if not isinstance(name, str):
-            log.fail("GLT005", where, "the name of an extension must be text")
+            notes.fail("GLT005", where, "the name of an extension must be text")
         if name in READ or name in LOOKS_ALONE or name.startswith(LOOKS):
             continue
         hint = "export the file without it"
         if name in UNPACKED_BY:
             hint = f"{UNPACKED_BY[name].format(path.name)} unpacks it"
         message = f"the file needs the extension {name}, which is not read"
-        log.fail("GLT004", where, message, hint)
+        notes.fail("GLT004", where, message, hint)
     extensions = root.values.get("extensions")
     for name in extensions if isinstance(extensions, dict) else ():
         if name not in used:
             message = f"the extension {excerpt(name)} is not declared: left out"
-            log.warn("GLT106", f"{root.at('extensions')}/{name}", message)
+            notes.warn("GLT106", f"{root.at('extensions')}/{name}", message)
 
 
 def _check_weights(
-    nodes: tuple[Node, ...], meshes: tuple[MeshEntry, ...], log: Log
+    nodes: tuple[Node, ...], meshes: tuple[MeshEntry, ...], notes: Notes
 ) -> None:
     for i, node in enumerate(nodes):
         if node.weights is not None:
             targets = meshes[node.mesh].targets
             if len(node.weights) != targets:
                 message = f"{len(node.weights)} weights for {targets} targets"
-                log.fail("GLT011", f"/nodes/{i}/weights", message)
+                notes.fail("GLT011", f"/nodes/{i}/weights", message)
 
 
 def _check_skins(gltf: Gltf) -> None:
@@ -195,15 +195,15 @@ def _check_skins(gltf: Gltf) -> None:
             _require(gltf.accessors, primitive)
             if primitive.joints and node.skin >= 0:
                 joints = len(gltf.skins[node.skin].joints)
-                skin_weights(primitive, joints, gltf.accessors, gltf.log)
+                skin_weights(primitive, joints, gltf.accessors, gltf.notes)
     for skin in gltf.skins:
         if skin.skeleton >= 0 and not _is_above(gltf, skin.skeleton, skin.joints[0]):
             message = f"node {skin.skeleton} is not above the joints: left out"
-            gltf.log.warn("GLT106", f"{skin.where}/skeleton", message)
+            gltf.notes.warn("GLT106", f"{skin.where}/skeleton", message)
         if len({_root(gltf, joint) for joint in skin.joints}) > 1:
             message = "the joints have no common root: each chain counts"
             note = Severity.WARNING
-            gltf.log.warn("GLT106", f"{skin.where}/joints", message, severity=note)
+            gltf.notes.warn("GLT106", f"{skin.where}/joints", message, severity=note)
 
 
 def _require(accessors: Accessors, primitive: Primitive) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.record import dataclass
 from animtool.formats.gltf.accessors import COMPONENTS, FLOAT, Accessor, Accessors
-from animtool.formats.gltf.places import Item, Log
+from animtool.formats.gltf.places import Item, Notes
 from animtool.formats.gltf.unused import is_known, is_read
 
 # Component types: signed and unsigned 8 and 16 bits, unsigned 32.
@@ -92,12 +92,12 @@ def _mesh(item: Item, accessors: Accessors) -> MeshEntry:
         if count != counts[0]:
             message = f"{count} targets, and the first primitive has {counts[0]}"
             where = f"{item.pointer}/primitives/{i}/targets"
-            item.log.fail("GLT011", where, message)
+            item.notes.fail("GLT011", where, message)
     targets = max(counts, default=0)
     weights = item.floats("weights", None)
     if weights is not None and len(weights) != targets:
         message = f"{len(weights)} weights for {targets} targets"
-        item.log.fail("GLT011", item.at("weights"), message)
+        item.notes.fail("GLT011", item.at("weights"), message)
     extras = item.values.get("extras")
     names = extras.get("targetNames") if isinstance(extras, dict) else None
     is_list = isinstance(names, list) and len(names) == targets
@@ -120,7 +120,7 @@ def _primitive(item: Item, accessors: Accessors) -> Primitive:
         if not is_read(name):
             if not is_known(name):
                 message = f"the attribute {name!r} is unknown: left out"
-                item.log.warn("GLT106", attributes.at(name), message)
+                item.notes.warn("GLT106", attributes.at(name), message)
             continue
         found[name] = attributes.index(name, count, "accessor")
     position, normal = found.get("POSITION", -1), found.get("NORMAL", -1)
@@ -129,7 +129,7 @@ def _primitive(item: Item, accessors: Accessors) -> Primitive:
     weights = sorted(int(name[8:]) for name in found if name.startswith("WEIGHTS_"))
     if sets != weights:
         message = f"JOINTS {sets} and WEIGHTS {weights} do not belong together"
-        item.log.fail("GLT011", attributes.pointer, message)
+        item.notes.fail("GLT011", attributes.pointer, message)
     targets = []
     for target in item.children("targets"):
         own = {
@@ -141,7 +141,7 @@ def _primitive(item: Item, accessors: Accessors) -> Primitive:
             accessor = _typed(target, name, index, accessors, "VEC3", QUANTIZED)
             if accessor.count != many:
                 message = f"{accessor.count} rows for {many} vertices"
-                item.log.fail("GLT011", target.at(name), message)
+                item.notes.fail("GLT011", target.at(name), message)
             if accessors.has_data(index):
                 check_bounds(accessor.item, accessors.numbers(index))
         targets.append(Target(own.get("POSITION", -1), own.get("NORMAL", -1)))
@@ -176,7 +176,7 @@ def _typed(
         held = "of an unknown type"
         if accessor is not None:
             held = f"{accessor.kind} of {COMPONENTS[accessor.component].name}"
-        item.log.fail("GLT011", item.at(key), f"{key} cannot be {held}")
+        item.notes.fail("GLT011", item.at(key), f"{key} cannot be {held}")
     if accessors.has_data(index):
         accessors.numbers(index)
     return accessor
@@ -188,7 +188,8 @@ def _check_vertices(
     """Check types and counts of what vertices have; return how many there are."""
     many = -1
     for name, index in found.items():
-        kind, components = "VEC4", (U8, U16)
+        kind = "VEC4"
+        components: tuple[int, ...] = (U8, U16)
         if name in {"POSITION", "NORMAL"}:
             kind, components = "VEC3", QUANTIZED
         elif name.startswith("WEIGHTS_"):
@@ -198,7 +199,7 @@ def _check_vertices(
             many = accessor.count
         elif accessor.count != many:
             message = f"{name} has {accessor.count} rows, others have {many}"
-            attributes.log.fail("GLT011", attributes.at(name), message)
+            attributes.notes.fail("GLT011", attributes.at(name), message)
         if not accessors.has_data(index):
             continue
         if name == "POSITION":
@@ -206,7 +207,7 @@ def _check_vertices(
             check_bounds(accessor.item, accessors.numbers(index), missing=where)
         if name.startswith("WEIGHTS_") and (accessors.numbers(index) < 0).any():
             message = "a weight of a vertex is negative"
-            attributes.log.fail("GLT010", attributes.at(name), message)
+            attributes.notes.fail("GLT010", attributes.at(name), message)
     return many
 
 
@@ -217,7 +218,7 @@ def _check_indices(item: Item, index: int, many: int, accessors: Accessors) -> N
     largest = int(accessors.numbers(index).max())
     if many >= 0 and largest >= many:
         message = f"a face names vertex {largest} of {many}"
-        item.log.fail("GLT006", item.at("indices"), message)
+        item.notes.fail("GLT006", item.at("indices"), message)
 
 
 def check_bounds(item: Item, values: Any, *, missing: str = "") -> None:
@@ -229,19 +230,19 @@ def check_bounds(item: Item, values: Any, *, missing: str = "") -> None:
     if not any(one is not None for one in stated):
         if missing:
             message = "min and max are missing: those of the data are taken"
-            item.log.warn("GLT102", missing, message)
+            item.notes.warn("GLT102", missing, message)
         return
     found = (values.min(axis=0), values.max(axis=0))
     for key, said, own in zip(("min", "max"), stated, found, strict=True):
         size = BOUNDS * max(1.0, float(np.abs(own.astype(np.float64)).max()))
         if not isinstance(said, list) or len(said) != len(own):
-            item.log.warn("GLT102", item.at(key), f"{key} is missing or incomplete")
+            item.notes.warn("GLT102", item.at(key), f"{key} is missing or incomplete")
             continue
         for i, (one, real) in enumerate(zip(said, own.tolist(), strict=True)):
             fits = isinstance(one, int | float) and abs(one - real) <= size
             if not fits:
                 message = f"{key} says {one!r}, the data {real:.9g}: the data counts"
-                item.log.warn("GLT102", f"{item.at(key)}/{i}", message)
+                item.notes.warn("GLT102", f"{item.at(key)}/{i}", message)
                 break
 
 
@@ -255,9 +256,9 @@ def _skin(item: Item, accessors: Accessors, nodes: int) -> SkinEntry:
         item.missing("joints")
     joints = item.indices("joints", nodes, "node")
     if not joints:
-        item.log.fail("GLT011", item.at("joints"), "a skin without joints")
+        item.notes.fail("GLT011", item.at("joints"), "a skin without joints")
     if len(set(joints)) < len(joints):
-        item.log.warn("GLT106", item.at("joints"), "a joint is listed twice")
+        item.notes.warn("GLT106", item.at("joints"), "a joint is listed twice")
     matrices = np.tile(np.eye(4), (len(joints), 1, 1))
     index = item.index("inverseBindMatrices", len(accessors.entries), "accessor")
     where = item.at("inverseBindMatrices")
@@ -267,7 +268,7 @@ def _skin(item: Item, accessors: Accessors, nodes: int) -> SkinEntry:
         )
         if accessor.count < len(joints):
             message = f"{accessor.count} matrices for {len(joints)} joints"
-            item.log.fail("GLT011", where, message)
+            item.notes.fail("GLT011", where, message)
         found = np.zeros((len(joints), 4, 4))
         if accessors.has_data(index):
             found = accessors.floats(index)[: len(joints)].reshape(-1, 4, 4)
@@ -276,12 +277,12 @@ def _skin(item: Item, accessors: Accessors, nodes: int) -> SkinEntry:
         if (last > 1e-4).any() and accessors.has_data(index):
             joint = int(last.argmax())
             message = f"the last row of matrix {joint} is not 0 0 0 1"
-            item.log.fail("GLT010", where, message)
+            item.notes.fail("GLT010", where, message)
         matrices[:, 3] = [0.0, 0.0, 0.0, 1.0]
     skeleton = item.number("skeleton")
     if skeleton is not None and not 0 <= skeleton < nodes:
         message = f"node {skeleton} does not exist: the hint is left out"
-        item.log.warn("GLT106", item.at("skeleton"), message)
+        item.notes.warn("GLT106", item.at("skeleton"), message)
         skeleton = None
     return SkinEntry(
         item.text("name"),
@@ -293,7 +294,7 @@ def _skin(item: Item, accessors: Accessors, nodes: int) -> SkinEntry:
 
 
 def skin_weights(
-    primitive: Primitive, joints: int, accessors: Accessors, log: Log
+    primitive: Primitive, joints: int, accessors: Accessors, notes: Notes
 ) -> tuple[IntArray, FloatArray]:
     """Return joints and weights of the vertices ``(V, I)``, the weights of sum 1.
 
@@ -302,7 +303,9 @@ def skin_weights(
     indices = np.concatenate(
         [accessors.numbers(one).astype(np.int64) for one in primitive.joints], axis=1
     )
-    weights = np.concatenate([accessors.floats(one) for one in primitive.weights], axis=1)
+    weights = np.concatenate(
+        [accessors.floats(one) for one in primitive.weights], axis=1
+    )
     beyond = indices >= joints
     if beyond.any():
         if (weights[beyond] > 0).any():
@@ -310,7 +313,7 @@ def skin_weights(
             at = primitive.joints.index(number)
             where = f"{primitive.where}/attributes/JOINTS_{at}"
             message = f"joint {int(indices[beyond].max())} of a skin with {joints}"
-            log.fail("GLT006", where, message)
+            notes.fail("GLT006", where, message)
         indices[beyond] = 0
     sums = weights.sum(axis=1)
     coarse = any(accessors.get(one).component == U8 for one in primitive.weights)
@@ -319,20 +322,18 @@ def skin_weights(
     given = all(accessors.has_data(one) for one in primitive.weights)
     if given and off > (COARSE_SUM if coarse else SUM_TOLERANCE):
         message = f"weights of a vertex have the sum {1 + off:.6g} or {1 - off:.6g}"
-        log.warn("GLT104", where, f"{message}: they are divided by it")
+        notes.warn("GLT104", where, f"{message}: they are divided by it")
     empty = sums == 0.0
     if empty.any():
         if given:
             message = f"{int(empty.sum())} vertices have no weights"
-            log.warn("GLT104", where, f"{message}: they follow the first joint")
+            notes.warn("GLT104", where, f"{message}: they follow the first joint")
         weights[empty, 0], indices[empty, 0] = 1.0, 0
         sums = np.where(empty, 1.0, sums)
     return indices, weights / sums[:, None]
 
 
-def triangles(
-    primitive: Primitive, many: int, accessors: Accessors
-) -> IntArray:
+def triangles(primitive: Primitive, many: int, accessors: Accessors) -> IntArray:
     """Return the faces of a primitive ``(N, 3)``; none of points and lines."""
     if primitive.mode not in {TRIANGLES, STRIP, FAN}:
         return np.zeros((0, 3), np.int64)
@@ -349,4 +350,4 @@ def triangles(
     faces = np.stack([run[:-2], run[1:-1], run[2:]], axis=1)
     faces[1::2] = faces[1::2][:, [1, 0, 2]]
     flat = (faces[:, 0] == faces[:, 1]) | (faces[:, 1] == faces[:, 2])
-    return faces[~(flat | (faces[:, 0] == faces[:, 2]))]
+    return np.asarray(faces[~(flat | (faces[:, 0] == faces[:, 2]))])

@@ -8,7 +8,7 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray
 from animtool.core.record import dataclass
-from animtool.formats.gltf.places import Item, Log
+from animtool.formats.gltf.places import Item, Notes
 from animtool.maths import so3
 
 # Of a quaternion's length, and of a matrix that its parts give back [1].
@@ -48,7 +48,7 @@ class Node:
     has_matrix: bool = False
 
 
-def read_nodes(root: Item, log: Log, meshes: int, skins: int) -> tuple[Node, ...]:
+def read_nodes(root: Item, notes: Notes, meshes: int, skins: int) -> tuple[Node, ...]:
     """Return the nodes, in the order of the file.
 
     Raises:
@@ -56,25 +56,27 @@ def read_nodes(root: Item, log: Log, meshes: int, skins: int) -> tuple[Node, ...
     """
     items = root.children("nodes")
     if len(items) > MAX_NODES:
-        log.fail("GLT013", "/nodes", f"{len(items)} nodes; at most {MAX_NODES} are read")
+        notes.fail(
+            "GLT013", "/nodes", f"{len(items)} nodes; at most {MAX_NODES} are read"
+        )
     below = [item.indices("children", len(items), "node") for item in items]
-    parents = _parents(items, below, log)
+    parents = _parents(items, below, notes)
     return tuple(
-        _node(item, parents[i], below[i], meshes, skins, log)
+        _node(item, parents[i], below[i], meshes, skins, notes)
         for i, item in enumerate(items)
     )
 
 
-def _parents(items: list[Item], below: list[list[int]], log: Log) -> list[int]:
+def _parents(items: list[Item], below: list[list[int]], notes: Notes) -> list[int]:
     parents = [-1] * len(items)
     for i, children in enumerate(below):
         for k, child in enumerate(children):
             if child == i:
                 message = "the node is its own child"
-                log.fail("GLT009", items[i].pointer, message)
+                notes.fail("GLT009", items[i].pointer, message)
             if parents[child] >= 0:
                 message = f"node {child} has two parents, {parents[child]} and {i}"
-                log.fail("GLT009", f"{items[i].pointer}/children/{k}", message)
+                notes.fail("GLT009", f"{items[i].pointer}/children/{k}", message)
             parents[child] = i
     done = [False] * len(items)
     for i in range(len(items)):
@@ -82,7 +84,7 @@ def _parents(items: list[Item], below: list[list[int]], log: Log) -> list[int]:
         at = i
         while at >= 0 and not done[at]:
             if at in path:
-                log.fail("GLT009", items[at].pointer, "the node is below itself")
+                notes.fail("GLT009", items[at].pointer, "the node is below itself")
             path[at] = None
             at = parents[at]
         for node in path:
@@ -91,7 +93,7 @@ def _parents(items: list[Item], below: list[list[int]], log: Log) -> list[int]:
 
 
 def _node(
-    item: Item, parent: int, children: list[int], meshes: int, skins: int, log: Log
+    item: Item, parent: int, children: list[int], meshes: int, skins: int, notes: Notes
 ) -> Node:
     mesh = item.index("mesh", meshes, "mesh")
     skin = item.index("skin", skins, "skin")
@@ -100,9 +102,9 @@ def _node(
         for key, given in (("skin", skin >= 0), ("weights", weights is not None)):
             if given:
                 message = f"{key} of a node without a mesh is left out"
-                log.warn("GLT106", item.at(key), message)
+                notes.warn("GLT106", item.at(key), message)
         skin, weights = -1, None
-    translation, rotation, scale, has_matrix = _transform(item, log)
+    translation, rotation, scale, has_matrix = _transform(item, notes)
     shown = item.extension(VISIBILITY)
     visible = shown is None or shown.values.get("visible", True) is not False
     return Node(
@@ -121,7 +123,7 @@ def _node(
 
 
 def _transform(
-    item: Item, log: Log
+    item: Item, notes: Notes
 ) -> tuple[
     tuple[float, float, float],
     tuple[float, float, float, float],
@@ -136,18 +138,20 @@ def _transform(
         for key, part in zip(("translation", "rotation", "scale"), parts, strict=True):
             if part is not None:
                 message = f"{key} beside a matrix is left out"
-                log.warn("GLT106", item.at(key), message)
-        return (*_split(np.array(given), item, log), True)
+                notes.warn("GLT106", item.at(key), message)
+        return (*_split(np.array(given), item, notes), True)
     translation, rotation, scale = (
         usual if part is None else part
-        for part, usual in zip(parts, ([0.0] * 3, [0.0, 0, 0, 1.0], [1.0] * 3), strict=True)
+        for part, usual in zip(
+            parts, ([0.0] * 3, [0.0, 0, 0, 1.0], [1.0] * 3), strict=True
+        )
     )
     length = math.hypot(*rotation)
     if length == 0.0:
-        log.fail("GLT010", item.at("rotation"), "a rotation of length 0 is none")
+        notes.fail("GLT010", item.at("rotation"), "a rotation of length 0 is none")
     if abs(length - 1.0) > UNIT:
         message = f"the rotation has length {length:.6g}: it is normalised"
-        log.warn("GLT103", item.at("rotation"), message)
+        notes.warn("GLT103", item.at("rotation"), message)
     x, y, z = translation
     a, b, c, w = (value / length for value in rotation)
     u, v, s = scale
@@ -160,7 +164,7 @@ _PARTS = (("translation", 3), ("rotation", 4), ("scale", 3))
 
 
 def _split(
-    columns: FloatArray, item: Item, log: Log
+    columns: FloatArray, item: Item, notes: Notes
 ) -> tuple[
     tuple[float, float, float],
     tuple[float, float, float, float],
@@ -170,18 +174,18 @@ def _split(
     matrix = columns.reshape(4, 4).T
     where = item.at("matrix")
     if np.abs(matrix[3] - [0, 0, 0, 1]).max() > SHEAR:
-        log.fail("GLT010", where, "the last row of the matrix is not 0 0 0 1")
+        notes.fail("GLT010", where, "the last row of the matrix is not 0 0 0 1")
     linear = matrix[:3, :3]
     size = float(np.abs(linear).max())
     if not size or abs(np.linalg.det(linear / size)) < 1e-12:
-        log.fail("GLT010", where, "the matrix is flat: it has no inverse")
+        notes.fail("GLT010", where, "the matrix is flat: it has no inverse")
     turn, scale = so3.split_scale(linear[None] / size)
     rotation, lengths = turn[0], scale[0] * size
     again = so3.to_matrix(rotation) * lengths
     off = float(np.abs(again - linear).max()) / size
     if off > SHEAR:
         message = f"the shear of the matrix, {off:.3g} of its size, is left out"
-        log.warn("GLT103", where, message)
+        notes.warn("GLT103", where, message)
     x, y, z = matrix[:3, 3].tolist()
     a, b, c, w = rotation.tolist()
     u, v, s = lengths.tolist()
@@ -189,7 +193,7 @@ def _split(
 
 
 def read_scenes(
-    root: Item, log: Log, nodes: tuple[Node, ...]
+    root: Item, notes: Notes, nodes: tuple[Node, ...]
 ) -> tuple[list[list[int]], int]:
     """Return the root nodes of each scene, and the scene that is shown; -1 for none."""
     scenes = []
@@ -198,25 +202,14 @@ def read_scenes(
         for k, node in enumerate(listed):
             if nodes[node].parent >= 0:
                 message = f"node {node} has a parent; it is in the tree once"
-                log.warn("GLT106", f"{item.at('nodes')}/{k}", message)
+                notes.warn("GLT106", f"{item.at('nodes')}/{k}", message)
         scenes.append(listed)
     shown = root.index("scene", len(scenes), "scene")
     return scenes, (0 if shown < 0 and scenes else shown)
 
 
-def world_matrices(
-    parents: FloatArray, local: FloatArray, order: list[int]
-) -> FloatArray:
-    """Return world transforms ``(N, 4, 4)`` of local ones, parents first in order."""
-    world = local.copy()
-    for node in order:
-        if parents[node] >= 0:
-            world[node] = world[int(parents[node])] @ local[node]
-    return world
-
-
 def parents_first(nodes: tuple[Node, ...]) -> list[int]:
-    """Return the indices of all nodes, each after its parent, as an outline lists them."""
+    """Return the indices of all nodes, each after its parent, in outline order."""
     order: list[int] = []
     stack = [i for i in range(len(nodes) - 1, -1, -1) if nodes[i].parent < 0]
     while stack:

@@ -17,7 +17,7 @@ MAX_WARNINGS = 20
 
 
 @dataclass(slots=True)
-class Log:
+class Notes:
     """The file that is read, and what was put right in it."""
 
     path: str
@@ -65,7 +65,7 @@ class Item:
 
     values: dict[str, Any]
     pointer: str  # empty of the file as a whole
-    log: Log
+    notes: Notes
 
     def at(self, key: str) -> str:
         """Return the pointer of a property."""
@@ -73,12 +73,12 @@ class Item:
 
     def fail(self, key: str, message: str, code: str = "GLT005") -> NoReturn:
         """Refuse a property."""
-        self.log.fail(code, self.at(key), message)
+        self.notes.fail(code, self.at(key), message)
 
     def missing(self, key: str) -> NoReturn:
         """Refuse the object, which lacks a property."""
         message = f"the required property {key!r} is missing"
-        self.log.fail("GLT005", self.pointer or "/", message)
+        self.notes.fail("GLT005", self.pointer or "/", message)
 
     def number(self, key: str) -> int | None:
         """Return an integer; 1.0 is one. None where it is missing."""
@@ -87,7 +87,7 @@ class Item:
         value = self.values[key]
         if is_number(value) and math.isfinite(value) and value == int(value):
             return int(value)
-        self.fail(key, f"{key} must be an integer, not {excerpt(repr(value))}")
+        return self.fail(key, f"{key} must be an integer, not {excerpt(repr(value))}")
 
     def size(self, key: str, default: int | None = None, least: int = 0) -> int:
         """Return a count, an offset or a length, not below the least."""
@@ -123,7 +123,7 @@ class Item:
                 self.fail(f"{key}", f"entry {i} is {excerpt(repr(value))}, no integer")
             if not 0 <= value < count:
                 message = f"{what} {int(value)} does not exist"
-                self.log.fail("GLT006", f"{self.at(key)}/{i}", message)
+                self.notes.fail("GLT006", f"{self.at(key)}/{i}", message)
         return [int(value) for value in found]
 
     def floats(self, key: str, size: int | None) -> list[float] | None:
@@ -138,7 +138,7 @@ class Item:
                 self.fail(key, f"{excerpt(repr(value))} is no number")
             if not abs(value) <= LARGEST:
                 message = f"{value} is beyond what a float32 holds"
-                self.log.fail("GLT010", f"{self.at(key)}/{i}", message)
+                self.notes.fail("GLT010", f"{self.at(key)}/{i}", message)
         return [float(value) for value in found]
 
     def text(self, key: str) -> str | None:
@@ -156,7 +156,7 @@ class Item:
         if not isinstance(value, list):
             self.fail(key, f"{key} must be a list, not {excerpt(repr(value))}")
         if not value:
-            self.log.warn("GLT106", self.at(key), "an empty list is left out")
+            self.notes.warn("GLT106", self.at(key), "an empty list is left out")
         return value
 
     def child(self, key: str) -> Item | None:
@@ -166,7 +166,7 @@ class Item:
         value = self.values[key]
         if not isinstance(value, dict):
             self.fail(key, f"{key} must be an object, not {excerpt(repr(value))}")
-        return Item(value, self.at(key), self.log)
+        return Item(value, self.at(key), self.notes)
 
     def required(self, key: str) -> Item:
         """Return an object below, which must be there."""
@@ -181,8 +181,8 @@ class Item:
         for i, value in enumerate(self.list_of(key)):
             if not isinstance(value, dict):
                 message = f"must be an object, not {excerpt(repr(value))}"
-                self.log.fail("GLT005", f"{pointer}/{i}", message)
-            yield Item(value, f"{pointer}/{i}", self.log)
+                self.notes.fail("GLT005", f"{pointer}/{i}", message)
+            yield Item(value, f"{pointer}/{i}", self.notes)
 
     def extension(self, name: str) -> Item | None:
         """Return an extension of the object; None where it has none of that name."""
@@ -190,4 +190,4 @@ class Item:
         found = extensions.get(name) if isinstance(extensions, dict) else None
         if not isinstance(found, dict):
             return None
-        return Item(found, f"{self.pointer}/extensions/{escaped(name)}", self.log)
+        return Item(found, f"{self.pointer}/extensions/{escaped(name)}", self.notes)

@@ -2,16 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
-from fractions import Fraction
 from pathlib import Path
 
-import numpy as np
-
 from animtool.core.arguments import argument
-from animtool.core.array_types import FloatArray
-from animtool.core.clock import Clock
 from animtool.core.errors import Fault, FormatError, Severity, counted, listed
 from animtool.core.names import nearest
 from animtool.core.rates import FractionLike, rate_option
@@ -21,14 +15,11 @@ from animtool.formats.gltf.animations import Path as Moved
 from animtool.formats.gltf.characters import chosen
 from animtool.formats.gltf.document import Gltf, left_out_text, open_gltf
 from animtool.formats.gltf.rig import GltfRig, build_rig, scale_notice
-from animtool.formats.gltf.sampling import Sampler, sampler
-from animtool.formats.gltf.timing import Frames, distinct_clip_names, frames_of
-from animtool.motion.motion import Motion
+from animtool.formats.gltf.sampling import clip_stream, moves, sampler
+from animtool.formats.gltf.timing import distinct_clip_names, frames_of
 from animtool.motion.take import TakeStream
 from animtool.rig.skeleton import Rig
 
-# Frames of a block: 60 joints take 2 MB.
-BLOCK = 1024
 MAX_NAMED = 8
 
 
@@ -66,7 +57,7 @@ def read_gltf(
     made = build_rig(gltf, character, path.stem, meters.meters, up or UpAxis.Y)
     index, more = _clip(gltf, made, take)
     animation = None if index < 0 else gltf.animations[index]
-    notices = [*gltf.log.notices, *notices, *made.notices, *more]
+    notices = [*gltf.notes.notices, *notices, *made.notices, *more]
     notices += _left_out(gltf, animation)
     moving = sampler(gltf, made, animation)
     frames = frames_of(animation, rate, str(path), moving.numbers)
@@ -83,54 +74,24 @@ def read_gltf(
     return stream
 
 
-def read_gltf_rig(path: Path) -> Rig:
-    """Return the rig of a glTF with its meshes and shapes; notices say what it lacks."""
-    return read_gltf_character(path)
+def read_gltf_rig(path: Path, prim_path: str | None = None) -> Rig:
+    """Return the rig of a glTF with its meshes and shapes.
 
+    Its notices say what a rig has no place for.
 
-def read_gltf_character(path: Path, prim_path: str | None = None) -> Rig:
-    """Return the rig of a character of a glTF."""
+    Args:
+        path: A .gltf, .glb or .vrm file.
+        prim_path: The character, as `read_gltf` has it.
+
+    Raises:
+        FormatError: As `read_gltf` does.
+    """
     gltf = open_gltf(path)
     character, notices = chosen(gltf, prim_path)
     made = build_rig(gltf, character, path.stem)
-    notices = [*gltf.log.notices, *notices, *made.notices]
+    notices = [*gltf.notes.notices, *notices, *made.notices]
     notices += scale_notice(made, str(path))
     return replace(made.rig, notices=tuple(notices))
-
-
-def clip_stream(made: GltfRig, moving: Sampler, frames: Frames) -> TakeStream:
-    """Return a clip on its rig, drawn block by block."""
-
-    def curve(codes: FloatArray) -> Motion:
-        return moving.at(frames.seconds(codes))
-
-    rig = made.rig
-    blocks = _blocks(moving, frames)
-    return TakeStream(
-        rig,
-        frames.fps,
-        frames.first,
-        Fraction(1),
-        blocks,
-        curve=curve,
-        count=frames.count,
-    )
-
-
-def _blocks(moving: Sampler, frames: Frames) -> Iterator[Motion]:
-    clock = Clock(frames.fps, frames.first, Fraction(1), frames.count)
-    seconds = frames.seconds(clock.times)
-    previous: FloatArray | None = None
-    for at in range(0, frames.count, BLOCK):
-        block = moving.at(seconds[at : at + BLOCK])
-        turns = block.rotations
-        if previous is not None and len(turns.animated):
-            signs = np.sign(np.einsum("jc,jc->j", turns.values[0], previous))
-            if (signs < 0).any():
-                turns.values[:, signs < 0] *= -1.0
-        if len(turns.animated):
-            previous = turns.values[-1].copy()
-        yield block
 
 
 def _clip(gltf: Gltf, made: GltfRig, take: str | None) -> tuple[int, list[Fault]]:
@@ -144,21 +105,12 @@ def _clip(gltf: Gltf, made: GltfRig, take: str | None) -> tuple[int, list[Fault]
     if not names:
         message = "holds no animation: the rig is read at rest"
         return -1, [Fault("GLT116", message, path, severity=Severity.NOTE)]
-    index = next((i for i, one in enumerate(gltf.animations) if _moves(made, one)), 0)
+    index = next((i for i, one in enumerate(gltf.animations) if moves(made, one)), 0)
     if len(names) == 1:
         return index, []
     message = f"clip {names[index]!r} is read of {counted(len(names), 'clip')}"
     hint = f"{argument('source.take')} reads another: {listed(names, MAX_NAMED)}"
     return index, [Fault("GLT109", message, path, (), hint, Severity.NOTE)]
-
-
-def _moves(made: GltfRig, animation: Animation) -> bool:
-    """Return whether a clip moves something of a rig."""
-    shapes = {node for node, _ in made.shapes}
-    return any(
-        track.mesh >= 0 or made.joints[track.node] >= 0 or track.node in shapes
-        for track in animation.tracks
-    )
 
 
 def _left_out(gltf: Gltf, animation: Animation | None) -> list[Fault]:

@@ -114,7 +114,7 @@ def build_rig(
 def shape_keys(
     gltf: Gltf, character: Character
 ) -> tuple[tuple[tuple[int, int], ...], tuple[Shape, ...]]:
-    """Return node and target of each shape of a character, and shapes without arrays."""
+    """Return node and target of each shape, and the shapes without arrays."""
     from animtool.formats.gltf.surfaces import mesh_names, shape_names
 
     keys: list[tuple[int, int]] = []

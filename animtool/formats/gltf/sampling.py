@@ -2,22 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import field
+from fractions import Fraction
 
 import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
+from animtool.core.clock import Clock
 from animtool.core.record import dataclass
 from animtool.formats.gltf.animations import Animation, Track
 from animtool.formats.gltf.animations import Path as Moved
 from animtool.formats.gltf.document import Gltf
 from animtool.formats.gltf.rig import GltfRig, folded_nodes
+from animtool.formats.gltf.timing import Frames
 from animtool.maths import so3
 from animtool.motion.motion import Channel, Motion
+from animtool.motion.take import TakeStream
 
 # A time this near to a key, by its size, is the key: float32 holds no other.
 NEAR = 1.5 * float(np.finfo(np.float32).eps)
+# Frames of a block: 60 joints take 2 MB.
+BLOCK = 1024
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -223,4 +229,48 @@ def _one_weight(track: Track, target: int) -> Track:
         track.values[:, one],
         None if track.ins is None else track.ins[:, one],
         None if track.outs is None else track.outs[:, one],
+    )
+
+
+def clip_stream(made: GltfRig, moving: Sampler, frames: Frames) -> TakeStream:
+    """Return a clip on its rig, drawn block by block."""
+
+    def curve(codes: FloatArray) -> Motion:
+        return moving.at(frames.seconds(codes))
+
+    rig = made.rig
+    blocks = _blocks(moving, frames)
+    return TakeStream(
+        rig,
+        frames.fps,
+        frames.first,
+        Fraction(1),
+        blocks,
+        curve=curve,
+        count=frames.count,
+    )
+
+
+def _blocks(moving: Sampler, frames: Frames) -> Iterator[Motion]:
+    clock = Clock(frames.fps, frames.first, Fraction(1), frames.count)
+    seconds = frames.seconds(clock.times)
+    previous: FloatArray | None = None
+    for at in range(0, frames.count, BLOCK):
+        block = moving.at(seconds[at : at + BLOCK])
+        turns = block.rotations
+        if previous is not None and len(turns.animated):
+            signs = np.sign(np.einsum("jc,jc->j", turns.values[0], previous))
+            if (signs < 0).any():
+                turns.values[:, signs < 0] *= -1.0
+        if len(turns.animated):
+            previous = turns.values[-1].copy()
+        yield block
+
+
+def moves(made: GltfRig, animation: Animation) -> bool:
+    """Return whether a clip moves something of a rig."""
+    shapes = {node for node, _ in made.shapes}
+    return any(
+        track.mesh >= 0 or made.joints[track.node] >= 0 or track.node in shapes
+        for track in animation.tracks
     )

@@ -64,9 +64,7 @@ def mesh_parts(
     if empty:
         message = f"{counted(len(empty), 'mesh', 'meshes')} of points or lines alone, "
         message += f"or without any, left out: {listed(empty)}"
-        notices.append(
-            Fault("GLT108", message, str(gltf.path), severity=Severity.NOTE)
-        )
+        notices.append(Fault("GLT108", message, str(gltf.path), severity=Severity.NOTE))
     return tuple(meshes), tuple(shapes), tuple(keys), notices
 
 
@@ -156,12 +154,12 @@ def _normals(gltf: Gltf, parts: list[_Part]) -> HeldArray | None:
 def _skin(
     gltf: Gltf, node: int, parts: list[_Part], binder: Binder
 ) -> tuple[Skin, FloatArray]:
-    """Return what a mesh follows: the joints of its skin, or the node that carries it."""
+    """Return what a mesh follows: joints of its skin, or the node that has it."""
     index = gltf.nodes[node].skin
     if index >= 0 and all(part.primitive.joints for part in parts):
         geometry, joints = binder.skin(index)
         rows = [
-            skin_weights(part.primitive, len(joints), gltf.accessors, gltf.log)
+            skin_weights(part.primitive, len(joints), gltf.accessors, gltf.notes)
             for part in parts
         ]
         width = max(indices.shape[1] for indices, _ in rows)
@@ -188,16 +186,15 @@ def _wide(values: FloatArray | IntArray, width: int) -> FloatArray:
     return whole
 
 
-def _targets(
-    gltf: Gltf, node: int
-) -> tuple[list[HeldArray], list[HeldArray | None]]:
+def _targets(gltf: Gltf, node: int) -> tuple[list[HeldArray], list[HeldArray | None]]:
     """Return what each morph target adds to the points and normals of a mesh."""
     parts = _shared(gltf, node)
     deltas: list[HeldArray] = []
     normals: list[HeldArray | None] = []
     with_normals = _normals(gltf, parts) is not None
     for target in range(gltf.meshes[gltf.nodes[node].mesh].targets):
-        moves, turns = [], []
+        moves: list[FloatArray] = []
+        turns: list[FloatArray] = []
         for part in parts:
             own = part.primitive.targets[target]
             for index, rows in ((own.position, moves), (own.normal, turns)):

@@ -71,7 +71,9 @@ def frames_of(
         message = f"{last - first:.6g} s at {rate_label(rate)} are {count} frames of "
         message += f"{width} numbers, more than are read"
         hint = f"{argument('source.fps')} reads fewer frames a second"
-        raise FormatError(Fault("GLT013", message, path, (), hint, where=animation.where))
+        raise FormatError(
+            Fault("GLT013", message, path, (), hint, where=animation.where)
+        )
     notices = () if _fits(times, rate) else (_between(times, rate, path, animation),)
     return Frames(rate, start, start + low, count, notices)
 

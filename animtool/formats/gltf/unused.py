@@ -36,8 +36,12 @@ def unused_parts(root: dict[str, Any]) -> Unused:
     accessors = frozenset(other - used)
     images = set(_images(root))
     entries = list(enumerate(_dicts(root.get("accessors"))))
-    of_read = {view for i, entry in entries if i not in accessors for view in _views(entry)}
-    of_other = {view for i, entry in entries if i in accessors for view in _views(entry)}
+    of_read = {
+        view for i, entry in entries if i not in accessors for view in _views(entry)
+    }
+    of_other = {
+        view for i, entry in entries if i in accessors for view in _views(entry)
+    }
     views = frozenset((images | of_other) - of_read)
     named = list(enumerate(_dicts(root.get("bufferViews"))))
     own = {_index(view.get("buffer")) for i, view in named if i not in views}
@@ -70,8 +74,7 @@ def _dicts(value: Any) -> Iterator[dict[str, Any]]:
 
 
 def _index(value: Any) -> int:
-    finite = is_number(value) and value == value and abs(value) < 2**53
-    return int(value) if finite else -1
+    return int(value) if is_number(value) and abs(value) < 2**53 else -1
 
 
 def _primitives(root: dict[str, Any]) -> Iterator[dict[str, Any]]:
