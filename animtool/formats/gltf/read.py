@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+from animtool.clip.clip import Clip
+from animtool.clip.keyed_curve import KeyedCurve
 from animtool.core.arguments import argument
 from animtool.core.errors import Fault, FormatError, Severity, counted, listed
 from animtool.core.names import nearest
@@ -14,9 +16,11 @@ from animtool.formats.gltf.animations import Animation
 from animtool.formats.gltf.animations import Path as Moved
 from animtool.formats.gltf.characters import chosen
 from animtool.formats.gltf.document import Gltf, left_out_text, open_gltf
+from animtool.formats.gltf.keys import clip_of_gltf
 from animtool.formats.gltf.rig import GltfRig, build_rig, scale_notice
-from animtool.formats.gltf.sampling import clip_stream, moves, sampler
-from animtool.formats.gltf.timing import distinct_clip_names, frames_of
+from animtool.formats.gltf.sampling import Sampler, clip_stream, moves, sampler
+from animtool.formats.gltf.timing import Frames, distinct_clip_names, frames_of
+from animtool.motion.motion import MotionCurve
 from animtool.motion.take import TakeStream
 from animtool.rig.skeleton import Rig
 
@@ -65,6 +69,9 @@ def read_gltf(
     names = distinct_clip_names(gltf.animations)
     stream = clip_stream(made, moving, frames)
     stream.notices[:] = notices
+    if index >= 0:
+        name = distinct_clip_names(gltf.animations)[index]
+        stream.curve = _keyed(stream, name, made, moving, frames)
     stream.details = {
         "format": "glTF",
         "nodes": len(gltf.nodes),
@@ -92,6 +99,19 @@ def read_gltf_rig(path: Path, prim_path: str | None = None) -> Rig:
     notices = [*gltf.notes.notices, *notices, *made.notices]
     notices += scale_notice(made, str(path))
     return replace(made.rig, notices=tuple(notices))
+
+
+def _keyed(
+    stream: TakeStream, name: str, made: GltfRig, moving: Sampler, frames: Frames
+) -> MotionCurve:
+    """Return the motion of a stream at any time, with the keys that it is of."""
+
+    def clip() -> Clip:
+        found, notices = clip_of_gltf(name, made, moving, frames)
+        return replace(found, notices=tuple(notices))
+
+    assert stream.curve is not None
+    return KeyedCurve(stream.curve, clip, foreign=True)
 
 
 def _clip(gltf: Gltf, made: GltfRig, take: str | None) -> tuple[int, list[Fault]]:

@@ -27,7 +27,7 @@ BLOCK = 1024
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Moving:
+class Moving:
     """A track, and the row of a channel that it moves."""
 
     row: int
@@ -40,7 +40,7 @@ class Sampler:
     """The motion of a rig by one clip, at any times."""
 
     rest: dict[Moved, FloatArray]  # of each channel ``(rows, width)``
-    moving: dict[Moved, list[_Moving]]
+    moving: dict[Moved, list[Moving]]
     scaled: bool  # whether there is a scale
     _grids: dict[int, tuple[IntArray, FloatArray]] = field(default_factory=dict)
 
@@ -138,7 +138,7 @@ def sampler(gltf: Gltf, made: GltfRig, animation: Animation | None) -> Sampler:
         Moved.SCALE: made.scales.copy(),
         Moved.WEIGHTS: rest_weights(gltf, made),
     }
-    moving: dict[Moved, list[_Moving]] = {path: [] for path in rest}
+    moving: dict[Moved, list[Moving]] = {path: [] for path in rest}
     even = folded_nodes(gltf)
     for path, one in _rows(gltf, made, animation.tracks if animation else (), even):
         if _is_static(one.track):
@@ -175,9 +175,9 @@ def rest_weights(gltf: Gltf, made: GltfRig) -> FloatArray:
 
 def _rows(
     gltf: Gltf, made: GltfRig, tracks: Sequence[Track], even: BoolArray
-) -> list[tuple[Moved, _Moving]]:
+) -> list[tuple[Moved, Moving]]:
     """Return the rows of channels that tracks move."""
-    rows: list[tuple[Moved, _Moving]] = []
+    rows: list[tuple[Moved, Moving]] = []
     of_meshes: list[Track] = []
     for track in tracks:
         if track.path is Moved.WEIGHTS:
@@ -193,14 +193,14 @@ def _rows(
             above = gltf.nodes[track.node].parent
             factor = 1.0 if above < 0 else float(made.folded[above])
             factor *= made.rig.meters_per_unit
-        rows.append((track.path, _Moving(joint, track, factor)))
+        rows.append((track.path, Moving(joint, track, factor)))
     rows += _weight_rows(gltf, made, of_meshes)
     return rows
 
 
 def _weight_rows(
     gltf: Gltf, made: GltfRig, tracks: Sequence[Track]
-) -> list[tuple[Moved, _Moving]]:
+) -> list[tuple[Moved, Moving]]:
     """Return the shapes that tracks of weights move, those of nodes before meshes."""
     found: dict[int, Track] = {}
     for track in sorted(tracks, key=lambda one: (one.node < 0, one.part < 0)):
@@ -211,7 +211,7 @@ def _weight_rows(
                 track.part in {-1, target}
             ):
                 found.setdefault(row, _one_weight(track, target))
-    return [(Moved.WEIGHTS, _Moving(row, track)) for row, track in found.items()]
+    return [(Moved.WEIGHTS, Moving(row, track)) for row, track in found.items()]
 
 
 def _one_weight(track: Track, target: int) -> Track:

@@ -13,6 +13,7 @@ import numpy as np
 from animtool.clip.channels import curves_of
 from animtool.clip.clip import Clip
 from animtool.clip.file import ClipFile, load_clip, load_rig_of, open_clip
+from animtool.clip.keyed_curve import KeyedCurve
 from animtool.clip.sample import ClipNotice, sample_channels
 from animtool.clip.schema import ChannelModel
 from animtool.core.array_types import FloatArray
@@ -74,7 +75,8 @@ def clip_stream(
     def blocks() -> Iterator[Motion]:
         yield curve(float(clip.first) + np.arange(count, dtype=np.float64))
 
-    stream.blocks, stream.curve, stream.count = blocks(), curve, count
+    stream.blocks, stream.count = blocks(), count
+    stream.curve = KeyedCurve(curve, lambda: None if clamp else clip)
     return stream
 
 
