@@ -24,11 +24,13 @@ class KeyedCurve:
         sample: From times ``(F,)`` [time codes] to the motion there.
         clip: Makes the keys, over the same time codes; None where no clip holds them.
         foreign: Whether they are of a file that is no clip.
+        native: The keys as that file has them, for a writer of its format.
     """
 
     sample: Callable[[FloatArray], Motion]
     clip: Callable[[], Clip | None]
     foreign: bool = False
+    native: object = None
 
     def __call__(self, times: FloatArray) -> Motion:
         """Return the motion at times."""

@@ -10,6 +10,9 @@ from animtool.clip.channels import ClipChannel
 from animtool.clip.clip import Clip
 from animtool.core.array_types import FloatArray
 from animtool.core.record import dataclass
+from animtool.formats.gltf.animations import Interpolation
+from animtool.formats.gltf.animations import Path as Moved
+from animtool.formats.gltf.sampling import NativeKeys
 from animtool.maths.curves import Extrapolation, Interp
 from animtool.maths.tangents import Tangent
 from animtool.motion.take import Take
@@ -71,6 +74,29 @@ def keys_of_clip(
         if keys is not None:
             found[at] = keys
     return found
+
+
+def native_keys(native: object, start: Fraction) -> dict[tuple[int, str], Keys]:
+    """Return rotations by cubic splines, which no clip has, of a glTF that was read.
+
+    start: time code of time 0.
+    """
+    if not isinstance(native, NativeKeys):
+        return {}
+    frames = native.frames
+    later = float(frames.start - start) / float(frames.fps)
+    return {
+        (one.row, "rotation"): Keys(
+            one.track.times + later,
+            one.track.values,
+            "CUBICSPLINE",
+            one.track.ins,
+            one.track.outs,
+        )
+        for one in native.sampler.moving[Moved.ROTATION]
+        if one.track.interpolation is Interpolation.CUBIC
+        and one.track.times[0] + later >= 0
+    }
 
 
 def _held(channel: ClipChannel, clip: Clip, start: Fraction) -> Keys | None:

@@ -18,7 +18,13 @@ from animtool.formats.gltf.characters import chosen
 from animtool.formats.gltf.document import Gltf, left_out_text, open_gltf
 from animtool.formats.gltf.keys import clip_of_gltf
 from animtool.formats.gltf.rig import GltfRig, build_rig, scale_notice
-from animtool.formats.gltf.sampling import Sampler, clip_stream, moves, sampler
+from animtool.formats.gltf.sampling import (
+    NativeKeys,
+    Sampler,
+    clip_stream,
+    moves,
+    sampler,
+)
 from animtool.formats.gltf.timing import Frames, distinct_clip_names, frames_of
 from animtool.motion.motion import MotionCurve
 from animtool.motion.take import TakeStream
@@ -101,6 +107,15 @@ def read_gltf_rig(path: Path, prim_path: str | None = None) -> Rig:
     return replace(made.rig, notices=tuple(notices))
 
 
+def take_names(path: Path) -> list[str]:
+    """Return the names of the clips of a glTF, in its order.
+
+    Raises:
+        FormatError: As `read_gltf` does.
+    """
+    return distinct_clip_names(open_gltf(path).animations)
+
+
 def _keyed(
     stream: TakeStream, name: str, made: GltfRig, moving: Sampler, frames: Frames
 ) -> MotionCurve:
@@ -111,7 +126,8 @@ def _keyed(
         return replace(found, notices=tuple(notices))
 
     assert stream.curve is not None
-    return KeyedCurve(stream.curve, clip, foreign=True)
+    native = NativeKeys(moving, frames)
+    return KeyedCurve(stream.curve, clip, foreign=True, native=native)
 
 
 def _clip(gltf: Gltf, made: GltfRig, take: str | None) -> tuple[int, list[Fault]]:

@@ -88,6 +88,14 @@ class Sampler:
         return track.between(low, own)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class NativeKeys:
+    """The tracks of a clip, and when its frames are."""
+
+    sampler: Sampler
+    frames: Frames
+
+
 _ON_KEYS = np.zeros(0)
 
 

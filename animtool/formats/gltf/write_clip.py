@@ -13,7 +13,7 @@ from animtool.clip.reduction.points import SHELL, joint_bounds
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, Severity, listed
 from animtool.core.record import dataclass
-from animtool.formats.gltf.clip_keys import Keys, keys_of_clip
+from animtool.formats.gltf.clip_keys import Keys, keys_of_clip, native_keys
 from animtool.formats.gltf.glb import GlbBuilder
 from animtool.formats.gltf.reduce import linear_keys
 from animtool.formats.gltf.write_rig import WrittenRig
@@ -74,7 +74,10 @@ def write_clip(
     seconds = (clock.times - float(clock.start)) / float(clock.fps)
     animation = _Animation(made)
     clip = None if tolerance is not None else clip_of(take)
-    keyed = {} if clip is None else keys_of_clip(clip, take, clock.start)
+    keyed: dict[tuple[int, str], Keys] = {}
+    if clip is not None:
+        keyed = keys_of_clip(clip, take, clock.start)
+        keyed |= native_keys(getattr(take.curve, "native", None), clock.start)
     bounds = None
     if tolerance is not None:
         bounds = joint_bounds(take.rig, tolerance, {})
