@@ -11,7 +11,7 @@ from animtool.core.arguments import argument
 from animtool.core.errors import Fault, FormatError, Severity, counted, listed
 from animtool.core.names import nearest
 from animtool.core.rates import FractionLike, rate_option
-from animtool.core.units import LengthUnit, UpAxis
+from animtool.core.units import LengthUnit, UpAxis, unit_name
 from animtool.formats.gltf.animations import Animation
 from animtool.formats.gltf.animations import Path as Moved
 from animtool.formats.gltf.characters import chosen
@@ -80,7 +80,7 @@ def read_gltf(
         stream.curve = _keyed(stream, name, made, moving, frames)
     stream.details = {
         "format": "glTF",
-        "nodes": len(gltf.nodes),
+        "units": unit_name(meters.meters),
         "take": names[index] if index >= 0 else None,
         "takes": names,
     }
