@@ -103,10 +103,11 @@ def _spoil_value(rng: np.random.Generator, document: Any) -> None:
     elif isinstance(parent[key], int | float):
         parent[key] += int(rng.choice([-2, -1, 1, 2]))
     elif isinstance(parent, list):
-        parent.append(parent[key])
+        parent.append(json.loads(json.dumps(parent[key])))
     else:
         other, name = places[int(rng.integers(len(places)))]
-        parent[key] = other.get(name) if isinstance(other, dict) else other[name]
+        # A copy: what holds itself has no JSON.
+        parent[key] = json.loads(json.dumps(other[name]))
 
 
 def _places(value: Any) -> Any:
