@@ -175,7 +175,8 @@ def small_gltf(kind: str = "plain") -> tuple[dict[str, Any], bytes]:
             "nod", (joints[2], "rotation", "STEP", times, turned(0, 0, 9, 0))
         )
     if kind == "sparse":
-        entry = made.json["accessors"][0]
+        attributes = made.json["meshes"][0]["primitives"][0]["attributes"]
+        entry = made.json["accessors"][attributes["POSITION"]]
         entry["sparse"] = {
             "count": 2,
             "indices": {

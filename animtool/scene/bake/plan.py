@@ -196,7 +196,9 @@ def _planned_file(
     start = start_of(options, None, stream, source)
     take = TakePlan(source, "", stream, None, options, fps, start, notices)
     assert entry.path is not None
-    return FilePlan(take, entry.path, entry.base, entry.rig_file)
+    own = stream.details.get("take") or stream.details.get("name")
+    name = str(own or source_stem(source))
+    return FilePlan(take, entry.path, entry.base, entry.rig_file, names=(name,))
 
 
 def _with_others(
@@ -216,12 +218,13 @@ def _with_others(
         hint = "write .usdc or .glb, or name one source"
         raise OptionError(Fault("OUT004", message, str(plan.path), (), hint))
     streams = alike(sources, streams, entry.options, notices)
-    own = names or tuple(distinct(source_stem(path) for path in sources))
-    others = tuple(
-        _planned_file(source, stream, entry, writer, notices).take
+    others = [
+        _planned_file(source, stream, entry, writer, notices)
         for source, stream in zip(sources[1:], streams[1:], strict=True)
-    )
-    return replace(plan, others=others, names=own)
+    ]
+    called = [name for one in (plan, *others) for name in one.names]
+    own = names or tuple(distinct(called))
+    return replace(plan, others=tuple(one.take for one in others), names=own)
 
 
 def _planned_systems(entry: OutputEntry, notices: list[Fault]) -> BakePlan:

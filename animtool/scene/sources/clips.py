@@ -40,6 +40,7 @@ def open_clip_source(
     stream.notices += [*loaded.notices, *clip.notices]
     stream.details = {
         "format": "clip",
+        "name": clip.name,
         "rig": str(named),
         "channels": len(clip.channels),
         "units": unit_name(loaded.meters_per_unit),
