@@ -95,9 +95,24 @@ def _described(path: Path, params: dict[str, Any], used: set[str]) -> Any:
         return describe_targets(path)
     if is_usd(path):
         return _stage(path, params)
+    return _take(path, params)
+
+
+def _take(path: Path, params: dict[str, Any]) -> Any:
+    """Return what the take of a file is; of a glTF without nodes what else it holds."""
+    from animtool.core.readers import GLTF, reader_of
     from animtool.report.describe import describe
 
-    return describe(path, source_options_record(params, "positions"))
+    if reader_of(path) is GLTF:
+        from animtool.report.describe_gltf import describe_nodeless
+
+        nodeless = describe_nodeless(path)
+        if nodeless is not None:
+            return nodeless
+    options = source_options_record(
+        params, "positions", "take", prim_path=params["prim_path"]
+    )
+    return describe(path, options)
 
 
 def _stage(path: Path, params: dict[str, Any]) -> Any:

@@ -28,6 +28,13 @@ _FRAMES = (
     "  frames    {frames} at {fps:rate}, {duration:plain 4} s, time codes "
     "{start:frame} to {end:frame}"
 )
+_GLTF = (
+    "[{?contents}  file      {contents.nodes:n node}"
+    "[, {contents.meshes:n mesh/meshes}][, {contents.skins:n skin}]"
+    "[, {contents.animations:n clip}]]",
+    "[  holds     {contents.characters:list 20}; --prim-path reads another]",
+)
+# The lines of what `animtool info` describes, by the name of the record.
 _LINES: Mapping[str, tuple[Line, ...]] = {
     "TargetsDescription": (
         "{path}: targets, [{goals:n goal}|0 goals]",
@@ -68,6 +75,7 @@ _LINES: Mapping[str, tuple[Line, ...]] = {
     "TakeDescription": (
         "{path}: {format}",
         "[  takes     {takes:list 40}; this is {take:repr}, --take reads another]",
+        *_GLTF,
         "[{?joints}  joints    {joints} below {roots:list 4}[, {channels:n channel}]"
         "|  joints    none: blend shapes alone]",
         f"{_FRAMES}[{{?strides}}, one every {{step}} time codes]",
@@ -93,6 +101,11 @@ _LINES: Mapping[str, tuple[Line, ...]] = {
         "or down by {characters.rise:extreme m} in a frame]",
         "[{?joints}  bounds    {bounds:corners} {units}, {up} up"
         "|  space     {units}, {up} up]",
+        _ODD,
+    ),
+    "GltfDescription": (
+        "{path}: {format} without nodes",
+        *_GLTF,
         _ODD,
     ),
     "PointsDescription": (
@@ -208,6 +221,7 @@ TEMPLATES = {
         ("RigDescription", "report.describe_rig"),
         ("MarkersDescription", "report.describe_markers"),
         ("TakeDescription", "report.describe"),
+        ("GltfDescription", "report.describe_gltf"),
         ("PointsDescription", "usd.caches.info"),
         ("SceneDescription", "report.describe_scene"),
     )

@@ -123,6 +123,7 @@ class Clip:
         >>> nod.sample(hero, fps=48)
         <Take of 'hero': 25 frames from 1 to 25 at 48 fps, 1 joint>
         """
+        from animtool.clip.keyed_curve import KeyedCurve
         from animtool.clip.sample import sample_channels
 
         rate, each = _rate(fps, self.fps), _step(step)
@@ -138,7 +139,9 @@ class Clip:
 
         clock = Clock(rate, self.first, each, count)
         notices = tuple(sampled.notices)
-        return Take(rig, clock, sampled.motion, notices, curve=curve)
+        own = not clamp and rate == self.fps
+        keyed = KeyedCurve(curve, lambda: self if own else None)
+        return Take(rig, clock, sampled.motion, notices, curve=keyed)
 
     def __repr__(self) -> str:
         """Return the name, and how much there is of what."""

@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from animtool.clip.clip import clip_text
+from animtool.clip.clip import Clip, clip_text
+from animtool.clip.keyed_curve import KeyedCurve, clip_of
 from animtool.clip.keyed_take import keyed_take
 from animtool.clip.reduction.tolerance import KEY_TOLERANCE
 from animtool.core.clock import FrameSpan
@@ -44,6 +45,13 @@ def clip_files(take: Take, path: Path, options: WriteOptions) -> TakeFiles:
         rig, arrays = with_file(typed_by_motion(take), arrays_path, moved=True)
         contents |= {arrays_path: arrays} if arrays else {}
         contents[rig_path] = [rig_text(rig).encode()]
+    kept = _kept_keys(take, options)
+    if kept is not None:
+        text = clip_text(kept, rig, seen_from(rig_path, path.parent))
+        contents[path] = [text.encode()]
+        span = FrameSpan(kept.first, kept.last, kept.fps)
+        notices = [*left_out, *kept.notices]
+        return TakeFiles(contents, span, len(rig.joints), notices)
     tolerance = options.tolerance
     keyed = keyed_take(
         take,
@@ -62,6 +70,15 @@ def clip_files(take: Take, path: Path, options: WriteOptions) -> TakeFiles:
         [*left_out, *keyed.notices],
         keyed,
     )
+
+
+def _kept_keys(take: Take, options: WriteOptions) -> Clip | None:
+    """Return the keys that a take has in a file of another format, where they hold."""
+    asked = options.tolerance is not None or options.joint_tolerances
+    foreign = isinstance(take.curve, KeyedCurve) and take.curve.foreign
+    if not foreign or asked or options.base is not None:
+        return None
+    return clip_of(take)
 
 
 def _left_out(take: Take) -> list[Fault]:

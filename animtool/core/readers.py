@@ -38,6 +38,8 @@ class Reader:
             to `animtool.motion.markers.Markers`; empty where such files hold none.
         has_markers: ``module:object`` of a function from a path to whether a file
             holds markers; empty where its suffix says it.
+        takes: ``module:object`` of a function from a path to the names of the takes
+            that the option ``take`` reads; empty where a file holds one.
     """
 
     about: str
@@ -47,6 +49,7 @@ class Reader:
     prim: str = ""
     markers: str = ""
     has_markers: str = ""
+    takes: str = ""
 
     def rig_opener(self, path: Path) -> Callable[[Path], Any]:
         """Return what opens a file as a rig; see `source_opener`."""
@@ -59,6 +62,12 @@ class Reader:
     def prim_opener(self, path: Path) -> Callable[..., Any]:
         """Return what opens an object of a file; see `source_opener`."""
         return _opener(self.prim, "prim", path)
+
+    def take_names(self, path: Path) -> list[str]:
+        """Return the names of the takes of a file, where it may hold several."""
+        if not self.takes:
+            return []
+        return list(_opener(self.takes, "takes", path)(path))
 
     def markers_opener(self, path: Path) -> Callable[..., Any]:
         """Return what opens a file as marker trajectories; see `source_opener`."""
@@ -80,6 +89,13 @@ USD = Reader(
     "animtool.usd.takes.read:read_usd",
     ("prim_path", "take", "placement"),
     "animtool.usd.props.prim_transforms:open_prim",
+)
+GLTF = Reader(
+    "glTF",
+    "animtool.formats.gltf.read:read_gltf_rig",
+    "animtool.formats.gltf.read:read_gltf",
+    ("unit", "up", "fps", "prim_path", "take"),
+    takes="animtool.formats.gltf.read:take_names",
 )
 DOCUMENT = Reader(
     "rig and clip files",
@@ -138,6 +154,9 @@ READERS: dict[str, Reader] = {
     ".usda": USD,
     ".usdc": USD,
     PACKAGE: USD,
+    ".glb": GLTF,
+    ".gltf": GLTF,
+    ".vrm": GLTF,
     ".yaml": DOCUMENT,
     ".yml": DOCUMENT,
     ".json": DOCUMENT,

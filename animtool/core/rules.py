@@ -47,6 +47,7 @@ class Kind(StrEnum):
     COORDINATES = "coordinates"
     BVH = "bvh"
     USD = "usd"
+    GLTF = "gltf"
 
 
 @dataclass(frozen=True, slots=True)

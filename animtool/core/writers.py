@@ -45,6 +45,7 @@ class Writer:
             ``controls``, ``meshes``.
         samples: What it holds of a take, as a plan says it.
         numbered: Whether times in the file say which frame is the first.
+        several: Whether one file holds several takes of a rig, each by its name.
     """
 
     name: str
@@ -59,6 +60,7 @@ class Writer:
     holds: frozenset[str] = frozenset()
     samples: str = "samples of rotations"
     numbered: bool = False
+    several: bool = False
 
     @property
     def holds_motion(self) -> bool:
@@ -124,6 +126,15 @@ MOT, STO = (
     )
     for name, about in (("mot", "OpenSim motion"), ("sto", "OpenSim storage"))
 )
+GLTF = Writer(
+    "gltf",
+    "glTF",
+    "animtool.formats.gltf.write:gltf_files",
+    options=("reduce",),
+    holds=frozenset({"joints", "shapes", "meshes"}),
+    samples="samples, or the keys of a clip",
+    several=True,
+)
 C3D = Writer("c3d", "C3D markers", markers="animtool.formats.c3d.write:write_c3d")
 TRC = Writer("trc", "TRC markers", markers="animtool.formats.trc.write:write_trc")
 WRITERS: dict[str, Writer] = {
@@ -135,6 +146,8 @@ WRITERS: dict[str, Writer] = {
     ".rig.yaml": RIG,
     ".yaml": CLIP,
     ".yml": CLIP,
+    ".glb": GLTF,
+    ".gltf": GLTF,
     ".csv": LIVELINK,
     ".mot": MOT,
     ".sto": STO,

@@ -31,6 +31,10 @@ class WriteOptions:
     # What an additive take is put on, at its frames.
     base: Take | None = None
     rig_file: Path | None = None  # with the take's rig, to be named; None writes one
+    others: tuple[
+        Take, ...
+    ] = ()  # further takes of the rig, where a file holds several
+    names: tuple[str, ...] = ()  # of all takes; empty is the name of the file
 
 
 @dataclass(frozen=True, slots=True)

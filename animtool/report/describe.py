@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from animtool.core.errors import Fault, FormatError, OptionError
+from animtool.core.readers import GLTF, reader_of
 from animtool.core.record import dataclass
 from animtool.core.units import unit_name
 from animtool.motion.take import Take, TakeStream
@@ -21,6 +22,7 @@ from animtool.scene.sources.open import SourceOptions, is_usd, open_source
 if TYPE_CHECKING:
     from animtool.edit.cycle import Cycle
     from animtool.report.describe_characters import CharactersFacts
+    from animtool.report.describe_gltf import GltfContents
     from animtool.usd.caches.info import PointPrim
 
 
@@ -62,6 +64,7 @@ class TakeDescription:
     cycle: Cycle | None = None  # of a person who repeats something
     # All characters of the stage, where it has several and none is named.
     characters: CharactersFacts | None = None
+    contents: GltfContents | None = None  # of a glTF, used or not
     json_keys: ClassVar[str] = "* rate=fps#"
 
     @property
@@ -141,6 +144,7 @@ def describe(path: Path | str, options: SourceOptions | None = None) -> TakeDesc
         capture,
         None if capture is None else _cycle(take),
         _characters(Path(path), options),
+        _contents(Path(path)),
     )
 
 
@@ -194,6 +198,15 @@ def _characters(path: Path, options: SourceOptions | None) -> CharactersFacts | 
     from animtool.report.describe_characters import describe_characters
 
     return describe_characters(path)
+
+
+def _contents(path: Path) -> GltfContents | None:
+    """Return what a glTF holds."""
+    if reader_of(path) is not GLTF:
+        return None
+    from animtool.report.describe_gltf import gltf_contents
+
+    return gltf_contents(path)
 
 
 def _moving_shapes(take: Take) -> list[str]:

@@ -116,6 +116,10 @@ def bind_matrices(rig: Rig) -> FloatArray:
     matrices = np.zeros((len(rig.joints), 4, 4))
     matrices[:, :3, :3], matrices[:, :3, 3] = world.linear[0], world.positions[0]
     matrices[:, 3, 3] = 1.0
+    for name, pose in rig.bind.items():
+        if pose.stretch is not None:
+            own = np.array(pose.stretch).reshape(3, 3)
+            matrices[rig.index(name), :3, :3] @= own
     return matrices
 
 

@@ -66,10 +66,15 @@ class Mimic:
 
 @dataclass(frozen=True, slots=True)
 class Pose:
-    """A local transform, parent space: translation [m], rotation (x, y, z, w)."""
+    """A local transform, parent space: translation [m], rotation (x, y, z, w).
+
+    Of a bind pose ``stretch`` is what its transform does before that, in the frame of
+    the joint: scale and shear of nothing below it, 9 numbers row by row. None is none.
+    """
 
     translation: Vector
     rotation: Quaternion
+    stretch: tuple[float, ...] | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -113,7 +113,10 @@ def bake_take(
         outline: Of the file that messages and reports name as its source.
         progress: Called with the share done, 0 to 1.
     """
-    reading = replace(outline.reading, takes=(stream,), scenes={})
+    first = outline.reading.files[:1]
+    reading = replace(
+        outline.reading, files=first, takes=(stream,), scenes={}, names=()
+    )
     outline = replace(outline, reading=reading)
     (report,) = bake_outline(outline, progress=progress)
     return report

@@ -83,6 +83,8 @@ class FilePlan:
     path: Path
     base: Path | None = None  # of an additive take, what it is put on
     rig_file: Path | None = None  # of a clip, what it names; None writes one
+    others: tuple[TakePlan, ...] = ()  # further takes that the file holds
+    names: tuple[str, ...] = ()  # of all of them; empty is the name of the file
 
     def run(self, progress: Progress = None) -> ConvertReport:
         """Write the take on the output's own clock."""
@@ -105,9 +107,13 @@ class FilePlan:
         write = WriteOptions(
             options.reduce, dict(options.reduce_at), below, self.rig_file
         )
+        more = [in_frames(other) for other in self.others]
+        others = tuple(other.collect() for other in more)
+        write = replace(write, others=others, names=self.names)
         made = _files(take_writer(path), take, path, write)
         noted = [notice for notice in take.notices if notice not in stream.notices]
-        notices = [*stream.notices, *noted, *made.notices]
+        beside = [notice for other in more for notice in other.notices]
+        notices = list(dict.fromkeys([*stream.notices, *beside, *noted, *made.notices]))
         refuse_warnings(notices, strict=options.strict)
         files, inputs = list(made.contents), [plan.source, *([base] if base else [])]
         check_outputs(files, inputs, overwrite=options.overwrite)

@@ -25,12 +25,14 @@ REST_LENGTHS = 1e-5
 REST_RADIANS = 1e-5
 
 
-def take_names(sources: Sequence[Path], notices: list[Fault]) -> list[str]:
-    """Return legal and distinct names of takes, after their files.
+def take_names(
+    sources: Sequence[Path], notices: list[Fault], own_names: Sequence[str] = ()
+) -> list[str]:
+    """Return legal and distinct names of takes, after their files or by their own.
 
     Two that would be the same are added to the notices.
     """
-    stems = [source_stem(path) for path in sources]
+    stems = list(own_names) or [source_stem(path) for path in sources]
     names = distinct_names([path.name for path in sources], stems, stems)
     renamed = [
         path

@@ -61,9 +61,10 @@ class BakeOptions:
             ("stage", "split", "layer"),
             "as",
         ),
-        choices=("stage", "layer"),
+        choices=("stage", "layer", "library"),
         help="One file with skeleton and animation, or only the animation, over a rig "
-        f"layer.  [default: layer where there is {argument('rig_layer')}, else stage]",
+        "layer; or a clip library, of a glTF with every clip that it has.  [default: "
+        f"layer where there is {argument('rig_layer')}, else stage]",
     )
     rig_layer: Path | None = option(
         None,

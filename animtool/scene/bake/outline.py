@@ -24,6 +24,7 @@ from animtool.scene.bake.reading import (
     form_of,
     found_sources,
     output_files,
+    with_takes,
 )
 from animtool.scene.sources.open import source_stem
 from animtool.usd.layers.jobs import Form, check_path
@@ -125,6 +126,11 @@ def outlined(
     scenes = list(reading.scenes.values())
     notices = [notice for scene in scenes for notice in scene.notices]
     path = None if output is None or str(output) == str(STDOUT) else Path(output)
+    if not scenes and path is not None and _holds_several(path, options):
+        reading = with_takes(reading, options)
+        if reading.names and form_of(options) is Form.LIBRARY and not path.exists():
+            # Several takes make a library by themselves.
+            options = replace(options, form=None)
     if len(reading.files) != 1 or not scenes:
         entry = OutputEntry(path, options, base=base, rig_file=rig_file)
         return Outline(reading, (entry,), notices)
@@ -140,6 +146,14 @@ def outlined(
         for entry in entries
     )
     return Outline(reading, outputs, notices)
+
+
+def _holds_several(path: Path, options: BakeOptions) -> bool:
+    """Return whether an output holds all the takes that a source has."""
+    if writes_stage(path):
+        return form_of(options) is Form.LIBRARY
+    writer = writer_of(path)
+    return writer is not None and writer.several
 
 
 def is_several(scene: Scene) -> bool:

@@ -20,6 +20,7 @@ from animtool.core.errors import (
 )
 from animtool.core.files.output import sparing_inputs
 from animtool.core.rates import rate_label
+from animtool.core.similar import distinct
 from animtool.core.writers import Writer, take_writer
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.passes import PassthroughTracks
@@ -43,6 +44,7 @@ from animtool.scene.bake.outline import (
 from animtool.scene.bake.prims import BakePlan, OutputPrims
 from animtool.scene.bake.progress import Progress, share_of
 from animtool.scene.bake.reading import Source, form_of
+from animtool.scene.sources.open import source_stem
 from animtool.usd.layers.jobs import Form
 from animtool.usd.layers.sdf import check_prim_path
 
@@ -92,7 +94,8 @@ def plan_outputs(outline: Outline, *, progress: Progress = None) -> list[OutputP
         streams = reading.open(options, shown)
     notices = [*outline.notices, *reading.unused]
     if len(entries) == 1:
-        return [_planned(reading.files, streams, entries[0], notices)]
+        names = reading.names
+        return [_planned(reading.files, streams, entries[0], notices, names)]
     (stream,) = streams
     return [
         _planned(reading.files, [one], entry, list(notices))
@@ -150,17 +153,21 @@ def _planned(
     streams: list[TakeStream],
     entry: OutputEntry,
     notices: list[Fault],
+    names: tuple[str, ...] = (),
 ) -> OutputPlan:
     """Return what an output is to become, of sources that are open."""
     scene = entry.scene
     if not entry.is_stage:
         assert entry.path is not None
         writer = take_writer(entry.path)
-        return _planned_file(sources[0], streams[0], entry, writer, notices)
+        file = _planned_file(sources[0], streams[0], entry, writer, notices)
+        if len(streams) == 1:
+            return file
+        return _with_others(file, sources, streams, entry, notices, names)
     with ExitStack() as located:
         if scene is not None:
             located.enter_context(scene.located_props())
-        plan = plan_takes(sources, streams, entry.path, entry.options, notices)
+        plan = plan_takes(sources, streams, entry.path, entry.options, notices, names)
     return plan if scene is None else _with_systems(plan, scene)
 
 
@@ -189,7 +196,35 @@ def _planned_file(
     start = start_of(options, None, stream, source)
     take = TakePlan(source, "", stream, None, options, fps, start, notices)
     assert entry.path is not None
-    return FilePlan(take, entry.path, entry.base, entry.rig_file)
+    own = stream.details.get("take") or stream.details.get("name")
+    name = str(own or source_stem(source))
+    return FilePlan(take, entry.path, entry.base, entry.rig_file, names=(name,))
+
+
+def _with_others(
+    plan: FilePlan,
+    sources: Sequence[Path],
+    streams: list[TakeStream],
+    entry: OutputEntry,
+    notices: list[Fault],
+    names: tuple[str, ...],
+) -> FilePlan:
+    """Return a file that holds several takes of one rig, each by its name."""
+    from animtool.scene.bake.library import alike
+
+    writer = take_writer(plan.path)
+    if not writer.several:
+        message = f"a {writer.name} file holds one take, and there are {len(streams)}"
+        hint = "write .usdc or .glb, or name one source"
+        raise OptionError(Fault("OUT004", message, str(plan.path), (), hint))
+    streams = alike(sources, streams, entry.options, notices)
+    others = [
+        _planned_file(source, stream, entry, writer, notices)
+        for source, stream in zip(sources[1:], streams[1:], strict=True)
+    ]
+    called = [name for one in (plan, *others) for name in one.names]
+    own = names or tuple(distinct(called))
+    return replace(plan, others=tuple(one.take for one in others), names=own)
 
 
 def _planned_systems(entry: OutputEntry, notices: list[Fault]) -> BakePlan:
@@ -238,8 +273,12 @@ def plan_takes(
     path: Path | None,
     options: BakeOptions,
     notices: list[Fault],
+    own_names: tuple[str, ...] = (),
 ) -> BakePlan:
-    """Return what takes are to become in USD; None is stdout."""
+    """Return what takes are to become in USD; None is stdout.
+
+    own_names: what the takes are called; empty is as their files are.
+    """
     form = form_of(options)
     library = form is Form.LIBRARY
     added = library and path is not None and path.exists()
@@ -279,7 +318,7 @@ def plan_takes(
     if len(sources) > 1:
         from animtool.scene.bake.library import alike, rate_notice, take_names
 
-        names = take_names(sources, notices)
+        names = take_names(sources, notices, own_names)
         if target is None:
             streams = alike(sources, streams, options, notices)
     fps = options.fps or (target.fps if target else streams[0].fps)

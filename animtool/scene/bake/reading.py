@@ -18,6 +18,7 @@ from animtool.core.errors import (
 from animtool.core.names import is_named
 from animtool.core.options import called, clashes, given_options, refused_options
 from animtool.core.rates import rate_label
+from animtool.core.readers import reader_of
 from animtool.core.record import dataclass
 from animtool.core.writers import Writer
 from animtool.scene.bake.options import BakeOptions
@@ -50,6 +51,8 @@ class Reading:
     scenes: dict[Path, Scene]  # what those say that are scenes
     # Of each file the take, where that is open already.
     takes: tuple[TakeStream | None, ...] = ()
+    # Of each file the name of the take to read; empty where each is read as it is.
+    names: tuple[str, ...] = ()
 
     @property
     def inputs(self) -> list[Path]:
@@ -69,7 +72,11 @@ class Reading:
         for i, (path, take) in enumerate(zip(self.files, self.takes, strict=True)):
             try:
                 shown = share_of(progress, i, len(self.files))
-                streams.append(take or self._open_one(path, options, shown))
+                own = options
+                if self.names:
+                    read = replace(options.source, take=self.names[i])
+                    own = replace(options, source=read)
+                streams.append(take or self._open_one(path, own, shown))
             except AnimtoolError as error:
                 errors.append(error)
         if len(errors) == 1:
@@ -111,6 +118,24 @@ class Reading:
 
             stream = with_lying_notice(path, stream)
         return stream
+
+
+def with_takes(reading: Reading, options: BakeOptions) -> Reading:
+    """Return what is to be read with every take of a file that holds several.
+
+    That is a file alone, without a choice of one of its takes.
+    """
+    if len(reading.files) != 1 or reading.scenes or reading.takes[0] is not None:
+        return reading
+    (path,) = reading.files
+    reader = reader_of(path)
+    if reader is None or not reader.takes or options.source.take is not None:
+        return reading
+    names = reader.take_names(path)
+    if len(names) < 2:
+        return reading
+    many = len(names)
+    return Reading([path] * many, {}, (None,) * many, tuple(names))
 
 
 def found_sources(sources: Sequence[Source]) -> Reading:

@@ -13,6 +13,7 @@ import numpy as np
 from animtool.clip.channels import curves_of
 from animtool.clip.clip import Clip
 from animtool.clip.file import ClipFile, load_clip, load_rig_of, open_clip
+from animtool.clip.keyed_curve import KeyedCurve
 from animtool.clip.sample import ClipNotice, sample_channels
 from animtool.clip.schema import ChannelModel
 from animtool.core.array_types import FloatArray
@@ -39,6 +40,7 @@ def open_clip_source(
     stream.notices += [*loaded.notices, *clip.notices]
     stream.details = {
         "format": "clip",
+        "name": clip.name,
         "rig": str(named),
         "channels": len(clip.channels),
         "units": unit_name(loaded.meters_per_unit),
@@ -74,7 +76,8 @@ def clip_stream(
     def blocks() -> Iterator[Motion]:
         yield curve(float(clip.first) + np.arange(count, dtype=np.float64))
 
-    stream.blocks, stream.curve, stream.count = blocks(), curve, count
+    stream.blocks, stream.count = blocks(), count
+    stream.curve = KeyedCurve(curve, lambda: None if clamp else clip)
     return stream
 
 

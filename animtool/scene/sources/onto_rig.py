@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Protocol
@@ -27,10 +28,14 @@ def open_rig(path: Path, prim_path: str | None = None) -> tuple[Rig, list[Fault]
         from animtool.usd.rigs.stored import read_whole_rig
 
         return read_whole_rig(path, prim_path)
-    if prim_path is not None:
-        message = f"{argument('source.prim_path')} is for USD files, and this is none"
-        raise OptionError(Fault("CLI004", message, str(path)))
-    rig = Rig.load(path)
+    if prim_path is None:
+        rig = Rig.load(path)
+    elif path.is_file() and "prim_path" in find_reader(path).options:
+        opener: Callable[..., Rig] = find_reader(path).rig_opener(path)
+        rig = opener(path, prim_path)
+    else:
+        message = f"{argument('source.prim_path')} is for USD and glTF files, and this "
+        raise OptionError(Fault("CLI004", f"{message}is none", str(path)))
     return rig, list(rig.notices)
 
 

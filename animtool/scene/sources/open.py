@@ -29,6 +29,7 @@ BEYOND_READERS = frozenset({"force_fit", "shot"})
 _DROPPED = ("interpolate", "hold", "close")
 _POSITIONS = ("channels", "offsets")
 _OF_BVH = "says what a BVH leaves open; this file states it"
+_UNITS = "says what a BVH or a glTF is in; this file states it"
 
 
 @described
@@ -50,24 +51,27 @@ class SourceOptions:
         None,
         "unit",
         flag="units",
-        reason=_OF_BVH,
+        reason=_UNITS,
         scene=Key(
-            "Of a BVH: the unit of its lengths. Not given: cm.", "cm", alias="units"
-        ),
-        batch=Key(
-            "Of BVH files: the unit of their lengths. Not given: cm.",
+            "Of a BVH or a glTF: the unit of its lengths. Not given: cm, of a glTF m.",
             "cm",
             alias="units",
         ),
-        help="Unit of a BVH's lengths.  [default: cm]",
+        batch=Key(
+            "Of BVH and glTF files: the unit of their lengths. Not given: cm, of "
+            "glTF m.",
+            "cm",
+            alias="units",
+        ),
+        help="Unit of the lengths of a BVH or a glTF.  [default: cm; of a glTF m]",
     )
     up: UpAxis | None = option(
         None,
         "axis",
-        reason=_OF_BVH,
-        scene=Key("Of a BVH: its up axis. Not given: Y.", "Z"),
-        batch=Key("Of BVH files: their up axis. Not given: Y.", "Z"),
-        help="Up axis of a BVH.  [default: Y]",
+        reason=_UNITS,
+        scene=Key("Of a BVH or a glTF: its up axis. Not given: Y.", "Z"),
+        batch=Key("Of BVH and glTF files: their up axis. Not given: Y.", "Z"),
+        help="Up axis of a BVH or a glTF.  [default: Y]",
     )
     positions: str | None = option(
         None,
@@ -93,32 +97,34 @@ class SourceOptions:
         None,
         "rate",
         flag="source-fps",
-        reason=_OF_BVH,
+        reason=_UNITS,
         scene=Key(
             "Of a BVH: its true frame rate; of a face recording: what its time code "
-            "counts. Not given: what the file shows.",
+            "counts; of a glTF: the rate that its keys are read at. Not given: what "
+            "the file shows.",
             120,
         ),
         batch=Key(
-            "Of BVH files: their true frame rate. Not given: what the frame "
-            "time of each stands for.",
+            "Of BVH files: their true frame rate; of glTF files: the rate that they "
+            "are read at. Not given: what each shows.",
             120,
             alias="source_fps",
         ),
         help="The real frame rate of a BVH whose Frame Time is wrong, or what the time "
-        "code of a face recording counts.",
+        "code of a face recording counts; of a glTF, which states none, the rate to "
+        "read its keys at.",
     )
     prim_path: str | None = option(
         None,
         "text",
         flag="source-prim",
-        reason="is for USD files, and this is none",
+        reason="is for USD and glTF files, and this is none",
         scene=Key(
-            "Of a USD file with several characters: the one to read.",
+            "Of a USD or glTF file with several characters: the one to read.",
             "/World/hero",
             alias="prim",
         ),
-        help="The character to read, where a USD source has several.",
+        help="The character to read, where a USD or glTF source has several.",
         metavar="PATH",
     )
     rig: Path | None = option(
@@ -147,13 +153,14 @@ class SourceOptions:
     take: str | None = option(
         None,
         "text",
-        reason="is for clip libraries in USD, and this is no USD file",
+        reason="is for clip libraries in USD and for glTF, and this is neither",
         scene=Key(
-            "Of a clip library in USD: the take to read. Not given: the one "
-            "that is selected.",
+            "Of a clip library in USD, or a glTF: the take to read. Not given: the "
+            "one that is selected, of a glTF the first.",
             "walk",
         ),
-        help="The take to read of a clip library in USD.  [default: the one selected]",
+        help="The take to read of a clip library in USD or of a glTF.  [default: the "
+        "one selected, of a glTF the first]",
         metavar="NAME",
     )
     remap: Path | None = option(

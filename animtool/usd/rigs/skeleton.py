@@ -14,7 +14,7 @@ from pxr import Sdf, Vt
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, FormatError
 from animtool.maths import so3
-from animtool.rig.kinematics import bind_world
+from animtool.rig.kinematics import bind_matrices
 from animtool.rig.parts import ArraySource, Shape
 from animtool.rig.skeleton import JointType, Rig
 from animtool.rig.surfaces import Strands, strands_of
@@ -48,8 +48,8 @@ def author_rig(
     types = Sdf.ValueTypeNames
     tokens = Vt.TokenArray(rig.paths(names.names))
     attribute(spec, "joints", types.TokenArray, tokens, uniform=True)
-    world = bind_world(rig)
-    bind = _matrices(world.positions[0] / meters_per_unit, world.linear[0])
+    world = bind_matrices(rig)
+    bind = _matrices(world[:, :3, 3] / meters_per_unit, world[:, :3, :3])
     local = so3.to_matrix(rig.rest_rotations)
     rest = _matrices(rig.rest_translations / meters_per_unit, local)
     matrices = types.Matrix4dArray

@@ -15,6 +15,7 @@ from animtool.core.readers import (
     BVH,
     C3D,
     DOCUMENT,
+    GLTF,
     LIVELINK,
     MOT,
     READERS,
@@ -117,9 +118,10 @@ DOCUMENT_SUFFIXES = tuple(
     for suffix, reader in READERS.items()
     if reader is DOCUMENT
 )
+_SEARCHED = (BVH, USD, GLTF, C3D, TRC)
 SUFFIXES = (
     # An npz or a CSV may be anything.
-    *(suffix for suffix, reader in READERS.items() if reader in (BVH, USD, C3D, TRC)),
+    *(suffix for suffix, reader in READERS.items() if reader in _SEARCHED),
     *DOCUMENT_SUFFIXES,
 )
 _OPENERS = {
@@ -137,6 +139,7 @@ _OPENERS = {
     Kind.CAMERAS: "animtool.validation.subjects.open:open_cameras",
     Kind.BVH: "animtool.validation.subjects.capture:open_bvh",
     Kind.USD: "animtool.validation.subjects.capture:open_usd",
+    Kind.GLTF: "animtool.validation.subjects.gltf:open_gltf",
     Kind.TRAJECTORIES: "animtool.validation.subjects.trajectories:open_trajectories",
     Kind.COORDINATES: "animtool.validation.subjects.trajectories:open_coordinates",
 }
@@ -144,6 +147,7 @@ _OPENERS = {
 _READ_AS = {
     BVH: Kind.BVH,
     USD: Kind.USD,
+    GLTF: Kind.GLTF,
     LIVELINK: Kind.LIVELINK,
     C3D: Kind.TRAJECTORIES,
     TRC: Kind.TRAJECTORIES,

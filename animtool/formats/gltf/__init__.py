@@ -1,0 +1,5 @@
+"""glTF: .gltf and .glb files, read and written.
+
+JSON and `numpy.frombuffer` are all it takes: every length, stride, index and loop is
+checked before memory is taken, and no file outside of the folder is opened.
+"""

@@ -1,0 +1,470 @@
+"""Animations of a glTF: samplers, what they move, and their values at any time."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from enum import StrEnum
+from typing import Any
+
+import numpy as np
+
+from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.errors import Severity, excerpt
+from animtool.core.record import dataclass
+from animtool.formats.gltf.accessors import FLOAT, Accessors
+from animtool.formats.gltf.meshes import (
+    I8,
+    I16,
+    U8,
+    U16,
+    MeshEntry,
+    check_bounds,
+)
+from animtool.formats.gltf.nodes import UNIT, VISIBILITY, Node
+from animtool.formats.gltf.places import Item, Notes
+from animtool.maths import so3
+
+POINTER = "KHR_animation_pointer"
+# Of quaternion keys of bytes and shorts, which are coarse [1].
+COARSE_UNIT = {I8: 2e-2, U8: 2e-2, I16: UNIT, U16: UNIT}
+SMALL = (I8, U8, I16, U16)
+
+
+class Path(StrEnum):
+    """What of a node a channel moves."""
+
+    TRANSLATION = "translation"
+    ROTATION = "rotation"
+    SCALE = "scale"
+    WEIGHTS = "weights"
+    VISIBLE = "visible"
+
+
+class Interpolation(StrEnum):
+    """How the values between keys are found."""
+
+    LINEAR = "LINEAR"
+    STEP = "STEP"
+    CUBIC = "CUBICSPLINE"
+
+
+_WIDTHS = {Path.TRANSLATION: 3, Path.ROTATION: 4, Path.SCALE: 3, Path.VISIBLE: 1}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Track:
+    """Keys of one property.
+
+    Attributes:
+        node: The node that moves; -1 where it is a mesh.
+        mesh: The mesh whose weights move, wherever it is; -1 where it is a node.
+        path: What moves.
+        part: Which weight alone; -1 for all of them.
+        interpolation: How the values between keys are found.
+        times: Of the keys, ascending ``(K,)`` [s].
+        values: ``(K, W)``; as the file has them where they are floats.
+        ins: Slopes into each key ``(K, W)`` [1/s], of cubic splines.
+        outs: Slopes out of each key, likewise.
+    """
+
+    node: int
+    mesh: int
+    path: Path
+    part: int
+    interpolation: Interpolation
+    times: FloatArray
+    values: FloatArray
+    ins: FloatArray | None = None
+    outs: FloatArray | None = None
+
+    def at(self, times: FloatArray) -> FloatArray:
+        """Return the values at times ``(F, W)``, held outside of the keys.
+
+        Rotations are unit quaternions.
+        """
+        values = self.values
+        if len(self.times) == 1:
+            return np.repeat(_unit(values, self.path), len(times), axis=0)
+        low = np.clip(
+            np.searchsorted(self.times, times, "right") - 1, 0, len(self.times) - 2
+        )
+        return self.between(low, times)
+
+    def between(self, low: IntArray, times: FloatArray) -> FloatArray:
+        """Return the values at times in segments from a key ``low`` to the next."""
+        t0, t1 = self.times[low], self.times[low + 1]
+        length = t1 - t0
+        share = np.clip((times - t0) / length, 0.0, 1.0)[:, None]
+        a, b = self.values[low], self.values[low + 1]
+        if self.interpolation is Interpolation.STEP:
+            return _unit(np.where(share < 1.0, a, b), self.path)
+        if self.interpolation is Interpolation.CUBIC:
+            assert self.ins is not None
+            assert self.outs is not None
+            found = _hermite(
+                a, self.outs[low], self.ins[low + 1], b, share, length[:, None]
+            )
+            return _unit(found, self.path)
+        if self.path is Path.ROTATION:
+            return so3.slerp(_unit(a, self.path), _unit(b, self.path), share[:, 0])
+        return np.asarray(a + (b.astype(np.float64) - a) * share)
+
+
+def _hermite(
+    a: FloatArray,
+    out: FloatArray,
+    into: FloatArray,
+    b: FloatArray,
+    share: FloatArray,
+    length: FloatArray,
+) -> FloatArray:
+    """Return values of cubic segments, whose slopes are for a second."""
+    t = share
+    t2, t3 = t * t, t * t * t
+    return np.asarray(
+        (2 * t3 - 3 * t2 + 1) * a
+        + length * (t3 - 2 * t2 + t) * out
+        + (3 * t2 - 2 * t3) * b
+        + length * (t3 - t2) * into
+    )
+
+
+def _unit(values: FloatArray, path: Path) -> FloatArray:
+    """Return rotations at unit length; other values as they are."""
+    found = np.asarray(values, np.float64)
+    if path is not Path.ROTATION:
+        return found
+    length = np.linalg.norm(found, axis=1)
+    if not length.all():
+        # Between opposite cubic keys it may vanish: the rotation there is anything.
+        found = np.where(length[:, None] == 0.0, so3.IDENTITY, found)
+        length = np.where(length == 0.0, 1.0, length)
+    return np.asarray(found / length[:, None])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Animation:
+    """A clip."""
+
+    name: str | None
+    tracks: tuple[Track, ...]
+    extras: dict[str, Any]
+    where: str
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """Times of the first and the last key [s]; 0 without keys."""
+        if not self.tracks:
+            return 0.0, 0.0
+        first = min(float(track.times[0]) for track in self.tracks)
+        return first, max(float(track.times[-1]) for track in self.tracks)
+
+
+class _Samplers:
+    """The samplers of an animation: keys, each read once."""
+
+    def __init__(self, item: Item, accessors: Accessors) -> None:
+        self.items = item.children("samplers")
+        self.accessors = accessors
+        self.ends = [self._ends(sampler) for sampler in self.items]
+        self.checked: set[int] = set()
+
+    def _ends(self, item: Item) -> tuple[int, int]:
+        count = len(self.accessors.entries)
+        ends = []
+        for key in ("input", "output"):
+            index = item.index(key, count, "accessor")
+            if index < 0:
+                item.missing(key)
+            ends.append(index)
+        return ends[0], ends[1]
+
+    def interpolation(self, index: int) -> Interpolation:
+        """Return how a sampler goes from key to key."""
+        item = self.items[index]
+        word = item.text("interpolation") or "LINEAR"
+        try:
+            return Interpolation(word)
+        except ValueError:
+            item.fail("interpolation", f"interpolation {excerpt(word)} is unknown")
+
+    def times(self, index: int) -> FloatArray:
+        """Return the times of a sampler's keys, finite."""
+        item, accessor = self.items[index], self.ends[index][0]
+        entry = self.accessors.entries[accessor]
+        if entry is None or not entry.is_of("SCALAR", FLOAT):
+            item.fail("input", "times must be scalars of floats", "GLT011")
+        times = self.accessors.floats(accessor)[:, 0]
+        if accessor not in self.checked:
+            self.checked.add(accessor)
+            stated = {"min", "max"} & entry.item.values.keys()
+            if self.accessors.has_data(accessor) or not stated:
+                check_bounds(entry.item, times[:, None], missing=item.at("input"))
+        return times
+
+
+def read_animations(
+    root: Item, accessors: Accessors, nodes: Sequence[Node], meshes: Sequence[MeshEntry]
+) -> tuple[Animation, ...]:
+    """Return the animations, their keys checked."""
+    return tuple(
+        _animation(item, accessors, nodes, meshes)
+        for item in root.children("animations")
+    )
+
+
+def _animation(
+    item: Item,
+    accessors: Accessors,
+    nodes: Sequence[Node],
+    meshes: Sequence[MeshEntry],
+) -> Animation:
+    for key in ("channels", "samplers"):
+        if key not in item.values:
+            item.missing(key)
+    samplers = _Samplers(item, accessors)
+    tracks: list[Track] = []
+    taken: dict[tuple[int, int, str, int], str] = {}
+    times: dict[int, FloatArray] = {}
+    left_out: dict[str, None] = {}
+    for channel in item.children("channels"):
+        found = _target(channel, nodes, meshes, left_out)
+        index = channel.index("sampler", len(samplers.items), "sampler")
+        if index < 0:
+            channel.missing("sampler")
+        if found is None:
+            continue
+        target = found
+        own = (target.node, target.mesh, str(target.path), target.part)
+        if own in taken:
+            message = f"{target.path} is moved by two channels of the animation"
+            channel.notes.fail("GLT012", f"{taken[own]}/target", message)
+        taken[own] = channel.pointer
+        tracks.append(_track(channel, target, samplers, index, times))
+    if left_out:
+        names = ", ".join(left_out)
+        message = f"channels of what is not read are left out: {names}"
+        item.notes.warn("GLT108", item.pointer, message, severity=Severity.NOTE)
+    extras = item.values.get("extras")
+    return Animation(
+        item.text("name"),
+        tuple(tracks),
+        extras if isinstance(extras, dict) else {},
+        item.pointer,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Target:
+    node: int
+    mesh: int
+    path: Path
+    part: int
+    width: int  # numbers of a value
+
+
+def _target(
+    channel: Item,
+    nodes: Sequence[Node],
+    meshes: Sequence[MeshEntry],
+    left_out: dict[str, None],
+) -> _Target | None:
+    """Return what a channel moves; None of what is left out."""
+    target = channel.required("target")
+    path = target.text("path")
+    if path is None:
+        target.missing("path")
+    if path == "pointer":
+        return _pointed(target, nodes, meshes, left_out)
+    node = target.index("node", len(nodes), "node")
+    if path not in {"translation", "rotation", "scale", "weights"}:
+        message = f"the path {excerpt(path)} is unknown: the channel is left out"
+        target.notes.warn("GLT106", target.at("path"), message)
+        return None
+    if node < 0:
+        # What it moves is for an extension, or for nobody.
+        return None
+    return _of_node(target, nodes, meshes, node, Path(path))
+
+
+def _of_node(
+    target: Item,
+    nodes: Sequence[Node],
+    meshes: Sequence[MeshEntry],
+    node: int,
+    path: Path,
+    part: int = -1,
+) -> _Target | None:
+    if path is Path.WEIGHTS:
+        mesh = nodes[node].mesh
+        count = meshes[mesh].targets if mesh >= 0 else 0
+        if part >= count or not count:
+            message = f"node {node} has {count} morph targets: the channel is left out"
+            target.notes.warn("GLT106", target.pointer, message)
+            return None
+        return _Target(node, -1, path, part, count if part < 0 else 1)
+    if nodes[node].has_matrix and path is not Path.VISIBLE:
+        message = f"the matrix of node {node}, which moves, is split into its parts"
+        target.notes.warn("GLT106", target.pointer, message)
+    return _Target(node, -1, path, -1, _WIDTHS[path])
+
+
+_NODE = re.compile(
+    r"/nodes/(\d+)/(translation|rotation|scale|weights"
+    rf"|extensions/{VISIBILITY}/visible)(?:/(\d+))?$"
+)
+_MESH = re.compile(r"/meshes/(\d+)/weights(?:/(\d+))?$")
+
+
+def _pointed(
+    target: Item,
+    nodes: Sequence[Node],
+    meshes: Sequence[MeshEntry],
+    left_out: dict[str, None],
+) -> _Target | None:
+    """Return what a channel of `KHR_animation_pointer` moves."""
+    extension = target.extension(POINTER)
+    text = None if extension is None else extension.text("pointer")
+    if text is None:
+        message = f"a channel of {POINTER} without its pointer is left out"
+        target.notes.warn("GLT106", target.pointer, message)
+        return None
+    if found := _NODE.fullmatch(text):
+        node = int(found[1][:9])
+        if node >= len(nodes):
+            target.notes.fail("GLT006", target.pointer, f"{text} does not exist")
+        path = Path.VISIBLE if "/" in found[2] else Path(found[2])
+        if found[3] is None or path is Path.WEIGHTS:
+            part = -1 if found[3] is None else int(found[3][:9])
+            return _of_node(target, nodes, meshes, node, path, part)
+    elif found := _MESH.fullmatch(text):
+        mesh = int(found[1][:9])
+        if mesh >= len(meshes):
+            target.notes.fail("GLT006", target.pointer, f"{text} does not exist")
+        count = meshes[mesh].targets
+        part = -1 if found[2] is None else int(found[2][:9])
+        if count and part < count:
+            return _Target(-1, mesh, Path.WEIGHTS, part, count if part < 0 else 1)
+    left_out[excerpt(text)] = None
+    return None
+
+
+def _track(
+    channel: Item,
+    target: _Target,
+    samplers: _Samplers,
+    index: int,
+    cache: dict[int, FloatArray],
+) -> Track:
+    """Return the keys of a channel, checked and put right."""
+    item = samplers.items[index]
+    notes = item.notes
+    interpolation = samplers.interpolation(index)
+    source = samplers.ends[index][0]
+    if source not in cache:
+        cache[source] = samplers.times(index)
+    times = cache[source]
+    values = _values(channel, target, samplers, index)
+    cubic = interpolation is Interpolation.CUBIC
+    rows = values.size
+    needed = len(times) * target.width * (3 if cubic else 1)
+    if rows != needed:
+        message = f"{rows} numbers for {len(times)} keys of {target.width}"
+        if cubic:
+            message += ", with a tangent before and after each"
+        notes.fail("GLT011", channel.at("sampler"), message)
+    table = values.reshape(len(times), -1, target.width)
+    if target.path is Path.ROTATION:
+        _check_unit(table[:, 1 if cubic else 0], channel, samplers, index)
+    ascending = (np.diff(times) > 0).all()
+    if not ascending:
+        given = samplers.accessors.has_data(source)
+        times, table = _sorted(times, table, item, given=given)
+    if times[0] < 0:
+        message = f"the first key is at {times[0]:.6g} s, before time 0: it is kept"
+        notes.warn("GLT107", item.at("input"), message)
+    keys = table[:, 1 if cubic else 0]
+    return Track(
+        target.node,
+        target.mesh,
+        target.path,
+        target.part,
+        interpolation,
+        times,
+        keys,
+        table[:, 0].astype(np.float64) if cubic else None,
+        table[:, 2].astype(np.float64) if cubic else None,
+    )
+
+
+def _values(channel: Item, target: _Target, samplers: _Samplers, index: int) -> Any:
+    item, accessor = samplers.items[index], samplers.ends[index][1]
+    accessors = samplers.accessors
+    entry = accessors.entries[accessor]
+    kinds, components = {"SCALAR"}, {FLOAT}
+    if target.path in {Path.TRANSLATION, Path.SCALE}:
+        kinds = {"VEC3"}
+    elif target.path is Path.ROTATION:
+        kinds, components = {"VEC4"}, {FLOAT, *SMALL}
+    elif target.path is Path.WEIGHTS:
+        components = {FLOAT, *SMALL}
+    else:
+        components = {FLOAT, *SMALL}
+    if entry is None or entry.kind not in kinds or entry.component not in components:
+        held = "an unknown type" if entry is None else entry.kind
+        message = f"{target.path} takes no values of {held} in these components"
+        item.notes.fail("GLT011", channel.at("sampler"), message)
+    raw = accessors.numbers(accessor)
+    if entry.component == FLOAT:
+        return raw
+    if target.path is Path.VISIBLE:
+        return (raw != 0).astype(np.float64)
+    found = accessors.floats(accessor)
+    if not entry.normalized:
+        # Integers of these paths are normalised, whether the accessor says so or not.
+        limit = np.iinfo(raw.dtype).max
+        found = np.maximum(found / limit, -1.0)
+    return found
+
+
+def _sorted(
+    times: FloatArray, table: Any, item: Item, *, given: bool
+) -> tuple[FloatArray, Any]:
+    """Return keys in the order of time; of equal ones the first.
+
+    given: whether the file holds the times, which are all 0 else.
+    """
+    order = np.argsort(times, kind="stable")
+    notes, where = item.notes, item.at("input")
+    if (np.diff(times) < 0).any():
+        notes.warn("GLT107", where, "times are out of order: the keys are sorted")
+    times, table = times[order], table[order]
+    same = np.flatnonzero(np.diff(times) == 0)
+    if len(same):
+        if given and (table[same] != table[same + 1]).any():
+            at = float(times[same[0]])
+            message = f"two keys at {at:.6g} s have different values"
+            notes.fail("GLT012", where, message)
+        message = f"{len(same)} keys at the time of another one, and equal, are dropped"
+        if given:
+            notes.warn("GLT107", where, message)
+        kept = np.setdiff1d(np.arange(len(times)), same + 1)
+        times, table = times[kept], table[kept]
+    return times, table
+
+
+def _check_unit(keys: Any, channel: Item, samplers: _Samplers, index: int) -> None:
+    """Say where keys are no unit quaternions; refuse those without a length."""
+    accessor = samplers.ends[index][1]
+    entry = samplers.accessors.get(accessor)
+    squares = np.einsum("kc,kc->k", keys, keys)
+    tolerance = COARSE_UNIT.get(entry.component, UNIT)
+    low, high = float(squares.min()), float(squares.max())
+    if low <= 0.0:
+        message = "a rotation key has length 0"
+        samplers.items[index].notes.fail("GLT010", entry.where, message)
+    if max(1.0 - low, high - 1.0) > 2 * tolerance:
+        message = f"rotation keys have lengths from {low**0.5:.6g} to {high**0.5:.6g}"
+        notes: Notes = samplers.items[index].notes
+        notes.warn("GLT103", channel.at("sampler"), f"{message}: they are normalised")

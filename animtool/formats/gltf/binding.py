@@ -1,0 +1,174 @@
+"""How meshes of a glTF are bound: one bind pose of the joints for all of its skins.
+
+glTF has an inverse bind matrix for each joint of each skin; a rig has one bind pose,
+and for each mesh a transform of its points. With ``B`` the matrix that a joint of a
+skin applies, ``bind = geom_bind · B⁻¹``: what the joints of a skin have in common is
+the mesh's, the rest the joint's. Where skins do not agree about a joint, one below it
+with no motion of its own carries the mesh.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.errors import Fault, Severity
+from animtool.core.similar import distinct
+from animtool.formats.gltf.document import Gltf
+from animtool.maths import so3
+from animtool.rig.kinematics import rest_world
+from animtool.rig.parts import Mesh, Shape
+from animtool.rig.skeleton import Joint, Pose, Rig
+
+# Of matrices, by the size of the whole: they agree.
+AGREE = 1e-5
+# Of what is bound rigidly: nearer to that is rounding, which is kept [1].
+RIGID = 1e-3
+
+
+class Binder:
+    """Collects the bind transforms of joints as skins need them."""
+
+    def __init__(
+        self,
+        gltf: Gltf,
+        rig: Rig,
+        joints: IntArray,
+        folded: FloatArray,
+        scales: FloatArray,
+    ) -> None:
+        """Take a rig without meshes; what the rest is of `GltfRig`."""
+        self.gltf = gltf
+        self.joints, self.folded, self.scales = joints, folded, scales
+        self.notices: list[Fault] = []
+        self._rig = rig
+        self._bind: dict[int, FloatArray] = {}  # by joint, in the unit of the file
+        self._helpers: list[tuple[int, FloatArray]] = []
+        self._skins: dict[int, tuple[FloatArray, list[int]]] = {}
+
+    def skin(self, index: int) -> tuple[FloatArray, list[int]]:
+        """Return the transform of the points of a skin, and joints for its own."""
+        if index not in self._skins:
+            skin = self.gltf.skins[index]
+            nodes = np.array(skin.joints)
+            joints = self.joints[nodes]
+            matrices = skin.inverse_bind.copy()
+            matrices[:, :3] *= self.folded[nodes][:, None, None]
+            self._skins[index] = self._bound(matrices, joints.tolist(), skin.where)
+        return self._skins[index]
+
+    def node(self, node: int) -> tuple[FloatArray, int]:
+        """Return the transform of the points of a mesh that a node carries."""
+        own = np.eye(4)
+        own[:3] *= self.folded[node]
+        geometry, joints = self._bound(own[None], [int(self.joints[node])], "")
+        return geometry, joints[0]
+
+    def _bound(
+        self, matrices: FloatArray, joints: list[int], where: str
+    ) -> tuple[FloatArray, list[int]]:
+        """Return ``geom_bind`` of a skin, and its joints with binds that agree."""
+        sizes = np.abs(matrices[:, :3, :3]).max(axis=(1, 2), initial=1e-300)
+        flat = np.abs(np.linalg.det(matrices[:, :3, :3] / sizes[:, None, None])) < 1e-12
+        if flat.any():
+            if where:
+                message = f"{int(flat.sum())} inverse bind matrices are flat: identity"
+                path = str(self.gltf.path)
+                at = f"{where}/inverseBindMatrices"
+                note = Fault("GLT114", message, path, where=at, severity=Severity.NOTE)
+                self.notices.append(note)
+            matrices = np.where(flat[:, None, None], np.eye(4), matrices)
+        back = np.asarray(np.linalg.inv(matrices), np.float64)
+        geometry = self._geometry(back)
+        binds = geometry @ back
+        shared = [k for k, joint in enumerate(joints) if joint in self._bind]
+        if shared:
+            # Brought where the skin before it has the first joint that both have.
+            first = shared[0]
+            step = self._bind[joints[first]] @ np.linalg.inv(binds[first])
+            geometry, binds = step @ geometry, step @ binds
+        found = []
+        for joint, bind in zip(joints, binds, strict=True):
+            known = self._bind.setdefault(joint, bind)
+            size = max(1e-300, float(np.abs(known).max()))
+            if np.abs(known - bind).max() <= AGREE * size:
+                found.append(joint)
+                continue
+            self._helpers.append((joint, bind))
+            found.append(len(self._rig.joints) + len(self._helpers) - 1)
+        return geometry, found
+
+    def _geometry(self, back: FloatArray) -> FloatArray:
+        """Return what makes the bind transforms of a skin rigid, if one thing does."""
+        linear = back[:, :3, :3]
+        squares = linear @ linear.swapaxes(1, 2)
+        size = float(np.abs(squares).max())
+        whole = np.eye(4)
+        spread = np.abs(squares - squares[0]).max() / size
+        if spread <= RIGID and np.abs(squares[0] - np.eye(3)).max() > RIGID:
+            values, vectors = np.linalg.eigh(squares[0])
+            if values.min() > 1e-12 * values.max():
+                whole[:3, :3] = vectors @ np.diag(values**-0.5) @ vectors.T
+        return whole
+
+    def nodes(self, nodes: IntArray) -> IntArray:
+        """Return the node of each joint, -1 of those that only carry meshes."""
+        return np.concatenate([nodes, np.full(len(self._helpers), -1, np.int64)])
+
+    def names(self) -> list[str]:
+        """Return the names of the joints, those that only carry meshes last."""
+        names = self._rig.names
+        carriers = [f"{names[carrier]}_bind" for carrier, _ in self._helpers]
+        return distinct([*names, *carriers])
+
+    def rig(self, meshes: tuple[Mesh, ...], shapes: tuple[Shape, ...]) -> Rig:
+        """Return the rig with its bind pose, meshes and shapes."""
+        rig, names = self._rig, self.names()
+        joints = list(rig.joints)
+        for name, (carrier, _) in zip(names[len(joints) :], self._helpers, strict=True):
+            joints.append(Joint(name, carrier))
+        rig = replace(rig, joints=tuple(joints))
+        own = dict(self._bind)
+        own |= {len(self._rig.joints) + i: b for i, (_, b) in enumerate(self._helpers)}
+        bind = _poses(rig, own)
+        return replace(rig, bind=bind, meshes=meshes, shapes=shapes)
+
+
+def _poses(rig: Rig, known: dict[int, FloatArray]) -> dict[str, Pose]:
+    """Return the bind poses that are not those of rest, of world transforms."""
+    rest = rest_world(rig)
+    unit = rig.meters_per_unit
+    world = np.tile(np.eye(4), (len(rig.joints), 1, 1))
+    stretches: dict[int, FloatArray] = {}
+    for j, joint in enumerate(rig.joints):
+        if j in known:
+            turn, _ = so3.split_scale(known[j][None, :3, :3])
+            matrix = so3.to_matrix(turn[0])
+            world[j, :3, :3], world[j, :3, 3] = matrix, known[j][:3, 3] * unit
+            stretch = matrix.T @ known[j][:3, :3]
+            if np.abs(stretch - np.eye(3)).max() > 1e-12:
+                stretches[j] = stretch
+            continue
+        # Joints that no skin names follow those above as they do at rest.
+        local = np.eye(4)
+        local[:3, :3] = so3.to_matrix(np.array(joint.rotation))
+        local[:3, 3] = joint.translation
+        world[j] = local if joint.parent < 0 else world[joint.parent] @ local
+    poses: dict[str, Pose] = {}
+    size = float(np.abs(rest.positions).max(initial=0.0)) or 1.0
+    for j, joint in enumerate(rig.joints):
+        above = np.eye(4) if joint.parent < 0 else world[joint.parent]
+        turn = above[:3, :3].T
+        place = turn @ (world[j, :3, 3] - above[:3, 3])
+        rotation = so3.from_matrix(turn @ world[j, :3, :3])
+        moved = np.abs(place - joint.translation).max() > 1e-12 * size
+        turned = so3.angle_between(rotation, np.array(joint.rotation)) > 1e-12
+        if j in stretches or moved or turned:
+            x, y, z = place.tolist()
+            a, b, c, w = rotation.tolist()
+            own = stretches.get(j)
+            held = None if own is None else tuple(own.ravel().tolist())
+            poses[joint.name] = Pose((x, y, z), (a, b, c, w), held)
+    return poses

@@ -1,0 +1,139 @@
+"""Keys of clips as glTF has them, and keys of glTF as a clip."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+
+import numpy as np
+
+from animtool.clip.channels import ClipChannel
+from animtool.clip.clip import Clip
+from animtool.core.array_types import FloatArray
+from animtool.core.record import dataclass
+from animtool.formats.gltf.animations import Interpolation
+from animtool.formats.gltf.animations import Path as Moved
+from animtool.formats.gltf.sampling import NativeKeys
+from animtool.maths.curves import Extrapolation, Interp
+from animtool.maths.tangents import Tangent
+from animtool.motion.take import Take
+from animtool.rig.joints import KEYED_PARTS, split_part
+
+# Of a handle's time, from a third of its segment [1].
+THIRD = 1e-6
+_PATHS = {
+    "local_translation": "translation",
+    "local_rotation": "rotation",
+    "scale": "scale",
+}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Keys:
+    """Keys of a property, as a sampler has them."""
+
+    times: FloatArray  # ``(K,)`` [s]
+    values: FloatArray  # ``(K, W)``
+    interpolation: str = "LINEAR"
+    ins: FloatArray | None = None  # slopes into the keys ``(K, W)`` [1/s]
+    outs: FloatArray | None = None  # slopes out of them
+
+    def rows(self, *, scalars: bool = False) -> FloatArray:
+        """Return the numbers as an accessor has them, for weights a scalar each."""
+        values = self.values
+        if self.ins is not None and self.outs is not None:
+            values = np.stack([self.ins, self.values, self.outs], axis=1)
+        width = self.values.shape[1]
+        flat = values.reshape(-1, width)
+        return flat.reshape(-1, 1) if scalars else flat
+
+
+def keys_of_clip(
+    clip: Clip, take: Take, start: Fraction
+) -> dict[tuple[int, str], Keys]:
+    """Return the keys of a clip that glTF can hold, by joint or shape, and path.
+
+    Args:
+        clip: Its channels.
+        take: What it gives.
+        start: Time code of time 0.
+    """
+    found: dict[tuple[int, str], Keys] = {}
+    shapes = [shape.name for shape in take.rig.shapes]
+    for channel in clip.channels:
+        group, _, name = channel.target.partition("/")
+        if group == "shape":
+            at = (shapes.index(name), "weight")
+        elif group == "joint":
+            joint, part = split_part(name, KEYED_PARTS)
+            if part not in _PATHS:
+                continue
+            at = (take.rig.index(joint), _PATHS[part])
+        else:
+            continue
+        keys = _held(channel, clip, start)
+        if keys is not None:
+            found[at] = keys
+    return found
+
+
+def native_keys(native: object, start: Fraction) -> dict[tuple[int, str], Keys]:
+    """Return rotations by cubic splines, which no clip has, of a glTF that was read.
+
+    start: time code of time 0.
+    """
+    if not isinstance(native, NativeKeys):
+        return {}
+    frames = native.frames
+    later = float(frames.start - start) / float(frames.fps)
+    return {
+        (one.row, "rotation"): Keys(
+            one.track.times + later,
+            one.track.values,
+            "CUBICSPLINE",
+            one.track.ins,
+            one.track.outs,
+        )
+        for one in native.sampler.moving[Moved.ROTATION]
+        if one.track.interpolation is Interpolation.CUBIC
+        and one.track.times[0] + later >= 0
+    }
+
+
+def _held(channel: ClipChannel, clip: Clip, start: Fraction) -> Keys | None:
+    """Return the keys of a channel; None where glTF has no such curve."""
+    holds = {Extrapolation.HOLD}
+    if {channel.pre, channel.post} - holds or channel.euler or not len(channel.times):
+        return None
+    seconds = (channel.times - float(start)) / float(clip.fps)
+    if seconds[0] < 0:
+        return None
+    interps = set(channel.interps[:-1]) or {Interp.LINEAR}
+    linear = Interp.SLERP if channel.values.shape[1] == 4 else Interp.LINEAR
+    if interps == {linear}:
+        return Keys(seconds, channel.values)
+    if interps == {Interp.STEP}:
+        return Keys(seconds, channel.values, "STEP")
+    if interps == {Interp.BEZIER} and channel.values.shape[1] != 4:
+        return _cubic(channel, seconds)
+    return None
+
+
+def _cubic(channel: ClipChannel, seconds: FloatArray) -> Keys | None:
+    """Return Bézier keys whose handles are at thirds as cubic splines."""
+    lengths = np.diff(channel.times)
+    outs, ins = channel.outs[:-1], channel.ins[1:]
+    free = all(
+        a[1] is Tangent.FREE and b[0] is Tangent.FREE
+        for a, b in zip(channel.tangents[:-1], channel.tangents[1:], strict=True)
+    )
+    off = max(
+        float(np.abs(outs[:, 0] - lengths / 3).max(initial=0.0)),
+        float(np.abs(-ins[:, 0] - lengths / 3).max(initial=0.0)),
+    )
+    if not free or off > THIRD * float(lengths.max(initial=1.0)):
+        return None
+    third = (np.diff(seconds) / 3)[:, None]
+    into, out = np.zeros(channel.values.shape), np.zeros(channel.values.shape)
+    out[:-1] = outs[:, 1:] / third
+    into[1:] = -ins[:, 1:] / third
+    return Keys(seconds, channel.values, "CUBICSPLINE", into, out)

@@ -1,0 +1,125 @@
+"""The JSON and the binary chunk of a .gltf or .glb file."""
+
+from __future__ import annotations
+
+import json
+import struct
+from pathlib import Path
+from typing import Any, NoReturn
+
+from animtool.core.files.reading import read_input
+from animtool.core.record import dataclass
+from animtool.formats.gltf.places import Item, Notes
+
+MAGIC = b"glTF"
+JSON_CHUNK, BIN_CHUNK = 0x4E4F534A, 0x004E4942
+HEADER, CHUNK_HEADER = 12, 8
+_BOM = b"\xef\xbb\xbf"
+# A character has a few thousand nodes; more JSON than this takes minutes to look at.
+MAX_JSON_BYTES = 200_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class Container:
+    """What a file holds: its JSON, and the chunk that buffer 0 of a GLB is."""
+
+    root: Item
+    binary: memoryview | None  # None of a .gltf, and of a GLB without it
+    is_glb: bool
+    bytes: int  # size of the file
+
+
+def read_container(path: Path, notes: Notes) -> Container:
+    """Return what a file holds; its first bytes say which of the two it is.
+
+    Raises:
+        FormatError: It cannot be read (IO001), is no JSON (GLT001), or its chunks are
+            broken (GLT002).
+    """
+    content = memoryview(read_input(path))
+    glb = path.suffix.lower() != ".gltf" or bytes(content[:4]) == MAGIC
+    if not glb:
+        root = _parsed(bytes(content), notes)
+        return Container(root, None, False, len(content))
+    text, binary = _chunks(content, notes)
+    return Container(_parsed(bytes(text), notes), binary, True, len(content))
+
+
+def _offset(where: int) -> str:
+    return f"byte {where}"
+
+
+def _fail(notes: Notes, where: int, message: str) -> NoReturn:
+    notes.fail("GLT002", _offset(where), message, "export the file again")
+
+
+def _check_header(content: memoryview, notes: Notes) -> int:
+    """Return the length that the header of a GLB states, which the file has."""
+    if len(content) < HEADER:
+        message = f"the file has {len(content)} bytes; a GLB has at least 12"
+        _fail(notes, len(content), message)
+    if bytes(content[:4]) != MAGIC:
+        _fail(notes, 0, "a GLB begins with the letters glTF")
+    version, length = struct.unpack_from("<II", content, 4)
+    if version != 2:
+        message = f"version {version} of GLB is not read, only 2"
+        notes.fail("GLT003", _offset(4), message, "export glTF 2.0")
+    if length < HEADER + CHUNK_HEADER:
+        message = f"the length {length} is shorter than the header and one chunk"
+        _fail(notes, 8, message)
+    if length > len(content):
+        message = f"the length says {length} bytes, and the file has {len(content)}"
+        _fail(notes, 8, message)
+    if length < len(content):
+        message = f"{len(content) - length} bytes after the end are left out"
+        notes.warn("GLT101", _offset(length), message)
+    return int(length)
+
+
+def _chunks(content: memoryview, notes: Notes) -> tuple[memoryview, memoryview | None]:
+    """Return the JSON chunk and the binary chunk of a GLB."""
+    length = _check_header(content, notes)
+    found: dict[int, memoryview] = {}
+    at = HEADER
+    while at < length:
+        if at + CHUNK_HEADER > length:
+            _fail(notes, at, "the file ends in the header of a chunk")
+        size, kind = struct.unpack_from("<II", content, at)
+        if at + CHUNK_HEADER + size > length:
+            _fail(notes, at, f"a chunk of {size} bytes ends after the file")
+        if at == HEADER and (kind != JSON_CHUNK or not size):
+            held = "empty" if kind == JSON_CHUNK else "not the JSON"
+            _fail(notes, at, f"the first chunk is {held}")
+        if kind in found:
+            _fail(notes, at, "there are two chunks of a kind that occurs once")
+        if size % 4:
+            message = f"a chunk has {size} bytes, no multiple of 4"
+            notes.warn("GLT101", _offset(at), message)
+        start = at + CHUNK_HEADER
+        if kind in {JSON_CHUNK, BIN_CHUNK}:
+            found[kind] = content[start : start + size]
+        at = start + size
+    return found[JSON_CHUNK], found.get(BIN_CHUNK)
+
+
+def _parsed(text: bytes, notes: Notes) -> Item:
+    """Return the JSON, which must be an object."""
+    if len(text) > MAX_JSON_BYTES:
+        notes.fail("GLT013", "", f"the JSON has {len(text) / 1e6:.0f} MB, at most 200")
+    if text.startswith(_BOM):
+        notes.warn("GLT101", "", "a byte order mark before the JSON is left out")
+        text = text[len(_BOM) :]
+    try:
+        value = json.loads(text.decode("utf-8"), parse_constant=_no_constant)
+    except (ValueError, RecursionError) as error:
+        reason = (
+            str(error) if isinstance(error, ValueError) else "it is nested too deep"
+        )
+        notes.fail("GLT001", "", f"the JSON cannot be read: {reason}")
+    if not isinstance(value, dict):
+        notes.fail("GLT001", "", "the JSON must be an object")
+    return Item(value, "", notes)
+
+
+def _no_constant(name: str) -> Any:
+    raise ValueError(f"{name} is no JSON")

@@ -1,0 +1,232 @@
+"""A glTF in memory: everything that moves, checked."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from animtool.core.errors import Severity, excerpt, listed
+from animtool.core.record import dataclass
+from animtool.formats.gltf.accessors import Accessors
+from animtool.formats.gltf.animations import POINTER, Animation, read_animations
+from animtool.formats.gltf.container import Container, read_container
+from animtool.formats.gltf.meshes import (
+    MeshEntry,
+    Primitive,
+    SkinEntry,
+    read_meshes,
+    read_skins,
+    skin_weights,
+)
+from animtool.formats.gltf.nodes import VISIBILITY, Node, read_nodes, read_scenes
+from animtool.formats.gltf.places import Item, Notes
+from animtool.formats.gltf.unused import unused_parts
+
+# Extensions that a file may require.
+READ = frozenset({"KHR_mesh_quantization", POINTER, VISIBILITY})
+# Of looks alone: what moves is whole without them.
+LOOKS = ("KHR_materials_", "KHR_texture_", "EXT_texture_", "MSFT_texture_", "ADOBE_mat")
+LOOKS_ALONE = frozenset(
+    {
+        "KHR_lights_punctual",
+        "EXT_lights_ies",
+        "EXT_lights_image_based",
+        "KHR_xmp",
+        "KHR_xmp_json_ld",
+        "MSFT_packing_normalRoughnessMetallic",
+        "MSFT_packing_occlusionRoughnessMetallic",
+        "VRMC_materials_mtoon",
+        "VRMC_vrm",
+        "VRM",
+    }
+)
+UNPACKED_BY = {
+    "EXT_meshopt_compression": "npx @gltf-transform/cli copy {0} unpacked.glb",
+    "KHR_meshopt_compression": "npx @gltf-transform/cli copy {0} unpacked.glb",
+    "KHR_draco_mesh_compression": "npx @gltf-transform/cli copy {0} unpacked.glb",
+}
+_NOT_READ = ("materials", "textures", "images", "samplers", "cameras")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Gltf:
+    """A file.
+
+    Attributes:
+        path: The file.
+        nodes: In the order of the file.
+        skins: Likewise.
+        meshes: Likewise.
+        animations: Likewise.
+        scenes: Root nodes of each scene.
+        default_scene: The one that is shown; -1 where there is none.
+        accessors: The numbers that they refer to.
+        root: The JSON.
+        notes: What was put right, and where.
+        left_out: What the file has that is not read.
+    """
+
+    path: Path
+    nodes: tuple[Node, ...]
+    skins: tuple[SkinEntry, ...]
+    meshes: tuple[MeshEntry, ...]
+    animations: tuple[Animation, ...]
+    scenes: list[list[int]]
+    default_scene: int
+    accessors: Accessors
+    root: Item
+    notes: Notes
+    left_out: tuple[str, ...]
+
+
+def open_gltf(path: Path | str) -> Gltf:
+    """Return a .gltf or .glb file, every number of what moves checked.
+
+    Raises:
+        FormatError: It cannot be read safely, or has two meanings (GLT001 to GLT013),
+            with the JSON pointer or the byte offset.
+    """
+    path = Path(path)
+    notes = Notes(str(path))
+    container = read_container(path, notes)
+    root = container.root
+    _check_asset(root, notes)
+    _check_extensions(root, notes, path)
+    accessors = _accessors(container, path, notes)
+    many = [_count(root, key) for key in ("meshes", "skins")]
+    nodes = read_nodes(root, notes, *many)
+    scenes, shown = read_scenes(root, notes, nodes)
+    meshes = read_meshes(root, accessors)
+    skins = read_skins(root, accessors, len(nodes))
+    _check_weights(nodes, meshes, notes)
+    animations = read_animations(root, accessors, nodes, meshes)
+    left_out = tuple(key for key in _NOT_READ if root.values.get(key))
+    found = Gltf(
+        path,
+        nodes,
+        skins,
+        meshes,
+        animations,
+        scenes,
+        shown,
+        accessors,
+        root,
+        notes,
+        left_out,
+    )
+    _check_skins(found)
+    return found
+
+
+def _accessors(container: Container, path: Path, notes: Notes) -> Accessors:
+    unused = unused_parts(container.root.values)
+    return Accessors(
+        container, path.parent, notes, unused.accessors, unused.views, unused.buffers
+    )
+
+
+def _count(root: Item, key: str) -> int:
+    found: Any = root.values.get(key, [])
+    return len(found) if isinstance(found, list) else 0
+
+
+def _check_asset(root: Item, notes: Notes) -> None:
+    asset = root.required("asset")
+    version = asset.text("version")
+    if version is None:
+        asset.missing("version")
+    if version.split(".")[0] != "2":
+        message = f"glTF {excerpt(version)} is not read, only 2"
+        notes.fail("GLT003", asset.at("version"), message, "export glTF 2.0")
+    least = asset.text("minVersion")
+    if least is not None and least != "2.0":
+        message = f"the file needs glTF {excerpt(least)}, and 2.0 is read"
+        notes.fail("GLT003", asset.at("minVersion"), message)
+
+
+def _check_extensions(root: Item, notes: Notes, path: Path) -> None:
+    """Refuse a required extension that matters to motion and is not read."""
+    used = root.list_of("extensionsUsed")
+    for key, names in (
+        ("extensionsUsed", used),
+        ("extensionsRequired", root.list_of("extensionsRequired")),
+    ):
+        for i, name in enumerate(names):
+            if name in names[:i]:
+                message = f"{excerpt(str(name))} is listed twice"
+                notes.warn("GLT106", f"{root.at(key)}/{i}", message)
+    for i, name in enumerate(root.list_of("extensionsRequired")):
+        where = f"{root.at('extensionsRequired')}/{i}"
+        if not isinstance(name, str):
+            notes.fail("GLT005", where, "the name of an extension must be text")
+        if name in READ or name in LOOKS_ALONE or name.startswith(LOOKS):
+            continue
+        hint = "export the file without it"
+        if name in UNPACKED_BY:
+            hint = f"{UNPACKED_BY[name].format(path.name)} unpacks it"
+        message = f"the file needs the extension {name}, which is not read"
+        notes.fail("GLT004", where, message, hint)
+    extensions = root.values.get("extensions")
+    for name in extensions if isinstance(extensions, dict) else ():
+        if name not in used:
+            message = f"the extension {excerpt(name)} is not declared: left out"
+            notes.warn("GLT106", f"{root.at('extensions')}/{name}", message)
+
+
+def _check_weights(
+    nodes: tuple[Node, ...], meshes: tuple[MeshEntry, ...], notes: Notes
+) -> None:
+    for i, node in enumerate(nodes):
+        if node.weights is not None:
+            targets = meshes[node.mesh].targets
+            if len(node.weights) != targets:
+                message = f"{len(node.weights)} weights for {targets} targets"
+                notes.fail("GLT011", f"/nodes/{i}/weights", message)
+
+
+def _check_skins(gltf: Gltf) -> None:
+    """Check what skins and meshes say of each other."""
+    done: set[tuple[int, int]] = set()
+    for node in gltf.nodes:
+        if node.mesh < 0 or (node.mesh, node.skin) in done:
+            continue
+        done.add((node.mesh, node.skin))
+        for primitive in gltf.meshes[node.mesh].primitives:
+            _require(gltf.accessors, primitive)
+            if primitive.joints and node.skin >= 0:
+                joints = len(gltf.skins[node.skin].joints)
+                skin_weights(primitive, joints, gltf.accessors, gltf.notes)
+    for skin in gltf.skins:
+        if skin.skeleton >= 0 and not _is_above(gltf, skin.skeleton, skin.joints[0]):
+            message = f"node {skin.skeleton} is not above the joints: left out"
+            gltf.notes.warn("GLT106", f"{skin.where}/skeleton", message)
+        if len({_root(gltf, joint) for joint in skin.joints}) > 1:
+            message = "the joints have no common root: each chain counts"
+            note = Severity.WARNING
+            gltf.notes.warn("GLT106", f"{skin.where}/joints", message, severity=note)
+
+
+def _require(accessors: Accessors, primitive: Primitive) -> None:
+    """Read what a mesh that is used is made of; it must be there."""
+    parts = [primitive.position, primitive.indices, *primitive.joints]
+    parts += [*primitive.weights, *(target.position for target in primitive.targets)]
+    for index in parts:
+        if index >= 0:
+            accessors.numbers(index)
+
+
+def _is_above(gltf: Gltf, upper: int, lower: int) -> bool:
+    while lower >= 0 and lower != upper:
+        lower = gltf.nodes[lower].parent
+    return lower == upper
+
+
+def _root(gltf: Gltf, node: int) -> int:
+    while gltf.nodes[node].parent >= 0:
+        node = gltf.nodes[node].parent
+    return node
+
+
+def left_out_text(gltf: Gltf) -> str:
+    """Return what the file has that is not read, in words; empty for nothing."""
+    return listed(gltf.left_out)

@@ -1,0 +1,117 @@
+"""A glTF that is made: its JSON, its numbers, and both as one GLB."""
+
+from __future__ import annotations
+
+import base64
+import json
+import struct
+from collections.abc import Iterator
+from dataclasses import field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from animtool.core.errors import Fault, OutputError
+from animtool.core.record import dataclass
+from animtool.formats.gltf.container import BIN_CHUNK, JSON_CHUNK
+
+ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963
+_COMPONENTS = {"u1": 5121, "u2": 5123, "u4": 5125, "f4": 5126}
+_KINDS = {1: "SCALAR", 3: "VEC3", 4: "VEC4", 16: "MAT4"}
+MAX_BYTES = 2**32 - 1
+
+
+@dataclass(slots=True)
+class GlbBuilder:
+    """Collects the parts of a file."""
+
+    json: dict[str, Any]
+    _parts: list[bytes] = field(default_factory=list)
+    _length: int = 0
+    _known: dict[tuple[str, int, bytes], int] = field(default_factory=dict)
+
+    def add(self, key: str, value: dict[str, Any]) -> int:
+        """Append an entry to a list of the JSON; return its index."""
+        entries = self.json.setdefault(key, [])
+        entries.append(value)
+        return len(entries) - 1
+
+    def accessor(
+        self,
+        values: npt.NDArray[Any],
+        *,
+        target: int | None = None,
+        bounds: bool = False,
+    ) -> int:
+        """Store numbers ``(count, width)``; return their accessor.
+
+        Those that were stored already are stored once.
+
+        target: what the GPU uses them as; None is nothing.
+        bounds: whether min and max are written.
+        """
+        data = np.ascontiguousarray(values)
+        kind = data.dtype.str[1:]
+        content = data.tobytes()
+        key = (f"{kind}/{data.shape[1]}/{target}/{bounds}", len(data), content)
+        if key in self._known:
+            return self._known[key]
+        view: dict[str, Any] = {"buffer": 0, "byteOffset": self._length}
+        view["byteLength"] = len(content)
+        if target is not None:
+            view["target"] = target
+        entry: dict[str, Any] = {
+            "bufferView": self.add("bufferViews", view),
+            "componentType": _COMPONENTS[kind],
+            "count": len(data),
+            "type": _KINDS[data.shape[1]],
+        }
+        if bounds:
+            entry["min"] = data.min(axis=0).tolist()
+            entry["max"] = data.max(axis=0).tolist()
+        padding = b"\0" * (-len(content) % 4)
+        self._parts += [content, padding]
+        self._length += len(content) + len(padding)
+        index = self.add("accessors", entry)
+        if len(content) <= _KEPT:
+            self._known[key] = index
+        return index
+
+    def parts(self) -> Iterator[bytes]:
+        """Return the bytes of the GLB, one after another.
+
+        Raises:
+            OutputError: They are more than 4 GB, which a GLB cannot be (OUT002).
+        """
+        if self._length:
+            self.json["buffers"] = [{"byteLength": self._length}]
+        text = json.dumps(
+            self.json, separators=(",", ":"), ensure_ascii=False, allow_nan=False
+        ).encode()
+        text += b" " * (-len(text) % 4)
+        length = 12 + 8 + len(text) + (8 + self._length if self._length else 0)
+        if length > MAX_BYTES:
+            message = f"a GLB has at most 4.29 GB, and this one {length / 1e9:.2f}"
+            raise OutputError(Fault("OUT002", message))
+        return self._written(text, length)
+
+    def text_parts(self) -> Iterator[bytes]:
+        """Return the bytes of a .gltf, whose numbers are a data URI."""
+        if self._length:
+            data = base64.b64encode(b"".join(self._parts)).decode()
+            uri = f"data:application/octet-stream;base64,{data}"
+            self.json["buffers"] = [{"byteLength": self._length, "uri": uri}]
+        text = json.dumps(self.json, indent=1, ensure_ascii=False, allow_nan=False)
+        return iter([text.encode(), b"\n"])
+
+    def _written(self, text: bytes, length: int) -> Iterator[bytes]:
+        yield struct.pack("<4sII", b"glTF", 2, length)
+        yield struct.pack("<II", len(text), JSON_CHUNK) + text
+        if self._length:
+            yield struct.pack("<II", self._length, BIN_CHUNK)
+            yield from self._parts
+
+
+# Larger arrays are not compared with others.
+_KEPT = 1 << 22

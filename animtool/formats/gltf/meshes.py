@@ -1,0 +1,353 @@
+"""Meshes, morph targets and skins of a glTF, checked."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.record import dataclass
+from animtool.formats.gltf.accessors import COMPONENTS, FLOAT, Accessor, Accessors
+from animtool.formats.gltf.places import Item, Notes
+from animtool.formats.gltf.unused import is_known, is_read
+
+# Component types: signed and unsigned 8 and 16 bits, unsigned 32.
+I8, U8, I16, U16, U32 = 5120, 5121, 5122, 5123, 5125
+QUANTIZED = (FLOAT, I8, U8, I16, U16)
+TRIANGLES, STRIP, FAN = 4, 5, 6
+# Of the sum of a vertex' weights: of floats and 16 bits, and of 8 bits [1].
+SUM_TOLERANCE, COARSE_SUM = 2e-3, 2e-2
+# Of a unit normal's length, and of min and max by the size of the data [1].
+BOUNDS = 1e-6
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """A morph target: accessors of what it adds; -1 for nothing."""
+
+    position: int
+    normal: int
+
+
+@dataclass(frozen=True, slots=True)
+class Primitive:
+    """A part of a mesh: accessors of its vertices."""
+
+    position: int  # -1: it has no points
+    normal: int
+    joints: tuple[int, ...]
+    weights: tuple[int, ...]
+    indices: int
+    mode: int
+    targets: tuple[Target, ...]
+    where: str
+
+    @property
+    def vertices(self) -> tuple[Any, ...]:
+        """What the vertices are made of: primitives that share it share them."""
+        return self.position, self.normal, self.joints, self.weights, self.targets
+
+
+@dataclass(frozen=True, slots=True)
+class MeshEntry:
+    """A mesh."""
+
+    name: str | None
+    primitives: tuple[Primitive, ...]
+    weights: tuple[float, ...]  # of its targets, where no node says others
+    target_names: tuple[str, ...]  # empty where the file has none
+    where: str
+
+    @property
+    def targets(self) -> int:
+        """Number of morph targets."""
+        return max((len(part.targets) for part in self.primitives), default=0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SkinEntry:
+    """A skin."""
+
+    name: str | None
+    joints: tuple[int, ...]  # nodes
+    skeleton: int  # a node; -1 where none is named
+    inverse_bind: FloatArray  # ``(J, 4, 4)``, of column vectors
+    where: str
+
+
+def read_meshes(root: Item, accessors: Accessors) -> tuple[MeshEntry, ...]:
+    """Return the meshes, their numbers checked."""
+    return tuple(_mesh(item, accessors) for item in root.children("meshes"))
+
+
+def _mesh(item: Item, accessors: Accessors) -> MeshEntry:
+    if "primitives" not in item.values:
+        item.missing("primitives")
+    primitives = tuple(
+        _primitive(part, accessors) for part in item.children("primitives")
+    )
+    counts = [len(part.targets) for part in primitives]
+    for i, count in enumerate(counts):
+        if count != counts[0]:
+            message = f"{count} targets, and the first primitive has {counts[0]}"
+            where = f"{item.pointer}/primitives/{i}/targets"
+            item.notes.fail("GLT011", where, message)
+    targets = max(counts, default=0)
+    weights = item.floats("weights", None)
+    if weights is not None and len(weights) != targets:
+        message = f"{len(weights)} weights for {targets} targets"
+        item.notes.fail("GLT011", item.at("weights"), message)
+    extras = item.values.get("extras")
+    names = extras.get("targetNames") if isinstance(extras, dict) else None
+    is_list = isinstance(names, list) and len(names) == targets
+    texts = tuple(map(str, names)) if is_list and names is not None else ()
+    usual = (0.0,) * targets
+    return MeshEntry(
+        item.text("name"),
+        primitives,
+        usual if weights is None else tuple(weights),
+        texts,
+        item.pointer,
+    )
+
+
+def _primitive(item: Item, accessors: Accessors) -> Primitive:
+    attributes = item.required("attributes")
+    count = len(accessors.entries)
+    found: dict[str, int] = {}
+    for name in attributes.values:
+        if not is_read(name):
+            if not is_known(name):
+                message = f"the attribute {name!r} is unknown: left out"
+                item.notes.warn("GLT106", attributes.at(name), message)
+            continue
+        found[name] = attributes.index(name, count, "accessor")
+    position, normal = found.get("POSITION", -1), found.get("NORMAL", -1)
+    many = _check_vertices(attributes, found, accessors)
+    sets = sorted(int(name[7:]) for name in found if name.startswith("JOINTS_"))
+    weights = sorted(int(name[8:]) for name in found if name.startswith("WEIGHTS_"))
+    if sets != weights:
+        message = f"JOINTS {sets} and WEIGHTS {weights} do not belong together"
+        item.notes.fail("GLT011", attributes.pointer, message)
+    targets = []
+    for target in item.children("targets"):
+        own = {
+            name: target.index(name, count, "accessor")
+            for name in ("POSITION", "NORMAL")
+            if name in target.values
+        }
+        for name, index in own.items():
+            accessor = _typed(target, name, index, accessors, "VEC3", QUANTIZED)
+            if accessor.count != many:
+                message = f"{accessor.count} rows for {many} vertices"
+                item.notes.fail("GLT011", target.at(name), message)
+            if accessors.has_data(index):
+                check_bounds(accessor.item, accessors.numbers(index))
+        targets.append(Target(own.get("POSITION", -1), own.get("NORMAL", -1)))
+    mode = item.number("mode")
+    indices = item.index("indices", count, "accessor")
+    primitive = Primitive(
+        position,
+        normal,
+        tuple(found[f"JOINTS_{one}"] for one in sets),
+        tuple(found[f"WEIGHTS_{one}"] for one in sets),
+        indices,
+        TRIANGLES if mode is None else mode,
+        tuple(targets),
+        item.pointer,
+    )
+    if indices >= 0:
+        _check_indices(item, indices, many, accessors)
+    return primitive
+
+
+def _typed(
+    item: Item,
+    key: str,
+    index: int,
+    accessors: Accessors,
+    kind: str,
+    components: tuple[int, ...],
+) -> Accessor:
+    """Return an accessor of a type that an attribute takes, its numbers read."""
+    accessor = accessors.entries[index]
+    if accessor is None or not accessor.is_of(kind, *components):
+        held = "of an unknown type"
+        if accessor is not None:
+            held = f"{accessor.kind} of {COMPONENTS[accessor.component].name}"
+        item.notes.fail("GLT011", item.at(key), f"{key} cannot be {held}")
+    if accessors.has_data(index):
+        accessors.numbers(index)
+    return accessor
+
+
+def _check_vertices(
+    attributes: Item, found: dict[str, int], accessors: Accessors
+) -> int:
+    """Check types and counts of what vertices have; return how many there are."""
+    many = -1
+    for name, index in found.items():
+        kind = "VEC4"
+        components: tuple[int, ...] = (U8, U16)
+        if name in {"POSITION", "NORMAL"}:
+            kind, components = "VEC3", QUANTIZED
+        elif name.startswith("WEIGHTS_"):
+            components = (FLOAT, U8, U16)
+        accessor = _typed(attributes, name, index, accessors, kind, components)
+        if many < 0:
+            many = accessor.count
+        elif accessor.count != many:
+            message = f"{name} has {accessor.count} rows, others have {many}"
+            attributes.notes.fail("GLT011", attributes.at(name), message)
+        if not accessors.has_data(index):
+            continue
+        if name == "POSITION":
+            where = attributes.at(name)
+            check_bounds(accessor.item, accessors.numbers(index), missing=where)
+        if name.startswith("WEIGHTS_") and (accessors.numbers(index) < 0).any():
+            message = "a weight of a vertex is negative"
+            attributes.notes.fail("GLT010", attributes.at(name), message)
+    return many
+
+
+def _check_indices(item: Item, index: int, many: int, accessors: Accessors) -> None:
+    _typed(item, "indices", index, accessors, "SCALAR", (U8, U16, U32))
+    if not accessors.has_data(index):
+        return
+    largest = int(accessors.numbers(index).max())
+    if many >= 0 and largest >= many:
+        message = f"a face names vertex {largest} of {many}"
+        item.notes.fail("GLT006", item.at("indices"), message)
+
+
+def check_bounds(item: Item, values: Any, *, missing: str = "") -> None:
+    """Say where min and max are not those of the data, which count.
+
+    missing: what needs them, where something does.
+    """
+    stated = [item.values.get(key) for key in ("min", "max")]
+    if not any(one is not None for one in stated):
+        if missing:
+            message = "min and max are missing: those of the data are taken"
+            item.notes.warn("GLT102", missing, message)
+        return
+    found = (values.min(axis=0), values.max(axis=0))
+    for key, said, own in zip(("min", "max"), stated, found, strict=True):
+        size = BOUNDS * max(1.0, float(np.abs(own.astype(np.float64)).max()))
+        if not isinstance(said, list) or len(said) != len(own):
+            item.notes.warn("GLT102", item.at(key), f"{key} is missing or incomplete")
+            continue
+        for i, (one, real) in enumerate(zip(said, own.tolist(), strict=True)):
+            fits = isinstance(one, int | float) and abs(one - real) <= size
+            if not fits:
+                message = f"{key} says {one!r}, the data {real:.9g}: the data counts"
+                item.notes.warn("GLT102", f"{item.at(key)}/{i}", message)
+                break
+
+
+def read_skins(root: Item, accessors: Accessors, nodes: int) -> tuple[SkinEntry, ...]:
+    """Return the skins, their matrices checked."""
+    return tuple(_skin(item, accessors, nodes) for item in root.children("skins"))
+
+
+def _skin(item: Item, accessors: Accessors, nodes: int) -> SkinEntry:
+    if "joints" not in item.values:
+        item.missing("joints")
+    joints = item.indices("joints", nodes, "node")
+    if not joints:
+        item.notes.fail("GLT011", item.at("joints"), "a skin without joints")
+    if len(set(joints)) < len(joints):
+        item.notes.warn("GLT106", item.at("joints"), "a joint is listed twice")
+    matrices = np.tile(np.eye(4), (len(joints), 1, 1))
+    index = item.index("inverseBindMatrices", len(accessors.entries), "accessor")
+    where = item.at("inverseBindMatrices")
+    if index >= 0:
+        accessor = _typed(
+            item, "inverseBindMatrices", index, accessors, "MAT4", (FLOAT,)
+        )
+        if accessor.count < len(joints):
+            message = f"{accessor.count} matrices for {len(joints)} joints"
+            item.notes.fail("GLT011", where, message)
+        found = np.zeros((len(joints), 4, 4))
+        if accessors.has_data(index):
+            found = accessors.floats(index)[: len(joints)].reshape(-1, 4, 4)
+        matrices = np.ascontiguousarray(found.swapaxes(1, 2))
+        last = np.abs(matrices[:, 3] - [0.0, 0.0, 0.0, 1.0]).max(axis=1)
+        if (last > 1e-4).any() and accessors.has_data(index):
+            joint = int(last.argmax())
+            message = f"the last row of matrix {joint} is not 0 0 0 1"
+            item.notes.fail("GLT010", where, message)
+        matrices[:, 3] = [0.0, 0.0, 0.0, 1.0]
+    skeleton = item.number("skeleton")
+    if skeleton is not None and not 0 <= skeleton < nodes:
+        message = f"node {skeleton} does not exist: the hint is left out"
+        item.notes.warn("GLT106", item.at("skeleton"), message)
+        skeleton = None
+    return SkinEntry(
+        item.text("name"),
+        tuple(joints),
+        -1 if skeleton is None else skeleton,
+        matrices,
+        item.pointer,
+    )
+
+
+def skin_weights(
+    primitive: Primitive, joints: int, accessors: Accessors, notes: Notes
+) -> tuple[IntArray, FloatArray]:
+    """Return joints and weights of the vertices ``(V, I)``, the weights of sum 1.
+
+    joints: number of joints of the skin.
+    """
+    indices = np.concatenate(
+        [accessors.numbers(one).astype(np.int64) for one in primitive.joints], axis=1
+    )
+    weights = np.concatenate(
+        [accessors.floats(one) for one in primitive.weights], axis=1
+    )
+    beyond = indices >= joints
+    if beyond.any():
+        if (weights[beyond] > 0).any():
+            number = primitive.joints[int(np.argwhere(beyond)[0, 1]) // 4]
+            at = primitive.joints.index(number)
+            where = f"{primitive.where}/attributes/JOINTS_{at}"
+            message = f"joint {int(indices[beyond].max())} of a skin with {joints}"
+            notes.fail("GLT006", where, message)
+        indices[beyond] = 0
+    sums = weights.sum(axis=1)
+    coarse = any(accessors.get(one).component == U8 for one in primitive.weights)
+    off = float(np.abs(sums - 1.0).max(initial=0.0))
+    where = f"{primitive.where}/attributes/WEIGHTS_0"
+    given = all(accessors.has_data(one) for one in primitive.weights)
+    if given and off > (COARSE_SUM if coarse else SUM_TOLERANCE):
+        message = f"weights of a vertex have the sum {1 + off:.6g} or {1 - off:.6g}"
+        notes.warn("GLT104", where, f"{message}: they are divided by it")
+    empty = sums == 0.0
+    if empty.any():
+        if given:
+            message = f"{int(empty.sum())} vertices have no weights"
+            notes.warn("GLT104", where, f"{message}: they follow the first joint")
+        weights[empty, 0], indices[empty, 0] = 1.0, 0
+        sums = np.where(empty, 1.0, sums)
+    return indices, weights / sums[:, None]
+
+
+def triangles(primitive: Primitive, many: int, accessors: Accessors) -> IntArray:
+    """Return the faces of a primitive ``(N, 3)``; none of points and lines."""
+    if primitive.mode not in {TRIANGLES, STRIP, FAN}:
+        return np.zeros((0, 3), np.int64)
+    run = np.arange(many)
+    if primitive.indices >= 0:
+        run = accessors.numbers(primitive.indices)[:, 0].astype(np.int64)
+    if primitive.mode == TRIANGLES:
+        return run[: len(run) // 3 * 3].reshape(-1, 3)
+    if len(run) < 3:
+        return np.zeros((0, 3), np.int64)
+    if primitive.mode == FAN:
+        first = np.full(len(run) - 2, run[0])
+        return np.stack([run[1:-1], run[2:], first], axis=1)
+    faces = np.stack([run[:-2], run[1:-1], run[2:]], axis=1)
+    faces[1::2] = faces[1::2][:, [1, 0, 2]]
+    flat = (faces[:, 0] == faces[:, 1]) | (faces[:, 1] == faces[:, 2])
+    return np.asarray(faces[~(flat | (faces[:, 0] == faces[:, 2]))])

@@ -1,0 +1,219 @@
+"""The nodes of a glTF: their tree, and their transforms without animation."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from animtool.core.array_types import FloatArray
+from animtool.core.record import dataclass
+from animtool.formats.gltf.places import Item, Notes
+from animtool.maths import so3
+
+# Of a quaternion's length, and of a matrix that its parts give back [1].
+UNIT, SHEAR = 1e-3, 1e-4
+VISIBILITY = "KHR_node_visibility"
+MAX_NODES = 200_000
+
+
+@dataclass(frozen=True, slots=True)
+class Node:
+    """One node.
+
+    Attributes:
+        name: As the file has it; None where it has none.
+        parent: Index of the node above, -1 for a root.
+        children: Indices of the nodes below.
+        translation: In the frame of the parent [m].
+        rotation: Likewise (x, y, z, w).
+        scale: Likewise [1].
+        mesh: Index; -1 for none.
+        skin: Index; -1 for none.
+        weights: Of the targets of its mesh; None leaves those of the mesh.
+        visible: Whether it is shown, if all above it are.
+        has_matrix: Whether its transform is a matrix in the file.
+    """
+
+    name: str | None
+    parent: int
+    children: tuple[int, ...]
+    translation: tuple[float, float, float]
+    rotation: tuple[float, float, float, float]
+    scale: tuple[float, float, float]
+    mesh: int = -1
+    skin: int = -1
+    weights: tuple[float, ...] | None = None
+    visible: bool = True
+    has_matrix: bool = False
+
+
+def read_nodes(root: Item, notes: Notes, meshes: int, skins: int) -> tuple[Node, ...]:
+    """Return the nodes, in the order of the file.
+
+    Raises:
+        FormatError: There is a loop, or a node with two parents (GLT009).
+    """
+    items = root.children("nodes")
+    if len(items) > MAX_NODES:
+        notes.fail(
+            "GLT013", "/nodes", f"{len(items)} nodes; at most {MAX_NODES} are read"
+        )
+    below = [item.indices("children", len(items), "node") for item in items]
+    parents = _parents(items, below, notes)
+    return tuple(
+        _node(item, parents[i], below[i], meshes, skins, notes)
+        for i, item in enumerate(items)
+    )
+
+
+def _parents(items: list[Item], below: list[list[int]], notes: Notes) -> list[int]:
+    parents = [-1] * len(items)
+    for i, children in enumerate(below):
+        for k, child in enumerate(children):
+            if child == i:
+                message = "the node is its own child"
+                notes.fail("GLT009", items[i].pointer, message)
+            if parents[child] >= 0:
+                message = f"node {child} has two parents, {parents[child]} and {i}"
+                notes.fail("GLT009", f"{items[i].pointer}/children/{k}", message)
+            parents[child] = i
+    done = [False] * len(items)
+    for i in range(len(items)):
+        path: dict[int, None] = {}
+        at = i
+        while at >= 0 and not done[at]:
+            if at in path:
+                notes.fail("GLT009", items[at].pointer, "the node is below itself")
+            path[at] = None
+            at = parents[at]
+        for node in path:
+            done[node] = True
+    return parents
+
+
+def _node(
+    item: Item, parent: int, children: list[int], meshes: int, skins: int, notes: Notes
+) -> Node:
+    mesh = item.index("mesh", meshes, "mesh")
+    skin = item.index("skin", skins, "skin")
+    weights = item.floats("weights", None)
+    if mesh < 0:
+        for key, given in (("skin", skin >= 0), ("weights", weights is not None)):
+            if given:
+                message = f"{key} of a node without a mesh is left out"
+                notes.warn("GLT106", item.at(key), message)
+        skin, weights = -1, None
+    translation, rotation, scale, has_matrix = _transform(item, notes)
+    shown = item.extension(VISIBILITY)
+    visible = shown is None or shown.values.get("visible", True) is not False
+    return Node(
+        item.text("name"),
+        parent,
+        tuple(children),
+        translation,
+        rotation,
+        scale,
+        mesh,
+        skin,
+        None if weights is None else tuple(weights),
+        visible,
+        has_matrix,
+    )
+
+
+def _transform(
+    item: Item, notes: Notes
+) -> tuple[
+    tuple[float, float, float],
+    tuple[float, float, float, float],
+    tuple[float, float, float],
+    bool,
+]:
+    if not _PLACING & item.values.keys():
+        return _NO_TRANSFORM
+    given = item.floats("matrix", 16)
+    parts = [item.floats(*part) for part in _PARTS]
+    if given is not None:
+        for key, part in zip(("translation", "rotation", "scale"), parts, strict=True):
+            if part is not None:
+                message = f"{key} beside a matrix is left out"
+                notes.warn("GLT106", item.at(key), message)
+        return (*_split(np.array(given), item, notes), True)
+    translation, rotation, scale = (
+        usual if part is None else part
+        for part, usual in zip(
+            parts, ([0.0] * 3, [0.0, 0, 0, 1.0], [1.0] * 3), strict=True
+        )
+    )
+    length = math.hypot(*rotation)
+    if length == 0.0:
+        notes.fail("GLT010", item.at("rotation"), "a rotation of length 0 is none")
+    if abs(length - 1.0) > UNIT:
+        message = f"the rotation has length {length:.6g}: it is normalised"
+        notes.warn("GLT103", item.at("rotation"), message)
+    x, y, z = translation
+    a, b, c, w = (value / length for value in rotation)
+    u, v, s = scale
+    return (x, y, z), (a, b, c, w), (u, v, s), False
+
+
+_PLACING = {"matrix", "translation", "rotation", "scale"}
+_NO_TRANSFORM = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), (1.0, 1.0, 1.0), False
+_PARTS = (("translation", 3), ("rotation", 4), ("scale", 3))
+
+
+def _split(
+    columns: FloatArray, item: Item, notes: Notes
+) -> tuple[
+    tuple[float, float, float],
+    tuple[float, float, float, float],
+    tuple[float, float, float],
+]:
+    """Return translation, rotation and scale of a matrix, shear left out."""
+    matrix = columns.reshape(4, 4).T
+    where = item.at("matrix")
+    if np.abs(matrix[3] - [0, 0, 0, 1]).max() > SHEAR:
+        notes.fail("GLT010", where, "the last row of the matrix is not 0 0 0 1")
+    linear = matrix[:3, :3]
+    size = float(np.abs(linear).max())
+    if not size or abs(np.linalg.det(linear / size)) < 1e-12:
+        notes.fail("GLT010", where, "the matrix is flat: it has no inverse")
+    turn, scale = so3.split_scale(linear[None] / size)
+    rotation, lengths = turn[0], scale[0] * size
+    again = so3.to_matrix(rotation) * lengths
+    off = float(np.abs(again - linear).max()) / size
+    if off > SHEAR:
+        message = f"the shear of the matrix, {off:.3g} of its size, is left out"
+        notes.warn("GLT103", where, message)
+    x, y, z = matrix[:3, 3].tolist()
+    a, b, c, w = rotation.tolist()
+    u, v, s = lengths.tolist()
+    return (x, y, z), (a, b, c, w), (u, v, s)
+
+
+def read_scenes(
+    root: Item, notes: Notes, nodes: tuple[Node, ...]
+) -> tuple[list[list[int]], int]:
+    """Return the root nodes of each scene, and the scene that is shown; -1 for none."""
+    scenes = []
+    for item in root.children("scenes"):
+        listed = item.indices("nodes", len(nodes), "node")
+        for k, node in enumerate(listed):
+            if nodes[node].parent >= 0:
+                message = f"node {node} has a parent; it is in the tree once"
+                notes.warn("GLT106", f"{item.at('nodes')}/{k}", message)
+        scenes.append(listed)
+    shown = root.index("scene", len(scenes), "scene")
+    return scenes, (0 if shown < 0 and scenes else shown)
+
+
+def parents_first(nodes: tuple[Node, ...]) -> list[int]:
+    """Return the indices of all nodes, each after its parent, in outline order."""
+    order: list[int] = []
+    stack = [i for i in range(len(nodes) - 1, -1, -1) if nodes[i].parent < 0]
+    while stack:
+        at = stack.pop()
+        order.append(at)
+        stack.extend(reversed(nodes[at].children))
+    return order

@@ -1,0 +1,193 @@
+"""Values of a glTF's JSON, each with its JSON pointer for messages."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import field
+from typing import Any, NoReturn
+
+from animtool.core.errors import Fault, FormatError, Severity, excerpt
+from animtool.core.record import dataclass
+
+# glTF stores float32: a number beyond it is none.
+LARGEST = 3.4028234663852886e38
+# Warnings of one code beyond so many say nothing new.
+MAX_WARNINGS = 20
+
+
+@dataclass(slots=True)
+class Notes:
+    """The file that is read, and what was put right in it."""
+
+    path: str
+    notices: list[Fault] = field(default_factory=list)
+    counts: dict[str, int] = field(default_factory=dict)  # of warnings by code
+
+    def fail(
+        self, code: str, where: str, message: str, hint: str | None = None
+    ) -> NoReturn:
+        """Refuse the file."""
+        raise FormatError(Fault(code, message, self.path, (), hint, where=where))
+
+    def warn(
+        self,
+        code: str,
+        where: str,
+        message: str,
+        hint: str | None = None,
+        severity: Severity = Severity.WARNING,
+    ) -> None:
+        """Name what was put right; of very many the first ones."""
+        count = self.counts[code] = self.counts.get(code, 0) + 1
+        if count <= MAX_WARNINGS:
+            fault = Fault(code, message, self.path, (), hint, severity, where=where)
+            self.notices.append(fault)
+
+
+def escaped(key: str) -> str:
+    """Return a key as a JSON pointer has it.
+
+    >>> escaped("a/b~c")
+    'a~1b~0c'
+    """
+    return key.replace("~", "~0").replace("/", "~1")
+
+
+def is_number(value: Any) -> bool:
+    """Return whether a JSON value is a number; true and false are none."""
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+@dataclass(frozen=True, slots=True)
+class Item:
+    """An object of the JSON, and where it is."""
+
+    values: dict[str, Any]
+    pointer: str  # empty of the file as a whole
+    notes: Notes
+
+    def at(self, key: str) -> str:
+        """Return the pointer of a property."""
+        return f"{self.pointer}/{escaped(key)}"
+
+    def fail(self, key: str, message: str, code: str = "GLT005") -> NoReturn:
+        """Refuse a property."""
+        self.notes.fail(code, self.at(key), message)
+
+    def missing(self, key: str) -> NoReturn:
+        """Refuse the object, which lacks a property."""
+        message = f"the required property {key!r} is missing"
+        self.notes.fail("GLT005", self.pointer or "/", message)
+
+    def number(self, key: str) -> int | None:
+        """Return an integer; 1.0 is one. None where it is missing."""
+        if key not in self.values:
+            return None
+        value = self.values[key]
+        if is_number(value) and math.isfinite(value) and value == int(value):
+            return int(value)
+        return self.fail(key, f"{key} must be an integer, not {excerpt(repr(value))}")
+
+    def size(self, key: str, default: int | None = None, least: int = 0) -> int:
+        """Return a count, an offset or a length, not below the least."""
+        value = self.number(key)
+        if value is None:
+            if default is None:
+                self.missing(key)
+            return default
+        if value < least:
+            self.fail(key, f"{key} is {value}, and must be at least {least}")
+        return value
+
+    def index(self, key: str, count: int, what: str) -> int:
+        """Return an index of a list of the file; -1 where it is missing."""
+        value = self.number(key)
+        if value is None:
+            return -1
+        self.check_index(key, value, count, what)
+        return value
+
+    def check_index(self, key: str, value: int, count: int, what: str) -> None:
+        """Refuse an index to nothing."""
+        if not 0 <= value < count:
+            there = f"0 to {count - 1}" if count else "none"
+            self.fail(key, f"{what} {value} does not exist; there is {there}", "GLT006")
+
+    def indices(self, key: str, count: int, what: str) -> list[int]:
+        """Return a list of indices; empty where it is missing."""
+        found = self.list_of(key)
+        for i, value in enumerate(found):
+            whole = is_number(value) and math.isfinite(value) and value == int(value)
+            if not whole:
+                self.fail(f"{key}", f"entry {i} is {excerpt(repr(value))}, no integer")
+            if not 0 <= value < count:
+                message = f"{what} {int(value)} does not exist"
+                self.notes.fail("GLT006", f"{self.at(key)}/{i}", message)
+        return [int(value) for value in found]
+
+    def floats(self, key: str, size: int | None) -> list[float] | None:
+        """Return a list of numbers of a size; None where it is missing."""
+        if key not in self.values:
+            return None
+        found = self.list_of(key)
+        if size is not None and len(found) != size:
+            self.fail(key, f"{key} must have {size} numbers, not {len(found)}")
+        for i, value in enumerate(found):
+            if not is_number(value):
+                self.fail(key, f"{excerpt(repr(value))} is no number")
+            if not abs(value) <= LARGEST:
+                message = f"{value} is beyond what a float32 holds"
+                self.notes.fail("GLT010", f"{self.at(key)}/{i}", message)
+        return [float(value) for value in found]
+
+    def text(self, key: str) -> str | None:
+        """Return a text; None where it is missing."""
+        value = self.values.get(key)
+        if value is not None and not isinstance(value, str):
+            self.fail(key, f"{key} must be text, not {excerpt(repr(value))}")
+        return value
+
+    def list_of(self, key: str) -> list[Any]:
+        """Return a list; empty where it is missing. An empty one is warned about."""
+        if key not in self.values:
+            return []
+        value = self.values[key]
+        if not isinstance(value, list):
+            self.fail(key, f"{key} must be a list, not {excerpt(repr(value))}")
+        if not value:
+            self.notes.warn("GLT106", self.at(key), "an empty list is left out")
+        return value
+
+    def child(self, key: str) -> Item | None:
+        """Return an object below; None where it is missing."""
+        if key not in self.values:
+            return None
+        value = self.values[key]
+        if not isinstance(value, dict):
+            self.fail(key, f"{key} must be an object, not {excerpt(repr(value))}")
+        return Item(value, self.at(key), self.notes)
+
+    def required(self, key: str) -> Item:
+        """Return an object below, which must be there."""
+        return self.child(key) or self.missing(key)
+
+    def children(self, key: str) -> list[Item]:
+        """Return a list of objects; empty where it is missing."""
+        return list(self._children(key))
+
+    def _children(self, key: str) -> Iterator[Item]:
+        pointer = self.at(key)
+        for i, value in enumerate(self.list_of(key)):
+            if not isinstance(value, dict):
+                message = f"must be an object, not {excerpt(repr(value))}"
+                self.notes.fail("GLT005", f"{pointer}/{i}", message)
+            yield Item(value, f"{pointer}/{i}", self.notes)
+
+    def extension(self, name: str) -> Item | None:
+        """Return an extension of the object; None where it has none of that name."""
+        extensions = self.values.get("extensions")
+        found = extensions.get(name) if isinstance(extensions, dict) else None
+        if not isinstance(found, dict):
+            return None
+        return Item(found, f"{self.pointer}/extensions/{escaped(name)}", self.notes)

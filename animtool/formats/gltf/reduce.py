@@ -1,0 +1,49 @@
+"""The keys of samples that linear interpolation needs within a tolerance."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from animtool.core.array_types import FloatArray
+from animtool.formats.gltf.clip_keys import Keys
+from animtool.maths import so3
+
+
+def linear_keys(keys: Keys, tolerance: float) -> Keys:
+    """Return those of the keys that give the others back within a tolerance.
+
+    Each step takes the sample that is farthest off, until none is (Ramer, 1972;
+    Douglas and Peucker, 1973). Of rotations the tolerance is an angle [rad].
+
+    >>> line = Keys(np.arange(5.0), np.arange(5.0)[:, None])
+    >>> linear_keys(line, 1e-3).times.tolist()
+    [0.0, 4.0]
+    """
+    times, values = keys.times, keys.values
+    kept = np.zeros(len(times), np.bool_)
+    kept[[0, -1]] = True
+    spans = [(0, len(times) - 1)]
+    while spans:
+        a, b = spans.pop()
+        if b - a < 2:
+            continue
+        inner = slice(a + 1, b)
+        share = (times[inner] - times[a]) / (times[b] - times[a])
+        off = _off(values[a], values[b], share, values[inner])
+        worst = int(off.argmax())
+        if off[worst] > tolerance:
+            middle = a + 1 + worst
+            kept[middle] = True
+            spans += [(a, middle), (middle, b)]
+    return Keys(times[kept], values[kept])
+
+
+def _off(
+    a: FloatArray, b: FloatArray, share: FloatArray, values: FloatArray
+) -> FloatArray:
+    """Return how far samples are from the straight way between two of them."""
+    if values.shape[1] == 4:
+        between = so3.slerp(a[None], b[None], share)
+        return so3.angle_between(between, values)
+    straight = a + share[:, None] * (b - a)
+    return np.asarray(np.abs(values - straight).max(axis=1))

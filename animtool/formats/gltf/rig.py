@@ -1,0 +1,210 @@
+"""A character of a glTF as a rig: joints, bind pose, meshes and shapes."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from dataclasses import field
+
+import numpy as np
+
+from animtool.core.array_types import BoolArray, FloatArray, IntArray
+from animtool.core.errors import Fault, Severity, counted, excerpt, listed
+from animtool.core.quantities import CONTROL
+from animtool.core.record import dataclass
+from animtool.core.similar import distinct
+from animtool.core.units import UpAxis
+from animtool.formats.gltf.animations import Path as Moved
+from animtool.formats.gltf.binding import Binder
+from animtool.formats.gltf.characters import Character
+from animtool.formats.gltf.document import Gltf
+from animtool.formats.gltf.nodes import Node
+from animtool.formats.gltf.surfaces import mesh_parts
+from animtool.rig.parts import Mesh, Shape
+from animtool.rig.skeleton import Joint, Rig
+
+# Scales that differ by less are the same: rounding of float32 [1].
+SAME_SCALE = 3e-7
+MAX_NAMED = 6
+_CONTROL = re.compile(f"[{CONTROL}]")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GltfRig:
+    """A rig, and what of the file its joints and shapes are.
+
+    Attributes:
+        rig: J joints.
+        nodes: Node of each joint; -1 of one that only carries a mesh.
+        joints: Joint of each node of the file; -1 where it is none.
+        folded: By node, the scale that its joint leaves out, as the lengths below it
+            have it ``(N,)`` [1].
+        scales: What is left of the scales at rest ``(J, 3)`` [1].
+        shapes: Node and morph target of each shape.
+        notices: What a rig cannot hold.
+    """
+
+    rig: Rig
+    nodes: IntArray
+    joints: IntArray
+    folded: FloatArray
+    scales: FloatArray
+    shapes: tuple[tuple[int, int], ...]
+    notices: list[Fault] = field(default_factory=list)
+
+
+def build_rig(
+    gltf: Gltf,
+    character: Character,
+    name: str,
+    meters_per_unit: float = 1.0,
+    up: UpAxis = UpAxis.Y,
+    *,
+    surfaces: bool = True,
+) -> GltfRig:
+    """Return the rig of a character.
+
+    Every node is a joint, but for those of skinned meshes with nothing below, whose
+    transform has no effect. A scale that is even and never moves goes into the
+    lengths below it; what is left is in the takes.
+
+    surfaces: whether meshes and shapes are read too.
+    """
+    kept = [node for node in character.nodes if not _only_a_skin(gltf, node)]
+    kept = kept or list(character.nodes)
+    joints = np.full(len(gltf.nodes), -1, np.int64)
+    joints[kept] = np.arange(len(kept))
+    folded = _folded(gltf, character)
+    names, renamed = joint_names([gltf.nodes[node] for node in kept], kept)
+    made = []
+    for node, called in zip(kept, names, strict=True):
+        own = gltf.nodes[node]
+        above = 1.0 if own.parent < 0 else float(folded[own.parent])
+        x, y, z = (value * above * meters_per_unit for value in own.translation)
+        original = own.name or ""
+        made.append(
+            Joint(
+                called,
+                -1 if own.parent < 0 else int(joints[own.parent]),
+                translation=(x, y, z),
+                rotation=own.rotation,
+                source_name="" if original == called else original,
+            )
+        )
+    scales = np.array([gltf.nodes[node].scale for node in kept], np.float64)
+    scales = np.where(folded_nodes(gltf)[kept][:, None], 1.0, scales)
+    bare = Rig(name, tuple(made), meters_per_unit, up)
+    notices = _name_notice(renamed, gltf)
+    meshes: tuple[Mesh, ...] = ()
+    shapes: tuple[Shape, ...] = ()
+    keys: tuple[tuple[int, int], ...] = ()
+    rig, nodes = bare, np.array(kept, np.int64)
+    if surfaces:
+        binder = Binder(gltf, bare, joints, folded, scales)
+        meshes, shapes, keys, odd = mesh_parts(gltf, character, binder)
+        rig, nodes = binder.rig(meshes, shapes), binder.nodes(nodes)
+        notices += [*odd, *binder.notices]
+        scales = np.concatenate([scales, np.ones((len(nodes) - len(scales), 3))])
+    else:
+        keys, shapes = shape_keys(gltf, character)
+        rig = Rig(name, tuple(made), meters_per_unit, up, shapes=shapes)
+    return GltfRig(rig, nodes, joints, folded, scales, keys, notices)
+
+
+def shape_keys(
+    gltf: Gltf, character: Character
+) -> tuple[tuple[tuple[int, int], ...], tuple[Shape, ...]]:
+    """Return node and target of each shape, and the shapes without arrays."""
+    from animtool.formats.gltf.surfaces import mesh_names, shape_names
+
+    keys: list[tuple[int, int]] = []
+    meshes = [node for node in character.nodes if gltf.nodes[node].mesh >= 0]
+    for node in meshes:
+        count = gltf.meshes[gltf.nodes[node].mesh].targets
+        keys += [(node, target) for target in range(count)]
+    names = shape_names(gltf, keys, mesh_names(gltf, meshes))
+    return tuple(keys), tuple(Shape(name) for name in names)
+
+
+def _only_a_skin(gltf: Gltf, node: int) -> bool:
+    """Return whether a node is that of a skinned mesh, and nothing else."""
+    own = gltf.nodes[node]
+    if own.skin < 0 or own.children or own.mesh < 0:
+        return False
+    primitives = gltf.meshes[own.mesh].primitives
+    skinned = bool(primitives) and all(part.joints for part in primitives)
+    return skinned and not any(node in skin.joints for skin in gltf.skins)
+
+
+def folded_nodes(gltf: Gltf) -> BoolArray:
+    """Return which nodes have an even scale that never moves ``(N,)``."""
+    scales = np.array([node.scale for node in gltf.nodes]).reshape(-1, 3)
+    low, high = scales.min(axis=1), scales.max(axis=1)
+    even = (low > 0) & (high - low <= SAME_SCALE * np.abs(high))
+    for animation in gltf.animations:
+        for track in animation.tracks:
+            if track.path is Moved.SCALE and even[track.node]:
+                own = scales[track.node]
+                off = np.abs(track.values - own).max()
+                slopes = [part for part in (track.ins, track.outs) if part is not None]
+                moves = any(np.abs(part).max() > SAME_SCALE for part in slopes)
+                even[track.node] = not moves and off <= SAME_SCALE * own.max()
+    return np.asarray(even)
+
+
+def _folded(gltf: Gltf, character: Character) -> FloatArray:
+    """Return the product of even scales from the root to each node ``(N,)``."""
+    even = folded_nodes(gltf)
+    folded = np.ones(len(gltf.nodes))
+    for node in character.nodes:
+        own = gltf.nodes[node]
+        above = 1.0 if own.parent < 0 else folded[own.parent]
+        folded[node] = above * (float(np.mean(own.scale)) if even[node] else 1.0)
+    return folded
+
+
+def joint_names(
+    nodes: list[Node], numbers: list[int]
+) -> tuple[list[str], list[tuple[str, str]]]:
+    """Return distinct names, and those that are not as in the file, with what is.
+
+    Characters that no file of text holds are replaced.
+    """
+    plain = []
+    for node, number in zip(nodes, numbers, strict=True):
+        name = _CONTROL.sub("_", node.name or "").strip()
+        plain.append(name or f"node_{number}")
+    names = distinct(plain)
+    renamed = [
+        (node.name, name)
+        for node, name in zip(nodes, names, strict=True)
+        if node.name is not None and node.name != name
+    ]
+    return names, renamed
+
+
+def _name_notice(renamed: list[tuple[str, str]], gltf: Gltf) -> list[Fault]:
+    if not renamed:
+        return []
+    shown = listed([f"{excerpt(a)} is {b!r}" for a, b in renamed], MAX_NAMED)
+    message = f"{counted(len(renamed), 'joint')} renamed, as names occur once: {shown}"
+    return [Fault("GLT113", message, str(gltf.path), severity=Severity.NOTE)]
+
+
+def scale_notice(of_gltf: GltfRig, where: str) -> list[Fault]:
+    """Name the joints whose scale, at rest or at bind time, a rig does not hold."""
+    rig = of_gltf.rig
+    odd = np.abs(of_gltf.scales - 1.0).max(axis=1) > 1e-4
+    names = Counter(rig.names[j] for j in np.flatnonzero(odd).tolist())
+    names.update(
+        name
+        for name, pose in rig.bind.items()
+        if pose.stretch is not None
+        and np.abs(np.array(pose.stretch).reshape(3, 3) - np.eye(3)).max() > 1e-4
+    )
+    if not names:
+        return []
+    message = "scales of rest or bind transforms that a rig file has no place for: "
+    message += listed(list(names), MAX_NAMED)
+    hint = "takes of the file keep them; a rig file written of it does not"
+    return [Fault("GLT111", message, where, (), hint, Severity.WARNING)]

@@ -1,0 +1,284 @@
+"""A clip of a glTF as motion of a rig, at any times."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import field
+from fractions import Fraction
+
+import numpy as np
+
+from animtool.core.array_types import BoolArray, FloatArray, IntArray
+from animtool.core.clock import Clock
+from animtool.core.record import dataclass
+from animtool.formats.gltf.animations import Animation, Track
+from animtool.formats.gltf.animations import Path as Moved
+from animtool.formats.gltf.document import Gltf
+from animtool.formats.gltf.rig import GltfRig, folded_nodes
+from animtool.formats.gltf.timing import Frames
+from animtool.maths import so3
+from animtool.motion.motion import Channel, Motion
+from animtool.motion.take import TakeStream
+
+# A time this near to a key, by its size, is the key: float32 holds no other.
+NEAR = 1.5 * float(np.finfo(np.float32).eps)
+# Frames of a block: 60 joints take 2 MB.
+BLOCK = 1024
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Moving:
+    """A track, and the row of a channel that it moves."""
+
+    row: int
+    track: Track
+    factor: float = 1.0  # of its values, as the rig has them
+
+
+@dataclass(slots=True, eq=False)
+class Sampler:
+    """The motion of a rig by one clip, at any times."""
+
+    rest: dict[Moved, FloatArray]  # of each channel ``(rows, width)``
+    moving: dict[Moved, list[Moving]]
+    scaled: bool  # whether there is a scale
+    _grids: dict[int, tuple[IntArray, FloatArray]] = field(default_factory=dict)
+
+    @property
+    def numbers(self) -> int:
+        """Numbers of a frame that change."""
+        counts = {Moved.ROTATION: 4, Moved.WEIGHTS: 1}
+        return sum(counts.get(path, 3) * len(own) for path, own in self.moving.items())
+
+    def at(self, times: FloatArray) -> Motion:
+        """Return the motion at times ``(F,)`` [s]."""
+        self._grids.clear()
+        channels = {path: self._channel(path, times) for path in self.rest}
+        shapes = len(self.rest[Moved.WEIGHTS])
+        return Motion(
+            channels[Moved.TRANSLATION],
+            channels[Moved.ROTATION],
+            channels[Moved.SCALE] if self.scaled else None,
+            channels[Moved.WEIGHTS] if shapes else None,
+        )
+
+    def _channel(self, path: Moved, times: FloatArray) -> Channel:
+        rest, moving = self.rest[path], self.moving[path]
+        width = rest.shape[1]
+        values = np.empty((len(times), len(moving), width))
+        for k, one in enumerate(moving):
+            own = self._values(one.track, times)
+            if path is Moved.ROTATION:
+                values[:, k] = _continuous(own)
+            else:
+                values[:, k] = own if one.factor == 1.0 else own * one.factor
+        rows = np.array([one.row for one in moving], np.int64)
+        return Channel(rest, rows, values)
+
+    def _values(self, track: Track, times: FloatArray) -> FloatArray:
+        """Return the values of a track; tracks with the same keys look once."""
+        if len(track.times) == 1:
+            return track.at(times)
+        key = id(track.times)
+        if key not in self._grids:
+            self._grids[key] = segments(track.times, times)
+        low, own = self._grids[key]
+        if own is _ON_KEYS:
+            return unit_rows(track.values[low], track.path)
+        return track.between(low, own)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NativeKeys:
+    """The tracks of a clip, and when its frames are."""
+
+    sampler: Sampler
+    frames: Frames
+
+
+_ON_KEYS = np.zeros(0)
+
+
+def segments(keys: FloatArray, times: FloatArray) -> tuple[IntArray, FloatArray]:
+    """Return the key before each time, and the times, those near a key as the key.
+
+    Where all of them are keys, or outside of these, the times are `_ON_KEYS` and the
+    indices those of the keys.
+    """
+    last = len(keys) - 1
+    low = np.searchsorted(keys, times, "right") - 1
+    low = np.clip(low, 0, last)
+    after = np.minimum(low + 1, last)
+    room = NEAR * np.abs(times)
+    to_next = np.abs(keys[after] - times) <= room
+    low = np.where(to_next, after, low)
+    near = np.abs(keys[low] - times) <= room
+    near |= (times <= keys[0]) | (times >= keys[-1])
+    if near.all():
+        return np.asarray(low), _ON_KEYS
+    snapped = np.where(near, keys[low], times)
+    return np.minimum(low, last - 1), snapped
+
+
+def unit_rows(values: FloatArray, path: Moved) -> FloatArray:
+    """Return values in float64, rotations at unit length."""
+    own = values.astype(np.float64)
+    if path is Moved.ROTATION:
+        own /= np.sqrt(np.einsum("kc,kc->k", own, own))[:, None]
+    return own
+
+
+def _continuous(rotations: FloatArray) -> FloatArray:
+    """Return rotations with signs continuous along time, the first with w above 0."""
+    dots = np.einsum("kc,kc->k", rotations[1:], rotations[:-1])
+    first = rotations[0, 3] < 0
+    if first or (len(dots) and dots.min() < 0):
+        return so3.align_signs(rotations)
+    return rotations
+
+
+def sampler(gltf: Gltf, made: GltfRig, animation: Animation | None) -> Sampler:
+    """Return the motion of a rig by a clip; by None it is at rest."""
+    rig = made.rig
+    rest = {
+        Moved.TRANSLATION: rig.rest_translations.copy(),
+        Moved.ROTATION: rig.rest_rotations.copy(),
+        Moved.SCALE: made.scales.copy(),
+        Moved.WEIGHTS: rest_weights(gltf, made),
+    }
+    moving: dict[Moved, list[Moving]] = {path: [] for path in rest}
+    even = folded_nodes(gltf)
+    for path, one in _rows(gltf, made, animation.tracks if animation else (), even):
+        if _is_static(one.track):
+            value = one.track.at(one.track.times[:1])[0] * one.factor
+            rest[path][one.row] = value
+        else:
+            moving[path].append(one)
+    for own in moving.values():
+        own.sort(key=lambda one: one.row)
+    scaled = bool(moving[Moved.SCALE]) or bool((rest[Moved.SCALE] != 1.0).any())
+    return Sampler(rest, moving, scaled)
+
+
+def _is_static(track: Track) -> bool:
+    """Return whether a track has one value for all times."""
+    slopes = [part for part in (track.ins, track.outs) if part is not None]
+    if len(track.times) == 1:
+        return True
+    values = track.values
+    if any(part.any() for part in slopes):
+        return False
+    return bool((values[-1] == values[0]).all() and (values == values[:1]).all())
+
+
+def rest_weights(gltf: Gltf, made: GltfRig) -> FloatArray:
+    """Return the weights of the shapes without a clip ``(S, 1)``."""
+    weights = np.zeros((len(made.shapes), 1))
+    for row, (node, target) in enumerate(made.shapes):
+        own = gltf.nodes[node].weights
+        usual = gltf.meshes[gltf.nodes[node].mesh].weights
+        weights[row] = usual[target] if own is None else own[target]
+    return weights
+
+
+def _rows(
+    gltf: Gltf, made: GltfRig, tracks: Sequence[Track], even: BoolArray
+) -> list[tuple[Moved, Moving]]:
+    """Return the rows of channels that tracks move."""
+    rows: list[tuple[Moved, Moving]] = []
+    of_meshes: list[Track] = []
+    for track in tracks:
+        if track.path is Moved.WEIGHTS:
+            of_meshes.append(track)
+            continue
+        joint = int(made.joints[track.node])
+        if joint < 0 or track.path is Moved.VISIBLE:
+            continue
+        if track.path is Moved.SCALE and even[track.node]:
+            continue
+        factor = 1.0
+        if track.path is Moved.TRANSLATION:
+            above = gltf.nodes[track.node].parent
+            factor = 1.0 if above < 0 else float(made.folded[above])
+            factor *= made.rig.meters_per_unit
+        rows.append((track.path, Moving(joint, track, factor)))
+    rows += _weight_rows(gltf, made, of_meshes)
+    return rows
+
+
+def _weight_rows(
+    gltf: Gltf, made: GltfRig, tracks: Sequence[Track]
+) -> list[tuple[Moved, Moving]]:
+    """Return the shapes that tracks of weights move, those of nodes before meshes."""
+    found: dict[int, Track] = {}
+    for track in sorted(tracks, key=lambda one: (one.node < 0, one.part < 0)):
+        for row, (node, target) in enumerate(made.shapes):
+            own = gltf.nodes[node]
+            by_mesh = track.mesh == own.mesh and own.weights is None
+            if (track.node == node or (track.node < 0 and by_mesh)) and (
+                track.part in {-1, target}
+            ):
+                found.setdefault(row, _one_weight(track, target))
+    return [(Moved.WEIGHTS, Moving(row, track)) for row, track in found.items()]
+
+
+def _one_weight(track: Track, target: int) -> Track:
+    """Return the keys of one weight."""
+    if track.part >= 0 or track.values.shape[1] == 1:
+        return track
+    one = slice(target, target + 1)
+    return Track(
+        track.node,
+        track.mesh,
+        track.path,
+        target,
+        track.interpolation,
+        track.times,
+        track.values[:, one],
+        None if track.ins is None else track.ins[:, one],
+        None if track.outs is None else track.outs[:, one],
+    )
+
+
+def clip_stream(made: GltfRig, moving: Sampler, frames: Frames) -> TakeStream:
+    """Return a clip on its rig, drawn block by block."""
+
+    def curve(codes: FloatArray) -> Motion:
+        return moving.at(frames.seconds(codes))
+
+    rig = made.rig
+    blocks = _blocks(moving, frames)
+    return TakeStream(
+        rig,
+        frames.fps,
+        frames.first,
+        Fraction(1),
+        blocks,
+        curve=curve,
+        count=frames.count,
+    )
+
+
+def _blocks(moving: Sampler, frames: Frames) -> Iterator[Motion]:
+    clock = Clock(frames.fps, frames.first, Fraction(1), frames.count)
+    seconds = frames.seconds(clock.times)
+    previous: FloatArray | None = None
+    for at in range(0, frames.count, BLOCK):
+        block = moving.at(seconds[at : at + BLOCK])
+        turns = block.rotations
+        if previous is not None and len(turns.animated):
+            signs = np.sign(np.einsum("jc,jc->j", turns.values[0], previous))
+            if (signs < 0).any():
+                turns.values[:, signs < 0] *= -1.0
+        if len(turns.animated):
+            previous = turns.values[-1].copy()
+        yield block
+
+
+def moves(made: GltfRig, animation: Animation) -> bool:
+    """Return whether a clip moves something of a rig."""
+    shapes = {node for node, _ in made.shapes}
+    return any(
+        track.mesh >= 0 or made.joints[track.node] >= 0 or track.node in shapes
+        for track in animation.tracks
+    )

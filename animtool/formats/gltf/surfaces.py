@@ -1,0 +1,207 @@
+"""Meshes and morph targets of a glTF as those of a rig."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.errors import Fault, Severity, counted, listed
+from animtool.core.record import dataclass
+from animtool.core.similar import distinct
+from animtool.formats.gltf.binding import Binder
+from animtool.formats.gltf.characters import Character
+from animtool.formats.gltf.document import Gltf
+from animtool.formats.gltf.meshes import Primitive, skin_weights, triangles
+from animtool.rig.parts import HeldArray, Mesh, Shape, Skin, Subdivision
+
+ShapeKey = tuple[int, int]  # node and morph target
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Part:
+    """Vertices that primitives of a mesh share, and where they begin in the whole."""
+
+    primitive: Primitive
+    first: int
+    count: int
+
+
+def mesh_parts(
+    gltf: Gltf, character: Character, binder: Binder
+) -> tuple[tuple[Mesh, ...], tuple[Shape, ...], tuple[ShapeKey, ...], list[Fault]]:
+    """Return meshes and shapes of a character, what shapes are of, and notices."""
+    nodes = [node for node in character.nodes if gltf.nodes[node].mesh >= 0]
+    names = mesh_names(gltf, nodes)
+    meshes: list[Mesh] = []
+    shapes: list[Shape] = []
+    keys: list[ShapeKey] = []
+    empty: list[str] = []
+    targets: list[tuple[str, list[HeldArray], list[HeldArray | None]]] = []
+    for node in nodes:
+        mesh = _mesh(gltf, node, names[node], binder)
+        count = gltf.meshes[gltf.nodes[node].mesh].targets
+        if mesh is None:
+            empty.append(names[node])
+            deltas: list[HeldArray] = []
+            normals: list[HeldArray | None] = []
+            keys += [(node, target) for target in range(count)]
+            targets.append(("", deltas, normals))
+            continue
+        meshes.append(mesh)
+        keys += [(node, target) for target in range(count)]
+        targets.append((names[node], *_targets(gltf, node)))
+    called = iter(shape_names(gltf, keys, names))
+    of_node = iter(targets)
+    for node in nodes:
+        name, deltas, normals = next(of_node)
+        for target in range(gltf.meshes[gltf.nodes[node].mesh].targets):
+            shape = next(called)
+            held = (deltas[target], normals[target]) if name else (None, None)
+            shapes.append(Shape(shape, name, *held))
+    notices = []
+    if empty:
+        message = f"{counted(len(empty), 'mesh', 'meshes')} of points or lines alone, "
+        message += f"or without any, left out: {listed(empty)}"
+        notices.append(Fault("GLT108", message, str(gltf.path), severity=Severity.NOTE))
+    return tuple(meshes), tuple(shapes), tuple(keys), notices
+
+
+def mesh_names(gltf: Gltf, nodes: Sequence[int]) -> dict[int, str]:
+    """Return distinct names of the meshes that nodes have, after the nodes."""
+    named = []
+    for node in nodes:
+        own = gltf.nodes[node]
+        plain = own.name or gltf.meshes[own.mesh].name or f"mesh_{node}"
+        named.append("".join(c if c.isprintable() else "_" for c in plain).strip())
+    names = distinct(name or "mesh" for name in named)
+    return dict(zip(nodes, names, strict=True))
+
+
+def shape_names(
+    gltf: Gltf, keys: Sequence[ShapeKey], meshes: dict[int, str]
+) -> list[str]:
+    """Return distinct names of shapes; one that two meshes have gets its mesh's."""
+    taken: dict[str, None] = {}
+    for node, target in keys:
+        given = gltf.meshes[gltf.nodes[node].mesh].target_names
+        plain = given[target] if given else f"{meshes[node]}_{target}"
+        plain = "".join(c if c.isprintable() else "_" for c in plain).strip()
+        name = plain or f"{meshes[node]}_{target}"
+        if name in taken:
+            name = f"{meshes[node]}_{name}"
+        unique, number = name, 2
+        while unique in taken:
+            unique, number = f"{name}_{number}", number + 1
+        taken[unique] = None
+    return list(taken)
+
+
+def _shared(gltf: Gltf, node: int) -> list[_Part]:
+    """Return the vertices of a mesh, those that primitives share once."""
+    parts: dict[object, _Part] = {}
+    first = 0
+    for primitive in gltf.meshes[gltf.nodes[node].mesh].primitives:
+        if primitive.position >= 0 and primitive.vertices not in parts:
+            count = gltf.accessors.get(primitive.position).count
+            parts[primitive.vertices] = _Part(primitive, first, count)
+            first += count
+    return list(parts.values())
+
+
+def vertex_offset(gltf: Gltf, node: int, primitive: int) -> int:
+    """Return where the vertices of a primitive begin in the mesh of a node."""
+    own = gltf.meshes[gltf.nodes[node].mesh].primitives[primitive]
+    parts = _shared(gltf, node)
+    return next(one.first for one in parts if one.primitive.vertices == own.vertices)
+
+
+def _mesh(gltf: Gltf, node: int, name: str, binder: Binder) -> Mesh | None:
+    """Return the mesh of a node; None where it has no faces."""
+    parts = _shared(gltf, node)
+    starts = {part.primitive.vertices: part.first for part in parts}
+    faces = []
+    for primitive in gltf.meshes[gltf.nodes[node].mesh].primitives:
+        if primitive.position >= 0:
+            count = gltf.accessors.get(primitive.position).count
+            own = triangles(primitive, count, gltf.accessors)
+            faces.append(own + starts[primitive.vertices])
+    if not sum(map(len, faces)):
+        return None
+    points = [gltf.accessors.floats(part.primitive.position) for part in parts]
+    skin, geometry = _skin(gltf, node, parts, binder)
+    bind = tuple(geometry.ravel().tolist())
+    return Mesh(
+        name,
+        HeldArray(np.concatenate(points)),
+        HeldArray(np.concatenate(faces).astype(np.float64)),
+        _normals(gltf, parts),
+        None if (geometry == np.eye(4)).all() else bind,
+        skin,
+        None if _normals(gltf, parts) is not None else Subdivision.NONE,
+    )
+
+
+def _normals(gltf: Gltf, parts: list[_Part]) -> HeldArray | None:
+    if any(part.primitive.normal < 0 for part in parts):
+        return None
+    accessors = gltf.accessors
+    rows = [accessors.floats(part.primitive.normal) for part in parts]
+    return HeldArray(np.concatenate(rows))
+
+
+def _skin(
+    gltf: Gltf, node: int, parts: list[_Part], binder: Binder
+) -> tuple[Skin, FloatArray]:
+    """Return what a mesh follows: joints of its skin, or the node that has it."""
+    index = gltf.nodes[node].skin
+    if index >= 0 and all(part.primitive.joints for part in parts):
+        geometry, joints = binder.skin(index)
+        rows = [
+            skin_weights(part.primitive, len(joints), gltf.accessors, gltf.notes)
+            for part in parts
+        ]
+        width = max(indices.shape[1] for indices, _ in rows)
+        indices = np.concatenate([_wide(one, width) for one, _ in rows])
+        weights = np.concatenate([_wide(one, width) for _, one in rows])
+    else:
+        geometry, joint = binder.node(node)
+        joints = [joint]
+        count = sum(part.count for part in parts)
+        indices, weights = np.zeros((count, 1)), np.ones((count, 1))
+    names = binder.names()
+    skin = Skin(
+        "linear",
+        tuple(names[joint] for joint in joints),
+        HeldArray(indices.astype(np.float64)),
+        HeldArray(weights.astype(np.float64)),
+    )
+    return skin, geometry
+
+
+def _wide(values: FloatArray | IntArray, width: int) -> FloatArray:
+    whole = np.zeros((len(values), width))
+    whole[:, : values.shape[1]] = values
+    return whole
+
+
+def _targets(gltf: Gltf, node: int) -> tuple[list[HeldArray], list[HeldArray | None]]:
+    """Return what each morph target adds to the points and normals of a mesh."""
+    parts = _shared(gltf, node)
+    deltas: list[HeldArray] = []
+    normals: list[HeldArray | None] = []
+    with_normals = _normals(gltf, parts) is not None
+    for target in range(gltf.meshes[gltf.nodes[node].mesh].targets):
+        moves: list[FloatArray] = []
+        turns: list[FloatArray] = []
+        for part in parts:
+            own = part.primitive.targets[target]
+            for index, rows in ((own.position, moves), (own.normal, turns)):
+                given = index >= 0
+                nothing = np.zeros((part.count, 3))
+                rows.append(gltf.accessors.floats(index) if given else nothing)
+        deltas.append(HeldArray(np.concatenate(moves)))
+        turned = np.concatenate(turns)
+        normals.append(HeldArray(turned) if with_normals and turned.any() else None)
+    return deltas, normals

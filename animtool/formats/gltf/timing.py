@@ -1,0 +1,134 @@
+"""The frames of a glTF's clip: its keys are in seconds, and it states no rate."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+
+from animtool.core.arguments import argument
+from animtool.core.array_types import FloatArray
+from animtool.core.clock import MAX_FRAMES
+from animtool.core.errors import Fault, FormatError, Severity
+from animtool.core.rates import parse_rate, rate_label
+from animtool.core.record import dataclass
+from animtool.formats.gltf.animations import Animation
+
+# Looked at in this order: the first that has all keys on frames is the rate.
+RATES = (
+    *(Fraction(n) for n in (24, 30, 60, 25, 50, 48, 120, 100, 12, 15, 10)),
+    *(Fraction(n * 1000, 1001) for n in (24, 30, 60)),
+    *(Fraction(n) for n in (90, 72, 240, 200, 144, 1000)),
+)
+USUAL = Fraction(30)
+# A key is on a frame that is nearer than this, and than the digits of its time [frame].
+ON_FRAME, DIGITS = 1e-3, 4e-7
+# What a take is held with: numbers that change, of all frames.
+MAX_VALUES = 60_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class Frames:
+    """When the frames of a clip are."""
+
+    fps: Fraction
+    start: Fraction  # time code of time 0
+    first: Fraction  # of the first frame
+    count: int
+    notices: tuple[Fault, ...] = ()
+
+    def seconds(self, codes: FloatArray) -> FloatArray:
+        """Return times of time codes [s]."""
+        return np.asarray((codes - float(self.start)) / float(self.fps))
+
+
+def frames_of(
+    animation: Animation | None, fps: Fraction | None, path: str, width: int
+) -> Frames:
+    """Return the frames of a clip.
+
+    Time 0 is frame 0, unless animtool wrote the file, which then says.
+
+    Args:
+        animation: The clip; None is one frame.
+        fps: The rate that is asked for; None is that of the keys.
+        path: The file, for notices.
+        width: Numbers of a frame.
+    """
+    if animation is None or not animation.tracks:
+        return Frames(fps or RATES[0], Fraction(0), Fraction(0), 1)
+    stated, start = _stated(animation.extras)
+    times = _times(animation)
+    rate = fps or stated or next((one for one in RATES if _fits(times, one)), USUAL)
+    first, last = animation.span
+    low = math.floor(first * float(rate) + _room(first, rate)) if first < 0 else 0
+    high = max(low, math.ceil(last * float(rate) - _room(last, rate)))
+    count = high - low + 1
+    if count > MAX_FRAMES or count * max(width, 1) > MAX_VALUES:
+        message = f"{last - first:.6g} s at {rate_label(rate)} are {count} frames of "
+        message += f"{width} numbers, more than are read"
+        hint = f"{argument('source.fps')} reads fewer frames a second"
+        raise FormatError(
+            Fault("GLT013", message, path, (), hint, where=animation.where)
+        )
+    notices = () if _fits(times, rate) else (_between(times, rate, path, animation),)
+    return Frames(rate, start, start + low, count, notices)
+
+
+def _times(animation: Animation) -> FloatArray:
+    """Return the times of all keys, each once."""
+    distinct: dict[int, FloatArray] = {id(t.times): t.times for t in animation.tracks}
+    return np.unique(np.concatenate(list(distinct.values())))
+
+
+def _room(time: float, rate: Fraction) -> float:
+    return ON_FRAME + DIGITS * abs(time) * float(rate)
+
+
+def _off(times: FloatArray, rate: Fraction) -> FloatArray:
+    """Return how far keys are off frames, less what their digits leave open [frame]."""
+    frames = times * float(rate)
+    return np.asarray(np.abs(frames - np.round(frames)) - DIGITS * np.abs(frames))
+
+
+def _fits(times: FloatArray, rate: Fraction) -> bool:
+    return bool((_off(times, rate) <= ON_FRAME).all())
+
+
+def _between(
+    times: FloatArray, rate: Fraction, path: str, animation: Animation
+) -> Fault:
+    off = _off(times, rate) > ON_FRAME
+    message = f"{int(off.sum())} of {len(times)} key times are between the frames at "
+    message += f"{rate_label(rate)}; the last key is at {times[-1]:.6g} s"
+    hint = f"{argument('source.fps')} gives another rate"
+    return Fault(
+        "GLT110", message, path, (), hint, Severity.NOTE, where=animation.where
+    )
+
+
+def _stated(extras: dict[str, Any]) -> tuple[Fraction | None, Fraction]:
+    """Return rate and time code of time 0 that animtool wrote of a clip."""
+    own = extras.get("animtool")
+    if not isinstance(own, dict):
+        return None, Fraction(0)
+    try:
+        rate = parse_rate(str(own["fps"]))
+        start = Fraction(str(own.get("start", 0)))
+    except (KeyError, ValueError, ArithmeticError):
+        return None, Fraction(0)
+    return rate, start if abs(start) < 10**9 else Fraction(0)
+
+
+def distinct_clip_names(animations: Iterable[Animation]) -> list[str]:
+    """Return a name for every clip; those without one are numbered."""
+    from animtool.core.similar import distinct
+
+    plain = [
+        "".join(c if c.isprintable() else "_" for c in one.name or "").strip()
+        for one in animations
+    ]
+    return distinct(name or f"clip_{i + 1}" for i, name in enumerate(plain))

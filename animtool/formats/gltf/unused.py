@@ -1,0 +1,115 @@
+"""Parts of a glTF that only pictures and materials use: nothing wrong there counts."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from typing import Any
+
+from animtool.core.record import dataclass
+from animtool.formats.gltf.places import is_number
+
+# Of a primitive: what moves, and what faces are made of.
+_READ = re.compile(r"POSITION|NORMAL|(?:JOINTS|WEIGHTS)_(?:0|[1-9]\d{0,3})")
+_LOOKS = re.compile(r"TANGENT|(?:TEXCOORD|COLOR)_(?:0|[1-9]\d*)|_.*", re.DOTALL)
+
+
+@dataclass(frozen=True, slots=True)
+class Unused:
+    """Indices of what only pictures and materials use."""
+
+    accessors: frozenset[int]
+    views: frozenset[int]
+    buffers: frozenset[int]
+
+
+def unused_parts(root: dict[str, Any]) -> Unused:
+    """Return what is named by parts that are not read, and by no others."""
+    read: set[int] = set()
+    other: set[int] = set()
+    for primitive in _primitives(root):
+        for attributes in _attributes(primitive):
+            for name, index in attributes.items():
+                if is_number(index):
+                    (read if is_read(str(name)) else other).add(int(index))
+    used = {*read, *_used_elsewhere(root)}
+    accessors = frozenset(other - used)
+    images = set(_images(root))
+    entries = list(enumerate(_dicts(root.get("accessors"))))
+    of_read = {
+        view for i, entry in entries if i not in accessors for view in _views(entry)
+    }
+    of_other = {
+        view for i, entry in entries if i in accessors for view in _views(entry)
+    }
+    views = frozenset((images | of_other) - of_read)
+    named = list(enumerate(_dicts(root.get("bufferViews"))))
+    own = {_index(view.get("buffer")) for i, view in named if i not in views}
+    theirs = {_index(view.get("buffer")) for i, view in named if i in views}
+    return Unused(accessors, views, frozenset(theirs - own - {-1}))
+
+
+def is_read(attribute: str) -> bool:
+    """Return whether an attribute of a vertex is read.
+
+    >>> is_read("JOINTS_1"), is_read("TEXCOORD_0")
+    (True, False)
+    """
+    return _READ.fullmatch(attribute) is not None
+
+
+def is_known(attribute: str) -> bool:
+    """Return whether an attribute of a vertex is one of the format, or an own one.
+
+    >>> is_known("COLOR_0"), is_known("_PAINT"), is_known("TEXCOORD_00")
+    (True, True, False)
+    """
+    return _LOOKS.fullmatch(attribute) is not None or is_read(attribute)
+
+
+def _dicts(value: Any) -> Iterator[dict[str, Any]]:
+    """Yield the entries of a list; an empty one for what is no object."""
+    for entry in value if isinstance(value, list) else ():
+        yield entry if isinstance(entry, dict) else {}
+
+
+def _index(value: Any) -> int:
+    return int(value) if is_number(value) and abs(value) < 2**53 else -1
+
+
+def _primitives(root: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    for mesh in _dicts(root.get("meshes")):
+        yield from _dicts(mesh.get("primitives"))
+
+
+def _attributes(primitive: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    attributes = primitive.get("attributes")
+    if isinstance(attributes, dict):
+        yield attributes
+    yield from _dicts(primitive.get("targets"))
+
+
+def _used_elsewhere(root: dict[str, Any]) -> Iterator[int]:
+    for primitive in _primitives(root):
+        yield _index(primitive.get("indices"))
+    for skin in _dicts(root.get("skins")):
+        yield _index(skin.get("inverseBindMatrices"))
+    for animation in _dicts(root.get("animations")):
+        for sampler in _dicts(animation.get("samplers")):
+            yield _index(sampler.get("input"))
+            yield _index(sampler.get("output"))
+
+
+def _images(root: dict[str, Any]) -> Iterator[int]:
+    for image in _dicts(root.get("images")):
+        if "bufferView" in image:
+            yield _index(image["bufferView"])
+
+
+def _views(accessor: dict[str, Any]) -> Iterator[int]:
+    yield _index(accessor.get("bufferView"))
+    sparse = accessor.get("sparse")
+    for name in ("indices", "values"):
+        part = sparse.get(name) if isinstance(sparse, dict) else None
+        if isinstance(part, dict):
+            yield _index(part.get("bufferView"))

@@ -1,0 +1,84 @@
+"""A rig and its takes as one .glb file."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from animtool.core.array_types import FloatArray
+from animtool.core.clock import FrameSpan
+from animtool.core.errors import Fault, OptionError
+from animtool.core.units import UpAxis
+from animtool.formats.gltf.glb import GlbBuilder
+from animtool.formats.gltf.write_clip import write_clip
+from animtool.formats.gltf.write_rig import write_rig
+from animtool.motion.reorient import reorient
+from animtool.motion.take import Take, TakeStream
+from animtool.motion.take_files import TakeFiles, WriteOptions
+
+
+def gltf_files(take: Take, path: Path, options: WriteOptions) -> TakeFiles:
+    """Return a rig and its takes as a GLB: skin, shapes, and every clip by its name.
+
+    Args:
+        take: The first take; its rig has the meshes.
+        path: ``.glb`` or ``.gltf``, in which the numbers are a data URI.
+        options: Other takes of the same rig, names of all, and a tolerance for keys.
+
+    Raises:
+        OptionError: The rig has neither joints nor shapes (RIG044).
+    """
+    takes = [_upright(one) for one in (take, *options.others)]
+    first = takes[0]
+    rig = first.rig
+    if not rig.joints and not rig.meshes:
+        message = f"{rig.name!r} has no joints and no meshes"
+        raise OptionError(Fault("RIG044", message, hint="write USD, or a .clip.yaml"))
+    made = GlbBuilder({"asset": {"version": "2.0", "generator": "animtool"}})
+    scales = _rest_scales(first)
+    written = write_rig(made, rig, scales, _rest_weights(first))
+    names = options.names or (path.stem,)
+    notices = list(written.notices)
+    for one, name in zip(takes, names, strict=True):
+        notices += write_clip(made, one, name, written, scales, options.tolerance)
+    clock = take.clock
+    span = FrameSpan(clock.span.first, clock.span.last, clock.span.fps)
+    contents = {path: _contents(made, path)}
+    return TakeFiles(contents, span, len(rig.joints), notices)
+
+
+def _contents(made: GlbBuilder, path: Path) -> Any:
+    if path.suffix.lower() == ".gltf":
+        return made.text_parts()
+    return made.parts()
+
+
+def _upright(take: Take) -> Take:
+    """Return a take with Y up, as glTF has it."""
+    if take.rig.up is UpAxis.Y:
+        return take
+    return reorient(TakeStream.of(take), UpAxis.Y).collect()
+
+
+def _rest_scales(take: Take) -> FloatArray:
+    """Return the scales of the joints while they do not move ``(J, 3)``."""
+    scales = take.motion.scales
+    if scales is None:
+        return np.ones((len(take.rig.joints), 3))
+    rest = scales.rest.copy()
+    if len(scales.values):
+        rest[scales.animated] = scales.values[0]
+    return rest
+
+
+def _rest_weights(take: Take) -> dict[str, float]:
+    weights = take.motion.weights
+    names: Sequence[str] = [shape.name for shape in take.rig.shapes]
+    if weights is None:
+        return {}
+    rest = weights.rest.copy()
+    rest[weights.animated] = 0.0
+    return dict(zip(names, rest[:, 0].tolist(), strict=True))

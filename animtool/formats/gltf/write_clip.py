@@ -1,0 +1,244 @@
+"""A take as an animation of a glTF: sampled, reduced, or with the keys of its clip."""
+
+from __future__ import annotations
+
+from dataclasses import field
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+
+from animtool.clip.keyed_curve import clip_of
+from animtool.clip.reduction.points import SHELL, joint_bounds
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault, Severity, listed
+from animtool.core.record import dataclass
+from animtool.formats.gltf.clip_keys import Keys, keys_of_clip, native_keys
+from animtool.formats.gltf.glb import GlbBuilder
+from animtool.formats.gltf.reduce import linear_keys
+from animtool.formats.gltf.write_rig import WrittenRig
+from animtool.maths import so3
+from animtool.motion.motion import Channel
+from animtool.motion.take import Take
+
+# A static value this near to that of the node needs no channel.
+SAME = 1e-9
+
+
+@dataclass(slots=True)
+class _Animation:
+    """Collects samplers and channels."""
+
+    made: GlbBuilder
+    samplers: list[dict[str, Any]] = field(default_factory=list)
+    channels: list[dict[str, Any]] = field(default_factory=list)
+
+    def add(self, node: int, path: str, keys: Keys) -> None:
+        """Add the keys of a property."""
+        times = keys.times.astype(np.float32)[:, None]
+        rows = keys.rows(scalars=path == "weights")
+        sampler: dict[str, Any] = {
+            "input": self.made.accessor(times, bounds=True),
+            "output": self.made.accessor(rows.astype(np.float32)),
+        }
+        if keys.interpolation != "LINEAR":
+            sampler["interpolation"] = keys.interpolation
+        target = {"node": node, "path": path}
+        self.channels.append({"sampler": len(self.samplers), "target": target})
+        self.samplers.append(sampler)
+
+
+def write_clip(
+    made: GlbBuilder,
+    take: Take,
+    name: str,
+    written: WrittenRig,
+    scales: FloatArray,
+    tolerance: float | None,
+) -> list[Fault]:
+    """Write a take; return what glTF has no place for.
+
+    The first frame is time 0. What stands still is a channel with one key, where it is
+    not as the node has it. A take that is still what the keys of its clip say has these
+    keys; others have a key a frame, or with a tolerance those that linear keys need.
+
+    Args:
+        made: What it is added to.
+        take: Y up.
+        name: Of the animation.
+        written: Where the rig is in it.
+        scales: Of the nodes ``(J, 3)``.
+        tolerance: How far keys may move a joint [m]; None keeps a key a frame.
+    """
+    clock = take.clock
+    seconds = (clock.times - float(clock.start)) / float(clock.fps)
+    animation = _Animation(made)
+    clip = None if tolerance is not None else clip_of(take)
+    keyed: dict[tuple[int, str], Keys] = {}
+    if clip is not None:
+        keyed = keys_of_clip(clip, take, clock.start)
+        keyed |= native_keys(getattr(take.curve, "native", None), clock.start)
+    bounds = None
+    if tolerance is not None:
+        bounds = joint_bounds(take.rig, tolerance, {})
+    motion, rig = take.motion, take.rig
+    parts: list[tuple[str, Channel | None, FloatArray]] = [
+        ("translation", motion.translations, rig.rest_translations),
+        ("rotation", motion.rotations, rig.rest_rotations),
+        ("scale", motion.scales, scales),
+    ]
+    for path, channel, rest in parts:
+        if channel is None:
+            continue
+        for j in range(len(rig.joints)):
+            keys = _joint_keys(path, channel, rest, j, seconds, bounds, take)
+            keys = keyed.get((j, path), keys) if keys is not None else None
+            if keys is not None:
+                animation.add(written.joints[j], path, keys)
+    left = _weights(animation, take, written, seconds, keyed, tolerance)
+    if not animation.channels:
+        # A clip without a channel is none: one key of the first joint holds its name.
+        animation.add(0, "translation", _one(rig_row(take), seconds[:1]))
+    entry = {
+        "name": name,
+        "channels": animation.channels,
+        "samplers": animation.samplers,
+        "extras": {"animtool": _stated(clock.fps, clock.start)},
+    }
+    made.add("animations", entry)
+    return left
+
+
+def rig_row(take: Take) -> FloatArray:
+    """Return where the first joint is at rest ``(1, 3)``; the origin without joints."""
+    if not take.rig.joints:
+        return np.zeros((1, 3))
+    return take.rig.rest_translations[:1]
+
+
+def _stated(fps: Fraction, start: Fraction) -> dict[str, Any]:
+    """Return what a reader of ours needs to have the frames back."""
+    return {"fps": str(fps), "start": str(start)}
+
+
+def _one(row: FloatArray, times: FloatArray) -> Keys:
+    return Keys(times[:1], row.reshape(1, -1))
+
+
+def _joint_keys(
+    path: str,
+    channel: Channel,
+    rest: FloatArray,
+    joint: int,
+    seconds: FloatArray,
+    bounds: FloatArray | None,
+    take: Take,
+) -> Keys | None:
+    """Return the keys of a joint's channel; None where the node says it all."""
+    at = np.searchsorted(channel.animated, joint)
+    moving = at < len(channel.animated) and channel.animated[at] == joint
+    values = channel.values[:, at] if moving else channel.rest[joint][None]
+    if not moving or len(values) < 2 or (values == values[:1]).all():
+        value = values[0]
+        off = np.abs(value - rest[joint]).max()
+        if path == "rotation":
+            off = min(off, np.abs(value + rest[joint]).max())
+        return None if off <= SAME else _one(value, seconds)
+    if path == "rotation":
+        values = so3.align_signs(values)
+    keys = Keys(seconds, values)
+    if bounds is None:
+        return keys
+    return linear_keys(keys, _tolerance(path, joint, bounds, take))
+
+
+def _tolerance(path: str, joint: int, bounds: FloatArray, take: Take) -> float:
+    """Return how far keys of a joint may be off: [m], [rad] or [1]."""
+    own = float(bounds[joint])
+    if path == "translation":
+        return own
+    return own / max(SHELL, float(_reach(take)[joint]))
+
+
+def _reach(take: Take) -> FloatArray:
+    """Return how far below each joint the joints are that it turns ``(J,)`` [m]."""
+    rig = take.rig
+    reach = np.zeros(len(rig.joints))
+    lengths = np.linalg.norm(rig.rest_translations, axis=1)
+    for j in range(len(rig.joints) - 1, -1, -1):
+        parent = rig.joints[j].parent
+        if parent >= 0:
+            reach[parent] = max(reach[parent], reach[j] + lengths[j])
+    return reach
+
+
+def _weights(
+    animation: _Animation,
+    take: Take,
+    written: WrittenRig,
+    seconds: FloatArray,
+    keyed: dict[tuple[int, str], Keys],
+    tolerance: float | None,
+) -> list[Fault]:
+    """Write the weights of the morph targets of each mesh."""
+    weights = take.motion.weights
+    if weights is None:
+        return []
+    names = [shape.name for shape in take.rig.shapes]
+    dense = weights.dense()[:, :, 0]
+    rest = animation.made.json
+    for node, shapes in written.targets.items():
+        rows = [names.index(shape) for shape in shapes]
+        values = dense[:, rows]
+        mesh = rest["meshes"][rest["nodes"][node]["mesh"]]
+        if (values == values[:1]).all():
+            if np.abs(values[0] - mesh["weights"]).max() > SAME:
+                animation.add(node, "weights", _weight_keys(values[:1], seconds))
+            continue
+        keys = Keys(seconds, values)
+        if tolerance is not None:
+            keys = linear_keys(keys, WEIGHT)
+        own = [keyed.get((row, "weight")) for row in rows]
+        joined = _joined(own)
+        animation.add(node, "weights", keys if joined is None else joined)
+    homeless = [
+        names[row]
+        for row in weights.animated.tolist()
+        if names[row] not in written.shapes
+    ]
+    if not homeless:
+        return []
+    message = f"weights of shapes without a mesh are left out: {listed(homeless)}"
+    return [Fault("GLT117", message, severity=Severity.NOTE)]
+
+
+WEIGHT = 1e-3
+
+
+def _weight_keys(values: FloatArray, seconds: FloatArray) -> Keys:
+    return Keys(seconds[:1], values)
+
+
+def _same_times(one: Keys, other: Keys) -> bool:
+    same = one.interpolation == other.interpolation
+    return same and np.array_equal(one.times, other.times)
+
+
+def _joined(parts: list[Keys | None]) -> Keys | None:
+    """Return the keys of several weights as one, where all have the same times."""
+    found = [part for part in parts if part is not None]
+    if not found or len(found) < len(parts):
+        return None
+    first = found[0]
+    if not all(_same_times(one, first) for one in found):
+        return None
+
+    def columns(name: str) -> FloatArray | None:
+        rows = [getattr(one, name) for one in found]
+        return None if rows[0] is None else np.concatenate(rows, axis=1)
+
+    values = columns("values")
+    assert values is not None
+    return Keys(
+        first.times, values, first.interpolation, columns("ins"), columns("outs")
+    )

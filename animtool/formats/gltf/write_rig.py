@@ -1,0 +1,326 @@
+"""A rig as nodes, skins and meshes of a glTF."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from dataclasses import field, replace
+from typing import Any
+
+import numpy as np
+
+from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.errors import Fault, Severity, listed
+from animtool.core.record import dataclass
+from animtool.formats.gltf.glb import ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER, GlbBuilder
+from animtool.rig.kinematics import bind_matrices
+from animtool.rig.skeleton import Rig
+from animtool.rig.surfaces import Surface, SurfaceSkin, surfaces_of
+
+MAX_NAMED = 6
+# A weight below a part of the largest is none that shows [1].
+SMALLEST_WEIGHT = 1e-7
+
+
+@dataclass(slots=True)
+class WrittenRig:
+    """Where the parts of a rig are in the file."""
+
+    joints: list[int]  # node of each joint
+    # Of each shape: its mesh's node, and which target it is; none without a mesh.
+    shapes: dict[str, tuple[int, int]] = field(default_factory=dict)
+    targets: dict[int, list[str]] = field(default_factory=dict)  # shapes by node
+    notices: list[Fault] = field(default_factory=list)
+
+
+def write_rig(
+    made: GlbBuilder,
+    rig: Rig,
+    scales: FloatArray,
+    weights: dict[str, float],
+) -> WrittenRig:
+    """Write a rig, Y up and in metres.
+
+    Args:
+        made: What it is added to.
+        rig: J joints.
+        scales: Of the joints at rest ``(J, 3)``.
+        weights: Of the shapes at rest.
+    """
+    written = WrittenRig(list(range(len(rig.joints))))
+    for j, joint in enumerate(rig.joints):
+        node: dict[str, Any] = {"name": joint.source_name or joint.name}
+        if joint.source_name:
+            node["extras"] = {"animtool": {"name": joint.name}}
+        node |= _placed(
+            np.array(joint.translation), np.array(joint.rotation), scales[j]
+        )
+        made.add("nodes", node)
+    for j, joint in enumerate(rig.joints):
+        if joint.parent >= 0:
+            made.json["nodes"][joint.parent].setdefault("children", []).append(j)
+    roots = list(rig.roots)
+    left: dict[str, list[str]] = defaultdict(list)
+    bind = bind_matrices(rig) if rig.joints else np.zeros((0, 4, 4))
+    for surface in surfaces_of(rig):
+        at = _surface(made, rig, surface, bind, weights, written, left)
+        if at >= len(rig.joints):
+            roots.append(at)
+    made.json["scene"] = 0
+    made.json["scenes"] = [{"name": rig.name, "nodes": roots}]
+    written.notices += _left_out(rig, left, written)
+    return written
+
+
+def _placed(move: FloatArray, turn: FloatArray, scale: FloatArray) -> dict[str, Any]:
+    """Return the properties of a transform that are not the usual ones."""
+    parts: dict[str, Any] = {}
+    if np.abs(move).max() > 0:
+        parts["translation"] = move.tolist()
+    if np.abs(turn[:3]).max() > 0:
+        parts["rotation"] = (turn / np.linalg.norm(turn)).tolist()
+    if np.abs(scale - 1.0).max() > 0:
+        parts["scale"] = scale.tolist()
+    return parts
+
+
+def _surface(
+    made: GlbBuilder,
+    rig: Rig,
+    surface: Surface,
+    bind: FloatArray,
+    weights: dict[str, float],
+    written: WrittenRig,
+    left: dict[str, list[str]],
+) -> int:
+    """Write a mesh; return the node that has it."""
+    carrier, local = _carrier(made, rig, surface, bind)
+    if surface.skin is None or carrier >= 0:
+        surface = _brought(surface, local)
+    points, normals = surface.points, surface.normals
+    primitive: dict[str, Any] = {"attributes": _attributes(made, points, normals)}
+    if surface.skin is not None and carrier < 0:
+        _write_influences(made, surface.skin, primitive["attributes"])
+        if surface.skin.method != "linear":
+            left["dual quaternion skinning, linear instead"].append(surface.name)
+    faces = triangulated(surface.counts, surface.indices)
+    small = len(points) < 65535
+    flat = faces.reshape(-1, 1).astype(np.uint16 if small else np.uint32)
+    primitive["indices"] = made.accessor(flat, target=ELEMENT_ARRAY_BUFFER)
+    if len(surface.counts) and surface.counts.max() > 3:
+        left["faces of more than three points, as triangles"].append(surface.name)
+    mesh: dict[str, Any] = {"name": surface.name, "primitives": [primitive]}
+    _targets(made, surface, primitive, mesh, weights, left)
+    index = made.add("meshes", mesh)
+    return _node_of(made, rig, surface, index, carrier, bind, written)
+
+
+def _brought(surface: Surface, local: FloatArray) -> Surface:
+    """Return a mesh in the frame of the node that has it."""
+    linear = local[:3, :3]
+    normals = surface.normals
+    return replace(
+        surface,
+        points=surface.points @ linear.T + local[:3, 3],
+        normals=None if normals is None else normals @ np.linalg.inv(linear),
+        shapes=tuple(
+            replace(shape, deltas=shape.deltas @ linear.T) for shape in surface.shapes
+        ),
+    )
+
+
+def _write_influences(
+    made: GlbBuilder, skin: SurfaceSkin, attributes: dict[str, int]
+) -> None:
+    indices, values = influences(skin)
+    kind = np.uint8 if indices.max(initial=0) < 256 else np.uint16
+    for k in range(indices.shape[1] // 4):
+        some = slice(4 * k, 4 * k + 4)
+        joints = indices[:, some].astype(kind)
+        attributes[f"JOINTS_{k}"] = made.accessor(joints, target=ARRAY_BUFFER)
+        own = values[:, some].astype(np.float32)
+        attributes[f"WEIGHTS_{k}"] = made.accessor(own, target=ARRAY_BUFFER)
+
+
+def _node_of(
+    made: GlbBuilder,
+    rig: Rig,
+    surface: Surface,
+    mesh: int,
+    carrier: int,
+    bind: FloatArray,
+    written: WrittenRig,
+) -> int:
+    """Give a mesh a node: that of the joint that carries it, or one of its own."""
+    if carrier >= 0:
+        at = carrier
+        made.json["nodes"][at]["mesh"] = mesh
+    else:
+        node: dict[str, Any] = {"name": surface.name, "mesh": mesh}
+        if surface.skin is not None:
+            node["skin"] = _skin(made, rig, surface, surface.skin, bind)
+        at = made.add("nodes", node)
+    names = [shape.name for shape in surface.shapes]
+    for k, name in enumerate(names):
+        written.shapes[name] = (at, k)
+    if names:
+        written.targets[at] = names
+    return at
+
+
+def _carrier(
+    made: GlbBuilder, rig: Rig, surface: Surface, bind: FloatArray
+) -> tuple[int, FloatArray]:
+    """Return the one joint that a mesh follows as a whole, -1 for none, and how.
+
+    That is the transform from the points to the joint; of a mesh that follows none to
+    the world. A node has one mesh: a second one is skinned.
+    """
+    skin = surface.skin
+    if skin is None or not len(skin.indices):
+        return -1, surface.geom_bind
+    used = np.unique(skin.indices[skin.weights > 0])
+    single = (np.abs(skin.weights.sum(axis=1) - 1.0) < 1e-6).all()
+    if len(used) != 1 or not single or len(skin.joints) > 1:
+        return -1, np.eye(4)
+    joint = rig.index(skin.joints[int(used[0])])
+    if "mesh" in made.json["nodes"][joint]:
+        return -1, np.eye(4)
+    return joint, np.linalg.inv(bind[joint]) @ surface.geom_bind
+
+
+def _skin(
+    made: GlbBuilder,
+    rig: Rig,
+    surface: Surface,
+    skin: SurfaceSkin,
+    bind: FloatArray,
+) -> int:
+    """Return the skin of a mesh; meshes that are bound alike share one."""
+    joints = [rig.index(name) for name in skin.joints]
+    matrices = np.linalg.inv(bind[joints]) @ surface.geom_bind
+    matrices[:, 3] = [0.0, 0.0, 0.0, 1.0]
+    columns = matrices.swapaxes(1, 2).reshape(-1, 16).astype(np.float32)
+    entry: dict[str, Any] = {
+        "name": rig.name,
+        "inverseBindMatrices": made.accessor(columns),
+        "joints": joints,
+    }
+    known = made.json.get("skins", [])
+    if entry in known:
+        return int(known.index(entry))
+    return made.add("skins", entry)
+
+
+def _attributes(
+    made: GlbBuilder, points: FloatArray, normals: FloatArray | None
+) -> dict[str, int]:
+    places = points.astype(np.float32)
+    position = made.accessor(places, target=ARRAY_BUFFER, bounds=True)
+    attributes = {"POSITION": position}
+    if normals is not None:
+        lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+        if (lengths > 0).all():
+            unit = (normals / lengths).astype(np.float32)
+            attributes["NORMAL"] = made.accessor(unit, target=ARRAY_BUFFER)
+    return attributes
+
+
+def _targets(
+    made: GlbBuilder,
+    surface: Surface,
+    primitive: dict[str, Any],
+    mesh: dict[str, Any],
+    weights: dict[str, float],
+    left: dict[str, list[str]],
+) -> None:
+    """Write the shapes of a mesh as morph targets."""
+    if not surface.shapes:
+        return
+    targets = []
+    for shape in surface.shapes:
+        rows = shape.vertices
+        if rows is None:
+            rows = np.arange(len(surface.points))
+        dense = np.zeros((len(surface.points), 3))
+        np.add.at(dense, rows, shape.deltas)
+        moved = dense.astype(np.float32)
+        target = {"POSITION": made.accessor(moved, target=ARRAY_BUFFER, bounds=True)}
+        if "NORMAL" in primitive["attributes"]:
+            turned = np.zeros_like(dense)
+            if shape.normals is not None:
+                np.add.at(turned, rows, shape.normals)
+            own = turned.astype(np.float32)
+            target["NORMAL"] = made.accessor(own, target=ARRAY_BUFFER)
+        targets.append(target)
+        if shape.inbetweens:
+            left["in-between shapes"].append(shape.name)
+    primitive["targets"] = targets
+    names = [shape.name for shape in surface.shapes]
+    mesh["weights"] = [weights.get(name, 0.0) for name in names]
+    mesh["extras"] = {"targetNames": names}
+
+
+def triangulated(counts: IntArray, indices: IntArray) -> IntArray:
+    """Return faces as triangles ``(N, 3)``, each a fan about its first vertex.
+
+    >>> triangulated(np.array([4]), np.array([0, 1, 2, 3])).tolist()
+    [[0, 1, 2], [0, 2, 3]]
+    """
+    first = np.cumsum(counts) - counts
+    fans = np.maximum(counts - 2, 0)
+    face = np.repeat(np.arange(len(counts)), fans)
+    step = np.arange(len(face)) - np.repeat(np.cumsum(fans) - fans, fans)
+    corner = first[face]
+    return np.stack(
+        [indices[corner], indices[corner + step + 1], indices[corner + step + 2]],
+        axis=1,
+    ).reshape(-1, 3)
+
+
+def influences(skin: SurfaceSkin) -> tuple[IntArray, FloatArray]:
+    """Return joints and weights, largest first, in columns of a multiple of four.
+
+    Each joint occurs once for a vertex, weights have the sum 1, and those of no weight
+    are joint 0.
+    """
+    indices, weights = skin.indices.copy(), skin.weights.astype(np.float64).copy()
+    order = np.argsort(indices, axis=1, kind="stable")
+    indices = np.take_along_axis(indices, order, 1)
+    weights = np.take_along_axis(weights, order, 1)
+    for k in range(indices.shape[1] - 1, 0, -1):
+        same = indices[:, k] == indices[:, k - 1]
+        weights[:, k - 1] += np.where(same, weights[:, k], 0.0)
+        weights[same, k] = 0.0
+    largest = weights.max(axis=1, keepdims=True)
+    weights[weights <= SMALLEST_WEIGHT * largest] = 0.0
+    order = np.argsort(-weights, axis=1, kind="stable")
+    indices = np.take_along_axis(indices, order, 1)
+    weights = np.take_along_axis(weights, order, 1)
+    used = int((weights > 0).sum(axis=1).max(initial=1))
+    width = max(4, -(-used // 4) * 4)
+    whole = np.zeros((len(indices), width), np.int64)
+    shares = np.zeros((len(indices), width))
+    kept = min(width, indices.shape[1])
+    whole[:, :kept], shares[:, :kept] = indices[:, :kept], weights[:, :kept]
+    sums = shares.sum(axis=1, keepdims=True)
+    shares = np.where(sums > 0, shares / np.where(sums > 0, sums, 1.0), 0.0)
+    shares[sums[:, 0] <= 0, 0] = 1.0
+    rounded = shares.astype(np.float32).astype(np.float64)
+    rounded[:, 0] += 1.0 - rounded.sum(axis=1)
+    whole[rounded == 0.0] = 0
+    return whole, rounded
+
+
+def _left_out(rig: Rig, left: dict[str, list[str]], written: WrittenRig) -> list[Fault]:
+    """Say once what of a rig glTF has no place for."""
+    combined = [shape.name for shape in rig.shapes if shape.combine]
+    if combined:
+        left["products of shapes, each with a weight of its own"] += combined
+    homeless = [one.name for one in rig.shapes if one.name not in written.shapes]
+    if homeless:
+        left["shapes without a mesh, left out"] += homeless
+    texts = [f"{what}: {listed(names, MAX_NAMED)}" for what, names in left.items()]
+    if not texts:
+        return []
+    message = f"glTF has no place for {'; '.join(texts)}"
+    return [Fault("GLT117", message, severity=Severity.NOTE)]

@@ -1,0 +1,86 @@
+"""What a glTF holds: nodes, skins, characters and clips, whether or not they move."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from animtool.core.errors import Fault
+from animtool.core.files.reading import note_input
+from animtool.core.record import dataclass
+from animtool.formats.gltf.characters import characters
+from animtool.formats.gltf.document import Gltf, open_gltf
+from animtool.formats.gltf.timing import distinct_clip_names
+from animtool.formats.gltf.vrm import humanoid_bones
+
+
+@dataclass(frozen=True, slots=True)
+class GltfClip:
+    """A clip of a file."""
+
+    name: str
+    first_key: float  # [s]
+    last_key: float  # [s]
+    channels: int
+
+
+@dataclass(frozen=True, slots=True)
+class GltfContents:
+    """What a file holds, used or not."""
+
+    nodes: int
+    meshes: int
+    skins: int
+    animations: int
+    scenes: int
+    characters: list[str]  # paths; empty where the whole file is one
+    clips: list[GltfClip]
+    bones: dict[str, str]  # humanoid bones of a VRM, and the names of their nodes
+    not_read: list[str]  # what else it has
+
+
+@dataclass(frozen=True, slots=True)
+class GltfDescription:
+    """A file in which nothing could move: it has no nodes."""
+
+    path: str
+    format: str
+    contents: GltfContents
+    notices: list[Fault]
+
+
+def gltf_contents(path: Path | str) -> GltfContents:
+    """Return what a glTF holds.
+
+    Raises:
+        FormatError: It is broken, as `animtool.formats.gltf.read.read_gltf` has it.
+    """
+    return _contents(open_gltf(path))
+
+
+def describe_nodeless(path: Path) -> GltfDescription | None:
+    """Describe a glTF without nodes, of which there is no take; None of others."""
+    note_input(path)
+    gltf = open_gltf(path)
+    if gltf.nodes:
+        return None
+    return GltfDescription(str(path), "glTF", _contents(gltf), gltf.notes.notices)
+
+
+def _contents(gltf: Gltf) -> GltfContents:
+    found = characters(gltf) if gltf.nodes else ()
+    names = distinct_clip_names(gltf.animations)
+    clips = [
+        GltfClip(name, *one.span, len(one.tracks))
+        for name, one in zip(names, gltf.animations, strict=True)
+    ]
+    return GltfContents(
+        len(gltf.nodes),
+        len(gltf.meshes),
+        len(gltf.skins),
+        len(gltf.animations),
+        len(gltf.scenes),
+        [one.path for one in found] if len(found) > 1 else [],
+        clips,
+        {bone: gltf.nodes[node].name or "" for bone, node in humanoid_bones(gltf)},
+        list(gltf.left_out),
+    )

@@ -1,0 +1,243 @@
+"""glTF files as rigs and streams: character, clip, unit, rate, and numbers."""
+
+from __future__ import annotations
+
+import json
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.cli import animtool
+from support.faults import raises
+from support.gltf import Maker, as_glb, chain, small_gltf, turned, write_small
+
+from animtool.core.errors import FormatError
+from animtool.core.units import LengthUnit, UpAxis
+from animtool.edit.resample import resampled
+from animtool.formats.gltf.document import open_gltf
+from animtool.formats.gltf.read import read_gltf, read_gltf_rig
+from animtool.rig.kinematics import rest_world
+from animtool.scene.sources.onto_rig import open_rig
+from animtool.scene.sources.open import SourceOptions, open_source
+
+
+@pytest.fixture
+def plain(tmp_path: Path) -> Path:
+    return write_small(tmp_path / "hero.glb")
+
+
+def codes(stream_or_rig: object) -> set[str]:
+    return {notice.code for notice in stream_or_rig.notices}  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("suffix", [".glb", ".gltf", ".vrm"])
+def test_a_character_with_a_skin_and_shapes(tmp_path: Path, suffix: str) -> None:
+    path = write_small(tmp_path / f"hero{suffix}")
+    take = read_gltf(path).collect()
+    assert take.rig.names == ["hips", "chest", "head"]
+    assert [shape.name for shape in take.rig.shapes] == ["a", "b"]
+    (mesh,) = take.rig.meshes
+    assert mesh.name == "body"
+    assert mesh.skin is not None
+    assert mesh.skin.joints == ("hips", "chest", "head")
+    # Keys at 0, 0.5 and 1 s are on frames at 24 a second; time 0 is frame 0.
+    assert (take.fps, take.clock.start, take.clock.count) == (24, 0, 25)
+    ends = take.motion.translations.dense()[[0, 12, 24], 0]
+    np.testing.assert_allclose(ends, np.eye(3), atol=1e-6)
+    halfway = take.motion.rotations.dense()[6, 1]
+    np.testing.assert_allclose(halfway, turned(2, 25)[0], atol=1e-6)
+    assert take.motion.weights is not None
+    weights = take.motion.weights.dense()[[0, 12, 24], :, 0]
+    np.testing.assert_allclose(weights, [[0, 0], [1, 0.5], [0, 0]], atol=1e-6)
+    assert take.motion.scales is not None
+    # A step holds until the next key.
+    assert take.motion.scales.dense()[[11, 12, 23, 24], 2, 0].tolist() == [1, 2, 2, 1]
+
+
+def test_the_clip_is_chosen(plain: Path) -> None:
+    assert codes(read_gltf(plain)) >= {"GLT109"}
+    stream = read_gltf(plain, take="nod")
+    assert stream.details["take"] == "nod"
+    assert stream.details["takes"] == ["wave", "nod"]
+    assert stream.collect().motion.rotations.animated.tolist() == [2]
+    with raises(FormatError, "GLT015", match="wave"):
+        read_gltf(plain, take="wav")
+
+
+def test_the_character_is_chosen(tmp_path: Path) -> None:
+    path = write_small(tmp_path / "two.glb", "skins")
+    # The whole scene's first one, and its own clip.
+    assert read_gltf(path).rig.names == ["hips", "chest", "head"]
+    assert "GLT109" in codes(read_gltf(path))
+    other = read_gltf(path, prim_path="tail")
+    assert other.rig.names == ["hips", "tail"]
+    assert other.details["take"] == "wag"
+    whole = read_gltf(path, prim_path="/")
+    assert whole.rig.names == ["hips", "chest", "head", "hips_2", "tail"]
+    assert "GLT113" in codes(whole)
+    with raises(FormatError, "GLT014"):
+        read_gltf(path, prim_path="/nobody")
+    rig, _ = open_rig(path, "/hips_2")
+    assert rig.names == ["hips", "tail"]
+
+
+def test_unit_up_and_rate_are_told(plain: Path) -> None:
+    options = SourceOptions(unit=LengthUnit.CM, up=UpAxis.Z, fps=48)
+    take = open_source(plain, options).collect()
+    assert take.rig.meters_per_unit == 0.01
+    assert take.rig.up is UpAxis.Z
+    assert (take.fps, take.clock.count) == (48, 49)
+    assert take.rig.rest_translations[1].tolist() == [0.0, 0.01, 0.0]
+
+
+def test_keys_between_frames_are_read_at_any_time(tmp_path: Path) -> None:
+    made = Maker()
+    (node,) = chain(made, ["box"])
+    times, values = [0.0, 0.3137, 1.0], [[0, 0, 0], [0, 0, 1], [0, 0, 0]]
+    made.animation("hop", (node, "translation", "LINEAR", times, values))
+    path = tmp_path / "box.glb"
+    path.write_bytes(as_glb(*made.done()))
+    stream = read_gltf(path)
+    assert "GLT110" in codes(stream)
+    assert stream.fps == 30
+    assert stream.curve is not None
+    peak = stream.curve(np.array([0.3137 * 30]))
+    np.testing.assert_allclose(peak.translations.dense()[0, 0, 2], 1.0, atol=1e-6)
+    take = resampled(stream.collect(), Fraction(1000))
+    assert take.motion.translations.dense()[:, 0, 2].max() > 0.999
+
+
+def test_even_scales_go_into_lengths(tmp_path: Path) -> None:
+    made = Maker()
+    first, second = chain(made, ["armature", "hips"])
+    made.json["nodes"][first]["scale"] = [0.01, 0.01, 0.01]
+    made.json["nodes"][second]["translation"] = [0, 95, 0]
+    times = [0.0, 1.0]
+    values = [[0, 95, 0], [0, 90, 0]]
+    made.animation("sit", (second, "translation", "LINEAR", times, values))
+    path = tmp_path / "cm.glb"
+    path.write_bytes(as_glb(*made.done()))
+    take = read_gltf(path).collect()
+    assert take.motion.scales is None
+    np.testing.assert_allclose(rest_world(take.rig).positions[0, 1], [0, 0.95, 0])
+    np.testing.assert_allclose(take.world().positions[-1, 1], [0, 0.9, 0])
+    assert "GLT111" not in codes(read_gltf_rig(path))
+
+
+def test_uneven_scales_stay_in_the_take(tmp_path: Path) -> None:
+    made = Maker()
+    first, _ = chain(made, ["a", "b"])
+    made.json["nodes"][first]["scale"] = [1, 3, 1]
+    path = tmp_path / "uneven.glb"
+    path.write_bytes(as_glb(*made.done()))
+    take = read_gltf(path).collect()
+    np.testing.assert_allclose(take.world().positions[0, 1], [0, 3, 0])
+    assert "GLT116" in codes(read_gltf(path))
+    assert "GLT111" in codes(read_gltf_rig(path))
+
+
+@pytest.mark.parametrize(
+    ("uri", "code"),
+    [
+        ("../other.bin", "GLT007"),
+        ("/etc/passwd", "GLT007"),
+        ("%2e%2e/other.bin", "GLT007"),
+        ("http://localhost/other.bin", "GLT007"),
+        ("file:///etc/passwd", "GLT007"),
+        ("missing.bin", "GLT007"),
+        ("sub/link.bin", "GLT007"),
+    ],
+)
+def test_no_file_outside_of_the_folder_is_opened(
+    tmp_path: Path, uri: str, code: str
+) -> None:
+    folder = tmp_path / "in"
+    (folder / "sub").mkdir(parents=True)
+    document, binary = small_gltf()
+    (tmp_path / "other.bin").write_bytes(binary)
+    (folder / "sub/link.bin").symlink_to(tmp_path / "other.bin")
+    document["buffers"][0]["uri"] = uri
+    path = folder / "hero.gltf"
+    path.write_text(json.dumps(document))
+    with raises(FormatError, code) as caught:
+        open_gltf(path)
+    assert caught.value.faults[0].where == "/buffers/0/uri"
+
+
+def test_a_file_beside_it_is(tmp_path: Path) -> None:
+    document, binary = small_gltf()
+    document["buffers"][0]["uri"] = "my%20numbers.bin"
+    (tmp_path / "my numbers.bin").write_bytes(binary)
+    path = tmp_path / "hero.gltf"
+    path.write_text(json.dumps(document))
+    assert len(read_gltf(path).collect()) == 25
+
+
+@pytest.mark.parametrize(
+    "extension", ["KHR_draco_mesh_compression", "EXT_meshopt_compression", "X_any"]
+)
+def test_an_extension_that_is_needed_is_named(tmp_path: Path, extension: str) -> None:
+    document, binary = small_gltf()
+    document["extensionsRequired"] = document["extensionsUsed"] = [extension]
+    path = tmp_path / "packed.glb"
+    path.write_bytes(as_glb(document, binary))
+    with raises(FormatError, "GLT004", match=extension) as caught:
+        open_gltf(path)
+    hint = caught.value.faults[0].hint or ""
+    assert ("packed.glb" in hint) == (extension != "X_any")
+
+
+def test_numbers_that_no_bytes_stand_for_are_not_made(tmp_path: Path) -> None:
+    document, binary = small_gltf()
+    sampler = document["animations"][0]["samplers"][0]
+    entry = document["accessors"][sampler["input"]]
+    del entry["bufferView"]
+    entry["count"] = 2_000_000_000
+    path = tmp_path / "huge.glb"
+    path.write_bytes(as_glb(document, binary))
+    with raises(FormatError, "GLT013"):
+        open_gltf(path)
+
+
+def test_a_clip_of_very_many_frames_is_refused(tmp_path: Path) -> None:
+    made = Maker()
+    (node,) = chain(made, ["box"])
+    values = [[0, 0, 0], [0, 0, 1]]
+    made.animation("long", (node, "translation", "LINEAR", [0.0, 1e9], values))
+    path = tmp_path / "long.glb"
+    path.write_bytes(as_glb(*made.done()))
+    with raises(FormatError, "GLT013"):
+        read_gltf(path)
+    assert len(read_gltf(path, fps="0.001").collect()) == 1_000_001
+
+
+def test_what_a_file_holds_is_listed(tmp_path: Path, plain: Path) -> None:
+    done = animtool("info", plain, "--format", "json")
+    (found,) = json.loads(done.stdout)["files"]
+    assert found["contents"]["nodes"] == 4
+    assert [clip["name"] for clip in found["contents"]["clips"]] == ["wave", "nod"]
+    empty = tmp_path / "empty.gltf"
+    empty.write_text('{"asset": {"version": "2.0"}}')
+    done = animtool("info", empty, "--format", "json")
+    assert done.code == 0
+    (found,) = json.loads(done.stdout)["files"]
+    assert found["contents"]["nodes"] == 0
+
+
+def test_rules_look_at_every_clip(plain: Path) -> None:
+    done = animtool("validate", plain, "--format", "json")
+    assert done.code == 0
+    path = write_small(plain.with_name("still.glb"))
+    document, binary = small_gltf()
+    sampler = document["animations"][1]["samplers"][0]
+    first = document["animations"][0]["samplers"][1]
+    rows = turned(0, 0, 0, 0).astype("<f4").tobytes()
+    view = document["bufferViews"][
+        document["accessors"][sampler["output"]]["bufferView"]
+    ]
+    at = view["byteOffset"]
+    del first
+    path.write_bytes(as_glb(document, binary[:at] + rows + binary[at + len(rows) :]))
+    done = animtool("validate", path)
+    assert "MOT201 /animations/1" in done.stdout
