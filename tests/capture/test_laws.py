@@ -63,7 +63,12 @@ from animtool.capture.markers.predict import (
     _training,
 )
 from animtool.capture.markers.runs import RunLabels, _learnt
-from animtool.capture.markers.spikes import _deviation, _one_sided, _usual
+from animtool.capture.markers.spikes import (
+    _deviation,
+    _model,
+    _one_sided,
+    _usual,
+)
 from animtool.capture.markers.tracklets import (
     Tracklets,
     _expected,
@@ -624,6 +629,19 @@ def test_what_is_off_the_curve_of_frames_around() -> None:
     level = _usual(np.arange(100), np.where(np.arange(100) < 50, 0.1, 6.3), 100)
     assert (level[0], level[99]) == (1, pytest.approx(10))
     assert level.min() == 1
+
+
+@pytest.mark.parametrize("sigma", [0.0005, 0.004])
+def test_noise_of_a_path_is_told_by_what_is_off_its_curve(sigma: float) -> None:
+    """White, about a slow curve: within a quarter; spans are no less noisy longer."""
+    rng = np.random.default_rng(4)
+    t = np.arange(600) / 100
+    path = np.stack([np.sin(t), 0.3 * t, np.cos(0.7 * t)], axis=1)
+    path += rng.normal(0, sigma, path.shape)
+    _, noise = _model(path, np.ones(600, bool))
+    assert noise[0] == pytest.approx(sigma, rel=0.25)
+    assert (np.diff(noise) >= 0).all()
+    assert noise[-1] < 3 * sigma
 
 
 def test_heads_are_posed_by_weighted_landmarks() -> None:

@@ -378,7 +378,7 @@ def test_positions_are_in_the_unit_of_their_array(
     assert [n.code for n in found.notices] == ["FAC106"]
     assert (found.clock.count, found.clock.rate, found.up) == (
         2,
-        Fraction(2997, 50),
+        Fraction(60000, 1001),
         UpAxis.Y,
     )
     assert found.names == tuple("abcdef")

@@ -697,3 +697,26 @@ def test_what_comes_after_a_window_is_kept_where_it_ends_as_before(
     own.__class__.__len__ = lambda _: 3
     end = ClipPath.joined(own, None, slice(1, 3), np.array([[8.0], [last]]))  # type: ignore[arg-type]
     assert len(end) == 2
+
+
+def test_paths_are_neither_closed_nor_opened_unless_that_is_asked_for(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """What is away from the clip costs its square, by a price."""
+    asked: list[Any] = []
+
+    def best(*given: Any, **keys: bool) -> str:
+        asked.append((given[2].tolist(), keys))
+        return "best"
+
+    names = ClipPath.best.__globals__
+    monkeypatch.setitem(names, "best_path", best)
+    monkeypatch.setitem(names, "forgiving", lambda costs, slack: costs + slack)
+    monkeypatch.setitem(names, "difference", lambda _, a, b: b - a)
+    own: Any = SimpleNamespace(slack=10.0, problem=SimpleNamespace(chain=None))
+    interval: Any = SimpleNamespace(reference=np.zeros((2, 3)))
+    paths, costs = np.full((1, 2, 3), 2.0), np.array([[1.0, 2]])
+    assert ClipPath.best(own, interval, paths, costs) == "best"
+    assert asked.pop() == ([[11, 12]], {"closed": False, "opened": False})
+    ClipPath.best(own, interval, paths, costs, closed=True, opened=True, near=0.5)
+    assert asked.pop() == ([[17, 18]], {"closed": True, "opened": True})

@@ -142,3 +142,24 @@ def test_branches_alike_within_a_sixth_of_their_length_are_a_pair(
     rig = Rig("two", tuple(joints))
     own = Body.of(rig, [{} for _ in joints], [""] * len(joints))
     assert [sorted(pair) for pair in _pairs(own)] == ([[1, 5]] if alike else [])
+
+
+@pytest.mark.parametrize(
+    ("joints", "alike"),
+    [((5, 8), True), ((5, 9), False), ((9, 5), False), ((10, 14), True)],
+)
+def test_branches_of_a_pair_have_about_as_many_joints(
+    joints: tuple[int, int], alike: bool
+) -> None:
+    """Two more than a fifth more at most; both are a metre long."""
+    made = [Joint("hips", -1)]
+    for side, count in zip((1.0, -1.0), joints, strict=True):
+        first = len(made)
+        made.append(Joint(f"a{side}", 0, translation=(0.2 * side, 0, 0)))
+        for k in range(count - 1):
+            way = (0.0, -0.8 / (count - 1), 0.0)
+            made.append(Joint(f"{k}{side}", first + k, translation=way))
+    rig = Rig("two", tuple(made))
+    own = Body.of(rig, [{} for _ in made], [""] * len(made))
+    assert [own.counts[1], own.counts[1 + joints[0]]] == [*joints]
+    assert bool(_pairs(own)) == alike

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -28,6 +29,7 @@ from animtool.retarget.take_pass import (
     _body,
     _limbs,
     _scale_warnings,
+    lacking_pairs,
     onto_rig,
 )
 from animtool.rig.kinematics import forward
@@ -171,3 +173,35 @@ def test_a_take_in_which_one_joint_moves_does(moving: str) -> None:
     wanted = take.world().rotations[:, joint[0]]
     assert_allclose(so3.angle_between(turned, wanted), 0, atol=1e-6)
     assert so3.angle_between(turned[0], turned[-1]) == pytest.approx(0.6, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("paired", "refused", "limbs"),
+    [
+        (
+            ("upper_arm_l", "forearm_l", "hand_l", "hips", "spine", "head", "neck"),
+            False,
+            0,
+        ),
+        (("upper_arm_l", "forearm_l", "hand_l"), True, 0),
+        (("hips", "spine", "spine_2", "spine_3", "neck", "head", "foot_l"), True, 4),
+    ],
+)
+def test_a_take_fits_by_a_third_of_its_joints_and_a_whole_limb(
+    paired: tuple[str, ...], refused: bool, limbs: int
+) -> None:
+    """Of a person's twenty joints without fingers seven are a third."""
+    rig, _ = person()
+    roles = anatomy(rig).roles
+    assert len(_body(rig, roles)) == 20
+    found: Any = SimpleNamespace(
+        source=SimpleNamespace(roles=roles),
+        pairs=[SimpleNamespace(source=rig.index(name)) for name in paired],
+        chains=[],
+    )
+    fault = lacking_pairs(rig, found, np.zeros(0, int), ())
+    assert (fault is not None) == refused
+    if fault is not None:
+        assert fault.code == "MAP010"
+        assert f"{len(paired)} of 20 moving joints" in fault.message
+        assert ("none of its limbs" in fault.message) == bool(limbs)

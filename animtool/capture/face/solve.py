@@ -184,12 +184,12 @@ def fit_face(
         message = "no shape moves a landmark"
         hint = "are the landmarks on the mesh that the shapes are of?"
         raise OptionError(Fault("FAC007", message, hint=hint))
-    # What moves landmarks alike is solved as one shape, and shared evenly.
+    # What moves landmarks alike is solved as one shape, and shared evenly; shapes that
+    # bend are solved by themselves.
     kept, share = _shared(model, moving)
     face = model.select(kept)
-    if model.bent is None:
-        counts = np.bincount(share[moving], minlength=len(model.shapes))[kept]
-        face = replace(face, deltas=face.deltas * counts[:, None, None])
+    counts = np.bincount(share[moving], minlength=len(model.shapes))[kept]
+    face = replace(face, deltas=face.deltas * counts[:, None, None])
     fit = _Fit(
         face, np.where(usable[:, None, None], observed, np.nan), fps, smooth, camera
     )

@@ -135,5 +135,5 @@ def _unmatched(
     ]
     hint = "; ".join(near[:SHOWN])
     if not near:
-        hint = f"it has {listed(labelled[:SHOWN])}; add them to aliases"
+        hint = f"it has {listed(labelled, SHOWN)}; add them to aliases"
     return Fault("SOL001", message, hint=hint)

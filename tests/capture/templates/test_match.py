@@ -53,6 +53,20 @@ def test_what_does_not_fit_is_named(
     assert hint in (caught.value.faults[0].hint or "")
 
 
+def test_six_of_many_names_are_shown() -> None:
+    """Of those that a capture has, or of those that are near to the template's."""
+    names = [f"xyz{k}w" for k in range(9)]
+    with pytest.raises(OptionError) as caught:
+        match_markers(TEMPLATE, names)
+    hint = caught.value.faults[0].hint or ""
+    assert [name in hint for name in names] == [True] * 6 + [False] * 3
+    known = [f"Marker{letter}" for letter in "abcdefgh"]
+    template = MarkerTemplate(tuple(TemplateMarker(name, "x") for name in known))
+    with pytest.raises(OptionError) as caught:
+        match_markers(template, [f"{name}__" for name in known])
+    assert (caught.value.faults[0].hint or "").count("is near") == 6
+
+
 def test_one_of_several_subjects_is_chosen() -> None:
     names = ["Ann:C7", "Bob:C7", "Bob:RFHD"]
     assert match_markers(TEMPLATE, names, "Bob").columns.tolist() == [-1, 2, 1]
