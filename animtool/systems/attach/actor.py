@@ -22,23 +22,15 @@ from animtool.systems.attach.network import Network, lost_links, typical_edge
 from animtool.systems.attach.poses import Pose, PosePath, pose_path
 from animtool.systems.attach.settings import Settings
 from animtool.systems.attach.skins import Skin, SkinContacts, margin_for
-from animtool.systems.attach.stepping import (
-    Motions,
-    SheetStepper,
-    State,
-    Stepper,
-    Tally,
-    cells_of,
-    steps_per_second,
-)
+from animtool.systems.attach.stepping import State, Stepper, cells_of, steps_per_second
 from animtool.systems.attach.strands import (
     DEPENETRATION,
-    CapsuleContacts,
-    StrandStepper,
+    CarriedColliders,
     depth_at_bind,
 )
 from animtool.systems.framework.meter import ContactMeter, Sides, Solid
 from animtool.systems.springs.checks import tangle_notices
+from animtool.systems.springs.contacts import Cells
 
 
 def upwards(rig: Rig) -> FloatArray:
@@ -88,15 +80,14 @@ class Actor:
         self._rig = rig
         first = pose_path(rig, pose, pose, 1)
         scale = _size(first.world, body.carrier)
-        network = body.network if scale == 1 else body.network.scaled(scale)
+        network = replace(body.network, points=scale * body.network.points)
         wanted = math.ceil(steps_per_second(network, settings) * span - 1e-9)
         self._cells, self._substeps = cells_of(max(1, wanted))
         self.steps = self._cells * self._substeps
-        self.tally = Tally()
-        self.jumps = 0
+        self.jumps, self._frames = 0, 0
         self.seconds = 0.0
-        make = StrandStepper if network.strands else SheetStepper
-        self._stepper: Stepper = make(network, settings, -upwards(rig), self.tally)
+        self._stepper = Stepper(network, settings, -upwards(rig))
+        self.tally = self._stepper.tally
         self._span = span
         self.meter = ContactMeter()
         self._sides = _sides(network)
@@ -117,7 +108,7 @@ class Actor:
             capsules = capsules.select(~covered[capsules.joints])
         bound = body.network.points
         depths = scale * depth_at_bind(capsules, rig, bound, settings.radius / scale)
-        self._contacts = CapsuleContacts(
+        self._contacts = CarriedColliders(
             capsules,
             capsules.sizes(first.world),
             depths,
@@ -152,12 +143,16 @@ class Actor:
                 Solid(rows[-1], skin.triangles)
                 for skin, rows in zip(paths.skins, points, strict=True)
             ]
-        motions = Motions(targets, self._contacts.over(motion.world, surfaces))
+        cells = Cells(
+            0.0, self._span / self._cells, self._frames * self._cells, self._cells
+        )
+        met = self._contacts.over(motion.world, cells, surfaces)
         self.state = self._stepper.cross(
-            self.state, motions, self._span, self._substeps
+            self.state, targets, met, self._span, self._substeps
         )
         self.target = targets[-1]
         self._world = motion.world
+        self._frames += 1
         self.seconds += time.perf_counter() - began
 
     def measure(self, frame: float) -> None:
@@ -195,10 +190,10 @@ def _sides(network: Network) -> Sides:
     """Return what of a network is measured: of cloth what does not become longer."""
     held = np.zeros(network.count, np.bool_)
     held[network.held] = True
-    links = network.stiff
-    kept = (links.rests > 0) & ~held[links.ends].all(axis=1)
+    ends, rests = network.sides, network.rests
+    kept = (rests > 0) & ~held[ends].all(axis=1)
     kept &= len(network.triangles) > 0
-    return Sides(network.free, network.triangles, links.ends[kept], links.rests[kept])
+    return Sides(network.free, network.triangles, ends[kept], rests[kept])
 
 
 def rigidly_moved(state: State, shift: FloatArray, turn: FloatArray) -> State:

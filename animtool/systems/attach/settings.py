@@ -112,9 +112,9 @@ class Settings:
     """The options as one kind of attachment has them: defaults and SI units."""
 
     options: SimulateOptions  # all that is the same for every kind
-    frequency: float  # angular, of the draw to the animated pose [rad/s]
-    bend: float  # angular, of folds [rad/s]
-    shear: float  # angular, of diagonals [rad/s]
+    frequency: float  # of the draw to the animated pose [Hz]
+    bend: float  # of folds [Hz]
+    shear: float  # of diagonals [Hz]
     stretch: float  # aimed at [1]
     radius: float  # distance kept from colliders [m]
     # Distance that cloth keeps from itself [m]; 0 does not ask, None is by its edges.
@@ -138,9 +138,9 @@ def settings_for(options: SimulateOptions, kind: str) -> Settings:
             thickness = parse_length(options.thickness)
     return Settings(
         options,
-        2 * math.pi * frequency,
-        2 * math.pi * bend,
-        2 * math.pi * options.shear,
+        frequency,
+        bend,
+        options.shear,
         stretch,
         parse_length(options.radius),
         thickness,

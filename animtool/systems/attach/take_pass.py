@@ -182,7 +182,7 @@ def _of_start(actor: Actor) -> list[Fault]:
         message = f"{name}: {listed(odd)}; it is simulated all the same"
         said.append(Fault("SIM106", message, severity=Severity.NOTE))
     if actor.lost:
-        every = actor.lost == len(network.stiff.rests)
+        every = actor.lost == len(network.sides)
         which = "every spring" if every else counted(actor.lost, "spring")
         message = f"{name}: the ends of {which} are at one place in the first pose"
         hint = "with no direction they pull nothing until something parts them"
