@@ -16,6 +16,7 @@ from animtool.core.units import UpAxis
 from animtool.maths import so3
 from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.skeleton import Rig
+from animtool.sim.colliders import Colliders
 from animtool.sim.colliders.on_joints import Capsules
 from animtool.systems.attach.bodies import Body
 from animtool.systems.attach.network import Network, lost_links, typical_edge
@@ -74,6 +75,7 @@ class Actor:
         span: float,
         pose: Pose,
         skins: Sequence[Skin] = (),
+        world: Colliders | None = None,
     ) -> None:
         """Begin in a pose, at rest, in its size; a frame spans so long [s]."""
         self.body, self.settings = body, settings
@@ -84,7 +86,7 @@ class Actor:
         wanted = math.ceil(steps_per_second(network, settings) * span - 1e-9)
         self._cells, self._substeps = cells_of(max(1, wanted))
         self.steps = self._cells * self._substeps
-        self.jumps, self._frames = 0, 0
+        self.jumps = 0
         self.seconds = 0.0
         self._stepper = Stepper(network, settings, -upwards(rig))
         self.tally = self._stepper.tally
@@ -101,7 +103,7 @@ class Actor:
             margin_for(typical_edge(network), settings.radius),
             DEPENETRATION,
         )
-        capsules = Capsules.of(rig) if settings.options.colliders else Capsules.none()
+        capsules = Capsules.of(rig) if settings.options.capsules else Capsules.none()
         if self._skins:
             # What has a skin is met by that.
             covered = np.any([skin.joints for skin in skins], axis=0)
@@ -114,9 +116,10 @@ class Actor:
             depths,
             settings.radius,
             settings.options.friction,
+            world,
         )
         self.target = body.targets(first)[0]
-        self._world = first.world
+        self._world, self._time = first.world, 0.0
         self.lost = lost_links(network, self.target)
         self.tangles = (
             tangle_notices(self.target, network.triangles, f"the cloth {body.name}")
@@ -130,8 +133,8 @@ class Actor:
         state = self.state
         self.state = replace(state, velocities=state.velocities + speed)
 
-    def cross(self, paths: PosePaths) -> None:
-        """Go on by a frame."""
+    def cross(self, paths: PosePaths, frame: int) -> None:
+        """Go on by a frame of a number; the take begins with that of 0."""
         began = time.perf_counter()
         motion = paths.of(self._cells)
         targets = self.body.targets(motion)
@@ -143,22 +146,23 @@ class Actor:
                 Solid(rows[-1], skin.triangles)
                 for skin, rows in zip(paths.skins, points, strict=True)
             ]
-        cells = Cells(
-            0.0, self._span / self._cells, self._frames * self._cells, self._cells
-        )
+        length, first = self._span / self._cells, frame * self._cells
+        cells = Cells(0.0, length, first, self._cells)
         met = self._contacts.over(motion.world, cells, surfaces)
         self.state = self._stepper.cross(
             self.state, targets, met, self._span, self._substeps
         )
         self.target = targets[-1]
         self._world = motion.world
-        self._frames += 1
+        self._time = (frame + 1) * self._span
         self.seconds += time.perf_counter() - began
 
     def measure(self, frame: float) -> None:
         """Note how it lies at the end of a frame, by its time code."""
-        depths = self._contacts.depths(self._world, self.state.positions)
-        self.meter.look(frame, self.state.positions, self._sides, self._solids, depths)
+        points = self.state.positions
+        depths = self._contacts.depths(self._world, points, self._time)
+        solids = [*self._solids, *self._contacts.solids(self._time)]
+        self.meter.look(frame, points, self._sides, solids, depths)
 
     def follow(self, paths: PosePaths) -> None:
         """Go on by a frame as the animation does."""

@@ -114,7 +114,7 @@ def stepped(made: FloatArray, passages: IntArray | None = None) -> State:
         number = int(np.argmax(np.where(np.isnan(far), np.inf, far).max(axis=-1)))
         message = f"the simulation blew up: particle {number} is at "
         message += f"{np.array2string(made[0, number], precision=3)} m"
-        hint = "lower its frequency, bend, shear, gravity, wind or drag"
+        hint = "lower its frequency, bend, diagonals, gravity, wind or drag"
         raise ToleranceError(Fault("SIM102", message, hint=hint))
     return State(made[0], made[1], nowhere() if passages is None else passages)
 
@@ -215,7 +215,7 @@ def _system(
     network: Network, settings: Settings, down: FloatArray, thickness: float
 ) -> SpringSystem:
     """Return a network as a system of springs, held and drawn where it is at rest."""
-    options, body = settings.options, network.body(settings.shear, settings.bend)
+    options, body = settings.options, network.body(settings.diagonals, settings.bend)
     drawn = network.free if settings.frequency else network.free[:0]
     masses, omega = body.masses[drawn], 2 * math.pi * settings.frequency
     # Cloth feels the air by its triangles, other things by their speed alone.
@@ -228,7 +228,7 @@ def _system(
             drawn,
             body.positions[drawn],
             masses * omega**2,
-            masses * (2 * options.damping * omega),
+            masses * (2 * options.ratio * omega),
         ),
         gravity=options.gravity * down + slowing * wind,
         drag=slowing,
@@ -254,7 +254,7 @@ def _strands(
         stiffness=RIGID**2,
         fold_stiffness=(2 * math.pi * settings.bend) ** 2,
         draw_stiffness=omega**2,
-        draw_damping=2 * options.damping * omega,
+        draw_damping=2 * options.ratio * omega,
         stretch=settings.stretch,
     )
 

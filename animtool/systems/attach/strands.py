@@ -14,6 +14,7 @@ from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.skeleton import Joint, JointType, Rig
 from animtool.sim.colliders import Capsule, Collider, Colliders
 from animtool.sim.colliders.on_joints import Capsules
+from animtool.systems.framework.meter import Solid
 from animtool.systems.springs.contacts import (
     Carried,
     CellColliders,
@@ -167,7 +168,7 @@ class CarriedColliders:
         most 0, are how deep particles may be.
         """
         self._capsules, self._radius = capsules, radius
-        world = Colliders(()) if world is None else world
+        self._world = world = Colliders(()) if world is None else world
         like = Collider(
             Capsule(1.0, 0.0), friction=friction, depenetration=DEPENETRATION
         )
@@ -180,17 +181,30 @@ class CarriedColliders:
         self._depths[first : len(every)] = depths
         self._allowed = depths
 
-    def depths(self, world: WorldTransforms, points: FloatArray) -> FloatArray:
+    def depths(
+        self, world: WorldTransforms, points: FloatArray, t: float
+    ) -> FloatArray:
         """Return how much deeper than they may be points are at the last pose ``(N,)``.
 
-        In the capsule that they are deepest in [m]; below 0 outside of all.
+        In the collider that they are deepest in, as that is at a time [s] [m]; below 0
+        outside of all.
         """
         deepest = np.full(len(points), -np.inf)
+        if self._world.rigid:
+            deepest = -self._world.sample(points, t).distances.min(axis=0)
         radii, allowed = self._sizes[:, 6], self._allowed + self._radius
         for c, ends in enumerate(self._capsules.placed(world)[-1]):
             inside = np.minimum(allowed[c], 0.0) - depth(points, ends, radii[c])[0]
             np.maximum(deepest, inside, out=deepest)
         return deepest
+
+    def solids(self, t: float) -> list[Solid]:
+        """Return the closed surfaces of the world at a time [s]."""
+        return [
+            Solid(one.motion.points(t), one.motion.triangles(t))
+            for one in self._world.sheets
+            if one.closed
+        ]
 
     def over(
         self, world: WorldTransforms, cells: Cells, skins: Sequence[Any] = ()

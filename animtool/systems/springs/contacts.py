@@ -13,6 +13,8 @@ from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.sim.colliders import Collider, Colliders
 
+# Surfaces of others are asked for from one look before a step on [s].
+LOOK_BACK = 1 / 240
 # Particles that are deeper than this are left inside [m].
 INSIDE = 1e-6
 # What kernels take of colliders for some cells; None without any.

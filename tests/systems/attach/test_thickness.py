@@ -20,7 +20,7 @@ EDGE = 0.3 / (SIZE - 1)
 THICKNESS = 0.4 * EDGE
 # One corner is held, and the rest falls into folds that the post turns in.
 RIG = sheet_rig(SIZE, (0,))
-OPTIONS = {"settle": 0.0, "bend": 0.5, "shear": 5.0, "rate": 2400.0}
+OPTIONS = {"settle": 0.0, "bend": 0.5, "diagonals": 5.0, "rate": 2400.0}
 
 
 def triangles(rig: Rig) -> np.ndarray:
