@@ -117,6 +117,9 @@ class Actor:
             capsules = capsules.select(~covered[capsules.joints])
         bound = body.network.points
         depths = scale * depth_at_bind(capsules, rig, bound, settings.radius / scale)
+        target = body.targets(first)[0]
+        near = self._skins.depths(first, target, settings.radius)
+        depths = np.concatenate([depths, *(one[None] for one in near)])
         self._contacts = CapsuleContacts(
             capsules,
             capsules.sizes(first.world),
@@ -124,7 +127,7 @@ class Actor:
             settings.radius,
             settings.options.friction,
         )
-        self.target = body.targets(first)[0]
+        self.target = target
         self._world = first.world
         self.lost = lost_links(network, self.target)
         self.tangles = (

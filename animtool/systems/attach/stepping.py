@@ -215,16 +215,19 @@ class SheetStepper:
             contact = SelfContact(self.thickness, self._settings.options.friction)
             self._layers = spring_layers(network, contact, self.network.points)
         most = substeps if self._settings.options.rate else FINER * substeps
+        stretch, limit = self._settings.stretch, 0.0
+        if len(self.network.triangles):
+            limit = stretch
         while True:
             outputs = _kernels.project_springs(
                 network, both, self._torn, 0.0, 0, span / cells, cells,
-                substeps, 0, substeps, most, self._settings.stretch,
-                motions.colliders, self._layers, state.passages,
+                substeps, 0, substeps, most, stretch,
+                motions.colliders, self._layers, state.passages, limit,
             )  # fmt: skip
-            reached, _, _, _, _, _, touched, inside, passages, through, _ = outputs
-            substeps *= 2
-            if substeps > most or len(passages) <= len(state.passages):
+            reached, _, taken, _, _, _, touched, inside, passages, through, _ = outputs
+            if taken >= most or len(passages) <= len(state.passages):
                 break
+            substeps = most
         state = stepped(reached, passages)
         self.tally.add(self._stretch(reached[0]), touched, inside, Through(*through))
         return state

@@ -220,7 +220,8 @@ class CapsuleContacts:
         """Make what does not change from frame to frame.
 
         Radii ``(C,)`` [m] are in the size of the character; depths ``(C, N)`` [m], at
-        most 0, are how deep particles may be.
+        most 0, are how deep particles may be; rows after those of capsules are for
+        surfaces that move.
         """
         self._capsules = capsules
         like = Collider(
