@@ -110,15 +110,15 @@ class Actor:
             capsules = capsules.select(~covered[capsules.joints])
         bound = body.network.points
         depths = scale * depth_at_bind(capsules, rig, bound, settings.radius / scale)
+        self.target = body.targets(first)[0]
         self._contacts = CarriedColliders(
             capsules,
             capsules.sizes(first.world),
-            depths,
+            (depths, self._skins.depths(first, self.target, settings.radius)),
             settings.radius,
             settings.options.friction,
             world,
         )
-        self.target = body.targets(first)[0]
         self._world, self._time = first.world, 0.0
         self.lost = lost_links(network, self.target)
         self.tangles = (

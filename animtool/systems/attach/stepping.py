@@ -180,16 +180,21 @@ class Stepper:
         system.lead(span, path)
         network = system.network(0)
         most = substeps if self._settings.options.rate else FINER * substeps
+        # Of cloth springs that hardly give are brought back, too.
+        stretch = self._settings.stretch
+        limit = stretch if len(self._network.triangles) else 0.0
         while True:
             begun = SpringState(
                 both, system.whole, substeps, substeps, passages=state.passages
             )
             grid = Grid(Solver.XPBD, 0.0, span / cells, 0, begun)
-            stretch = self._settings.stretch
-            grid = projected(network, grid, cells, met, system.layers, stretch, most)
-            passages, substeps = grid.state.passages, 2 * substeps
-            if substeps > most or len(passages) <= len(state.passages):
+            grid = projected(
+                network, grid, cells, met, system.layers, stretch, most, limit
+            )
+            passages = grid.state.passages
+            if grid.state.substeps >= most or len(passages) <= len(state.passages):
                 break
+            substeps = most
         motion = grid.state.motion
         longest = self._stretch(motion[0])
         self.tally.add(longest, grid.touching, grid.unresolved, grid.through)

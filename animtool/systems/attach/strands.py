@@ -157,15 +157,15 @@ class CarriedColliders:
         self,
         capsules: Capsules,
         radii: FloatArray,
-        depths: FloatArray,
+        depths: tuple[FloatArray, Sequence[FloatArray]],
         radius: float,
         friction: float,
         world: Colliders | None = None,
     ) -> None:
         """Make what does not change from frame to frame.
 
-        Radii ``(C,)`` [m] are in the size of the character; depths ``(C, N)`` [m], at
-        most 0, are how deep particles may be.
+        Radii ``(C,)`` [m] are in the size of the character; depths, at most 0, are how
+        deep particles may be in capsules ``(C, N)``, and in each skin ``(N,)`` [m].
         """
         self._capsules, self._radius = capsules, radius
         self._world = world = Colliders(()) if world is None else world
@@ -177,9 +177,10 @@ class CarriedColliders:
         first = len(world)
         self._sizes = self._colliders.arrays(0.0, 0.0)[1][first : len(every)].copy()
         self._sizes[:, 6] = radii
-        self._depths = np.zeros((self._colliders.rigid, depths.shape[1]))
-        self._depths[first : len(every)] = depths
-        self._allowed = depths
+        self._allowed, skins = depths
+        rigid = np.zeros((self._colliders.rigid, self._allowed.shape[1]))
+        rigid[first : len(every)] = self._allowed
+        self._depths = np.concatenate([rigid, *(one[None] for one in skins)])
 
     def depths(
         self, world: WorldTransforms, points: FloatArray, t: float

@@ -36,9 +36,10 @@ class Carried(NamedTuple):
 
     sizes: FloatArray  # ``(C, 13)`` [m], as kernels have them
     poses: FloatArray  # at both ends of each cell ``(cells, C, 2, 7)``
-    # How deep particles may be in each of the rigid colliders, at most 0 ``(R, N)``.
+    # How deep particles may be in each of the rigid colliders, and in skins, at most 0
+    # ``(R, N)`` [m].
     depths: FloatArray
-    skins: Sequence[Any]  # surfaces as kernels take them
+    skins: Sequence[Any]  # surfaces as kernels take them, before others
     inside: float  # particles that are deeper are left inside [m]
 
 
@@ -66,8 +67,10 @@ def cell_colliders(
     sizes = sizes.copy()
     sizes[placed : len(colliders)] = carried.sizes
     poses[:, placed : len(colliders)] = carried.poses
-    arrays, surfaces = (kinds, sizes, *others), [*surfaces, *carried.skins]
-    return arrays, poses, radius, carried.depths, carried.inside, surfaces
+    arrays, surfaces = (kinds, sizes, *others), [*carried.skins, *surfaces]
+    rows = colliders.rigid + len(surfaces) - len(carried.depths)
+    depths = np.pad(carried.depths, ((0, rows), (0, 0)))
+    return arrays, poses, radius, depths, carried.inside, surfaces
 
 
 def _ends(collider: Collider, edges: FloatArray) -> FloatArray:

@@ -249,11 +249,13 @@ def projected(
     layers: _kernels.SpringLayers | None,
     stretch: float,
     most: int,
+    limit: float = 0.0,
 ) -> Grid:
     """Return where a motion is some cells later, in steps of xpbd.
 
     A cell in which springs are longer by more than the stretch [1], and not by their
-    own give, is crossed in more steps, the ``most`` at most.
+    own give, is crossed in more steps, the ``most`` at most. Within a ``limit`` above 0
+    springs that hardly give are brought back each step [1].
     """
     state = grid.state
     (
@@ -262,7 +264,7 @@ def projected(
     ) = _kernels.project_springs(
         network, state.motion, state.torn, grid.origin, grid.index, grid.cell, cells,
         state.substeps, state.calm, state.least, max(state.least, most), stretch, met,
-        layers, state.passages,
+        layers, state.passages, limit,
     )  # fmt: skip
     made = SpringState(
         motion, torn, substeps, state.least, calm, state.before, passages
