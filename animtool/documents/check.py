@@ -110,6 +110,37 @@ def record_of_options(
     return None, faults + [(at, Fault("SCN002", message)) for at, message in wrong]
 
 
+def renamed_options(
+    document: Document, at: Location, given: Mapping[str, Any], kind: str
+) -> dict[str, Any]:
+    """Return options whose old names are noted, and are new ones.
+
+    Args:
+        document: That has them.
+        at: Where.
+        given: By their names.
+        kind: Of the document.
+    """
+    found: dict[str, Any] = {}
+    for key, value in given.items():
+        name = new_key(kind, (*at, key), value)
+        if name is None or name in given:
+            found[key] = value
+            continue
+        found[name] = value
+        _note_renamed(document, (*at, key), name)
+    return found
+
+
+def _note_renamed(document: Document, location: Location, name: str) -> None:
+    """Note a key that has a new name (DOC102)."""
+    *around, key = location
+    document.spellings[*around, name] = str(key)
+    message = f"the key {key!r} is now called {name!r}"
+    hint = f"animtool migrate FILE {flag('overwrite')} renames it"
+    document.warn("DOC102", (*around, name), message, hint)
+
+
 @dataclass(slots=True)
 class _Faults:
     """The faults of a value: they are noted, and mended in the value."""
@@ -147,13 +178,10 @@ class _Faults:
             node = node[step]
         left = node.pop(key)
         kind = next((name for name in KINDS if name in self.value), "")
-        renamed = new_key(kind, location)
+        renamed = new_key(kind, location, left)
         if renamed in names and renamed not in node:
             node[renamed] = left
-            self.document.spellings[*around, renamed] = str(key)
-            message = f"the key {key!r} is now called {renamed!r}"
-            hint = f"animtool migrate FILE {flag('overwrite')} renames it"
-            self.document.warn("DOC102", (*around, renamed), message, hint)
+            _note_renamed(self.document, location, renamed)
             return
         if self._of_another_kind(location):
             return

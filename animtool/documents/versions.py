@@ -21,8 +21,15 @@ STEPS: dict[str, dict[int, Step]] = {kind: {} for kind in KINDS}
 RENAMED: dict[str, dict[tuple[str | None, ...], str]] = {
     "scene": {
         ("beside",): "props",
+        ("passes", None, "simulate", "colliders"): "capsules",
+        ("passes", None, "simulate", "damping"): "ratio",
+        ("passes", None, "simulate", "shear"): "diagonals",
         ("systems", None, "particles", "most"): "max_particles",
     },
+}
+# Old names that mean something else now, but where a value is of this type.
+_OF_TYPE: dict[tuple[str | None, ...], type] = {
+    ("passes", None, "simulate", "colliders"): bool,
 }
 # What is done with a file that is taken for a clip, by what it is.
 _INSTEAD = {
@@ -45,13 +52,15 @@ def newest(steps: Steps) -> int:
     return max(steps, default=0) + 1
 
 
-def new_key(kind: str, location: Location) -> str | None:
+def new_key(kind: str, location: Location, value: object) -> str | None:
     """Return the new name of a key of a kind of file; None where it has none.
 
-    >>> new_key("scene", ("systems", 2, "particles", "most"))
+    >>> new_key("scene", ("systems", 2, "particles", "most"), 100)
     'max_particles'
     """
     steps = tuple(step if isinstance(step, str) else None for step in location)
+    if not isinstance(value, _OF_TYPE.get(steps, object)):
+        return None
     return RENAMED.get(kind, {}).get(steps)
 
 
@@ -62,7 +71,7 @@ def renamed_keys(
     pairs = enumerate(value) if isinstance(value, list) else ()
     for step, inner in value.items() if isinstance(value, dict) else pairs:
         location = (*around, step)
-        name = new_key(kind, location)
+        name = new_key(kind, location, inner)
         if name is not None and name not in value:
             yield location, name
         yield from renamed_keys(kind, inner, location)

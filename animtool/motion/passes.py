@@ -155,6 +155,11 @@ Segments: TypeAlias = Callable[
     [Take, str, str, Callable[[float], None] | None], FloatArray
 ]
 
+# From a take, options with keys such as ``colliders``, and how long the first frame is
+# held [s], to the take, of which frames may have been read, and its `Colliders`. Shapes
+# are in the axes of the rig, and the first frame is at 0 s.
+Around: TypeAlias = Callable[[TakeStream, Any, float], tuple[TakeStream, Any]]
+
 
 @dataclass(frozen=True, slots=True)
 class PassContext:
@@ -186,6 +191,9 @@ class PassContext:
     # by name or number, and the one before it at every frame of a take, the latter
     # first ``(F, 2, 3)`` [m]. None where there is no scene.
     segments: Segments | None = None
+    # Builds what the options of a pass name that is run into: see `Around`. None where
+    # there is no scene.
+    around: Around | None = None
 
     def note_once(self, notices: Iterable[Fault]) -> None:
         """Add notices whose code is not said yet."""

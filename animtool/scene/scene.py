@@ -230,7 +230,16 @@ class Scene:
             keeps=keeps,
             in_shot=shot is not None and shot.places_media,
             segments=self._segments,
+            around=self._around,
         )
+
+    def _around(
+        self, stream: TakeStream, options: object, lead: float
+    ) -> tuple[TakeStream, object]:
+        # Loaded by name, as systems are.
+        around = load_object("animtool.scene.systems.attached:around_take")
+        built = cast("Callable[..., tuple[TakeStream, object]]", around)
+        return built(self.systems, self.path, stream, options, lead)
 
     def _segments(
         self, take: Take, system: str, particle: str, progress: Progress

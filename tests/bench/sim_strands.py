@@ -161,7 +161,7 @@ def main() -> None:
     take = problem()
     section = SECTION.format(len(take.rig.colliders))
     rows, bare = [], []
-    for name, more in (("simulate", {}), ("without colliders", {"colliders": False})):
+    for name, more in (("simulate", {}), ("without colliders", {"capsules": False})):
         once(take, **more)
         found = [once(take, **more) for _ in range(options.runs)]
         for measure in found[0]:

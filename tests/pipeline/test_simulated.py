@@ -79,7 +79,7 @@ def test_usd_plays_a_tail(beast: Path) -> None:
 
 
 def test_a_cycle_has_no_preroll(beast: Path) -> None:
-    cycle = SCENE.replace("settle: 0.2", "loop: true, damping: 1, settle: 0.2")
+    cycle = SCENE.replace("settle: 0.2", "loop: true, ratio: 1, settle: 0.2")
     beast.write_text(cycle, "utf-8")
     plain = load_scene(beast).open().collect()
     shot = "shot: {start: 1, cut: [1, 25], preroll: 9}\noutput"
@@ -101,13 +101,13 @@ def test_a_scene_without_weight_is_one_without_the_pass(beast: Path) -> None:
 
 
 def test_every_fault_of_a_scene_has_its_line(beast: Path) -> None:
-    options = "{what: [], damping: -1, drag: -2, radius: '5', weight: 2, save: a.npz}"
+    options = "{what: [], ratio: -1, drag: -2, radius: '5', weight: 2, save: a.npz}"
     beast.write_text(SCENE.replace("{what: [tail], settle: 0.2}", options), "utf-8")
     done = animtool("bake", beast)
     assert done.code == 3
     for option, code in (
         ("what", "SIM030"),
-        ("damping", "SIM004"),
+        ("ratio", "SIM004"),
         ("drag", "SIM004"),
         ("radius", "SIM004"),
         ("weight", "SCN014"),

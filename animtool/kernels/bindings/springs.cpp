@@ -93,7 +93,7 @@ Returns ``(state, torn, unresolved)``: particles left inside colliders at the en
 
   m.def("project_springs", &project_springs, Unlocked(), "network"_a, "state"_a, "torn"_a,
         "origin"_a, "first"_a, "cell"_a, "cells"_a, "substeps"_a, "calm"_a, "least"_a, "most"_a,
-        "stretch"_a, "colliders"_a.none(), "layers"_a.none(), "crossed"_a,
+        "stretch"_a, "colliders"_a.none(), "layers"_a.none(), "crossed"_a, "limit"_a = 0.0,
         R"(Take steps of extended position based dynamics, each spring once a step, in order.
 
 Cells are those of `step_springs`. One at whose end a spring is longer than at rest by more
@@ -103,6 +103,10 @@ up to ``most``; after many that go well half as many are tried, down to ``least`
 ``layers`` keep the surface apart from itself; ``crossed`` ``(C, 3)`` are passages to go on
 with: a particle, the triangle that it went through, and the side of this that it came from;
 or an edge, numbered after the particles, another of a higher number, and its side.
+
+With a ``limit`` above 0 springs that hardly give are brought back to within this strain of
+their length at rest at the end of each step, and their ends then neither come apart nor
+together; steps are shortened only where that helps.
 
 Returns ``(state, torn, substeps, calm, stretch, steps, touched, unresolved, crossed,
 through)``: steps a cell and cells that went well, to go on with; the largest stretch

@@ -116,7 +116,9 @@ MovingColliders::MovingColliders(const std::optional<SpringColliders>& colliders
   check::not_negative("colliders.radius", radius);
   check::not_negative("colliders.tolerance", tolerance);
   if (depths) {
-    check::numbers("colliders.depths", *depths, {colliders_.size(), particles});
+    const bool all = depths->shape(0) == colliders_.size() + surfaces.size();
+    depth_rows_ = colliders_.size() + (all ? surfaces.size() : 0);
+    check::numbers("colliders.depths", *depths, {depth_rows_, particles});
   }
   poses_ = poses.data();
   radius_ = radius;

@@ -14,8 +14,9 @@
 namespace animtool {
 
 // Colliders, their poses at both ends of each cell (cells, C, 2, 7), the distance that
-// particles keep, how deep each may be in each (C, N), 0 or less, None is not at all; how
-// much deeper counts as left inside; and meshes whose points move.
+// particles keep, how deep each may be in each (C, N), 0 or less, None is not at all, and
+// after these in the meshes, where rows are given for them; how much deeper counts as left
+// inside; and meshes whose points move.
 using SpringColliders =
     std::tuple<ColliderArrays, In<double, 4>, double, std::optional<In<double, 2>>, double,
                std::vector<SpringSurface>>;
@@ -61,8 +62,9 @@ class MovingColliders {
   double tolerance() const { return tolerance_; }
   // Depths (C, N), null where none may be inside.
   const double* depths() const { return depths_; }
+  // How deep a particle may be in one of them, or of the surfaces after these.
   double depth(std::size_t c, std::size_t n) const {
-    return depths_ && c < size() ? depths_[c * particles_ + n] : 0.0;
+    return c < depth_rows_ ? depths_[c * particles_ + n] : 0.0;
   }
 
   // Whether all begin a cell where they were at the end of the one before.
@@ -77,7 +79,7 @@ class MovingColliders {
   }
 
   std::vector<collide::Collider> colliders_;
-  std::size_t particles_;
+  std::size_t particles_, depth_rows_ = 0;
   const double* poses_ = nullptr;
   const double* depths_ = nullptr;
   double radius_ = 0, tolerance_ = 0;

@@ -1,7 +1,9 @@
 // Extended position based dynamics in small steps: each spring once a step, in order.
 //
 // M. Macklin, M. Müller, N. Chentanez, XPBD, 2016; M. Macklin et al., Small Steps in
-// Physics Simulation, 2019.
+// Physics Simulation, 2019. Strain limits: X. Provot, Deformation Constraints in a Mass-Spring
+// Model to Describe Rigid Cloth Behavior, 1995, 4. Speeds along edges: H. C. Andersen, RATTLE,
+// 1983; R. Goldenthal et al., Efficient Simulation of Inextensible Cloth, 2007.
 #include <algorithm>
 #include <limits>
 
@@ -20,6 +22,13 @@ constexpr int CALM_CELLS = 120;
 constexpr double CALM_SHARE = 0.125;
 // Of a stretch, over what is beyond the spring's own give, from where on it is its own.
 constexpr double OWN = 2;
+// Springs that give by less than this share of what they are asked to do not give [1].
+constexpr double RIGID = 0.1;
+// Rounds over limited springs in a step.
+constexpr int LIMIT_ROUNDS = 4;
+// Of a limit, from where on a cell is worth shorter steps, and what is left of the stretch
+// where these help.
+constexpr double BEYOND_LIMIT = 1.5, HELPED = 0.7;
 
 // What of a spring a step of length h moves: by its length beyond rest, by the change of it.
 struct Give {
@@ -34,11 +43,13 @@ Give give(double stiffness, double damping, double weight, double h) {
 
 class Projection {
  public:
-  Projection(SpringRun& run, double cell, SpringContacts& contacts, SelfContacts& self)
+  Projection(SpringRun& run, double cell, double limit, SpringContacts& contacts,
+             SelfContacts& self)
       : run_(run),
         contacts_(contacts),
         self_(self),
         cell_(cell),
+        limit_(limit),
         before_(run.size) {}
 
   // One cell in a number of steps; returns the largest stretch of a spring that is not for
@@ -57,9 +68,11 @@ class Projection {
       pull_anchors();
       self_.keep_apart(h, before_, run_.x);
       contacts_.settle(j, before_, run_.x, nullptr);
+      limit_strains();
       self_.look(before_, run_.x);
       const double rate = 1 / h;
       for (std::size_t k = 0; k < run_.size; ++k) run_.v[k] = (run_.x[k] - before_[k]) * rate;
+      calm_edges();
     }
     return stretch();
   }
@@ -89,6 +102,21 @@ class Projection {
           give(run_.network.anchor_stiffness[a], run_.network.anchor_damping[a],
                masses[static_cast<std::size_t>(run_.network.anchors[a])], h));
     gives_.assign(run_.lines().springs.size(), 0.0);
+    note_limited();
+  }
+
+  // Springs that hardly give, with what their ends move by.
+  void note_limited() {
+    limited_.clear();
+    if (!(limit_ > 0)) return;
+    for (std::size_t s = 0; s < run_.lines().springs.size(); ++s) {
+      const Spring& spring = run_.lines().springs[s];
+      const double first = weights_[2 * s], last = weights_[2 * s + 1], both = first + last;
+      if (!(spring.rest > 0) || !(lengths_[s] * both > 1 - RIGID)) continue;
+      limited_.push_back({ROW * static_cast<std::size_t>(spring.i),
+                          ROW * static_cast<std::size_t>(spring.j), spring.rest, first / both,
+                          last / both});
+    }
   }
 
   void predict(double h) {
@@ -137,6 +165,47 @@ class Projection {
     }
   }
 
+  // Brings back to their limits what contacts and many springs in a row left beyond these;
+  // both ends move, so that momentum stays.
+  void limit_strains() {
+    for (int round = 0; round < LIMIT_ROUNDS; ++round) {
+      bool any = false;
+      for (const Limited& one : limited_) {
+        double *p = run_.x.data() + one.i, *q = run_.x.data() + one.j;
+        const double d[3] = {q[0] - p[0], q[1] - p[1], q[2] - p[2]};
+        const double square = dot3(d, d), low = one.rest * (1 - limit_),
+                     high = one.rest * (1 + limit_);
+        if (!(square > high * high || (square < low * low && square > 0))) continue;
+        const double length = std::sqrt(square);
+        const double by = (length - std::clamp(length, low, high)) / length;
+        for (std::size_t k = 0; k < 3; ++k) {
+          p[k] += one.first * by * d[k];
+          q[k] -= one.last * by * d[k];
+        }
+        any = true;
+      }
+      if (!any) break;
+    }
+  }
+
+  // Takes from ends how fast they come apart or together: what brought an edge back to its
+  // length throws nothing.
+  void calm_edges() {
+    for (const Limited& one : limited_) {
+      const double *p = run_.x.data() + one.i, *q = run_.x.data() + one.j;
+      double *u = run_.v.data() + one.i, *v = run_.v.data() + one.j;
+      const double d[3] = {q[0] - p[0], q[1] - p[1], q[2] - p[2]};
+      const double over[3] = {v[0] - u[0], v[1] - u[1], v[2] - u[2]};
+      const double square = dot3(d, d);
+      if (!(square > 0)) continue;
+      const double by = dot3(d, over) / square;
+      for (std::size_t k = 0; k < 3; ++k) {
+        u[k] += one.first * by * d[k];
+        v[k] -= one.last * by * d[k];
+      }
+    }
+  }
+
   double stretch() const {
     double most = 0;
     for (std::size_t s = 0; s < run_.lines().springs.size(); ++s) {
@@ -158,8 +227,13 @@ class Projection {
   SpringRun& run_;
   SpringContacts& contacts_;
   SelfContacts& self_;
-  double cell_;
+  double cell_, limit_;
   int prepared_ = 0;
+  struct Limited {
+    std::size_t i, j;  // rows
+    double rest, first, last;
+  };
+  std::vector<Limited> limited_;
   std::vector<double> before_, forces_, lengths_, changes_, weights_;
   std::vector<double> gives_;  // by how much springs are longer right after their own turn
   std::vector<Give> anchor_gives_;
@@ -172,7 +246,8 @@ SpringsProjected project_springs(const SpringNetwork& network, In<double, 3> sta
                                  double cell, std::int64_t cells, int substeps, int calm,
                                  int least, int most, double stretch,
                                  const std::optional<SpringColliders>& colliders,
-                                 const SpringLayers* layers, In<std::int64_t, 2> crossed) {
+                                 const SpringLayers* layers, In<std::int64_t, 2> crossed,
+                                 double limit) {
   const Cells grid{origin, first, cell, cells};
   check::between("most", most, 1, static_cast<int>(MOST_SUBSTEPS));
   check::between("least", least, 1, static_cast<int>(MOST_SUBSTEPS));
@@ -180,26 +255,32 @@ SpringsProjected project_springs(const SpringNetwork& network, In<double, 3> sta
   check_cells(grid, std::max(substeps, most));
   check::between("calm", calm, 0, std::numeric_limits<int>::max() / 2);
   if (!(stretch >= 0)) check::refuse("stretch", check::text(stretch) + " is not 0 or more");
+  check::not_negative("limit", limit);
   check::finite("state", state);
   SpringRun run = begin_springs(network, state, torn);
   SpringContacts contacts(colliders, network, cells);
   SelfContacts self(layers, network, crossed);
   double worst = 0;
   std::int64_t taken = 0;
-  Projection projection(run, cell, contacts, self);
+  Projection projection(run, cell, limit, contacts, self);
   std::vector<double> x, v;
   for (std::int64_t i = 0; i < cells; ++i) {
     x = run.x;
     v = run.v;
     double found = projection.cross(i, grid.start(i), substeps);
     taken += substeps;
-    while (!(found <= stretch) && substeps < most) {
+    const double bound = limit > 0 ? std::max(stretch, BEYOND_LIMIT * limit) : stretch;
+    bool helped = true;
+    while (!(found <= bound) && substeps < most && helped) {
       substeps = std::min(2 * substeps, most);
       calm = 0;
       run.x = x;
       run.v = v;
+      const double last = found;
       found = projection.cross(i, grid.start(i), substeps);
       taken += substeps;
+      // What contacts and held particles ask for, shorter steps do not mend.
+      if (limit > 0) helped = found <= HELPED * last;
     }
     worst = std::max(worst, found);
     self.note_through();

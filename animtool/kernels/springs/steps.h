@@ -65,7 +65,8 @@ SpringsProjected project_springs(const SpringNetwork& network, In<double, 3> sta
                                  double cell, std::int64_t cells, int substeps, int calm,
                                  int least, int most, double stretch,
                                  const std::optional<SpringColliders>& colliders,
-                                 const SpringLayers* layers, In<std::int64_t, 2> crossed);
+                                 const SpringLayers* layers, In<std::int64_t, 2> crossed,
+                                 double limit);
 
 // One step of what keeps a surface apart from itself, from positions (N, 3) to a state (2, N, 3).
 Out<double, 3> part_springs(const SpringNetwork& network, const SpringLayers& layers,

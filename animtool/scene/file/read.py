@@ -15,7 +15,13 @@ from animtool.core.plugins import load_object
 from animtool.core.rates import parse_rate
 from animtool.core.record import dataclass
 from animtool.core.writers import writes_stage
-from animtool.documents.check import check_version, record_of_options, validated
+from animtool.documents.check import (
+    FileModel,
+    check_version,
+    record_of_options,
+    renamed_options,
+    validated,
+)
 from animtool.documents.document import Document, Location, read_document
 from animtool.documents.references import referred
 from animtool.documents.variables import resolve_variables
@@ -39,9 +45,9 @@ from animtool.scene.file.schema import (
 from animtool.scene.file.tracks import TrackNames
 from animtool.scene.scene import Scene
 from animtool.scene.sources.open import SourceOptions, is_usd, takes_option
-from animtool.scene.systems.links import check_links
+from animtool.scene.systems.links import check_links, check_met
 from animtool.systems.framework.conversion import SceneUnits
-from animtool.systems.framework.fields import SystemColliderModel
+from animtool.systems.framework.fields import AROUND
 from animtool.systems.framework.kinds import SYSTEM_KINDS
 
 # It reads whole scenes, where they are characters.
@@ -139,6 +145,8 @@ class _SceneReader:
         rig = None if model.rig is None else self.keys.read_file(("rig",), model.rig)
         read = _PassReader(self.keys, self.output_roots, self.units)
         passes = tuple(read.passes(model.passes))
+        systems = self._systems()
+        check_met(self.document, passes, systems, model.system_names)
         outputs = OutputReader(self.keys, model, self.output_roots)
         return Scene(
             self.document.path,
@@ -149,7 +157,7 @@ class _SceneReader:
             self._renamed_props(),
             outputs.start,
             outputs.preroll(),
-            systems=self._systems(),
+            systems=systems,
         )
 
     def _systems(self) -> tuple[SceneSystem, ...]:
@@ -325,6 +333,7 @@ class _PassReader:
             fault = error.faults[0]
             document.add(fault.code, at, fault.message, fault.hint)
             return None
+        values = renamed_options(document, at, values, "scene")
         given = self.units.pass_options(name, values)
         options, faults = record_of_options(pass_.options, given, name)
         for place, fault in faults:
@@ -344,26 +353,20 @@ class _PassReader:
     ) -> tuple[Any, tuple[Path, ...]]:
         """Return options with what they run into, and the files that this goes with."""
         entries = {
-            field.name: value
-            for field in fields(options)
-            if isinstance(value := getattr(options, field.name), list)
-            and any(isinstance(one, SystemColliderModel) for one in value)
+            name: models
+            for name in AROUND
+            if (models := getattr(options, name, ()))
+            and isinstance(models[0], FileModel)
         }
         if not entries:
             return options, ()
         kind: Any = load_object(COLLIDER_READER)
         reader = kind(self.keys.document, self.keys.roots, self.units)
         read = {
-            name: tuple(
-                reader.each(
-                    (*at, name),
-                    map(self.units.converted, models),
-                    reader.collider,
-                )
-            )
-            for name, models in entries.items()
+            name: reader.around(at, name, models) for name, models in entries.items()
         }
-        return replace(options, **read), tuple(reader.files)
+        files = [*reader.files, *(Path(one.file) for one in read.get("characters", ()))]
+        return replace(options, **read), tuple(files)
 
 
 def _check_pass(keys: KeyReader, at: Location, pass_: Pass, options: Any) -> None:

@@ -134,6 +134,17 @@ class EntryReader:
         found = [read((*at, i), model) for i, model in enumerate(models)]
         return [part for part in found if part is not None]
 
+    def around(self, at: Location, key: str, models: Iterable[Any]) -> tuple[Any, ...]:
+        """Return what is run into, as one of the keys of `AROUND` lists it."""
+        readers: Mapping[str, Callable[[Location, Any], Any]] = {
+            "colliders": self.collider,
+            "characters": self.character_collider,
+            "systems": self.surface,
+            "meshes": self.mesh,
+        }
+        made = map(self.units.converted, models)
+        return tuple(self.each((*at, key), made, readers[key]))
+
     def collider(self, at: Location, model: SystemColliderModel) -> Collider | None:
         """Return the collider of an entry that makes sense."""
         shape = self.shape((*at, "shape"), model.shape)

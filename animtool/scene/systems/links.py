@@ -9,7 +9,8 @@ from typing import Any
 from animtool.core.errors import listed
 from animtool.core.names import nearest
 from animtool.documents.document import Document, Location, location_of
-from animtool.scene.file.entries import SceneSystem
+from animtool.scene.file.entries import ScenePass, SceneSystem
+from animtool.systems.framework.fields import SystemSurfaceModel
 from animtool.systems.framework.kinds import SYSTEM_KINDS
 from animtool.systems.framework.spec import Member
 
@@ -109,6 +110,39 @@ def check_links(
             _check_joined(document, [systems[i] for i in group])
 
 
+def check_met(
+    document: Document,
+    passes: Sequence[ScenePass],
+    systems: Sequence[SceneSystem],
+    names: Sequence[str],
+) -> None:
+    """Note what passes name that cannot be run into (SIM183, SIM184, SCN063)."""
+    for entry in passes:
+        at = location_of(entry.place.where)
+        for i, one in enumerate(getattr(entry.options, "characters", ())):
+            if one.source:
+                message = "what hangs on the character of this scene meets it anyway"
+                hint = "`capsules` and `skin` say how; leave the entry out"
+                document.add("SIM183", (*at, "characters", i, "source"), message, hint)
+        for i, one in enumerate(getattr(entry.options, "systems", ())):
+            if not isinstance(one, SystemSurfaceModel):
+                continue
+            place = (*at, "systems", i)
+            _check_name(
+                document,
+                (*place, "system"),
+                one.system,
+                None,
+                systems,
+                names,
+                "surface",
+            )
+            if one.two_way:
+                message = "what a pass moves pushes no bodies of systems"
+                hint = "leave two_way out, or simulate it as a system"
+                document.add("SIM184", (*place, "two_way"), message, hint)
+
+
 def _check_body(
     document: Document,
     system: SceneSystem,
@@ -191,23 +225,25 @@ def _check_name(
     document: Document,
     at: Location,
     name: str,
-    system: SceneSystem,
+    system: SceneSystem | None,
     systems: Sequence[SceneSystem],
     names: Sequence[str],
     having: str,
 ) -> bool:
     """Note a name that is none of another system that can serve."""
+    own = None if system is None else system.name
     named = [other for other in systems if other.name == name]
     message, hint = "", None
     if name not in names:
-        others = sorted({*names} - {system.name})
+        others = sorted({*names} - {own})
         message = f"no system is named {name!r}"
         hint = nearest(name, others) or f"there are {listed(others)}"
-        hint = hint if others else "there is no other"
+        none = "there is no other" if own else "the scene has no systems"
+        hint = hint if others else none
     elif list(names).count(name) > 1:
         message = f"{list(names).count(name)} systems are named {name!r}"
         hint = "give each a name of its own"
-    elif name == system.name:
+    elif name == own:
         message = f"{name!r} is the system itself"
     elif named and not getattr(SYSTEM_KINDS[named[0].kind], having):
         kinds = [kind for kind, it in SYSTEM_KINDS.items() if getattr(it, having)]

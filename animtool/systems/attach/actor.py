@@ -16,29 +16,22 @@ from animtool.core.units import UpAxis
 from animtool.maths import so3
 from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.skeleton import Rig
+from animtool.sim.colliders import Colliders
 from animtool.sim.colliders.on_joints import Capsules
 from animtool.systems.attach.bodies import Body
 from animtool.systems.attach.network import Network, lost_links, typical_edge
 from animtool.systems.attach.poses import Pose, PosePath, pose_path
 from animtool.systems.attach.settings import Settings
 from animtool.systems.attach.skins import Skin, SkinContacts, margin_for
-from animtool.systems.attach.stepping import (
-    Motions,
-    SheetStepper,
-    State,
-    Stepper,
-    Tally,
-    cells_of,
-    steps_per_second,
-)
+from animtool.systems.attach.stepping import State, Stepper, cells_of, steps_per_second
 from animtool.systems.attach.strands import (
     DEPENETRATION,
-    CapsuleContacts,
-    StrandStepper,
+    CarriedColliders,
     depth_at_bind,
 )
 from animtool.systems.framework.meter import ContactMeter, Sides, Solid
 from animtool.systems.springs.checks import tangle_notices
+from animtool.systems.springs.contacts import Cells
 
 
 def upwards(rig: Rig) -> FloatArray:
@@ -82,21 +75,21 @@ class Actor:
         span: float,
         pose: Pose,
         skins: Sequence[Skin] = (),
+        world: Colliders | None = None,
     ) -> None:
         """Begin in a pose, at rest, in its size; a frame spans so long [s]."""
         self.body, self.settings = body, settings
         self._rig = rig
         first = pose_path(rig, pose, pose, 1)
         scale = _size(first.world, body.carrier)
-        network = body.network if scale == 1 else body.network.scaled(scale)
+        network = replace(body.network, points=scale * body.network.points)
         wanted = math.ceil(steps_per_second(network, settings) * span - 1e-9)
         self._cells, self._substeps = cells_of(max(1, wanted))
         self.steps = self._cells * self._substeps
-        self.tally = Tally()
         self.jumps = 0
         self.seconds = 0.0
-        make = StrandStepper if network.strands else SheetStepper
-        self._stepper: Stepper = make(network, settings, -upwards(rig), self.tally)
+        self._stepper = Stepper(network, settings, -upwards(rig))
+        self.tally = self._stepper.tally
         self._span = span
         self.meter = ContactMeter()
         self._sides = _sides(network)
@@ -110,22 +103,23 @@ class Actor:
             margin_for(typical_edge(network), settings.radius),
             DEPENETRATION,
         )
-        capsules = Capsules.of(rig) if settings.options.colliders else Capsules.none()
+        capsules = Capsules.of(rig) if settings.options.capsules else Capsules.none()
         if self._skins:
             # What has a skin is met by that.
             covered = np.any([skin.joints for skin in skins], axis=0)
             capsules = capsules.select(~covered[capsules.joints])
         bound = body.network.points
         depths = scale * depth_at_bind(capsules, rig, bound, settings.radius / scale)
-        self._contacts = CapsuleContacts(
+        self.target = body.targets(first)[0]
+        self._contacts = CarriedColliders(
             capsules,
             capsules.sizes(first.world),
-            depths,
+            (depths, self._skins.depths(first, self.target, settings.radius)),
             settings.radius,
             settings.options.friction,
+            world,
         )
-        self.target = body.targets(first)[0]
-        self._world = first.world
+        self._world, self._time = first.world, 0.0
         self.lost = lost_links(network, self.target)
         self.tangles = (
             tangle_notices(self.target, network.triangles, f"the cloth {body.name}")
@@ -139,8 +133,8 @@ class Actor:
         state = self.state
         self.state = replace(state, velocities=state.velocities + speed)
 
-    def cross(self, paths: PosePaths) -> None:
-        """Go on by a frame."""
+    def cross(self, paths: PosePaths, frame: int) -> None:
+        """Go on by a frame of a number; the take begins with that of 0."""
         began = time.perf_counter()
         motion = paths.of(self._cells)
         targets = self.body.targets(motion)
@@ -152,18 +146,23 @@ class Actor:
                 Solid(rows[-1], skin.triangles)
                 for skin, rows in zip(paths.skins, points, strict=True)
             ]
-        motions = Motions(targets, self._contacts.over(motion.world, surfaces))
+        length, first = self._span / self._cells, frame * self._cells
+        cells = Cells(0.0, length, first, self._cells)
+        met = self._contacts.over(motion.world, cells, surfaces)
         self.state = self._stepper.cross(
-            self.state, motions, self._span, self._substeps
+            self.state, targets, met, self._span, self._substeps
         )
         self.target = targets[-1]
         self._world = motion.world
+        self._time = (frame + 1) * self._span
         self.seconds += time.perf_counter() - began
 
     def measure(self, frame: float) -> None:
         """Note how it lies at the end of a frame, by its time code."""
-        depths = self._contacts.depths(self._world, self.state.positions)
-        self.meter.look(frame, self.state.positions, self._sides, self._solids, depths)
+        points = self.state.positions
+        depths = self._contacts.depths(self._world, points, self._time)
+        solids = [*self._solids, *self._contacts.solids(self._time)]
+        self.meter.look(frame, points, self._sides, solids, depths)
 
     def follow(self, paths: PosePaths) -> None:
         """Go on by a frame as the animation does."""
@@ -195,10 +194,10 @@ def _sides(network: Network) -> Sides:
     """Return what of a network is measured: of cloth what does not become longer."""
     held = np.zeros(network.count, np.bool_)
     held[network.held] = True
-    links = network.stiff
-    kept = (links.rests > 0) & ~held[links.ends].all(axis=1)
+    ends, rests = network.sides, network.rests
+    kept = (rests > 0) & ~held[ends].all(axis=1)
     kept &= len(network.triangles) > 0
-    return Sides(network.free, network.triangles, links.ends[kept], links.rests[kept])
+    return Sides(network.free, network.triangles, ends[kept], rests[kept])
 
 
 def rigidly_moved(state: State, shift: FloatArray, turn: FloatArray) -> State:

@@ -132,7 +132,7 @@ def _chain(rig: Rig, entry: Attachment) -> Body:
     end = bind.positions[0, joints[-1]] + bind.linear[0, joints[-1]] @ tip
     points = np.concatenate([bind.positions[0, joints], end[None]])
     ends = np.stack([np.arange(len(joints)), np.arange(1, len(joints) + 1)], axis=1)
-    network = Network.of(points, np.array([0]), ends, strands=1)
+    network = Network(points, np.array([0]), ends, strands=1)
     parent = rig.joints[joints[0]].parent
     carrier = parent if parent >= 0 else joints[0]
     bare = _is_bare(rig, joints[-1])
@@ -173,12 +173,12 @@ def _strands(rig: Rig, entry: Attachment) -> Body:
     (mesh,) = character_strands([strands], rig.names, bind_matrices(rig))
     count, length = strands.points.shape[:2]
     index = np.arange(count * length).reshape(count, length)
-    network = Network.of(
+    network = Network(
         strands.points.reshape(-1, 3),
         index[:, 0],
         # Root to tip over all strands: the order in which springs are looked at.
         np.stack([index[:, :-1], index[:, 1:]], axis=-1).reshape(-1, 2),
-        folds=np.stack([index[:, :-2], index[:, 2:]], axis=-1).reshape(-1, 2),
+        bends=np.stack([index[:, :-2], index[:, 2:]], axis=-1).reshape(-1, 2),
         strands=count,
     )
     carrier = rig.index(strands.joint)
@@ -200,15 +200,15 @@ def _cloth(rig: Rig, entry: Attachment) -> Body:
         raise OptionError(Fault("SIM033", message))
     pins = np.zeros(0, np.int64)
     if entry.pins is not None:
-        pins = entry.pins.load().astype(np.int64)
+        pins = np.unique(entry.pins.load()).astype(np.int64)
     placed = surface.points @ surface.geom_bind[:3, :3].T + surface.geom_bind[:3, 3]
-    network = Network.of(
+    network = Network(
         placed,
         pins,
         ends,
-        shears=diagonals_of_faces(*faces),
-        folds=folds_of_faces(*faces),
-        triangles=triangulated(*faces),
+        diagonals_of_faces(*faces),
+        folds_of_faces(*faces),
+        triangulated(*faces),
     )
     carrier = _carrier(rig, surface, network)
     return SurfaceBody(entry.name, entry.kind, network, carrier, mesh)

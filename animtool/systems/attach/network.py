@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
-from dataclasses import replace
+from dataclasses import field
 
 import numpy as np
 
@@ -11,71 +12,36 @@ from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import counted
 from animtool.core.record import dataclass
 from animtool.maths.faces import distinct_pairs, edge_counts, of_one_edge, sides
+from animtool.systems.springs.body import Body, built
+from animtool.systems.springs.records import Family
 
-NO_PAIRS: IntArray = np.zeros((0, 2), np.int64)
-NO_TRIANGLES: IntArray = np.zeros((0, 3), np.int64)
+# Springs that do not give [rad/s].
+RIGID = 1e6
+# Cloth [kg/m²], and the least mass of a particle among the others' [1].
+CLOTH_WEIGHT = 0.3
+MIN_SHARE = 1e-3
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Links:
-    """L springs of one kind."""
-
-    ends: IntArray  # particles on either end ``(L, 2)``
-    rests: FloatArray  # length at rest ``(L,)`` [m]
-
-    @staticmethod
-    def of(points: FloatArray, ends: IntArray) -> Links:
-        """Return springs that are at rest between points ``(N, 3)`` [m]."""
-        apart = points[ends[:, 1]] - points[ends[:, 0]]
-        return Links(ends, np.asarray(np.linalg.norm(apart, axis=-1)))
+def _none(columns: int) -> IntArray:
+    return np.zeros((0, columns), np.int64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Network:
-    """N particles of equal mass, and what joins them."""
+    """N points that are at rest where they are, and the springs that join them."""
 
     points: FloatArray  # where they are at bind ``(N, 3)`` [m]
-    held: IntArray  # particles that go where the animation has them ``(P,)``, ascending
-    stiff: Links  # what does not become longer
-    shears: Links  # diagonals of faces, which give way sideways
-    folds: Links  # from one side of a fold to the other
-    triangles: IntArray  # corners of the surface ``(T, 3)``
-    # How many lines of equal length the particles stand in, each from the end that is
-    # held on, one line behind the other; 0 where it is a surface.
+    held: IntArray  # those that go where the animation has them ``(P,)``, ascending
+    sides: IntArray  # ends of what does not become longer ``(L, 2)``
+    # Of faces, which give way sideways ``(L, 2)``.
+    diagonals: IntArray = field(default_factory=lambda: _none(2))
+    # From one side of a fold to the other ``(L, 2)``.
+    bends: IntArray = field(default_factory=lambda: _none(2))
+    # Corners of the surface ``(T, 3)``.
+    triangles: IntArray = field(default_factory=lambda: _none(3))
+    # How many lines of equal length the points stand in, each from the end that is held
+    # on, one line behind the other; 0 where it is a surface.
     strands: int = 0
-
-    @staticmethod
-    def of(
-        points: FloatArray,
-        held: IntArray,
-        stiff: IntArray,
-        *,
-        shears: IntArray = NO_PAIRS,
-        folds: IntArray = NO_PAIRS,
-        triangles: IntArray = NO_TRIANGLES,
-        strands: int = 0,
-    ) -> Network:
-        """Return a network that is at rest at points ``(N, 3)`` [m]."""
-        return Network(
-            points,
-            np.unique(held).astype(np.int64),
-            Links.of(points, stiff),
-            Links.of(points, shears),
-            Links.of(points, folds),
-            triangles,
-            strands,
-        )
-
-    def scaled(self, scale: float) -> Network:
-        """Return the network of another size."""
-        points = self.points * scale
-        return replace(
-            self,
-            points=points,
-            stiff=Links.of(points, self.stiff.ends),
-            shears=Links.of(points, self.shears.ends),
-            folds=Links.of(points, self.folds.ends),
-        )
 
     @property
     def count(self) -> int:
@@ -85,9 +51,46 @@ class Network:
     @property
     def free(self) -> IntArray:
         """Particles that are not held, ascending."""
-        loose = np.ones(self.count, bool)
-        loose[self.held] = False
-        return np.flatnonzero(loose)
+        return np.setdiff1d(np.arange(self.count), self.held)
+
+    @property
+    def rests(self) -> FloatArray:
+        """Lengths of the sides at rest ``(L,)`` [m]."""
+        return self.lengths(self.sides)
+
+    def lengths(self, ends: IntArray) -> FloatArray:
+        """Return how far ends ``(L, 2)`` are apart at rest ``(L,)`` [m]."""
+        apart = self.points[ends[:, 1]] - self.points[ends[:, 0]]
+        return np.asarray(np.linalg.norm(apart, axis=-1))
+
+    @property
+    def masses(self) -> FloatArray:
+        """Of the particles ``(N,)`` [kg]: of cloth those of its area."""
+        corners = self.triangles
+        if not len(corners):
+            return np.ones(self.count)
+        a, b, c = (self.points[corners[:, k]] for k in range(3))
+        areas = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
+        thirds = np.repeat(areas * (CLOTH_WEIGHT / 3), 3)
+        masses = np.bincount(corners.ravel(), thirds, self.count)
+        # Faces without area leave some particles none.
+        least = MIN_SHARE * float(masses.max(initial=0.0))
+        return np.maximum(masses, least if least > 0 else 1.0)
+
+    def body(self, diagonals: float, bends: float) -> Body:
+        """Return its particles with springs of some frequencies [Hz]."""
+        loose = np.isin(np.arange(self.count), self.held, invert=True)
+        families = (
+            (self.sides, RIGID / (2 * math.pi)),
+            (self.diagonals, diagonals),
+            (self.bends, bends),
+        )
+        pulling = [
+            (ends[loose[ends].any(axis=1)], Family(0.0, frequency=frequency))
+            for ends, frequency in families
+            if frequency
+        ]
+        return built(self.points, self.masses, pulling, self.triangles)
 
 
 def reach(network: Network) -> int:
@@ -95,13 +98,11 @@ def reach(network: Network) -> int:
 
     Without any that is held it is counted from the first.
 
-    >>> line = np.array([[0, 1], [1, 2]])
-    >>> points = np.eye(3)
-    >>> reach(Network.of(points, np.array([0]), line))
+    >>> reach(Network(np.eye(3), np.array([0]), np.array([[0, 1], [1, 2]])))
     2
     """
     props: list[list[int]] = [[] for _ in range(network.count)]
-    for i, j in network.stiff.ends.tolist():
+    for i, j in network.sides.tolist():
         props[i].append(j)
         props[j].append(i)
     starts = network.held.tolist() or [0]
@@ -118,8 +119,8 @@ def reach(network: Network) -> int:
 
 def typical_edge(network: Network) -> float:
     """Return the median length of springs that do not become longer [m]; 0 of none."""
-    lengths = network.stiff.rests[network.stiff.rests > 0]
-    return float(np.median(lengths)) if len(lengths) else 0.0
+    rests = network.rests
+    return float(np.median(rests[rests > 0])) if rests.any() else 0.0
 
 
 def lost_links(network: Network, points: FloatArray) -> int:
@@ -128,13 +129,13 @@ def lost_links(network: Network, points: FloatArray) -> int:
     Those of no length at rest are to be so, but where all are.
 
     >>> line = np.array([[0, 1], [1, 2]])
-    >>> network = Network.of(np.eye(3), np.array([0]), line)
+    >>> network = Network(np.eye(3), np.array([0]), line)
     >>> lost_links(network, np.array([[0.0, 0, 0], [0, 0, 0], [1, 0, 0]]))
     1
     """
-    i, j = network.stiff.ends.T
+    i, j = network.sides.T
     lost = (points[i] == points[j]).all(axis=1)
-    rests = network.stiff.rests
+    rests = network.rests
     return int((lost & ((rests > 0) | ~rests.any())).sum())
 
 
@@ -142,7 +143,7 @@ def surface_problems(network: Network) -> list[str]:
     """Return what of the triangles is no surface, in words.
 
     >>> fan = np.array([[0, 1, 2], [0, 1, 3], [0, 1, 4]])
-    >>> network = Network.of(np.eye(5, 3), np.array([0]), fan[:, :2], triangles=fan)
+    >>> network = Network(np.eye(5, 3), np.array([0]), fan[:, :2], triangles=fan)
     >>> surface_problems(network)
     ['1 edge of more than two triangles']
     """

@@ -18,6 +18,12 @@ from animtool.core.units import parse_length
 from animtool.motion.keyed import Interpolation, Weight, chosen, weights_at
 from animtool.motion.passes import OptionChecks
 from animtool.rig.parts import AttachKind
+from animtool.systems.framework.fields import (
+    CharacterModel,
+    ColliderEntries,
+    MovingMeshModel,
+    SystemSurfaceModel,
+)
 
 # How fast each kind swings back to its animated pose, unless the scene says it [Hz].
 _FREQUENCIES = {AttachKind.SPRING_CHAIN: 2.0, AttachKind.STRANDS: 2.0}
@@ -49,11 +55,11 @@ class SimulateOptions:
     # None is 2 for chains and strands, and 0 for cloth.
     frequency: Annotated[float | None, within(0.0, "SIM004")] = None
     # Of that, 1 comes back without swinging over [1].
-    damping: Annotated[float, within(0.0, "SIM004")] = 0.3
+    ratio: Annotated[float, within(0.0, "SIM004")] = 0.3
     # How fast folds of cloth and bends of strands spring back [Hz]. None is 2.
     bend: Annotated[float | None, within(0.0, "SIM004")] = None
     # How fast cloth that is drawn askew springs back [Hz].
-    shear: Annotated[float, within(0.0, "SIM004")] = 20.0
+    diagonals: Annotated[float, within(0.0, "SIM004")] = 20.0
     # How much longer than at rest springs may become [1]. None is 0.01 for chains, and
     # 0.05 for others.
     stretch: Annotated[float | None, within(0.0, "SIM004", reached=False)] = None
@@ -65,17 +71,23 @@ class SimulateOptions:
     drag: Annotated[float, within(0.0, "SIM004")] = 0.5
     # Velocity of the air ``[x, y, z]`` [m/s].
     wind: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    colliders: bool = True  # keep out of the rig's capsules
+    capsules: bool = True  # keep out of the rig's capsules
     # Keep cloth out of the skins of the rig, which are met in the place of the
     # capsules of their joints.
     skin: bool = True
-    radius: str = "5mm"  # distance kept from them, such as ``5mm``
+    # What else is met, as systems have it: shapes in the axes of the rig, characters
+    # of other files, systems of the scene, and meshes of USD files.
+    colliders: ColliderEntries = ()
+    characters: tuple[CharacterModel, ...] = ()
+    systems: tuple[SystemSurfaceModel, ...] = ()
+    meshes: tuple[MovingMeshModel, ...] = ()
+    radius: str | float = "5mm"  # distance kept from all, a number in [m] or ``5mm``
     # On them, and between layers, Coulomb's coefficient [1].
     friction: Annotated[float, within(0.0, "SIM004")] = 0.2
     self_contact: bool = True  # cloth does not go through itself
-    # Distance that it keeps from itself, such as ``5mm``. None is that of ``radius``,
-    # or a third of its edges where these are short.
-    thickness: str | None = None
+    # Distance that it keeps from itself, as ``radius`` is written. None is that, or a
+    # third of its edges where these are short.
+    thickness: str | float | None = None
     # Time in the first pose before anything moves [s].
     settle: Annotated[float, within(0.0, "SIM004", 600.0)] = 1.0
     # Time of the way into the first frame, behind ``settle`` [s].
@@ -112,9 +124,9 @@ class Settings:
     """The options as one kind of attachment has them: defaults and SI units."""
 
     options: SimulateOptions  # all that is the same for every kind
-    frequency: float  # angular, of the draw to the animated pose [rad/s]
-    bend: float  # angular, of folds [rad/s]
-    shear: float  # angular, of diagonals [rad/s]
+    frequency: float  # of the draw to the animated pose [Hz]
+    bend: float  # of folds [Hz]
+    diagonals: float  # of faces [Hz]
     stretch: float  # aimed at [1]
     radius: float  # distance kept from colliders [m]
     # Distance that cloth keeps from itself [m]; 0 does not ask, None is by its edges.
@@ -135,16 +147,30 @@ def settings_for(options: SimulateOptions, kind: str) -> Settings:
     if options.self_contact and known is AttachKind.CLOTH:
         thickness = None
         if options.thickness is not None:
-            thickness = parse_length(options.thickness)
+            thickness = length_of(options.thickness)
     return Settings(
         options,
-        2 * math.pi * frequency,
-        2 * math.pi * bend,
-        2 * math.pi * options.shear,
+        frequency,
+        bend,
+        options.diagonals,
         stretch,
-        parse_length(options.radius),
+        length_of(options.radius),
         thickness,
     )
+
+
+def length_of(value: str | float) -> float:
+    """Return a length such as ``5mm``, or a number of metres [m].
+
+    Raises:
+        ValueError: It is none.
+    """
+    if isinstance(value, str):
+        return parse_length(value)
+    if not 0 <= value < math.inf:
+        message = f"{value:g} is no length"
+        raise ValueError(message)
+    return value
 
 
 def option_checks(options: SimulateOptions) -> OptionChecks:
@@ -196,7 +222,7 @@ def _check_finite(values: tuple[float, ...], name: str) -> None:
 
 def _check_length(options: SimulateOptions, name: str) -> None:
     try:
-        parse_length(getattr(options, name))
+        length_of(getattr(options, name))
     except ValueError as error:
         raise OptionError(Fault("SIM004", f"{name}: {error}")) from error
 
@@ -205,7 +231,7 @@ def _check_thickness(options: SimulateOptions) -> None:
     if options.thickness is None:
         return
     _check_length(options, "thickness")
-    if not parse_length(options.thickness) > 0:
+    if not length_of(options.thickness) > 0:
         message = f"thickness is {options.thickness!r}; it must be more than 0"
         hint = "leave it out where cloth may go through itself"
         raise OptionError(Fault("SIM004", message, hint=hint))

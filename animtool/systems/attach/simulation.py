@@ -18,6 +18,7 @@ from animtool.maths import so3
 from animtool.motion.keyed import weights_at
 from animtool.motion.motion import Channel, Motion
 from animtool.rig.skeleton import Rig
+from animtool.sim.colliders import Colliders
 from animtool.systems.attach.actor import Actor, PosePaths, rigidly_moved, upwards
 from animtool.systems.attach.bodies import Body, ChainBody, SurfaceBody
 from animtool.systems.attach.poses import (
@@ -36,6 +37,7 @@ from animtool.systems.attach.strands import chain_rotations
 from animtool.systems.framework.meter import ContactMeter
 from animtool.systems.framework.run import Reached
 from animtool.systems.framework.saved import Clocked
+from animtool.systems.springs.contacts import LOOK_BACK
 
 # Numbers of points in a block, at most: it has fewer frames the more points move.
 BLOCK_VALUES = 1 << 20
@@ -85,12 +87,15 @@ class Simulation:
         resumed: SavedFrame | None = None,
         early: int = 0,
         progress: Callable[[float], None] | None = None,
+        world: Colliders | None = None,
     ) -> None:
         """Make ready; nothing is read yet.
 
         Frames are a step of time codes apart, from the start on. Early ones, before the
-        take's own, hold its first; no cycle has them.
+        take's own, hold its first; no cycle has them. In the world the take begins at
+        0 s.
         """
+        self._world = Colliders(()) if world is None else world
         self.rig, self.bodies, self.options = rig, bodies, options
         self.actors: list[Actor] = []  # of the bodies, once a frame was seen
         # States at the frames that are asked for, and the steps of each a frame.
@@ -104,6 +109,8 @@ class Simulation:
         self.swung: dict[str, float] = {}  # largest turn of last joints [rad]
         self._rate, self._start, self._step = rate, start, step
         self._early = early
+        # Number of the frame that is crossed next; 0 is the first of the take's own.
+        self._frame = 0 if options.loop else -early
         self._progress = progress
         self._crossed, self._to_cross = 0, 1
         self._before: Pose | None = None
@@ -162,6 +169,7 @@ class Simulation:
                 1 / rate,
                 begin,
                 self.skins,
+                self._world,
             )
             for body in self.bodies
         ]
@@ -169,6 +177,7 @@ class Simulation:
             return
         still = self._paths(begin, begin)
         settling = math.ceil(options.settle * rate)
+        self._frame -= settling + leading
         self._to_cross += settling + leading
         for _ in range(settling):
             self._cross(still)
@@ -193,6 +202,7 @@ class Simulation:
         if self.resumed is not None and code <= self.resumed.frame:
             for actor in self.actors:
                 actor.follow(paths)
+            self._frame += 1
             return
         self._cross(paths, jumps=code in self.options.teleports)
 
@@ -205,11 +215,19 @@ class Simulation:
             if jumps or (most and actor.speed(paths) > most):
                 actor.jump(paths)
             else:
-                actor.cross(paths)
+                actor.cross(paths, self._frame)
             if self._progress is not None:
                 self._crossed += 1
                 whole = self._to_cross * len(self.actors)
                 self._progress(min(self._crossed / whole, 1.0))
+        self._frame += 1
+        if not self.options.loop:
+            # The next frame looks back a little from its begin.
+            since = self._frame / float(self._rate) - LOOK_BACK
+            for bodies in self._world.bodies:
+                bodies.forget(since)
+            for sheet in self._world.sheets:
+                sheet.motion.forget(since)
 
     def _note(self, code: float) -> None:
         """Take the states of the frame that is resumed from; keep those asked for."""
@@ -262,6 +280,7 @@ class Simulation:
         rows = [_Rows([], []) for _ in self.bodies]
         codes = self._codes(self._early, len(poses)).tolist()
         self.codes = codes[:-1]
+        self._frame = 0
         for actor in self.actors:
             actor.place(poses[0])
             actor.meter = ContactMeter()

@@ -15,10 +15,12 @@ from animtool.rig.kinematics import bind_matrices
 from animtool.rig.parts import AttachKind
 from animtool.rig.skeleton import Rig
 from animtool.rig.surfaces import Surface, surfaces_of
+from animtool.sim.colliders import Collider, Colliders, Mesh
 from animtool.sim.contact import SPEED_LIMIT
 from animtool.skin.character import CharacterMesh, character_meshes
 from animtool.skin.deform import deform
 from animtool.systems.attach.poses import PosePath
+from animtool.systems.framework.meter import Solid
 
 # What of its edges cloth keeps from skins [1]: those of a limb of twice that length are
 # cut by no more.
@@ -128,6 +130,16 @@ def margin_for(edge: float, radius: float) -> float:
     return max(0.0, CORNERS * edge - radius)
 
 
+def nearness(solid: Solid, points: FloatArray, kept: float) -> FloatArray:
+    """Return how much nearer to a skin than a distance kept points may be ``(N,)`` [m].
+
+    At most 0: what a pose lays on the skin is let there, but not inside.
+    """
+    near = Colliders([Collider(Mesh(solid.points, solid.triangles, closed=True))])
+    apart = near.sample(points, 0.0, 1.0).distances[0]
+    return np.asarray(np.clip(apart, 0.0, kept) - kept)
+
+
 class SkinContacts:
     """Skins as kernels meet them, frame by frame."""
 
@@ -142,6 +154,19 @@ class SkinContacts:
         self._skins = skins
         self._kernels: list[Any] = []
         self._numbers = (0.0, friction, margin, depenetration, SPEED_LIMIT)
+
+    def depths(
+        self, path: PosePath, targets: FloatArray, radius: float
+    ) -> list[FloatArray]:
+        """Return how much nearer particles may be to each skin than others ``(N,)``.
+
+        As the first pose of a path has both; particles keep a radius and the margin.
+        """
+        kept = radius + self._numbers[2]
+        return [
+            nearness(Solid(skin.points(path)[0], skin.triangles), targets, kept)
+            for skin in self._skins
+        ]
 
     def __bool__(self) -> bool:
         """Return whether there is any."""

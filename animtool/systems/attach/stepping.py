@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
+import os
 from dataclasses import field
-from typing import Any, Protocol
 
 import numpy as np
 
@@ -12,19 +12,16 @@ from animtool import _kernels
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, ToleranceError
 from animtool.core.record import dataclass
-from animtool.systems.attach.network import Network, reach, typical_edge
+from animtool.systems.attach.network import RIGID, Network, reach, typical_edge
 from animtool.systems.attach.settings import Settings
 from animtool.systems.framework.bounds import BOUND
 from animtool.systems.framework.simulation import growing
-from animtool.systems.springs.body import (
-    Draws,
-    Loads,
-    Paths,
-    Springs,
-    spring_layers,
-)
-from animtool.systems.springs.motion import Through
-from animtool.systems.springs.records import SelfContact
+from animtool.systems.springs.contacts import CellColliders
+from animtool.systems.springs.motion import Grid, SpringState, Through
+from animtool.systems.springs.paths import Pins, Targets
+from animtool.systems.springs.records import Air, SelfContact, Solver
+from animtool.systems.springs.solvers import projected
+from animtool.systems.springs.system import SpringSystem
 
 # Accelerations that steps are chosen for [m/s²]: twice that of gravity.
 DESIGN_ACCELERATION = 20.0
@@ -39,13 +36,6 @@ MAX_STEPS = 20_000.0
 # Times the steps that a frame of cloth takes, at most, in which springs become too long
 # or in which it goes through itself.
 FINER = 4
-# Springs that do not give [rad/s].
-STIFF = 1e6
-# Cloth [kg/m²], and the least mass of a particle among the others' [1].
-CLOTH_WEIGHT = 0.3
-MIN_SHARE = 1e-3
-# Half the density of air [kg/m³].
-AIR = 0.6
 # Of cloth, what it keeps from itself, over its edges [1].
 THICK = 1 / 3
 # Even parts of a frame, between which what is animated goes straight.
@@ -65,21 +55,6 @@ class State:
     velocities: FloatArray  # ``(N, 3)`` [m/s]
     # Where cloth went through itself ``(C, 3)``: particle, triangle, side.
     passages: IntArray = field(default_factory=nowhere, metadata=growing())
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Motions:
-    """What the animation does over a frame, at K times, both ends among them."""
-
-    targets: FloatArray  # particles as they are animated ``(K, N, 3)`` [m]
-    # What kernels take of colliders, over the K - 1 cells between these times; None
-    # where there are none.
-    colliders: tuple[Any, ...] | None
-
-    @property
-    def cells(self) -> int:
-        """How many even cells of time the frame has."""
-        return len(self.targets) - 1
 
 
 @dataclass(slots=True)
@@ -120,11 +95,11 @@ def steps_per_second(network: Network, settings: Settings) -> float:
     if network.strands:
         wanted = DESIGN_TURN / math.sqrt(2 * settings.stretch)
         return min(max(wanted, MIN_STRAND_STEPS), MAX_STEPS)
-    lengths = network.stiff.rests[network.stiff.rests > 0]
-    if not len(lengths):
+    edge = typical_edge(network)
+    if not edge:
         return MIN_STEPS
     load = reach(network) * DESIGN_ACCELERATION * ACROSS
-    wanted = math.sqrt(load / (settings.stretch * float(np.median(lengths))))
+    wanted = math.sqrt(load / (settings.stretch * edge))
     return min(max(wanted, MIN_STEPS), MAX_STEPS)
 
 
@@ -139,20 +114,9 @@ def stepped(made: FloatArray, passages: IntArray | None = None) -> State:
         number = int(np.argmax(np.where(np.isnan(far), np.inf, far).max(axis=-1)))
         message = f"the simulation blew up: particle {number} is at "
         message += f"{np.array2string(made[0, number], precision=3)} m"
-        hint = "lower its frequency, bend, shear, gravity, wind or drag"
+        hint = "lower its frequency, bend, diagonals, gravity, wind or drag"
         raise ToleranceError(Fault("SIM102", message, hint=hint))
     return State(made[0], made[1], nowhere() if passages is None else passages)
-
-
-class Stepper(Protocol):
-    """Carries particles over frames."""
-
-    thickness: float  # that it keeps from itself [m]; 0 where it does not
-
-    def cross(
-        self, state: State, motions: Motions, span: float, substeps: int
-    ) -> State:
-        """Return the state a frame later [s], with so many steps in each cell."""
 
 
 def cells_of(steps: int) -> tuple[int, int]:
@@ -168,91 +132,79 @@ def cells_of(steps: int) -> tuple[int, int]:
     return min(every, key=math.prod)
 
 
-class SheetStepper:
-    """Carries any network: springs one after the other, each once a step."""
+class Stepper:
+    """Carries one attachment over frames, in small steps of xpbd.
 
-    def __init__(
-        self, network: Network, settings: Settings, down: FloatArray, tally: Tally
-    ) -> None:
+    Springs along strands are solved together, others each once a step, in order.
+
+    Attributes:
+        thickness: What cloth keeps from itself [m]; 0 where it does not.
+        tally: What happened so far.
+    """
+
+    def __init__(self, network: Network, settings: Settings, down: FloatArray) -> None:
         """Make what kernels take; down is the direction of gravity ``(3,)``."""
-        self.network, self.tally, self._settings = network, tally, settings
-        self.thickness = thickness_of(network, settings)
-        masses = masses_of(network)
-        inverse = 1.0 / masses
-        inverse[network.held] = 0.0
-        drawn = network.free if settings.frequency else network.free[:0]
-        draws = Draws(
-            drawn,
-            masses[drawn] * settings.frequency**2,
-            masses[drawn] * (2 * settings.options.damping * settings.frequency),
-        )
-        # Cloth feels the air by its triangles, other things by their speed alone.
-        self._wind, cloth = np.array(settings.options.wind), len(network.triangles) > 0
-        slowing = 0.0 if cloth else settings.options.drag
-        pressure = AIR * settings.options.drag if cloth else 0.0
-        self._loads = Loads(
-            inverse,
-            np.full(network.count, slowing),
-            _springs(network, settings, masses, inverse),
-            network.triangles,
-            settings.options.gravity * down + slowing * self._wind,
-            (pressure, pressure / 2),
-            network.held,
-            draws,
-        )
-        self._torn = np.zeros(len(self._loads.springs.rest), np.uint8)
-        self._ready: tuple[int, float, _kernels.SpringNetwork] | None = None
-        self._layers: _kernels.SpringLayers | None = None
+        self.thickness, self.tally = thickness_of(network, settings), Tally()
+        self._network, self._settings = network, settings
+        if network.strands:
+            self._strands = _strands(network, settings, down)
+        else:
+            self._system = _system(network, settings, down, self.thickness)
 
     def cross(
-        self, state: State, motions: Motions, span: float, substeps: int
+        self,
+        state: State,
+        path: FloatArray,
+        met: CellColliders,
+        span: float,
+        substeps: int,
     ) -> State:
-        """Return the state a frame later."""
-        cells = motions.cells
-        both = np.stack([state.positions, state.velocities])
-        network = self._led(motions, span)
-        if self.thickness and self._layers is None:
-            contact = SelfContact(self.thickness, self._settings.options.friction)
-            self._layers = spring_layers(network, contact, self.network.points)
-        most = substeps if self._settings.options.rate else FINER * substeps
-        while True:
-            outputs = _kernels.project_springs(
-                network, both, self._torn, 0.0, 0, span / cells, cells,
-                substeps, 0, substeps, most, self._settings.stretch,
-                motions.colliders, self._layers, state.passages,
-            )  # fmt: skip
-            reached, _, _, _, _, _, touched, inside, passages, through, _ = outputs
-            substeps *= 2
-            if substeps > most or len(passages) <= len(state.passages):
-                break
-        state = stepped(reached, passages)
-        self.tally.add(self._stretch(reached[0]), touched, inside, Through(*through))
-        return state
+        """Return the state a frame later.
 
-    def _led(self, motions: Motions, span: float) -> _kernels.SpringNetwork:
-        """Return the network on its way through a frame."""
-        held, drawn = (
-            np.ascontiguousarray(motions.targets[:, rows])
-            for rows in (self.network.held, self._loads.draws.particles)
-        )
-        if self._ready is not None and self._ready[:2] == (motions.cells, span):
-            network = self._ready[2]
-            network.lead(held, drawn)
-            return network
-        knots = np.linspace(0.0, span, motions.cells + 1)
-        paths = Paths(knots, held, drawn, self._wind[None, None])
-        network = self._loads.network(paths)
-        self._ready = motions.cells, span, network
-        return network
+        Args:
+            state: At its begin.
+            path: Particles as they are animated at the ends of even cells of it
+                ``(K, N, 3)`` [m].
+            met: What they meet in these.
+            span: Its length [s].
+            substeps: In each cell.
+        """
+        both = np.stack([state.positions, state.velocities])
+        if self._network.strands:
+            made, touched, inside, stretch = _kernels.follow_strands(
+                self._strands, path, both, span, substeps, met, threads_allowed()
+            )
+            self.tally.add(stretch, touched, inside)
+            return stepped(made)
+        cells, system = len(path) - 1, self._system
+        system.lead(span, path)
+        network = system.network(0)
+        most = substeps if self._settings.options.rate else FINER * substeps
+        # Of cloth springs that hardly give are brought back, too.
+        stretch = self._settings.stretch
+        limit = stretch if len(self._network.triangles) else 0.0
+        while True:
+            begun = SpringState(
+                both, system.whole, substeps, substeps, passages=state.passages
+            )
+            grid = Grid(Solver.XPBD, 0.0, span / cells, 0, begun)
+            grid = projected(
+                network, grid, cells, met, system.layers, stretch, most, limit
+            )
+            passages = grid.state.passages
+            if grid.state.substeps >= most or len(passages) <= len(state.passages):
+                break
+            substeps = most
+        motion = grid.state.motion
+        longest = self._stretch(motion[0])
+        self.tally.add(longest, grid.touching, grid.unresolved, grid.through)
+        return stepped(motion, passages)
 
     def _stretch(self, x: FloatArray) -> float:
-        links = self.network.stiff
-        i, j = links.ends.T
-        weights = self._loads.inverse_masses
-        counted = (weights[i] + weights[j] > 0) & (links.rests > 0)
-        lengths = np.linalg.norm(x[j[counted]] - x[i[counted]], axis=1)
-        longer = lengths / links.rests[counted] - 1
-        return float(longer.max(initial=0.0))
+        rests, (i, j) = self._network.rests, self._network.sides.T
+        moved = ~(self._system.fixed[i] & self._system.fixed[j]) & (rests > 0)
+        lengths = np.linalg.norm(x[j[moved]] - x[i[moved]], axis=1)
+        return float((lengths / rests[moved] - 1).max(initial=0.0))
 
 
 def thickness_of(network: Network, settings: Settings) -> float:
@@ -264,35 +216,60 @@ def thickness_of(network: Network, settings: Settings) -> float:
     return min(settings.radius or math.inf, THICK * typical_edge(network))
 
 
-def masses_of(network: Network) -> FloatArray:
-    """Return masses of the particles ``(N,)`` [kg]: of cloth those of its area."""
-    corners = network.triangles
-    if not len(corners):
-        return np.ones(network.count)
-    a, b, c = (network.points[corners[:, k]] for k in range(3))
-    areas = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
-    thirds = np.repeat(areas * (CLOTH_WEIGHT / 3), 3)
-    masses = np.bincount(corners.ravel(), thirds, network.count)
-    # Faces without area leave some particles none.
-    least = MIN_SHARE * float(masses.max(initial=0.0))
-    return np.maximum(masses, least if least > 0 else 1.0)
+def _system(
+    network: Network, settings: Settings, down: FloatArray, thickness: float
+) -> SpringSystem:
+    """Return a network as a system of springs, held and drawn where it is at rest."""
+    options, body = settings.options, network.body(settings.diagonals, settings.bend)
+    drawn = network.free if settings.frequency else network.free[:0]
+    masses, omega = body.masses[drawn], 2 * math.pi * settings.frequency
+    # Cloth feels the air by its triangles, other things by their speed alone.
+    wind, cloth = np.array(options.wind), len(network.triangles) > 0
+    slowing = 0.0 if cloth else options.drag
+    return SpringSystem(
+        body,
+        pins=Pins(network.held),
+        targets=Targets(
+            drawn,
+            body.positions[drawn],
+            masses * omega**2,
+            masses * (2 * options.ratio * omega),
+        ),
+        gravity=options.gravity * down + slowing * wind,
+        drag=slowing,
+        air=Air(wind, options.drag, options.drag / 2) if cloth else None,
+        self_contact=SelfContact(thickness, options.friction) if thickness else None,
+    )
 
 
-def _springs(
-    network: Network, settings: Settings, masses: FloatArray, inverse: FloatArray
-) -> Springs:
-    """Return springs in the order in which kernels go through them."""
-    families = []
-    for links, pull in (
-        (network.stiff, STIFF),
-        (network.shears, settings.shear),
-        (network.folds, settings.bend),
-    ):
-        i, j = links.ends.T
-        kept = (inverse[i] + inverse[j] > 0) & (pull > 0)
-        stiffness = pull**2 * (masses[i] + masses[j])[kept] / 2
-        none, never = np.zeros_like(stiffness), np.full_like(stiffness, np.inf)
-        own = links.ends[kept], links.rests[kept], stiffness
-        families.append(Springs(*own, damping=none, limit=never))
-    every = Springs.joined([Springs.none(), *families])
-    return every.select(_kernels.spring_order(every.ends, network.count))
+def _strands(
+    network: Network, settings: Settings, down: FloatArray
+) -> _kernels.SpringStrands:
+    """Return strands as kernels take them; chains have no folds."""
+    options, omega = settings.options, 2 * math.pi * settings.frequency
+    bends, strands = network.lengths(network.bends), network.strands
+    springs = network.count // strands - 1
+    if not len(bends):
+        bends = np.zeros(strands * max(springs - 1, 0))
+    return _kernels.SpringStrands(
+        network.rests.reshape(strands, springs),
+        bends.reshape(strands, max(springs - 1, 0)),
+        gravity=options.gravity * down + options.drag * np.array(options.wind),
+        drag=options.drag,
+        stiffness=RIGID**2,
+        fold_stiffness=(2 * math.pi * settings.bend) ** 2,
+        draw_stiffness=omega**2,
+        draw_damping=2 * options.ratio * omega,
+        stretch=settings.stretch,
+    )
+
+
+def threads_allowed() -> int:
+    """Return how many threads loops may have: ``OMP_NUM_THREADS``, else processors.
+
+    Processes of a batch have that set to 1, as many run as there are processors.
+    """
+    given = os.environ.get("OMP_NUM_THREADS", "")
+    if given.isdecimal() and int(given) > 0:
+        return int(given)
+    return os.cpu_count() or 1

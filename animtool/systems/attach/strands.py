@@ -1,14 +1,12 @@
-"""Strands and chains over one frame: lines of particles, and turns of joints."""
+"""Chains of joints that point where they were moved, and colliders of joints."""
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from animtool import _kernels
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.maths import so3
 from animtool.rig.kinematics import WorldTransforms, bind_world
@@ -16,9 +14,13 @@ from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.skeleton import Joint, JointType, Rig
 from animtool.sim.colliders import Capsule, Collider, Colliders
 from animtool.sim.colliders.on_joints import Capsules
-from animtool.systems.attach.network import Links, Network
-from animtool.systems.attach.settings import Settings
-from animtool.systems.attach.stepping import STIFF, Motions, State, Tally, stepped
+from animtool.systems.framework.meter import Solid
+from animtool.systems.springs.contacts import (
+    Carried,
+    CellColliders,
+    Cells,
+    cell_colliders,
+)
 
 # Bones shorter than this [m] point nowhere.
 SHORTEST = 1e-9
@@ -26,64 +28,6 @@ SHORTEST = 1e-9
 DEPENETRATION = 1.0
 # What is deeper than this after every push [m] is left inside.
 UNRESOLVED = 1e-3
-
-
-def threads_allowed() -> int:
-    """Return how many threads loops may have: ``OMP_NUM_THREADS``, else processors.
-
-    Processes of a batch have that set to 1, as many run as there are processors.
-    """
-    given = os.environ.get("OMP_NUM_THREADS", "")
-    if given.isdecimal() and int(given) > 0:
-        return int(given)
-    return os.cpu_count() or 1
-
-
-class StrandStepper:
-    """Carries strands: springs along each of them are solved together."""
-
-    thickness = 0.0
-
-    def __init__(
-        self, network: Network, settings: Settings, down: FloatArray, tally: Tally
-    ) -> None:
-        """Make what kernels take; down is the direction of gravity ``(3,)``."""
-        self.tally = tally
-        length = network.count // network.strands
-        options = settings.options
-        field = options.gravity * down + options.drag * np.array(options.wind)
-        draw = settings.frequency
-        self._strands = _kernels.SpringStrands(
-            _rests(network.stiff, network.strands, length - 1),
-            _rests(network.folds, network.strands, max(length - 2, 0)),
-            gravity=field,
-            drag=options.drag,
-            stiffness=STIFF**2,
-            fold_stiffness=settings.bend**2,
-            draw_stiffness=draw**2,
-            draw_damping=2 * options.damping * draw,
-            stretch=settings.stretch,
-        )
-
-    def cross(
-        self, state: State, motions: Motions, span: float, substeps: int
-    ) -> State:
-        """Return the state a frame later."""
-        both = np.stack([state.positions, state.velocities])
-        made, touched, inside, stretch = _kernels.follow_strands(
-            self._strands, motions.targets, both, span, substeps, motions.colliders,
-            threads_allowed(),
-        )  # fmt: skip
-        state = stepped(made)
-        self.tally.add(stretch, touched, inside)
-        return state
-
-
-def _rests(links: Links, strands: int, springs: int) -> FloatArray:
-    """Return lengths at rest by strand ``(S, springs)`` [m]; chains have no folds."""
-    if not len(links.rests):
-        return np.zeros((strands, springs))
-    return links.rests.reshape(strands, springs)
 
 
 def least_turns(before: FloatArray, after: FloatArray) -> FloatArray:
@@ -206,55 +150,73 @@ def depth_at_bind(
     return found
 
 
-class CapsuleContacts:
-    """Capsules as kernels meet them, frame by frame."""
+class CarriedColliders:
+    """Capsules and skins of a character, and what of the world is met with them."""
 
     def __init__(
         self,
         capsules: Capsules,
         radii: FloatArray,
-        depths: FloatArray,
+        depths: tuple[FloatArray, Sequence[FloatArray]],
         radius: float,
         friction: float,
+        world: Colliders | None = None,
     ) -> None:
         """Make what does not change from frame to frame.
 
-        Radii ``(C,)`` [m] are in the size of the character; depths ``(C, N)`` [m], at
-        most 0, are how deep particles may be.
+        Radii ``(C,)`` [m] are in the size of the character; depths, at most 0, are how
+        deep particles may be in capsules ``(C, N)``, and in each skin ``(N,)`` [m].
         """
-        self._capsules = capsules
+        self._capsules, self._radius = capsules, radius
+        self._world = world = Colliders(()) if world is None else world
         like = Collider(
             Capsule(1.0, 0.0), friction=friction, depenetration=DEPENETRATION
         )
-        kinds, sizes, *others = Colliders([like] * len(capsules)).arrays(0.0, 0.0)
-        sizes[:, 6] = radii
-        self._kinds, self._sizes, self._others = kinds, sizes, others
-        self._rest = radius, depths, UNRESOLVED
+        every = [*world, *([like] * len(capsules))]
+        self._colliders = Colliders(every, world.sheets, world.bodies)
+        first = len(world)
+        self._sizes = self._colliders.arrays(0.0, 0.0)[1][first : len(every)].copy()
+        self._sizes[:, 6] = radii
+        self._allowed, skins = depths
+        rigid = np.zeros((self._colliders.rigid, self._allowed.shape[1]))
+        rigid[first : len(every)] = self._allowed
+        self._depths = np.concatenate([rigid, *(one[None] for one in skins)])
 
-    def depths(self, world: WorldTransforms, points: FloatArray) -> FloatArray:
+    def depths(
+        self, world: WorldTransforms, points: FloatArray, t: float
+    ) -> FloatArray:
         """Return how much deeper than they may be points are at the last pose ``(N,)``.
 
-        In the capsule that they are deepest in [m]; below 0 outside of all.
+        In the collider that they are deepest in, as that is at a time [s] [m]; below 0
+        outside of all.
         """
         deepest = np.full(len(points), -np.inf)
-        placed, radius = self._capsules.placed(world)[-1], self._rest[0]
-        radii, allowed = self._sizes[:, 6], self._rest[1] + radius
-        for c, ends in enumerate(placed):
+        if self._world.rigid:
+            deepest = -self._world.sample(points, t).distances.min(axis=0)
+        radii, allowed = self._sizes[:, 6], self._allowed + self._radius
+        for c, ends in enumerate(self._capsules.placed(world)[-1]):
             inside = np.minimum(allowed[c], 0.0) - depth(points, ends, radii[c])[0]
             np.maximum(deepest, inside, out=deepest)
         return deepest
 
+    def solids(self, t: float) -> list[Solid]:
+        """Return the closed surfaces of the world at a time [s]."""
+        return [
+            Solid(one.motion.points(t), one.motion.triangles(t))
+            for one in self._world.sheets
+            if one.closed
+        ]
+
     def over(
-        self, world: WorldTransforms, surfaces: Sequence[Any] = ()
-    ) -> tuple[Any, ...] | None:
+        self, world: WorldTransforms, cells: Cells, skins: Sequence[Any] = ()
+    ) -> CellColliders:
         """Return what kernels take for the cells between K poses; None without any.
 
-        With it surfaces that move, as kernels take these.
+        With it skins in motion, as kernels take these.
         """
-        if not len(self._capsules) and not surfaces:
-            return None
         rows, ends = self._capsules.turned(world)
         sizes = self._sizes.copy()
         sizes[:, :6] = ends.reshape(-1, 6)
         poses = np.stack([rows[:-1], rows[1:]], axis=2)
-        return (self._kinds, sizes, *self._others), poses, *self._rest, surfaces
+        carried = Carried(sizes, poses, self._depths, skins, UNRESOLVED)
+        return cell_colliders(self._colliders, self._radius, cells, carried)

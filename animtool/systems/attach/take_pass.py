@@ -21,8 +21,9 @@ from animtool.core.errors import (
 )
 from animtool.core.record import dataclass
 from animtool.motion.motion import Motion
-from animtool.motion.passes import Pass, PassContext, Scope, TakePart
+from animtool.motion.passes import Around, Pass, PassContext, Scope, TakePart
 from animtool.motion.take import TakeStream
+from animtool.sim.colliders import Colliders
 from animtool.systems.attach.actor import Actor
 from animtool.systems.attach.bodies import Body, ChainBody, SurfaceBody, bodies_of
 from animtool.systems.attach.network import surface_problems
@@ -182,7 +183,7 @@ def _of_start(actor: Actor) -> list[Fault]:
         message = f"{name}: {listed(odd)}; it is simulated all the same"
         said.append(Fault("SIM106", message, severity=Severity.NOTE))
     if actor.lost:
-        every = actor.lost == len(network.stiff.rests)
+        every = actor.lost == len(network.sides)
         which = "every spring" if every else counted(actor.lost, "spring")
         message = f"{name}: the ends of {which} are at one place in the first pose"
         hint = "with no direction they pull nothing until something parts them"
@@ -228,7 +229,7 @@ def _closed(names: str, closing: Closing) -> Fault:
         return Fault("SIM130", message, severity=Severity.NOTE)
     message += f", and {1000 * closing.tolerance:g} mm was asked for"
     hint = "what is left is brought in over the last quarter; raise loop_repeats, or "
-    hint += "the damping or drag of what swings on by chance"
+    hint += "the ratio or drag of what swings on by chance"
     return warning("SIM133", message, hint)
 
 
@@ -240,6 +241,7 @@ def simulate(
     early: int = 0,
     keeps: bool = True,
     progress: Callable[[float], None] | None = None,
+    around: Around | None = None,
 ) -> TakeStream:
     """Return a take whose rig's attachments move by themselves, block by block.
 
@@ -254,6 +256,8 @@ def simulate(
         early: Frames before the take's own that hold its first; no cycle has them.
         keeps: Whether states that the options ask for are saved.
         progress: Told the share done of each block, 0 to 1.
+        around: Builds characters, systems and meshes that the options name; without it
+            colliders alone are met.
 
     Raises:
         FormatError: Arrays of the rig cannot be read any more or do not fit (RIG018,
@@ -266,6 +270,10 @@ def simulate(
     if not moves(options):
         return stream
     bodies = bodies_of(stream.rig, options.what)
+    span = float(stream.step / stream.fps)
+    world = Colliders(options.colliders)
+    if around is not None and (options.characters or options.systems or options.meshes):
+        stream, world = around(stream, options, early * span)
     start = Fraction(1) if stream.start is None else stream.start
     simulation = Simulation(
         stream.rig,
@@ -277,6 +285,7 @@ def simulate(
         _resumed(bodies, options, folder),
         early,
         progress,
+        world,
     )
     named = [body.mesh.name for body in bodies if isinstance(body, SurfaceBody)]
     return replace(
@@ -361,6 +370,7 @@ def _run(
         early=context.early,
         keeps=context.keeps,
         progress=context.progress,
+        around=context.around,
     )
 
 

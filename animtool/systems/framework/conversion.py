@@ -60,7 +60,13 @@ PASS_UNITS: Mapping[str, Mapping[str, str]] = {
         "damping": "N m s/rad",
         "gravity": "m/s²",
     },
-    "simulate": {"gravity": "m/s²", "wind": "m/s", "teleport_speed": "m/s"},
+    "simulate": {
+        "gravity": "m/s²",
+        "wind": "m/s",
+        "teleport_speed": "m/s",
+        "radius": "m",
+        "thickness": "m",
+    },
 }
 # What points may be coloured by.
 _COLOURS = {

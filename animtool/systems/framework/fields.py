@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from enum import StrEnum
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
@@ -25,6 +25,7 @@ from animtool.documents.fields import (
     with_fields,
 )
 from animtool.documents.forms import Forms
+from animtool.sim.colliders import Collider
 from animtool.sim.contact import Contact, Material
 
 # One name of a table, and its options.
@@ -212,6 +213,18 @@ class SystemColliderModel(PlacedModel, _MaterialModel):
         "`plane`, `sphere`, `capsule`, `box`, `mesh` or `height_field`.",
         {"box": {"size": [2, 0.2, 1]}},
     )
+
+
+class _Entries:
+    """Lets pydantic read colliders of a scene as its systems have them."""
+
+    @staticmethod
+    def __get_pydantic_core_schema__(_: object, handler: Any) -> Any:
+        return handler.generate_schema(list[SystemColliderModel])
+
+
+# Colliders among the options of a pass.
+ColliderEntries = Annotated[Sequence[Collider], _Entries]
 
 
 @with_fields(Contact, "margin", before="mesh")

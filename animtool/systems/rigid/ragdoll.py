@@ -7,10 +7,10 @@ has it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from itertools import combinations
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 
@@ -22,9 +22,9 @@ from animtool.maths import so3
 from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.skeleton import Joint, JointType, Rig
-from animtool.sim.colliders import Capsule, Collider, Poses
+from animtool.sim.colliders import Capsule, Poses
 from animtool.sim.colliders.on_joints import Capsules
-from animtool.systems.framework.fields import SystemColliderModel
+from animtool.systems.framework.fields import ColliderEntries
 from animtool.systems.rigid.bodies import Bodies
 from animtool.systems.rigid.joints import NUMBERS, SWING, Joints, seen_by
 from animtool.systems.rigid.kind import Kind, kind_of
@@ -35,17 +35,6 @@ _TYPES = {
     JointType.FIXED: 0, JointType.PIN: 1, JointType.BALL: 2, JointType.FREE: 2,
     JointType.PRISMATIC: 3,
 }  # fmt: skip
-
-
-class _Entry:
-    """Lets pydantic read colliders of a scene as its systems have them."""
-
-    @staticmethod
-    def __get_pydantic_core_schema__(_: object, handler: Any) -> Any:
-        return handler.generate_schema(list[SystemColliderModel])
-
-
-Entries = Annotated[Sequence[Collider], _Entry]
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +61,7 @@ class RagdollOptions:
     # Downwards along the rig's up axis [m/s²].
     gravity: Annotated[float, within(-LARGEST, "SIM062")] = 9.81
     friction: Annotated[float, within(0.0, "SIM062")] = 0.6  # Coulomb's coefficient [1]
-    colliders: Entries = ()  # what it falls onto
+    colliders: ColliderEntries = ()  # what it falls onto
     step: Annotated[float, within(0.0, "SIM062", 1.0, reached=False)] = 0.005  # [s]
     substeps: Annotated[int, within(1.0, "SIM062", 1000.0)] = 8  # small steps in each
 

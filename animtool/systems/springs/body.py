@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import field, replace
 from typing import NamedTuple, TypeAlias
@@ -98,9 +99,12 @@ def springs_between(
     stiffness = np.full(len(pairs), float(family.stiffness))
     if family.axial_stiffness is not None:
         np.divide(family.axial_stiffness, lengths, out=stiffness, where=lengths > 0)
+    means = masses[pairs].mean(axis=1)
     # Whoever simulates them refuses what float64 does not hold.
     with np.errstate(over="ignore", invalid="ignore"):
-        critical = 2 * np.sqrt(stiffness * masses[pairs].mean(axis=1))
+        if family.frequency is not None:
+            stiffness = (2 * math.pi * family.frequency) ** 2 * means
+        critical = 2 * np.sqrt(stiffness * means)
         damping = family.damping + family.ratio * critical
     limit = np.full(len(pairs), np.inf)
     if family.tear is not None:

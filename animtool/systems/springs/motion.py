@@ -74,6 +74,7 @@ class Grid:
     steps: int = 0
     evaluations: int = 0  # of all springs
     lost: bool = False  # whether a cell could not be crossed
+    touching: int = 0  # particles of xpbd that touched colliders at once, at most
     unresolved: int = 0  # particles left inside colliders, at most
     # What rigid colliders were pushed by in the last cells ``(C, 7)``: impulse, moment
     # about the origin, and the mass that touched each at once, at most.

@@ -23,6 +23,7 @@ class Family:
         damping: [N s/m].
         ratio: Of c = 2 ratio √(k m), on the mean mass m of both ends [1].
         axial_stiffness: Where it is given, `stiffness` is not used.
+        frequency: Likewise: stiffness over the mean mass of both ends is (2 π f)².
     """
 
     stiffness: Annotated[_OfSpring, Key("Force over lengthening [N/m].", 1e4)]
@@ -60,6 +61,15 @@ class Family:
             "In place of `stiffness`: force over strain [N], the same however many "
             "particles there are. A spring gets it divided by its length at rest.",
             5000,
+        ),
+    ] = None
+    frequency: Annotated[
+        float | None,
+        or_more(0, "SIM042"),
+        Key(
+            "In place of `stiffness`: how fast a spring swings back [Hz], whatever the "
+            "mass on its ends is.",
+            10,
         ),
     ] = None
 

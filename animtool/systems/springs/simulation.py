@@ -28,6 +28,7 @@ from animtool.systems.framework.simulation import (
 )
 from animtool.systems.framework.spec import Member
 from animtool.systems.springs.checks import check_options
+from animtool.systems.springs.contacts import LOOK_BACK
 from animtool.systems.springs.losses import DAMPING, Losses
 from animtool.systems.springs.motion import Grid, SpringState
 from animtool.systems.springs.records import Solver, SpringOptions
@@ -46,8 +47,6 @@ STOPS = {"SIM102", "SIM105"}
 # Over how long they were at the beginning, springs that are as long as this are
 # hardly meant: no rope or cloth becomes twice as long [1].
 LONG = 2.0
-# Surfaces of others are asked for from one look before a step on [s].
-LOOK_BACK = 1 / 240
 
 
 class Shown(Protocol):

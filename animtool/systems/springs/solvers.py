@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import pairwise
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 
@@ -14,12 +13,11 @@ from animtool import _kernels
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, OptionError
 from animtool.core.record import dataclass
-from animtool.maths import so3
-from animtool.sim.colliders import Collider, Colliders
 from animtool.sim.integrators.table import find_integrator
 from animtool.sim.modes import allowed_step
 from animtool.systems.framework.tied import TiedStep
 from animtool.systems.springs.checks import check_keeping_apart
+from animtool.systems.springs.contacts import CellColliders, Cells, cell_colliders
 from animtool.systems.springs.motion import MAX_SUBSTEPS, Grid, SpringState, Through
 from animtool.systems.springs.records import Solver, SpringOptions
 from animtool.systems.springs.system import SpringSystem
@@ -40,8 +38,6 @@ TURN, MAX_PARTS = 0.125, 16
 # Where a cell is lost, how many times as many steps are tried; of what works a step is
 # proposed with as much room as this.
 SHORTER, ROOM = (2, 4, 8, 16), 4
-# Particles that are deeper than this are left inside [m].
-INSIDE = 1e-6
 # Cells of time where nothing else is said [s]: whole numbers of them are frames of 24,
 # 30, 48, 60 and 120 a second.
 CELL = 1 / 240
@@ -67,8 +63,6 @@ COSTS = {
 CHAIN_COST = 500e-9
 # Numbers that the ends of springs of a chain lie apart, at most, as kernels have it.
 WIDEST_CHAIN = 4
-# What kernels take of colliders for some cells; None without any.
-CellColliders: TypeAlias = tuple[Any, ...] | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -211,43 +205,9 @@ def _cheapest(
     return Solver.SYMPLECTIC_EULER, f"{limits}, which take {why}"
 
 
-def cell_colliders(
-    colliders: Colliders, radius: float, grid: Grid, cells: int
-) -> CellColliders:
-    """Return what kernels take of colliders for some cells; None without any."""
-    if not colliders.active:
-        return None
-    steps = grid.index + np.arange(cells + 1)
-    edges = np.asarray(grid.origin + steps * grid.cell, np.float64)
-    poses = np.zeros((cells, colliders.rigid, 2, 7))
-    for i, collider in enumerate(colliders):
-        poses[:, i] = _ends(collider, edges)
-    for k, (begin, end) in enumerate(pairwise(edges.tolist())):
-        poses[k, len(colliders) :] = colliders.body_ends(begin, end)
-    at = float(edges[0])
-    arrays = colliders.arrays(at, at)
-    surfaces = colliders.surfaces.over(grid.origin, grid.cell, grid.index, cells)
-    return arrays, poses, radius, None, INSIDE, surfaces
-
-
-def _ends(collider: Collider, edges: FloatArray) -> FloatArray:
-    """Return poses of a collider at both ends of cells ``(cells, 2, 7)``."""
-    moments, rows = collider.poses.moments, collider.poses.rows
-    before = np.clip(np.searchsorted(moments, edges, "right") - 1, 0, len(moments) - 1)
-    after = np.minimum(before + 1, len(moments) - 1)
-    gaps = np.where(after > before, moments[after] - moments[before], 1.0)
-    share = np.clip((edges - moments[before]) / gaps, 0.0, 1.0)
-    jumps = np.append(collider.jumps, False)
-    share = np.where(jumps[before], 0.0, share)[:, None]
-    origins = rows[before, :3] + (rows[after, :3] - rows[before, :3]) * share
-    turns = so3.slerp(rows[before, 3:], rows[after, 3:], share[:, 0])
-    poses = np.concatenate([origins, turns], axis=1)
-    ends = np.stack([poses[:-1], poses[1:]], axis=1)
-    # One that is put elsewhere within a cell is there from its beginning.
-    crossed = np.cumsum(np.append(0, jumps))[before]
-    jumped = crossed[1:] > crossed[:-1]
-    ends[jumped, 0] = ends[jumped, 1]
-    return ends
+def _met(system: SpringSystem, grid: Grid, count: int) -> CellColliders:
+    cells = Cells(grid.origin, grid.cell, grid.index, count)
+    return cell_colliders(system.colliders, system.radius, cells)
 
 
 def advance(
@@ -257,11 +217,15 @@ def advance(
     if system.ties is not None and cells:
         return _tied(system, grid, system.ties)
     network = system.network(system.jumps.stage_of(grid))
-    met = cell_colliders(system.colliders, system.radius, grid, cells)
+    met = _met(system, grid, cells)
     if grid.solver is Solver.SYMPLECTIC_EULER:
         return _explicit(network, grid, cells, met)
     if grid.solver is Solver.XPBD:
-        return _projected(network, grid, cells, met, system.layers, options)
+        shortest = SHORTEST_OF_AUTO if options.solver == Solver.AUTO else SHORTEST
+        most = int(min(grid.cell / shortest, LONG_CELL))
+        return projected(
+            network, grid, cells, met, system.layers, options.stretch, most
+        )
     return _implicit(network, grid, cells, met, SOLVED * system.spacing)
 
 
@@ -277,31 +241,40 @@ def _explicit(
     return grid.crossed(cells, made, steps, steps, inside, pushes)
 
 
-def _projected(
+def projected(
     network: _kernels.SpringNetwork,
     grid: Grid,
     cells: int,
     met: CellColliders,
     layers: _kernels.SpringLayers | None,
-    options: SpringOptions,
+    stretch: float,
+    most: int,
+    limit: float = 0.0,
 ) -> Grid:
+    """Return where a motion is some cells later, in steps of xpbd.
+
+    A cell in which springs are longer by more than the stretch [1], and not by their
+    own give, is crossed in more steps, the ``most`` at most. Within a ``limit`` above 0
+    springs that hardly give are brought back each step [1].
+    """
     state = grid.state
-    shortest = SHORTEST_OF_AUTO if options.solver == Solver.AUTO else SHORTEST
-    most = max(state.least, int(min(grid.cell / shortest, LONG_CELL)))
     (
-        motion, torn, substeps, calm, stretch, steps, _, inside, passages, through,
-        pushes,
+        motion, torn, substeps, calm, longest, steps, touched, inside, passages,
+        through, pushes,
     ) = _kernels.project_springs(
         network, state.motion, state.torn, grid.origin, grid.index, grid.cell, cells,
-        state.substeps, state.calm, state.least, most, options.stretch, met, layers,
-        state.passages,
+        state.substeps, state.calm, state.least, max(state.least, most), stretch, met,
+        layers, state.passages, limit,
     )  # fmt: skip
     made = SpringState(
         motion, torn, substeps, state.least, calm, state.before, passages
     )
-    crossed = grid.crossed(cells, made, steps, steps, inside, pushes)
-    max_through = grid.through.with_more(Through(*through))
-    return replace(crossed, through=max_through, stretch=max(grid.stretch, stretch))
+    return replace(
+        grid.crossed(cells, made, steps, steps, inside, pushes),
+        through=grid.through.with_more(Through(*through)),
+        stretch=max(grid.stretch, longest),
+        touching=max(grid.touching, touched),
+    )
 
 
 def _tied(system: SpringSystem, grid: Grid, ties: Ties) -> Grid:
@@ -335,7 +308,7 @@ def working_step(system: SpringSystem, grid: Grid) -> float | None:
             if not _in_parts(system, grid, ties, steps, k * MAX_PARTS).lost:
                 return min(one.step for one in ties.carriers) / (ROOM * k)
         return None
-    met = cell_colliders(system.colliders, system.radius, grid, 1)
+    met = _met(system, grid, 1)
     network, size = system.network(system.jumps.stage_of(grid)), system.spacing
     for k in SHORTER:
         fine = replace(begun, substeps=k * begun.substeps, before=None)
@@ -382,7 +355,7 @@ def _tied_part(
     t0, t1 = grid.time, grid.origin + (grid.index + 1) * grid.cell
     stage = system.jumps.stage_of(grid)
     network, held, drawn = system.cell_network(stage, t0, t1)
-    met = cell_colliders(system.colliders, system.radius, grid, 1)
+    met = _met(system, grid, 1)
     columns = np.concatenate([tie.columns for tie in ties.ties])
     share = ((system.cell_knots(stage, t0, t1) - t0) / (t1 - t0))[:, None, None]
 

@@ -185,6 +185,24 @@ class SpringSystem(SecondOrder):
         """Return what kernels step, after some of the jumps of pins and targets."""
         return self._stage(stage).network
 
+    def lead(self, span: float, path: FloatArray) -> None:
+        """Take pins and targets over a span [s], straight between even times of it.
+
+        At these all particles are to be at ``path`` ``(K, N, 3)`` [m].
+        """
+        knots = np.linspace(0.0, span, len(path))
+        pins, targets = (
+            (knots, np.ascontiguousarray(path[:, rows]))
+            for rows in (self.pinned, self.draws.particles)
+        )
+        before, self._ways = self._ways, (pins, targets)
+        if self._staged is None or not np.array_equal(before[0][0], knots):
+            self._staged = None
+            return
+        network = self._staged[1].network
+        network.lead(pins[1], targets[1])
+        self._staged = 0, _Stage(pins, targets, network)
+
     def _stage(self, number: int) -> _Stage:
         if self._staged is None or self._staged[0] != number:
             pins, targets = self.jumps.paths(number) if len(self.jumps) else self._ways

@@ -9,8 +9,9 @@ neither of its ends where it goes through it: edges of the cloth through triangl
 skin and of cloth, and edges of the skin through triangles of cloth, each pair once. A
 point is inside the skin where it is behind a nearest triangle and the winding number of
 all of them is over a half, as deep as that triangle is far. Strain is how much longer
-or shorter sides of faces are than those of the mesh at ``--rest``, a time code, or in
-the default pose where none is named.
+or shorter sides of faces are than those of the mesh of the file ``--rest``, or at the
+first time code where none is named; sides between two of its ``pins`` are as the
+animation has them, and not looked at.
 """
 
 from __future__ import annotations
@@ -188,8 +189,12 @@ def measure(
     garment, body = named[cloth], named.get(skin)
     times = garment.mesh.GetPointsAttr().GetTimeSamples()
     rest = garment.points(Usd.TimeCode(times[0]))
+    sides = garment.sides
     if rest_of is not None:
-        rest = np.load(rest_of)["points"]
+        with np.load(rest_of) as archive:
+            rest = archive["points"]
+            held = np.isin(sides, archive["pins"]) if "pins" in archive else sides < 0
+        sides = sides[~held.all(axis=1)]
     rows: list[tuple[float, ...]] = []
     for time in times:
         x = garment.points(Usd.TimeCode(time))
@@ -203,7 +208,7 @@ def measure(
             through[0] = pierced(x, garment.edges, y, body.triangles)
             through[1] = pierced(y, body.edges[about], x, garment.triangles)
             deep = depths(x, y, body.triangles)
-        strain = np.abs(strains(x, rest, garment.sides))
+        strain = np.abs(strains(x, rest, sides))
         rows.append(
             (
                 time,

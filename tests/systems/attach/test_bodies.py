@@ -45,6 +45,6 @@ def test_what_is_held_goes_with_the_joint_of_most_of_its_weight(
     )
     surface: Any = SimpleNamespace(skin=skin)
     points = np.eye(4, 3)
-    network = Network.of(points, np.array(held, np.int64), np.array([[0, 1]]))
+    network = Network(points, np.array(held, np.int64), np.array([[0, 1]]))
     assert _carrier(Rig("tail", JOINTS), surface, network) == carrier
     assert _carrier(Rig("tail", JOINTS), SimpleNamespace(skin=None), network) == 0

@@ -7,6 +7,7 @@ from numpy.testing import assert_allclose
 
 from animtool.maths.faces import edges
 from animtool.systems.attach.network import (
+    RIGID,
     Network,
     diagonals_of_faces,
     folds_of_faces,
@@ -27,11 +28,11 @@ def grid(size: int) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
 def test_springs_of_a_grid() -> None:
     size = 5
     points, faces = grid(size)
-    sides = Network.of(points, np.array([0]), edges(*faces)).stiff
+    sides = Network(points, np.array([0]), edges(*faces))
     assert len(sides.rests) == 2 * size * (size - 1)
     assert_allclose(sides.rests, 1.0)
     assert len(diagonals_of_faces(*faces)) == 2 * (size - 1) ** 2
-    folds = Network.of(points, np.array([0]), folds_of_faces(*faces)).stiff
+    folds = Network(points, np.array([0]), folds_of_faces(*faces))
     assert_allclose(folds.rests, 2.0)
     assert len(folds.rests) == 2 * size * (size - 2)
 
@@ -39,13 +40,16 @@ def test_springs_of_a_grid() -> None:
 def test_the_farthest_particle() -> None:
     points, faces = grid(4)
     sides = edges(*faces)
-    assert reach(Network.of(points, np.array([0]), sides)) == 6
-    assert reach(Network.of(points, np.arange(4), sides)) == 3
-    assert reach(Network.of(points, np.array([], np.int64), sides)) == 6
+    assert reach(Network(points, np.array([0]), sides)) == 6
+    assert reach(Network(points, np.arange(4), sides)) == 3
+    assert reach(Network(points, np.array([], np.int64), sides)) == 6
 
 
 def test_another_size() -> None:
     points, faces = grid(3)
-    network = Network.of(points, np.array([0]), edges(*faces)).scaled(2.5)
-    assert_allclose(network.stiff.rests, 2.5)
-    assert_allclose(network.points, 2.5 * points)
+    network = Network(2.5 * points, np.array([0]), edges(*faces))
+    assert_allclose(network.rests, 2.5)
+    springs = network.body(20.0, 0.0).springs
+    assert_allclose(springs.rest, 2.5)
+    assert len(springs.rest) == len(network.sides)
+    assert_allclose(springs.stiffness, RIGID**2 * network.masses[0])

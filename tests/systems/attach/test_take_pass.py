@@ -36,7 +36,7 @@ RIGS = {"chain": tail_rig(3, 0.2), "strands": strands_rig(), "cloth": sheet_rig(
 LOOSE = {"frequency": 0.0, "drag": 0.0, "settle": 0.0, "bend": 0.0}
 
 # Comes round soon.
-CALM = {"drag": 6.0, "damping": 0.7, "frequency": 2.0}
+CALM = {"drag": 6.0, "ratio": 0.7, "frequency": 2.0}
 
 
 def swing(t: np.ndarray) -> np.ndarray:
@@ -85,7 +85,7 @@ def test_two_bones_swing_as_a_double_pendulum() -> None:
 def test_a_bone_sags_as_far_as_its_draw_lets_it(frequency: float) -> None:
     length = 0.5
     take = take_of(tail_rig(1, length), 24, 0.5)
-    found, _ = simulated(take, frequency=frequency, damping=1.0, settle=5.0)
+    found, _ = simulated(take, frequency=frequency, ratio=1.0, settle=5.0)
     expected = math.atan(GRAVITY / ((2 * math.pi * frequency) ** 2 * length))
     end = moved(found)[-1, 1]
     assert math.atan2(-end[1], end[0]) == pytest.approx(expected, abs=1e-3)
@@ -340,7 +340,7 @@ def test_every_fault_at_once() -> None:
     with pytest.raises(OptionError) as caught:
         simulated(
             take,
-            damping=-1.0,
+            ratio=-1.0,
             radius="5 furlongs",
             weight=2.0,
             lead="leap",

@@ -20,7 +20,7 @@ EDGE = 0.3 / (SIZE - 1)
 THICKNESS = 0.4 * EDGE
 # One corner is held, and the rest falls into folds that the post turns in.
 RIG = sheet_rig(SIZE, (0,))
-OPTIONS = {"settle": 0.0, "bend": 0.5, "shear": 5.0, "rate": 2400.0}
+OPTIONS = {"settle": 0.0, "bend": 0.5, "diagonals": 5.0, "rate": 2400.0}
 
 
 def triangles(rig: Rig) -> np.ndarray:
@@ -52,7 +52,7 @@ def test_cloth_in_folds_keeps_its_thickness() -> None:
     # Without a thickness it has one by its edges; without contact it is in a tangle.
     assert crossings(found) == 0
     assert crossings(simulated(whirled(), **OPTIONS)[0]) == 0
-    assert crossings(simulated(whirled(), self_contact=False, **OPTIONS)[0]) > 100
+    assert crossings(simulated(whirled(), self_contact=False, **OPTIONS)[0]) > 40
 
 
 def test_in_blocks_or_from_a_saved_frame_it_moves_the_same(tmp_path: Path) -> None:

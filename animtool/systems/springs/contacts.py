@@ -1,0 +1,93 @@
+"""What particles meet over cells of time, as kernels take it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import Any, NamedTuple, TypeAlias
+
+import numpy as np
+
+from animtool.core.array_types import FloatArray
+from animtool.core.record import dataclass
+from animtool.maths import so3
+from animtool.sim.colliders import Collider, Colliders
+
+# Surfaces of others are asked for from one look before a step on [s].
+LOOK_BACK = 1 / 240
+# Particles that are deeper than this are left inside [m].
+INSIDE = 1e-6
+# What kernels take of colliders for some cells; None without any.
+CellColliders: TypeAlias = tuple[Any, ...] | None
+
+
+@dataclass(frozen=True, slots=True)
+class Cells:
+    """Even cells of time."""
+
+    origin: float  # where the first of all begins [s]
+    length: float  # of each [s]
+    index: int  # of the first of these
+    count: int
+
+
+class Carried(NamedTuple):
+    """The last C colliders, where joints carry them, and skins, over cells of time."""
+
+    sizes: FloatArray  # ``(C, 13)`` [m], as kernels have them
+    poses: FloatArray  # at both ends of each cell ``(cells, C, 2, 7)``
+    # How deep particles may be in each of the rigid colliders, and in skins, at most 0
+    # ``(R, N)`` [m].
+    depths: FloatArray
+    skins: Sequence[Any]  # surfaces as kernels take them, before others
+    inside: float  # particles that are deeper are left inside [m]
+
+
+def cell_colliders(
+    colliders: Colliders, radius: float, cells: Cells, carried: Carried | None = None
+) -> CellColliders:
+    """Return what kernels take of colliders for some cells; None without any."""
+    if not colliders.active and (carried is None or not carried.skins):
+        return None
+    origin, index, count = cells.origin, cells.index, cells.count
+    steps = index + np.arange(count + 1)
+    edges = np.asarray(origin + steps * cells.length, np.float64)
+    poses = np.zeros((count, colliders.rigid, 2, 7))
+    placed = len(colliders) - (0 if carried is None else len(carried.sizes))
+    for i in range(placed):
+        poses[:, i] = _ends(colliders[i], edges)
+    for k, (begin, end) in enumerate(pairwise(edges.tolist())):
+        poses[k, len(colliders) :] = colliders.body_ends(begin, end)
+    at = float(edges[0])
+    arrays = colliders.arrays(at, at)
+    surfaces = colliders.surfaces.over(origin, cells.length, index, count)
+    if carried is None:
+        return arrays, poses, radius, None, INSIDE, surfaces
+    kinds, sizes, *others = arrays
+    sizes = sizes.copy()
+    sizes[placed : len(colliders)] = carried.sizes
+    poses[:, placed : len(colliders)] = carried.poses
+    arrays, surfaces = (kinds, sizes, *others), [*carried.skins, *surfaces]
+    rows = colliders.rigid + len(surfaces) - len(carried.depths)
+    depths = np.pad(carried.depths, ((0, rows), (0, 0)))
+    return arrays, poses, radius, depths, carried.inside, surfaces
+
+
+def _ends(collider: Collider, edges: FloatArray) -> FloatArray:
+    """Return poses of a collider at both ends of cells ``(cells, 2, 7)``."""
+    moments, rows = collider.poses.moments, collider.poses.rows
+    before = np.clip(np.searchsorted(moments, edges, "right") - 1, 0, len(moments) - 1)
+    after = np.minimum(before + 1, len(moments) - 1)
+    gaps = np.where(after > before, moments[after] - moments[before], 1.0)
+    share = np.clip((edges - moments[before]) / gaps, 0.0, 1.0)
+    jumps = np.append(collider.jumps, False)
+    share = np.where(jumps[before], 0.0, share)[:, None]
+    origins = rows[before, :3] + (rows[after, :3] - rows[before, :3]) * share
+    turns = so3.slerp(rows[before, 3:], rows[after, 3:], share[:, 0])
+    poses = np.concatenate([origins, turns], axis=1)
+    ends = np.stack([poses[:-1], poses[1:]], axis=1)
+    # One that is put elsewhere within a cell is there from its beginning.
+    crossed = np.cumsum(np.append(0, jumps))[before]
+    jumped = crossed[1:] > crossed[:-1]
+    ends[jumped, 0] = ends[jumped, 1]
+    return ends
