@@ -1,0 +1,6 @@
+"""FBX: what moves in it, and how it is read.
+
+References: Autodesk, *FBX SDK documentation*: "Computing transformation matrices",
+`FbxAnimCurve`, `FbxAnimLayer`, `FbxCluster`, `FbxBlendShapeChannel`; the layout of
+binary files after the Blender Foundation's description, *FBX binary file format* (2013).
+"""

@@ -1,0 +1,186 @@
+"""Binary FBX: records of elements, with 32-bit offsets, or 64-bit ones from 7500 on."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from typing import Any, NoReturn
+
+import numpy as np
+
+from animtool.core.errors import excerpt
+from animtool.formats.fbx.elements import (
+    MAX_ARRAY_BYTES,
+    MAX_DEPTH,
+    MAX_ELEMENTS,
+    Element,
+)
+from animtool.formats.gltf.places import Notes
+
+MAGIC = b"Kaydara FBX Binary  \x00"
+HEADER = 27
+_SCALARS = {
+    "Y": struct.Struct("<h"),
+    "I": struct.Struct("<i"),
+    "F": struct.Struct("<f"),
+    "D": struct.Struct("<d"),
+    "L": struct.Struct("<q"),
+    "C": struct.Struct("<B"),
+    "B": struct.Struct("<B"),
+}
+_ARRAYS = {"f": "<f4", "d": "<f8", "l": "<i8", "i": "<i4", "b": "u1", "c": "u1"}
+_SAME = {"I": "<i4", "F": "<f4", "D": "<f8", "L": "<i8"}
+# No deflated byte gives more bytes than this.
+MOST_INFLATED = 1032
+# Lists of single values as long as this are read at once.
+LONG = 12
+
+
+def read_binary(content: bytes, notes: Notes) -> tuple[int, Element]:
+    """Return the version and the root of a binary FBX.
+
+    Raises:
+        FormatError: A length or an offset leads out of its record (FBX002).
+    """
+    if len(content) < HEADER:
+        _fail(notes, len(content), f"the file has {len(content)} bytes: the header ends")
+    if content[22]:
+        message = "the file has big-endian numbers, which are not read"
+        notes.fail("FBX003", "byte 22", message, "export the file again")
+    (version,) = struct.unpack_from("<I", content, 23)
+    return version, _Records(content, version, notes).root()
+
+
+def _fail(notes: Notes, where: int, message: str) -> NoReturn:
+    notes.fail("FBX002", f"byte {where}", message, "export the file again")
+
+
+class _Records:
+    """The records of a file; nothing is read that is not there."""
+
+    def __init__(self, content: bytes, version: int, notes: Notes) -> None:
+        self.content, self.notes = content, notes
+        wide = version >= 7500
+        self.head = struct.Struct("<QQQB" if wide else "<IIIB")
+        self.count = 0
+        self.array_bytes = 0
+
+    def root(self) -> Element:
+        root = Element("", [], "byte 0")
+        self._children(root, HEADER, len(self.content), 0)
+        return root
+
+    def _children(self, parent: Element, at: int, end: int, depth: int) -> None:
+        while at + self.head.size <= end:
+            stop, count, length, named = self.head.unpack_from(self.content, at)
+            if not stop:
+                return
+            at = self._record(parent, at, (stop, count, length, named), end, depth)
+        if depth == 0 or at > end:
+            _fail(self.notes, at, "the records of the file do not end")
+
+    def _record(
+        self,
+        parent: Element,
+        at: int,
+        head: tuple[int, int, int, int],
+        end: int,
+        depth: int,
+    ) -> int:
+        """Read one record; return where the next is."""
+        stop, count, length, named = head
+        first = at + self.head.size + named
+        if not first <= stop <= end:
+            _fail(self.notes, at, f"a record ends at byte {stop}, outside of its parent")
+        if length > stop - first or count > length:
+            message = f"{count} values of {length} bytes do not fit into their record"
+            _fail(self.notes, at, message)
+        self.count += 1
+        if self.count > MAX_ELEMENTS or depth > MAX_DEPTH:
+            message = f"more than {MAX_ELEMENTS} elements, or {MAX_DEPTH} levels"
+            self.notes.fail("FBX013", f"byte {at}", message)
+        name = self.content[first - named : first].decode("utf-8", "replace")
+        values = self._values(first, count, first + length)
+        element = Element(name, values, f"byte {at}")
+        parent.children.append(element)
+        if first + length < stop:
+            self._children(element, first + length, stop, depth + 1)
+        return stop
+
+    def _values(self, at: int, count: int, end: int) -> list[Any]:
+        whole = self._same(at, count, end)
+        if whole is not None:
+            return [whole]
+        values: list[Any] = []
+        for _ in range(count):
+            if at >= end:
+                _fail(self.notes, at, "values are missing")
+            kind = chr(self.content[at])
+            scalar = _SCALARS.get(kind)
+            if scalar is not None:
+                if at + 1 + scalar.size > end:
+                    _fail(self.notes, at, "a value is cut off")
+                values.append(scalar.unpack_from(self.content, at + 1)[0])
+                at += 1 + scalar.size
+            elif kind in "SR":
+                size = self._number(at + 1, end)
+                if size > end - at - 5:
+                    _fail(self.notes, at, f"text of {size} bytes is cut off")
+                raw = self.content[at + 5 : at + 5 + size]
+                values.append(raw.decode("utf-8", "replace") if kind == "S" else raw)
+                at += 5 + size
+            elif kind in _ARRAYS:
+                value, at = self._array(kind, at, end)
+                values.append(value)
+            else:
+                _fail(self.notes, at, f"{excerpt(repr(kind))} is no type of value")
+        return values
+
+    def _same(self, at: int, count: int, end: int) -> Any:
+        """Return a long list of single numbers of one type; None of others."""
+        kind = chr(self.content[at]) if count >= LONG and at < end else ""
+        if kind not in _SAME:
+            return None
+        rows = np.dtype([("kind", "u1"), ("value", _SAME[kind])])
+        if end - at != count * rows.itemsize:
+            return None
+        found = np.frombuffer(self.content, rows, count, at)
+        return found["value"].copy() if (found["kind"] == ord(kind)).all() else None
+
+    def _number(self, at: int, end: int) -> int:
+        if at + 4 > end:
+            _fail(self.notes, at, "a length is cut off")
+        return int(struct.unpack_from("<I", self.content, at)[0])
+
+    def _array(self, kind: str, at: int, end: int) -> tuple[Any, int]:
+        count, how, size = (self._number(at + 1 + 4 * k, end) for k in range(3))
+        first, dtype = at + 13, np.dtype(_ARRAYS[kind])
+        whole = count * dtype.itemsize
+        if how not in {0, 1}:
+            _fail(self.notes, at, f"{how} is no encoding of an array")
+        stored = size if how else whole
+        if stored > end - first:
+            _fail(self.notes, at, f"an array of {stored} bytes is cut off")
+        if how and whole > size * MOST_INFLATED:
+            message = f"{size} bytes cannot hold an array of {whole} bytes"
+            _fail(self.notes, at, message)
+        self.array_bytes += whole
+        if self.array_bytes > MAX_ARRAY_BYTES:
+            message = f"arrays of more than {MAX_ARRAY_BYTES / 1e6:.0f} MB"
+            self.notes.fail("FBX013", f"byte {at}", message)
+        data: Any = memoryview(self.content)[first : first + stored]
+        if how:
+            data = self._inflated(data, whole, at)
+        return np.frombuffer(data, dtype, count), first + stored
+
+    def _inflated(self, data: memoryview, size: int, at: int) -> bytes:
+        """Return an array inflated, never more than it states."""
+        engine = zlib.decompressobj()
+        try:
+            found = engine.decompress(data, size) if size else b""
+        except zlib.error as error:
+            _fail(self.notes, at, f"an array cannot be inflated: {error}")
+        if len(found) != size:
+            message = f"an array has {len(found)} bytes inflated, and states {size}"
+            _fail(self.notes, at, message)
+        return found

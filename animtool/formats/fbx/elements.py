@@ -1,0 +1,100 @@
+"""The tree of elements that an FBX is, binary or text."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import field
+from typing import Any
+
+import numpy as np
+
+from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.errors import excerpt
+from animtool.core.record import dataclass
+from animtool.formats.gltf.places import Notes
+
+# Elements nest four deep for an object's keys; a file that goes on is no scene.
+MAX_DEPTH = 48
+MAX_ELEMENTS = 3_000_000
+# What arrays of a file take, inflated [bytes].
+MAX_ARRAY_BYTES = 2_000_000_000
+# float32 as some tools write it; a number beyond is none.
+LARGEST = 3.4028234663852886e38
+
+
+@dataclass(slots=True, eq=False)
+class Element:
+    """A named list of values with elements below."""
+
+    name: str
+    values: list[Any]  # int, float, str, bytes, or an array
+    where: str  # byte offset or line
+    children: list[Element] = field(default_factory=list)
+
+    def find(self, name: str) -> Element | None:
+        """Return the first element below with a name."""
+        return next((one for one in self.children if one.name == name), None)
+
+    def all(self, name: str) -> Iterator[Element]:
+        """Yield the elements below with a name."""
+        return (one for one in self.children if one.name == name)
+
+    def text(self, index: int) -> str:
+        """Return a value that is text; empty where it is none."""
+        value = self.values[index] if index < len(self.values) else ""
+        return value if isinstance(value, str) else ""
+
+
+def number(element: Element, index: int, notes: Notes) -> float:
+    """Return a finite number of an element."""
+    value = element.values[index] if index < len(element.values) else None
+    if isinstance(value, np.ndarray) and value.size:
+        value = value.reshape(-1)[0].item()
+    if not isinstance(value, int | float) or not abs(value) <= LARGEST:
+        message = f"{element.name} must be a number, not {excerpt(repr(value))}"
+        notes.fail("FBX005", element.where, message)
+    return float(value)
+
+
+def floats(
+    parent: Element, name: str, notes: Notes, count: int | None = None
+) -> FloatArray | None:
+    """Return the finite numbers of an element below; None where there is none."""
+    element = parent.find(name)
+    if element is None:
+        return None
+    found = np.asarray(_array(element, notes), np.float64)
+    if not (np.abs(found) <= LARGEST).all():
+        notes.fail("FBX005", element.where, f"{name} holds a value that is not finite")
+    if count is not None and len(found) != count:
+        message = f"{name} has {len(found)} numbers, and must have {count}"
+        notes.fail("FBX005", element.where, message)
+    return found
+
+
+def integers(parent: Element, name: str, notes: Notes) -> IntArray | None:
+    """Return the integers of an element below; None where there is none."""
+    element = parent.find(name)
+    if element is None:
+        return None
+    found = _array(element, notes)
+    if found.dtype.kind == "f":
+        whole = np.isfinite(found).all() and (np.abs(found) < 2.0**63).all()
+        if not whole or (found != np.round(found)).any():
+            notes.fail("FBX005", element.where, f"{name} must hold integers")
+    return found.astype(np.int64)
+
+
+def _array(element: Element, notes: Notes) -> Any:
+    """Return the numbers of an element, one array or single values."""
+    values = element.values
+    if len(values) == 1 and isinstance(values[0], np.ndarray):
+        return values[0]
+    if all(isinstance(value, int) and abs(value) < 2**63 for value in values):
+        return np.array(values, np.int64)
+    if all(isinstance(value, int | float) for value in values):
+        try:
+            return np.array(values, np.float64)
+        except OverflowError:
+            pass
+    return notes.fail("FBX005", element.where, f"{element.name} must hold numbers")

@@ -1,0 +1,131 @@
+"""What the layers of a take make of a property, one over the other.
+
+References: Autodesk, *FBX SDK documentation*, `FbxAnimLayer`: blend mode, rotation and
+scale accumulation mode. Rotations that accumulate by layer are composed as if of order
+XYZ, as Maya does; the node's own order counts for the result.
+"""
+
+from __future__ import annotations
+
+from dataclasses import field
+
+import numpy as np
+
+from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.record import dataclass
+from animtool.formats.fbx.angles import XYZ, principal_angles, rotations_of
+from animtool.formats.fbx.curves import Curve
+from animtool.maths import so3
+
+ADDITIVE, OVERRIDE, PASSTHROUGH = range(3)
+TRANSLATION, ROTATION, SCALING = "Lcl Translation", "Lcl Rotation", "Lcl Scaling"
+PERCENT = "DeformPercent"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Layer:
+    """A layer of a take.
+
+    Attributes:
+        name: As in the file.
+        weight: 1 is whole [1].
+        curve: Its weight over time [%]; None is the one above.
+        mode: Additive, override or passthrough.
+        by_layer: Whether rotations accumulate as quaternions.
+        by_product: Whether scales accumulate as products.
+    """
+
+    name: str
+    weight: float = 1.0
+    curve: Curve | None = None
+    mode: int = ADDITIVE
+    by_layer: bool = False
+    by_product: bool = False
+
+    def weights(self, ticks: IntArray) -> FloatArray:
+        """Return its weight at times ``(F,)`` [1]."""
+        if self.curve is None:
+            return np.full(len(ticks), self.weight)
+        return np.clip(self.curve.at(ticks) / 100.0, 0.0, 1.0)
+
+
+@dataclass(slots=True, eq=False)
+class LayerValues:
+    """What a layer says of a property."""
+
+    layer: Layer
+    is_first: bool  # of its take
+    defaults: list[float]  # of parts without a curve
+    curves: list[Curve | None]
+
+    def at(self, ticks: IntArray) -> FloatArray:
+        """Return the values at times ``(F, width)``."""
+        found = np.tile(np.array(self.defaults, np.float64), (len(ticks), 1))
+        for part, curve in enumerate(self.curves):
+            if curve is not None:
+                found[:, part] = curve.at(ticks)
+        return found
+
+    def constant(self) -> FloatArray | None:
+        """Return its values if they never change, else None."""
+        if any(curve is not None and not curve.is_static() for curve in self.curves):
+            return None
+        return self.at(np.zeros(1, np.int64))[0]
+
+
+@dataclass(slots=True, eq=False)
+class Track:
+    """A property over time.
+
+    Attributes:
+        of: The object, by its id.
+        name: As ``Lcl Rotation``.
+        layers: From the lowest up.
+    """
+
+    of: int | str
+    name: str
+    layers: list[LayerValues] = field(default_factory=list)
+
+    def constant(self, base: FloatArray) -> FloatArray | None:
+        """Return its values if they never change, else None."""
+        for one in self.layers:
+            if one.constant() is None or one.layer.curve is not None:
+                return None
+        return self.at(base, np.zeros(1, np.int64))[0]
+
+    def at(self, base: FloatArray, ticks: IntArray) -> FloatArray:
+        """Return the values at times ``(F, width)``.
+
+        base: what it is without animation ``(width,)``.
+        """
+        found = np.tile(base, (len(ticks), 1))
+        for one in self.layers:
+            values = one.at(ticks)
+            if one.is_first:
+                found = values
+            else:
+                weights = one.layer.weights(ticks)[:, None]
+                found = self._combined(one.layer, found, values, weights)
+        return found
+
+    def _combined(
+        self, layer: Layer, low: FloatArray, high: FloatArray, weights: FloatArray
+    ) -> FloatArray:
+        additive = layer.mode == ADDITIVE
+        if self.name == ROTATION and layer.by_layer:
+            a, b = (rotations_of(one, XYZ) for one in (low, high))
+            if additive:
+                identity = np.broadcast_to([0.0, 0.0, 0.0, 1.0], b.shape)
+                whole = so3.multiply(a, so3.slerp(identity, b, weights[:, 0]))
+            else:
+                whole = so3.slerp(a, b, weights[:, 0])
+            return principal_angles(whole)
+        if self.name == SCALING and layer.by_product:
+            size = np.abs(high) ** weights * np.where(high < 0, -1.0, 1.0)
+            if additive:
+                return low * size
+            return np.abs(low) ** (1.0 - weights) * size
+        if additive:
+            return low + weights * high
+        return low + weights * (high - low)

@@ -1,0 +1,179 @@
+"""The nodes of an FBX, and how their transforms are made up.
+
+``local = T · Roff · Rp · Rpre · R · Rpost⁻¹ · Rp⁻¹ · Soff · Sp · S · Sp⁻¹``; the
+linear part is a rotation times a scale. A child may leave out its parent's own scale
+(Rrs) or take it along its own axes (RrSs).
+
+References: Autodesk, *FBX SDK documentation*, "Computing transformation matrices".
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.record import dataclass
+from animtool.formats.fbx.angles import XYZ, rotations_of
+from animtool.formats.fbx.layers import ROTATION, SCALING, TRANSLATION
+from animtool.formats.fbx.objects import ROOTS, FbxFile, Id, Object, scalar, vector
+from animtool.formats.fbx.takes import AnimTake
+from animtool.maths import so3
+
+# By RotationOrder: X turns first in XYZ, so its factor is the last.
+_ORDERS = ("ZYX", "YZX", "XZY", "ZXY", "YXZ", "XYZ")
+COMPONENTWISE, INHERIT, IGNORE = range(3)
+MAX_MODELS = 100_000
+_ZERO = (0.0, 0.0, 0.0)
+_PROPERTIES = (TRANSLATION, ROTATION, SCALING)
+
+
+@dataclass(slots=True, eq=False)
+class Model:
+    """A node.
+
+    Attributes:
+        object: What it is of.
+        parent: Index of the node above; -1 for a root.
+        base: Translation, rotation [deg] and scale without animation ``(3, 3)``.
+        order: Of its angles, as `euler.to_quaternion` has it.
+        pre: Rotation before ``(4,)``.
+        post: Inverse of the rotation after ``(4,)``.
+        pivots: Offset and pivot of rotations, then of scales ``(4, 3)``.
+        inherit: How it takes the scale of its parent.
+        geometric: What its own mesh is transformed by ``(4, 4)``.
+    """
+
+    object: Object
+    parent: int
+    base: FloatArray
+    order: str
+    pre: FloatArray
+    post: FloatArray
+    pivots: FloatArray
+    inherit: int
+    geometric: FloatArray
+
+    @property
+    def name(self) -> str:
+        """Its name, namespace kept."""
+        return self.object.name
+
+    def local(
+        self, values: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return translations, rotations and scales of a state of its properties.
+
+        values: translation, rotation [deg] and scale ``(F, 3, 3)``.
+        """
+        rotations = rotations_of(values[:, 1], self.order)
+        rotations = so3.multiply(so3.multiply(self.pre, rotations), self.post)
+        scales = values[:, 2]
+        offset, pivot, stretch, centre = self.pivots
+        inner = stretch + centre - pivot - scales * centre
+        moved = values[:, 0] + offset + pivot
+        if inner.any():
+            moved = moved + so3.rotate(rotations, inner)
+        return moved, rotations, scales
+
+
+def read_models(file: FbxFile) -> list[Model]:
+    """Return the nodes, parents first.
+
+    Raises:
+        FormatError: A node is below itself (FBX009), has a rotation order that is not
+            read (FBX004), or there are too many (FBX013).
+    """
+    objects = [one for one in file.of_kind("Model") if not _is_of_viewer(file, one)]
+    objects = [one for one in objects if one.id not in ROOTS]
+    if len(objects) > MAX_MODELS:
+        message = f"{len(objects)} nodes; at most {MAX_MODELS} are read"
+        file.notes.fail("FBX013", file.root.where, message)
+    parents = {one.id: _parent(file, one) for one in objects}
+    below: dict[Id | None, list[Object]] = {}
+    for one in objects:
+        below.setdefault(parents[one.id], []).append(one)
+    found: list[Model] = []
+    stack = [(one, -1) for one in reversed(below.get(None, []))]
+    while stack:
+        one, parent = stack.pop()
+        found.append(_model(file, one, parent))
+        own = len(found) - 1
+        stack += [(child, own) for child in reversed(below.get(one.id, []))]
+    if len(found) < len(objects):
+        done = {model.object.id for model in found}
+        lost = next(one for one in objects if one.id not in done)
+        message = f"the node {lost.name!r} is below itself"
+        file.notes.fail("FBX009", lost.element.where, message)
+    return found
+
+
+def _is_of_viewer(file: FbxFile, one: Object) -> bool:
+    """Return whether a node is a camera that old exporters add, in no scene."""
+    return one.subtype.startswith("Camera") and one.id not in file.above
+
+
+def _parent(file: FbxFile, one: Object) -> Id | None:
+    above = [model.id for model in file.targets(one.id, "Model")]
+    above = [own for own in above if own not in ROOTS]
+    if len(set(above)) > 1:
+        message = f"the node {one.name!r} has {len(set(above))} parents"
+        file.notes.fail("FBX009", one.element.where, message)
+    return above[0] if above else None
+
+
+def _model(file: FbxFile, one: Object, parent: int) -> Model:
+    notes = file.notes
+
+    def triple(name: str, default: tuple[float, ...] = _ZERO) -> FloatArray:
+        return np.array(vector(one, name, default, notes))
+
+    base = np.stack([triple(TRANSLATION), triple(ROTATION), triple(SCALING, (1.0,) * 3)])
+    active = bool(scalar(one, "RotationActive", 0, notes))
+    order, pre, post = 0, _ZERO, _ZERO
+    if active:
+        order = int(scalar(one, "RotationOrder", 0, notes))
+        pre, post = (tuple(triple(f"{name}Rotation")) for name in ("Pre", "Post"))
+    if not 0 <= order < len(_ORDERS):
+        message = f"the node {one.name!r} has rotation order {order}, which is not read"
+        hint = "spherical XYZ is MotionBuilder's; export with an order of Euler angles"
+        notes.fail("FBX004", one.element.where, message, hint)
+    turns = rotations_of(np.array([pre, post]), XYZ)
+    inherit = int(scalar(one, "InheritType", INHERIT, notes))
+    if inherit not in {COMPONENTWISE, INHERIT, IGNORE}:
+        message = f"the node {one.name!r} has inherit type {inherit}, which is not read"
+        notes.fail("FBX004", one.element.where, message)
+    geometric = np.eye(4)
+    turn = rotations_of(triple("GeometricRotation")[None], XYZ)[0]
+    geometric[:3, :3] = so3.to_matrix(turn) * triple("GeometricScaling", (1.0,) * 3)
+    geometric[:3, 3] = triple("GeometricTranslation")
+    names = ("RotationOffset", "RotationPivot", "ScalingOffset", "ScalingPivot")
+    return Model(
+        one,
+        parent,
+        base,
+        _ORDERS[order],
+        turns[0],
+        so3.conjugate(turns[1]),
+        np.stack([triple(name) for name in names]),
+        inherit,
+        geometric,
+    )
+
+
+def state(model: Model, take: AnimTake | None, ticks: IntArray) -> FloatArray:
+    """Return translation, rotation [deg] and scale at times ``(F, 3, 3)``."""
+    found = np.repeat(model.base[None], len(ticks), axis=0)
+    for k, name in enumerate(_PROPERTIES):
+        track = None if take is None else take.tracks.get((model.object.id, name))
+        if track is not None:
+            found[:, k] = track.at(model.base[k], ticks)
+    return found
+
+
+def moving(model: Model, take: AnimTake | None) -> tuple[bool, bool, bool]:
+    """Return which of translation, rotation and scale change in a take."""
+    found = []
+    for k, name in enumerate(_PROPERTIES):
+        track = None if take is None else take.tracks.get((model.object.id, name))
+        found.append(track is not None and track.constant(model.base[k]) is None)
+    return found[0], found[1], found[2]

@@ -1,0 +1,129 @@
+"""Axes, unit and frame rate of an FBX."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+
+import numpy as np
+
+from animtool.core.array_types import FloatArray
+from animtool.core.rates import parse_rate
+from animtool.core.record import dataclass
+from animtool.core.units import UpAxis
+from animtool.formats.fbx.elements import Element
+from animtool.formats.fbx.objects import FbxFile, scalar
+
+# Ticks of a second.
+TICKS = 46_186_158_000
+# By TimeMode, as `FbxTime::EMode` numbers them.
+_RATES = {
+    0: Fraction(30),
+    1: Fraction(120),
+    2: Fraction(100),
+    3: Fraction(60),
+    4: Fraction(50),
+    5: Fraction(48),
+    6: Fraction(30),
+    7: Fraction(30),
+    8: Fraction(30000, 1001),
+    9: Fraction(30000, 1001),
+    10: Fraction(25),
+    11: Fraction(24),
+    12: Fraction(1000),
+    13: Fraction(24000, 1001),
+    15: Fraction(96),
+    16: Fraction(72),
+    17: Fraction(60000, 1001),
+    18: Fraction(120000, 1001),
+}
+CUSTOM = 14
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Settings:
+    """What lengths, axes and times of a file are.
+
+    Attributes:
+        meters: Of its unit [m].
+        up: Which axis points up once its roots are turned.
+        basis: What its roots are turned by ``(3, 3)``.
+        fps: Frames a second.
+    """
+
+    meters: float
+    up: UpAxis
+    basis: FloatArray
+    fps: Fraction
+
+
+def read_settings(file: FbxFile, up: UpAxis | None = None) -> Settings:
+    """Return the settings of a file.
+
+    up: which axis of the file points up; None is what it says.
+
+    Raises:
+        FormatError: Its axes are left-handed or no axes (FBX007), or unit or rate are
+            no positive numbers (FBX005).
+    """
+    notes, settings = file.notes, file.settings
+    factor = scalar(settings, "UnitScaleFactor", 1.0, notes)
+    if not 1e-9 <= factor <= 1e12:
+        message = f"UnitScaleFactor is {factor:g}, and must be positive"
+        notes.fail("FBX005", settings.element.where, message)
+    turned = (up, np.eye(3)) if up is not None else _axes(file)
+    return Settings(factor / 100.0, *turned, _rate(file))
+
+
+def _axes(file: FbxFile) -> tuple[UpAxis, FloatArray]:
+    """Return the up axis, and what turns the file to it.
+
+    Files with Y or Z up stay as they are where they face the usual way; others are
+    turned to Y up, facing Z.
+    """
+    rows = []
+    for name, axis in (("CoordAxis", 0), ("UpAxis", 1), ("FrontAxis", 2)):
+        index = int(scalar(file.settings, name, axis, file.notes))
+        sign = scalar(file.settings, f"{name}Sign", 1.0, file.notes)
+        if index not in {0, 1, 2}:
+            message = f"{name} is {index}, and must be 0, 1 or 2"
+            file.notes.fail("FBX007", file.settings.element.where, message)
+        rows.append(np.eye(3)[index] * (-1.0 if sign < 0 else 1.0))
+    basis = np.array(rows)
+    if np.linalg.det(basis) < 0.5:
+        message = "the axes of the file are left-handed, or two are the same"
+        file.notes.fail("FBX007", file.settings.element.where, message)
+    if (basis == [[1, 0, 0], [0, 0, 1], [0, -1, 0]]).all():
+        return UpAxis.Z, np.eye(3)
+    return UpAxis.Y, basis
+
+
+def _rate(file: FbxFile) -> Fraction:
+    mode = int(scalar(file.settings, "TimeMode", 0.0, file.notes))
+    if mode == CUSTOM:
+        rate = scalar(file.settings, "CustomFrameRate", 24.0, file.notes)
+        if not 0.01 <= rate <= 100_000:
+            message = f"CustomFrameRate is {rate:g}, and must be positive"
+            file.notes.fail("FBX005", file.settings.element.where, message)
+        return parse_rate(f"{rate:.9g}")
+    if "TimeMode" not in file.settings.properties:
+        return _old_rate(file)
+    if mode not in _RATES:
+        message = f"time mode {mode} is not known: 24 frames a second"
+        file.notes.warn("FBX106", file.settings.element.where, message)
+    return _RATES.get(mode, _RATES[0])
+
+
+def _old_rate(file: FbxFile) -> Fraction:
+    """Return the rate as files before 7000 state it besides."""
+    found: Element | None = file.root
+    for name in ("Version5", "Settings", "FrameRate"):
+        found = None if found is None else found.find(name)
+    try:
+        rate = parse_rate(str(found.values[0])) if found and found.values else None
+    except (ValueError, ArithmeticError):
+        rate = None
+    if rate is None or not Fraction(1, 100) <= rate <= 100_000:
+        return Fraction(24)
+    return rate
+
+

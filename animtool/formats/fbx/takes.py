@@ -1,0 +1,244 @@
+"""The takes of an FBX: animation stacks, or the takes of files before 7000."""
+
+from __future__ import annotations
+
+from dataclasses import field
+
+import numpy as np
+
+from animtool.core.array_types import IntArray
+from animtool.core.errors import excerpt
+from animtool.core.record import dataclass
+from animtool.formats.fbx.curves import Curve, curve_of_channel, curve_of_object
+from animtool.formats.fbx.elements import Element, number
+from animtool.formats.fbx.layers import (
+    PERCENT,
+    ROTATION,
+    SCALING,
+    TRANSLATION,
+    Layer,
+    LayerValues,
+    Track,
+)
+from animtool.formats.fbx.objects import NUMBERED, FbxFile, Id, Object, plain_name, scalar
+
+# Parts of each property that moves something, as curve nodes call them.
+PARTS = {
+    TRANSLATION: ("d|X", "d|Y", "d|Z"),
+    ROTATION: ("d|X", "d|Y", "d|Z"),
+    SCALING: ("d|X", "d|Y", "d|Z"),
+    PERCENT: ("d|DeformPercent",),
+}
+_CHANNELS = {"T": TRANSLATION, "R": ROTATION, "S": SCALING}
+_USUAL = {TRANSLATION: 0.0, ROTATION: 0.0, SCALING: 1.0, PERCENT: 0.0}
+MAX_LAYERS = 1000
+
+
+@dataclass(slots=True, eq=False)
+class AnimTake:
+    """A take.
+
+    Attributes:
+        name: As in the file.
+        where: Its element.
+        begin: Of its span [ticks].
+        end: Likewise.
+        layers: Names, from the lowest up.
+        tracks: By object and property.
+        visible: Whether it has visibility over time.
+    """
+
+    name: str
+    where: str
+    begin: int
+    end: int
+    layers: list[str] = field(default_factory=list)
+    tracks: dict[tuple[Id, str], Track] = field(default_factory=dict)
+    visible: bool = False
+
+    def curves(self) -> list[Curve]:
+        """Return all curves."""
+        return [
+            curve
+            for track in self.tracks.values()
+            for one in track.layers
+            for curve in one.curves
+            if curve is not None
+        ]
+
+    def key_times(self) -> IntArray:
+        """Return the times of all keys, each once [ticks]."""
+        distinct = {curve.times.tobytes(): curve.times for curve in self.curves()}
+        return np.unique(np.concatenate([np.zeros(0, np.int64), *distinct.values()]))
+
+
+def read_takes(file: FbxFile) -> list[AnimTake]:
+    """Return the takes of a file, in its order.
+
+    Raises:
+        FormatError: A curve is broken (FBX005, FBX006), or a layer has a mode that is
+            not read (FBX004).
+    """
+    if file.version < NUMBERED:
+        return _old_takes(file)
+    reader = _Stacks(file)
+    return [reader.take(stack) for stack in file.of_kind("AnimationStack")]
+
+
+def default_take(file: FbxFile, takes: list[AnimTake]) -> int:
+    """Return which take is read if none is named; -1 where there is none."""
+    name = ""
+    for documents in file.root.all("Documents"):
+        for document in documents.all("Document"):
+            for properties in document.all("Properties70"):
+                for one in properties.all("P"):
+                    if one.text(0) == "ActiveAnimStackName":
+                        name = one.text(4)
+    for old in file.root.all("Takes"):
+        current = old.find("Current")
+        name = current.text(0) if current is not None else name
+    moving = [i for i, take in enumerate(takes) if take.tracks]
+    named = [i for i, take in enumerate(takes) if take.name == name]
+    if not takes:
+        return -1
+    return [*(i for i in named if i in moving), *moving, *named, 0][0]
+
+
+class _Stacks:
+    """Animation stacks and what is connected to them; each curve is read once."""
+
+    def __init__(self, file: FbxFile) -> None:
+        self.file = file
+        self._curves: dict[Id, Curve | None] = {}
+
+    def take(self, stack: Object) -> AnimTake:
+        file = self.file
+        begin, end = (_ticks(stack, file, name) for name in ("LocalStart", "LocalStop"))
+        take = AnimTake(stack.name, stack.element.where, begin, end)
+        layers = file.sources(stack.id, "AnimationLayer")
+        if len(layers) > MAX_LAYERS:
+            message = f"{len(layers)} layers of {stack.name!r}"
+            file.notes.fail("FBX013", stack.element.where, message)
+        solo = [one for one in layers if scalar(one, "Solo", 0, file.notes)]
+        for i, layer in enumerate(layers):
+            take.layers.append(layer.name)
+            shown = layer in solo if solo else not scalar(layer, "Mute", 0, file.notes)
+            if shown:
+                self._add(take, layer, is_first=i == 0)
+        return take
+
+    def _add(self, take: AnimTake, of: Object, *, is_first: bool) -> None:
+        file = self.file
+        layer = self._layer(of)
+        for source, name in file.below.get(of.id, ()):
+            node = file.objects.get(source)
+            if name or node is None or node.kind != "AnimationCurveNode":
+                continue
+            for target, property_name in file.above.get(source, ()):
+                if property_name == "Visibility":
+                    take.visible = True
+                if property_name not in PARTS or target not in file.objects:
+                    continue
+                key = (target, property_name)
+                track = take.tracks.setdefault(key, Track(target, property_name))
+                track.layers.append(self._values(node, property_name, layer, is_first))
+
+    def _values(
+        self, node: Object, name: str, layer: Layer, is_first: bool
+    ) -> LayerValues:
+        parts = PARTS[name]
+        curves = self._of_node(node)
+        usual = _USUAL[name]
+        defaults = [scalar(node, part, usual, self.file.notes) for part in parts]
+        return LayerValues(
+            layer, is_first, defaults, [curves.get(part) for part in parts]
+        )
+
+    def _of_node(self, node: Object) -> dict[str, Curve | None]:
+        found: dict[str, Curve | None] = {}
+        for source, part in self.file.below.get(node.id, ()):
+            own = self.file.objects.get(source)
+            if own is None or own.kind != "AnimationCurve" or part in found:
+                continue
+            if source not in self._curves:
+                self._curves[source] = curve_of_object(own.element, self.file.notes)
+            found[part] = self._curves[source]
+        return found
+
+    def _layer(self, of: Object) -> Layer:
+        notes = self.file.notes
+        mode = int(scalar(of, "BlendMode", 0, notes))
+        if mode not in {0, 1, 2}:
+            message = f"layer {of.name!r}: blend mode {mode} is not read"
+            notes.fail("FBX004", of.element.where, message)
+        curve = None
+        for source, name in self.file.below.get(of.id, ()):
+            node = self.file.objects.get(source)
+            if name == "Weight" and node is not None:
+                curve = next(iter(self._of_node(node).values()), None)
+        return Layer(
+            of.name,
+            min(max(scalar(of, "Weight", 100.0, notes) / 100.0, 0.0), 1.0),
+            curve,
+            mode,
+            int(scalar(of, "RotationAccumulationMode", 0, notes)) == 0,
+            int(scalar(of, "ScaleAccumulationMode", 0, notes)) == 0,
+        )
+
+
+def _ticks(of: Object, file: FbxFile, name: str) -> int:
+    values = of.values(name)
+    if not values or not isinstance(values[0], int):
+        return 0
+    return int(max(-(2**61), min(values[0], 2**61)))
+
+
+def _old_takes(file: FbxFile) -> list[AnimTake]:
+    found = []
+    for takes in file.root.all("Takes"):
+        for element in takes.all("Take"):
+            take = AnimTake(element.text(0), element.where, 0, 0, ["BaseLayer"])
+            span = element.find("LocalTime")
+            if span is not None and len(span.values) > 1:
+                take.begin, take.end = (
+                    int(number(span, i, file.notes)) for i in (0, 1)
+                )
+            for model in element.all("Model"):
+                _old_model(file, take, model)
+            found.append(take)
+    return found
+
+
+def _old_model(file: FbxFile, take: AnimTake, model: Element) -> None:
+    kind, name = plain_name(model.text(0))
+    of: Id = f"{kind or 'Model'}::{name}"
+    if of not in file.objects:
+        return
+    for channel in model.all("Channel"):
+        if channel.text(0) == "Visibility":
+            take.visible = take.visible or channel.find("Key") is not None
+        if channel.find("Layer") is not None:
+            message = f"take {take.name!r}: layers of {name!r} are not read"
+            file.notes.fail("FBX004", channel.where, excerpt(message))
+        if channel.text(0) != "Transform":
+            continue
+        for inner in channel.all("Channel"):
+            if inner.text(0) in _CHANNELS:
+                _old_track(file, take, of, inner)
+
+
+def _old_track(file: FbxFile, take: AnimTake, of: Id, channel: Element) -> None:
+    name = _CHANNELS[channel.text(0)]
+    usual = _USUAL[name]
+    defaults: list[float] = [usual] * 3
+    curves: list[Curve | None] = [None] * 3
+    for part in channel.all("Channel"):
+        axis = "XYZ".find(part.text(0)) if part.text(0) else -1
+        if axis < 0:
+            continue
+        default = part.find("Default")
+        if default is not None:
+            defaults[axis] = number(default, 0, file.notes)
+        curves[axis] = curve_of_channel(part, file.notes)
+    values = LayerValues(Layer("BaseLayer"), True, defaults, curves)
+    take.tracks.setdefault((of, name), Track(of, name, [values]))

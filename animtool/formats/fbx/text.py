@@ -1,0 +1,197 @@
+"""FBX as text: names with a colon, values with commas, elements in braces."""
+
+from __future__ import annotations
+
+import re
+from typing import Any, NoReturn
+
+import numpy as np
+
+from animtool.core.errors import excerpt
+from animtool.formats.fbx.elements import MAX_DEPTH, MAX_ELEMENTS, Element
+from animtool.formats.gltf.places import Notes
+
+_TOKEN = re.compile(
+    rb"""(?P<space>(?:[\s\x00]+|;[^\n]*)+)
+    |"(?P<text>[^"]*)"
+    |(?P<name>[A-Za-z_][\w .|\-]*):
+    |(?P<numbers>[-+]?[\d.](?:[^;"{}A-DF-Za-df-z:]*[\d.])?)
+    |(?P<word>[A-Za-z_#\-+][\w.#+\-]*)
+    |(?P<count>\*\s*\d{1,18})
+    |(?P<mark>[{},])""",
+    re.VERBOSE,
+)
+# A float64 in full has 24 characters, with zeros behind the point rarely more than 40.
+MAX_DIGITS = 100
+_VERSION = re.compile(rb"FBXVersion:\s*(\d{1,9})")
+_COMMENT = re.compile(rb"\A\s*;\s*FBX\s+(\d)\.(\d)\.(\d)")
+
+
+def looks_like_text(content: bytes) -> bool:
+    """Return whether a file begins as an FBX of text does."""
+    head = content[:4096]
+    return bool(_COMMENT.match(head)) or b"FBXHeaderExtension" in head
+
+
+def read_text(content: bytes, notes: Notes) -> tuple[int, Element]:
+    """Return the version and the root of an FBX of text.
+
+    Raises:
+        FormatError: It does not parse (FBX001), with the line.
+    """
+    found = _VERSION.search(content, 0, 100_000)
+    version = int(found[1]) if found else 0
+    if not version:
+        comment = _COMMENT.match(content)
+        digits = comment.groups() if comment else (b"0",)
+        version = int(b"".join(digits)) * 10
+    return version, _Parser(content, notes).root()
+
+
+class _Parser:
+    """Elements of a text, in one pass."""
+
+    def __init__(self, content: bytes, notes: Notes) -> None:
+        self.content, self.notes = content, notes
+        self.count = 0
+        self._at, self._line = 0, 1
+
+    def line(self, at: int) -> str:
+        self._line += self.content.count(b"\n", self._at, at)
+        self._at = at
+        return f"line {self._line}"
+
+    def fail(self, at: int, message: str) -> NoReturn:
+        line = self.content.count(b"\n", 0, at) + 1
+        self.notes.fail("FBX001", f"line {line}", message, "export the file again")
+
+    def root(self) -> Element:
+        root = Element("", [], "line 1")
+        stack = [root]
+        current: Element | None = None
+        arrays: set[int] = set()
+        at, size = 3 if self.content[:3] == b"\xef\xbb\xbf" else 0, len(self.content)
+        while at < size:
+            token = _TOKEN.match(self.content, at)
+            if token is None:
+                shown = self.content[at : at + 12].decode("utf-8", "replace")
+                self.fail(at, f"{excerpt(repr(shown))} is not expected here")
+            kind, start, at = token.lastgroup, at, token.end()
+            if kind == "space":
+                continue
+            if kind == "name":
+                current = self._named(token, stack, start)
+            elif kind == "mark":
+                mark = token[0]
+                if mark == b"{":
+                    if current is None:
+                        self.fail(start, "a brace without a name before it")
+                    stack.append(current)
+                    current = None
+                    if len(stack) > MAX_DEPTH:
+                        message = f"more than {MAX_DEPTH} levels"
+                        self.notes.fail("FBX013", self.line(start), message)
+                elif mark == b"}":
+                    if len(stack) == 1:
+                        self.fail(start, "a closing brace without an open one")
+                    closed = stack.pop()
+                    self._close(closed, id(closed) in arrays, start)
+                    current = None
+            elif current is None:
+                self.fail(start, "a value without a name before it")
+            elif kind == "text":
+                raw = token["text"].decode("utf-8", "replace")
+                current.values.append(raw.replace("&quot;", '"'))
+            elif kind == "word":
+                current.values.append(_word(token["word"]))
+            elif kind == "count":
+                arrays.add(id(current))
+            else:
+                self._numbers(current, token["numbers"], start)
+        if len(stack) > 1:
+            self.fail(size, f"the braces of {stack[-1].name} are not closed")
+        for element in _long(root):
+            _join(element)
+        return root
+
+    def _named(self, token: re.Match[bytes], stack: list[Element], at: int) -> Element:
+        self.count += 1
+        if self.count > MAX_ELEMENTS:
+            message = f"more than {MAX_ELEMENTS} elements"
+            self.notes.fail("FBX013", self.line(at), message)
+        name = token["name"].decode("utf-8", "replace")
+        element = Element(name, [], self.line(at))
+        stack[-1].children.append(element)
+        return element
+
+    def _numbers(self, element: Element, text: bytes, at: int) -> None:
+        """Add numbers with commas between them; the long lists as one array."""
+        parts = [part.strip() for part in text.split(b",")]
+        try:
+            if max(map(len, parts)) > MAX_DIGITS:
+                raise ValueError
+            if len(parts) < 8:
+                element.values += [_number(part) for part in parts]
+                return
+            real = b"." in text or b"e" in text or b"E" in text
+            kind: Any = np.float64 if real else np.int64
+            element.values.append(np.array(parts, "S").astype(kind))
+        except (ValueError, OverflowError):
+            self.fail(at, f"{excerpt(repr(text[:40].decode()))} is no list of numbers")
+
+    def _close(self, element: Element, is_array: bool, at: int) -> None:
+        """Take the values of an array, which are in an element of its own."""
+        if not is_array:
+            return
+        inner = element.find("a")
+        element.values = [] if inner is None else inner.values
+        element.children = []
+
+
+def _long(root: Element) -> list[Element]:
+    """Return the elements that hold numbers in several pieces."""
+    found, stack = [], [root]
+    while stack:
+        one = stack.pop()
+        if any(isinstance(value, np.ndarray) for value in one.values):
+            found.append(one)
+        stack += one.children
+    return found
+
+
+def _join(element: Element) -> None:
+    """Make one array of numbers alone, and single values of mixed ones."""
+    values = element.values
+    numeric = (np.ndarray, int, float)
+    if all(isinstance(value, numeric) for value in values):
+        try:
+            parts = [np.atleast_1d(np.asarray(value)) for value in values]
+            whole = np.concatenate(parts)
+        except (OverflowError, TypeError):
+            return
+        if whole.dtype.kind in "if":
+            element.values = [whole]
+            return
+    flat: list[Any] = []
+    for value in values:
+        flat += value.tolist() if isinstance(value, np.ndarray) else [value]
+    element.values = flat
+
+
+def _number(text: bytes) -> int | float:
+    text = text.strip()
+    if b"." not in text and b"e" not in text and b"E" not in text:
+        return int(text)
+    return float(text)
+
+
+# As C's printf spells them.
+_ODD = {"nan": np.nan, "-nan": np.nan, "inf": np.inf, "-inf": -np.inf}
+
+
+def _word(raw: bytes) -> Any:
+    word = raw.decode("utf-8", "replace")
+    lower = word.lower().split("(")[0]
+    if lower in _ODD or "#" in lower:
+        return float(_ODD.get(lower, np.nan))
+    return word
