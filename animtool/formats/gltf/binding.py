@@ -1,14 +1,16 @@
-"""How meshes of a glTF are bound: one bind pose of the joints for all of its skins.
+"""How meshes of a file are bound: one bind pose of the joints for all of its skins.
 
-glTF has an inverse bind matrix for each joint of each skin; a rig has one bind pose,
+A file has an inverse bind matrix for each joint of each skin; a rig has one bind pose,
 and for each mesh a transform of its points. With ``B`` the matrix that a joint of a
 skin applies, ``bind = geom_bind · B⁻¹``: what the joints of a skin have in common is
 the mesh's, the rest the joint's. Where skins do not agree about a joint, one below it
-with no motion of its own carries the mesh.
+with no motion of its own carries the mesh. glTF does not say where a mesh was when it
+was bound; where a file does, it stays there.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -16,7 +18,7 @@ import numpy as np
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, Severity
 from animtool.core.similar import distinct
-from animtool.formats.gltf.document import Gltf
+from animtool.formats.gltf.characters import NodeTree
 from animtool.maths import so3
 from animtool.rig.kinematics import rest_world
 from animtool.rig.parts import Mesh, Shape
@@ -33,14 +35,18 @@ class Binder:
 
     def __init__(
         self,
-        gltf: Gltf,
+        file: NodeTree,
         rig: Rig,
         joints: IntArray,
         folded: FloatArray,
         scales: FloatArray,
+        worlds: Sequence[FloatArray] = (),
     ) -> None:
-        """Take a rig without meshes; what the rest is of `GltfRig`."""
-        self.gltf = gltf
+        """Take a rig without meshes; what the rest is of `GltfRig`.
+
+        worlds: of each skin, where its mesh was when it was bound ``(4, 4)``.
+        """
+        self.file, self.worlds = file, worlds
         self.joints, self.folded, self.scales = joints, folded, scales
         self.notices: list[Fault] = []
         self._rig = rig
@@ -51,23 +57,25 @@ class Binder:
     def skin(self, index: int) -> tuple[FloatArray, list[int]]:
         """Return the transform of the points of a skin, and joints for its own."""
         if index not in self._skins:
-            skin = self.gltf.skins[index]
+            skin = self.file.skins[index]
             nodes = np.array(skin.joints)
             joints = self.joints[nodes]
             matrices = skin.inverse_bind.copy()
             matrices[:, :3] *= self.folded[nodes][:, None, None]
-            self._skins[index] = self._bound(matrices, joints.tolist(), skin.where)
+            start = self.worlds[index] if self.worlds else np.eye(4)
+            bound = self._bound(matrices, joints.tolist(), skin.where, start)
+            self._skins[index] = bound
         return self._skins[index]
 
     def node(self, node: int) -> tuple[FloatArray, int]:
         """Return the transform of the points of a mesh that a node carries."""
         own = np.eye(4)
         own[:3] *= self.folded[node]
-        geometry, joints = self._bound(own[None], [int(self.joints[node])], "")
+        geometry, joints = self._bound(own[None], [int(self.joints[node])], "", np.eye(4))
         return geometry, joints[0]
 
     def _bound(
-        self, matrices: FloatArray, joints: list[int], where: str
+        self, matrices: FloatArray, joints: list[int], where: str, start: FloatArray
     ) -> tuple[FloatArray, list[int]]:
         """Return ``geom_bind`` of a skin, and its joints with binds that agree."""
         sizes = np.abs(matrices[:, :3, :3]).max(axis=(1, 2), initial=1e-300)
@@ -75,13 +83,13 @@ class Binder:
         if flat.any():
             if where:
                 message = f"{int(flat.sum())} inverse bind matrices are flat: identity"
-                path = str(self.gltf.path)
+                path = str(self.file.path)
                 at = f"{where}/inverseBindMatrices"
                 note = Fault("GLT114", message, path, where=at, severity=Severity.NOTE)
                 self.notices.append(note)
             matrices = np.where(flat[:, None, None], np.eye(4), matrices)
         back = np.asarray(np.linalg.inv(matrices), np.float64)
-        geometry = self._geometry(back)
+        geometry = self._geometry(start @ back) @ start
         binds = geometry @ back
         shared = [k for k, joint in enumerate(joints) if joint in self._bind]
         if shared:

@@ -1,17 +1,44 @@
-"""Which nodes of a glTF are a character: of a file with several, each skeleton."""
+"""Which nodes of a file are a character: of a file with several, each skeleton."""
 
 from __future__ import annotations
+
+from pathlib import Path
+from typing import Protocol
 
 from animtool.core.arguments import argument
 from animtool.core.errors import Fault, FormatError, Severity, counted, listed
 from animtool.core.names import nearest
 from animtool.core.record import dataclass
-from animtool.formats.gltf.document import Gltf
-from animtool.formats.gltf.nodes import parents_first
+from animtool.formats.gltf.meshes import SkinEntry
+from animtool.formats.gltf.nodes import Node, parents_first
 
 # The path that means the whole file.
 WHOLE = "/"
 MAX_NAMED = 8
+
+
+class NodeTree(Protocol):
+    """A file of nodes and skins."""
+
+    @property
+    def path(self) -> Path:
+        """The file."""
+
+    @property
+    def nodes(self) -> tuple[Node, ...]:
+        """In the order of the file."""
+
+    @property
+    def skins(self) -> tuple[SkinEntry, ...]:
+        """Likewise."""
+
+    @property
+    def scenes(self) -> list[list[int]]:
+        """Root nodes of each scene."""
+
+    @property
+    def default_scene(self) -> int:
+        """The one that is shown; -1 where there is none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,16 +49,16 @@ class Character:
     nodes: tuple[int, ...]  # all below its roots, parents first
 
 
-def characters(gltf: Gltf) -> tuple[Character, ...]:
+def characters(file: NodeTree) -> tuple[Character, ...]:
     """Return the characters of a file: the whole of it, unless several are skinned.
 
     Trees of nodes belong together where a skin names joints of one for a mesh of
     another.
     """
-    order = parents_first(gltf.nodes)
-    tree = list(range(len(gltf.nodes)))  # the root of each node
+    order = parents_first(file.nodes)
+    tree = list(range(len(file.nodes)))  # the root of each node
     for node in order:
-        parent = gltf.nodes[node].parent
+        parent = file.nodes[node].parent
         tree[node] = node if parent < 0 else tree[parent]
     group = {root: root for root in set(tree)}
 
@@ -46,13 +73,13 @@ def characters(gltf: Gltf) -> tuple[Character, ...]:
         group[second] = first
 
     skinned: set[int] = set()
-    for skin in gltf.skins:
+    for skin in file.skins:
         for joint in skin.joints[1:]:
             join(skin.joints[0], joint)
-    for i, own in enumerate(gltf.nodes):
+    for i, own in enumerate(file.nodes):
         if own.skin >= 0:
-            join(i, gltf.skins[own.skin].joints[0])
-    for skin in gltf.skins:
+            join(i, file.skins[own.skin].joints[0])
+    for skin in file.skins:
         skinned.update(skin.joints[:1])
     groups = sorted({found(tree[joint]) for joint in skinned})
     if len(groups) < 2:
@@ -64,65 +91,74 @@ def characters(gltf: Gltf) -> tuple[Character, ...]:
             members[of].append(node)
     return tuple(
         Character(path, tuple(nodes))
-        for path, nodes in zip(_paths(gltf, members), members.values(), strict=True)
+        for path, nodes in zip(_paths(file, members), members.values(), strict=True)
     )
 
 
-def _paths(gltf: Gltf, members: dict[int, list[int]]) -> list[str]:
+def _paths(file: NodeTree, members: dict[int, list[int]]) -> list[str]:
     """Return distinct paths of characters, after the roots of their joints."""
     from animtool.core.similar import distinct
 
     names = []
-    joints = {joint for skin in gltf.skins for joint in skin.joints}
+    joints = {joint for skin in file.skins for joint in skin.joints}
     for root, nodes in members.items():
         top = next((node for node in nodes if node in joints), root)
-        while gltf.nodes[top].parent >= 0:
-            top = gltf.nodes[top].parent
-        names.append(gltf.nodes[top].name or f"node_{top}")
+        while file.nodes[top].parent >= 0:
+            top = file.nodes[top].parent
+        names.append(file.nodes[top].name or f"node_{top}")
     return [f"/{name}" for name in distinct(names)]
 
 
-def chosen(gltf: Gltf, prim_path: str | None) -> tuple[Character, list[Fault]]:
+def chosen(
+    file: NodeTree,
+    prim_path: str | None,
+    unknown: str = "GLT014",
+    several: str = "GLT109",
+) -> tuple[Character, list[Fault]]:
     """Return the character to read, and a note of the others.
 
     Args:
-        gltf: The file.
+        file: The file.
         prim_path: Its path or name, or the name of a node in it; ``/`` is the whole
             file. None is the first of the scene that is shown.
+        unknown: Code of a character that the file has not.
+        several: Code of the note.
 
     Raises:
-        FormatError: Nothing is called so, or there are no nodes (GLT014).
+        FormatError: Nothing is called so, or there are no nodes (`unknown`).
     """
-    where = str(gltf.path)
-    if not gltf.nodes:
+    where = str(file.path)
+    if not file.nodes:
         message = "the file holds no nodes: there is nothing that moves"
-        raise FormatError(Fault("GLT014", message, where))
-    found = characters(gltf)
+        raise FormatError(Fault(unknown, message, where))
+    found = characters(file)
     if prim_path is None:
         best = found[0]
-        if len(found) > 1 and gltf.default_scene >= 0:
-            shown = set(gltf.scenes[gltf.default_scene])
+        if len(found) > 1 and file.default_scene >= 0:
+            shown = set(file.scenes[file.default_scene])
             best = next((one for one in found if shown & set(one.nodes)), best)
-        return best, _others(found, best, where)
+        return best, _others(found, best, where, several)
     if prim_path.strip() == WHOLE:
-        return Character(WHOLE, tuple(parents_first(gltf.nodes))), []
+        return Character(WHOLE, tuple(parents_first(file.nodes))), []
     name = prim_path.strip("/")
     for one in found:
         if one.path.strip("/") == name and len(found) > 1:
             return one, []
     for one in found:
-        if any(gltf.nodes[node].name == name for node in one.nodes):
+        if any(file.nodes[node].name == name for node in one.nodes):
             return one, []
     known = [one.path for one in found]
     message = f"no character or node is called {name!r}"
-    raise FormatError(Fault("GLT014", message, where, (), nearest(prim_path, known)))
+    raise FormatError(Fault(unknown, message, where, (), nearest(prim_path, known)))
 
 
-def _others(found: tuple[Character, ...], best: Character, where: str) -> list[Fault]:
+def _others(
+    found: tuple[Character, ...], best: Character, where: str, several: str
+) -> list[Fault]:
     others = [one.path for one in found if one is not best]
     if not others:
         return []
     message = f"{best.path} is read of {counted(len(found), 'character')}: "
     message += f"others are {listed(others, MAX_NAMED)}"
     hint = f"{argument('source.prim_path')} names one; / is the whole file"
-    return [Fault("GLT109", message, where, (), hint, Severity.NOTE)]
+    return [Fault(several, message, where, (), hint, Severity.NOTE)]

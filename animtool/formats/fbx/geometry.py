@@ -1,0 +1,309 @@
+"""Meshes of an FBX: control points, faces, skins and blend shapes."""
+
+from __future__ import annotations
+
+from dataclasses import field
+
+import numpy as np
+
+from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.errors import counted
+from animtool.core.record import dataclass
+from animtool.formats.fbx.elements import Element, floats, integers
+from animtool.formats.fbx.layers import PERCENT
+from animtool.formats.fbx.objects import NUMBERED, ROOTS, FbxFile, Id, Object, scalar
+
+LINEAR, DUAL_QUATERNION = "linear", "dual_quaternion"
+# Cells of a table of faces or weights.
+MAX_CELLS = 100_000_000
+
+
+@dataclass(slots=True, eq=False)
+class Cluster:
+    """What one bone moves of a mesh.
+
+    Attributes:
+        bone: Its node, by id.
+        from_mesh: From the mesh's node to the bone at bind time ``(4, 4)``.
+        world: Of the bone at bind time ``(4, 4)``.
+        indices: Control points ``(N,)``.
+        weights: Of these ``(N,)``.
+        where: Its element.
+    """
+
+    bone: Id
+    from_mesh: FloatArray
+    world: FloatArray
+    indices: IntArray
+    weights: FloatArray
+    where: str
+
+
+@dataclass(slots=True, eq=False)
+class ShapeChannel:
+    """A blend shape, with those between.
+
+    Attributes:
+        id: Of the channel, whose percentage is animated.
+        name: As in the file.
+        percent: Its weight without animation [%].
+        targets: Weight at which each is full [%], and its offsets ``(V, 3)``.
+    """
+
+    id: Id
+    name: str
+    percent: float
+    targets: list[tuple[float, FloatArray]]
+
+
+@dataclass(slots=True, eq=False)
+class Geometry:
+    """A mesh, which nodes show.
+
+    Attributes:
+        name: As in the file, often empty.
+        points: Control points ``(V, 3)``.
+        faces: Indices of them, -1 fills a face of fewer corners ``(N, K)``.
+        method: Of its skin.
+        clusters: Of its skin.
+        shapes: Its blend shapes.
+    """
+
+    name: str
+    points: FloatArray
+    faces: IntArray
+    method: str = LINEAR
+    clusters: list[Cluster] = field(default_factory=list)
+    shapes: list[ShapeChannel] = field(default_factory=list)
+
+
+def read_geometry(file: FbxFile) -> dict[Id, Geometry]:
+    """Return the mesh of each node that shows one, by id of the node.
+
+    Raises:
+        FormatError: Numbers of a mesh, skin or shape are broken (FBX005, FBX008), or it
+            is deformed in a way that is not read (FBX004).
+    """
+    if file.version < NUMBERED:
+        holders = [one for one in file.of_kind("Model") if one.element.find("Vertices")]
+        shown = [(one, one) for one in holders]
+        # Instances share the mesh of another object.
+        holders = file.of_kind("Geometry", "Mesh")
+    else:
+        shown, holders = [], file.of_kind("Geometry", "Mesh")
+    for one in holders:
+        shown += [(one, model) for model in file.targets(one.id, "Model")]
+    read: dict[Id, Geometry | None] = {}
+    found: dict[Id, Geometry] = {}
+    for holder, model in shown:
+        if holder.id not in read:
+            read[holder.id] = _geometry(file, holder, model.name)
+        mesh = read[holder.id]
+        if mesh is not None:
+            found.setdefault(model.id, mesh)
+    return found
+
+
+def _geometry(file: FbxFile, of: Object, name: str) -> Geometry | None:
+    notes, element = file.notes, of.element
+    flat = floats(element, "Vertices", notes)
+    corners = integers(element, "PolygonVertexIndex", notes)
+    if flat is None or not len(flat):
+        return None
+    if len(flat) % 3:
+        message = f"{len(flat)} numbers of {name!r} are no points"
+        notes.fail("FBX008", element.where, message)
+    points = flat.reshape(-1, 3)
+    faces = _faces(file, of, corners, len(points), name)
+    found = Geometry(of.name, points, faces)
+    _put_skin(file, of, found, name)
+    _put_shapes(file, of, found, name)
+    return found
+
+
+def _faces(
+    file: FbxFile, of: Object, corners: IntArray | None, count: int, name: str
+) -> IntArray:
+    """Return faces; the last corner of each is its index inverted, bit by bit."""
+    if corners is None or not len(corners):
+        return np.zeros((0, 3), np.int64)
+    ends = corners < 0
+    plain = np.where(ends, ~corners, corners)
+    if not ends[-1] or (plain >= count).any() or (plain < 0).any():
+        message = f"a face of {name!r} has a corner that is none of {count} points"
+        file.notes.fail("FBX008", of.element.where, message)
+    last = np.flatnonzero(ends)
+    sizes = np.diff(np.concatenate([[-1], last]))
+    if int(sizes.max()) * len(sizes) > MAX_CELLS:
+        message = f"faces of {name!r} have up to {int(sizes.max())} corners"
+        file.notes.fail("FBX013", of.element.where, message)
+    rows = np.repeat(np.arange(len(sizes)), sizes)
+    columns = np.arange(len(plain)) - np.repeat(last + 1 - sizes, sizes)
+    faces = np.full((len(sizes), max(3, int(sizes.max()))), -1, np.int64)
+    faces[rows, columns] = plain
+    return faces[sizes >= 3]
+
+
+def _put_skin(file: FbxFile, of: Object, mesh: Geometry, name: str) -> None:
+    notes = file.notes
+    deformers = file.sources(of.id, "Deformer")
+    for one in deformers:
+        if one.subtype not in {"Skin", "BlendShape"}:
+            message = f"{one.subtype or 'deformer'} {one.name!r} of {name!r} is not read"
+            hint = "the mesh follows its skin, shapes and node alone"
+            notes.warn("FBX107", one.element.where, message, hint)
+    skins = [one for one in deformers if one.subtype == "Skin"]
+    if len(skins) > 1:
+        message = f"{name!r} has {len(skins)} skins, one over the other"
+        notes.fail("FBX004", of.element.where, message, "export it with one")
+    for skin in skins:
+        for one in file.sources(skin.id, "Deformer", "Cluster"):
+            cluster = _cluster(file, one, len(mesh.points), name)
+            if cluster is not None:
+                mesh.clusters.append(cluster)
+        kind = skin.element.find("SkinningType")
+        method = "Linear" if kind is None else kind.text(0)
+        if method == "DualQuaternion":
+            mesh.method = DUAL_QUATERNION
+        elif method not in {"Linear", "Rigid", ""}:
+            message = f"skin of {name!r}: {method.lower()} of linear and dual "
+            message += "quaternion, read as linear"
+            notes.warn("FBX108", skin.element.where, message)
+
+
+def _cluster(file: FbxFile, of: Object, points: int, name: str) -> Cluster | None:
+    notes, element = file.notes, of.element
+    bones = [one for one in file.sources(of.id, "Model") if one.id not in ROOTS]
+    indices = integers(element, "Indexes", notes)
+    weights = floats(element, "Weights", notes)
+    if indices is None or weights is None or not len(indices):
+        return None
+    if not bones:
+        message = f"a cluster of {name!r} has no bone: its weights are left out"
+        notes.warn("FBX106", element.where, message)
+        return None
+    mode = element.find("Mode")
+    if mode is not None and mode.text(0) == "Additive":
+        message = f"skin of {name!r}: additive cluster {of.name!r} is not read"
+        notes.fail("FBX004", element.where, message)
+    if len(indices) != len(weights):
+        message = f"{len(indices)} indices of {of.name!r} have {len(weights)} weights"
+        notes.fail("FBX008", element.where, message)
+    if (indices < 0).any() or (indices >= points).any():
+        message = f"cluster {of.name!r} counts a point that {name!r} has not"
+        notes.fail("FBX008", element.where, message)
+    if (weights < -1e-6).any():
+        message = f"cluster {of.name!r} has negative weights"
+        notes.fail("FBX008", element.where, message)
+    matrices = [_matrix(file, element, key) for key in ("Transform", "TransformLink")]
+    return Cluster(
+        bones[0].id,
+        matrices[0],
+        matrices[1],
+        indices,
+        np.maximum(weights, 0.0),
+        element.where,
+    )
+
+
+def _matrix(file: FbxFile, element: Element, name: str) -> FloatArray:
+    """Return a matrix for column vectors; files have it for rows."""
+    flat = floats(element, name, file.notes, 16)
+    if flat is None:
+        return np.eye(4)
+    matrix = flat.reshape(4, 4).T.copy()
+    size = float(np.abs(matrix[:3, :3]).max())
+    singular = not size or abs(np.linalg.det(matrix[:3, :3] / size)) < 1e-12
+    if singular or np.abs(matrix[3] - [0, 0, 0, 1]).max() > 1e-4:
+        message = f"{name} has no inverse"
+        file.notes.fail("FBX008", element.where, message)
+    return matrix
+
+
+def skin_table(mesh: Geometry) -> tuple[IntArray, FloatArray]:
+    """Return cluster and weight of the influences of each point ``(V, I)``.
+
+    Weights are normalised. The cluster after the last is the mesh's own node, which
+    points without a weight follow.
+    """
+    count, clusters = len(mesh.points), len(mesh.clusters)
+    points = np.concatenate([one.indices for one in mesh.clusters])
+    weights = np.concatenate([one.weights for one in mesh.clusters])
+    sizes = [len(one.indices) for one in mesh.clusters]
+    of = np.repeat(np.arange(clusters), sizes)
+    shown = weights > 0
+    points, weights, of = points[shown], weights[shown], of[shown]
+    order = np.argsort(points, kind="stable")
+    points, weights, of = points[order], weights[order], of[order]
+    many = np.bincount(points, minlength=count)
+    width = max(1, int(many.max(initial=0)))
+    starts = np.concatenate([[0], np.cumsum(many)[:-1]])
+    columns = np.arange(len(points)) - starts[points]
+    indices = np.zeros((count, width), np.int64)
+    table = np.zeros((count, width))
+    indices[points, columns], table[points, columns] = of, weights
+    sums = table.sum(axis=1, keepdims=True)
+    free = sums[:, 0] <= 0
+    indices[free, 0], table[free, 0] = clusters, 1.0
+    return indices, table / np.where(sums <= 0, 1.0, sums)
+
+
+def has_free_points(mesh: Geometry) -> bool:
+    """Return whether a point of a skinned mesh follows no bone."""
+    sums = np.zeros(len(mesh.points))
+    for one in mesh.clusters:
+        np.add.at(sums, one.indices, one.weights)
+    return bool((sums <= 0).any())
+
+
+def _put_shapes(file: FbxFile, of: Object, mesh: Geometry, name: str) -> None:
+    notes = file.notes
+    for shape in of.element.all("Shape"):
+        message = f"shape {shape.text(0)!r} of {name!r}: shapes of files before 7000 "
+        message += "are not read"
+        hint = "Autodesk's FBX Converter writes FBX 2013 or later of it"
+        notes.fail("FBX004", shape.where, message, hint)
+    for group in file.sources(of.id, "Deformer", "BlendShape"):
+        for channel in file.sources(group.id, "Deformer", "BlendShapeChannel"):
+            found = _channel(file, channel, len(mesh.points))
+            if found is not None:
+                mesh.shapes.append(found)
+
+
+def _channel(file: FbxFile, of: Object, points: int) -> ShapeChannel | None:
+    notes, element = file.notes, of.element
+    shapes = file.sources(of.id, "Geometry", "Shape")
+    if not shapes:
+        return None
+    full = floats(element, "FullWeights", notes)
+    if full is None or len(full) < len(shapes):
+        if len(shapes) > 1:
+            message = f"{counted(len(shapes), 'shape')} of {of.name!r} lack weights"
+            notes.fail("FBX008", element.where, message)
+        full = np.array([100.0])
+    percent = scalar(of, PERCENT, 0.0, notes)
+    if PERCENT not in of.properties:
+        stated = floats(element, PERCENT, notes)
+        percent = float(stated[0]) if stated is not None and len(stated) else percent
+    targets = []
+    for shape, at in zip(shapes, full.tolist(), strict=False):
+        targets.append((at, _offsets(file, shape, points)))
+    targets.sort(key=lambda one: one[0])
+    return ShapeChannel(of.id, of.name, percent, targets)
+
+
+def _offsets(file: FbxFile, of: Object, points: int) -> FloatArray:
+    notes, element = file.notes, of.element
+    found = np.zeros((points, 3))
+    indices = integers(element, "Indexes", notes)
+    flat = floats(element, "Vertices", notes)
+    if indices is None or flat is None or not len(indices):
+        return found
+    if len(flat) != 3 * len(indices):
+        message = f"{len(indices)} indices of shape {of.name!r} have {len(flat)} numbers"
+        notes.fail("FBX008", element.where, message)
+    if (indices < 0).any() or (indices >= points).any():
+        message = f"shape {of.name!r} counts a point that its mesh has not"
+        notes.fail("FBX008", element.where, message)
+    found[indices] = flat.reshape(-1, 3)
+    return found

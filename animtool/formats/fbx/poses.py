@@ -1,0 +1,195 @@
+"""Local transforms of the joints that nodes of an FBX become.
+
+A node is a joint. Where it leaves out an uneven scale of its parent, or takes it along
+its own axes, no rotation and scale hold its transform: a joint above it carries the
+translation and the inverse scale, and the joint itself turns and scales.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from enum import Enum, auto
+
+import numpy as np
+
+from animtool.core.array_types import BoolArray, FloatArray, IntArray
+from animtool.core.record import dataclass
+from animtool.formats.fbx.layers import SCALING
+from animtool.formats.fbx.models import COMPONENTWISE, IGNORE, Model, moving, state
+from animtool.formats.fbx.scene import FbxScene
+from animtool.formats.fbx.takes import AnimTake
+from animtool.formats.gltf.rig import SAME_SCALE
+from animtool.maths import so3
+
+# A scale that is nearer to 0 is taken as this where it is divided by.
+LEAST_SCALE = 1e-9
+_REST = np.zeros(1, np.int64)
+
+
+class RowKind(Enum):
+    """What of a node a joint carries."""
+
+    WHOLE = auto()
+    OUTER = auto()  # translation, and the inverse scale of the parent
+    INNER = auto()  # rotation and scale
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """A joint."""
+
+    model: int
+    kind: RowKind
+
+
+class State:
+    """Transforms of nodes at some times of a take; each is evaluated once."""
+
+    def __init__(self, scene: FbxScene, take: AnimTake | None, ticks: IntArray) -> None:
+        """Take times ``(F,)`` [ticks]; a take of None is the scene as saved."""
+        self.models, self.take, self.ticks = scene.models, take, ticks
+        self.basis = scene.settings.basis
+        self._turn = so3.from_matrix(self.basis)
+        self._locals: dict[int, tuple[FloatArray, FloatArray, FloatArray]] = {}
+
+    def local(self, i: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return translations, rotations and scales of a node, as it has them."""
+        if i not in self._locals:
+            model = self.models[i]
+            self._locals[i] = model.local(state(model, self.take, self.ticks))
+        return self._locals[i]
+
+    def own(self, i: int) -> FloatArray:
+        """Return the scale of a node that its children may leave out ``(F, 3)``."""
+        scale = self.local(i)[2]
+        while self.models[i].inherit == COMPONENTWISE and self.models[i].parent >= 0:
+            i = self.models[i].parent
+            scale = scale * self.local(i)[2]
+        return scale
+
+    def row(self, row: Row) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return translations, rotations and scales of a joint, in the file's unit."""
+        model = self.models[row.model]
+        translations, rotations, scales = self.local(row.model)
+        if model.parent < 0:
+            if not np.array_equal(self.basis, np.eye(3)):
+                translations = translations @ self.basis.T
+                rotations = so3.multiply(self._turn, rotations)
+            return translations, rotations, scales
+        if row.kind is RowKind.WHOLE:
+            if model.inherit == IGNORE:
+                scales = scales * _inverse(self.own(model.parent))
+            return translations, rotations, scales
+        above = self.own(model.parent)
+        if row.kind is RowKind.OUTER:
+            still = np.zeros_like(rotations)
+            still[:, 3] = 1.0
+            return translations, still, _inverse(above)
+        if model.inherit == COMPONENTWISE:
+            scales = scales * above
+        return np.zeros_like(translations), rotations, scales
+
+
+def _inverse(scales: FloatArray) -> FloatArray:
+    least = np.where(scales < 0, -LEAST_SCALE, LEAST_SCALE)
+    return np.asarray(1.0 / np.where(np.abs(scales) < LEAST_SCALE, least, scales))
+
+
+class Changes:
+    """Which transforms of joints a take changes."""
+
+    def __init__(self, models: Sequence[Model], take: AnimTake | None) -> None:
+        """Take the nodes of a file and a take of it."""
+        self.models = models
+        self.moving = [moving(model, take) for model in models]
+
+    def own(self, i: int) -> bool:
+        """Return whether the scale changes that children of a node may leave out."""
+        while not self.moving[i][2]:
+            if self.models[i].inherit != COMPONENTWISE or self.models[i].parent < 0:
+                return False
+            i = self.models[i].parent
+        return True
+
+    def row(self, row: Row) -> tuple[bool, bool, bool]:
+        """Return whether translation, rotation and scale of a joint change."""
+        model = self.models[row.model]
+        moves, turns, scales = self.moving[row.model]
+        if (turns or scales) and model.pivots.any():
+            moves = True
+        above = model.parent >= 0 and self.own(model.parent)
+        if row.kind is RowKind.OUTER:
+            return moves, False, above
+        if row.kind is RowKind.INNER:
+            return False, turns, scales or (above and model.inherit == COMPONENTWISE)
+        return moves, turns, scales or (above and model.inherit == IGNORE)
+
+
+def rows_of(scene: FbxScene, kept: Sequence[int]) -> list[Row]:
+    """Return the joints of nodes, in their order."""
+    uneven: dict[int, bool] = {}
+    rows = []
+    for i in kept:
+        model = scene.models[i]
+        parent = model.parent
+        if parent >= 0 and model.inherit in {IGNORE, COMPONENTWISE}:
+            if parent not in uneven:
+                uneven[parent] = _is_uneven(scene, parent)
+            if uneven[parent]:
+                rows += [Row(i, RowKind.OUTER), Row(i, RowKind.INNER)]
+                continue
+        rows.append(Row(i, RowKind.WHOLE))
+    return rows
+
+
+def _is_uneven(scene: FbxScene, i: int) -> bool:
+    """Return whether the scale of a node ever differs between its axes."""
+    chain = [i]
+    while scene.models[i].inherit == COMPONENTWISE and scene.models[i].parent >= 0:
+        i = scene.models[i].parent
+        chain.append(i)
+    keys = [(scene.models[one].object.id, SCALING) for one in chain]
+    for take in (None, *scene.takes):
+        ticks = _REST
+        if take is not None:
+            tracks = [take.tracks[key] for key in keys if key in take.tracks]
+            if not tracks:
+                continue
+            curves = [c for t in tracks for v in t.layers for c in v.curves if c]
+            times = np.unique(np.concatenate([_REST, *(c.times for c in curves)]))
+            # Between keys curves of the same keys may differ by their tangents.
+            ticks = np.unique(np.concatenate([times, (times[1:] + times[:-1]) // 2]))
+        own = State(scene, take, ticks).own(chain[0])
+        spread = own.max(axis=1) - own.min(axis=1)
+        if (spread > SAME_SCALE * np.abs(own).max(axis=1)).any():
+            return True
+    return False
+
+
+def even_rows(scene: FbxScene, rows: Sequence[Row]) -> tuple[FloatArray, BoolArray]:
+    """Return scales as saved ``(J, 3)``, and which are even and never change."""
+    rest = State(scene, None, _REST)
+    scales = np.array([rest.row(row)[2][0] for row in rows]).reshape(-1, 3)
+    low, high = scales.min(axis=1), scales.max(axis=1)
+    even = (low > 0) & (high - low <= SAME_SCALE * np.abs(high))
+    for take in scene.takes:
+        changes = Changes(scene.models, take)
+        of_take = State(scene, take, np.array([take.begin], np.int64))
+        for j, row in enumerate(rows):
+            if not even[j] or not _is_touched(scene.models, row, take):
+                continue
+            off = np.abs(of_take.row(row)[2][0] - scales[j]).max()
+            even[j] = not changes.row(row)[2] and off <= SAME_SCALE * high[j]
+    return scales, np.asarray(even)
+
+
+def _is_touched(models: Sequence[Model], row: Row, take: AnimTake) -> bool:
+    """Return whether a take says something of a scale of a joint."""
+    i = row.model
+    while i >= 0:
+        if (models[i].object.id, SCALING) in take.tracks:
+            return True
+        if models[i].inherit not in {IGNORE, COMPONENTWISE} and i != row.model:
+            return False
+        i = models[i].parent
+    return False

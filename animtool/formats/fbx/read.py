@@ -1,0 +1,138 @@
+"""An FBX as a rig, and its takes as streams of motion."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from animtool.core.arguments import argument
+from animtool.core.errors import Fault, FormatError, Severity, counted, listed
+from animtool.core.names import nearest
+from animtool.core.rates import FractionLike, rate_option
+from animtool.core.similar import distinct
+from animtool.core.units import LengthUnit, UpAxis, unit_name
+from animtool.formats.fbx.rig import FbxRig, build_rig, scale_notice
+from animtool.formats.fbx.sampling import Sampler, frames_of, moves, take_stream
+from animtool.formats.fbx.scene import FbxScene, open_fbx
+from animtool.formats.gltf.characters import Character, chosen
+from animtool.motion.take import TakeStream
+from animtool.rig.skeleton import Rig
+
+MAX_NAMED = 8
+
+
+def read_fbx(
+    path: Path | str,
+    *,
+    unit: LengthUnit | None = None,
+    up: UpAxis | None = None,
+    fps: FractionLike | None = None,
+    prim_path: str | None = None,
+    take: str | None = None,
+) -> TakeStream:
+    """Open a take of an FBX on the character that it moves, meshes included.
+
+    Time 0 is frame 0. The stream is sampled at the file's rate; between frames its
+    curve is what the file's curves give.
+
+    Args:
+        path: A .fbx file, binary or ASCII.
+        unit: What its lengths are in; None is what it says.
+        up: Which of its axes points up; None is what it says.
+        fps: Frames a second; None is the rate that it says.
+        prim_path: The character, where the file has several.
+        take: The take; None is the one that the file was saved with.
+
+    Raises:
+        FormatError: The file is broken, needs what is not read, or holds no such
+            character or take (FBX001 to FBX015).
+        OptionError: fps is no rate (SCN022).
+    """
+    path = Path(path)
+    rate = None if fps is None else rate_option(fps)
+    scene = open_fbx(path, up)
+    character, more = _character(scene, prim_path)
+    made = build_rig(scene, character, path.stem, None if unit is None else unit.meters)
+    index, of_takes = _take(scene, made, take)
+    own = None if index < 0 else scene.takes[index]
+    moving = Sampler(scene, made, own)
+    frames = frames_of(scene, own, rate, moving.numbers)
+    stream = take_stream(made, moving, frames)
+    stream.notices[:] = [*scene.file.notes.notices, *more, *made.notices, *of_takes]
+    stream.notices += frames.notices
+    if own is not None and own.visible:
+        message = "not read: visibility over time"
+        note = Fault("FBX109", message, str(path), severity=Severity.NOTE)
+        stream.notices.append(note)
+    names = take_names_of(scene)
+    stream.details = {
+        "format": "FBX",
+        "units": unit_name(made.rig.meters_per_unit),
+        "take": names[index] if index >= 0 else None,
+        "takes": names,
+    }
+    return stream
+
+
+def read_fbx_rig(path: Path, prim_path: str | None = None) -> Rig:
+    """Return the rig of an FBX with its meshes and shapes, as the scene was saved.
+
+    Args:
+        path: A .fbx file.
+        prim_path: The character, as `read_fbx` has it.
+
+    Raises:
+        FormatError: As `read_fbx` does.
+    """
+    scene = open_fbx(path)
+    character, notices = _character(scene, prim_path)
+    made = build_rig(scene, character, Path(path).stem)
+    notices = [*scene.file.notes.notices, *notices, *made.notices]
+    notices += scale_notice(made, str(path))
+    return replace(made.rig, notices=tuple(notices))
+
+
+def take_names(path: Path) -> list[str]:
+    """Return the names of the takes of an FBX, in its order.
+
+    Raises:
+        FormatError: As `read_fbx` does.
+    """
+    return take_names_of(open_fbx(path))
+
+
+def take_names_of(scene: FbxScene) -> list[str]:
+    """Return a distinct name for every take."""
+    plain = [
+        "".join(c if c.isprintable() else "_" for c in one.name).strip()
+        for one in scene.takes
+    ]
+    return distinct(name or f"take_{i + 1}" for i, name in enumerate(plain))
+
+
+def _character(
+    scene: FbxScene, prim_path: str | None
+) -> tuple[Character, list[Fault]]:
+    return chosen(scene, prim_path, "FBX014", "FBX115")
+
+
+def _take(
+    scene: FbxScene, made: FbxRig, take: str | None
+) -> tuple[int, list[Fault]]:
+    """Return which take is read, -1 for none, and a note of the others."""
+    path, names = str(scene.path), take_names_of(scene)
+    if take is not None:
+        if take in names:
+            return names.index(take), []
+        message = f"holds no take {take!r}"
+        raise FormatError(Fault("FBX015", message, path, (), nearest(take, names)))
+    moving = [i for i, one in enumerate(scene.takes) if moves(made, one, scene)]
+    if not moving:
+        message = "holds no animation of the character: it stands as it was saved"
+        return -1, [Fault("FBX116", message, path, severity=Severity.NOTE)]
+    index = scene.default if scene.default in moving else moving[0]
+    if len(moving) == 1:
+        return index, []
+    message = f"take {names[index]!r} is read of {counted(len(moving), 'take')}"
+    hint = f"{argument('source.take')} reads another: {listed(names, MAX_NAMED)}"
+    return index, [Fault("FBX115", message, path, (), hint, Severity.NOTE)]

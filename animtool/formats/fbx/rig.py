@@ -1,0 +1,263 @@
+"""A character of an FBX as a rig: joints, bind pose, meshes and shapes."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import field, replace
+
+import numpy as np
+
+from animtool.core.array_types import BoolArray, FloatArray, IntArray
+from animtool.core.errors import Fault, Severity, counted, excerpt, listed
+from animtool.core.record import dataclass
+from animtool.core.similar import distinct
+from animtool.formats.fbx.geometry import Geometry, ShapeChannel, skin_table
+from animtool.formats.fbx.poses import Row, RowKind, State, even_rows, rows_of
+from animtool.formats.fbx.scene import FbxScene
+from animtool.formats.gltf.binding import Binder
+from animtool.formats.gltf.characters import Character
+from animtool.formats.gltf.rig import joint_names
+from animtool.rig.parts import HeldArray, Inbetween, Mesh, Shape, Skin, Subdivision
+from animtool.rig.skeleton import Joint, Rig
+
+MAX_NAMED = 6
+# Weights of shapes that are nearer to 0 or to each other are one [1].
+NEAREST = 1e-5
+
+
+@dataclass(slots=True, eq=False)
+class FbxRig:
+    """A rig, and what of the file its joints and shapes are.
+
+    Attributes:
+        rig: J joints.
+        rows: Node of each joint; those that only carry a mesh are left out at the end.
+        joints: Joint of each node; -1 where it is none.
+        folded: By node, the scale that its joint leaves out, as the lengths below it
+            have it [1].
+        factors: What translations of each joint are multiplied by [m].
+        even: Joints whose scale is in the lengths.
+        scales: What is left of the scales as saved ``(J, 3)`` [1].
+        shapes: Channel of each shape, and its weight at 1 [%].
+        meshes: Name of the mesh that each node shows.
+        notices: What a rig cannot hold.
+    """
+
+    rig: Rig
+    rows: list[Row]
+    joints: IntArray
+    folded: FloatArray
+    factors: FloatArray
+    even: BoolArray
+    scales: FloatArray
+    shapes: list[tuple[ShapeChannel, float]]
+    meshes: dict[int, str]
+    notices: list[Fault] = field(default_factory=list)
+
+
+def build_rig(
+    scene: FbxScene,
+    character: Character,
+    name: str,
+    meters: float | None = None,
+    *,
+    surfaces: bool = True,
+) -> FbxRig:
+    """Return the rig of a character, at rest as the scene was saved.
+
+    Every node is a joint, but for those of skinned meshes with nothing below, whose
+    transform has no effect. A scale that is even and never moves goes into the
+    lengths below it; what is left is in the takes.
+
+    Args:
+        scene: The file.
+        character: Which nodes.
+        name: What the rig is called.
+        meters: Of the file's unit [m]; None is what the file says.
+        surfaces: Whether meshes and shapes are read too.
+    """
+    unit = scene.settings.meters if meters is None else meters
+    kept = [node for node in character.nodes if not _only_a_skin(scene, node)]
+    kept = kept or list(character.nodes)
+    rows = rows_of(scene, kept)
+    scales, even = even_rows(scene, rows)
+    joints = np.full(len(scene.models), -1, np.int64)
+    folded = np.ones(len(scene.models))
+    parents, factors = [], np.ones(len(rows))
+    for j, row in enumerate(rows):
+        above = scene.models[row.model].parent
+        length = 1.0 if above < 0 else float(folded[above])
+        factors[j] = length * unit
+        inner = row.kind is RowKind.INNER
+        parents.append(j - 1 if inner else -1 if above < 0 else int(joints[above]))
+        if row.kind is not RowKind.OUTER:
+            joints[row.model] = j
+            folded[row.model] = length * (float(scales[j].mean()) if even[j] else 1.0)
+    names, notices = _names(scene, rows)
+    rest = State(scene, None, np.zeros(1, np.int64))
+    made = []
+    for j, row in enumerate(rows):
+        moved, turned, _ = rest.row(row)
+        x, y, z = (moved[0] * factors[j]).tolist()
+        a, b, c, w = turned[0].tolist()
+        original = scene.models[row.model].name
+        source = "" if original == names[j] or row.kind is RowKind.OUTER else original
+        made.append(Joint(names[j], parents[j], translation=(x, y, z),
+                          rotation=(a, b, c, w), source_name=source))
+    scales = np.where(even[:, None], 1.0, scales)
+    rig = Rig(name, tuple(made), unit, scene.settings.up)
+    found = FbxRig(rig, rows, joints, folded, factors, even, scales, [], {}, notices)
+    _put_shapes_and_meshes(scene, character, found, surfaces=surfaces)
+    return found
+
+
+def _only_a_skin(scene: FbxScene, node: int) -> bool:
+    """Return whether a node is that of a skinned mesh, and nothing else."""
+    own = scene.nodes[node]
+    if own.skin < 0 or own.children:
+        return False
+    return not any(node in skin.joints for skin in scene.skins)
+
+
+def _names(scene: FbxScene, rows: Sequence[Row]) -> tuple[list[str], list[Fault]]:
+    whole = [row.model for row in rows if row.kind is not RowKind.OUTER]
+    named, renamed = joint_names([scene.nodes[node] for node in whole], whole)
+    of_model = dict(zip(whole, named, strict=True))
+    outer = [
+        f"{of_model[row.model]}_unscaled" if row.kind is RowKind.OUTER else ""
+        for row in rows
+    ]
+    unique = distinct([*named, *(one for one in outer if one)])
+    helpers = iter(unique[len(named) :])
+    names = [next(helpers) if one else of_model[row.model]
+             for one, row in zip(outer, rows, strict=True)]
+    notices = []
+    path = str(scene.path)
+    if renamed:
+        shown = listed([f"{excerpt(a)} is {b!r}" for a, b in renamed], MAX_NAMED)
+        message = f"{counted(len(renamed), 'joint')} renamed, as names occur once: "
+        notices.append(Fault("FBX113", message + shown, path, severity=Severity.NOTE))
+    added = unique[len(named) :]
+    if added:
+        message = f"{counted(len(added), 'joint')} added above joints that leave out "
+        message += f"an uneven scale of their parent: {listed(added, MAX_NAMED)}"
+        notices.append(Fault("FBX112", message, path, severity=Severity.NOTE))
+    return names, notices
+
+
+def _put_shapes_and_meshes(
+    scene: FbxScene, character: Character, made: FbxRig, *, surfaces: bool
+) -> None:
+    shown = [node for node in character.nodes if node in scene.meshes]
+    shown = [node for node in shown if len(scene.meshes[node].faces)]
+    plain = []
+    for node in shown:
+        text = "".join(c if c.isprintable() else "_" for c in scene.nodes[node].name or "")
+        plain.append(text.strip() or f"mesh_{node}")
+    called = distinct(plain)
+    made.meshes = dict(zip(shown, called, strict=True))
+    shapes: list[Shape] = []
+    taken: dict[str, None] = {}
+    for node in shown:
+        for channel in scene.meshes[node].shapes:
+            full = _full(channel)
+            made.shapes.append((channel, full))
+            text = "".join(c if c.isprintable() else "_" for c in channel.name).strip()
+            name = text or f"{made.meshes[node]}_shape"
+            name = f"{made.meshes[node]}_{name}" if name in taken else name
+            taken[distinct([*taken, name])[-1]] = None
+            own = list(taken)[-1]
+            if surfaces:
+                geometric = scene.models[node].geometric
+                shapes.append(_shape(own, made.meshes[node], channel, full, geometric))
+            else:
+                shapes.append(Shape(own))
+    if not surfaces:
+        made.rig = replace(made.rig, shapes=tuple(shapes))
+        return
+    binder = Binder(
+        scene, made.rig, made.joints, made.folded, made.scales, scene.bind_worlds()
+    )
+    meshes = tuple(_mesh(scene, node, made.meshes[node], binder) for node in shown)
+    made.rig = binder.rig(meshes, tuple(shapes))
+    made.notices += binder.notices
+    more = len(made.rig.joints) - len(made.scales)
+    made.scales = np.concatenate([made.scales, np.ones((more, 3))])
+
+
+def _full(channel: ShapeChannel) -> float:
+    """Return the percentage at which the last shape of a channel is full."""
+    last = channel.targets[-1][0]
+    return last if abs(last) > 100 * NEAREST else 100.0
+
+
+def _shape(
+    name: str, mesh: str, channel: ShapeChannel, full: float, geometric: FloatArray
+) -> Shape:
+    turn = geometric[:3, :3].T
+    between = [
+        Inbetween(at / full, HeldArray(offsets @ turn))
+        for at, offsets in channel.targets[:-1]
+    ]
+    between.sort(key=lambda one: one.at)
+    whole = HeldArray(channel.targets[-1][1] @ turn)
+    return Shape(name, mesh, whole, None, tuple(between))
+
+
+def _mesh(scene: FbxScene, node: int, name: str, binder: Binder) -> Mesh:
+    mesh, geometric = scene.meshes[node], scene.models[node].geometric
+    points = mesh.points @ geometric[:3, :3].T + geometric[:3, 3]
+    skin, geometry = _skin(scene, node, mesh, binder)
+    bind = tuple(geometry.ravel().tolist())
+    return Mesh(
+        name,
+        HeldArray(points),
+        HeldArray(mesh.faces.astype(np.float64)),
+        None,
+        None if (geometry == np.eye(4)).all() else bind,
+        skin,
+        Subdivision.NONE,
+    )
+
+
+def _skin(
+    scene: FbxScene, node: int, mesh: Geometry, binder: Binder
+) -> tuple[Skin, FloatArray]:
+    """Return what a mesh follows: bones of its skin, or the node that shows it."""
+    index = scene.nodes[node].skin
+    if index >= 0:
+        geometry, joints = binder.skin(index)
+        indices, weights = skin_table(mesh)
+    else:
+        geometry, joint = binder.node(node)
+        joints = [joint]
+        count = len(mesh.points)
+        indices, weights = np.zeros((count, 1), np.int64), np.ones((count, 1))
+    names = binder.names()
+    skin = Skin(
+        mesh.method if index >= 0 else "linear",
+        tuple(names[joint] for joint in joints),
+        HeldArray(indices.astype(np.float64)),
+        HeldArray(weights),
+    )
+    return skin, geometry
+
+
+def scale_notice(made: FbxRig, where: str) -> list[Fault]:
+    """Name the joints whose scale, at rest or at bind time, a rig does not hold."""
+    rig = made.rig
+    odd = np.abs(made.scales - 1.0).max(axis=1) > 1e-4
+    names = Counter(rig.names[j] for j in np.flatnonzero(odd).tolist())
+    names.update(
+        name
+        for name, pose in rig.bind.items()
+        if pose.stretch is not None
+        and np.abs(np.array(pose.stretch).reshape(3, 3) - np.eye(3)).max() > 1e-4
+    )
+    if not names:
+        return []
+    message = "scales of rest or bind transforms that a rig file has no place for: "
+    message += listed(list(names), MAX_NAMED)
+    hint = "takes of the file keep them; a rig file written of it does not"
+    return [Fault("FBX111", message, where, (), hint, Severity.WARNING)]

@@ -1,0 +1,225 @@
+"""A take of an FBX as motion of a rig, at any times."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from fractions import Fraction
+
+import numpy as np
+
+from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.arguments import argument
+from animtool.core.clock import MAX_FRAMES, Clock
+from animtool.core.errors import Fault, FormatError, Severity
+from animtool.core.rates import rate_label
+from animtool.core.record import dataclass
+from animtool.formats.fbx.layers import PERCENT, Track
+from animtool.formats.fbx.poses import Changes, State
+from animtool.formats.fbx.rig import FbxRig
+from animtool.formats.fbx.scene import FbxScene
+from animtool.formats.fbx.settings import TICKS
+from animtool.formats.fbx.takes import AnimTake
+from animtool.maths import so3
+from animtool.motion.motion import Channel, Motion
+from animtool.motion.take import TakeStream
+
+# Frames of a block: 60 joints take 2 MB.
+BLOCK = 1024
+# What a take is held with: numbers that change, of all frames.
+MAX_VALUES = 60_000_000
+MAX_TICKS = 2.0**61
+# A key is on a frame that is nearer than this [frame].
+ON_FRAME = 1e-3
+
+
+@dataclass(frozen=True, slots=True)
+class Frames:
+    """When the frames of a take are: frame 0 is at time 0."""
+
+    fps: Fraction
+    first: int
+    count: int
+    notices: tuple[Fault, ...] = ()
+
+    def ticks(self, codes: FloatArray) -> IntArray:
+        """Return the times of time codes [ticks]."""
+        # One product of two floats: a frame is exact as long as its tick is.
+        per_frame = float(Fraction(TICKS) / self.fps)
+        return np.rint(np.clip(codes * per_frame, -MAX_TICKS, MAX_TICKS)).astype(np.int64)
+
+
+class Sampler:
+    """The motion of a rig by one take, at any times."""
+
+    def __init__(self, scene: FbxScene, made: FbxRig, take: AnimTake | None) -> None:
+        """Take a rig of a scene; by a take of None it stands as it was saved."""
+        self.scene, self.made, self.take = scene, made, take
+        changes = Changes(scene.models, take)
+        flags = np.array([changes.row(row) for row in made.rows]).reshape(-1, 3)
+        flags[:, 2] &= ~made.even
+        self.moving = [np.flatnonzero(flags[:, k]) for k in range(3)]
+        rows = range(len(made.shapes))
+        self.shapes = np.array([row for row in rows if self._moves(row)], np.int64)
+        begin = 0 if take is None else take.begin
+        self.rest = self._rest(np.array([begin], np.int64))
+        self.is_scaled = bool(len(self.moving[2]) or (self.rest[2] != 1.0).any())
+
+    @property
+    def numbers(self) -> int:
+        """Numbers of a frame that change."""
+        moves, turns, scales = (len(one) for one in self.moving)
+        return 3 * moves + 4 * turns + 3 * scales + len(self.shapes)
+
+    def _track(self, row: int) -> Track | None:
+        channel = self.made.shapes[row][0]
+        take = self.take
+        return None if take is None else take.tracks.get((channel.id, PERCENT))
+
+    def _moves(self, row: int) -> bool:
+        track = self._track(row)
+        base = np.array([self.made.shapes[row][0].percent])
+        return track is not None and track.constant(base) is None
+
+    def _weight(self, row: int, ticks: IntArray) -> FloatArray:
+        """Return the weight of a shape at times ``(F,)`` [1]."""
+        channel, full = self.made.shapes[row]
+        base, track = np.array([channel.percent]), self._track(row)
+        if track is None:
+            return np.full(len(ticks), channel.percent / full)
+        return np.asarray(track.at(base, ticks)[:, 0] / full)
+
+    def _rest(self, ticks: IntArray) -> list[FloatArray]:
+        """Return the values of what does not move, of each channel."""
+        made, count = self.made, len(self.made.rig.joints)
+        state = State(self.scene, self.take, ticks)
+        moved, turned = np.zeros((count, 3)), np.tile([0.0, 0.0, 0.0, 1.0], (count, 1))
+        scaled = np.ones((count, 3))
+        for j, row in enumerate(made.rows):
+            own = state.row(row)
+            moved[j], turned[j] = own[0][0] * made.factors[j], own[1][0]
+            scaled[j] = 1.0 if made.even[j] else own[2][0]
+        weights = [self._weight(row, ticks)[0] for row in range(len(made.shapes))]
+        return [moved, turned, scaled, np.array(weights).reshape(-1, 1)]
+
+    def at(self, ticks: IntArray) -> Motion:
+        """Return the motion at times ``(F,)`` [ticks]."""
+        made = self.made
+        state = State(self.scene, self.take, ticks)
+        values = [np.zeros((len(ticks), len(own), w))
+                  for own, w in zip(self.moving, (3, 4, 3), strict=True)]
+        for part, own in enumerate(self.moving):
+            for k, j in enumerate(own.tolist()):
+                found = state.row(made.rows[j])[part]
+                if part == 0:
+                    found = found * made.factors[j]
+                elif part == 1:
+                    found = so3.align_signs(found)
+                values[part][:, k] = found
+        channels = [
+            Channel(self.rest[part], own, values[part])
+            for part, own in enumerate(self.moving)
+        ]
+        weights = None
+        if made.shapes:
+            rows = [self._weight(row, ticks) for row in self.shapes.tolist()]
+            own = np.stack(rows, axis=1) if rows else np.zeros((len(ticks), 0))
+            weights = Channel(self.rest[3], self.shapes, own[:, :, None])
+        scales = channels[2] if self.is_scaled else None
+        return Motion(channels[0], channels[1], scales, weights)
+
+
+def frames_of(
+    scene: FbxScene, take: AnimTake | None, fps: Fraction | None, width: int
+) -> Frames:
+    """Return the frames of a take: its span, or that of its keys where it has none.
+
+    Args:
+        scene: The file.
+        take: The take; None is one frame.
+        fps: The rate that is asked for; None is the file's.
+        width: Numbers of a frame.
+
+    Raises:
+        FormatError: It has more frames than are read (FBX013).
+    """
+    rate = fps or scene.settings.fps
+    if take is None:
+        return Frames(rate, 0, 1)
+    keys = take.key_times()
+    begin, end = take.begin, take.end
+    if end <= begin and len(keys):
+        begin, end = int(keys[0]), int(keys[-1])
+    # From the frame at or before the beginning to that at or after the end.
+    first = _nearest(begin, rate)
+    first -= _is_off(begin, rate) and first * TICKS > begin * rate
+    last = _nearest(end, rate)
+    last += _is_off(end, rate) and last * TICKS < end * rate
+    last = max(first, last)
+    count = last - first + 1
+    if count > MAX_FRAMES or count * max(width, 1) > MAX_VALUES:
+        message = f"take {take.name!r}: {(end - begin) / TICKS:.6g} s at "
+        message += f"{rate_label(rate)} are {count} frames of {width} numbers, more "
+        message += "than are read"
+        hint = f"{argument('source.fps')} reads fewer frames a second"
+        raise FormatError(
+            Fault("FBX013", message, str(scene.path), (), hint, where=take.where)
+        )
+    frames = keys / float(Fraction(TICKS) / rate)
+    off = np.abs(frames - np.round(frames)) > ON_FRAME
+    if not off.any():
+        return Frames(rate, first, count)
+    message = f"{int(off.sum())} of {len(keys)} key times are between the frames at "
+    message += rate_label(rate)
+    hint = f"{argument('source.fps')} gives another rate"
+    note = Fault(
+        "FBX110", message, str(scene.path), (), hint, Severity.NOTE, where=take.where
+    )
+    return Frames(rate, first, count, (note,))
+
+
+def _nearest(ticks: int, rate: Fraction) -> int:
+    return round(ticks * rate / TICKS)
+
+
+def _is_off(ticks: int, rate: Fraction) -> bool:
+    frames = ticks * rate / TICKS
+    return abs(frames - round(frames)) > Fraction(1, 1000)
+
+
+def take_stream(made: FbxRig, moving: Sampler, frames: Frames) -> TakeStream:
+    """Return a take on its rig, drawn block by block."""
+
+    def curve(codes: FloatArray) -> Motion:
+        return moving.at(frames.ticks(codes))
+
+    return TakeStream(
+        made.rig,
+        frames.fps,
+        Fraction(frames.first),
+        Fraction(1),
+        _blocks(moving, frames),
+        curve=curve,
+        count=frames.count,
+    )
+
+
+def _blocks(moving: Sampler, frames: Frames) -> Iterator[Motion]:
+    clock = Clock(frames.fps, Fraction(frames.first), Fraction(1), frames.count)
+    previous: FloatArray | None = None
+    for at in range(0, frames.count, BLOCK):
+        block = moving.at(frames.ticks(clock.times[at : at + BLOCK]))
+        turns = block.rotations
+        if previous is not None and len(turns.animated):
+            signs = np.sign(np.einsum("jc,jc->j", turns.values[0], previous))
+            if (signs < 0).any():
+                turns.values[:, signs < 0] *= -1.0
+        if len(turns.animated):
+            previous = turns.values[-1].copy()
+        yield block
+
+
+def moves(made: FbxRig, take: AnimTake, scene: FbxScene) -> bool:
+    """Return whether a take has something of a rig."""
+    ids = {scene.models[row.model].object.id for row in made.rows}
+    ids |= {channel.id for channel, _ in made.shapes}
+    return any(of in ids for of, _ in take.tracks)

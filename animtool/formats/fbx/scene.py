@@ -1,0 +1,148 @@
+"""An FBX in memory: nodes, meshes and takes, and which nodes are skinned."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import listed
+from animtool.core.record import dataclass
+from animtool.core.units import UpAxis
+from animtool.formats.fbx.geometry import Geometry, has_free_points, read_geometry
+from animtool.formats.fbx.models import Model, read_models
+from animtool.formats.fbx.objects import FbxFile, Id, open_objects
+from animtool.formats.fbx.settings import Settings, read_settings
+from animtool.formats.fbx.takes import AnimTake, default_take, read_takes
+from animtool.formats.gltf.meshes import SkinEntry
+from animtool.formats.gltf.nodes import Node
+
+MAX_NAMED = 6
+
+
+@dataclass(slots=True, eq=False)
+class FbxScene:
+    """A file.
+
+    Attributes:
+        file: Its objects.
+        settings: Unit, axes and rate.
+        models: Its nodes, parents first.
+        meshes: By index of the node that shows it.
+        takes: In the order of the file.
+        default: The take that is read if none is named; -1 for none.
+        nodes: The tree, of each model a node.
+        skins: One for each skinned mesh that a node shows.
+        bind: Of each skin, the world transform of its mesh when it was bound.
+    """
+
+    file: FbxFile
+    settings: Settings
+    models: list[Model]
+    meshes: dict[int, Geometry]
+    takes: list[AnimTake]
+    default: int
+    nodes: tuple[Node, ...]
+    skins: tuple[SkinEntry, ...]
+    bind: list[FloatArray]
+    scenes: list[list[int]]
+    default_scene: int = -1
+
+    def bind_worlds(self) -> list[FloatArray]:
+        """Return where the mesh of each skin was when bound, axes as the rig's."""
+        turn = np.eye(4)
+        turn[:3, :3] = self.settings.basis
+        return [turn @ one for one in self.bind]
+
+    @property
+    def path(self) -> Path:
+        """The file."""
+        return self.file.path
+
+
+def open_fbx(path: Path | str, up: UpAxis | None = None) -> FbxScene:
+    """Return an FBX, every number of what moves checked.
+
+    up: which axis of the file points up; None is what it says.
+
+    Raises:
+        FormatError: It cannot be read safely, or needs what is not read (FBX001 to
+            FBX013), with the byte offset or the line.
+    """
+    file = open_objects(path)
+    settings = read_settings(file, up)
+    models = read_models(file)
+    index = {model.object.id: i for i, model in enumerate(models)}
+    shown = read_geometry(file)
+    meshes = {index[of]: mesh for of, mesh in shown.items() if of in index}
+    takes = read_takes(file)
+    skins, bind = _skins(meshes, index)
+    of_node = dict(zip((i for i in meshes if meshes[i].clusters), skins, strict=True))
+    nodes = _nodes(models, meshes, {i: n for n, i in enumerate(of_node)})
+    _note_left_out(file)
+    default = default_take(file, takes)
+    return FbxScene(
+        file,
+        settings,
+        models,
+        meshes,
+        takes,
+        default,
+        nodes,
+        tuple(skins),
+        bind,
+        [],
+    )
+
+
+def _skins(
+    meshes: dict[int, Geometry], index: dict[Id, int]
+) -> tuple[list[SkinEntry], list[FloatArray]]:
+    """Return the skins, the node of the mesh last of their joints where it counts."""
+    skins, bind = [], []
+    for node, mesh in meshes.items():
+        if not mesh.clusters:
+            continue
+        joints = [index[one.bone] for one in mesh.clusters]
+        matrices = [one.from_mesh for one in mesh.clusters]
+        if has_free_points(mesh):
+            joints.append(node)
+            matrices.append(np.eye(4))
+        first = mesh.clusters[0]
+        skins.append(SkinEntry(None, tuple(joints), -1, np.stack(matrices), first.where))
+        bind.append(first.world @ first.from_mesh)
+    return skins, bind
+
+
+def _nodes(
+    models: list[Model], meshes: dict[int, Geometry], skins: dict[int, int]
+) -> tuple[Node, ...]:
+    children: list[list[int]] = [[] for _ in models]
+    for i, model in enumerate(models):
+        if model.parent >= 0:
+            children[model.parent].append(i)
+    zero, one = (0.0, 0.0, 0.0), (1.0, 1.0, 1.0)
+    return tuple(
+        Node(
+            model.name,
+            model.parent,
+            tuple(children[i]),
+            zero,
+            (0.0, 0.0, 0.0, 1.0),
+            one,
+            i if i in meshes else -1,
+            skins.get(i, -1),
+        )
+        for i, model in enumerate(models)
+    )
+
+
+def _note_left_out(file: FbxFile) -> None:
+    """Name what drives the pose and is not evaluated."""
+    drivers = file.of_kind("Constraint")
+    if drivers:
+        names = listed([repr(one.name) for one in drivers], MAX_NAMED)
+        message = f"constraints are not evaluated: {names}"
+        hint = "what they drive stands as its curves say; bake it before exporting"
+        file.notes.warn("FBX107", drivers[0].element.where, message, hint)
