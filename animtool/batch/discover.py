@@ -38,7 +38,7 @@ from animtool.core.files.output import inside
 from animtool.core.files.reading import MatchedFile, Places, files_meant, nearest_file
 from animtool.core.names import check_given, is_named
 from animtool.core.rates import rate_label
-from animtool.core.readers import BVH, DOCUMENT, GLTF, READERS
+from animtool.core.readers import BVH, DOCUMENT, FBX, GLTF, READERS
 from animtool.core.record import dataclass
 from animtool.core.writers import take_writer
 from animtool.scene.sources.open import is_timeline, source_stem
@@ -52,7 +52,7 @@ if TYPE_CHECKING:
 # How names end of the files that a folder is searched for. USD is left out: outputs
 # are of that kind, and would be inputs of the next run.
 SUFFIXES = (
-    *(suffix for suffix, reader in READERS.items() if reader in (BVH, GLTF)),
+    *(suffix for suffix, reader in READERS.items() if reader in (BVH, GLTF, FBX)),
     *(f".clip{suffix}" for suffix, reader in READERS.items() if reader is DOCUMENT),
 )
 SCENES = tuple(

@@ -97,6 +97,13 @@ GLTF = Reader(
     ("unit", "up", "fps", "prim_path", "take"),
     takes="animtool.formats.gltf.read:take_names",
 )
+FBX = Reader(
+    "FBX",
+    "animtool.formats.fbx.read:read_fbx_rig",
+    "animtool.formats.fbx.read:read_fbx",
+    ("unit", "up", "fps", "prim_path", "take"),
+    takes="animtool.formats.fbx.read:take_names",
+)
 DOCUMENT = Reader(
     "rig and clip files",
     "animtool.rig.file:load_rig",
@@ -157,6 +164,7 @@ READERS: dict[str, Reader] = {
     ".glb": GLTF,
     ".gltf": GLTF,
     ".vrm": GLTF,
+    ".fbx": FBX,
     ".yaml": DOCUMENT,
     ".yml": DOCUMENT,
     ".json": DOCUMENT,
@@ -180,6 +188,36 @@ TIMELINE_SUFFIXES = (
     ".xges",
 )
 
+
+# Files of tools, and what of them is read once they export it.
+EXPORTS: dict[str, tuple[str, str]] = {
+    ".ma": ("a Maya scene", "export FBX, glTF or USD from Maya, then use that file"),
+    ".mb": ("a Maya scene", "export FBX, glTF or USD from Maya, then use that file"),
+    ".anim": (
+        "animation of Maya or Unity, without its skeleton",
+        "export FBX or USD of the animated skeleton, then use that file",
+    ),
+    ".blend": (
+        "a Blender file",
+        "export glTF, FBX or USD from Blender, then use that file",
+    ),
+    ".max": ("a 3ds Max scene", "export FBX or USD from 3ds Max, then use that file"),
+    **dict.fromkeys(
+        (".hip", ".hiplc", ".hipnc"),
+        (
+            "a Houdini scene",
+            "export USD, FBX or glTF from Houdini, then use that file",
+        ),
+    ),
+    ".abc": (
+        "Alembic, which holds points and no joints",
+        "export FBX, glTF or USD of the skeleton from the tool that wrote it",
+    ),
+    ".dae": (
+        "COLLADA",
+        "import it into Blender or Maya and export glTF or FBX, then use that file",
+    ),
+}
 
 _TABLE = FormatTable(READERS, PLUGIN_GROUP, Reader)
 
@@ -218,6 +256,8 @@ def find_reader(path: Path) -> Reader:
     reason = why_no_file(path)
     if reason is not None:
         raise unreadable(path, reason)
+    if path.suffix.lower() in EXPORTS:
+        raise OptionError(export_fault(path))
     message = f"{suffix_text(path)} is no format that animtool reads"
     hint = f"allowed: {', '.join(readable_suffixes())}"
     if path.suffix.lower() in TIMELINE_SUFFIXES:
@@ -227,6 +267,13 @@ def find_reader(path: Path) -> Reader:
             "batch all"
         )
     raise OptionError(Fault("IO002", message, str(path), (), hint))
+
+
+def export_fault(path: Path) -> Fault:
+    """Return the fault of a file that a tool can export as one that is read (IO002)."""
+    about, hint = EXPORTS[path.suffix.lower()]
+    message = f"{path.suffix} is not read: it is {about}"
+    return Fault("IO002", message, str(path), (), hint)
 
 
 def _opener(place: str, what: str, path: Path) -> Callable[..., Any]:

@@ -48,6 +48,7 @@ class Kind(StrEnum):
     BVH = "bvh"
     USD = "usd"
     GLTF = "gltf"
+    FBX = "fbx"
 
 
 @dataclass(frozen=True, slots=True)

@@ -196,12 +196,21 @@ def take_writer(path: Path, *, folders: bool = False) -> Writer:
     else:
         message = f"{suffix_text(path)} is no format that animtool writes"
     hint = f"allowed: {', '.join(_motion_suffixes())}"
+    if writer is None and path.suffix.lower() == ".fbx":
+        message, hint = "FBX is read, and not written", _IN_PLACE_OF_FBX
     if not path.suffix and path.name and is_there(path) and path.is_dir():
         message = "is a folder, not a file"
         hint = f"name a file in it, such as {path / 'shot.usdc'}"
     elif not path.suffix:
         hint += f"; {path}/ names a folder" if folders else ""
     raise OptionError(Fault("OUT004", message, str(path), (), hint))
+
+
+# Which tools read what is written.
+_IN_PLACE_OF_FBX = (
+    "write .usdc for Maya, Houdini, Unreal and Blender, .glb for Blender, Unity and "
+    "Unreal, .bvh for MotionBuilder and 3ds Max"
+)
 
 
 def marker_writer(path: Path) -> Callable[..., list[Fault]]:
@@ -222,6 +231,8 @@ def rig_writer(path: Path) -> Callable[..., Any]:
         message = f"suffix {path.suffix!r} holds no rig"
         own = [suffix for suffix, one in WRITERS.items() if one.rig]
         hint = f"allowed: {', '.join(sorted(own))}"
+        if path.suffix.lower() == ".fbx":
+            message, hint = "FBX is read, and not written", _IN_PLACE_OF_FBX
         raise OptionError(Fault("OUT004", message, str(path), (), hint))
     return cast(Callable[..., Any], load_object(writer.rig))
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from animtool.core.errors import Fault, FormatError, OptionError
-from animtool.core.readers import GLTF, reader_of
+from animtool.core.readers import FBX, GLTF, reader_of
 from animtool.core.record import dataclass
 from animtool.core.units import unit_name
 from animtool.motion.take import Take, TakeStream
@@ -64,7 +64,7 @@ class TakeDescription:
     cycle: Cycle | None = None  # of a person who repeats something
     # All characters of the stage, where it has several and none is named.
     characters: CharactersFacts | None = None
-    contents: GltfContents | None = None  # of a glTF, used or not
+    contents: GltfContents | None = None  # of a glTF or an FBX, used or not
     json_keys: ClassVar[str] = "* rate=fps#"
 
     @property
@@ -201,7 +201,11 @@ def _characters(path: Path, options: SourceOptions | None) -> CharactersFacts | 
 
 
 def _contents(path: Path) -> GltfContents | None:
-    """Return what a glTF holds."""
+    """Return what a glTF or an FBX holds."""
+    if reader_of(path) is FBX:
+        from animtool.report.describe_fbx import fbx_contents
+
+        return fbx_contents(path)
     if reader_of(path) is not GLTF:
         return None
     from animtool.report.describe_gltf import gltf_contents

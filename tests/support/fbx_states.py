@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import copy
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from animtool.formats.fbx.curves import Outside
+from animtool.formats.fbx.poses import State
 from animtool.formats.fbx.rig import FbxRig, build_rig
 from animtool.formats.fbx.sampling import Sampler
 from animtool.formats.fbx.scene import FbxScene, open_fbx
@@ -108,7 +111,7 @@ def by_path(names: list[str], parents: list[int]) -> dict[str, list[int]]:
 
 @dataclass
 class Apart:
-    """Largest differences from what is expected, of lengths by the size of the scene."""
+    """Largest differences from what is expected, of lengths by the scene's size."""
 
     largest: dict[str, float] = field(default_factory=dict)
     seen: dict[str, int] = field(default_factory=dict)  # how much was compared
@@ -220,3 +223,74 @@ def _points(
         if own is not None:
             given = np.array(rows).reshape(-1, 3)
             apart.add(f"{kind}point", (own[mesh["sampled"]] - given) / size)
+
+
+def read_obj(path: Path) -> Array:
+    """Return the points of an OBJ ``(V, 3)``."""
+    rows = [
+        line.split()[1:4]
+        for line in path.read_text("utf-8", "replace").splitlines()
+        if line.startswith("v ")
+    ]
+    return np.array(rows, np.float64)
+
+
+def points_of_pair(character: FbxCharacter, pair: dict[str, Any]) -> Array | None:
+    """Return the points that a pair compares, converted as it says; None for none."""
+    scene = character.scene
+    state, take = pair.get("state"), None
+    if pair["time_s"] is None and state != "saved":
+        return None
+    if pair["time_s"] is not None:
+        name = pair.get("take")
+        take = character.take(name) if name else scene.takes[scene.default]
+    if take is not None and pair.get("extrapolation") is False:
+        take = _held(take)
+    posed = character.pose(take, pair["time_s"] or 0.0)
+    found = character.paths()
+    by_name: dict[str, list[int]] = {}
+    for path, nodes in found.items():
+        by_name.setdefault(path.split("\n")[-1], []).extend(nodes)
+    parts = []
+    for block in pair.get("blocks") or [{"node": n} for n in by_name]:
+        nodes = [n for n in by_name[block["node"]] if n in character.made.meshes]
+        for node in nodes[:1]:
+            own = character.points(posed, node)
+            assert own is not None
+            if pair.get("skin") == "with node":
+                own = _with_node(character, take, pair["time_s"] or 0.0, node, own)
+            parts.append(own)
+    points = np.concatenate(parts)
+    how = pair.get("conversion")
+    if how:
+        points = how["scale"] * points @ np.array(how["rows"], np.float64).T
+    return points
+
+
+def _held(take: AnimTake) -> AnimTake:
+    """Return a take whose curves hold outside of their keys."""
+    held = copy.deepcopy(take)
+    for track in held.tracks.values():
+        for one in track.layers:
+            one.curves = [
+                None if c is None else replace(c, pre=Outside(), post=Outside())
+                for c in one.curves
+            ]
+    return held
+
+
+def _with_node(
+    character: FbxCharacter,
+    take: AnimTake | None,
+    seconds: float,
+    node: int,
+    own: Array,
+) -> Array:
+    """Return points taken on by the node of their mesh since it was bound."""
+    scene = character.scene
+    if scene.nodes[node].skin < 0:
+        return own
+    ticks = np.array([round(seconds * TICKS)], np.int64)
+    world = State(scene, take, ticks).world(node)[0]
+    step = world @ np.linalg.inv(scene.bind[scene.nodes[node].skin])
+    return np.asarray(own @ step[:3, :3].T + step[:3, 3])

@@ -2,5 +2,6 @@
 
 References: Autodesk, *FBX SDK documentation*: "Computing transformation matrices",
 `FbxAnimCurve`, `FbxAnimLayer`, `FbxCluster`, `FbxBlendShapeChannel`; the layout of
-binary files after the Blender Foundation's description, *FBX binary file format* (2013).
+binary files after the Blender Foundation's *FBX binary file format specification*,
+2013.
 """

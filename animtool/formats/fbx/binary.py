@@ -43,7 +43,9 @@ def read_binary(content: bytes, notes: Notes) -> tuple[int, Element]:
         FormatError: A length or an offset leads out of its record (FBX002).
     """
     if len(content) < HEADER:
-        _fail(notes, len(content), f"the file has {len(content)} bytes: the header ends")
+        _fail(
+            notes, len(content), f"the file has {len(content)} bytes: the header ends"
+        )
     if content[22]:
         message = "the file has big-endian numbers, which are not read"
         notes.fail("FBX003", "byte 22", message, "export the file again")
@@ -91,7 +93,9 @@ class _Records:
         stop, count, length, named = head
         first = at + self.head.size + named
         if not first <= stop <= end:
-            _fail(self.notes, at, f"a record ends at byte {stop}, outside of its parent")
+            _fail(
+                self.notes, at, f"a record ends at byte {stop}, outside of its parent"
+            )
         if length > stop - first or count > length:
             message = f"{count} values of {length} bytes do not fit into their record"
             _fail(self.notes, at, message)

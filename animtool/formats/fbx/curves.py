@@ -197,6 +197,9 @@ def curve_of_object(element: Element, notes: Notes) -> Curve | None:
     if not fits or int(counts.sum()) != count:
         message = f"the attributes of {count} keys do not fit them"
         notes.fail("FBX006", element.where, message)
+    if (flags & 8 != 0)[flags & _TCB != 0].any():
+        message = "tangents by tension, continuity and bias are not read"
+        notes.fail("FBX004", element.where, message, "bake the curves before exporting")
     flags = np.repeat(flags, counts)
     rows = np.repeat(raw.reshape(-1, 4), counts, axis=0)
     slopes = rows[:, :2].copy().view(np.float32).astype(np.float64)
@@ -218,8 +221,8 @@ def curve_of_object(element: Element, notes: Notes) -> Curve | None:
     )
 
 
-# Flags of keys: automatic tangents, tangents by hand, and clamped automatic ones.
-_AUTO, _USER, _PROGRESSIVE = 0x100, 0x400, 0x4000
+# Flags of keys: automatic tangents, by tension, by hand, and clamped automatic ones.
+_AUTO, _TCB, _USER, _PROGRESSIVE = 0x100, 0x200, 0x400, 0x4000
 # A slope that is steeper than so many times that to a neighbour overshoots.
 STEEPEST = 3.0
 
@@ -389,6 +392,12 @@ def _key(keys: _Keys) -> tuple[int, float, int, float, float, float, float]:
     second = keys.number() if weighted in "al" else THIRD
     if weighted not in "arln":
         keys.fail(f"weights {weighted!r} of a key are not read")
-    return time, value, CUBIC, right, left, min(max(first, 0.0), 1.0), min(
-        max(second, 0.0), 1.0
+    return (
+        time,
+        value,
+        CUBIC,
+        right,
+        left,
+        min(max(first, 0.0), 1.0),
+        min(max(second, 0.0), 1.0),
     )

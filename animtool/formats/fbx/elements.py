@@ -82,7 +82,7 @@ def integers(parent: Element, name: str, notes: Notes) -> IntArray | None:
         whole = np.isfinite(found).all() and (np.abs(found) < 2.0**63).all()
         if not whole or (found != np.round(found)).any():
             notes.fail("FBX005", element.where, f"{name} must hold integers")
-    return found.astype(np.int64)
+    return np.asarray(found, np.int64)
 
 
 def _array(element: Element, notes: Notes) -> Any:

@@ -149,7 +149,9 @@ def _put_skin(file: FbxFile, of: Object, mesh: Geometry, name: str) -> None:
     deformers = file.sources(of.id, "Deformer")
     for one in deformers:
         if one.subtype not in {"Skin", "BlendShape"}:
-            message = f"{one.subtype or 'deformer'} {one.name!r} of {name!r} is not read"
+            message = (
+                f"{one.subtype or 'deformer'} {one.name!r} of {name!r} is not read"
+            )
             hint = "the mesh follows its skin, shapes and node alone"
             notes.warn("FBX107", one.element.where, message, hint)
     skins = [one for one in deformers if one.subtype == "Skin"]
@@ -300,7 +302,9 @@ def _offsets(file: FbxFile, of: Object, points: int) -> FloatArray:
     if indices is None or flat is None or not len(indices):
         return found
     if len(flat) != 3 * len(indices):
-        message = f"{len(indices)} indices of shape {of.name!r} have {len(flat)} numbers"
+        message = (
+            f"{len(indices)} indices of shape {of.name!r} have {len(flat)} numbers"
+        )
         notes.fail("FBX008", element.where, message)
     if (indices < 0).any() or (indices >= points).any():
         message = f"shape {of.name!r} counts a point that its mesh has not"

@@ -70,7 +70,7 @@ class LayerValues:
         """Return its values if they never change, else None."""
         if any(curve is not None and not curve.is_static() for curve in self.curves):
             return None
-        return self.at(np.zeros(1, np.int64))[0]
+        return np.asarray(self.at(np.zeros(1, np.int64))[0])
 
 
 @dataclass(slots=True, eq=False)
@@ -92,7 +92,7 @@ class Track:
         for one in self.layers:
             if one.constant() is None or one.layer.curve is not None:
                 return None
-        return self.at(base, np.zeros(1, np.int64))[0]
+        return np.asarray(self.at(base, np.zeros(1, np.int64))[0])
 
     def at(self, base: FloatArray, ticks: IntArray) -> FloatArray:
         """Return the values at times ``(F, width)``.

@@ -58,9 +58,7 @@ class Model:
         """Its name, namespace kept."""
         return self.object.name
 
-    def local(
-        self, values: FloatArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def local(self, values: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return translations, rotations and scales of a state of its properties.
 
         values: translation, rotation [deg] and scale ``(F, 3, 3)``.
@@ -127,7 +125,9 @@ def _model(file: FbxFile, one: Object, parent: int) -> Model:
     def triple(name: str, default: tuple[float, ...] = _ZERO) -> FloatArray:
         return np.array(vector(one, name, default, notes))
 
-    base = np.stack([triple(TRANSLATION), triple(ROTATION), triple(SCALING, (1.0,) * 3)])
+    base = np.stack(
+        [triple(TRANSLATION), triple(ROTATION), triple(SCALING, (1.0,) * 3)]
+    )
     active = bool(scalar(one, "RotationActive", 0, notes))
     order, pre, post = 0, _ZERO, _ZERO
     if active:

@@ -155,9 +155,9 @@ def open_objects(path: Path | str) -> FbxFile:
 
 
 def plain_name(text: str) -> tuple[str, str]:
-    """Return kind and name of an object's name.
+    r"""Return kind and name of an object's name.
 
-    >>> plain_name("Model::hero:hips"), plain_name("hips\\x00\\x01Model")
+    >>> plain_name("Model::hero:hips"), plain_name("hips\x00\x01Model")
     (('Model', 'hero:hips'), ('Model', 'hips'))
     """
     if "\x00\x01" in text:
@@ -189,7 +189,10 @@ def _object(
 def _properties(element: Element) -> dict[str, list[Any]]:
     """Return the properties of an object, of either layout."""
     found: dict[str, list[Any]] = {}
-    for group, name, first in (("Properties70", "P", 4), ("Properties60", "Property", 3)):
+    for group, name, first in (
+        ("Properties70", "P", 4),
+        ("Properties60", "Property", 3),
+    ):
         for properties in element.all(group):
             for one in properties.all(name):
                 if one.values and isinstance(one.values[0], str):

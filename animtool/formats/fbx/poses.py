@@ -15,7 +15,14 @@ import numpy as np
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.record import dataclass
 from animtool.formats.fbx.layers import SCALING
-from animtool.formats.fbx.models import COMPONENTWISE, IGNORE, Model, moving, state
+from animtool.formats.fbx.models import (
+    COMPONENTWISE,
+    IGNORE,
+    INHERIT,
+    Model,
+    moving,
+    state,
+)
 from animtool.formats.fbx.scene import FbxScene
 from animtool.formats.fbx.takes import AnimTake
 from animtool.formats.gltf.rig import SAME_SCALE
@@ -66,6 +73,24 @@ class State:
             i = self.models[i].parent
             scale = scale * self.local(i)[2]
         return scale
+
+    def world(self, i: int) -> FloatArray:
+        """Return the world transforms of a node, in the file's axes ``(F, 4, 4)``."""
+        whole, chain = np.tile(np.eye(4), (len(self.ticks), 1, 1)), [i]
+        while self.models[chain[-1]].parent >= 0:
+            chain.append(self.models[chain[-1]].parent)
+        for node in reversed(chain):
+            model = self.models[node]
+            moved, turned, _ = self.local(node)
+            scaled, leaves = self.own(node), model.inherit != INHERIT
+            local = np.tile(np.eye(4), (len(self.ticks), 1, 1))
+            local[:, :3, :3] = so3.to_matrix(turned) * scaled[:, None, :]
+            if leaves and model.parent >= 0:
+                above = _inverse(self.own(model.parent))
+                local[:, :3, :3] = above[:, :, None] * local[:, :3, :3]
+            local[:, :3, 3] = moved
+            whole = whole @ local
+        return np.asarray(whole)
 
     def row(self, row: Row) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return translations, rotations and scales of a joint, in the file's unit."""

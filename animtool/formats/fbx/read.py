@@ -14,6 +14,7 @@ from animtool.core.units import LengthUnit, UpAxis, unit_name
 from animtool.formats.fbx.rig import FbxRig, build_rig, scale_notice
 from animtool.formats.fbx.sampling import Sampler, frames_of, moves, take_stream
 from animtool.formats.fbx.scene import FbxScene, open_fbx
+from animtool.formats.fbx.takes import AnimTake
 from animtool.formats.gltf.characters import Character, chosen
 from animtool.motion.take import TakeStream
 from animtool.rig.skeleton import Rig
@@ -60,10 +61,7 @@ def read_fbx(
     stream = take_stream(made, moving, frames)
     stream.notices[:] = [*scene.file.notes.notices, *more, *made.notices, *of_takes]
     stream.notices += frames.notices
-    if own is not None and own.visible:
-        message = "not read: visibility over time"
-        note = Fault("FBX109", message, str(path), severity=Severity.NOTE)
-        stream.notices.append(note)
+    stream.notices += _left_out(scene, own)
     names = take_names_of(scene)
     stream.details = {
         "format": "FBX",
@@ -110,15 +108,22 @@ def take_names_of(scene: FbxScene) -> list[str]:
     return distinct(name or f"take_{i + 1}" for i, name in enumerate(plain))
 
 
-def _character(
-    scene: FbxScene, prim_path: str | None
-) -> tuple[Character, list[Fault]]:
+def _character(scene: FbxScene, prim_path: str | None) -> tuple[Character, list[Fault]]:
     return chosen(scene, prim_path, "FBX014", "FBX115")
 
 
-def _take(
-    scene: FbxScene, made: FbxRig, take: str | None
-) -> tuple[int, list[Fault]]:
+def _left_out(scene: FbxScene, take: AnimTake | None) -> list[Fault]:
+    """Say once what of the file no take holds."""
+    names = list(scene.left_out)
+    if take is not None and take.visible:
+        names.append("visibility over time")
+    if not names:
+        return []
+    message = f"not read: {listed(names)}"
+    return [Fault("FBX109", message, str(scene.path), severity=Severity.NOTE)]
+
+
+def _take(scene: FbxScene, made: FbxRig, take: str | None) -> tuple[int, list[Fault]]:
     """Return which take is read, -1 for none, and a note of the others."""
     path, names = str(scene.path), take_names_of(scene)
     if take is not None:

@@ -13,6 +13,7 @@ from animtool.core.errors import Fault, Severity, counted, excerpt, listed
 from animtool.core.record import dataclass
 from animtool.core.similar import distinct
 from animtool.formats.fbx.geometry import Geometry, ShapeChannel, skin_table
+from animtool.formats.fbx.layers import ROTATION, SCALING, TRANSLATION
 from animtool.formats.fbx.poses import Row, RowKind, State, even_rows, rows_of
 from animtool.formats.fbx.scene import FbxScene
 from animtool.formats.gltf.binding import Binder
@@ -22,6 +23,8 @@ from animtool.rig.parts import HeldArray, Inbetween, Mesh, Shape, Skin, Subdivis
 from animtool.rig.skeleton import Joint, Rig
 
 MAX_NAMED = 6
+# Of where a mesh was when it was bound, by its size: rounding of files [1].
+MOVED = 1e-4
 # Weights of shapes that are nearer to 0 or to each other are one [1].
 NEAREST = 1e-5
 
@@ -103,13 +106,50 @@ def build_rig(
         a, b, c, w = turned[0].tolist()
         original = scene.models[row.model].name
         source = "" if original == names[j] or row.kind is RowKind.OUTER else original
-        made.append(Joint(names[j], parents[j], translation=(x, y, z),
-                          rotation=(a, b, c, w), source_name=source))
+        made.append(
+            Joint(
+                names[j],
+                parents[j],
+                translation=(x, y, z),
+                rotation=(a, b, c, w),
+                source_name=source,
+            )
+        )
     scales = np.where(even[:, None], 1.0, scales)
     rig = Rig(name, tuple(made), unit, scene.settings.up)
     found = FbxRig(rig, rows, joints, folded, factors, even, scales, [], {}, notices)
     _put_shapes_and_meshes(scene, character, found, surfaces=surfaces)
+    found.notices += _moved_meshes(scene, character)
     return found
+
+
+def _moved_meshes(scene: FbxScene, character: Character) -> list[Fault]:
+    """Name skinned meshes whose own node is not where it was when they were bound."""
+    rest = State(scene, None, np.zeros(1, np.int64))
+    names = []
+    for node in character.nodes:
+        index = scene.nodes[node].skin
+        if index < 0:
+            continue
+        of = scene.models[node].object.id
+        moves = any(
+            track.of == of and track.constant(scene.models[node].base[k]) is None
+            for take in scene.takes
+            for k, name in enumerate((TRANSLATION, ROTATION, SCALING))
+            for track in (take.tracks.get((of, name)),)
+            if track is not None
+        )
+        bind = scene.bind[index]
+        size = float(np.abs(bind[:3]).max())
+        if moves or np.abs(rest.world(node)[0] - bind).max() > MOVED * size:
+            names.append(repr(scene.models[node].name))
+    if not names:
+        return []
+    message = "skinned meshes follow their bones alone, and their own nodes were moved "
+    message += f"after binding: {listed(names, MAX_NAMED)}"
+    hint = "as Blender and glTF have it; Maya moves them with their node besides"
+    path = str(scene.path)
+    return [Fault("FBX117", message, path, (), hint, Severity.WARNING)]
 
 
 def _only_a_skin(scene: FbxScene, node: int) -> bool:
@@ -130,8 +170,10 @@ def _names(scene: FbxScene, rows: Sequence[Row]) -> tuple[list[str], list[Fault]
     ]
     unique = distinct([*named, *(one for one in outer if one)])
     helpers = iter(unique[len(named) :])
-    names = [next(helpers) if one else of_model[row.model]
-             for one, row in zip(outer, rows, strict=True)]
+    names = [
+        next(helpers) if one else of_model[row.model]
+        for one, row in zip(outer, rows, strict=True)
+    ]
     notices = []
     path = str(scene.path)
     if renamed:
@@ -153,7 +195,9 @@ def _put_shapes_and_meshes(
     shown = [node for node in shown if len(scene.meshes[node].faces)]
     plain = []
     for node in shown:
-        text = "".join(c if c.isprintable() else "_" for c in scene.nodes[node].name or "")
+        text = "".join(
+            c if c.isprintable() else "_" for c in scene.nodes[node].name or ""
+        )
         plain.append(text.strip() or f"mesh_{node}")
     called = distinct(plain)
     made.meshes = dict(zip(shown, called, strict=True))

@@ -7,8 +7,8 @@ from fractions import Fraction
 
 import numpy as np
 
-from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.arguments import argument
+from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.clock import MAX_FRAMES, Clock
 from animtool.core.errors import Fault, FormatError, Severity
 from animtool.core.rates import rate_label
@@ -45,7 +45,9 @@ class Frames:
         """Return the times of time codes [ticks]."""
         # One product of two floats: a frame is exact as long as its tick is.
         per_frame = float(Fraction(TICKS) / self.fps)
-        return np.rint(np.clip(codes * per_frame, -MAX_TICKS, MAX_TICKS)).astype(np.int64)
+        return np.rint(np.clip(codes * per_frame, -MAX_TICKS, MAX_TICKS)).astype(
+            np.int64
+        )
 
 
 class Sampler:
@@ -105,8 +107,10 @@ class Sampler:
         """Return the motion at times ``(F,)`` [ticks]."""
         made = self.made
         state = State(self.scene, self.take, ticks)
-        values = [np.zeros((len(ticks), len(own), w))
-                  for own, w in zip(self.moving, (3, 4, 3), strict=True)]
+        values = [
+            np.zeros((len(ticks), len(own), w))
+            for own, w in zip(self.moving, (3, 4, 3), strict=True)
+        ]
         for part, own in enumerate(self.moving):
             for k, j in enumerate(own.tolist()):
                 found = state.row(made.rows[j])[part]
@@ -122,8 +126,8 @@ class Sampler:
         weights = None
         if made.shapes:
             rows = [self._weight(row, ticks) for row in self.shapes.tolist()]
-            own = np.stack(rows, axis=1) if rows else np.zeros((len(ticks), 0))
-            weights = Channel(self.rest[3], self.shapes, own[:, :, None])
+            shown = np.stack(rows, axis=1) if rows else np.zeros((len(ticks), 0))
+            weights = Channel(self.rest[3], self.shapes, shown[:, :, None])
         scales = channels[2] if self.is_scaled else None
         return Motion(channels[0], channels[1], scales, weights)
 

@@ -31,6 +31,7 @@ class FbxScene:
         models: Its nodes, parents first.
         meshes: By index of the node that shows it.
         takes: In the order of the file.
+        left_out: What else it holds, in words.
         default: The take that is read if none is named; -1 for none.
         nodes: The tree, of each model a node.
         skins: One for each skinned mesh that a node shows.
@@ -47,6 +48,7 @@ class FbxScene:
     skins: tuple[SkinEntry, ...]
     bind: list[FloatArray]
     scenes: list[list[int]]
+    left_out: tuple[str, ...] = ()
     default_scene: int = -1
 
     def bind_worlds(self) -> list[FloatArray]:
@@ -80,7 +82,7 @@ def open_fbx(path: Path | str, up: UpAxis | None = None) -> FbxScene:
     skins, bind = _skins(meshes, index)
     of_node = dict(zip((i for i in meshes if meshes[i].clusters), skins, strict=True))
     nodes = _nodes(models, meshes, {i: n for n, i in enumerate(of_node)})
-    _note_left_out(file)
+    _note_drivers(file)
     default = default_take(file, takes)
     return FbxScene(
         file,
@@ -93,6 +95,7 @@ def open_fbx(path: Path | str, up: UpAxis | None = None) -> FbxScene:
         tuple(skins),
         bind,
         [],
+        _left_out(file),
     )
 
 
@@ -110,7 +113,9 @@ def _skins(
             joints.append(node)
             matrices.append(np.eye(4))
         first = mesh.clusters[0]
-        skins.append(SkinEntry(None, tuple(joints), -1, np.stack(matrices), first.where))
+        skins.append(
+            SkinEntry(None, tuple(joints), -1, np.stack(matrices), first.where)
+        )
         bind.append(first.world @ first.from_mesh)
     return skins, bind
 
@@ -138,7 +143,35 @@ def _nodes(
     )
 
 
-def _note_left_out(file: FbxFile) -> None:
+# Kinds of objects that are of looks or of other surfaces, as they are called.
+_LEFT_OUT = {
+    "Material": "materials",
+    "Texture": "textures",
+    "Video": "images",
+    "NurbsSurface": "NURBS surfaces",
+    "NurbsCurve": "NURBS curves",
+    "Nurb": "NURBS surfaces",
+    "TrimNurbsSurface": "NURBS surfaces",
+    "Patch": "patches",
+    "Line": "lines",
+    "Camera": "cameras",
+    "Light": "lights",
+}
+
+
+def _left_out(file: FbxFile) -> tuple[str, ...]:
+    """Return what a file holds that no rig and no take has a place for."""
+    kinds = ("Material", "Texture", "Video")
+    found = {
+        _LEFT_OUT[key]: None
+        for one in file.objects.values()
+        for key in (one.kind if one.kind in kinds else one.subtype,)
+        if key in _LEFT_OUT
+    }
+    return tuple(sorted(found))
+
+
+def _note_drivers(file: FbxFile) -> None:
     """Name what drives the pose and is not evaluated."""
     drivers = file.of_kind("Constraint")
     if drivers:

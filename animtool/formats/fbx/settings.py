@@ -125,5 +125,3 @@ def _old_rate(file: FbxFile) -> Fraction:
     if rate is None or not Fraction(1, 100) <= rate <= 100_000:
         return Fraction(24)
     return rate
-
-

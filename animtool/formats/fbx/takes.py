@@ -20,7 +20,14 @@ from animtool.formats.fbx.layers import (
     LayerValues,
     Track,
 )
-from animtool.formats.fbx.objects import NUMBERED, FbxFile, Id, Object, plain_name, scalar
+from animtool.formats.fbx.objects import (
+    NUMBERED,
+    FbxFile,
+    Id,
+    Object,
+    plain_name,
+    scalar,
+)
 
 # Parts of each property that moves something, as curve nodes call them.
 PARTS = {
@@ -113,7 +120,7 @@ class _Stacks:
 
     def take(self, stack: Object) -> AnimTake:
         file = self.file
-        begin, end = (_ticks(stack, file, name) for name in ("LocalStart", "LocalStop"))
+        begin, end = (_ticks(stack, name) for name in ("LocalStart", "LocalStop"))
         take = AnimTake(stack.name, stack.element.where, begin, end)
         layers = file.sources(stack.id, "AnimationLayer")
         if len(layers) > MAX_LAYERS:
@@ -186,7 +193,7 @@ class _Stacks:
         )
 
 
-def _ticks(of: Object, file: FbxFile, name: str) -> int:
+def _ticks(of: Object, name: str) -> int:
     values = of.values(name)
     if not values or not isinstance(values[0], int):
         return 0

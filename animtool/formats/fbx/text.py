@@ -23,6 +23,8 @@ _TOKEN = re.compile(
 )
 # A float64 in full has 24 characters, with zeros behind the point rarely more than 40.
 MAX_DIGITS = 100
+# Lists as long as this are read at once.
+LONG = 8
 _VERSION = re.compile(rb"FBXVersion:\s*(\d{1,9})")
 _COMMENT = re.compile(rb"\A\s*;\s*FBX\s+(\d)\.(\d)\.(\d)")
 
@@ -55,6 +57,10 @@ class _Parser:
         self.content, self.notes = content, notes
         self.count = 0
         self._at, self._line = 0, 1
+        self.stack = [Element("", [], "line 1")]
+        self.current: Element | None = None
+        # Elements whose values are in one below; held, as an id counts while it lives.
+        self.arrays: dict[int, Element] = {}
 
     def line(self, at: int) -> str:
         self._line += self.content.count(b"\n", self._at, at)
@@ -66,86 +72,89 @@ class _Parser:
         self.notes.fail("FBX001", f"line {line}", message, "export the file again")
 
     def root(self) -> Element:
-        root = Element("", [], "line 1")
-        stack = [root]
-        current: Element | None = None
-        arrays: set[int] = set()
+        root = self.stack[0]
         at, size = 3 if self.content[:3] == b"\xef\xbb\xbf" else 0, len(self.content)
         while at < size:
             token = _TOKEN.match(self.content, at)
             if token is None:
                 shown = self.content[at : at + 12].decode("utf-8", "replace")
                 self.fail(at, f"{excerpt(repr(shown))} is not expected here")
-            kind, start, at = token.lastgroup, at, token.end()
-            if kind == "space":
-                continue
-            if kind == "name":
-                current = self._named(token, stack, start)
-            elif kind == "mark":
-                mark = token[0]
-                if mark == b"{":
-                    if current is None:
-                        self.fail(start, "a brace without a name before it")
-                    stack.append(current)
-                    current = None
-                    if len(stack) > MAX_DEPTH:
-                        message = f"more than {MAX_DEPTH} levels"
-                        self.notes.fail("FBX013", self.line(start), message)
-                elif mark == b"}":
-                    if len(stack) == 1:
-                        self.fail(start, "a closing brace without an open one")
-                    closed = stack.pop()
-                    self._close(closed, id(closed) in arrays, start)
-                    current = None
-            elif current is None:
-                self.fail(start, "a value without a name before it")
-            elif kind == "text":
-                raw = token["text"].decode("utf-8", "replace")
-                current.values.append(raw.replace("&quot;", '"'))
-            elif kind == "word":
-                current.values.append(_word(token["word"]))
-            elif kind == "count":
-                arrays.add(id(current))
-            else:
-                self._numbers(current, token["numbers"], start)
-        if len(stack) > 1:
-            self.fail(size, f"the braces of {stack[-1].name} are not closed")
+            self._token(token, at)
+            at = token.end()
+        if len(self.stack) > 1:
+            self.fail(size, f"the braces of {self.stack[-1].name} are not closed")
         for element in _long(root):
             _join(element)
         return root
 
-    def _named(self, token: re.Match[bytes], stack: list[Element], at: int) -> Element:
+    def _token(self, token: re.Match[bytes], at: int) -> None:
+        kind = token.lastgroup
+        if kind == "space":
+            return
+        if kind == "name":
+            self._named(token, at)
+        elif kind == "mark":
+            self._mark(token[0], at)
+        elif self.current is None:
+            self.fail(at, "a value without a name before it")
+        elif kind == "count":
+            self.arrays[id(self.current)] = self.current
+        elif kind == "numbers":
+            self._numbers(self.current, token["numbers"], at)
+        elif kind == "text":
+            raw = token["text"].decode("utf-8", "replace")
+            self.current.values.append(raw.replace("&quot;", '"'))
+        else:
+            self.current.values.append(_word(token["word"]))
+
+    def _mark(self, mark: bytes, at: int) -> None:
+        if mark == b"{":
+            if self.current is None:
+                self.fail(at, "a brace without a name before it")
+            self.stack.append(self.current)
+            if len(self.stack) > MAX_DEPTH:
+                self.notes.fail(
+                    "FBX013", self.line(at), f"more than {MAX_DEPTH} levels"
+                )
+            self.current = None
+        elif mark == b"}":
+            if len(self.stack) == 1:
+                self.fail(at, "a closing brace without an open one")
+            closed = self.stack.pop()
+            if id(closed) in self.arrays:
+                inner = closed.find("a")
+                closed.values = [] if inner is None else inner.values
+                closed.children = []
+            self.current = None
+
+    def _named(self, token: re.Match[bytes], at: int) -> None:
         self.count += 1
         if self.count > MAX_ELEMENTS:
             message = f"more than {MAX_ELEMENTS} elements"
             self.notes.fail("FBX013", self.line(at), message)
         name = token["name"].decode("utf-8", "replace")
-        element = Element(name, [], self.line(at))
-        stack[-1].children.append(element)
-        return element
+        self.current = Element(name, [], self.line(at))
+        self.stack[-1].children.append(self.current)
 
     def _numbers(self, element: Element, text: bytes, at: int) -> None:
         """Add numbers with commas between them; the long lists as one array."""
         parts = [part.strip() for part in text.split(b",")]
         try:
-            if max(map(len, parts)) > MAX_DIGITS:
-                raise ValueError
-            if len(parts) < 8:
-                element.values += [_number(part) for part in parts]
+            if max(map(len, parts)) <= MAX_DIGITS:
+                _add_numbers(element, text, parts)
                 return
-            real = b"." in text or b"e" in text or b"E" in text
-            kind: Any = np.float64 if real else np.int64
-            element.values.append(np.array(parts, "S").astype(kind))
         except (ValueError, OverflowError):
-            self.fail(at, f"{excerpt(repr(text[:40].decode()))} is no list of numbers")
+            pass
+        self.fail(at, f"{excerpt(repr(text[:40].decode()))} is no list of numbers")
 
-    def _close(self, element: Element, is_array: bool, at: int) -> None:
-        """Take the values of an array, which are in an element of its own."""
-        if not is_array:
-            return
-        inner = element.find("a")
-        element.values = [] if inner is None else inner.values
-        element.children = []
+
+def _add_numbers(element: Element, text: bytes, parts: list[bytes]) -> None:
+    if len(parts) < LONG:
+        element.values += [_number(part) for part in parts]
+        return
+    real = b"." in text or b"e" in text or b"E" in text
+    kind: Any = np.float64 if real else np.int64
+    element.values.append(np.array(parts, "S").astype(kind))
 
 
 def _long(root: Element) -> list[Element]:

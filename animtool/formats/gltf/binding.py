@@ -71,7 +71,9 @@ class Binder:
         """Return the transform of the points of a mesh that a node carries."""
         own = np.eye(4)
         own[:3] *= self.folded[node]
-        geometry, joints = self._bound(own[None], [int(self.joints[node])], "", np.eye(4))
+        geometry, joints = self._bound(
+            own[None], [int(self.joints[node])], "", np.eye(4)
+        )
         return geometry, joints[0]
 
     def _bound(

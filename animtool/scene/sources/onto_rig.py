@@ -34,7 +34,9 @@ def open_rig(path: Path, prim_path: str | None = None) -> tuple[Rig, list[Fault]
         opener: Callable[..., Rig] = find_reader(path).rig_opener(path)
         rig = opener(path, prim_path)
     else:
-        message = f"{argument('source.prim_path')} is for USD and glTF files, and this "
+        message = (
+            f"{argument('source.prim_path')} is for USD, glTF and FBX files, and this "
+        )
         raise OptionError(Fault("CLI004", f"{message}is none", str(path)))
     return rig, list(rig.notices)
 

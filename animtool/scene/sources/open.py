@@ -29,7 +29,7 @@ BEYOND_READERS = frozenset({"force_fit", "shot"})
 _DROPPED = ("interpolate", "hold", "close")
 _POSITIONS = ("channels", "offsets")
 _OF_BVH = "says what a BVH leaves open; this file states it"
-_UNITS = "says what a BVH or a glTF is in; this file states it"
+_UNITS = "says what a BVH, a glTF or an FBX is in; this file states it"
 
 
 @described
@@ -53,25 +53,35 @@ class SourceOptions:
         flag="units",
         reason=_UNITS,
         scene=Key(
-            "Of a BVH or a glTF: the unit of its lengths. Not given: cm, of a glTF m.",
+            "Of a BVH, glTF or FBX: the unit of its lengths. Not given: cm, of a glTF "
+            "m, of an FBX what it says.",
             "cm",
             alias="units",
         ),
         batch=Key(
-            "Of BVH and glTF files: the unit of their lengths. Not given: cm, of "
-            "glTF m.",
+            "Of BVH, glTF and FBX files: the unit of their lengths. Not given: cm, of "
+            "glTF m, of FBX what each says.",
             "cm",
             alias="units",
         ),
-        help="Unit of the lengths of a BVH or a glTF.  [default: cm; of a glTF m]",
+        help="Unit of the lengths of a BVH, a glTF or an FBX.  [default: cm; of a glTF "
+        "m; of an FBX what it says]",
     )
     up: UpAxis | None = option(
         None,
         "axis",
         reason=_UNITS,
-        scene=Key("Of a BVH or a glTF: its up axis. Not given: Y.", "Z"),
-        batch=Key("Of BVH and glTF files: their up axis. Not given: Y.", "Z"),
-        help="Up axis of a BVH or a glTF.  [default: Y]",
+        scene=Key(
+            "Of a BVH, glTF or FBX: its up axis. Not given: Y, of an FBX what it says.",
+            "Z",
+        ),
+        batch=Key(
+            "Of BVH, glTF and FBX files: their up axis. Not given: Y, of FBX what "
+            "each says.",
+            "Z",
+        ),
+        help="Up axis of a BVH, a glTF or an FBX.  [default: Y; of an FBX what it "
+        "says]",
     )
     positions: str | None = option(
         None,
@@ -100,31 +110,31 @@ class SourceOptions:
         reason=_UNITS,
         scene=Key(
             "Of a BVH: its true frame rate; of a face recording: what its time code "
-            "counts; of a glTF: the rate that its keys are read at. Not given: what "
-            "the file shows.",
+            "counts; of a glTF or FBX: the rate that its keys are read at. Not given: "
+            "what the file shows.",
             120,
         ),
         batch=Key(
-            "Of BVH files: their true frame rate; of glTF files: the rate that they "
-            "are read at. Not given: what each shows.",
+            "Of BVH files: their true frame rate; of glTF and FBX files: the rate "
+            "that they are read at. Not given: what each shows.",
             120,
             alias="source_fps",
         ),
         help="The real frame rate of a BVH whose Frame Time is wrong, or what the time "
-        "code of a face recording counts; of a glTF, which states none, the rate to "
-        "read its keys at.",
+        "code of a face recording counts; of a glTF, which states none, or an FBX the "
+        "rate to read its keys at.",
     )
     prim_path: str | None = option(
         None,
         "text",
         flag="source-prim",
-        reason="is for USD and glTF files, and this is none",
+        reason="is for USD, glTF and FBX files, and this is none",
         scene=Key(
-            "Of a USD or glTF file with several characters: the one to read.",
+            "Of a USD, glTF or FBX file with several characters: the one to read.",
             "/World/hero",
             alias="prim",
         ),
-        help="The character to read, where a USD or glTF source has several.",
+        help="The character to read, where a USD, glTF or FBX source has several.",
         metavar="PATH",
     )
     rig: Path | None = option(
@@ -153,14 +163,14 @@ class SourceOptions:
     take: str | None = option(
         None,
         "text",
-        reason="is for clip libraries in USD and for glTF, and this is neither",
+        reason="is for clip libraries in USD, glTF and FBX, and this is none",
         scene=Key(
-            "Of a clip library in USD, or a glTF: the take to read. Not given: the "
-            "one that is selected, of a glTF the first.",
+            "Of a clip library in USD, a glTF or an FBX: the take to read. Not given: "
+            "the one that is selected, of a glTF the first.",
             "walk",
         ),
-        help="The take to read of a clip library in USD or of a glTF.  [default: the "
-        "one selected, of a glTF the first]",
+        help="The take to read of a clip library in USD, a glTF or an FBX.  [default: "
+        "the one selected, of a glTF the first]",
         metavar="NAME",
     )
     remap: Path | None = option(

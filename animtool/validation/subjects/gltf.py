@@ -15,6 +15,7 @@ from animtool.formats.gltf.rig import GltfRig, build_rig
 from animtool.formats.gltf.sampling import clip_stream, moves, sampler
 from animtool.formats.gltf.timing import frames_of
 from animtool.motion.take import Take
+from animtool.rig.skeleton import Rig
 from animtool.validation.motion.subject import MotionSubject
 from animtool.validation.subjects.subject import CheckedFile
 
@@ -50,20 +51,19 @@ def _takes(gltf: Gltf, made: GltfRig, faults: list[Fault]) -> list[MotionSubject
             faults += error.faults
             continue
         take = clip_stream(made, moving, frames).collect()
-        found.append(_subject(gltf, made, take, animation.where))
+        found.append(clip_subject(gltf.path, made.rig, take, animation.where))
     return found
 
 
-def _subject(gltf: Gltf, made: GltfRig, take: Take, where: str) -> MotionSubject:
-    """Return a clip as the motion rules see it; its faults are at its pointer."""
+def clip_subject(path: Path, rig: Rig, take: Take, where: str) -> MotionSubject:
+    """Return a clip as the motion rules see it; its faults are at its place."""
 
     def fault_at(
         code: str, joint: str, frame: float | None, message: str, hint: str
     ) -> Fault:
         del joint, frame
-        return Fault(code, message, str(gltf.path), (), hint, where=where)
+        return Fault(code, message, str(path), (), hint, where=where)
 
-    rig = made.rig
     skinned = {name for mesh in rig.meshes if mesh.skin for name in mesh.skin.joints}
     influencing: set[str] = set()
     for name in skinned:

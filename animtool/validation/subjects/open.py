@@ -15,6 +15,8 @@ from animtool.core.readers import (
     BVH,
     C3D,
     DOCUMENT,
+    EXPORTS,
+    FBX,
     GLTF,
     LIVELINK,
     MOT,
@@ -22,6 +24,7 @@ from animtool.core.readers import (
     STO,
     TRC,
     USD,
+    export_fault,
     readable_suffixes,
     reader_of,
 )
@@ -118,7 +121,7 @@ DOCUMENT_SUFFIXES = tuple(
     for suffix, reader in READERS.items()
     if reader is DOCUMENT
 )
-_SEARCHED = (BVH, USD, GLTF, C3D, TRC)
+_SEARCHED = (BVH, USD, GLTF, FBX, C3D, TRC)
 SUFFIXES = (
     # An npz or a CSV may be anything.
     *(suffix for suffix, reader in READERS.items() if reader in _SEARCHED),
@@ -140,6 +143,7 @@ _OPENERS = {
     Kind.BVH: "animtool.validation.subjects.capture:open_bvh",
     Kind.USD: "animtool.validation.subjects.capture:open_usd",
     Kind.GLTF: "animtool.validation.subjects.gltf:open_gltf",
+    Kind.FBX: "animtool.validation.subjects.fbx:open_fbx",
     Kind.TRAJECTORIES: "animtool.validation.subjects.trajectories:open_trajectories",
     Kind.COORDINATES: "animtool.validation.subjects.trajectories:open_coordinates",
 }
@@ -148,6 +152,7 @@ _READ_AS = {
     BVH: Kind.BVH,
     USD: Kind.USD,
     GLTF: Kind.GLTF,
+    FBX: Kind.FBX,
     LIVELINK: Kind.LIVELINK,
     C3D: Kind.TRAJECTORIES,
     TRC: Kind.TRAJECTORIES,
@@ -169,6 +174,8 @@ def open_file(path: Path, given: SceneValues | None = None) -> CheckedFile:
         raise unreadable(path, "does not exist")
     if reader is not None and reader is not DOCUMENT:
         return _open(Kind.TAKE, path)
+    if reader is None and path.suffix.lower() in EXPORTS:
+        raise OptionError(export_fault(path))
     if reader is None:
         hint = f"checked are {', '.join(readable_suffixes())}"
         message = "is of no kind that is checked"

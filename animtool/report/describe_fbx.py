@@ -1,0 +1,36 @@
+"""What an FBX holds: nodes, skins, characters and takes, whether or not they move."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from animtool.formats.fbx.read import take_names_of
+from animtool.formats.fbx.scene import open_fbx
+from animtool.formats.fbx.settings import TICKS
+from animtool.formats.gltf.characters import characters
+from animtool.report.describe_gltf import GltfClip, GltfContents
+
+
+def fbx_contents(path: Path | str) -> GltfContents:
+    """Return what an FBX holds.
+
+    Raises:
+        FormatError: It is broken, as `animtool.formats.fbx.read.read_fbx` has it.
+    """
+    scene = open_fbx(path)
+    found = characters(scene) if scene.nodes else ()
+    clips = [
+        GltfClip(name, one.begin / TICKS, one.end / TICKS, len(one.curves()))
+        for name, one in zip(take_names_of(scene), scene.takes, strict=True)
+    ]
+    return GltfContents(
+        len(scene.nodes),
+        len(scene.meshes),
+        len(scene.skins),
+        len(scene.takes),
+        1,
+        [one.path for one in found] if len(found) > 1 else [],
+        clips,
+        {},
+        list(scene.left_out),
+    )

@@ -1,0 +1,116 @@
+"""Every FBX of the data, by what another evaluator and the writing tools say of it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from support.data import data_files
+from support.fbx_states import FbxCharacter, compare, points_of_pair, read_obj
+from support.suite import some_quick
+
+from animtool.core.errors import FormatError
+from animtool.formats.fbx.curves import THIRD
+from animtool.formats.fbx.read import read_fbx
+
+# What a file may be refused for, by name.
+NOT_READ = {"FBX003", "FBX004"}
+POSITION, MATRIX, RESAMPLED = 1e-4, 1e-5, 1e-2
+# Weights of handles are whole numbers of 1/9999, as files write beside them; the
+# expected figures take them for 1/10000.
+WEIGHTED = 1e-4
+# Points of skins that are read by another method, with a warning.
+BLENDED = "FBX108"
+
+FILES = data_files("fbx", "*.fbx")
+
+
+def pairs() -> list[Any]:
+    """Return a parameter for each mesh that a tool exported, and each of its files."""
+    (listed,) = data_files("fbx", "pairs.json")
+    path = listed.values[0]
+    if path is None:
+        return [pytest.param(None, None, marks=listed.marks, id="no-data")]
+    return [
+        pytest.param(path.parent / name, pair, id=f"{pair['obj']}-{name}")
+        for pair in json.loads(path.read_text("utf-8"))
+        if "fbx" in pair
+        for name in pair["fbx"]
+    ]
+
+
+def opened(path: Path) -> FbxCharacter:
+    """Return a file, or skip it by the name of what it needs."""
+    try:
+        return FbxCharacter.of(path)
+    except FormatError as error:
+        assert {fault.code for fault in error.faults} <= NOT_READ
+        pytest.skip(str(error.faults[0].message))
+
+
+def has_weighted_keys(character: FbxCharacter) -> bool:
+    """Return whether a curve, or a layer's weight, has handles of other lengths."""
+    curves = []
+    for take in character.scene.takes:
+        curves += take.curves()
+        for track in take.tracks.values():
+            curves += [one.layer.curve for one in track.layers if one.layer.curve]
+    return any((np.abs(curve.weights - THIRD) > 1e-9).any() for curve in curves)
+
+
+@pytest.mark.parametrize("path", some_quick(FILES, 40))
+def test_what_comes_out_is_what_is_expected(path: Path) -> None:
+    expected = json.loads(path.with_suffix(".expected.json").read_text("utf-8"))
+    character = opened(path)
+    scene = character.scene
+    assert float(scene.settings.fps) == pytest.approx(expected["fps"], abs=1e-6)
+    assert scene.settings.meters == pytest.approx(expected["unit_meters"], rel=1e-6)
+    assert [one.name for one in scene.takes] == [t["name"] for t in expected["takes"]]
+    for take, stated in zip(scene.takes, expected["takes"], strict=True):
+        assert len(take.layers) == len(stated["layers"])
+    codes = {fault.code for fault in scene.file.notes.notices}
+    apart = compare(character, expected, points=BLENDED not in codes)
+    matrix = WEIGHTED if has_weighted_keys(character) else MATRIX
+    limits = {"matrix": matrix, "position": POSITION, "point": POSITION}
+    limits |= {"weight": MATRIX}
+    for name, largest in apart.largest.items():
+        kind = name.removeprefix("resampled ")
+        assert largest <= (limits[name] if kind == name else RESAMPLED), name
+    assert apart.seen["position"]
+
+
+@pytest.mark.parametrize(("path", "pair"), some_quick(pairs(), 30))
+def test_points_are_those_that_the_tool_exported(
+    path: Path, pair: dict[str, Any]
+) -> None:
+    character = opened(path)
+    codes = {fault.code for fault in character.scene.file.notes.notices}
+    if BLENDED in codes:
+        pytest.skip("its skin is read by another method, with a warning")
+    theirs = read_obj(path.with_name(pair["obj"]))
+    ours = points_of_pair(character, pair)
+    if ours is None:
+        pytest.skip("its state is none that a take has")
+    if pair["vertex_order"] == "set":
+        apart = np.linalg.norm(ours[:, None] - theirs[None], axis=2)
+        off = max(apart.min(axis=0).max(), apart.min(axis=1).max())
+    else:
+        assert len(ours) == len(theirs)
+        off = np.abs(ours - theirs).max()
+    assert off <= pair["tolerance"] * pair["size"]
+
+
+@pytest.mark.parametrize("path", some_quick(FILES, 20))
+def test_a_take_of_every_file_is_finite(path: Path) -> None:
+    opened(path)
+    try:
+        stream = read_fbx(path)
+    except FormatError as error:
+        # A take of days.
+        assert error.faults[0].code == "FBX013"
+        return
+    # A take checks that all its numbers are finite, and rotations unit quaternions.
+    assert stream.collect().motion.frames >= 1
