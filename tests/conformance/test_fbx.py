@@ -47,7 +47,8 @@ def opened(path: Path) -> FbxCharacter:
     try:
         return FbxCharacter.of(path)
     except FormatError as error:
-        assert {fault.code for fault in error.faults} <= NOT_READ
+        if not {fault.code for fault in error.faults} <= NOT_READ:
+            raise
         pytest.skip(str(error.faults[0].message))
 
 
@@ -109,8 +110,8 @@ def test_a_take_of_every_file_is_finite(path: Path) -> None:
     try:
         stream = read_fbx(path)
     except FormatError as error:
-        # A take of days.
-        assert error.faults[0].code == "FBX013"
-        return
+        if error.faults[0].code != "FBX013":
+            raise
+        pytest.skip("a take of days")
     # A take checks that all its numbers are finite, and rotations unit quaternions.
     assert stream.collect().motion.frames >= 1

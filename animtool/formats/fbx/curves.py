@@ -189,6 +189,7 @@ def curve_of_object(element: Element, notes: Notes) -> Curve | None:
     flags = integers(element, "KeyAttrFlags", notes)
     data = element.find("KeyAttrDataFloat")
     counts = integers(element, "KeyAttrRefCount", notes)
+    _check_times(times, element, notes)
     if values is None or flags is None or counts is None or data is None:
         return notes.fail("FBX006", element.where, "a curve lacks an array of its keys")
     raw = _bits(data, notes)
@@ -270,10 +271,7 @@ def _bits(data: Element, notes: Notes) -> Any:
 def _checked(curve: Curve, element: Element, notes: Notes) -> Curve:
     """Return a curve with what is outside of its keys, its numbers checked."""
     times = curve.times
-    if len(times) > MAX_KEYS:
-        notes.fail("FBX013", element.where, f"{len(times)} keys in one curve")
-    if (np.abs(times) > MAX_TICKS).any() or (np.diff(times) <= 0).any():
-        notes.fail("FBX006", element.where, "the times of keys must ascend")
+    _check_times(times, element, notes)
     for slopes in (curve.right, curve.left):
         if not np.isfinite(slopes).all():
             notes.fail("FBX006", element.where, "a slope of a key is not finite")
@@ -288,6 +286,16 @@ def _checked(curve: Curve, element: Element, notes: Notes) -> Curve:
         pre,
         post,
     )
+
+
+def _check_times(times: IntArray, element: Element, notes: Notes) -> None:
+    if len(times) > MAX_KEYS:
+        notes.fail("FBX013", element.where, f"{len(times)} keys in one curve")
+    # The least integer has no opposite.
+    if (times > MAX_TICKS).any() or (times < -MAX_TICKS).any():
+        notes.fail("FBX006", element.where, "the time of a key is out of range")
+    if (np.diff(times) <= 0).any():
+        notes.fail("FBX006", element.where, "the times of keys must ascend")
 
 
 _SIDES = ("Pre", "Post")

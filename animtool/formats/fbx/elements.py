@@ -17,7 +17,7 @@ from animtool.formats.gltf.places import Notes
 MAX_DEPTH = 48
 MAX_ELEMENTS = 3_000_000
 # What arrays of a file take, inflated [bytes].
-MAX_ARRAY_BYTES = 2_000_000_000
+MAX_ARRAY_BYTES = 1_000_000_000
 # float32 as some tools write it; a number beyond is none.
 LARGEST = 3.4028234663852886e38
 

@@ -145,7 +145,10 @@ class _Parser:
                 return
         except (ValueError, OverflowError):
             pass
-        self.fail(at, f"{excerpt(repr(text[:40].decode()))} is no list of numbers")
+        self.fail(
+            at,
+            f"{excerpt(repr(text[:40].decode('utf-8', 'replace')))} is no list of numbers",
+        )
 
 
 def _add_numbers(element: Element, text: bytes, parts: list[bytes]) -> None:

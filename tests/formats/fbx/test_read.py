@@ -1,0 +1,262 @@
+"""A small FBX, binary and ASCII: what it reads as, and how broken ones are refused."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from support.fbx import MAGIC, Tree, array, as_binary, as_text, small_fbx
+
+from animtool.core.errors import FormatError, OptionError, Severity
+from animtool.core.readers import EXPORTS, find_reader
+from animtool.core.units import LengthUnit, UpAxis
+from animtool.core.writers import take_writer
+from animtool.formats.fbx.read import read_fbx, read_fbx_rig, take_names
+from animtool.maths import so3
+
+FORMS: list[Callable[[list[Tree]], bytes]] = [
+    as_text,
+    as_binary,
+    lambda trees: as_binary(trees, 7500),
+    lambda trees: as_binary(trees, 7700, inflated=True),
+]
+
+
+def written(folder: Path, content: bytes) -> Path:
+    """Write a file."""
+    path = folder / "arm.fbx"
+    path.write_bytes(content)
+    return path
+
+
+def part(trees: list[Tree], name: str, own: int | None = None) -> list[Any]:
+    """Return what is below an element, of objects by number."""
+    (found,) = [
+        tree
+        for top in trees
+        for tree in (top, *top[2])
+        if tree[0] == name and (own is None or tree[1][0] == own)
+    ]
+    return found[2]
+
+
+def put(below: list[Any], name: str, *values: Any) -> None:
+    """Replace the values of an element."""
+    (at,) = [i for i, tree in enumerate(below) if tree[0] == name]
+    below[at] = (name, list(values), below[at][2])
+
+
+def code_of(folder: Path, content: bytes) -> tuple[str, str]:
+    """Return code and place of the fault that a file is refused with."""
+    with pytest.raises(FormatError) as caught:
+        read_fbx(written(folder, content)).collect()
+    (fault,) = caught.value.faults
+    return fault.code, fault.where or ""
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_the_arm_bends_as_its_layers_say(
+    tmp_path: Path, form: Callable[[list[Tree]], bytes]
+) -> None:
+    stream = read_fbx(written(tmp_path, form(small_fbx())))
+    assert list(stream.rig.names) == ["arm", "fore"]
+    assert (stream.fps, stream.start) == (Fraction(24), Fraction(0))
+    take = stream.collect()
+    assert take.motion.frames == 25
+    assert take.rig.joints[1].translation == (0.0, 0.1, 0.0)
+    angles = so3.angle_between(
+        take.motion.rotations.dense()[:, 1], np.array([0, 0, 0, 1.0])
+    )
+    expected = np.radians(10.0 + 90.0 * np.arange(25) / 24)
+    np.testing.assert_allclose(angles, expected, atol=1e-6)
+    assert take.motion.weights is not None
+    np.testing.assert_allclose(take.motion.weights.rest, 0.25)
+
+
+def test_points_without_a_weight_follow_the_node_of_the_mesh(tmp_path: Path) -> None:
+    trees = small_fbx()
+    put(part(trees, "Deformer", 7), "Indexes", array([2], "<i4"))
+    put(part(trees, "Deformer", 7), "Weights", array([1.0], "<f8"))
+    rig = read_fbx_rig(written(tmp_path, as_binary(trees)))
+    (mesh,) = rig.meshes
+    assert mesh.skin is not None
+    joint = mesh.skin.joints[int(mesh.skin.indices.load()[3, 0])]
+    assert joint == "skin"
+
+
+def test_unit_and_axis_can_be_told(tmp_path: Path) -> None:
+    path = written(tmp_path, as_text(small_fbx()))
+    stream = read_fbx(path, unit=LengthUnit.M, up=UpAxis.Z, fps=48)
+    assert stream.rig.up is UpAxis.Z
+    assert stream.rig.joints[1].translation == (0.0, 10.0, 0.0)
+    assert stream.collect().motion.frames == 49
+    assert take_names(path) == ["bend"]
+
+
+def test_another_take_or_character_is_refused(tmp_path: Path) -> None:
+    path = written(tmp_path, as_text(small_fbx()))
+    for options, code in (({"take": "run"}, "FBX015"), ({"prim_path": "x"}, "FBX014")):
+        with pytest.raises(FormatError) as caught:
+            read_fbx(path, **options)  # type: ignore[arg-type]
+        assert caught.value.faults[0].code == code
+
+
+def test_a_scale_that_is_not_inherited_gets_a_joint_of_its_own(tmp_path: Path) -> None:
+    trees = small_fbx()
+    for own, rows in (
+        (1, [("P", ["Lcl Scaling", "", "", "A", 1.0, 2.0, 1.0], [])]),
+        (2, [("P", ["InheritType", "enum", "", "", 2], [])]),
+    ):
+        part(trees, "Model", own)[0][2].extend(rows)
+    stream = read_fbx(written(tmp_path, as_binary(trees)))
+    assert list(stream.rig.names) == ["arm", "fore_unscaled", "fore"]
+    assert [n.code for n in stream.notices if n.code == "FBX112"]
+    world = stream.collect().world()
+    # The bone is twice as far up, and as large as it is alone.
+    np.testing.assert_allclose(world.positions[0, 2], [0, 0.2, 0], atol=1e-12)
+    np.testing.assert_allclose(np.linalg.det(world.linear[:, 2]), 1.0, atol=1e-9)
+
+
+def instead(
+    kind: str, own: int, name: str, values: Any, dtype: str
+) -> Callable[[list[Tree]], None]:
+    """Return what replaces an array of an object."""
+    return lambda trees: put(part(trees, kind, own), name, array(values, dtype))
+
+
+SPOILED: dict[str, tuple[str, Callable[[list[Tree]], None]]] = {
+    "times": (
+        "FBX006",
+        instead("AnimationCurve", 16, "KeyTime", [5, 5], "<i8"),
+    ),
+    "counts": (
+        "FBX006",
+        lambda t: put(
+            part(t, "AnimationCurve", 16), "KeyAttrRefCount", array([9], "<i4")
+        ),
+    ),
+    "tangents": (
+        "FBX004",
+        lambda t: put(
+            part(t, "AnimationCurve", 17), "KeyAttrFlags", array([520], "<i4")
+        ),
+    ),
+    "faces": (
+        "FBX008",
+        lambda t: put(
+            part(t, "Geometry", 4), "PolygonVertexIndex", array([0, ~9], "<i4")
+        ),
+    ),
+    "numbers": (
+        "FBX005",
+        instead("Geometry", 4, "Vertices", [np.nan] * 12, "<f8"),
+    ),
+    "weights": (
+        "FBX008",
+        instead("Deformer", 6, "Weights", [1.0], "<f8"),
+    ),
+    "bind": (
+        "FBX008",
+        lambda t: put(
+            part(t, "Deformer", 6), "TransformLink", array([0.0] * 16, "<f8")
+        ),
+    ),
+    "loop": (
+        "FBX009",
+        lambda t: part(t, "Connections").append(("C", ["OO", 1, 2], [])),
+    ),
+    "axes": (
+        "FBX007",
+        lambda t: part(t, "GlobalSettings")[0][2].append(
+            ("P", ["UpAxis", "int", "", "", 2], [])
+        ),
+    ),
+    "order": (
+        "FBX004",
+        lambda t: part(t, "Model", 2)[0][2].extend(
+            [
+                ("P", ["RotationActive", "bool", "", "", 1], []),
+                ("P", ["RotationOrder", "enum", "", "", 6], []),
+            ]
+        ),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", SPOILED)
+@pytest.mark.parametrize("form", FORMS[:2])
+def test_what_is_broken_is_refused_at_its_place(
+    tmp_path: Path, form: Callable[[list[Tree]], bytes], name: str
+) -> None:
+    code, spoil = SPOILED[name]
+    trees = small_fbx()
+    spoil(trees)
+    found, where = code_of(tmp_path, form(trees))
+    assert found == code
+    assert where.startswith("line " if form is as_text else "byte ")
+
+
+def test_lengths_that_lead_out_of_the_file_are_refused(tmp_path: Path) -> None:
+    content = bytearray(as_binary(small_fbx()))
+    for at, code in ((27, "FBX002"), (31, "FBX002"), (35, "FBX002")):
+        broken = bytearray(content)
+        broken[at : at + 4] = struct.pack("<I", 2**31)
+        assert code_of(tmp_path, bytes(broken))[0] == code
+    assert code_of(tmp_path, bytes(content[:400]))[0] == "FBX002"
+
+
+def test_an_array_is_not_inflated_beyond_what_it_can_hold(tmp_path: Path) -> None:
+    content = as_binary(small_fbx())
+    at = content.index(b"Vertices") + len(b"Vertices")
+    huge = content[: at + 1] + struct.pack("<I", 2**28) + content[at + 5 :]
+    assert code_of(tmp_path, huge)[0] == "FBX002"
+
+
+@pytest.mark.parametrize(
+    ("content", "code"),
+    [
+        (b"nothing of the kind", "FBX001"),
+        (MAGIC + struct.pack("<I", 3000) + bytes(13), "FBX003"),
+        (MAGIC[:-1] + b"\x01" + struct.pack("<I", 7400), "FBX003"),
+        (b"; FBX 7.4.0 project file\nObjects: {\n", "FBX001"),
+        (b"; FBX 7.4.0 project file\nObjects: }\n", "FBX001"),
+        (b"; FBX 7.4.0 project file\nA: 1,2,3,4,5,6,7,8-9\n", "FBX001"),
+    ],
+)
+def test_what_is_no_fbx_is_refused(tmp_path: Path, content: bytes, code: str) -> None:
+    assert code_of(tmp_path, content)[0] == code
+
+
+def test_what_drives_the_pose_is_named(tmp_path: Path) -> None:
+    trees = small_fbx()
+    part(trees, "Objects").append(("Constraint", [99, "aim\x00\x01Constraint", ""], []))
+    stream = read_fbx(written(tmp_path, as_text(trees)))
+    (fault,) = [n for n in stream.notices if n.code == "FBX107"]
+    assert fault.severity is Severity.WARNING
+    assert "aim" in fault.message
+
+
+@pytest.mark.parametrize("suffix", EXPORTS)
+def test_files_of_tools_are_refused_with_their_export(
+    tmp_path: Path, suffix: str
+) -> None:
+    path = tmp_path / f"hero{suffix}"
+    path.write_bytes(b"")
+    with pytest.raises(OptionError) as caught:
+        find_reader(path)
+    (fault,) = caught.value.faults
+    assert fault.code == "IO002"
+    assert "export" in (fault.hint or "")
+
+
+def test_fbx_is_not_written() -> None:
+    with pytest.raises(OptionError) as caught:
+        take_writer(Path("walk.fbx"))
+    (fault,) = caught.value.faults
+    assert fault.code == "OUT004"
+    assert ".usdc" in (fault.hint or "")
