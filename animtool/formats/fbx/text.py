@@ -145,10 +145,8 @@ class _Parser:
                 return
         except (ValueError, OverflowError):
             pass
-        self.fail(
-            at,
-            f"{excerpt(repr(text[:40].decode('utf-8', 'replace')))} is no list of numbers",
-        )
+        shown = text[:40].decode("utf-8", "replace")
+        self.fail(at, f"{excerpt(repr(shown))} is no list of numbers")
 
 
 def _add_numbers(element: Element, text: bytes, parts: list[bytes]) -> None:
