@@ -279,13 +279,20 @@ def _checked(curve: Curve, element: Element, notes: Notes) -> Curve:
     return Curve(
         times,
         curve.values,
-        curve.modes,
-        curve.right,
-        curve.left,
-        curve.weights,
+        _held_once(curve.modes),
+        _held_once(curve.right),
+        _held_once(curve.left),
+        _held_once(curve.weights),
         pre,
         post,
     )
+
+
+def _held_once(rows: Any) -> Any:
+    """Return an array whose rows are all the same without a copy of each."""
+    if len(rows) > 1 and (rows == rows[:1]).all():
+        return np.broadcast_to(rows[0].copy(), rows.shape)
+    return rows
 
 
 def _check_times(times: IntArray, element: Element, notes: Notes) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import field
+from dataclasses import field, replace
 
 import numpy as np
 
@@ -117,6 +117,7 @@ class _Stacks:
     def __init__(self, file: FbxFile) -> None:
         self.file = file
         self._curves: dict[Id, Curve | None] = {}
+        self._times: dict[bytes, IntArray] = {}
 
     def take(self, stack: Object) -> AnimTake:
         file = self.file
@@ -168,7 +169,13 @@ class _Stacks:
             if own is None or own.kind != "AnimationCurve" or part in found:
                 continue
             if source not in self._curves:
-                self._curves[source] = curve_of_object(own.element, self.file.notes)
+                curve = curve_of_object(own.element, self.file.notes)
+                if curve is not None:
+                    # Curves of one take mostly have the same keys, held once.
+                    key = curve.times.tobytes()
+                    times = self._times.setdefault(key, curve.times)
+                    curve = replace(curve, times=times)
+                self._curves[source] = curve
             found[part] = self._curves[source]
         return found
 

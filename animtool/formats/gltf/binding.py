@@ -62,7 +62,7 @@ class Binder:
             joints = self.joints[nodes]
             matrices = skin.inverse_bind.copy()
             matrices[:, :3] *= self.folded[nodes][:, None, None]
-            start = self.worlds[index] if self.worlds else np.eye(4)
+            start = self.worlds[index] if self.worlds else None
             bound = self._bound(matrices, joints.tolist(), skin.where, start)
             self._skins[index] = bound
         return self._skins[index]
@@ -71,13 +71,15 @@ class Binder:
         """Return the transform of the points of a mesh that a node carries."""
         own = np.eye(4)
         own[:3] *= self.folded[node]
-        geometry, joints = self._bound(
-            own[None], [int(self.joints[node])], "", np.eye(4)
-        )
+        geometry, joints = self._bound(own[None], [int(self.joints[node])], "")
         return geometry, joints[0]
 
     def _bound(
-        self, matrices: FloatArray, joints: list[int], where: str, start: FloatArray
+        self,
+        matrices: FloatArray,
+        joints: list[int],
+        where: str,
+        start: FloatArray | None = None,
     ) -> tuple[FloatArray, list[int]]:
         """Return ``geom_bind`` of a skin, and its joints with binds that agree."""
         sizes = np.abs(matrices[:, :3, :3]).max(axis=(1, 2), initial=1e-300)
@@ -91,7 +93,10 @@ class Binder:
                 self.notices.append(note)
             matrices = np.where(flat[:, None, None], np.eye(4), matrices)
         back = np.asarray(np.linalg.inv(matrices), np.float64)
-        geometry = self._geometry(start @ back) @ start
+        if start is None:
+            geometry = self._geometry(back)
+        else:
+            geometry = self._geometry(start @ back) @ start
         binds = geometry @ back
         shared = [k for k, joint in enumerate(joints) if joint in self._bind]
         if shared:
