@@ -69,8 +69,10 @@ def test_what_comes_out_is_what_is_expected(path: Path) -> None:
     scene = character.scene
     assert float(scene.settings.fps) == pytest.approx(expected["fps"], abs=1e-6)
     assert scene.settings.meters == pytest.approx(expected["unit_meters"], rel=1e-6)
-    assert [one.name for one in scene.takes] == [t["name"] for t in expected["takes"]]
-    for take, stated in zip(scene.takes, expected["takes"], strict=True):
+    # What version 5000 saves without a take is called one there.
+    takes = [t for t in expected["takes"] if t["name"] != "(internal)" or t["curves"]]
+    assert [one.name for one in scene.takes] == [t["name"] for t in takes]
+    for take, stated in zip(scene.takes, takes, strict=True):
         assert len(take.layers) == len(stated["layers"])
     codes = {fault.code for fault in scene.file.notes.notices}
     apart = compare(character, expected, points=BLENDED not in codes)

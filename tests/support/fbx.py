@@ -216,3 +216,95 @@ def _word(value: Any) -> str:
         own, _, kind = value.partition("\x00\x01")
         return f'"{kind}::{own}"' if kind else f'"{value}"'
     return repr(value)
+
+
+def _channels(turn: list[Any]) -> Tree:
+    """Return the transform of a model in a take, turned about Z by keys."""
+
+    def group(name: str, *parts: list[Any]) -> Tree:
+        rows = [
+            ("Channel", [axis], part) for axis, part in zip("XYZ", parts, strict=True)
+        ]
+        return "Channel", [name], rows
+
+    def still(value: float) -> list[Any]:
+        return [("Default", [value], [])]
+
+    rest = still(0.0)
+    moves = group("T", rest, still(10.0), rest)
+    keys = [*still(0.0), ("KeyVer", [4005], []), ("Key", turn, [])]
+    turns = group("R", rest, rest, keys)
+    scales = group("S", still(1.0), still(1.0), still(1.0))
+    return "Channel", ["Transform"], [moves, turns, scales]
+
+
+def _old_take(model: str) -> Tree:
+    turn = [0, 0.0, "U", "s", 90.0, 90.0, "n", TICKS, 90.0, "L"]
+    parts: list[Tree] = [
+        ("LocalTime", [0, TICKS], []),
+        ("Model", [model], [_channels(turn)]),
+    ]
+    return "Takes", [], [("Current", ["bend"], []), ("Take", ["bend"], parts)]
+
+
+def _old_mesh() -> list[Tree]:
+    corners = [-1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1.0, 20.0, 0.0, -1.0, 20.0, 0.0]
+    return [("Vertices", corners, []), ("PolygonVertexIndex", [0, 1, 2, ~3], [])]
+
+
+def _old_cluster(up: float) -> list[Tree]:
+    link, mesh = np.eye(4), np.eye(4)
+    link[3, 1], mesh[3, 1] = up, -up
+    return [
+        ("Indexes", [2, 3], []),
+        ("Weights", [1.0, 1.0], []),
+        ("Transform", mesh.ravel().tolist(), []),
+        ("TransformLink", link.ravel().tolist(), []),
+    ]
+
+
+def small_6100() -> list[Tree]:
+    """Return an arm of two bones with a skin that turns as `small_fbx` does."""
+
+    def moved(up: float) -> list[Tree]:
+        row = ("Property", ["Lcl Translation", "", "A", 0.0, up, 0.0], [])
+        return [("Properties60", [], [row])]
+
+    objects: list[Tree] = [
+        ("Model", ["arm\x00\x01Model", "Limb"], moved(0.0)),
+        ("Model", ["fore\x00\x01Model", "Limb"], moved(10.0)),
+        ("Model", ["skin\x00\x01Model", "Mesh"], _old_mesh()),
+        ("Deformer", ["s\x00\x01Deformer", "Skin"], []),
+        ("Deformer", ["c\x00\x01SubDeformer", "Cluster"], _old_cluster(10.0)),
+    ]
+    links = [("fore", "arm")]
+    rows: list[Tree] = [
+        ("Connect", ["OO", f"{a}\x00\x01Model", f"{b}\x00\x01Model"], [])
+        for a, b in [*links, ("arm", "Scene"), ("skin", "Scene")]
+    ]
+    rows += [
+        ("Connect", ["OO", "s\x00\x01Deformer", "skin\x00\x01Model"], []),
+        ("Connect", ["OO", "c\x00\x01SubDeformer", "s\x00\x01Deformer"], []),
+        ("Connect", ["OO", "fore\x00\x01Model", "c\x00\x01SubDeformer"], []),
+    ]
+    return [
+        ("FBXHeaderExtension", [], [("FBXVersion", [6100], [])]),
+        ("Objects", [], objects),
+        ("Connections", [], rows),
+        _old_take("fore\x00\x01Model"),
+    ]
+
+
+def small_5000() -> list[Tree]:
+    """Return the same as version 5000 has it."""
+    still = _channels([])[2][0]
+    fore = ("Channel", ["Transform"], [still])
+    skin = [*_old_mesh(), ("Link", ["fore"], _old_cluster(10.0))]
+    return [
+        ("FBXHeaderExtension", [], [("FBXVersion", [5000], [])]),
+        ("Model", ["arm"], [("Type", ["LimbNode"], []), ("Children", ["fore"], [])]),
+        ("Model", ["fore"], [("Type", ["LimbNode"], []), fore]),
+        ("Model", ["skin"], skin),
+        _old_take("fore"),
+        ("Settings", [], [("FrameRate", ["24"], [])]),
+    ]

@@ -59,7 +59,7 @@ class FbxCharacter:
     def take(self, name: str | None) -> AnimTake | None:
         """Return a take by its name in the file."""
         takes = self.scene.takes
-        return None if name is None else next(t for t in takes if t.name == name)
+        return next((take for take in takes if take.name == name), None)
 
     def pose(self, take: AnimTake | None, seconds: float) -> Posed:
         """Return the state at a time of a take; of None as it was saved."""

@@ -11,11 +11,14 @@ from animtool.core.files.reading import read_input
 from animtool.core.record import dataclass
 from animtool.formats.fbx.binary import MAGIC, read_binary
 from animtool.formats.fbx.elements import LARGEST, Element
+from animtool.formats.fbx.legacy import with_objects
 from animtool.formats.fbx.text import looks_like_text, read_text
 from animtool.formats.gltf.places import Notes
 
-# Below, objects and takes have another layout; above, none is known.
-OLDEST, NEWEST = 6000, 7999
+# Below, nothing is known of the layout, and neither is it above.
+OLDEST, NEWEST = 5000, 7999
+# Before, models hold their children and skins.
+WITH_OBJECTS = 6000
 # From here on objects have numbers, and curves are objects.
 NUMBERED = 7000
 
@@ -129,10 +132,13 @@ def open_objects(path: Path | str) -> FbxFile:
         message = "does not begin as an FBX does, binary or ASCII"
         raise FormatError(Fault("FBX001", message, str(path), where="byte 0"))
     version, root = (read_text if is_text else read_binary)(content, notes)
+    version = _stated_version(root, version)
     if not OLDEST <= version <= NEWEST:
         message = f"version {version} is not read, only {OLDEST} to {NEWEST}"
         hint = "Autodesk's FBX Converter, or any tool that imports it, writes FBX 2020"
         notes.fail("FBX003", root.where, message, hint)
+    if version < WITH_OBJECTS:
+        root = with_objects(root, notes)
     templates = _templates(root)
     objects: dict[Id, Object] = {}
     settings = Object(-1, "GlobalSettings", "", "", root, {}, {})
@@ -152,6 +158,15 @@ def open_objects(path: Path | str) -> FbxFile:
     found = FbxFile(path, version, is_text, root, objects, settings, notes)
     _connect(found)
     return found
+
+
+def _stated_version(root: Element, version: int) -> int:
+    """Return the version that a file states; headers of old ones have another."""
+    header = root.find("FBXHeaderExtension")
+    stated = None if header is None else header.find("FBXVersion")
+    if stated is not None and stated.values and isinstance(stated.values[0], int):
+        return stated.values[0] if version < WITH_OBJECTS else version
+    return version
 
 
 def plain_name(text: str) -> tuple[str, str]:

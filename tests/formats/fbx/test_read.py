@@ -10,7 +10,16 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.fbx import MAGIC, Tree, array, as_binary, as_text, small_fbx
+from support.fbx import (
+    MAGIC,
+    Tree,
+    array,
+    as_binary,
+    as_text,
+    small_5000,
+    small_6100,
+    small_fbx,
+)
 
 from animtool.core.errors import FormatError, OptionError, Severity
 from animtool.core.readers import EXPORTS, find_reader
@@ -76,6 +85,27 @@ def test_the_arm_bends_as_its_layers_say(
     np.testing.assert_allclose(angles, expected, atol=1e-6)
     assert take.motion.weights is not None
     np.testing.assert_allclose(take.motion.weights.rest, 0.25)
+
+
+@pytest.mark.parametrize("form", [as_text, as_binary])
+@pytest.mark.parametrize("old", [small_6100, small_5000])
+def test_old_layouts_read_as_the_new_one(
+    tmp_path: Path,
+    old: Callable[[], list[Tree]],
+    form: Callable[..., bytes],
+) -> None:
+    content = form(old(), 6100 if old is small_6100 else 3000)
+    stream = read_fbx(written(tmp_path, content))
+    assert list(stream.rig.names) == ["arm", "fore", "skin"]
+    assert stream.rig.joints[1].translation == (0.0, 0.1, 0.0)
+    (mesh,) = stream.rig.meshes
+    assert mesh.skin is not None
+    assert mesh.skin.joints == ("fore", "skin")
+    take = stream.collect()
+    turned = so3.angle_between(
+        take.motion.rotations.dense()[:, 1], np.array([0, 0, 0, 1.0])
+    )
+    np.testing.assert_allclose(turned, np.radians(90.0 * np.arange(25) / 24), atol=1e-9)
 
 
 def test_points_without_a_weight_follow_the_node_of_the_mesh(tmp_path: Path) -> None:

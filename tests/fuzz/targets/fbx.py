@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from support.fbx import Tree, as_binary, as_text, small_fbx
+from support.fbx import Tree, as_binary, as_text, small_5000, small_6100, small_fbx
 
 from animtool.cli.main import run as animtool
 from animtool.core.errors import AnimtoolError
 from animtool.formats.fbx.read import read_fbx
-from fuzz.mutations import spoil
+from fuzz.mutations import pick, spoil
 
 ABOUT = "FBX, binary and ASCII, read; one in forty is checked or converted too"
 
@@ -30,11 +30,11 @@ _TEXTS = (
 
 def make(folder: Path) -> Callable[[np.random.Generator], str]:
     """Return what runs a case in a folder."""
-    seed = small_fbx()
+    seeds = [(7400, small_fbx()), (6100, small_6100()), (3000, small_5000())]
 
     def run(rng: np.random.Generator) -> str:
         path = folder / "take.fbx"
-        path.write_bytes(_spoiled(rng, seed))
+        path.write_bytes(_spoiled(rng, *pick(rng, seeds)))
         if rng.random() < 0.025:
             return _by_command(rng, path, folder)
         try:
@@ -53,7 +53,7 @@ def make(folder: Path) -> Callable[[np.random.Generator], str]:
     return run
 
 
-def _spoiled(rng: np.random.Generator, seed: list[Tree]) -> bytes:
+def _spoiled(rng: np.random.Generator, version: int, seed: list[Tree]) -> bytes:
     """Return a file that is spoiled in its elements, its bytes, or both."""
     trees = seed
     how = rng.random()
@@ -61,9 +61,10 @@ def _spoiled(rng: np.random.Generator, seed: list[Tree]) -> bytes:
         trees = copy.deepcopy(seed)
         for _ in range(int(rng.geometric(0.6))):
             _spoil_element(rng, trees)
-    version = int(rng.choice([6100, 7100, 7400, 7500, 7700]))
+    if version == 7400:
+        version = int(rng.choice([7100, 7400, 7500, 7700]))
     if rng.random() < 0.4:
-        content = as_text(trees, max(version, 7000) if how < 0.6 else version)
+        content = as_text(trees, version)
     else:
         content = as_binary(trees, version, inflated=rng.random() < 0.3)
     return content if how < 0.6 else spoil(rng, content)

@@ -1,0 +1,88 @@
+"""FBX of versions 5000 to 5999 in the layout of 6100: objects and connections.
+
+A model holds its own children by name, its transform as default values of channels, and
+its skin as links.
+"""
+
+from __future__ import annotations
+
+from animtool.core.errors import excerpt
+from animtool.formats.fbx.elements import Element, number
+from animtool.formats.gltf.places import Notes
+
+_PROPERTIES = {"T": "Lcl Translation", "R": "Lcl Rotation", "S": "Lcl Scaling"}
+_KEPT = ("Vertices", "PolygonVertexIndex")
+# What would change the pose, and is not read of such files.
+_UNREAD = (
+    *("PreRotation", "PostRotation", "RotationOrder", "RotationPivot", "ScalingPivot"),
+    *("RotationOffset", "ScalingOffset", "GeometricTranslation", "GeometricRotation"),
+    *("GeometricScaling", "InheritType", "Shape"),
+)
+
+
+def with_objects(root: Element, notes: Notes) -> Element:
+    """Return the elements of a file as those of version 6100.
+
+    Raises:
+        FormatError: A model has what is not read (FBX004).
+    """
+    objects = Element("Objects", [], root.where)
+    links = Element("Connections", [], root.where)
+    for model in root.all("Model"):
+        _add_model(model, objects, links, notes)
+    settings = Element("Version5", [], root.where, list(root.all("Settings")))
+    takes = list(root.all("Takes"))
+    return Element("", [], root.where, [objects, links, settings, *takes])
+
+
+def _add_model(model: Element, objects: Element, links: Element, notes: Notes) -> None:
+    name = model.text(0)
+    for child in model.children:
+        if child.name in _UNREAD:
+            message = f"{child.name} of {name!r} is not read of such old files"
+            notes.fail("FBX004", child.where, excerpt(message))
+    kind = model.find("Type")
+    subtype = "Mesh" if model.find("Vertices") else kind.text(0) if kind else ""
+    kept = [one for one in model.children if one.name in _KEPT]
+    own = Element("Model", [f"Model::{name}", subtype], model.where, kept)
+    own.children.append(_properties(model, notes))
+    objects.children.append(own)
+    for children in model.all("Children"):
+        for child in children.values:
+            if isinstance(child, str):
+                _connect(links, f"Model::{child}", f"Model::{name}")
+    skin = f"Deformer::{name}"
+    bones = list(model.all("Link"))
+    if bones:
+        objects.children.append(Element("Deformer", [skin, "Skin"], model.where))
+        _connect(links, skin, f"Model::{name}")
+    for bone in bones:
+        cluster = f"SubDeformer::{name} {bone.text(0)}"
+        values = [cluster, "Cluster"]
+        objects.children.append(Element("Deformer", values, bone.where, bone.children))
+        _connect(links, cluster, skin)
+        _connect(links, f"Model::{bone.text(0)}", cluster)
+
+
+def _properties(model: Element, notes: Notes) -> Element:
+    found = Element("Properties60", [], model.where)
+    for channel in model.all("Channel"):
+        if channel.text(0) != "Transform":
+            continue
+        for inner in channel.all("Channel"):
+            name = _PROPERTIES.get(inner.text(0))
+            if name is None:
+                continue
+            values = [1.0 if inner.text(0) == "S" else 0.0] * 3
+            for part in inner.all("Channel"):
+                default = part.find("Default")
+                axis = "XYZ".find(part.text(0)) if part.text(0) else -1
+                if default is not None and axis >= 0:
+                    values[axis] = number(default, 0, notes)
+            row = [name, "", "", *values]
+            found.children.append(Element("Property", row, inner.where))
+    return found
+
+
+def _connect(links: Element, below: str, above: str) -> None:
+    links.children.append(Element("Connect", ["OO", below, above], links.where))
