@@ -13,6 +13,7 @@ from support.fbx_states import FbxCharacter, compare, points_of_pair, read_obj
 from support.suite import some_quick
 
 from animtool.core.errors import FormatError
+from animtool.core.units import UpAxis
 from animtool.formats.fbx.curves import THIRD
 from animtool.formats.fbx.read import read_fbx
 
@@ -104,6 +105,36 @@ def test_points_are_those_that_the_tool_exported(
         assert len(ours) == len(theirs)
         off = np.abs(ours - theirs).max()
     assert off <= pair["tolerance"] * pair["size"]
+
+
+@pytest.mark.parametrize("path", some_quick(FILES, 40))
+def test_joints_are_where_the_definition_of_a_figure_has_them(path: Path) -> None:
+    expected = json.loads(path.with_suffix(".expected.json").read_text("utf-8"))
+    if "known" not in expected:
+        pytest.skip("was written by a tool, without a definition of its own")
+    known, take = expected["known"], read_fbx(path).collect()
+    assert take.motion.frames == known["frames"]
+    rows = [take.rig.names.index(name) for name in known["joints"]]
+    unit = take.rig.meters_per_unit
+    ours = take.world().positions[:, rows] / unit
+    off = np.abs(ours - np.array(known["positions"])).max()
+    assert off <= POSITION * known["size"]
+
+
+@pytest.mark.parametrize("path", some_quick(FILES, 40))
+def test_axes_are_those_of_the_rig(path: Path) -> None:
+    """What points right, up and to the front does so in every file."""
+    expected = json.loads(path.with_suffix(".expected.json").read_text("utf-8"))
+    if "unknown" in expected["axes"].values():
+        pytest.skip("says nothing of its axes")
+    basis = opened(path).scene.settings.basis
+    up = opened(path).scene.settings.up
+    wanted = {"right": [1, 0, 0], "up": [0, 1, 0], "front": [0, 0, 1]}
+    if up is UpAxis.Z:
+        wanted |= {"up": [0, 0, 1], "front": [0, -1, 0]}
+    for name, axis in expected["axes"].items():
+        own = np.eye(3)["xyz".index(axis[1])] * (-1 if axis[0] == "-" else 1)
+        np.testing.assert_allclose(basis @ own, wanted[name], atol=1e-12)
 
 
 @pytest.mark.parametrize("path", some_quick(FILES, 20))
