@@ -12,7 +12,13 @@ from animtool.core.rates import FractionLike, rate_option
 from animtool.core.similar import distinct
 from animtool.core.units import LengthUnit, UpAxis, unit_name
 from animtool.formats.fbx.rig import FbxRig, build_rig, scale_notice
-from animtool.formats.fbx.sampling import Sampler, frames_of, moves, take_stream
+from animtool.formats.fbx.sampling import (
+    Sampler,
+    between_notices,
+    frames_of,
+    moves,
+    take_stream,
+)
 from animtool.formats.fbx.scene import FbxScene, open_fbx
 from animtool.formats.fbx.takes import AnimTake
 from animtool.formats.gltf.characters import Character, chosen
@@ -60,7 +66,7 @@ def read_fbx(
     frames = frames_of(scene, own, rate, moving.numbers)
     stream = take_stream(made, moving, frames)
     stream.notices[:] = [*scene.file.notes.notices, *more, *made.notices, *of_takes]
-    stream.notices += frames.notices
+    stream.notices += between_notices(scene, made, moving, frames)
     stream.notices += _left_out(scene, own)
     names = take_names_of(scene)
     stream.details = {

@@ -22,6 +22,7 @@ from animtool.formats.fbx.takes import AnimTake
 from animtool.maths import so3
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.take import TakeStream
+from animtool.rig.kinematics import forward
 
 # Frames of a block: 60 joints take 2 MB.
 BLOCK = 1024
@@ -30,6 +31,8 @@ MAX_VALUES = 60_000_000
 MAX_TICKS = 2.0**61
 # A key is on a frame that is nearer than this [frame].
 ON_FRAME = 1e-3
+# Keys between frames at which joints are measured.
+MAX_MEASURED = 256
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +42,6 @@ class Frames:
     fps: Fraction
     first: int
     count: int
-    notices: tuple[Fault, ...] = ()
 
     def ticks(self, codes: FloatArray) -> IntArray:
         """Return the times of time codes [ticks]."""
@@ -168,17 +170,37 @@ def frames_of(
         raise FormatError(
             Fault("FBX013", message, str(scene.path), (), hint, where=take.where)
         )
-    frames = keys / float(Fraction(TICKS) / rate)
-    off = np.abs(frames - np.round(frames)) > ON_FRAME
-    if not off.any():
-        return Frames(rate, first, count)
-    message = f"{int(off.sum())} of {len(keys)} key times are between the frames at "
-    message += rate_label(rate)
+    return Frames(rate, first, count)
+
+
+def between_notices(
+    scene: FbxScene, made: FbxRig, moving: Sampler, frames: Frames
+) -> list[Fault]:
+    """Say how far joints are off between samples, where keys are not on frames."""
+    take = moving.take
+    keys = np.zeros(0, np.int64) if take is None else take.key_times()
+    if take is None or not len(keys):
+        return []
+    codes = keys / float(Fraction(TICKS) / frames.fps)
+    off = np.flatnonzero(np.abs(codes - np.round(codes)) > ON_FRAME)
+    if not len(off):
+        return []
+    shown = off[:: max(1, len(off) // MAX_MEASURED)]
+    low = np.floor(codes[shown])
+    places = [
+        forward(made.rig, *moving.at(ticks).dense()).positions
+        for ticks in (frames.ticks(low), frames.ticks(low + 1.0), keys[shown])
+    ]
+    share = (codes[shown] - low)[:, None, None]
+    straight = places[0] + share * (places[1] - places[0])
+    apart = np.linalg.norm(places[2] - straight, axis=2)
+    worst = int(apart.max(axis=0).argmax())
+    message = f"{len(off)} of {len(keys)} key times are between the frames at "
+    message += f"{rate_label(frames.fps)}: joints are up to {apart.max() * 1e3:.3g} mm "
+    message += f"off there (joint {made.rig.names[worst]!r})"
     hint = f"{argument('source.fps')} gives another rate"
-    note = Fault(
-        "FBX110", message, str(scene.path), (), hint, Severity.NOTE, where=take.where
-    )
-    return Frames(rate, first, count, (note,))
+    path = str(scene.path)
+    return [Fault("FBX110", message, path, (), hint, Severity.NOTE, where=take.where)]
 
 
 def _nearest(ticks: int, rate: Fraction) -> int:

@@ -9,7 +9,12 @@ import numpy as np
 from animtool.core.array_types import IntArray
 from animtool.core.errors import excerpt
 from animtool.core.record import dataclass
-from animtool.formats.fbx.curves import Curve, curve_of_channel, curve_of_object
+from animtool.formats.fbx.curves import (
+    MAX_TICKS,
+    Curve,
+    curve_of_channel,
+    curve_of_object,
+)
 from animtool.formats.fbx.elements import Element, number
 from animtool.formats.fbx.layers import (
     PERCENT,
@@ -204,7 +209,11 @@ def _ticks(of: Object, name: str) -> int:
     values = of.values(name)
     if not values or not isinstance(values[0], int):
         return 0
-    return int(max(-(2**61), min(values[0], 2**61)))
+    return _in_range(values[0])
+
+
+def _in_range(ticks: int) -> int:
+    return max(-MAX_TICKS, min(ticks, MAX_TICKS))
 
 
 def _old_takes(file: FbxFile) -> list[AnimTake]:
@@ -215,7 +224,7 @@ def _old_takes(file: FbxFile) -> list[AnimTake]:
             span = element.find("LocalTime")
             if span is not None and len(span.values) > 1:
                 take.begin, take.end = (
-                    int(number(span, i, file.notes)) for i in (0, 1)
+                    _in_range(int(number(span, i, file.notes))) for i in (0, 1)
                 )
             for model in element.all("Model"):
                 _old_model(file, take, model)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import struct
 from collections.abc import Callable
 from fractions import Fraction
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 from support.fbx import (
     MAGIC,
+    TICKS,
     Tree,
     array,
     as_binary,
@@ -290,3 +292,22 @@ def test_fbx_is_not_written() -> None:
     (fault,) = caught.value.faults
     assert fault.code == "OUT004"
     assert ".usdc" in (fault.hint or "")
+
+
+def test_keys_between_frames_are_named_with_what_is_lost(tmp_path: Path) -> None:
+    trees = small_fbx()
+    tip = ("Model", [20, "tip\x00\x01Model", "LimbNode"], [])
+    row = ("P", ["Lcl Translation", "", "", "A", 0.0, 10.0, 0.0], [])
+    tip[2].append(("Properties70", [], [row]))
+    part(trees, "Objects").append(tip)
+    part(trees, "Connections").append(("C", ["OO", 20, 2], []))
+    instead("AnimationCurve", 16, "KeyTime", [0, TICKS // 16], "<i8")(trees)
+    stream = read_fbx(written(tmp_path, as_binary(trees)))
+    (fault,) = [n for n in stream.notices if n.code == "FBX110"]
+    # Half way between two frames, where the turn of 60 degrees a frame stops.
+    found = re.search(r"up to ([\d.]+) mm", fault.message)
+    assert found is not None
+    a, b = np.radians(60.0), np.radians(90.0)
+    ends = np.array([[np.sin(a), np.cos(a)], [np.sin(b), np.cos(b)]])
+    lost = np.linalg.norm(ends[1] - ends.mean(axis=0)) * 100.0
+    assert float(found[1]) == pytest.approx(lost, rel=0.01)
