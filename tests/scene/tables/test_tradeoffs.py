@@ -37,8 +37,9 @@ def _once(monkeypatch: pytest.MonkeyPatch) -> None:
 def budget_is_kept(table: TrialTable, budget: float) -> None:
     row = table.recommended
     assert row is not None
-    assert row.error is not None
-    assert row.error.error(table.error, 0.0) <= budget
+    error = table.error_of(row)
+    assert error is not None
+    assert error <= budget
 
 
 def test_a_clip_is_traded_by_bytes_and_by_keys() -> None:
