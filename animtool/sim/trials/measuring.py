@@ -251,9 +251,12 @@ class _Runs:
 
 def _reference(trial: Trial, runs: _Runs) -> tuple[Reference | None, Outcome | None]:
     for settings in trial.references():
-        outcomes = []
+        outcomes: list[Outcome] = []
         for setting in settings:
-            outcomes.append(runs.of(setting))
+            try:
+                outcomes.append(runs.of(setting))
+            except OptionError:
+                break  # the method is not for it; another may be
             if outcomes[-1].status is not Status.OK:
                 break
         else:
