@@ -167,7 +167,7 @@ PICTURES = (
         "samples/fall/fall.png",
         scene("fall"),
         f"{GROUND} --frames 1,20,26,32,38,44,52,92 --sheet 4x2 --size 240x200 "
-        "--camera 80,8",
+        "--camera 1.35,0.12,4.2,0,0.15,0.2",
         ("samples/fall/stairs.usda", BIPED),
     ),
     Made(
