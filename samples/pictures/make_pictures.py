@@ -166,8 +166,8 @@ PICTURES = (
     Made(
         "samples/fall/fall.png",
         scene("fall"),
-        f"{GROUND} --frames 1,20,26,32,38,44,52,92 --sheet 4x2 --size 240x200 "
-        "--camera 1.35,0.12,4.2,0,0.15,0.2",
+        "--show meshes --frames 1,20,26,32,38,44,52,92 --sheet 4x2 --size 240x200 "
+        "--camera 1.35,0.12,6,0,0,0.2",
         ("samples/fall/stairs.usda", BIPED),
     ),
     Made(
