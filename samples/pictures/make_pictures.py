@@ -177,6 +177,12 @@ PICTURES = (
         ("samples/murmuration/tower.usda",),
     ),
     Made(
+        "samples/dam/dam.png",
+        scene("dam"),
+        f"{GROUND} --frames 8,14,22 --camera 25,18 --size 380x300",
+        ("samples/dam/pillar.usda",),
+    ),
+    Made(
         "samples/rope/rope.png",
         scene("rope"),
         f"{GROUND} --sheet 6x1 --size 170x240 --camera 20,6",
