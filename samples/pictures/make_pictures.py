@@ -177,6 +177,11 @@ PICTURES = (
         ("samples/murmuration/tower.usda",),
     ),
     Made(
+        "samples/crowd/crowd.png",
+        "bake samples/crowd/square.scene.yaml",
+        f"{GROUND} --frames 40,420 --size 640x400 --camera 0.5,0.36,30,0,0.5,0",
+    ),
+    Made(
         "samples/dam/dam.png",
         scene("dam"),
         f"{GROUND} --frames 8,14,22 --camera 25,18 --size 380x300",
