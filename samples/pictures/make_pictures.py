@@ -166,8 +166,8 @@ PICTURES = (
     Made(
         "samples/fall/fall.png",
         scene("fall"),
-        f"{GROUND} --frames 1,20,26,32,38,44,52,92 --sheet 4x2 --size 240x200 "
-        "--camera 80,8",
+        "--show meshes --frames 1,20,26,32,38,44,52,92 --sheet 4x2 --size 240x200 "
+        "--camera 1.35,0.12,6,0,0,0.2",
         ("samples/fall/stairs.usda", BIPED),
     ),
     Made(
@@ -175,6 +175,17 @@ PICTURES = (
         scene("murmuration"),
         f"{GROUND} --frames 30,38,46 --size 300x260 --camera 60,5",
         ("samples/murmuration/tower.usda",),
+    ),
+    Made(
+        "samples/crowd/crowd.png",
+        "bake samples/crowd/square.scene.yaml",
+        f"{GROUND} --frames 40,420 --size 640x400 --camera 0.5,0.36,30,0,0.5,0",
+    ),
+    Made(
+        "samples/dam/dam.png",
+        scene("dam"),
+        f"{GROUND} --frames 8,14,22 --camera 25,18 --size 380x300",
+        ("samples/dam/pillar.usda",),
     ),
     Made(
         "samples/rope/rope.png",
