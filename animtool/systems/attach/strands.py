@@ -16,9 +16,9 @@ from animtool.sim.colliders import Capsule, Collider, Colliders
 from animtool.sim.colliders.on_joints import Capsules
 from animtool.systems.framework.meter import Solid, closed_surfaces, depths_of
 from animtool.systems.springs.contacts import (
-    PosedColliders,
     CellColliders,
     Cells,
+    PosedColliders,
     cell_colliders,
 )
 
@@ -64,7 +64,7 @@ def chain_rotations(
 ) -> FloatArray:
     """Return local rotations ``(F, C, 4)`` that point a chain's bones where they moved.
 
-    Each joint is posed along by those above it, and then turned by the least turn
+    Each joint is carried along by those above it, and then turned by the least turn
     that points its bone: it does not twist. Joints stay within their limits: a pin
     keeps to its axis, and the bones below go on from where that leaves it. Under
     scales that differ by axis, directions hold only roughly. Rotations are those of all
