@@ -38,6 +38,9 @@ class SelfContacts {
   // Particle, triangle and side of each passage that is left (C, 3); of edges, numbered after
   // the particles, edge, edge and side.
   Out<std::int64_t, 2> ended() const;
+  // How many passages there are, and were as the cell began.
+  std::size_t crossings() const { return corners_.crossed.size() + edges_.crossed.size(); }
+  std::size_t begun_crossings() const { return begun_corners_.size() + begun_edges_.size(); }
   // What is through, at most at the end of any cell that was noted.
   void note_through();
   SelfThrough through() const { return {passed_, cut_, rate_wanted_}; }

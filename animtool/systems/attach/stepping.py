@@ -215,19 +215,14 @@ class SheetStepper:
             contact = SelfContact(self.thickness, self._settings.options.friction)
             self._layers = spring_layers(network, contact, self.network.points)
         most = substeps if self._settings.options.rate else FINER * substeps
-        stretch, limit = self._settings.stretch, 0.0
-        if len(self.network.triangles):
-            limit = stretch
-        while True:
-            outputs = _kernels.project_springs(
-                network, both, self._torn, 0.0, 0, span / cells, cells,
-                substeps, 0, substeps, most, stretch,
-                motions.colliders, self._layers, state.passages, limit,
-            )  # fmt: skip
-            reached, _, taken, _, _, _, touched, inside, passages, through, _ = outputs
-            if taken >= most or len(passages) <= len(state.passages):
-                break
-            substeps = most
+        stretch = self._settings.stretch
+        limit = stretch if len(self.network.triangles) else 0.0
+        outputs = _kernels.project_springs(
+            network, both, self._torn, 0.0, 0, span / cells, cells,
+            substeps, 0, substeps, most, stretch,
+            motions.colliders, self._layers, state.passages, limit,
+        )  # fmt: skip
+        reached, _, _, _, _, _, touched, inside, passages, through, _ = outputs
         state = stepped(reached, passages)
         self.tally.add(self._stretch(reached[0]), touched, inside, Through(*through))
         return state
