@@ -58,7 +58,7 @@ class Projection {
     prepare(substeps);
     const double h = cell_ / substeps;
     contacts_.begin_cell(index, substeps, h);
-    self_.begin_cell(index);
+    self_.begin_cell(index, run_.x);
     for (int j = 0; j < substeps; ++j) {
       const double t = start + j * h;
       run_.look(t + h, h);
@@ -259,7 +259,7 @@ SpringsProjected project_springs(const SpringNetwork& network, In<double, 3> sta
   check::finite("state", state);
   SpringRun run = begin_springs(network, state, torn);
   SpringContacts contacts(colliders, network, cells, limit > 0);
-  SelfContacts self(layers, network, crossed);
+  SelfContacts self(layers, network, crossed, limit > 0);
   double worst = 0;
   std::int64_t taken = 0;
   Projection projection(run, cell, limit, contacts, self);
