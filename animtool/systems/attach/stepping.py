@@ -212,7 +212,8 @@ def _system(
     network: Network, settings: Settings, down: FloatArray, thickness: float
 ) -> SpringSystem:
     """Return a network as a system of springs, held and drawn where it is at rest."""
-    options, body = settings.options, network.body(settings.diagonals, settings.bend)
+    options = settings.options
+    body = network.body(options.diagonals, settings.bend)
     drawn = network.free if settings.frequency else network.free[:0]
     masses, omega = body.masses[drawn], 2 * math.pi * settings.frequency
     # Cloth feels the air by its triangles, other things by their speed alone.

@@ -194,7 +194,7 @@ def _family(entry: BodyEntry, name: str, model: Any) -> Family:
     """Return a family; one without force stands in for one of impossible numbers."""
     keys = ("stiffness", "frequency", "axial_stiffness")
     given = [key for key in keys if getattr(model, key, None) is not None]
-    family = record_of(Family, model, stiffness=model.stiffness or 0.0)
+    family = record_of(Family, model)
     hint = "stiffness [N/m] of each spring, frequency [Hz], how fast it swings back"
     if "axial_stiffness" in type(model).model_fields:
         hint += ", or axial_stiffness [N], force over strain"
@@ -216,7 +216,7 @@ def _family(entry: BodyEntry, name: str, model: Any) -> Family:
             faults.append(Fault("SIM042", message, hint=hint, where="tear"))
     for fault in faults:
         entry.add(fault, "springs", name, doubt=True)
-    return Family(0.0) if faults else family
+    return Family() if faults else family
 
 
 def _faults_of(check: Callable[[], object]) -> Sequence[Fault]:

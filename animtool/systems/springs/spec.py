@@ -59,15 +59,9 @@ SelfContactField = Annotated[
 ]
 
 
-@with_fields(Family, "damping", "ratio", "rest", "tear", "frequency")
+@with_fields(Family, "stiffness", "damping", "ratio", "rest", "tear", "frequency")
 class FamilyModel(FileModel):
     """What springs of a family have in common."""
-
-    stiffness: Real | None = key(
-        "Force over lengthening of each spring [N/m]. Not given: another key is.",
-        1e4,
-        default=None,
-    )
 
 
 @with_fields(Family, "axial_stiffness")
