@@ -145,6 +145,7 @@ class SpringContacts {
   std::size_t count_;
   std::int64_t cells_;
   bool middles_;
+  std::vector<double> kept_;  // from each collider
   // Of each collider that is a mesh, by number; of others none.
   std::vector<MeshPatches> patches_;
   std::vector<std::int32_t> patched_;

@@ -74,7 +74,7 @@ void Meetings<Kind>::find(const SpringLayers& layers, const std::vector<double>&
                           const std::vector<double>& x, double most, double more,
                           const Tangles* tangles) {
   const auto tangled = [&](const std::int32_t* first, const std::int32_t* last) {
-    return std::any_of(first, last, [&](std::int32_t n) { return tangles->has(n); });
+    return std::all_of(first, last, [&](std::int32_t n) { return tangles->has(n); });
   };
   hits_.clear();
   through_.clear();
