@@ -22,8 +22,8 @@ from animtool.skin.deform import deform
 from animtool.systems.attach.poses import PosePath
 from animtool.systems.framework.meter import Solid
 
-# What of its edges cloth keeps from skins [1]: halves of these cut limbs of that length by
-# no more.
+# What of its edges cloth keeps from skins [1]: halves of these cut limbs of that length
+# by no more.
 CORNERS = 1 / 4
 
 
