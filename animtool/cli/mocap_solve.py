@@ -101,7 +101,6 @@ def solve(
     from animtool.scene.solves.mocap_solve import (
         MocapSolveJob,
         run_solve,
-        solve_outputs,
     )
 
     job = MocapSolveJob(
@@ -120,7 +119,7 @@ def solve(
     if (
         output is not None
         and not to_stdout
-        and skipped(console, "mocap solve", params, output, lambda: solve_outputs(job))
+        and skipped(console, "mocap solve", params, output, lambda: job.target.files)
     ):
         return
     with console.progress(f"solve {source.name}", stdout=to_stdout) as progress:

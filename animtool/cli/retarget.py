@@ -155,7 +155,6 @@ def retarget(
     to_stdout = goes_to_stdout(output, params)
     from animtool.scene.solves.retarget import (
         RetargetJob,
-        retarget_outputs,
         run_retarget,
     )
 
@@ -175,7 +174,7 @@ def retarget(
     if (
         output is not None
         and not to_stdout
-        and skipped(console, "retarget", params, output, lambda: retarget_outputs(job))
+        and skipped(console, "retarget", params, output, lambda: job.target.files)
     ):
         return
     with console.progress(f"retarget {source.name}", stdout=to_stdout) as progress:

@@ -25,11 +25,10 @@ from animtool.core.errors import (
     listed,
     refuse_warnings,
 )
-from animtool.core.files.output import check_outputs, sparing_inputs
+from animtool.core.files.output import sparing_inputs
 from animtool.core.names import is_named
 from animtool.core.record import dataclass
 from animtool.core.shot import Shot
-from animtool.core.units import unit_name
 from animtool.ik.file import load_targets
 from animtool.ik.on_take import solve_take
 from animtool.ik.options import TakeOptions
@@ -52,8 +51,9 @@ from animtool.motion.reorient import reorient
 from animtool.motion.take import Take, TakeStream
 from animtool.rig.skeleton import Rig
 from animtool.scene.bake.options import BakeOptions
-from animtool.scene.bake.outline import STDOUT, Outline, check_outline, outlined
+from animtool.scene.bake.outline import STDOUT
 from animtool.scene.bake.progress import Progress
+from animtool.scene.solves.writing import SolvedOutput
 from animtool.scene.sources.onto_rig import map_names, open_rig
 from animtool.scene.sources.open import (
     SourceOptions,
@@ -88,6 +88,13 @@ class IkJob:
     # How USD is written; its ``reduce`` and ``overwrite`` are for others too, and
     # ``strict`` refuses to write what misses, or what there are warnings about.
     bake: BakeOptions = field(default_factory=BakeOptions)
+
+    @property
+    def target(self) -> SolvedOutput:
+        """What it writes."""
+        source = self.targets if self.start is None else self.start
+        rig = _named_rig(self.rig, self.output)
+        return SolvedOutput.of(self.output, source, self.bake, rig)
 
 
 @dataclass(slots=True)
@@ -236,44 +243,16 @@ def run_ik(job: IkJob, *, progress: Progress = None) -> IkReport:
             on.
         StrictError: There were warnings, and ``strict`` is on.
     """
-    outline = _outline(job)
-    if outline is not None:
-        named = (job.rig, job.targets, job.start, job.bake.rig_layer)
-        inputs = [path for path in named if path is not None]
-        check_outputs(outline.files, inputs, overwrite=job.bake.overwrite)
-        check_outline(outline)
+    target = job.target
+    target.check((job.rig, job.targets, job.start, job.bake.rig_layer))
     report = _solved(job, progress)
-    if outline is None:
+    if target.outline is None:
         return report
     began = time.perf_counter()
     take = replace(report.solved.take, notices=())
-    stream = TakeStream.of(take)
-    stream.details = {"format": "ik", "units": unit_name(take.rig.meters_per_unit)}
-    from animtool.scene.bake.bake import bake_take
-
-    report.written = bake_take(stream, outline, progress=progress)
+    target.write(TakeStream.of(take), report, "ik", progress)
     report.seconds["write"] = time.perf_counter() - began
-    known = set(report.notices)
-    report.notices += [n for n in report.written.notices if n not in known]
     return report
-
-
-def ik_outputs(job: IkJob) -> list[Path]:
-    """Return the files that a job writes, the output last of those of a clip."""
-    outline = _outline(job)
-    return [] if outline is None else outline.files
-
-
-def _outline(job: IkJob) -> Outline | None:
-    """Return what a job writes; None where that is nothing."""
-    if job.output is None:
-        return None
-    return outlined(
-        job.targets if job.start is None else job.start,
-        job.output,
-        job.bake,
-        rig_file=_named_rig(job.rig, job.output),
-    )
 
 
 def _named_rig(rig: Path, output: Path | None) -> Path | None:
@@ -286,7 +265,7 @@ def _named_rig(rig: Path, output: Path | None) -> Path | None:
 
 def _solved(job: IkJob, progress: Progress) -> IkReport:
     began = time.perf_counter()
-    with sparing_inputs(ik_outputs(job)):
+    with sparing_inputs(job.target.files):
         context = open_ik(job, progress=progress)
     read = time.perf_counter()
     with naming(job.rig):
