@@ -23,7 +23,7 @@ from animtool.cli.options import (
 )
 from animtool.cli.outputs import all_named, skipped, writing_options
 from animtool.core.quantities import length_text
-from animtool.report.text import Each, Template
+from animtool.report.text import SECONDS, Template
 
 if TYPE_CHECKING:
     from animtool.scene.solves.face import FaceResult
@@ -133,5 +133,5 @@ _TEMPLATE = Template(
         "[  shapes that the rig lacks: {links.lost:list 8}]",
         "[  written: {written.files:join}]",
     ),
-    details=(Each("seconds", ("{key}: {value:.3f} s",)),),
+    details=(SECONDS,),
 )

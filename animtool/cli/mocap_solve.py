@@ -28,7 +28,7 @@ from animtool.cli.outputs import (
 )
 from animtool.core.errors import percent
 from animtool.core.quantities import length_text
-from animtool.report.text import Each, Template
+from animtool.report.text import SECONDS, Template
 
 if TYPE_CHECKING:
     from animtool.capture.solve.calibration import Calibration
@@ -173,5 +173,5 @@ _TEMPLATE = Template(
         "[  written: {outputs:join}]",
     ),
     {"bones": _bones, "worst": _worst, "strays": _strays, "exchanged": _exchanged},
-    (Each("seconds", ("{key}: {value:.3f} s",)),),
+    (SECONDS,),
 )
