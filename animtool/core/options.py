@@ -50,6 +50,18 @@ class Key:
     read: Callable[[Any], Any] | None = None  # makes the field's value of the key's
 
 
+def key(text: str, example: Any, default: Any = MISSING, **said: Any) -> Any:
+    """Return the field of a key, of a record that the model of a file is made of.
+
+    Args:
+        text: What it is.
+        example: A value of it.
+        default: Its value if it is not given; without one it must be given.
+        said: What else `Key` has.
+    """
+    return field(default=default, metadata={"key": Key(text, example, **said)})
+
+
 class _Described:
     """A docstring with the keyed fields, put together when it is asked for."""
 
@@ -179,18 +191,21 @@ Place: TypeAlias = Literal["scene", "batch"]
 def keys_of(record: Any, place: Place | None = None) -> Mapping[str, Key]:
     """Return the keys that a kind of file has for a record, by name of the field.
 
-    Without a kind those that annotations say, which any file may have.
+    Without a kind those of `key` and of annotations, which any file may have.
     """
     if place is None:
-        return _annotated(record)
+        return _keys(record)
     keys = {name: getattr(o, place) for name, o in options_of(record).items()}
     return {name: key for name, key in keys.items() if key is not None}
 
 
 @cache
-def _annotated(record: Any) -> Mapping[str, Key]:
+def _keys(record: Any) -> Mapping[str, Key]:
     hints = get_type_hints(record, include_extras=True)
-    notes = {each.name: get_args(hints[each.name]) for each in fields(record)}
+    notes = {
+        each.name: (*get_args(hints[each.name]), each.metadata.get("key"))
+        for each in fields(record)
+    }
     return {n: note for n in notes for note in notes[n] if isinstance(note, Key)}
 
 
