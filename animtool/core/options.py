@@ -14,7 +14,6 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import MISSING, field, fields, make_dataclass
 from functools import cache
-from types import MappingProxyType
 from typing import (
     Any,
     ClassVar,
@@ -107,9 +106,6 @@ def described(record: type[Described]) -> type[Described]:
     return record
 
 
-NOTHING: Mapping[str, str] = MappingProxyType({})
-
-
 @dataclass(frozen=True, slots=True)
 class Option:
     """What an option is, and where it applies."""
@@ -120,7 +116,7 @@ class Option:
     not_for: tuple[str, ...] = ()  # uses that refuse it
     over_layer: str = ""  # why an animation layer refuses it; empty where it does not
     # Other options that it excludes, and how a refusal says so, if not the usual way.
-    excludes: Mapping[str, str] = field(default_factory=lambda: NOTHING)
+    excludes: Mapping[str, str] = field(default_factory=dict)
     goes_with: str = ""  # another option that it wants, or none
     lacking: str = ""  # how a refusal says that it lacks that, if not the usual way
     scene: Key | None = None
