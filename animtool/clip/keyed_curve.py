@@ -43,17 +43,25 @@ def clip_of(take: Take) -> Clip | None:
     A pass may have changed the samples: they are compared with the curve.
     """
     curve = take.curve
-    if not isinstance(curve, KeyedCurve):
+    if not isinstance(curve, KeyedCurve) or not is_of_curve(take):
         return None
+    return curve.clip()
+
+
+def is_of_curve(take: Take) -> bool:
+    """Return whether a take is what its keyed curve gives at its frames."""
+    curve = take.curve
+    if not isinstance(curve, KeyedCurve):
+        return False
     motion = curve(take.clock.times)
     for name in ("translations", "rotations", "scales", "weights"):
         mine: Channel | None = getattr(take.motion, name)
         own: Channel | None = getattr(motion, name)
         if (mine is None) != (own is None):
-            return None
+            return False
         if mine is not None and own is not None and not _alike(mine, own):
-            return None
-    return curve.clip()
+            return False
+    return True
 
 
 def _alike(one: Channel, other: Channel) -> bool:

@@ -88,8 +88,10 @@ class FilePlan:
         write = replace(write, others=others, names=self.names)
         made = _files(take_writer(path), take, path, write)
         noted = [notice for notice in take.notices if notice not in stream.notices]
-        beside = [notice for other in more for notice in other.notices]
-        notices = list(dict.fromkeys([*stream.notices, *beside, *noted, *made.notices]))
+        further = [notice for other in more for notice in other.notices]
+        notices = list(
+            dict.fromkeys([*stream.notices, *further, *noted, *made.notices])
+        )
         refuse_warnings(notices, strict=options.strict)
         files, inputs = list(made.contents), [plan.source, *([base] if base else [])]
         check_outputs(files, inputs, overwrite=options.overwrite)
