@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
-from animtool.clip.clip import Clip
 from animtool.core.array_types import FloatArray
 from animtool.core.record import dataclass
 from animtool.motion.motion import Channel, Motion
@@ -22,13 +22,14 @@ class KeyedCurve:
 
     Attributes:
         sample: From times ``(F,)`` [time codes] to the motion there.
-        clip: Makes the keys, over the same time codes; None where no clip holds them.
+        clip: Makes the `animtool.clip.clip.Clip` of the keys, over the same time codes;
+            None where no clip holds them.
         foreign: Whether they are of a file that is no clip.
         native: The keys as that file has them, for a writer of its format.
     """
 
     sample: Callable[[FloatArray], Motion]
-    clip: Callable[[], Clip | None]
+    clip: Callable[[], Any]
     foreign: bool = False
     native: object = None
 
@@ -37,8 +38,8 @@ class KeyedCurve:
         return self.sample(times)
 
 
-def clip_of(take: Take) -> Clip | None:
-    """Return the clip whose keys a take is still of; None where there is none.
+def clip_of(take: Take) -> Any:
+    """Return the `animtool.clip.clip.Clip` that a take is still of; None without one.
 
     A pass may have changed the samples: they are compared with the curve.
     """

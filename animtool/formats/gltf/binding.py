@@ -26,6 +26,8 @@ from animtool.rig.skeleton import Joint, Pose, Rig
 AGREE = 1e-5
 # Of what is bound rigidly: nearer to that is rounding, which is kept [1].
 RIGID = 1e-3
+# A bind pose nearer to that of rest is it, with the rounding of float32 [1], [rad].
+BIND = 3e-7
 
 
 class Binder:
@@ -163,13 +165,16 @@ def _poses(rig: Rig, known: dict[int, FloatArray]) -> dict[str, Pose]:
     places = (back @ (world[:, :3, 3] - upper[:, :3, 3])[:, :, None])[:, :, 0]
     turns = so3.from_matrix(back @ world[:, :3, :3])
     size = float(np.abs(rest_world(rig).positions).max(initial=0.0)) or 1.0
-    moved = np.abs(places - rig.rest_translations).max(axis=1) > 1e-12 * size
-    moved |= so3.angle_between(turns, rig.rest_rotations) > 1e-12
+    moved = np.abs(places - rig.rest_translations).max(axis=1) > BIND * size
+    moved |= so3.angle_between(turns, rig.rest_rotations) > BIND
     stretched = np.abs(stretches - np.eye(3)).max(axis=(1, 2)) > 1e-12
     poses: dict[str, Pose] = {}
     for j in np.flatnonzero(moved | stretched).tolist():
-        x, y, z = places[j].tolist()
-        a, b, c, w = turns[j].tolist()
+        joint = rig.joints[j]
+        (x, y, z), (a, b, c, w) = joint.translation, joint.rotation
+        if moved[j]:
+            x, y, z = places[j].tolist()
+            a, b, c, w = turns[j].tolist()
         own = tuple(stretches[j].ravel().tolist()) if stretched[j] else None
         poses[rig.names[j]] = Pose((x, y, z), (a, b, c, w), own)
     return poses
