@@ -116,8 +116,10 @@ class FilePlan:
             take = _with_meshes(take, plan)
         made = _files(writer, take, path, write)
         noted = [notice for notice in take.notices if notice not in stream.notices]
-        beside = [notice for other in more for notice in other.notices]
-        notices = list(dict.fromkeys([*stream.notices, *beside, *noted, *made.notices]))
+        further = [notice for other in more for notice in other.notices]
+        notices = list(
+            dict.fromkeys([*stream.notices, *further, *noted, *made.notices])
+        )
         refuse_warnings(notices, strict=options.strict)
         files, inputs = list(made.contents), [plan.source, *([base] if base else [])]
         check_outputs(files, inputs, overwrite=options.overwrite)

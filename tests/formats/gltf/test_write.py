@@ -119,6 +119,18 @@ def test_several_takes_become_one_file_and_a_library(tmp_path: Path) -> None:
     assert not issues(both)
 
 
+def test_a_folder_gets_a_file_of_each_clip(tmp_path: Path) -> None:
+    source = write_small(tmp_path / "hero.glb")
+    done = animtool("convert", source, tmp_path / "out")
+    assert done.code == 0, done.stderr
+    files = sorted(path.name for path in (tmp_path / "out").iterdir())
+    assert files == ["nod.usdc", "wave.usdc"]
+    options = SourceOptions(take="nod")
+    other = SourceOptions()
+    apart = compare(source, tmp_path / "out/nod.usdc", options, other)
+    assert apart.world.value <= 1e-6
+
+
 def test_a_bvh_and_a_rig_with_z_up(tmp_path: Path, walk: Path) -> None:
     output = tmp_path / "walk.glb"
     done = animtool("bake", walk, "-o", output)
