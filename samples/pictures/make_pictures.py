@@ -192,6 +192,20 @@ PICTURES = (
         scene("rope"),
         f"{GROUND} --sheet 6x1 --size 170x240 --camera 20,6",
     ),
+    Made(
+        "samples/dance/dance.png",
+        scene("dance"),
+        "--show meshes,shadows --frames 5,13,21,29,37,45 --sheet 6x1 --size 250x330 "
+        "--camera 0.3,0.08,3.5,0,0.92,0",
+        ("samples/dance/dance.look.usda",),
+    ),
+    Made(
+        "samples/dance/dance_cape.png",
+        "samples/dance/cape.scene.yaml",
+        "--show meshes,shadows --frames 5,13,21,29,37,45 --sheet 6x1 --size 250x330 "
+        "--camera 3.4,0.08,3.5,0,0.92,0",
+        (BIPED,),
+    ),
 )
 
 
