@@ -193,6 +193,11 @@ PICTURES = (
         f"{GROUND} --sheet 6x1 --size 170x240 --camera 20,6",
     ),
     Made(
+        "samples/fox/leap.png",
+        "bake samples/fox/fox.glb --take leap",
+        "--show meshes,shadows --sheet 6x1 --size 260x220 --camera side",
+    ),
+    Made(
         "samples/dance/dance.png",
         scene("dance"),
         "--show meshes,shadows --frames 5,13,21,29,37,45 --sheet 6x1 --size 250x330 "
