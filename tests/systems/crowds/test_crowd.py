@@ -14,6 +14,7 @@ from support.simulated import Simulator
 from animtool.core.errors import AnimtoolError
 from animtool.scene.systems.run import SystemRun
 from animtool.scene.systems.simulation import open_systems
+from animtool.systems.crowds import crowd as crowds
 from animtool.systems.framework.run import SimulationRun
 
 FPS = 20
@@ -461,3 +462,27 @@ def test_crowds_and_rocks_go_on_from_their_states(simulator: Simulator) -> None:
     rest = points({"resume": "a.npz"}, [1.0, 1.5, 2.0])
     for one, other in zip(whole[1:], rest, strict=True):
         np.testing.assert_array_equal(one, other)
+
+
+def test_who_is_squeezed_is_moved_apart_in_a_hundred_rounds(
+    simulator: Simulator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A row, each most of the way in the next: a round less leaves more, one more less."""
+    points = np.zeros((120, 3))
+    points[:, 0] = 0.2 * RADIUS * np.arange(120)
+    row = crowd([{"radius": RADIUS, "points": placed(simulator.folder, points)}])
+    seen: list[dict[str, Any]] = []
+    step = crowds._kernels.crowd_step
+
+    def spy(**given: Any) -> Any:
+        seen.append(given)
+        return step(**given)
+
+    monkeypatch.setattr(crowds._kernels, "crowd_step", spy)
+    simulator.simulate(row, [0.05])
+    left = step(**seen[0])[2]
+    fewer, same, more = (
+        step(**{**seen[0], "rounds": rounds})[2] for rounds in (99, 100, 101)
+    )
+    assert left == same
+    assert fewer > left > more > 0
