@@ -36,8 +36,8 @@ from animtool.systems.rigid.simulation import RigidSimulation
 SMALL_STEP = 0.0025
 # Who moves less than this for so long has come to rest [m/s], [s].
 REST_SPEED, REST_TIME = 0.15, 0.3
-# Nobody falls faster [m/s].
-FASTEST = 60.0
+# Nobody falls faster [m/s]; who would takes the step in so many parts.
+FASTEST, PARTS = 60.0, 8
 GRAVITY = 9.81  # [m/s²]
 
 
@@ -179,16 +179,9 @@ class Falling:
             if slow[k] >= REST_TIME:
                 continue
             falling = self._falling(agent, falls.positions[k], falls.turns[k])
-            simulation = falling.simulation
-            begun = simulation.initial()
-            count = len(begun.motion)
-            state = replace(begun, motion=np.ascontiguousarray(motion[k, :count]))
-            made = simulation.step(state, t, dt).motion
+            count = len(falling.simulation.initial().motion)
+            made = _moved(falling.simulation, motion[k, :count], t, dt)
             speeds = np.linalg.norm(made[:, 7:10], axis=1)
-            if not speeds.max() < FASTEST:
-                # Squeezed between others that give no way: it goes on from a stop.
-                made = motion[k, :count].copy()
-                made[:, 7:13] = 0.0
             motion[k, :count] = made
             slow[k] = slow[k] + dt if speeds.max() < REST_SPEED else 0.0
         return replace(falls, motion=motion, slow=slow)
@@ -258,6 +251,26 @@ class Falling:
             )
             self._known[key] = _Falling(rig, ragdoll, simulation)
         return self._known[key]
+
+
+def _moved(
+    simulation: RigidSimulation, motion: FloatArray, t: float, dt: float
+) -> FloatArray:
+    """Return the motion of bodies ``(B, 14)`` a step [s] later, in parts if it must."""
+    begun = simulation.initial()
+    for parts in (1, PARTS):
+        made, each = motion, dt / parts
+        for part in range(parts):
+            state = replace(begun, motion=np.ascontiguousarray(made))
+            made = simulation.step(state, t + part * each, each).motion
+            if not np.linalg.norm(made[:, 7:10], axis=1).max() < FASTEST:
+                break
+        else:
+            return made
+    # Squeezed between others that give no way: it goes on from a stop.
+    made = motion.copy()
+    made[:, 7:13] = 0.0
+    return made
 
 
 def _local(rig: Rig, turns: FloatArray) -> FloatArray:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +17,15 @@ from animtool.rig.placed import placed_rig
 from animtool.rig.placement import Placement
 from animtool.rig.skeleton import Rig
 from animtool.sim.colliders import Colliders
-from animtool.systems.crowds.falls import GRAVITY, REST_TIME, Falling, Falls, resting
+from animtool.systems.crowds.falls import (
+    FASTEST,
+    GRAVITY,
+    REST_TIME,
+    Falling,
+    Falls,
+    _moved,
+    resting,
+)
 from animtool.systems.crowds.ground import Frame, Ground
 
 STEP = 1 / 96
@@ -186,3 +197,26 @@ def test_joints_of_who_is_torn_apart_are_shown_as_they_can_be(biped: Rig) -> Non
     falls = Falls(falls.agents, falls.positions, falls.turns, motion, falls.slow)
     shown = own.poses(falls, 0)[1][toe]
     assert_allclose(np.degrees(so3.log(shown)), [30.0, 0.0, 0.0], atol=1e-6)
+
+
+@pytest.mark.parametrize(("longest", "expected"), [(0.8, 0.8), (0.1, 0.8), (0.09, 0.0)])
+def test_who_would_fall_too_fast_takes_the_step_in_eight_parts(
+    longest: float, expected: float
+) -> None:
+    """By 1 m/s, but too fast in longer steps; who still is stays, and stops."""
+
+    def step(state: Any, t: float, dt: float) -> Any:
+        motion = state.motion.copy()
+        assert t == pytest.approx(motion[0, 0])
+        motion[0, 0] += dt
+        motion[0, 7] = 1.0 if dt <= longest else FASTEST
+        return replace(state, motion=motion)
+
+    begun = Falls.none(1, 1)
+    simulation: Any = SimpleNamespace(initial=lambda: begun, step=step)
+    motion = np.zeros((1, 14))
+    motion[0, 7] = 2.0
+    made = _moved(simulation, motion, 0.0, 0.8)
+    assert made[0, 0] == pytest.approx(expected)
+    assert made[0, 7] == (1.0 if expected else 0.0)
+    assert motion[0, 7] == 2.0
