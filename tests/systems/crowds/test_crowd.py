@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -491,3 +492,31 @@ def test_who_is_squeezed_is_moved_apart_in_a_hundred_rounds(
     )
     assert left == same
     assert fewer > left > more > 0
+
+
+def test_who_is_knocked_down_falls_as_he_stood_and_was_about_to_walk() -> None:
+    """Two of three, by 1.5 and -2 m/s for half a second; the hit itself moves nobody."""
+    x = np.array([[1.0, 2.0], [3.0, 4.0], [5.0, 6.0]])
+    v = np.array([[1.5, 0.0], [9.0, 9.0], [0.0, -2.0]])
+    state: Any = SimpleNamespace(
+        points=x, velocities=v, headings=np.array([0.1, 0.2, 0.3]), bodies="stood"
+    )
+    hits = []
+
+    def next_(bodies: str, here: Any, ahead: Any, dt: float, hit: np.ndarray) -> str:
+        hits.append((bodies, dt, hit.tolist()))
+        np.testing.assert_array_equal(here.points, x)
+        np.testing.assert_array_equal(ahead.headings, here.headings)
+        return "walked"
+
+    own: Any = SimpleNamespace(
+        _casting=SimpleNamespace(next=next_),
+        _falling=SimpleNamespace(begun=lambda *given: given),
+        _world=lambda bodies, going, i: (bodies, going.points[i].tolist()),
+    )
+    made: Any = crowds.Crowd._begun(own, state, "falls", np.array([0, 2]), 0.5)  # type: ignore[arg-type]
+    assert hits == [("stood", 0.5, [False] * 3)]
+    falls, fell, now, soon, dt = made
+    assert (falls, fell.tolist(), dt) == ("falls", [0, 2], 0.5)
+    assert now == [("stood", [1.0, 2.0]), ("stood", [5.0, 6.0])]
+    assert soon == [("walked", [1.75, 2.0]), ("walked", [5.0, 5.0])]
