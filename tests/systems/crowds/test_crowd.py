@@ -495,7 +495,7 @@ def test_who_is_squeezed_is_moved_apart_in_a_hundred_rounds(
 
 
 def test_who_is_knocked_down_falls_as_he_stood_and_was_about_to_walk() -> None:
-    """Two of three, by 1.5 and -2 m/s for half a second; the hit itself moves nobody."""
+    """Two of three, by 1.5 and -2 m/s for half a second; the hit moves nobody."""
     x = np.array([[1.0, 2.0], [3.0, 4.0], [5.0, 6.0]])
     v = np.array([[1.5, 0.0], [9.0, 9.0], [0.0, -2.0]])
     state: Any = SimpleNamespace(
