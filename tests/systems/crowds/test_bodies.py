@@ -388,3 +388,37 @@ def test_where_a_foot_lands_is_settled_in_its_swing() -> None:
                 count += 1
                 assert after.places[0, k] == pytest.approx(before.aims[0, k], abs=1e-9)
     assert count > 6
+
+
+@pytest.mark.parametrize(
+    ("across", "ahead", "around"),
+    [
+        (0.2, 0.0, 0.0),  # far enough to its side
+        (0.05, 0.0, 0.04),
+        (0.0, 0.0, 0.09),
+        (-0.3, 0.0, 0.09),  # crossed: by no more
+        (-0.3, 0.175, 0.045),  # half as near along
+        (-0.3, 0.4, 0.0),
+    ],
+)
+@pytest.mark.parametrize("k", [0, 1])
+def test_feet_that_swing_go_around_those_that_stand(
+    k: int, across: float, ahead: float, around: float
+) -> None:
+    """Of legs of 1 m, halfway of a swing; turned by 1 rad."""
+    side = 1 - 2 * k
+    gaits: Any = SimpleNamespace(walker=SimpleNamespace(leg=1.0))
+    going = Going(np.zeros((1, 2)), np.zeros((1, 2)), np.array([1.0]))
+    x, z = np.array([np.cos(1.0), -np.sin(1.0)]), np.array([np.sin(1.0), np.cos(1.0)])
+    places = np.zeros((1, 2, 3))
+    places[0, k, :2] = side * across * x + ahead * z
+    swings = np.full((1, 2), -1.0)
+    swings[0, k] = 0.5
+    before = places.copy()
+    bodies = Bodies(gaits, np.ones(1), level)
+    state: Any = SimpleNamespace(swings=swings)
+    found = bodies._pass(state, going, places)
+    np.testing.assert_allclose(found[0, [k, 1 - k]], [around, 0.0], atol=1e-12)
+    moved = before.copy()
+    moved[0, k, :2] += side * around * x
+    np.testing.assert_allclose(places, moved, atol=1e-12)
