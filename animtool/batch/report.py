@@ -70,6 +70,11 @@ class ItemReport:
         return replace(self, faults=faults, notices=notices)
 
     @property
+    def skipped(self) -> bool:
+        """Whether it was, or would be, left as it is."""
+        return self.status is Status.SKIPPED
+
+    @property
     def spent(self) -> float | None:
         """Wall time of making it [s]; None where it was not made."""
         made = self.status in {Status.DONE, Status.FAILED}
@@ -108,6 +113,7 @@ class BatchReport:
         """Return of how many items something became."""
         return sum(report.status is status for report in self.items)
 
+    @property
     def reasons(self) -> Counter[Reason]:
         """Return how many items there are of each reason."""
         return Counter(report.reason for report in self.items)
@@ -143,6 +149,7 @@ class BatchReport:
                 reports.setdefault(notice, []).append(report)
         return reports
 
+    @property
     def warned(self) -> list[ItemReport]:
         """Return the items about which there are warnings."""
         return [

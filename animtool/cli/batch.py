@@ -376,8 +376,9 @@ def _tell(
     notices: Sequence[Fault],
 ) -> None:
     from animtool.cli.batch_progress import (
-        batch_text,
-        planned_text,
+        DRY,
+        PLANNED,
+        SUMMARY,
         report_json,
     )
 
@@ -390,12 +391,10 @@ def _tell(
                 console.result_json(entry, line=True)
         console.result_json(report.summary, line=True)
     elif params["dry_run"]:
-        for line in planned_text(report):
-            console.result(line)
+        console.result(*PLANNED.text(report))
     console.faults(notices)
     _tell_notices(console, report)
-    for line in batch_text(report, dry=params["dry_run"]):
-        console.say(line)
+    console.lines((DRY if params["dry_run"] else SUMMARY).text(report))
     for entry in report.failed:
         console.error(f"{entry.item.label} failed")
         console.faults(entry.faults, fatal=True)

@@ -6,6 +6,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from animtool.batch.item import values_text
@@ -17,6 +18,7 @@ from animtool.core.arguments import Calling
 from animtool.core.errors import AnimtoolError, Fault, counted
 from animtool.core.quantities import escaped, json_printed, length_text
 from animtool.core.values import plain_value
+from animtool.report.text import Each, Template, columns
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -26,31 +28,14 @@ if TYPE_CHECKING:
 MAX_ROWS = 20  # of takes in a table
 
 
-def batch_text(report: BatchReport, *, dry: bool = False) -> list[str]:
-    """Return the lines of a summary."""
-    words = {Status.NOT_RUN: "to be made"} if dry else {}
-    counts = [
-        f"{count} {words.get(status, status)}"
-        for status in Status
-        if (count := report.count(status))
-    ]
-    reasons = report.reasons()
-    why = ", ".join(f"{count} {reason}" for reason, count in reasons.most_common())
-    total = counted(len(report.items), "item")
-    lines = [f"{total}: {', '.join(counts) or 'nothing'} in {report.seconds:.2f} s"]
-    if why:
-        lines.append(f"  why: {why}")
-    warned = len(report.warned())
-    if warned:
-        lines.append(f"  warnings: of {counted(warned, 'item')}")
-    if report.slowest:
-        slow = [
-            f"{entry.item.output} {entry.seconds:.2f} s" for entry in report.slowest
-        ]
-        lines.append(f"  slowest: {', '.join(slow)}")
-    if report.worst:
-        lines.append(f"  largest errors: {', '.join(map(_error_text, report.worst))}")
-    return lines + scores_table(report.scored)
+def _counts(report: BatchReport, unmade: str = str(Status.NOT_RUN)) -> str:
+    counts = ((report.count(status), status) for status in Status)
+    words = {Status.NOT_RUN: unmade}
+    return ", ".join(f"{count} {words.get(s, s)}" for count, s in counts if count)
+
+
+def _item(entry: ItemReport) -> str:
+    return f"{entry.item.output}{values_text(entry.item.values)}"
 
 
 def _error_text(entry: ItemReport) -> str:
@@ -62,22 +47,10 @@ def _error_text(entry: ItemReport) -> str:
 
 def ended_text(entry: ItemReport, number: int, total: int) -> str:
     """Return the line of an item that ended."""
-    head = f"[{number}/{total}] {entry.status} {entry.item.output}"
-    values = values_text(entry.item.values)
+    head = f"[{number}/{total}] {entry.status} {_item(entry)}"
     if entry.status is Status.FAILED:
-        return f"{head}{values}: {entry.why}"
-    return f"{head}{values} ({entry.reason}) {entry.seconds:.2f} s"
-
-
-def planned_text(report: BatchReport) -> list[str]:
-    """Return a line for each item of a dry run: what would become of it, and why."""
-    lines = []
-    for entry in report.items:
-        what = "skip" if entry.status is Status.SKIPPED else "make"
-        detail = f": {entry.detail}" if entry.detail else ""
-        values = values_text(entry.item.values)
-        lines.append(f"{what} {entry.item.output}{values} ({entry.reason}{detail})")
-    return lines
+        return f"{head}: {entry.why}"
+    return f"{head} ({entry.reason}) {entry.seconds:.2f} s"
 
 
 def report_json(
@@ -285,12 +258,51 @@ def _pass_table(items: Sequence[ItemReport], place: tuple[str, str]) -> Iterator
     for entry, one in table_rows[:MAX_ROWS]:
         texts = {score.name: score.text for score in one.scores}
         worse = ", ".join(score.name for score in one.worse)
-        label = f"  {entry.item.output}{values_text(entry.item.values)}"
-        rows.append((label, *(texts.get(name, "") for name in names), worse))
+        rows.append(
+            (f"  {_item(entry)}", *(texts.get(name, "") for name in names), worse)
+        )
     yield f"{place[0]} ({place[1]}), the worst first:"
-    from animtool.report.text import columns
-
     yield from columns(rows, {0, len(names) + 1})
     if len(table_rows) > MAX_ROWS:
         rest = counted(len(table_rows) - MAX_ROWS, "item")
         yield f"  {rest} more, which are better; --format json has all"
+
+
+SUMMARY = Template(
+    "animtool.batch.report:BatchReport",
+    (
+        "[{items:n item}|0 items]: [{self:counts}|nothing] in {seconds:.2f} s",
+        "[  why: {reasons:common}]",
+        "[  warnings: of {warned:n item}]",
+        "[  slowest: {slowest:slow}]",
+        "[  largest errors: {worst:errors}]",
+        Each("scored:tables", ("{self}",)),
+    ),
+    {
+        "counts": _counts,
+        "common": lambda reasons: ", ".join(
+            f"{count} {reason}" for reason, count in reasons.most_common()
+        ),
+        "slow": lambda entries: ", ".join(
+            f"{one.item.output} {one.seconds:.2f} s" for one in entries
+        ),
+        "errors": lambda entries: ", ".join(map(_error_text, entries)),
+        "tables": scores_table,
+    },
+)
+# Of a dry run: how many are to be made, and what, each with the reason.
+DRY = replace(
+    SUMMARY,
+    printers={**SUMMARY.printers, "counts": lambda one: _counts(one, "to be made")},
+)
+PLANNED = Template(
+    "animtool.batch.report:BatchReport",
+    (
+        Each(
+            "items",
+            ("[{?skipped}skip|make] {self:item} ({reason}[: {detail}])",),
+        ),
+    ),
+    {"item": _item},
+    is_result=True,
+)

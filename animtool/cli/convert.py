@@ -69,6 +69,8 @@ Examples:
 def convert(console: Console, /, source: Path, output: Path, **params: Any) -> None:
     """Convert SOURCE to OUTPUT: BVH, USD, CSV, MOT or a clip to one of these.
 
+    Of a glTF with several clips, OUTPUT may be a folder: a USD file a clip.
+
     A clip (.clip.yaml) gets sparse keys that can be edited, and its rig file beside
     it. Joints that came from a BVH get their channel order and names back.
 
@@ -81,6 +83,12 @@ def convert(console: Console, /, source: Path, output: Path, **params: Any) -> N
 
     if is_marker_file(source) and is_marker_file(output):
         _markers(console, source, output, params)
+        return
+    if (
+        not output.suffix
+        and params["take"] is None
+        and _every_take(source, output, params)
+    ):
         return
     from animtool.core.writers import take_writer
     from animtool.scene.convert.takes import convert as run_convert
@@ -118,6 +126,26 @@ def convert(console: Console, /, source: Path, output: Path, **params: Any) -> N
     from animtool.cli.summary import CONVERTED
 
     console.report(params["report_format"], report, CONVERTED)
+
+
+def _every_take(source: Path, folder: Path, params: dict[str, Any]) -> bool:
+    """Convert each take of a file that holds several to a USD file of a folder.
+
+    Returns whether it holds any.
+    """
+    from animtool.core.readers import reader_of
+    from animtool.usd.layers.names import distinct_names
+
+    reader = reader_of(source)
+    names = [] if reader is None else reader.take_names(source)
+    if not names:
+        return False
+    folder.mkdir(parents=True, exist_ok=True)
+    legal = distinct_names(names, names, names).names
+    for name, stem in zip(names, legal, strict=True):
+        own = {**params, "source": source, "output": folder / f"{stem}.usdc"}
+        click.get_current_context().invoke(convert, **{**own, "take": name})
+    return True
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import click
@@ -205,7 +203,7 @@ def ik(console: Console, /, **params: Any) -> None:
             raise click.UsageError(message)
         _table(console, params)
         return
-    if skipped(console, "ik", params, output, lambda: _outputs(params)):
+    if skipped(console, "ik", params, output, lambda: _job(params).target.files):
         return
     from animtool.cli.ik_summary import SOLVED
     from animtool.scene.solves.ik import MissedGoalsError, run_ik
@@ -290,12 +288,6 @@ def _table(console: Console, params: dict[str, Any]) -> None:
     with console.progress(f"measure {params['targets'].name}") as progress:
         report = ik_tradeoffs(_job(params), progress=progress)
     say_tradeoffs(console, report, params["report_format"], params["plot"])
-
-
-def _outputs(params: dict[str, Any]) -> Sequence[Path]:
-    from animtool.scene.solves.ik import ik_outputs
-
-    return ik_outputs(_job(params))
 
 
 def _job(params: dict[str, Any]) -> Any:

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from animtool.cli.summary import SECONDS, channel_lines
+from animtool.cli.summary import channel_lines
 from animtool.core.errors import counted
 from animtool.core.quantities import angle_text, length_text
 from animtool.ik.report import BEYOND, status_text
-from animtool.report.text import Each, Template
+from animtool.report.text import SECONDS, Each, Template
 
 if TYPE_CHECKING:
     from animtool.ik.report import Misses

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -17,8 +18,230 @@ from animtool.cli.options import (
     source_options,
     source_options_record,
 )
+from animtool.core.errors import counted, listed, percent
 from animtool.core.names import check_given, is_named
+from animtool.core.quantities import plain
 from animtool.core.values import VERSION
+from animtool.report.text import Each, Line, Template
+
+if TYPE_CHECKING:
+    from animtool.report.describe_characters import Extreme
+    from animtool.report.describe_scene import SystemDescription
+    from animtool.usd.caches.info import PointPrim
+
+
+# Of a set with many prims, those that have a line each.
+MAX_PRIMS = 20
+_WORDS = {"BasisCurves": "curves", "PointInstancer": "copies"}
+_PRIM = (
+    "  [{type:kind}|over     ] {path}: {points:range point}[, {self:pieces}]"
+    "[, {samples:n sample}, time codes {first:frame} to {last:frame}|, never move]"
+    "[, with {self:has}][{?samples}{!fixed}, not the same all along]"
+    "[, from {extent:corners}]"
+)
+_ODD = "  odd       [{notices:n notice}|nothing]"
+_FRAMES = (
+    "  frames    {frames} at {fps:rate}, {duration:plain 4} s, time codes "
+    "{start:frame} to {end:frame}"
+)
+_GLTF = (
+    "[{?contents}  file      {contents.nodes:n node}"
+    "[, {contents.meshes:n mesh/meshes}][, {contents.skins:n skin}]"
+    "[, {contents.animations:n clip}]]",
+    "[  holds     {contents.characters:list 20}; --prim-path reads another]",
+)
+# The lines of what `animtool info` describes, by the name of the record.
+_LINES: Mapping[str, tuple[Line, ...]] = {
+    "TargetsDescription": (
+        "{path}: targets, [{goals:n goal}|0 goals]",
+        "  frames    {first:frame} to {last:frame}[ at {fps}]",
+        Each("goals", ("  goal      {effector}: [{asks:join}][, held {held:spans}]",)),
+    ),
+    "RigDescription": (
+        "{path}: rig {name:repr}",
+        "  joints    [{joints:total}: {joints:kinds}|0: ]; {limited} limited",
+        "  size      {size:plain 4} {units} at rest, {up} up",
+        Each(
+            "meshes",
+            (
+                "  mesh      {name}: {points:n point}, {faces:n face}, [{method} skin "
+                "on {joints:n joint}, {influences} a point at most|follows no joint], "
+                "{shapes:n shape}",
+            ),
+        ),
+        "[{?shapes}  shapes    {shapes}, {combined} combined"
+        "[{?arkit}, {arkit} of ARKit's 52]]",
+        Each(
+            "driven", ("  driven    {self}",), MAX_PRIMS, "  driven    and {left} more"
+        ),
+        "  and       [{others:counts}|nothing else]",
+    ),
+    "MarkersDescription": (
+        "{path}: {format}",
+        "  markers   {labelled}[{?unlabelled}, {unlabelled:n point} without label]",
+        "  frames    {frames} at {fps:rate}, {duration:g 3} s",
+        "  gaps      [{?gaps}{gaps:n gap}: {missing:.1%} missing, the longest "
+        "{longest_gap:.2f} s|none]",
+        "  spikes    [{?spikes}{spikes}|none]",
+        "  up        {up}",
+        "[{?filled}  filled    {filled:n position}]",
+        "[  bounds    {bounds:sides} m]",
+        "[  names     {names:list 60}]",
+    ),
+    "TakeDescription": (
+        "{path}: {format}",
+        "[  takes     {takes:list 40}; this is {take:repr}, --take reads another]",
+        *_GLTF,
+        "[{?joints}  joints    {joints} below {roots:list 4}[, {channels:n channel}]"
+        "|  joints    none: blend shapes alone]",
+        f"{_FRAMES}[{{?strides}}, one every {{step}} time codes]",
+        "[{?shot}  shot      [{shot.name}, ]frames {shot.start} to {shot.end}, cut "
+        "{shot.cut_in} to {shot.cut_out}, handles {shot.head} and {shot.tail}]",
+        "  animated  {animated:kinds} joints of {joints}"
+        "[{?shapes}, [{moving_shapes:n shape}|0 shapes] of {shapes}]; the rest never "
+        "move",
+        "[  shapes    {moving_shapes:list 12}]",
+        Each("points", (_PRIM,), MAX_PRIMS, "  and       {left} more"),
+        "[  feet      stand: {capture.feet:feet}]",
+        "[  speed     {capture.speed_mean:plain 3} m/s, {capture.speed_max:plain 3} at "
+        "most]",
+        "[{?capture}  cycle     {cycle_period:plain 4} s, frames {cycle.first:g} to "
+        "{cycle.last:g}; its ends differ by {cycle.share:percent} of what moves]",
+        "[  noise     up to {capture.noise:angle}, {capture.noisiest}]",
+        "[  all       {characters.count} with {characters.joints:n joint}"
+        "[{?characters.unread}, {characters.unread} of them cannot be read]"
+        "[, {characters.bounds:corners} m]]",
+        "[            go {characters.speed_mean:plain 3} m/s in the mean, "
+        "{characters.speed:extreme m/s}]",
+        "[            hips are {characters.lowest:extreme m} at the lowest, and go up "
+        "or down by {characters.rise:extreme m} in a frame]",
+        "[{?joints}  bounds    {bounds:corners} {units}, {up} up"
+        "|  space     {units}, {up} up]",
+        _ODD,
+    ),
+    "GltfDescription": (
+        "{path}: {format} without nodes",
+        *_GLTF,
+        _ODD,
+    ),
+    "PointsDescription": (
+        "{path}: {format} without a Skeleton",
+        "  prims     [{types:types 12}]",
+        _FRAMES,
+        Each("prims", (_PRIM,), MAX_PRIMS, "  and       {left} more"),
+        "  space     {units}, {up} up",
+        Each(
+            "chunks",
+            (
+                "  chunks    {name} of {path}: [{files:n file}|0 files]"
+                "[, not there: {missing:list}]",
+            ),
+        ),
+        _ODD,
+    ),
+    "SceneDescription": (
+        "{path}: scene",
+        "  source    [{sources:list}|none: it is simulated]",
+        "[  rig       {rig}]",
+        Each("props", ("  beside    {prim} of {file} at {path}",)),
+        "[  passes    {passes:named 40}]",
+        Each(
+            "systems",
+            (
+                "  {kind:<9} {name}: [{counts:made}, ]by {method}"
+                "[ in steps of {step:g} s][{?colliders}, {colliders:n collider}]"
+                "[, joined to {joined:list}][, meets {self:met}]"
+                "[, tied both ways to {tied:list}][, reads {files:list}]",
+            ),
+        ),
+        "  frames    [{first} to {last}|those of the source][ at {rate} fps]",
+        "[  variables {variables:list 40}]",
+        Each(
+            "outputs",
+            (
+                "  output    {file}: [{?points}{form} of points|{form}|{kind}]"
+                "[, with {systems:list 12}][, {chunk:n sample} a file]"
+                "[, {there:n file} of it there already]",
+            ),
+        ),
+    ),
+}
+
+
+def _range(ends: tuple[int, int], noun: str, plural: str = "") -> str:
+    text = counted(ends[1], noun, plural)
+    return text if ends[0] == ends[1] else f"{ends[0]} to {text}"
+
+
+def _pieces(prim: PointPrim) -> str:
+    if not prim.pieces:
+        return ""
+    noun = "mesh" if prim.pieces == "meshes" else prim.pieces.removesuffix("s")
+    return _range(prim.piece_count, noun, prim.pieces)
+
+
+def _has(prim: PointPrim) -> str:
+    props = ("velocities", "orientations", "widths", "ids", "normals")
+    return ", ".join([name for name in props if getattr(prim, name)] + prim.primvars)
+
+
+def _extreme(extreme: Extreme, unit: str) -> str:
+    """Return a value with its character and frame."""
+    parts = extreme.character.strip("/").split("/")
+    name = next((part for part in parts if part.startswith("agent")), parts[0])
+    return f"{plain(extreme.value, 3)} {unit} ({name}, frame {extreme.frame:g})"
+
+
+def _made(counts: dict[str, int]) -> str:
+    """Return what a system is made of."""
+    return ", ".join(
+        f"at most {count} at once"
+        if name == "max_particles"
+        else counted(count, name.removesuffix("s"))
+        for name, count in counts.items()
+    )
+
+
+def _met(system: SystemDescription) -> str:
+    return listed([*system.meets, *(["the character"] if system.character else [])])
+
+
+# How these lines print values, beside `animtool.report.text.PRINTED`.
+PRINTERS: dict[str, Callable[..., str]] = {
+    "range": _range,
+    "pieces": _pieces,
+    "has": _has,
+    "kind": lambda kind: f"{_WORDS.get(kind, kind.lower()):<9}",
+    "types": lambda types, most: listed(
+        [f"{count} {name or 'over'}" for name, count in types.items()], int(most)
+    ),
+    "sides": lambda sides: " to ".join(
+        " ".join(f"{x:.3g}" for x in side) for side in sides
+    ),
+    "feet": lambda feet: ", ".join(
+        f"{side} {percent(foot.standing)} of frames, {counted(foot.steps, 'step')}"
+        for side, foot in feet.items()
+    ),
+    "extreme": _extreme,
+    "named": lambda named, most: listed([own.name for own in named], int(most)),
+    "made": _made,
+    "met": _met,
+}
+
+
+# How what `animtool info` describes is printed, by the name of the record.
+TEMPLATES = {
+    name: Template(f"animtool.{module}:{name}", _LINES[name], PRINTERS)
+    for name, module in (
+        ("TargetsDescription", "report.describe_rig"),
+        ("RigDescription", "report.describe_rig"),
+        ("MarkersDescription", "report.describe_markers"),
+        ("TakeDescription", "report.describe"),
+        ("GltfDescription", "report.describe_gltf"),
+        ("PointsDescription", "usd.caches.info"),
+        ("SceneDescription", "report.describe_scene"),
+    )
+}
 
 
 @click.command(
@@ -62,8 +285,6 @@ def info(console: Console, /, files: tuple[Path, ...], **params: Any) -> None:
     if params["report_format"] == "json":
         console.result_json({"info": VERSION, "files": described})
     else:
-        from animtool.cli.info_summary import TEMPLATES
-
         for found in described:
             console.result(*TEMPLATES[type(found).__name__].text(found))
             console.faults(found.notices)

@@ -56,8 +56,14 @@ def migrate(console: Console, /, files: tuple[Path, ...], **params: Any) -> None
     for plan in plans:
         console.faults(plan.notices)
     if params["report_format"] == "json":
-        keys = "path kind from=version to=newest needed written difference notices"
-        entries = [picked(plan, keys) for plan in plans]
+        entries = [
+            {
+                **picked(plan, "path kind from=version to=newest needed"),
+                "written": plan.needed and not check,
+                **picked(plan, "difference notices"),
+            }
+            for plan in plans
+        ]
         console.result_json({"migrate": VERSION, "files": entries})
     else:
         for plan in plans:

@@ -23,7 +23,7 @@ from animtool.cli.options import (
 )
 from animtool.cli.outputs import all_named, skipped, writing_options
 from animtool.core.quantities import length_text
-from animtool.report.text import Each, Template
+from animtool.report.text import SECONDS, Template
 
 if TYPE_CHECKING:
     from animtool.scene.solves.face import FaceResult
@@ -83,7 +83,7 @@ def face(console: Console, /, landmarks: Path, **params: Any) -> None:
     is kept apart. Without -o the report is all.
     """
     from animtool.scene.bake.options import BakeOptions
-    from animtool.scene.solves.face import FaceJob, face_outputs, run_face
+    from animtool.scene.solves.face import FaceJob, run_face
 
     job = FaceJob(
         landmarks,
@@ -97,7 +97,7 @@ def face(console: Console, /, landmarks: Path, **params: Any) -> None:
         source_options_record(params),
         BakeOptions(overwrite=params["overwrite"], strict=params["strict"]),
     )
-    if skipped(console, "mocap face", params, job.output, lambda: face_outputs(job)):
+    if skipped(console, "mocap face", params, job.output, lambda: job.target.files):
         return
     with all_named(), console.progress(f"face {landmarks.name}") as progress:
         result = run_face(job, progress=progress)
@@ -133,5 +133,5 @@ _TEMPLATE = Template(
         "[  shapes that the rig lacks: {links.lost:list 8}]",
         "[  written: {written.files:join}]",
     ),
-    details=(Each("seconds", ("{key}: {value:.3f} s",)),),
+    details=(SECONDS,),
 )

@@ -28,7 +28,7 @@ from animtool.cli.outputs import (
 )
 from animtool.core.errors import percent
 from animtool.core.quantities import length_text
-from animtool.report.text import Each, Template
+from animtool.report.text import SECONDS, Template
 
 if TYPE_CHECKING:
     from animtool.capture.solve.calibration import Calibration
@@ -101,7 +101,6 @@ def solve(
     from animtool.scene.solves.mocap_solve import (
         MocapSolveJob,
         run_solve,
-        solve_outputs,
     )
 
     job = MocapSolveJob(
@@ -120,7 +119,7 @@ def solve(
     if (
         output is not None
         and not to_stdout
-        and skipped(console, "mocap solve", params, output, lambda: solve_outputs(job))
+        and skipped(console, "mocap solve", params, output, lambda: job.target.files)
     ):
         return
     with console.progress(f"solve {source.name}", stdout=to_stdout) as progress:
@@ -174,5 +173,5 @@ _TEMPLATE = Template(
         "[  written: {outputs:join}]",
     ),
     {"bones": _bones, "worst": _worst, "strays": _strays, "exchanged": _exchanged},
-    (Each("seconds", ("{key}: {value:.3f} s",)),),
+    (SECONDS,),
 )

@@ -10,8 +10,7 @@ from typing import Any, TypeVar
 
 import click
 
-from animtool.cli.calling import SOURCE_NAMES, as_flag, calling_of
-from animtool.cli.console import Console
+from animtool.cli.console import SOURCE_NAMES, Console, as_flag, calling_of
 from animtool.core.arguments import worded
 from animtool.core.errors import Severity
 from animtool.core.options import Option, options_of

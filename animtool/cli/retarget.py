@@ -31,7 +31,7 @@ from animtool.cli.outputs import (
 from animtool.core.errors import listed, percent
 from animtool.core.options import options_of
 from animtool.core.quantities import angle_text, length_text
-from animtool.report.text import Each, Template
+from animtool.report.text import SECONDS, Template
 from animtool.retarget.options import RetargetOptions
 
 if TYPE_CHECKING:
@@ -102,7 +102,7 @@ _TEMPLATE = Template(
         "[  written: {outputs:join}]",
     ),
     {"verdict": _verdict, "metres": _length, "held": _held, "scored": _scored},
-    (Each("seconds", ("{key}: {value:.3f} s",)),),
+    (SECONDS,),
 )
 
 
@@ -155,7 +155,6 @@ def retarget(
     to_stdout = goes_to_stdout(output, params)
     from animtool.scene.solves.retarget import (
         RetargetJob,
-        retarget_outputs,
         run_retarget,
     )
 
@@ -175,7 +174,7 @@ def retarget(
     if (
         output is not None
         and not to_stdout
-        and skipped(console, "retarget", params, output, lambda: retarget_outputs(job))
+        and skipped(console, "retarget", params, output, lambda: job.target.files)
     ):
         return
     with console.progress(f"retarget {source.name}", stdout=to_stdout) as progress:

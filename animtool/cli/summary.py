@@ -27,8 +27,6 @@ ROUNDING = 1e-9
 # A stage in three files names all; chunks can be thousands.
 MAX_FILES = 3
 SHOT = "[  {shot.label}]"
-# How long stages took, for the verbose.
-SECONDS = Each("seconds", ("{key}: {value:.3f} s",))
 
 
 def _scores(indent: str) -> Each:

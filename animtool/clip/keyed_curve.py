@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
-from animtool.clip.clip import Clip
 from animtool.core.array_types import FloatArray
 from animtool.core.record import dataclass
 from animtool.motion.motion import Channel, Motion
@@ -22,13 +22,14 @@ class KeyedCurve:
 
     Attributes:
         sample: From times ``(F,)`` [time codes] to the motion there.
-        clip: Makes the keys, over the same time codes; None where no clip holds them.
+        clip: Makes the `animtool.clip.clip.Clip` of the keys, over the same time codes;
+            None where no clip holds them.
         foreign: Whether they are of a file that is no clip.
         native: The keys as that file has them, for a writer of its format.
     """
 
     sample: Callable[[FloatArray], Motion]
-    clip: Callable[[], Clip | None]
+    clip: Callable[[], Any]
     foreign: bool = False
     native: object = None
 
@@ -37,23 +38,31 @@ class KeyedCurve:
         return self.sample(times)
 
 
-def clip_of(take: Take) -> Clip | None:
-    """Return the clip whose keys a take is still of; None where there is none.
+def clip_of(take: Take) -> Any:
+    """Return the `animtool.clip.clip.Clip` that a take is still of; None without one.
 
     A pass may have changed the samples: they are compared with the curve.
     """
     curve = take.curve
-    if not isinstance(curve, KeyedCurve):
+    if not isinstance(curve, KeyedCurve) or not is_of_curve(take):
         return None
+    return curve.clip()
+
+
+def is_of_curve(take: Take) -> bool:
+    """Return whether a take is what its keyed curve gives at its frames."""
+    curve = take.curve
+    if not isinstance(curve, KeyedCurve):
+        return False
     motion = curve(take.clock.times)
     for name in ("translations", "rotations", "scales", "weights"):
         mine: Channel | None = getattr(take.motion, name)
         own: Channel | None = getattr(motion, name)
         if (mine is None) != (own is None):
-            return None
+            return False
         if mine is not None and own is not None and not _alike(mine, own):
-            return None
-    return curve.clip()
+            return False
+    return True
 
 
 def _alike(one: Channel, other: Channel) -> bool:

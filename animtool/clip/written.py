@@ -78,7 +78,8 @@ def _kept_keys(take: Take, options: WriteOptions) -> Clip | None:
     foreign = isinstance(take.curve, KeyedCurve) and take.curve.foreign
     if not foreign or asked or options.base is not None:
         return None
-    return clip_of(take)
+    kept: Clip | None = clip_of(take)
+    return kept
 
 
 def _left_out(take: Take) -> list[Fault]:

@@ -14,7 +14,6 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import MISSING, field, fields, make_dataclass
 from functools import cache
-from types import MappingProxyType
 from typing import (
     Any,
     ClassVar,
@@ -48,6 +47,18 @@ class Key:
     choices: tuple[str, ...] = ()  # of a choice
     alias: str | None = None  # the key, where it is not the name of the field
     read: Callable[[Any], Any] | None = None  # makes the field's value of the key's
+
+
+def key(text: str, example: Any, default: Any = MISSING, **said: Any) -> Any:
+    """Return the field of a key, of a record that the model of a file is made of.
+
+    Args:
+        text: What it is.
+        example: A value of it.
+        default: Its value if it is not given; without one it must be given.
+        said: What else `Key` has.
+    """
+    return field(default=default, metadata={"key": Key(text, example, **said)})
 
 
 class _Described:
@@ -95,9 +106,6 @@ def described(record: type[Described]) -> type[Described]:
     return record
 
 
-NOTHING: Mapping[str, str] = MappingProxyType({})
-
-
 @dataclass(frozen=True, slots=True)
 class Option:
     """What an option is, and where it applies."""
@@ -108,7 +116,7 @@ class Option:
     not_for: tuple[str, ...] = ()  # uses that refuse it
     over_layer: str = ""  # why an animation layer refuses it; empty where it does not
     # Other options that it excludes, and how a refusal says so, if not the usual way.
-    excludes: Mapping[str, str] = field(default_factory=lambda: NOTHING)
+    excludes: Mapping[str, str] = field(default_factory=dict)
     goes_with: str = ""  # another option that it wants, or none
     lacking: str = ""  # how a refusal says that it lacks that, if not the usual way
     scene: Key | None = None
@@ -179,18 +187,21 @@ Place: TypeAlias = Literal["scene", "batch"]
 def keys_of(record: Any, place: Place | None = None) -> Mapping[str, Key]:
     """Return the keys that a kind of file has for a record, by name of the field.
 
-    Without a kind those that annotations say, which any file may have.
+    Without a kind those of `key` and of annotations, which any file may have.
     """
     if place is None:
-        return _annotated(record)
+        return _keys(record)
     keys = {name: getattr(o, place) for name, o in options_of(record).items()}
     return {name: key for name, key in keys.items() if key is not None}
 
 
 @cache
-def _annotated(record: Any) -> Mapping[str, Key]:
+def _keys(record: Any) -> Mapping[str, Key]:
     hints = get_type_hints(record, include_extras=True)
-    notes = {each.name: get_args(hints[each.name]) for each in fields(record)}
+    notes = {
+        each.name: (*get_args(hints[each.name]), each.metadata.get("key"))
+        for each in fields(record)
+    }
     return {n: note for n in notes for note in notes[n] if isinstance(note, Key)}
 
 

@@ -21,7 +21,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import fields, is_dataclass
 from enum import Enum
 from functools import cache
-from pathlib import PurePath
+from os import PathLike
 from typing import Any
 
 from animtool.core.record import dataclass
@@ -36,7 +36,7 @@ def plain_value(value: Any) -> Any:
     >>> plain_value({"fps": Fraction(24), "error": math.inf, "names": ("a",)})
     {'fps': 24.0, 'error': None, 'names': ['a']}
     """
-    if isinstance(value, Enum | PurePath):
+    if isinstance(value, Enum | PathLike):
         return str(value)
     if value is None or isinstance(value, bool | int | str):
         return value

@@ -14,6 +14,7 @@ from typing import (
     TypeVar,
     cast,
     get_args,
+    get_origin,
     get_type_hints,
 )
 
@@ -56,7 +57,7 @@ Quaternion = Annotated[list[Real], Len(4, 4)]
 def key(text: str, example: Any, default: Any = PydanticUndefined) -> Any:
     """Return the field of a key: what it is, an example, and its value if not given.
 
-    Without a default it must be given.
+    Without a default it must be given. `animtool.core.options.key` is that of a record.
     """
     return Field(default=default, description=text, examples=[example])
 
@@ -239,7 +240,8 @@ def _typed(record: Any, name: str, key: Key, ranges: Ranges) -> tuple[Any, Any]:
         kind = option.kind
         type_ = Literal[key.choices] | None if kind == "choice" else _WRITTEN[kind]
         return type_, _DEFAULTS.get(kind)
-    type_, *notes = get_args(get_type_hints(record, include_extras=True)[name])
+    hint = get_type_hints(record, include_extras=True)[name]
+    type_, *notes = get_args(hint) if get_origin(hint) is Annotated else (hint,)
     type_ = Literal[key.choices] if key.choices else _TYPES.get(type_, type_)
     (default,) = (each.default for each in fields(record) if each.name == name)
     if _endless(default):

@@ -115,6 +115,8 @@ class Channel:
     def concatenate(channels: list[Channel]) -> Channel:
         """Return one channel of blocks that share their rest and animated joints."""
         first = channels[0]
+        if len(channels) == 1:
+            return first
         return replace(first, values=np.concatenate([c.values for c in channels]))
 
 

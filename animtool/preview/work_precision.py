@@ -191,8 +191,8 @@ def panels_of(tables: Sequence[TrialTable]) -> list[Panel]:
 def _panel(table: TrialTable) -> Panel:
     by_method: dict[str, list[Point]] = {}
     for row in table.rows:
-        if row.error is not None:
-            error = row.error.error(table.error, 0.0)
+        error = table.error_of(row)
+        if error is not None:
             cost = getattr(row, COSTS[table.cost][0])
             point = Point(cost, error, row.chosen, row.best, row.recommended)
             by_method.setdefault(row.setting.method, []).append(point)
@@ -200,7 +200,7 @@ def _panel(table: TrialTable) -> Panel:
     reference = table.reference
     remark, floor = "", 0.0
     if reference is not None:
-        floor = reference.error.error(table.error, 0.0)
+        floor = table.error_of(reference) or 0.0
         if reference.sensitive:
             remark = "error not small: the motion is sensitive"
     name = COSTS[table.cost][1] or table.unit

@@ -80,6 +80,8 @@ Printers: TypeAlias = Mapping[str, Callable[..., Any]]
 
 # Names in a line, where nobody asked for all.
 MAX_NAMED = 8
+# How long stages took, for the verbose.
+SECONDS = Each("seconds", ("{key}: {value:.3f} s",))
 
 
 @dataclass(frozen=True, slots=True)

@@ -96,9 +96,9 @@ def _advice(part: TrialTable) -> str:
         return ""
     better, chosen = part.recommended, part.chosen
     if part.budget is not None:
-        if better is None or better.error is None:
+        error = None if better is None else part.error_of(better)
+        if better is None or error is None:
             return ""
-        error = better.error.error(part.error, 0.0)
         words = "the present setting" if better.chosen else str(better.setting)
         return (
             f"cheapest within {length_text(part.budget)}: {words}, "

@@ -70,7 +70,8 @@ def _pose(
         translation = (x, y, z)
     if model.rotate is not None:
         rotation = quaternion(document, ("bind", name, "rotate"), model.rotate)
-    return Pose(translation, rotation)
+    stretch = None if model.stretch is None else tuple(model.stretch)
+    return Pose(translation, rotation, stretch)
 
 
 def _rest(joint: Joint) -> Pose:

@@ -206,6 +206,12 @@ class PoseModel(FileModel):
         [1.0, 0.0, 0.0, 0.0],
         default=None,
     )
+    stretch: Annotated[list[Real], Len(9, 9)] | None = key(
+        "Scale and shear of the joint when its skin was bound, for nothing below it: 9 "
+        "numbers, row by row, in the frame of the joint. Not given: none.",
+        [1.0, 0.0, 0.0, 0.0, 2.0, 0.0, 0.0, 0.0, 1.0],
+        default=None,
+    )
 
 
 Matrix = Annotated[list[Real], Len(16, 16)]

@@ -190,7 +190,7 @@ class RigModel(FileModel):
     source: str | None = Field(
         default=None,
         alias="from",
-        description="A rig file, USD file or BVH that this file adds to.",
+        description="A rig file, USD file, glTF or BVH that this file adds to.",
         examples=["hero.usda"],
     )
     joints: list[JointModel] = key(

@@ -25,6 +25,9 @@ from animtool.rig.skeleton import Joint, JointType, Pose, Rig
 
 Pairs = Iterable[tuple[str, str | None]]
 
+# Of a bind pose's stretch: nearer to none is rounding of float32 [1].
+ROUNDING = 1e-5
+
 
 def rig_text(rig: Rig) -> str:
     """Return a rig as the text of a rig file, in its own units.
@@ -51,7 +54,7 @@ def rig_text(rig: Rig) -> str:
             parent = rig.joints[joint.parent].name if joint.parent >= 0 else None
             lines.append(f"- {units.joint(joint, parent, rig)}")
             written.add(joint.name)
-    bind = {**_unbound(rig), **rig.bind}
+    bind = {**_unbound(rig), **_told_bind(rig)}
     if bind:
         lines.append("bind:")
         for name, pose in bind.items():
@@ -59,6 +62,7 @@ def rig_text(rig: Rig) -> str:
                 [
                     ("translate", units.lengths(pose.translation)),
                     ("rotate", _quaternion(pose.rotation)),
+                    ("stretch", _stretch(pose)),
                 ]
             )
             lines.append(f"  {text(name)}: {entry}")
@@ -281,6 +285,26 @@ def _mirrors_drivers(rig: Rig) -> bool:
 
 def _without_mirrors(joints: Sequence[Joint]) -> list[Joint]:
     return [replace(joint, mirror="") for joint in joints]
+
+
+def _told_bind(rig: Rig) -> dict[str, Pose]:
+    """Return the bind poses that are not those of rest but for rounding."""
+    kept = {}
+    for name, pose in rig.bind.items():
+        joint = rig.joints[rig.index(name)]
+        rest = (joint.translation, joint.rotation)
+        rounded = pose.stretch is not None and _stretch(pose) is None
+        if not (rounded and (pose.translation, pose.rotation) == rest):
+            kept[name] = pose
+    return kept
+
+
+def _stretch(pose: Pose) -> str | None:
+    """Return the stretch of a bind pose; None where it is none but for rounding."""
+    if pose.stretch is None:
+        return None
+    off = [value - (i % 4 == 0) for i, value in enumerate(pose.stretch)]
+    return _numbers(pose.stretch) if max(map(abs, off)) > ROUNDING else None
 
 
 def _unbound(rig: Rig) -> dict[str, Pose]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from animtool.core.options import Key, Range, above, or_more
+from animtool.core.options import Range, above, key, or_more
 from animtool.core.record import dataclass
 
 # No body of a shot is as fast as this [m/s]: what is has been put elsewhere.
@@ -15,38 +15,28 @@ SPEED_LIMIT = 200.0
 class Material:
     """What a contact keeps of velocities."""
 
-    restitution: Annotated[
-        float,
-        Range("0 to 1", "SIM020", 0, 1),
-        Key("Share of the speed into the surface that comes back, 0 to 1.", 0.4),
-    ] = 0.0
-    friction: Annotated[
-        float,
-        or_more(0, "SIM020", finite=True),
-        Key("Coulomb's coefficient.", 0.3),
-    ] = 0.0
+    restitution: Annotated[float, Range("0 to 1", "SIM020", 0, 1)] = key(
+        "Share of the speed into the surface that comes back, 0 to 1.", 0.4, 0.0
+    )
+    friction: Annotated[float, or_more(0, "SIM020", finite=True)] = key(
+        "Coulomb's coefficient.", 0.3, 0.0
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Contact(Material):
     """What touching a collider does."""
 
-    name: Annotated[str, Key("For messages.", "step_1")] = ""
-    container: Annotated[
-        bool, Key("Particles are to stay inside; of `kill`, those outside go.", True)
-    ] = False
-    margin: Annotated[
-        float,
-        or_more(0, "SIM020", finite=True),
-        Key("Distance that they keep [m].", 0.01),
-    ] = 0.0
-    depenetration: Annotated[
-        float,
-        above(0, "SIM020"),
-        Key("How fast those that begin inside are moved out [m/s].", 0.5),
-    ] = 1.0
-    speed_limit: Annotated[
-        float,
-        above(0, "SIM020"),
-        Key("What moves faster was put elsewhere, and hits nothing [m/s].", 500),
-    ] = SPEED_LIMIT
+    name: str = key("For messages.", "step_1", "")
+    container: bool = key(
+        "Particles are to stay inside; of `kill`, those outside go.", True, False
+    )
+    margin: Annotated[float, or_more(0, "SIM020", finite=True)] = key(
+        "Distance that they keep [m].", 0.01, 0.0
+    )
+    depenetration: Annotated[float, above(0, "SIM020")] = key(
+        "How fast those that begin inside are moved out [m/s].", 0.5, 1.0
+    )
+    speed_limit: Annotated[float, above(0, "SIM020")] = key(
+        "What moves faster was put elsewhere, and hits nothing [m/s].", 500, SPEED_LIMIT
+    )

@@ -6,12 +6,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from animtool.core.config import parse_toml
 from animtool.core.errors import Fault, FormatError, OptionError, Severity
 from animtool.core.files.reading import MAX_TEXT_BYTES, read_input
 from animtool.core.names import nearest
 from animtool.core.record import dataclass
 from animtool.core.rules import all_rules, current_codes
-from animtool.core.toml_text import parse_toml
 from animtool.documents.document import read_document
 
 # By code or its beginning; None leaves a code out.

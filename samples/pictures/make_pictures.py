@@ -166,8 +166,8 @@ PICTURES = (
     Made(
         "samples/fall/fall.png",
         scene("fall"),
-        f"{GROUND} --frames 1,20,26,32,38,44,52,92 --sheet 4x2 --size 240x200 "
-        "--camera 80,8",
+        "--show meshes --frames 1,20,26,32,38,44,52,92 --sheet 4x2 --size 240x200 "
+        "--camera 1.35,0.12,6,0,0,0.2",
         ("samples/fall/stairs.usda", BIPED),
     ),
     Made(
@@ -177,9 +177,39 @@ PICTURES = (
         ("samples/murmuration/tower.usda",),
     ),
     Made(
+        "samples/crowd/crowd.png",
+        "bake samples/crowd/square.scene.yaml",
+        f"{GROUND} --frames 40,420 --size 640x400 --camera 0.5,0.36,30,0,0.5,0",
+    ),
+    Made(
+        "samples/dam/dam.png",
+        scene("dam"),
+        f"{GROUND} --frames 8,14,22 --camera 25,18 --size 380x300",
+        ("samples/dam/pillar.usda",),
+    ),
+    Made(
         "samples/rope/rope.png",
         scene("rope"),
         f"{GROUND} --sheet 6x1 --size 170x240 --camera 20,6",
+    ),
+    Made(
+        "samples/fox/leap.png",
+        "bake samples/fox/fox.glb --take leap",
+        "--show meshes,shadows --sheet 6x1 --size 260x220 --camera side",
+    ),
+    Made(
+        "samples/dance/dance.png",
+        scene("dance"),
+        "--show meshes,shadows --frames 5,13,21,29,37,45 --sheet 6x1 --size 250x330 "
+        "--camera 0.3,0.08,3.5,0,0.92,0",
+        ("samples/dance/dance.look.usda",),
+    ),
+    Made(
+        "samples/dance/dance_cape.png",
+        "samples/dance/cape.scene.yaml",
+        "--show meshes,shadows --frames 5,13,21,29,37,45 --sheet 6x1 --size 250x330 "
+        "--camera 3.4,0.08,3.5,0,0.92,0",
+        (BIPED,),
     ),
 )
 

@@ -8,7 +8,7 @@ import pytest
 from support.cli import animtool
 
 from animtool.cli.bake import bake
-from animtool.cli.calling import calling_of
+from animtool.cli.console import calling_of
 from animtool.cli.convert import convert
 from animtool.cli.info import info
 from animtool.core.arguments import Argument

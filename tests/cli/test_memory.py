@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from support.cli import TIMEOUT, animtool
 
-from animtool.cli.memory import crash_reason, is_out_of_memory, memory_fault
+from animtool.cli.main import crash_reason, is_out_of_memory, memory_fault
 
 LIMITED = "ulimit -v {kib} && exec {python} -P -m animtool {words}"
 

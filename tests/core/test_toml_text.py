@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from animtool.core.toml_text import MAX_DEPTH, parse_toml
+from animtool.core.config import MAX_DEPTH, parse_toml
 
 
 def test_it_is_read() -> None:

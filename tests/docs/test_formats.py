@@ -32,7 +32,7 @@ from animtool.rig.joints import DRIVEN_PARTS, KEYED_PARTS
 from animtool.rig.parts import AttachKind
 from animtool.rig.skeleton import Joint
 from animtool.scene.file.read import load_scene
-from animtool.scene.solves.start import rest_take
+from animtool.scene.solves.ik import rest_take
 from animtool.systems.particles.forces.table import FORCES, find_force
 from animtool.systems.particles.velocity_field import VARIABLES
 

@@ -26,7 +26,7 @@ from animtool.rig.remap import ShapeLink, link_shapes, load_remap
 from animtool.rig.skeleton import Joint, Rig
 from animtool.scene.file.read import load_scene
 from animtool.scene.file.tracks import TrackNames
-from animtool.scene.solves.start import rest_take
+from animtool.scene.solves.ik import rest_take
 
 FROZEN = Path(__file__).parent / "frozen"
 

@@ -247,3 +247,18 @@ def test_both_names_of_a_key_are_an_error(tmp_path: Path) -> None:
     unknown = [f.where for f in caught.value.faults if f.code == "DOC020"]
     assert unknown == ["beside", "systems[0].particles.emitters[0].most"]
     assert "beside:" in plan_migration(path).after
+
+
+def test_options_of_passes_have_new_names_too(tmp_path: Path) -> None:
+    """`colliders` is a list of shapes now; where it is true or false it is renamed."""
+    text = """scene: animtool/1
+source: {file: a.bvh}
+passes:
+- simulate: {what: [a], damping: 2, shear: 3, colliders: false}  # of old
+- simulate: {what: [b], colliders: [{shape: {plane: {}}}]}
+- ragdoll: {damping: 1}
+output: {file: o.usdc}
+"""
+    plan = plan_migration(written(tmp_path, text, "a.scene.yaml"))
+    new = text.replace("damping: 2, shear: 3", "ratio: 2, diagonals: 3")
+    assert plan.after == new.replace("colliders: false", "capsules: false")

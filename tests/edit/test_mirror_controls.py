@@ -9,10 +9,13 @@ from numpy.testing import assert_allclose
 from support.nasty import nasty_take
 
 from animtool import Clip, Rig
-from animtool.edit.mirroring import ControlMirror, mirror
+from animtool.edit.mirroring import ControlMirror, _effect, mirror
 from animtool.motion.take import Take
+from animtool.rig.controls import Control, Drive
+from animtool.rig.expressions import parse_expression
 from animtool.rig.kinematics import rest_world
 from animtool.rig.sides import pair_sides
+from animtool.rig.skeleton import Joint
 
 RIG = """\
 rig: animtool/1
@@ -144,3 +147,17 @@ def lift(rig: Rig, values: np.ndarray) -> np.ndarray:
     one, other = (linear[rig.index(name)][:, 2] for name in ("arm.L", "arm.R"))
     # Rotations turn the other way round in a mirror, and lift_r drives by its negative.
     return values * np.sign((one * -across) @ -other)
+
+
+def test_a_control_is_moved_by_a_tenth_of_its_range_or_of_1() -> None:
+    """One way and the other, by three times of what it is moved."""
+    drives = (Drive("joint/a.translation.y", parse_expression("3 * c")),)
+    for low, high, moved in ((None, None, 0.1), (-2.0, 3.0, 0.5), (0.0, None, 0.1)):
+        rig = Rig(
+            "r",
+            (Joint("a", -1),),
+            controls=(Control("c", low=low, high=high, drives=drives),),
+        )
+        for way in (1.0, -1.0):
+            found, _ = _effect(rig, 0, way, rest_world(rig).linear[0])
+            assert_allclose(found, [[0, 0, 0, 0, 3 * way * moved, 0]], atol=1e-12)

@@ -611,6 +611,11 @@ def test_what_is_missed_is_told_in_lengths_and_angles() -> None:
     both = (span(distance=0.25, angle=np.radians(2.0)),)
     (found,) = missed_notices(told(), [GoalReport("hand", "elbow", (3, 4), (), both)])
     assert "25 cm and 2" in found.message or "250 mm and 2" in found.message
+    for rows in ((span(distance=0.25),), (span(angle=np.radians(2.0)),)):
+        (found,) = missed_notices(
+            told(), [GoalReport("hand", "elbow", (3, 4), (), rows)]
+        )
+        assert " and " not in found.message.partition(" off ")[0]
     for status, word in (
         (IkStatus.BUDGET, "steps or time"),
         (IkStatus.NEAREST, "far bey"),

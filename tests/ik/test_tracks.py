@@ -24,7 +24,7 @@ from animtool.motion.motion import Channel, Motion
 from animtool.motion.take import Take
 from animtool.rig.kinematics import forward
 from animtool.rig.skeleton import Joint, JointType, Rig
-from animtool.scene.solves.start import rest_take
+from animtool.scene.solves.ik import rest_take
 
 POSITION, _, _, POLE, *_ = KINDS
 FIRST, LAST, EASE = 14, 26, 6

@@ -102,3 +102,21 @@ def test_signs_are_continuous(values: FloatArray, order: str) -> None:
 def test_unknown_order() -> None:
     with pytest.raises(ValueError, match="XYZ"):
         euler.axes_of("XYX")
+
+
+@pytest.mark.parametrize("order", ["XYZ", "ZXY", "YZX"])
+@pytest.mark.parametrize(
+    "degrees", [(92.0, 80.0, 92.0), (88.0, 95.0, 80.0), (-92.0, -80.0, 92.0)]
+)
+def test_the_first_angles_are_those_nearest_to_0(
+    order: str, degrees: tuple[float, ...]
+) -> None:
+    """Of both triples of a rotation; the other one is hardly farther."""
+    a, b, c = degrees
+    other = np.array([a + 180.0, 180.0 - b, c + 180.0])
+    other = (other + 180.0) % 360.0 - 180.0
+    near, far = sorted([np.array(degrees), other], key=np.linalg.norm)
+    assert (far**2).sum() - (near**2).sum() < np.degrees(1.0) ** 2
+    for triple in (near, far):
+        found = euler.from_quaternion(euler.to_quaternion(triple[None], order), order)
+        assert_allclose(found[0], near, atol=1e-9)

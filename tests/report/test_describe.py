@@ -12,7 +12,7 @@ from support.bvh import random_rows, read_reference, small_bvh
 from support.cli import animtool
 from support.drifting import author_samples
 
-from animtool.cli.info_summary import TEMPLATES
+from animtool.cli.info import TEMPLATES
 from animtool.core.files.reading import recorded_inputs
 from animtool.core.values import plain_value
 from animtool.report import describe as module

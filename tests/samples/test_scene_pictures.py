@@ -47,7 +47,7 @@ def test_the_committed_picture_is_what_is_drawn(
     assert np.abs(drawn - committed).mean() < SAME
 
 
-@pytest.mark.parametrize("name", [*NAMES, "dam"])
+@pytest.mark.parametrize("name", NAMES)
 def test_a_script_draws_its_scene(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, name: str
 ) -> None:

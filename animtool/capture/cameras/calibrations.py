@@ -22,9 +22,9 @@ from animtool.capture.cameras.camera import (
     nearest_rotation,
 )
 from animtool.core.array_types import FloatArray
+from animtool.core.config import parse_toml
 from animtool.core.errors import Fault, FormatError, excerpt, listed
 from animtool.core.record import dataclass
-from animtool.core.toml_text import parse_toml
 from animtool.core.units import LengthUnit, UpAxis
 from animtool.documents.document import Document, Location, document_of, read_text
 from animtool.documents.fields import MAX_NUMBER

@@ -28,6 +28,8 @@ from animtool.rig.skeleton import Joint, Pose, Rig
 AGREE = 1e-5
 # Of what is bound rigidly: nearer to that is rounding, which is kept [1].
 RIGID = 1e-3
+# A bind pose nearer to that of rest is it, with the rounding of float32 [1], [rad].
+BIND = 3e-7
 
 
 class Binder:
@@ -153,37 +155,41 @@ class Binder:
 
 def _poses(rig: Rig, known: dict[int, FloatArray]) -> dict[str, Pose]:
     """Return the bind poses that are not those of rest, of world transforms."""
-    rest = rest_world(rig)
-    unit = rig.meters_per_unit
-    world = np.tile(np.eye(4), (len(rig.joints), 1, 1))
-    stretches: dict[int, FloatArray] = {}
-    for j, joint in enumerate(rig.joints):
-        if j in known:
-            turn, _ = so3.split_scale(known[j][None, :3, :3])
-            matrix = so3.to_matrix(turn[0])
-            world[j, :3, :3], world[j, :3, 3] = matrix, known[j][:3, 3] * unit
-            stretch = matrix.T @ known[j][:3, :3]
-            if np.abs(stretch - np.eye(3)).max() > 1e-12:
-                stretches[j] = stretch
-            continue
-        # Joints that no skin names follow those above as they do at rest.
-        local = np.eye(4)
-        local[:3, :3] = so3.to_matrix(np.array(joint.rotation))
-        local[:3, 3] = joint.translation
-        world[j] = local if joint.parent < 0 else world[joint.parent] @ local
+    if not known:
+        return {}
+    count, parents = len(rig.joints), rig.parents
+    rest = np.tile(np.eye(4), (count, 1, 1))
+    rest[:, :3, :3] = so3.to_matrix(rig.rest_rotations)
+    rest[:, :3, 3] = rig.rest_translations
+    joints = np.array(sorted(known))
+    bind = np.array([known[j] for j in joints.tolist()])
+    rigid = bind.copy()
+    rigid[:, :3, :3] = so3.to_matrix(so3.split_scale(bind[:, :3, :3])[0])
+    rigid[:, :3, 3] *= rig.meters_per_unit
+    stretches = np.tile(np.eye(3), (count, 1, 1))
+    stretches[joints] = rigid[:, :3, :3].swapaxes(1, 2) @ bind[:, :3, :3]
+    world = np.zeros((count, 4, 4))
+    world[joints] = rigid
+    for j in range(count):
+        if j not in known:
+            # Joints that no skin names follow those above as they do at rest.
+            above = parents[j]
+            world[j] = rest[j] if above < 0 else world[above] @ rest[j]
+    upper = np.where((parents < 0)[:, None, None], np.eye(4), world[parents])
+    back = upper[:, :3, :3].swapaxes(1, 2)
+    places = (back @ (world[:, :3, 3] - upper[:, :3, 3])[:, :, None])[:, :, 0]
+    turns = so3.from_matrix(back @ world[:, :3, :3])
+    size = float(np.abs(rest_world(rig).positions).max(initial=0.0)) or 1.0
+    moved = np.abs(places - rig.rest_translations).max(axis=1) > BIND * size
+    moved |= so3.angle_between(turns, rig.rest_rotations) > BIND
+    stretched = np.abs(stretches - np.eye(3)).max(axis=(1, 2)) > 1e-12
     poses: dict[str, Pose] = {}
-    size = float(np.abs(rest.positions).max(initial=0.0)) or 1.0
-    for j, joint in enumerate(rig.joints):
-        above = np.eye(4) if joint.parent < 0 else world[joint.parent]
-        turn = above[:3, :3].T
-        place = turn @ (world[j, :3, 3] - above[:3, 3])
-        rotation = so3.from_matrix(turn @ world[j, :3, :3])
-        moved = np.abs(place - joint.translation).max() > 1e-12 * size
-        turned = so3.angle_between(rotation, np.array(joint.rotation)) > 1e-12
-        if j in stretches or moved or turned:
-            x, y, z = place.tolist()
-            a, b, c, w = rotation.tolist()
-            own = stretches.get(j)
-            held = None if own is None else tuple(own.ravel().tolist())
-            poses[joint.name] = Pose((x, y, z), (a, b, c, w), held)
+    for j in np.flatnonzero(moved | stretched).tolist():
+        joint = rig.joints[j]
+        (x, y, z), (a, b, c, w) = joint.translation, joint.rotation
+        if moved[j]:
+            x, y, z = places[j].tolist()
+            a, b, c, w = turns[j].tolist()
+        own = tuple(stretches[j].ravel().tolist()) if stretched[j] else None
+        poses[rig.names[j]] = Pose((x, y, z), (a, b, c, w), own)
     return poses

@@ -10,7 +10,6 @@ from animtool.clip.channels import ClipChannel
 from animtool.clip.clip import Clip
 from animtool.core.array_types import FloatArray
 from animtool.core.record import dataclass
-from animtool.formats.gltf.animations import Interpolation
 from animtool.formats.gltf.animations import Path as Moved
 from animtool.formats.gltf.sampling import NativeKeys
 from animtool.maths.curves import Extrapolation, Interp
@@ -76,27 +75,39 @@ def keys_of_clip(
     return found
 
 
-def native_keys(native: object, start: Fraction) -> dict[tuple[int, str], Keys]:
-    """Return rotations by cubic splines, which no clip has, of a glTF that was read.
+_NATIVE = {
+    Moved.TRANSLATION: "translation",
+    Moved.ROTATION: "rotation",
+    Moved.SCALE: "scale",
+    Moved.WEIGHTS: "weight",
+}
+
+
+def native_keys(native: NativeKeys, start: Fraction) -> dict[tuple[int, str], Keys]:
+    """Return the keys of a glTF that was read, as it has them.
 
     start: time code of time 0.
     """
-    if not isinstance(native, NativeKeys):
-        return {}
     frames = native.frames
     later = float(frames.start - start) / float(frames.fps)
-    return {
-        (one.row, "rotation"): Keys(
-            one.track.times + later,
-            one.track.values,
-            "CUBICSPLINE",
-            one.track.ins,
-            one.track.outs,
-        )
-        for one in native.sampler.moving[Moved.ROTATION]
-        if one.track.interpolation is Interpolation.CUBIC
-        and one.track.times[0] + later >= 0
-    }
+    found: dict[tuple[int, str], Keys] = {}
+    times: dict[int, FloatArray] = {}
+    for path, moving in native.sampler.moving.items():
+        for one in moving:
+            track = one.track
+            own = times.setdefault(id(track.times), track.times + later)
+            if own[0] < 0:
+                continue
+            slopes = [
+                None if part is None else part * one.factor
+                for part in (track.ins, track.outs)
+            ]
+            values = track.values
+            if one.factor != 1.0:
+                values = values * one.factor
+            how = str(track.interpolation)
+            found[one.row, _NATIVE[path]] = Keys(own, values, how, *slopes)
+    return found
 
 
 def _held(channel: ClipChannel, clip: Clip, start: Fraction) -> Keys | None:

@@ -27,7 +27,7 @@ class GlbBuilder:
     """Collects the parts of a file."""
 
     json: dict[str, Any]
-    _parts: list[bytes] = field(default_factory=list)
+    _parts: list[bytes | memoryview] = field(default_factory=list)
     _length: int = 0
     _known: dict[tuple[str, int, bytes], int] = field(default_factory=dict)
 
@@ -46,19 +46,22 @@ class GlbBuilder:
     ) -> int:
         """Store numbers ``(count, width)``; return their accessor.
 
-        Those that were stored already are stored once.
+        Short ones that were stored already are stored once.
 
         target: what the GPU uses them as; None is nothing.
         bounds: whether min and max are written.
         """
         data = np.ascontiguousarray(values)
         kind = data.dtype.str[1:]
-        content = data.tobytes()
-        key = (f"{kind}/{data.shape[1]}/{target}/{bounds}", len(data), content)
-        if key in self._known:
-            return self._known[key]
+        size = data.nbytes
+        key = None
+        if size <= _COMPARED:
+            what = f"{kind}/{data.shape[1]}/{target}/{bounds}"
+            key = (what, len(data), data.tobytes())
+            if key in self._known:
+                return self._known[key]
         view: dict[str, Any] = {"buffer": 0, "byteOffset": self._length}
-        view["byteLength"] = len(content)
+        view["byteLength"] = size
         if target is not None:
             view["target"] = target
         entry: dict[str, Any] = {
@@ -70,15 +73,15 @@ class GlbBuilder:
         if bounds:
             entry["min"] = data.min(axis=0).tolist()
             entry["max"] = data.max(axis=0).tolist()
-        padding = b"\0" * (-len(content) % 4)
-        self._parts += [content, padding]
-        self._length += len(content) + len(padding)
+        padding = b"\0" * (-size % 4)
+        self._parts += [data.reshape(-1).view(np.uint8).data, padding]
+        self._length += size + len(padding)
         index = self.add("accessors", entry)
-        if len(content) <= _KEPT:
+        if key is not None:
             self._known[key] = index
         return index
 
-    def parts(self) -> Iterator[bytes]:
+    def parts(self) -> Iterator[bytes | memoryview]:
         """Return the bytes of the GLB, one after another.
 
         Raises:
@@ -105,7 +108,7 @@ class GlbBuilder:
         text = json.dumps(self.json, indent=1, ensure_ascii=False, allow_nan=False)
         return iter([text.encode(), b"\n"])
 
-    def _written(self, text: bytes, length: int) -> Iterator[bytes]:
+    def _written(self, text: bytes, length: int) -> Iterator[bytes | memoryview]:
         yield struct.pack("<4sII", b"glTF", 2, length)
         yield struct.pack("<II", len(text), JSON_CHUNK) + text
         if self._length:
@@ -113,5 +116,5 @@ class GlbBuilder:
             yield from self._parts
 
 
-# Larger arrays are not compared with others.
-_KEPT = 1 << 22
+# Larger arrays are not compared with others [bytes].
+_COMPARED = 1 << 14

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections import Counter
 from dataclasses import field
 
 import numpy as np
@@ -192,19 +191,13 @@ def _name_notice(renamed: list[tuple[str, str]], gltf: Gltf) -> list[Fault]:
 
 
 def scale_notice(of_gltf: GltfRig, where: str) -> list[Fault]:
-    """Name the joints whose scale, at rest or at bind time, a rig does not hold."""
+    """Name the joints whose scale at rest a rig does not hold."""
     rig = of_gltf.rig
     odd = np.abs(of_gltf.scales - 1.0).max(axis=1) > 1e-4
-    names = Counter(rig.names[j] for j in np.flatnonzero(odd).tolist())
-    names.update(
-        name
-        for name, pose in rig.bind.items()
-        if pose.stretch is not None
-        and np.abs(np.array(pose.stretch).reshape(3, 3) - np.eye(3)).max() > 1e-4
-    )
+    names = [rig.names[j] for j in np.flatnonzero(odd).tolist()]
     if not names:
         return []
-    message = "scales of rest or bind transforms that a rig file has no place for: "
-    message += listed(list(names), MAX_NAMED)
-    hint = "takes of the file keep them; a rig file written of it does not"
+    message = "scales at rest that a rig has no place for: "
+    message += listed(names, MAX_NAMED)
+    hint = "takes of the file keep them"
     return [Fault("GLT111", message, where, (), hint, Severity.WARNING)]

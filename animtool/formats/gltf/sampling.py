@@ -22,8 +22,8 @@ from animtool.motion.take import TakeStream
 
 # A time this near to a key, by its size, is the key: float32 holds no other.
 NEAR = 1.5 * float(np.finfo(np.float32).eps)
-# Frames of a block: 60 joints take 2 MB.
-BLOCK = 1024
+# Frames of a block, of which 60 joints take 30 MB, and of a piece of one.
+BLOCK, PIECE = 16384, 512
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,7 +42,7 @@ class Sampler:
     rest: dict[Moved, FloatArray]  # of each channel ``(rows, width)``
     moving: dict[Moved, list[Moving]]
     scaled: bool  # whether there is a scale
-    _grids: dict[int, tuple[IntArray, FloatArray]] = field(default_factory=dict)
+    _grids: dict[int, tuple[IntArray | slice, FloatArray]] = field(default_factory=dict)
 
     @property
     def numbers(self) -> int:
@@ -64,28 +64,36 @@ class Sampler:
 
     def _channel(self, path: Moved, times: FloatArray) -> Channel:
         rest, moving = self.rest[path], self.moving[path]
-        width = rest.shape[1]
-        values = np.empty((len(times), len(moving), width))
-        for k, one in enumerate(moving):
-            own = self._values(one.track, times)
+        values = np.empty((len(times), len(moving), rest.shape[1]))
+        # A piece stays in the cache of the processor.
+        for at in range(0, len(times) if moving else 0, PIECE):
+            part = slice(at, min(at + PIECE, len(times)))
+            for k, one in enumerate(moving):
+                values[part, k] = self._values(one.track, times, part)
+                if one.factor != 1.0:
+                    values[part, k] *= one.factor
             if path is Moved.ROTATION:
-                values[:, k] = _continuous(own)
-            else:
-                values[:, k] = own if one.factor == 1.0 else own * one.factor
+                _unit(values[part])
+                _continue(values[part], values[at - 1] if at else None)
         rows = np.array([one.row for one in moving], np.int64)
         return Channel(rest, rows, values)
 
-    def _values(self, track: Track, times: FloatArray) -> FloatArray:
-        """Return the values of a track; tracks with the same keys look once."""
+    def _values(self, track: Track, times: FloatArray, part: slice) -> FloatArray:
+        """Return the values of a track at a part of the times, of any length.
+
+        Tracks with the same keys look once.
+        """
         if len(track.times) == 1:
-            return track.at(times)
+            return track.at(times[part])
         key = id(track.times)
         if key not in self._grids:
             self._grids[key] = segments(track.times, times)
         low, own = self._grids[key]
+        if isinstance(low, slice):
+            return track.values[low.start + part.start : low.start + part.stop]
         if own is _ON_KEYS:
-            return unit_rows(track.values[low], track.path)
-        return track.between(low, own)
+            return track.values[low[part]]
+        return track.between(low[part], own[part])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -99,7 +107,9 @@ class NativeKeys:
 _ON_KEYS = np.zeros(0)
 
 
-def segments(keys: FloatArray, times: FloatArray) -> tuple[IntArray, FloatArray]:
+def segments(
+    keys: FloatArray, times: FloatArray
+) -> tuple[IntArray | slice, FloatArray]:
     """Return the key before each time, and the times, those near a key as the key.
 
     Where all of them are keys, or outside of these, the times are `_ON_KEYS` and the
@@ -115,26 +125,29 @@ def segments(keys: FloatArray, times: FloatArray) -> tuple[IntArray, FloatArray]
     near = np.abs(keys[low] - times) <= room
     near |= (times <= keys[0]) | (times >= keys[-1])
     if near.all():
+        if len(low) == 1 or (np.diff(low) == 1).all():
+            return slice(int(low[0]), int(low[0]) + len(low)), _ON_KEYS
         return np.asarray(low), _ON_KEYS
     snapped = np.where(near, keys[low], times)
     return np.minimum(low, last - 1), snapped
 
 
-def unit_rows(values: FloatArray, path: Moved) -> FloatArray:
-    """Return values in float64, rotations at unit length."""
-    own = values.astype(np.float64)
-    if path is Moved.ROTATION:
-        own /= np.sqrt(np.einsum("kc,kc->k", own, own))[:, None]
-    return own
+def _unit(rotations: FloatArray) -> None:
+    """Bring rotations ``(F, J, 4)`` to unit length, in place."""
+    squares = np.einsum("fjc,fjc->fj", rotations, rotations)
+    np.divide(rotations, np.sqrt(squares)[:, :, None], out=rotations)
 
 
-def _continuous(rotations: FloatArray) -> FloatArray:
-    """Return rotations with signs continuous along time, the first with w above 0."""
-    dots = np.einsum("kc,kc->k", rotations[1:], rotations[:-1])
-    first = rotations[0, 3] < 0
-    if first or (len(dots) and dots.min() < 0):
-        return so3.align_signs(rotations)
-    return rotations
+def _continue(rotations: FloatArray, before: FloatArray | None) -> None:
+    """Make signs continuous along time, in place.
+
+    before: the rotations before the first ``(J, 4)``; None begins with w above 0.
+    """
+    dots = np.einsum("fjc,fjc->fj", rotations[1:], rotations[:-1])
+    flat = rotations[0, :, 3]
+    first = flat if before is None else np.einsum("jc,jc->j", rotations[0], before)
+    if first.min(initial=0.0) < 0 or dots.min(initial=0.0) < 0:
+        rotations[:] = so3.align_signs(rotations, before)
 
 
 def sampler(gltf: Gltf, made: GltfRig, animation: Animation | None) -> Sampler:
@@ -266,11 +279,9 @@ def _blocks(moving: Sampler, frames: Frames) -> Iterator[Motion]:
     for at in range(0, frames.count, BLOCK):
         block = moving.at(seconds[at : at + BLOCK])
         turns = block.rotations
-        if previous is not None and len(turns.animated):
-            signs = np.sign(np.einsum("jc,jc->j", turns.values[0], previous))
-            if (signs < 0).any():
-                turns.values[:, signs < 0] *= -1.0
         if len(turns.animated):
+            if previous is not None:
+                _continue(turns.values, previous)
             previous = turns.values[-1].copy()
         yield block
 

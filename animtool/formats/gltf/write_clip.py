@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from animtool.clip.keyed_curve import clip_of
+from animtool.clip.keyed_curve import clip_of, is_of_curve
 from animtool.clip.reduction.points import SHELL, joint_bounds
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, Severity, listed
@@ -16,8 +16,8 @@ from animtool.core.record import dataclass
 from animtool.formats.gltf.clip_keys import Keys, keys_of_clip, native_keys
 from animtool.formats.gltf.glb import GlbBuilder
 from animtool.formats.gltf.reduce import linear_keys
+from animtool.formats.gltf.sampling import NativeKeys
 from animtool.formats.gltf.write_rig import WrittenRig
-from animtool.maths import so3
 from animtool.motion.motion import Channel
 from animtool.motion.take import Take
 
@@ -32,14 +32,22 @@ class _Animation:
     made: GlbBuilder
     samplers: list[dict[str, Any]] = field(default_factory=list)
     channels: list[dict[str, Any]] = field(default_factory=list)
+    # By their identity, times and the accessor that has them.
+    inputs: dict[int, tuple[FloatArray, int]] = field(default_factory=dict)
+
+    def input(self, times: FloatArray) -> int:
+        """Return the accessor of times; those of several channels are stored once."""
+        if id(times) not in self.inputs:
+            rows = times.astype(np.float32)[:, None]
+            self.inputs[id(times)] = (times, self.made.accessor(rows, bounds=True))
+        return self.inputs[id(times)][1]
 
     def add(self, node: int, path: str, keys: Keys) -> None:
         """Add the keys of a property."""
-        times = keys.times.astype(np.float32)[:, None]
         rows = keys.rows(scalars=path == "weights")
         sampler: dict[str, Any] = {
-            "input": self.made.accessor(times, bounds=True),
-            "output": self.made.accessor(rows.astype(np.float32)),
+            "input": self.input(keys.times),
+            "output": self.made.accessor(rows.astype(np.float32, copy=False)),
         }
         if keys.interpolation != "LINEAR":
             sampler["interpolation"] = keys.interpolation
@@ -73,11 +81,7 @@ def write_clip(
     clock = take.clock
     seconds = (clock.times - float(clock.start)) / float(clock.fps)
     animation = _Animation(made)
-    clip = None if tolerance is not None else clip_of(take)
-    keyed: dict[tuple[int, str], Keys] = {}
-    if clip is not None:
-        keyed = keys_of_clip(clip, take, clock.start)
-        keyed |= native_keys(getattr(take.curve, "native", None), clock.start)
+    keyed = {} if tolerance is not None else _own_keys(take)
     bounds = None
     if tolerance is not None:
         bounds = joint_bounds(take.rig, tolerance, {})
@@ -90,9 +94,15 @@ def write_clip(
     for path, channel, rest in parts:
         if channel is None:
             continue
+        samples = _by_joint(channel, narrow=bounds is None)
         for j in range(len(rig.joints)):
-            keys = _joint_keys(path, channel, rest, j, seconds, bounds, take)
-            keys = keyed.get((j, path), keys) if keys is not None else None
+            values = samples.get(j, channel.rest[j][None])
+            keys = _joint_keys(path, values, rest[j], seconds)
+            if keys is not None and len(keys.times) > 1:
+                if (j, path) in keyed:
+                    keys = keyed[j, path]
+                elif bounds is not None:
+                    keys = linear_keys(keys, _tolerance(path, j, bounds, take))
             if keys is not None:
                 animation.add(written.joints[j], path, keys)
     left = _weights(animation, take, written, seconds, keyed, tolerance)
@@ -107,6 +117,18 @@ def write_clip(
     }
     made.add("animations", entry)
     return left
+
+
+def _own_keys(take: Take) -> dict[tuple[int, str], Keys]:
+    """Return the keys of the clip or the glTF that a take is still of."""
+    start = take.clock.start
+    if not is_of_curve(take):
+        return {}
+    native = getattr(take.curve, "native", None)
+    if isinstance(native, NativeKeys):
+        return native_keys(native, start)
+    clip = clip_of(take)
+    return {} if clip is None else keys_of_clip(clip, take, start)
 
 
 def rig_row(take: Take) -> FloatArray:
@@ -125,31 +147,32 @@ def _one(row: FloatArray, times: FloatArray) -> Keys:
     return Keys(times[:1], row.reshape(1, -1))
 
 
+def _by_joint(channel: Channel, *, narrow: bool) -> dict[int, FloatArray]:
+    """Return the samples of each joint that moves ``(F, K)``, one after another.
+
+    narrow: whether they are float32, as files have them.
+    """
+    values = channel.values
+    if not len(values):
+        return {}
+    kind = np.float32 if narrow else np.float64
+    table: Any = np.ascontiguousarray(values.swapaxes(0, 1), kind)
+    return dict(zip(channel.animated.tolist(), table, strict=True))
+
+
 def _joint_keys(
-    path: str,
-    channel: Channel,
-    rest: FloatArray,
-    joint: int,
-    seconds: FloatArray,
-    bounds: FloatArray | None,
-    take: Take,
+    path: str, values: FloatArray, rest: FloatArray, seconds: FloatArray
 ) -> Keys | None:
-    """Return the keys of a joint's channel; None where the node says it all."""
-    at = np.searchsorted(channel.animated, joint)
-    moving = at < len(channel.animated) and channel.animated[at] == joint
-    values = channel.values[:, at] if moving else channel.rest[joint][None]
-    if not moving or len(values) < 2 or (values == values[:1]).all():
-        value = values[0]
-        off = np.abs(value - rest[joint]).max()
-        if path == "rotation":
-            off = min(off, np.abs(value + rest[joint]).max())
-        return None if off <= SAME else _one(value, seconds)
+    """Return the keys of a joint's samples; None where the node says it all."""
+    first = values[0]
+    if len(values) > 1 and (values[-1] != first).any():
+        return Keys(seconds, values)
+    if len(values) > 1 and (values != values[:1]).any():
+        return Keys(seconds, values)
+    off = np.abs(first - rest).max()
     if path == "rotation":
-        values = so3.align_signs(values)
-    keys = Keys(seconds, values)
-    if bounds is None:
-        return keys
-    return linear_keys(keys, _tolerance(path, joint, bounds, take))
+        off = min(off, np.abs(first + rest).max())
+    return None if off <= SAME else _one(first, seconds)
 
 
 def _tolerance(path: str, joint: int, bounds: FloatArray, take: Take) -> float:

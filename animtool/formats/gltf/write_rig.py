@@ -95,7 +95,7 @@ def _surface(
     """Write a mesh; return the node that has it."""
     carrier, local = _carrier(made, rig, surface, bind)
     if surface.skin is None or carrier >= 0:
-        surface = _brought(surface, local)
+        surface = _in_node(surface, local)
     points, normals = surface.points, surface.normals
     primitive: dict[str, Any] = {"attributes": _attributes(made, points, normals)}
     if surface.skin is not None and carrier < 0:
@@ -114,7 +114,7 @@ def _surface(
     return _node_of(made, rig, surface, index, carrier, bind, written)
 
 
-def _brought(surface: Surface, local: FloatArray) -> Surface:
+def _in_node(surface: Surface, local: FloatArray) -> Surface:
     """Return a mesh in the frame of the node that has it."""
     linear = local[:3, :3]
     normals = surface.normals

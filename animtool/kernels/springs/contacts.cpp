@@ -26,6 +26,8 @@ constexpr double RESTING = 2;
 constexpr int TRIES = 3;
 // Impulse, moment, mass.
 constexpr std::size_t PUSH = 7;
+// Of what particles keep, how much nearer middles of edges come: those cut corners.
+constexpr double MIDDLES_NEARER = 0.25;
 // Of the size of a mesh, how far what is near a particle serves at first.
 constexpr double FINE = 1e-3;
 
@@ -173,14 +175,16 @@ StepCollider MovingColliders::over(const Collider& c, const Motion& motion, doub
 }
 
 SpringContacts::SpringContacts(const std::optional<SpringColliders>& colliders,
-                               const SpringNetwork& network, std::int64_t cells)
+                               const SpringNetwork& network, std::int64_t cells,
+                               bool middles)
     : network_(network),
       colliders_(colliders, network.particles(), cells),
       faces_(network, colliders_.radius()),
       count_(colliders_.size()),
-      cells_(cells) {
+      cells_(cells),
+      middles_(middles) {
   if (!colliders) return;
-  const std::size_t particles = network.particles();
+  const std::size_t particles = network.particles() + (middles ? network.edges.size() / 2 : 0);
   for (std::size_t c = 0; c < count_; ++c) faces_.add(colliders_[c]);
   for (const SpringSurface& one : std::get<5>(*colliders)) surfaces_.emplace_back(one, cells);
   count_ += surfaces_.size();
@@ -194,7 +198,10 @@ SpringContacts::SpringContacts(const std::optional<SpringColliders>& colliders,
 void SpringContacts::make_patches(std::size_t particles) {
   for (std::size_t c = 0; c < count_; ++c) {
     const bool rigid = c < colliders_.size();
-    const double kept = colliders_.radius() + (rigid ? colliders_[c].margin : 0);
+    const double margin =
+        rigid ? colliders_[c].margin : surfaces_[c - colliders_.size()].margin();
+    const double kept = colliders_.radius() + (rigid ? margin : 0);
+    kept_.push_back(colliders_.radius() + margin);
     const double* box = nullptr;
     if (!rigid)
       box = surfaces_[c - colliders_.size()].box();
@@ -214,11 +221,14 @@ void SpringContacts::begin_cell(std::int64_t cell, int substeps, double h) {
   std::fill(pushing_.begin(), pushing_.end(), 0.0);
   rigid_.clear();
   colliders_.steps(cell, substeps, h, rigid_);
-  // Where a cell is crossed again, or a collider is put elsewhere, nothing is known.
-  bool known = cell == last_ + 1 && (last_ < 0 || colliders_.goes_on(cell));
+  // Where a collider is put elsewhere, nothing is known.
+  const bool again = cell == last_;
+  bool known = again || (cell == last_ + 1 && (last_ < 0 || colliders_.goes_on(cell)));
   enter_surfaces(cell, known);
   add_surfaces();
+  if (again) clear_ = begun_clear_, arm_ = begun_arm_;
   if (!known) std::fill(clear_.begin(), clear_.end(), 0.0);
+  begun_clear_ = clear_, begun_arm_ = arm_;
   last_ = cell;
 }
 
@@ -291,10 +301,46 @@ bool SpringContacts::settle(int step, std::vector<double>& before, std::vector<d
     double& most = pushing_[PUSH * c + PUSH - 1];
     most = std::max(most, masses_[c]);
   }
+  if (middles_) settle_middles(travel, angle, {before, x, v});
   touched = std::max(touched, moved);
   if (last_ + 1 == cells_ && step + 1 == substeps_) unresolved = inside;
   const bool faces = !near_.empty() && settle_faces({before, x, v});
   return moved > 0 || faces;
+}
+
+void SpringContacts::settle_middles(double travel, double angle, StepRows rows) {
+  const std::size_t particles = network_.particles();
+  for (std::size_t e = 0; e < network_.edges.size() / 2; ++e) {
+    const std::int32_t* ends = &network_.edges[2 * e];
+    const auto first = static_cast<std::size_t>(ends[0]), last = static_cast<std::size_t>(ends[1]);
+    const double i = network_.inverse_masses[first], j = network_.inverse_masses[last];
+    if (i + j == 0) continue;
+    double *p = &rows.x[ROW * first], *q = &rows.x[ROW * last];
+    double *was = &rows.before[ROW * first], *stood = &rows.before[ROW * last];
+    double to[3], from[3], way = travel + angle * arm_[particles + e];
+    for (std::size_t k = 0; k < 3; ++k) {
+      to[k] = (p[k] + q[k]) / 2, from[k] = (was[k] + stood[k]) / 2;
+      way += std::abs(to[k] - from[k]);
+    }
+    clear_[particles + e] -= way;
+    if (clear_[particles + e] > 0) continue;
+    const Vec ended = load(to), begun = load(from);
+    if (!settle_one(particles + e, 4 / (i + j), from, to, nullptr)) continue;
+    const Vec by = (load(to) - ended) * (2 / (i + j));
+    const Vec back = (load(from) - begun) * (2 / (i + j));
+    clear_[first] -= i * length(by), clear_[last] -= j * length(by);
+    store(load(p) + by * i, p), store(load(q) + by * j, q);
+    store(load(was) + back * i, was), store(load(stood) + back * j, stood);
+  }
+}
+
+double SpringContacts::depth(std::size_t c, std::size_t n) const {
+  const std::size_t particles = network_.particles();
+  if (n < particles) return colliders_.depth(c, n);
+  const std::int32_t* ends = &network_.edges[2 * (n - particles)];
+  const double least = std::min(colliders_.depth(c, static_cast<std::size_t>(ends[0])),
+                                colliders_.depth(c, static_cast<std::size_t>(ends[1])));
+  return least - kept_[c] * MIDDLES_NEARER;
 }
 
 bool SpringContacts::settle_faces(StepRows rows) {
@@ -314,7 +360,7 @@ bool SpringContacts::settle_faces(StepRows rows) {
 double SpringContacts::clearance(std::size_t n, Vec x) {
   double clear = collide::FAR;
   for (std::size_t c = 0; c < count_; ++c)
-    clear = std::min(clear, look(c, n, true, x).sample.distance - colliders_.depth(c, n));
+    clear = std::min(clear, look(c, n, true, x).sample.distance - depth(c, n));
   return clear;
 }
 
@@ -443,12 +489,12 @@ void SpringContacts::turn_back(const StepCollider& c, Vec from, Vec to, Sample& 
 bool SpringContacts::push(std::size_t index, std::size_t n, Vec from, Vec& to,
                           Vec& still, double* v) {
   const StepCollider& c = now_[index];
-  const double depth = colliders_.depth(index, n);
+  const double allowed = depth(index, n);
   Found seen = look(index, n, true, to);
   if (c.collider.two_sided) turn_back(c, from, to, seen.sample);
   const Sample& found = seen.sample;
-  nearest_ = std::min(nearest_, found.distance - depth);
-  if (!(found.distance < depth - collide::TOUCH)) return false;
+  nearest_ = std::min(nearest_, found.distance - allowed);
+  if (!(found.distance < allowed - collide::TOUCH)) return false;
   const Vec way = carried(c, seen, true, to);
   if (v) {
     const Vec surface = way * (1 / h_), speed = load(v) - surface;
@@ -467,7 +513,7 @@ bool SpringContacts::push(std::size_t index, std::size_t n, Vec from, Vec& to,
   const double begun = look(index, n, false, from).sample.distance;
   Rod rod = c.rod;
   if (c.surface >= 0) store(way, rod.travel);
-  return collide::push_out(rod, {found.distance, found.normal}, begun, depth, from, to, still);
+  return collide::push_out(rod, {found.distance, found.normal}, begun, allowed, from, to, still);
 }
 
 }  // namespace animtool

@@ -87,8 +87,10 @@ class MovingColliders {
 
 class SpringContacts {
  public:
+  // With middles those of edges of triangles are kept out as particles are, and take their
+  // ends along.
   SpringContacts(const std::optional<SpringColliders>& colliders, const SpringNetwork& network,
-                 std::int64_t cells);
+                 std::int64_t cells, bool middles = false);
 
   bool any() const { return count_ > 0; }
   // A cell of time begins; its steps are even.
@@ -112,6 +114,9 @@ class SpringContacts {
   void add_surfaces();
   // Edges and faces, of particles that are near.
   bool settle_faces(StepRows rows);
+  // The middles of edges, by the way that colliders and what turns reach go in the step.
+  void settle_middles(double travel, double angle, StepRows rows);
+  double depth(std::size_t c, std::size_t n) const;
   // Whether it is moved; looks how far off all colliders are then.
   bool settle_one(std::size_t n, double mass, double* before, double* x, double* v);
   bool push(std::size_t c, std::size_t n, collide::Vec before, collide::Vec& x,
@@ -139,6 +144,8 @@ class SpringContacts {
   std::vector<MovingSurface> surfaces_;
   std::size_t count_;
   std::int64_t cells_;
+  bool middles_;
+  std::vector<double> kept_;  // from each collider
   // Of each collider that is a mesh, by number; of others none.
   std::vector<MeshPatches> patches_;
   std::vector<std::int32_t> patched_;
@@ -152,8 +159,11 @@ class SpringContacts {
   // Pushes of the cells before, and of this one, which may be crossed again (C, PUSH).
   std::vector<double> pushed_, pushing_;
   std::vector<double> masses_;  // that touched colliders in this step (C,)
-  // How far each particle is from all colliders at least, and what turns reach it by.
+  // How far each particle, and behind these each middle, is from all colliders at least, and
+  // what turns reach it by.
   std::vector<double> clear_, arm_;
+  // The same as the cell began.
+  std::vector<double> begun_clear_, begun_arm_;
 };
 
 }  // namespace animtool

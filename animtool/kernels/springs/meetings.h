@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "springs/parting.h"
+#include "springs/tangles.h"
 
 namespace animtool {
 
@@ -35,8 +36,9 @@ class Meetings {
 
   // Finds who is near in a step. Most: of ways over each other in it, what is looked at;
   // more: how much farther those are that only come back.
+  // What is tangled is on no side that is known, and not found.
   void find(const SpringLayers& layers, const std::vector<double>& before,
-            const std::vector<double>& x, double most, double more);
+            const std::vector<double>& x, double most, double more, const Tangles* tangles);
   void forget() { hits_.clear(); }
   bool any() const { return !hits_.empty(); }
   void part(const SpringLayers& layers, Parting& parting) const;
@@ -69,7 +71,11 @@ void Meetings<Kind>::pick(const SpringLayers& layers, const std::vector<double>&
 
 template <class Kind>
 void Meetings<Kind>::find(const SpringLayers& layers, const std::vector<double>& before,
-                          const std::vector<double>& x, double most, double more) {
+                          const std::vector<double>& x, double most, double more,
+                          const Tangles* tangles) {
+  const auto tangled = [&](const std::int32_t* first, const std::int32_t* last) {
+    return std::all_of(first, last, [&](std::int32_t n) { return tangles->has(n); });
+  };
   hits_.clear();
   through_.clear();
   for (const LayerPair& one : picked_) {
@@ -82,6 +88,9 @@ void Meetings<Kind>::find(const SpringLayers& layers, const std::vector<double>&
     LayerHit hit{one.first, one.second, 0, who, apart, travel, one.least};
     hit.side = side_of(hit, before, x);
     if (!hit.side && !near.inside) continue;
+    if (tangles && !hit.side && tangled(&who[0], &who[Kind::FIRST]) &&
+        tangled(&who[Kind::FIRST], who.data() + who.size()))
+      continue;
     hits_.push_back(hit);
     if (hit.side) Kind::note(through_, hit.first, hit.second);
   }

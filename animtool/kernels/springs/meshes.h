@@ -88,6 +88,7 @@ class MovingSurface {
   // The most that a point goes in the whole knot, and how its nearest point goes.
   double travel() const { return travel_; }
   const double* box() const { return bounds_.data(); }
+  double margin() const { return numbers_[2]; }
   collide::Vec way(const collide::Mesh& mesh, std::int32_t triangle, collide::Vec p) const;
 
  private:

@@ -28,7 +28,7 @@ constexpr double RIGID = 0.1;
 constexpr int LIMIT_ROUNDS = 4;
 // Of a limit, from where on a cell is worth shorter steps, and what is left of the stretch
 // where these help.
-constexpr double BEYOND_LIMIT = 1.5, HELPED = 0.7;
+constexpr double BEYOND_LIMIT = 2, HELPED = 0.7;
 
 // What of a spring a step of length h moves: by its length beyond rest, by the change of it.
 struct Give {
@@ -58,7 +58,7 @@ class Projection {
     prepare(substeps);
     const double h = cell_ / substeps;
     contacts_.begin_cell(index, substeps, h);
-    self_.begin_cell(index);
+    self_.begin_cell(index, run_.x);
     for (int j = 0; j < substeps; ++j) {
       const double t = start + j * h;
       run_.look(t + h, h);
@@ -66,9 +66,9 @@ class Projection {
       run_.network.place_held(t + h, h, before_.data(), run_.x.data(), run_.v.data());
       project(j + 1 < substeps ? nullptr : gives_.data());
       pull_anchors();
+      limit_strains();
       self_.keep_apart(h, before_, run_.x);
       contacts_.settle(j, before_, run_.x, nullptr);
-      limit_strains();
       self_.look(before_, run_.x);
       const double rate = 1 / h;
       for (std::size_t k = 0; k < run_.size; ++k) run_.v[k] = (run_.x[k] - before_[k]) * rate;
@@ -165,8 +165,8 @@ class Projection {
     }
   }
 
-  // Brings back to their limits what contacts and many springs in a row left beyond these;
-  // both ends move, so that momentum stays.
+  // Brings back to their limits what many springs in a row left beyond these; both ends move,
+  // so that momentum stays.
   void limit_strains() {
     for (int round = 0; round < LIMIT_ROUNDS; ++round) {
       bool any = false;
@@ -258,8 +258,8 @@ SpringsProjected project_springs(const SpringNetwork& network, In<double, 3> sta
   check::not_negative("limit", limit);
   check::finite("state", state);
   SpringRun run = begin_springs(network, state, torn);
-  SpringContacts contacts(colliders, network, cells);
-  SelfContacts self(layers, network, crossed);
+  SpringContacts contacts(colliders, network, cells, limit > 0);
+  SelfContacts self(layers, network, crossed, limit > 0);
   double worst = 0;
   std::int64_t taken = 0;
   Projection projection(run, cell, limit, contacts, self);
@@ -270,8 +270,9 @@ SpringsProjected project_springs(const SpringNetwork& network, In<double, 3> sta
     double found = projection.cross(i, grid.start(i), substeps);
     taken += substeps;
     const double bound = limit > 0 ? std::max(stretch, BEYOND_LIMIT * limit) : stretch;
+    const auto more_through = [&] { return limit > 0 && self.crossings() > self.begun_crossings(); };
     bool helped = true;
-    while (!(found <= bound) && substeps < most && helped) {
+    while ((!(found <= bound) || more_through()) && substeps < most && helped) {
       substeps = std::min(2 * substeps, most);
       calm = 0;
       run.x = x;
@@ -280,8 +281,10 @@ SpringsProjected project_springs(const SpringNetwork& network, In<double, 3> sta
       found = projection.cross(i, grid.start(i), substeps);
       taken += substeps;
       // What contacts and held particles ask for, shorter steps do not mend.
-      if (limit > 0) helped = found <= HELPED * last;
+      if (limit > 0) helped = more_through() || found <= HELPED * last;
     }
+    if (limit > 0 && found <= bound && !more_through() && substeps > least)
+      substeps = std::max(substeps / 2, least);
     worst = std::max(worst, found);
     self.note_through();
     calm = found <= CALM_SHARE * stretch ? calm + 1 : 0;

@@ -21,6 +21,8 @@ constexpr double FASTEST = 4;
 constexpr double LISTED = 2;
 // Steps that those which are near are picked from them for, and bounds of that [thickness].
 constexpr double PICK_AHEAD = 6, LEAST_PICK = 0.03, MOST_PICK = 0.5;
+// How fast what is tangled comes free [m/s].
+constexpr double FREED = 1;
 // Width of cells that hold what may come near [longest edge, thickness].
 constexpr double CELL_EDGES = 4, CELL = 8;
 
@@ -36,9 +38,10 @@ SelfContacts::SelfContacts(const SpringLayers& layers, const SpringNetwork& netw
     : layers_(&layers), network_(network) {}
 
 SelfContacts::SelfContacts(const SpringLayers* layers, const SpringNetwork& network,
-                           const In<std::int64_t, 2>& crossed)
+                           const In<std::int64_t, 2>& crossed, bool frees)
     : layers_(layers), network_(network) {
   if (layers_) check_layers(*layers_, network);
+  if (layers_ && frees) tangles_.emplace(*layers_, network.inverse_masses);
   check::shape("crossed", crossed, {check::ANY, 3});
   read(crossed);
 }
@@ -67,7 +70,8 @@ void SelfContacts::read(const In<std::int64_t, 2>& crossed) {
   std::sort(edges_.crossed.begin(), edges_.crossed.end());
 }
 
-void SelfContacts::begin_cell(std::int64_t cell) {
+void SelfContacts::begin_cell(std::int64_t cell, const std::vector<double>& x) {
+  if (tangles_ && cell != cell_) tangles_->find(x);
   if (cell == cell_) {
     corners_.crossed = begun_corners_;
     edges_.crossed = begun_edges_;
@@ -134,8 +138,10 @@ void SelfContacts::keep_apart(double h, std::vector<double>& before, std::vector
   list(h, before, x);
   const double most = FASTEST * layers_->thickness, more = layers_->speed * h;
   if (travel_ > most) rate_wanted_ = std::max(rate_wanted_, travel_ / (most * h));
-  corners_.find(*layers_, before, x, most_, more);
-  edges_.find(*layers_, before, x, most_, more);
+  const Tangles* tangles = tangles_ && tangles_->any() ? &*tangles_ : nullptr;
+  if (tangles) tangles->part(FREED * h, before, x);
+  corners_.find(*layers_, before, x, most_, more, tangles);
+  edges_.find(*layers_, before, x, most_, more, tangles);
   if (!corners_.any() && !edges_.any()) return;
   Parting parting(layers_->friction, layers_->speed * h, network_.inverse_masses, before, x);
   corners_.part(*layers_, parting);

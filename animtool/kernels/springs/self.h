@@ -6,6 +6,7 @@
 #pragma once
 
 #include <cstdint>
+#include <optional>
 #include <tuple>
 #include <vector>
 
@@ -24,11 +25,12 @@ class SelfContacts {
  public:
   SelfContacts(const SpringLayers& layers, const SpringNetwork& network);
   // Without layers nothing is done. Crossed: passages to go on with (C, 3), as `ended` returns them.
+  // What is tangled comes free where that is asked for.
   SelfContacts(const SpringLayers* layers, const SpringNetwork& network,
-               const In<std::int64_t, 2>& crossed);
+               const In<std::int64_t, 2>& crossed, bool frees = false);
 
   // A cell of time begins; one that began before is crossed again.
-  void begin_cell(std::int64_t cell);
+  void begin_cell(std::int64_t cell, const std::vector<double>& x);
   // Moves parts apart at the end of a step; where they only come back to the distance
   // that they are to keep, what they were before moves too, so that it gives no speed.
   void keep_apart(double h, std::vector<double>& before, std::vector<double>& x);
@@ -38,6 +40,9 @@ class SelfContacts {
   // Particle, triangle and side of each passage that is left (C, 3); of edges, numbered after
   // the particles, edge, edge and side.
   Out<std::int64_t, 2> ended() const;
+  // How many passages there are, and were as the cell began.
+  std::size_t crossings() const { return corners_.crossed.size() + edges_.crossed.size(); }
+  std::size_t begun_crossings() const { return begun_corners_.size() + begun_edges_.size(); }
   // What is through, at most at the end of any cell that was noted.
   void note_through();
   SelfThrough through() const { return {passed_, cut_, rate_wanted_}; }
@@ -66,6 +71,7 @@ class SelfContacts {
   const SpringNetwork& network_;
   Meetings<TrianglesAndCorners> corners_;
   Meetings<EdgesAndEdges> edges_;
+  std::optional<Tangles> tangles_;
   std::vector<Passage> begun_corners_, begun_edges_;
   std::int64_t cell_ = -1, passed_ = 0, cut_ = 0;
 

@@ -19,8 +19,6 @@ from animtool.preview.pictures.pose import composed
 
 # Tangent of half the angle of view.
 HALF = 0.3
-# What the gate of a camera of the shot fills of the page's picture.
-GATE = 0.92
 # Distance to show all, of that where it touches the edges.
 ROOM = 1.15
 STEEP = math.pi / 2 - 1e-3
@@ -205,7 +203,8 @@ class View:
         focal = camera.get("focal")
         length = camera["focal_mm"] if focal is None else streams.at(focal, sample)[0]
         aspect = self.width / self.height
-        half_high = max(high, wide / aspect) / (2 * length) / GATE
+        # Its gate fills the picture, which shows more where its shape is another.
+        half_high = max(high, wide / aspect) / (2 * length)
         away = self.radius * 4
         projection = _perspective(
             half_high * aspect, half_high, away * 0.01, away + self.radius * 100

@@ -92,7 +92,7 @@ def _frame(av: Any, pixels: Array, palette: Any) -> Any:
     pixels = np.ascontiguousarray(pixels)
     if palette is None:
         frame = av.VideoFrame.from_ndarray(pixels, format="rgb24")
-        return frame.reformat(format="yuv420p", dst_colorspace="ITU709")
+        return frame.reformat(format="yuv420p", dst_colorspace=_BT709)
     image_of = needed("PIL.Image")
     image = image_of.fromarray(pixels)
     mapped = image.quantize(palette=palette, dither=image_of.Dither.NONE)

@@ -19,7 +19,7 @@ CELLS, PIECE = 28, 4
 REACH = 48
 # As the page's `shadow.js` has them.
 SIZE = 512
-WIDE, HIGH, FLAT, SUNK = 1.1, 0.35, 2e-3, 0.2
+WIDE, HIGH, DEEP, SUNK = 1.1, 0.35, 2e-3, 0.2
 
 
 def round_up(x: float) -> float:
@@ -195,7 +195,7 @@ class Shadow:
 def _looking_up(view: View, x: float, z: float, half: float) -> Eye:
     """Return a camera that looks up from the ground, without perspective."""
     high = HIGH * view.radius
-    low = FLAT * high
+    low = -DEEP * high
     k = 2 / (high - low)
     from_world = np.array(
         [[1, 0, 0, -x], [0, 0, 1, -z], [0, -1, 0, 0], [0, 0, 0, 1]], np.float64

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -34,6 +34,8 @@ SERIES: tuple[Color, ...] = (
     *((56, 132, 196), (214, 126, 44), (60, 158, 116)),
     *((186, 92, 150), (138, 120, 206), (196, 84, 80)),
 )
+
+Solid: TypeAlias = Mesh | Instances | PointCloud | Strands
 
 
 class Scene:
@@ -148,7 +150,7 @@ class Scene:
             for each in self._solids():
                 each.update(sample)
 
-    def _solids(self) -> list[Mesh | Instances | PointCloud | Strands]:
+    def _solids(self) -> list[Solid]:
         return [*self._meshes, *self._instances, *self._clouds, *self._strands]
 
     def draw(
@@ -181,7 +183,7 @@ class Scene:
             eye = view.through(self.cameras[shot], self._streams, sample)
         eye = eye or view.eye()
         shaded = "shadows" in self._shown and self._shadow.cast(
-            view, lambda below: self._draw_casting(below, visible)
+            view, lambda below: self._draw_casting(below, visible, view.radius)
         )
 
         def draw(target: Any) -> None:
@@ -189,8 +191,13 @@ class Scene:
 
         return picture.draw(self._colors["view"], draw)
 
-    def _draw_casting(self, eye: Eye, visible: list[Pose]) -> None:
-        self._draw_shapes(eye)
+    def _draw_casting(self, eye: Eye, visible: list[Pose], radius: float) -> None:
+        casting = [
+            each
+            for each in self._solids()
+            if not (isinstance(each, Mesh) and each.surrounds(radius))
+        ]
+        self._draw_shapes(eye, casting)
         if not self._solid:
             self._draw_bones(eye, visible, axes=False)
 
@@ -205,7 +212,7 @@ class Scene:
         shot: int | None,
     ) -> None:
         behind = eye.between(0.1, 1.0)
-        self._draw_shapes(behind)
+        self._draw_shapes(behind, self._solids())
         target.depth_mask = False
         with self._device.blending():
             if shaded:
@@ -232,8 +239,8 @@ class Scene:
             for mesh in self._meshes
         )
 
-    def _draw_shapes(self, eye: Eye) -> None:
-        for each in self._solids() if "meshes" in self._shown else []:
+    def _draw_shapes(self, eye: Eye, shapes: Sequence[Solid]) -> None:
+        for each in shapes if "meshes" in self._shown else []:
             if not (isinstance(each, Mesh) and each.copied):
                 each.draw(eye)
 

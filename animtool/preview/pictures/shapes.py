@@ -26,6 +26,8 @@ SMOOTH_FROM = 200
 # Vertices of a skin that say how large it is.
 BOUNDS = 200
 COLOR = (0.4, 0.43, 0.48)
+# Lower than this above 0 a mesh is a ground, wider it is a room, of the radius.
+FLAT, WIDE = 0.02, 2.2
 POINT_COLOR = (0.7, 0.32, 0.05)
 STRAND_COLOR = (0.26, 0.15, 0.07)
 
@@ -199,6 +201,17 @@ class Mesh:
         box.add(
             np.einsum("vij,vj->vi", matrices[:, :3, :3], points) + matrices[:, :3, 3]
         )
+
+    def surrounds(self, radius: float) -> bool:
+        """Return whether it is a ground, or a room around all, and casts no shadow.
+
+        radius: of what is shown.
+        """
+        if self.pose or self.copied or self.record.get("cache") is not None:
+            return False
+        low, high = self.geometry.rest.min(axis=0), self.geometry.rest.max(axis=0)
+        wide = min(high[0] - low[0], high[2] - low[2])
+        return bool(high[1] < FLAT * radius or wide > WIDE * radius)
 
     def draw(self, eye: Eye, array: Any = None, copies: int = 1) -> None:
         """Draw it, or copies of it, each where the parts of an array say."""

@@ -11,7 +11,7 @@ import { readFragment, writeFragment } from './fragment.js';
 import { Overlay } from './overlay.js';
 import { Pace } from './pace.js';
 import { Scene } from './scene.js';
-import { Timeline } from './timeline.js';
+import { Timeline, samplesOf } from './timeline.js';
 import { Ground } from './trails.js';
 import { connect, describe } from './ui.js';
 import { watch } from './watch.js';
@@ -23,11 +23,6 @@ const page = /** @type {Window & {animtool: Page}} */ (/** @type {unknown} */ (w
 
 /** How near to a joint a click selects it [CSS pixels]. */
 const NEAR = 14;
-/** Parts of the motion, at whose ends the camera looks where everything is. */
-const LOOKS = 12;
-
-/** @param {number} count @returns {number[]} Samples that say where the whole motion is, the first and the last of them. */
-const samplesOf = (count) => [...new Set(Array.from({ length: LOOKS + 1 }, (_, i) => Math.round(i / LOOKS * (count - 1))))];
 
 export class App {
   /** @param {import('./types.js').Manifest} manifest @param {WebGL2RenderingContext} gl */
@@ -41,8 +36,7 @@ export class App {
     this.view = new View();
     this.colors = themeColors();
     this.show = {
-      bones: true, axes: false, names: false, meshes: true, trails: true, contacts: true, grid: true, shadows: true,
-      cameras: true };
+      bones: true, axes: false, names: false, meshes: true, trails: true, contacts: true, grid: true, shadows: true, cameras: true };
     /** @type {Selected|null} */
     this.selected = null;
     this.timeline = new Timeline(manifest, () => this.invalidate(true));
@@ -83,7 +77,6 @@ export class App {
     await this.drawn();
     const { text } = this.view;
     await this.curves.begin();
-    // The picture is lower above curves.
     this.#fit();
     if (pins.cam === undefined && this.view.text === text && !this.compare.beside) this.view.frame(whole);
     await this.drawn();

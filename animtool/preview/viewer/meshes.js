@@ -1,7 +1,7 @@
 /** Meshes: skins in the vertex shader, blend shapes that have a weight, and points that move as cached. */
 
 import { CELL, SHADE, Table, attribute, makeBuffer, makeProgram, use } from './gl.js';
-import { multiply, transform } from './maths.js';
+import { Box, multiply, transform } from './maths.js';
 import { display } from './points.js';
 
 /** @typedef {import('./camera.js').Eye} View */
@@ -67,6 +67,8 @@ const SMOOTH_FROM = 200;
 /** Vertices of a skin that say how large it is. */
 const BOUNDS = 200;
 export const COLOR = [0.4, 0.43, 0.48];
+/** Lower than this above 0 a mesh is a ground, wider it is a room, as parts of the radius of what is shown. */
+const FLAT = 0.02, WIDE = 2.2;
 
 /** @param {WebGL2RenderingContext} gl @param {Kind} kind */
 function programOf(gl, kind) {
@@ -101,8 +103,9 @@ export class Geometry {
     this.bind = new Float32Array(0);
     /** First joint of vertices, in the palette. */
     this.joints = new Uint16Array(0);
-    /** Greatest coordinate [m]. */
+    /** Greatest coordinate [m], and all that it takes at rest. */
     this.reach = 0;
+    this.box = new Box();
     this.smooth = false;
   }
 
@@ -113,6 +116,7 @@ export class Geometry {
     this.faces = new Uint32Array(await streams.whole(faces));
     const given = normals == null ? null : await streams.whole(normals);
     for (const x of this.rest) this.reach = Math.max(this.reach, Math.abs(x));
+    for (let i = 0; i < this.rest.length; i += 3) this.box.add(this.rest, i);
     this.smooth = this.rest.length >= SMOOTH_FROM * 3 || given != null;
     this.place(this.rest, given);
     gl.bindVertexArray(array);
@@ -239,6 +243,13 @@ export class Mesh {
       multiply(m, 0, pose.world, skin.palette[j] * 16, bind, j * 16);
       box.add(transform(m, [rest[v * 3], rest[v * 3 + 1], rest[v * 3 + 2]]), 0);
     }
+  }
+
+  /** @param {number} radius Of what is shown. @returns {boolean} Whether it is a ground, or a room around all, and casts no shadow. */
+  surrounds(radius) {
+    const { low, high } = this.geometry.box;
+    return !this.pose && !this.instances && this.record.cache == null && (
+      high[1] < FLAT * radius || Math.min(high[0] - low[0], high[2] - low[2]) > WIDE * radius);
   }
 
   /** @param {View} view @param {number} [instances] How many to draw, each where its buffer says. */

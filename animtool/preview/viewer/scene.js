@@ -157,7 +157,7 @@ export class Scene {
     const skeletons = (/** @type {import('./camera.js').Eye} */ eye, axes = false) => this.bones.draw(
       eye, visible, (take) => this.color(take, colors), selected, colors.accent, { bones, axes });
     const shaded = show.shadows && fine && this.shadow.cast(view, (eye) => {
-      this.#shapes(eye, show);
+      this.#shapes(eye, show, (each) => !(each instanceof Mesh && each.surrounds(view.radius)));
       if (!solid) skeletons(eye);
     });
     this.picture.begin(view.width, view.height, fine);
@@ -192,9 +192,11 @@ export class Scene {
     this.picture.end(view.width, view.height, fine);
   }
 
-  /** @param {import('./camera.js').Eye} eye @param {Show} show */
-  #shapes(eye, show) {
-    for (const each of show.meshes ? this.#solids : []) if (!(each instanceof Mesh && each.instances)) each.draw(eye);
+  /** @param {import('./camera.js').Eye} eye @param {Show} show @param {(each: object) => boolean} [wanted] */
+  #shapes(eye, show, wanted = () => true) {
+    for (const each of show.meshes ? this.#solids : []) {
+      if (!(each instanceof Mesh && each.instances) && wanted(each)) each.draw(eye);
+    }
   }
 
   /** @param {View} view @param {number[]} color */

@@ -9,8 +9,8 @@ import { makeProgram, use } from './gl.js';
 const SIZE = 512;
 /** Half of its width and what still darkens the ground, as parts of the radius of what is shown. */
 const WIDE = 1.1, HIGH = 0.35;
-/** What lies on the ground casts none: so near to it, as a part of the height. */
-const FLAT = 2e-3;
+/** What is so far below the ground is cast too, as a part of the height. */
+const DEEP = 2e-3;
 /** Where so much of what is shown is below the ground there is none, as a part of the radius. */
 const SUNK = 0.2;
 
@@ -136,7 +136,7 @@ export class Shadow {
 
   /** @param {View} view @param {number} x @param {number} z @param {number} half @returns {Eye} Looks up from the ground. */
   #below({ radius, light }, x, z, half) {
-    const high = HIGH * radius, low = FLAT * high, k = 2 / (high - low);
+    const high = HIGH * radius, low = -DEEP * high, k = 2 / (high - low);
     return {
       view: new Float32Array([1, 0, 0, 0, 0, 0, -1, 0, 0, 1, 0, 0, -x, -z, 0, 1]),
       viewProjection: new Float32Array([

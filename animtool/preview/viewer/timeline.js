@@ -7,6 +7,12 @@ import { clamp } from './maths.js';
 
 const SPEEDS = [0.1, 0.25, 0.5, 1, 2, 4];
 
+/** Parts of the motion, at whose ends the camera looks where everything is. */
+const LOOKS = 12;
+
+/** @param {number} count @returns {number[]} Samples that say where the whole motion is, the first and the last of them. */
+export const samplesOf = (count) => [...new Set(Array.from({ length: LOOKS + 1 }, (_, i) => Math.round(i / LOOKS * (count - 1))))];
+
 export class Timeline {
   /** @param {Manifest} manifest @param {() => void} changed Called when sample or state is another. */
   constructor({ time, findings = [] }, changed) {

@@ -20,7 +20,8 @@ from animtool.motion.take import Take, TakeStream
 from animtool.motion.take_files import TakeFiles, WriteOptions
 from animtool.scene.bake.frames import TakePlan, in_frames
 from animtool.scene.bake.progress import OutputCost, Progress
-from animtool.scene.sources.open import SourceOptions, open_source
+from animtool.scene.sources.onto_rig import open_rig
+from animtool.scene.sources.open import SourceOptions, is_usd, open_source
 
 if TYPE_CHECKING:
     from animtool.clip.key_report import ChannelError
@@ -110,10 +111,15 @@ class FilePlan:
         more = [in_frames(other) for other in self.others]
         others = tuple(other.collect() for other in more)
         write = replace(write, others=others, names=self.names)
-        made = _files(take_writer(path), take, path, write)
+        writer = take_writer(path)
+        if "meshes" in writer.holds:
+            take = _with_meshes(take, plan)
+        made = _files(writer, take, path, write)
         noted = [notice for notice in take.notices if notice not in stream.notices]
-        beside = [notice for other in more for notice in other.notices]
-        notices = list(dict.fromkeys([*stream.notices, *beside, *noted, *made.notices]))
+        further = [notice for other in more for notice in other.notices]
+        notices = list(
+            dict.fromkeys([*stream.notices, *further, *noted, *made.notices])
+        )
         refuse_warnings(notices, strict=options.strict)
         files, inputs = list(made.contents), [plan.source, *([base] if base else [])]
         check_outputs(files, inputs, overwrite=options.overwrite)
@@ -126,6 +132,17 @@ class FilePlan:
         return ConvertReport(
             path, made.span, count, made.joints, notices, made.keyed, files
         )
+
+
+def _with_meshes(take: Take, plan: TakePlan) -> Take:
+    """Return a take of a USD file with the meshes that its motion does not need."""
+    if take.rig.meshes or not is_usd(plan.source):
+        return take
+    whole, _ = open_rig(plan.source, plan.options.source.prim_path)
+    if whole.names != take.rig.names:
+        return take  # passes have put another rig there
+    rig = replace(take.rig, meshes=whole.meshes, shapes=whole.shapes)
+    return replace(take, rig=rig)
 
 
 def _files(writer: Writer, take: Take, path: Path, options: WriteOptions) -> TakeFiles:

@@ -28,7 +28,7 @@ from animtool.scene.bake.progress import prefetch, timed
 from animtool.scene.sources.open import source_stem
 from animtool.usd.layers.jobs import Form, UsdJob, UsdResult, UsdTake, WrittenTake
 from animtool.usd.layers.names import UsdNames, joint_names
-from animtool.usd.rigs.recorded_place import place_record
+from animtool.usd.rigs.skeleton import place_record
 from animtool.usd.takes.author import Authored, author, write_usd
 from animtool.usd.takes.joint_writer import round_blocks
 

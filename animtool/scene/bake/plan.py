@@ -197,8 +197,8 @@ def _planned_file(
     take = TakePlan(source, "", stream, None, options, fps, start, notices)
     assert entry.path is not None
     own = stream.details.get("take") or stream.details.get("name")
-    name = str(own or source_stem(source))
-    return FilePlan(take, entry.path, entry.base, entry.rig_file, names=(name,))
+    called: tuple[str, ...] = (str(own),) if own else ()
+    return FilePlan(take, entry.path, entry.base, entry.rig_file, names=called)
 
 
 def _with_others(
@@ -222,7 +222,10 @@ def _with_others(
         _planned_file(source, stream, entry, writer, notices)
         for source, stream in zip(sources[1:], streams[1:], strict=True)
     ]
-    called = [name for one in (plan, *others) for name in one.names]
+    called = [
+        one.names[0] if one.names else source_stem(source)
+        for source, one in zip(sources, (plan, *others), strict=True)
+    ]
     own = names or tuple(distinct(called))
     return replace(plan, others=tuple(one.take for one in others), names=own)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from fractions import Fraction
 from pathlib import Path
 from typing import Any, TypeVar
@@ -10,12 +10,18 @@ from typing import Any, TypeVar
 from animtool.core.options import Kind, Place, keys_of, options_of
 from animtool.core.rates import parse_rate
 from animtool.core.record import dataclass
-from animtool.core.shot import FrameRange
+from animtool.core.shot import FrameRange, Shot
 from animtool.core.units import LengthUnit, UpAxis, parse_length
+from animtool.core.writers import Writer, writer_of
 from animtool.documents.check import FileModel
 from animtool.documents.document import Document, Location
-from animtool.documents.references import referred_input
+from animtool.documents.references import referred, referred_input
+from animtool.scene.bake.options import BakeOptions
+from animtool.scene.file.entries import SceneOutput, place_of_entry
 from animtool.scene.file.option_text import parse_offsets
+from animtool.scene.file.schema import OutputModel, SceneModel
+from animtool.scene.sources.retime import Preroll
+from animtool.scene.systems.links import check_names
 
 Value = TypeVar("Value")
 
@@ -107,3 +113,121 @@ _PARSERS: dict[Kind, Callable[[Any], Any]] = {
     "offsets": _offsets,
     "length": parse_length,
 }
+
+
+class OutputReader:
+    """Makes outputs of the entries of a scene.
+
+    Attributes:
+        start: Time code of its first frame; None where it states none.
+    """
+
+    def __init__(
+        self, keys: KeyReader, model: SceneModel, output_roots: Sequence[Path]
+    ) -> None:
+        self._keys, self._model, self._roots = keys, model, output_roots
+        shot = model.shot
+        stated = None if shot is None else shot.start
+        self.start = None if stated is None else Fraction(stated)
+
+    @property
+    def _document(self) -> Document:
+        return self._keys.document
+
+    def _fps(self) -> Fraction | None:
+        return self._keys.parsed(("fps",), self._model.fps, parse_rate)
+
+    def preroll(self) -> Preroll | None:
+        """Return the frames before those of the shot, if it has them."""
+        shot, frames = self._model.shot, self._shot()
+        if shot is None or frames is None or not shot.preroll:
+            return None
+        return Preroll(self.start, frames.start - shot.preroll, self._fps())
+
+    def _shot(self) -> Shot | None:
+        """Return the shot's frames; its rate is that of the output."""
+        shot = self._model.shot
+        if shot is None:
+            return None
+        return Shot(shot.cut[0], shot.cut[1], shot.handles, shot.handles)
+
+    def outputs(self) -> tuple[SceneOutput, ...]:
+        """Return the outputs."""
+        given, fps, frames = self._model.output, self._fps(), self._frames()
+        if isinstance(given, OutputModel):
+            return (self._output(("output",), given, fps, frames),)
+        for i, entry in enumerate(given):
+            if entry.file is None:
+                hint = "each of several outputs names its file"
+                message = "key 'file' is missing"
+                self._document.add("DOC021", ("output", i), message, hint)
+        outputs = tuple(
+            self._output(("output", i), entry, fps, frames)
+            for i, entry in enumerate(given)
+        )
+        for i, output in enumerate(outputs):
+            if output.bake.chunk is not None:
+                message = "chunks are for a scene of one output"
+                self._document.add("SCN039", ("output", i, "chunk"), message)
+        return outputs
+
+    def _output(
+        self,
+        at: Location,
+        model: OutputModel,
+        fps: Fraction | None,
+        frames: FrameRange | None,
+    ) -> SceneOutput:
+        path = None if model.file is None else self._file((*at, "file"), model.file)
+        writer = None if path is None else writer_of(path)
+        if writer is not None and not writer.stage:
+            self._check_keys(at, model, writer)
+        keys = option_keys(BakeOptions, model, "scene", at, self._keys)
+        if "take" in keys and keys.get("form") != "library":
+            message = "take is for a take of a library"
+            self._document.add("SCN039", (*at, "take"), message, "write as: library")
+        if "start" not in keys and self.start is not None:
+            keys["start"] = self.start
+        bake = BakeOptions(fps=fps, frame_range=frames, shot=self._shot(), **keys)
+        systems = None if model.systems is None else tuple(model.systems)
+        if systems is not None:
+            names = self._model.system_names
+            check_names(self._document, (*at, "systems"), systems, names)
+        if not systems and systems is not None and self._model.source is None:
+            message = "nothing would be written: it takes no system"
+            hint = "leave systems out to write all"
+            self._document.add("SCN081", (*at, "systems"), message, hint)
+        place = place_of_entry(self._document, at)
+        return SceneOutput(path, bake, place, systems)
+
+    def _file(self, at: Location, name: str) -> Path:
+        """Return a file to write."""
+        path = referred(self._document, at, name, self._roots, written=True)
+        return Path(name) if path is None else path
+
+    def _check_keys(self, at: Location, model: OutputModel, writer: Writer) -> None:
+        """Refuse what only other kinds of files have."""
+        allowed = {"file", "start", *writer.options}
+        for name in sorted(model.model_fields_set - allowed):
+            message = f"{name} is not for a {writer.name} file"
+            hint = f"it has {', '.join(sorted(allowed))}"
+            self._document.add("SCN039", (*at, name), message, hint)
+
+    def _frames(self) -> FrameRange | None:
+        """Return the frames to write: a range, or the cut with its handles."""
+        shot, found = self._model.shot, self._shot()
+        at: Location = ("range",) if shot is None else ("shot", "cut")
+        ends = self._model.range if shot is None else shot.cut
+        if shot is not None and self._model.range is not None:
+            message = "the cut of the shot says which frames to write"
+            hint = "leave range or shot out"
+            self._document.add("SCN041", ("range",), message, hint)
+        if ends is None:
+            return None
+        first, last = ends
+        if first > last:
+            message = f"the {at[-1]} from {first} to {last} is reversed"
+            self._document.add("SCN003", at, message, f"write [{last}, {first}]")
+        if found is not None:
+            return FrameRange(found.start, found.end)
+        return FrameRange(first, last)

@@ -33,8 +33,7 @@ from animtool.scene.file.entries import (
     SceneSystem,
     place_of_entry,
 )
-from animtool.scene.file.output_entries import OutputReader
-from animtool.scene.file.output_fields import KeyReader, option_keys
+from animtool.scene.file.output_fields import KeyReader, OutputReader, option_keys
 from animtool.scene.file.schema import (
     PropModel,
     SceneModel,

@@ -58,9 +58,9 @@ class TracksModel(FileModel):
     ),
 )
 class SourceModel(FileModel):
-    """A clip, BVH, USD or marker file, and what it leaves open."""
+    """A clip, BVH, USD, glTF or marker file, and what it leaves open."""
 
-    file: Name = key("The clip, BVH, USD or marker file.", "walk.bvh")
+    file: Name = key("The clip, BVH, USD, glTF or marker file.", "walk.bvh")
     tracks: TracksModel | None = key(
         "Of several sources, but the first: what it brings. Not given: what it moves.",
         {"shapes": ["*"]},

@@ -16,11 +16,9 @@ from animtool.capture.face.solve import FaceFit, fit_face
 from animtool.capture.options import FaceOptions
 from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray
-from animtool.core.errors import Fault, OptionError, Severity, refuse_warnings
-from animtool.core.files.output import check_outputs
-from animtool.core.names import is_named
+from animtool.core.errors import Fault, OptionError, Severity
 from animtool.core.record import dataclass
-from animtool.core.units import UpAxis, unit_name
+from animtool.core.units import UpAxis
 from animtool.maths.so3 import multiply, rotate
 from animtool.motion.driving import driven_take
 from animtool.motion.motion import Channel, Motion
@@ -30,8 +28,8 @@ from animtool.rig.kinematics import forward
 from animtool.rig.remap import ShapeLinks, link_shapes, load_remap
 from animtool.rig.skeleton import JointType, Rig
 from animtool.scene.bake.options import BakeOptions
-from animtool.scene.bake.outline import Outline, check_outline, outlined
 from animtool.scene.bake.progress import Progress
+from animtool.scene.solves.writing import SolvedOutput
 from animtool.scene.sources.onto_rig import open_rig
 from animtool.scene.sources.open import SourceOptions
 
@@ -62,6 +60,11 @@ class FaceJob:
     reading: SourceOptions = field(default_factory=SourceOptions)
     # `overwrite` and `strict` of it are for what the take is written to.
     bake: BakeOptions = field(default_factory=BakeOptions)
+
+    @property
+    def target(self) -> SolvedOutput:
+        """What it writes."""
+        return SolvedOutput.of(self.output, self.capture, self.bake, self.rig)
 
 
 @dataclass(slots=True)
@@ -111,23 +114,6 @@ class FaceResult:
         return self.frames / max(self.seconds["solve"], 1e-9)
 
 
-def face_outputs(job: FaceJob) -> list[Path]:
-    """Return the files that a job writes."""
-    outline = _outline(job)
-    return [] if outline is None else outline.files
-
-
-def _outline(job: FaceJob) -> Outline | None:
-    """Return what a job writes; None where that is nothing."""
-    if job.output is None:
-        return None
-    return outlined(job.capture, job.output, job.bake, rig_file=_named_rig(job))
-
-
-def _named_rig(job: FaceJob) -> Path | None:
-    return job.rig if is_named(job.rig, "rig") else None
-
-
 def run_face(job: FaceJob, *, progress: Progress = None) -> FaceResult:
     """Bring a face onto its landmarks, and write the take.
 
@@ -142,23 +128,10 @@ def run_face(job: FaceJob, *, progress: Progress = None) -> FaceResult:
         OutputError: An output cannot be written.
         StrictError: There were warnings, and ``strict`` is on.
     """
-    outline = _outline(job)
-    if outline is not None:
-        named = (job.capture, job.rig, job.landmarks, job.remap, job.camera)
-        inputs = [path for path in named if path is not None]
-        check_outputs(outline.files, inputs, overwrite=job.bake.overwrite)
-        check_outline(outline)
+    target = job.target
+    target.check((job.capture, job.rig, job.landmarks, job.remap, job.camera))
     result = solve_face(job, progress=progress)
-    if outline is None:
-        refuse_warnings(result.notices, strict=job.bake.strict)
-        return result
-    stream = TakeStream.of(result.take)
-    unit = unit_name(result.take.rig.meters_per_unit)
-    stream.details = {"format": "landmarks", "units": unit}
-    from animtool.scene.bake.bake import bake_take
-
-    result.written = bake_take(stream, outline)
-    result.notices += [n for n in result.written.notices if n not in result.notices]
+    target.write(TakeStream.of(result.take), result, "landmarks")
     return result
 
 

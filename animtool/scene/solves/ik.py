@@ -11,19 +11,24 @@ from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
-from animtool.core.clock import FrameSpan
+import numpy as np
+
+from animtool.clip.clip import Clip
+from animtool.core.clock import Clock, FrameSpan
 from animtool.core.config import project_roots
 from animtool.core.errors import (
     Fault,
     FormatError,
     OptionError,
+    Severity,
     ToleranceError,
+    listed,
     refuse_warnings,
 )
-from animtool.core.files.output import check_outputs, sparing_inputs
+from animtool.core.files.output import sparing_inputs
 from animtool.core.names import is_named
 from animtool.core.record import dataclass
-from animtool.core.units import unit_name
+from animtool.core.shot import Shot
 from animtool.ik.file import load_targets
 from animtool.ik.on_take import solve_take
 from animtool.ik.options import TakeOptions
@@ -40,13 +45,21 @@ from animtool.ik.report import (
 )
 from animtool.ik.take_run import TakeIk
 from animtool.ik.tracks import TargetTracks
+from animtool.motion.driving import driven_take
+from animtool.motion.motion import Channel, Motion
+from animtool.motion.reorient import reorient
 from animtool.motion.take import Take, TakeStream
+from animtool.rig.skeleton import Rig
 from animtool.scene.bake.options import BakeOptions
-from animtool.scene.bake.outline import STDOUT, Outline, check_outline, outlined
+from animtool.scene.bake.outline import STDOUT
 from animtool.scene.bake.progress import Progress
-from animtool.scene.solves.start import open_start, rest_take
-from animtool.scene.sources.onto_rig import open_rig
-from animtool.scene.sources.open import SourceOptions
+from animtool.scene.solves.writing import SolvedOutput
+from animtool.scene.sources.onto_rig import map_names, open_rig
+from animtool.scene.sources.open import (
+    SourceOptions,
+    open_source,
+    takes_option,
+)
 
 if TYPE_CHECKING:
     from animtool.clip.key_report import ChannelError
@@ -75,6 +88,13 @@ class IkJob:
     # How USD is written; its ``reduce`` and ``overwrite`` are for others too, and
     # ``strict`` refuses to write what misses, or what there are warnings about.
     bake: BakeOptions = field(default_factory=BakeOptions)
+
+    @property
+    def target(self) -> SolvedOutput:
+        """What it writes."""
+        source = self.targets if self.start is None else self.start
+        rig = _named_rig(self.rig, self.output)
+        return SolvedOutput.of(self.output, source, self.bake, rig)
 
 
 @dataclass(slots=True)
@@ -223,44 +243,16 @@ def run_ik(job: IkJob, *, progress: Progress = None) -> IkReport:
             on.
         StrictError: There were warnings, and ``strict`` is on.
     """
-    outline = _outline(job)
-    if outline is not None:
-        named = (job.rig, job.targets, job.start, job.bake.rig_layer)
-        inputs = [path for path in named if path is not None]
-        check_outputs(outline.files, inputs, overwrite=job.bake.overwrite)
-        check_outline(outline)
+    target = job.target
+    target.check((job.rig, job.targets, job.start, job.bake.rig_layer))
     report = _solved(job, progress)
-    if outline is None:
+    if target.outline is None:
         return report
     began = time.perf_counter()
     take = replace(report.solved.take, notices=())
-    stream = TakeStream.of(take)
-    stream.details = {"format": "ik", "units": unit_name(take.rig.meters_per_unit)}
-    from animtool.scene.bake.bake import bake_take
-
-    report.written = bake_take(stream, outline, progress=progress)
+    target.write(TakeStream.of(take), report, "ik", progress)
     report.seconds["write"] = time.perf_counter() - began
-    known = set(report.notices)
-    report.notices += [n for n in report.written.notices if n not in known]
     return report
-
-
-def ik_outputs(job: IkJob) -> list[Path]:
-    """Return the files that a job writes, the output last of those of a clip."""
-    outline = _outline(job)
-    return [] if outline is None else outline.files
-
-
-def _outline(job: IkJob) -> Outline | None:
-    """Return what a job writes; None where that is nothing."""
-    if job.output is None:
-        return None
-    return outlined(
-        job.targets if job.start is None else job.start,
-        job.output,
-        job.bake,
-        rig_file=_named_rig(job.rig, job.output),
-    )
 
 
 def _named_rig(rig: Path, output: Path | None) -> Path | None:
@@ -273,7 +265,7 @@ def _named_rig(rig: Path, output: Path | None) -> Path | None:
 
 def _solved(job: IkJob, progress: Progress) -> IkReport:
     began = time.perf_counter()
-    with sparing_inputs(ik_outputs(job)):
+    with sparing_inputs(job.target.files):
         context = open_ik(job, progress=progress)
     read = time.perf_counter()
     with naming(job.rig):
@@ -320,3 +312,74 @@ def _missed_by(job: IkJob) -> tuple[float, float]:
         max(MISSED_LENGTH, options.tolerance) if length is None else length,
         max(MISSED_ANGLE, options.angle_tolerance) if angle is None else angle,
     )
+
+
+MAX_NAMED = 6
+
+
+def rest_take(rig: Rig, clock: Clock) -> Take:
+    """Return a take that stays where controls at their defaults leave the rig."""
+    last = clock.start + clock.step * (clock.count - 1)
+    still = Clip("rest", clock.fps, clock.start, last, ())
+    return still.sample(rig, step=clock.step)
+
+
+def open_start(
+    path: Path,
+    rig: Rig,
+    rig_path: Path,
+    options: SourceOptions,
+    *,
+    progress: Progress = None,
+) -> Take:
+    """Return a take of a rig: a clip for it, or motion of joints of the same names.
+
+    Joints that the motion lacks stay at rest; what it has beside the rig's is left
+    out. Both are said in the take's notices.
+    """
+    if options.rig is None and takes_option(path, "rig"):
+        options = replace(options, rig=rig_path)
+    stream = reorient(open_source(path, options, progress=progress), rig.up)
+    # What its blocks notice is known when all are read.
+    take = _within(stream.collect(), options.shot)
+    if take.rig.names == rig.names and take.rig.controls == rig.controls:
+        return driven_take(replace(take, rig=rig))
+    motion, odd = _mapped(take, rig, path)
+    return driven_take(Take(rig, take.clock, motion, (*take.notices, *odd)))
+
+
+def _within(take: Take, shot: Shot | None) -> Take:
+    """Return the samples that the frames of a shot lie between."""
+    if shot is None:
+        return take
+    clock = take.clock
+    first = math.floor((shot.start - clock.start) / clock.step)
+    last = math.ceil((shot.end - clock.start) / clock.step)
+    kept = slice(max(first, 0), min(last, clock.count - 1) + 1)
+    if kept.start >= kept.stop:
+        return take
+    start = clock.start + kept.start * clock.step
+    clock = replace(clock, start=start, count=kept.stop - kept.start)
+    return replace(take, clock=clock, motion=take.motion.select(kept))
+
+
+def _mapped(take: Take, rig: Rig, path: Path) -> tuple[Motion, list[Fault]]:
+    """Return the motion of the joints that both have, and what is left out."""
+    names = map_names(rig, take.rig)
+    if (names.joints < 0).all():
+        message = f"has no joint of {rig.name!r}"
+        hint = f"its joints are {listed(take.rig.names, MAX_NAMED)}"
+        raise OptionError(Fault("TGT017", message, str(path), (), hint))
+    notices = []
+    lacking = [rig.names[j] for j in np.flatnonzero(names.joints < 0).tolist()]
+    spare = [take.rig.names[j] for j in names.spare]
+    for which, what in (
+        (lacking, "has no {}: they stay at rest"),
+        (spare, "moves {}, which the rig lacks: they are left out"),
+    ):
+        if which:
+            message = what.format(listed(which, MAX_NAMED))
+            fault = Fault("TGT102", message, str(path), severity=Severity.WARNING)
+            notices.append(fault)
+    motion = replace(names.apply(take.motion), weights=None, controls=None)
+    return motion.map(Channel.compact), notices

@@ -28,8 +28,7 @@ from animtool.motion.take import Take
 from animtool.rig.surfaces import StoredArrays
 from animtool.scene.bake.options import BakeOptions
 from animtool.scene.bake.progress import Progress
-from animtool.scene.solves.ik import frame_index, naming
-from animtool.scene.solves.start import open_start
+from animtool.scene.solves.ik import frame_index, naming, open_start
 from animtool.scene.sources.onto_rig import open_rig
 from animtool.scene.sources.open import SourceOptions
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections import deque
 from dataclasses import field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -19,7 +18,7 @@ from animtool.capture.solve.source import (
 from animtool.capture.templates.file import load_template
 from animtool.capture.templates.template import template_text
 from animtool.core.arguments import argument
-from animtool.core.errors import Fault, OptionError, refuse_warnings
+from animtool.core.errors import Fault, OptionError
 from animtool.core.files.output import (
     check_outputs,
     sparing_inputs,
@@ -33,9 +32,9 @@ from animtool.formats.marker_files import file_of, open_markers
 from animtool.motion.take import TakeStream
 from animtool.rig.placed import at_origin
 from animtool.scene.bake.options import BakeOptions
-from animtool.scene.bake.outline import Outline, check_outline, outlined
 from animtool.scene.bake.progress import Progress, timed
 from animtool.scene.convert.rigs import RigFile, rig_file
+from animtool.scene.solves.writing import SolvedOutput
 from animtool.scene.sources.onto_rig import open_rig
 from animtool.scene.sources.open import SourceOptions
 
@@ -61,6 +60,12 @@ class MocapSolveJob:
     write_template: Path | None = None  # and its template
     # How USD is written; `reduce`, `overwrite` and `strict` of it are for others too.
     bake: BakeOptions = field(default_factory=BakeOptions)
+
+    @property
+    def target(self) -> SolvedOutput:
+        """What it writes, but for arrays beside a rig."""
+        others, rig = (self.write_rig, self.write_template), self.write_rig or self.rig
+        return SolvedOutput.of(self.output, self.source, self.bake, rig, others)
 
 
 @dataclass(slots=True)
@@ -90,26 +95,6 @@ class MocapSolveResult:
         return self.seconds["solve"] / max(self.solve.score.frames, 1)
 
 
-def solve_outputs(job: MocapSolveJob) -> list[Path]:
-    """Return the files that a job writes, but for arrays beside a rig."""
-    made = [path for path in (job.write_rig, job.write_template) if path is not None]
-    outline = _outline(job)
-    return [*made, *([] if outline is None else outline.files)]
-
-
-def _outline(job: MocapSolveJob) -> Outline | None:
-    """Return what a job writes of the motion; None where that is nothing."""
-    if job.output is None:
-        return None
-    return outlined(job.source, job.output, job.bake, rig_file=_named_rig(job))
-
-
-def _named_rig(job: MocapSolveJob) -> Path | None:
-    """Return the rig file that a clip names: the one that is written, if any."""
-    rig = job.write_rig or job.rig
-    return rig if rig is not None and is_named(rig, "rig") else None
-
-
 def run_solve(job: MocapSolveJob, *, progress: Progress = None) -> MocapSolveResult:
     """Solve a capture on a rig, and write the motion.
 
@@ -126,29 +111,15 @@ def run_solve(job: MocapSolveJob, *, progress: Progress = None) -> MocapSolveRes
         StrictError: There were warnings, and ``strict`` is on.
     """
     _check(job)
-    outputs = solve_outputs(job)
+    target = job.target
     template = load_template(job.template)
     rig_path = named_rig(template, job.rig, job.template)
     named = (job.source, job.template, rig_path, job.static, job.bake.rig_layer)
-    inputs = [file_of(path) for path in named if path is not None]
-    if outputs:
-        check_outputs(outputs, inputs, overwrite=job.bake.overwrite)
-    outline = _outline(job)
-    if outline is not None:
-        check_outline(outline)
+    target.check(file_of(path) for path in named if path is not None)
     with together():
-        stream, result = _solved(job, template, rig_path, outputs, progress)
-        if outline is None:
-            deque(stream.blocks, maxlen=0)
-            result.notices += [n for n in stream.notices if n not in result.notices]
-            refuse_warnings(result.notices, strict=job.bake.strict)
-        else:
-            from animtool.scene.bake.bake import bake_take
-
-            result.written = bake_take(stream, outline, progress=progress)
-            known = set(result.notices)
-            result.notices += [n for n in result.written.notices if n not in known]
-        result.outputs = [*_write_subject(job, result), *outputs]
+        stream, result = _solved(job, template, rig_path, target.files, progress)
+        target.write(stream, result, progress=progress)
+        result.outputs = [*_write_subject(job, result), *target.files]
         result.outputs = list(dict.fromkeys(result.outputs))
     return result
 

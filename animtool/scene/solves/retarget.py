@@ -3,22 +3,19 @@
 from __future__ import annotations
 
 import time
-from collections import deque
 from dataclasses import field, replace
 from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
-from animtool.core.errors import Fault, OptionError, refuse_warnings
+from animtool.core.errors import Fault, OptionError
 from animtool.core.files.output import (
-    check_outputs,
     sparing_inputs,
     together,
     write_parts,
 )
 from animtool.core.names import is_named
 from animtool.core.record import dataclass
-from animtool.core.units import unit_name
 from animtool.core.values import picked
 from animtool.motion.driving import driven_stream
 from animtool.motion.reorient import off_its_place
@@ -33,9 +30,9 @@ from animtool.rig.placed import at_origin, standing_notice
 from animtool.rig.skeleton import Rig
 from animtool.scene.bake.files import ConvertReport
 from animtool.scene.bake.options import BakeOptions
-from animtool.scene.bake.outline import Outline, check_outline, outlined
 from animtool.scene.bake.progress import Progress, timed
 from animtool.scene.solves.ik import naming
+from animtool.scene.solves.writing import SolvedOutput
 from animtool.scene.sources.onto_rig import open_rig
 from animtool.scene.sources.open import SourceOptions, open_source
 
@@ -58,6 +55,12 @@ class RetargetJob:
     # How USD is written; `fps`, `frame_range`, `start`, `reduce`, `overwrite` and
     # `strict` of it are for others too.
     bake: BakeOptions = field(default_factory=BakeOptions)
+
+    @property
+    def target(self) -> SolvedOutput:
+        """What it writes, the map among it."""
+        others = (self.write_map,)
+        return SolvedOutput.of(self.output, self.source, self.bake, self.rig, others)
 
 
 @dataclass(slots=True)
@@ -111,24 +114,6 @@ class RetargetResult:
         return self.going.report()
 
 
-def retarget_outputs(job: RetargetJob) -> list[Path]:
-    """Return the files that a job writes, the map among them."""
-    outputs = [] if job.write_map is None else [job.write_map]
-    outline = _outline(job)
-    return [*outputs, *([] if outline is None else outline.files)]
-
-
-def _outline(job: RetargetJob) -> Outline | None:
-    """Return what a job writes of the take; None where that is nothing."""
-    if job.output is None:
-        return None
-    return outlined(job.source, job.output, job.bake, rig_file=_named_rig(job))
-
-
-def _named_rig(job: RetargetJob) -> Path | None:
-    return job.rig if is_named(job.rig, "rig") else None
-
-
 def run_retarget(job: RetargetJob, *, progress: Progress = None) -> RetargetResult:
     """Bring a take onto another rig, and write it.
 
@@ -150,31 +135,15 @@ def run_retarget(job: RetargetJob, *, progress: Progress = None) -> RetargetResu
     if job.source.is_dir():
         hint = "a batch of a scene with the pass retarget takes folders: animtool batch"
         raise OptionError(Fault("IO001", "is a folder", str(job.source), (), hint))
-    outputs = retarget_outputs(job)
-    if outputs:
-        named = (job.source, job.rig, job.options.map, job.bake.rig_layer)
-        inputs = [path for path in named if path is not None]
-        check_outputs(outputs, inputs, overwrite=job.bake.overwrite)
-    outline = _outline(job)
-    if outline is not None:
-        check_outline(outline)
+    target = job.target
+    target.check((job.source, job.rig, job.options.map, job.bake.rig_layer))
     with together():
-        stream, report = _retargeted(job, outputs, progress)
-        unit = unit_name(stream.rig.meters_per_unit)
-        stream.details = {"format": "retarget", "units": unit}
-        if outline is None:
-            deque(stream.blocks, maxlen=0)
-            refuse_warnings(report.notices, strict=job.bake.strict)
-        else:
-            from animtool.scene.bake.bake import bake_take
-
-            report.written = bake_take(stream, outline, progress=progress)
-            known = set(report.notices)
-            report.notices += [n for n in report.written.notices if n not in known]
+        stream, report = _retargeted(job, target.files, progress)
+        target.write(stream, report, "retarget", progress)
         if job.write_map is not None:
             text = map_text(report.joint_map, report.source_rig, report.target)
             write_parts(job.write_map, [text.encode()])
-    report.outputs = outputs
+    report.outputs = target.files
     report.numbers = _numbers(job, report)
     return report
 

@@ -82,7 +82,7 @@ def take_trials(source: Source, options: BakeOptions | None = None) -> list[Tria
     stream = plan.takes[0].stream
     curved = stream.curve is not None and not stream.altered
     take = stream.collect()
-    known = _Known.of(take, stream)
+    known = _Known.of(take, stream, plan.options.fps or take.clock.rate)
     path = source_file(source)
 
     def opened() -> Source:
@@ -104,10 +104,12 @@ class _Known:
     shots: list[Shot]
 
     @staticmethod
-    def of(take: Take, stream: TakeStream) -> _Known:
+    def of(take: Take, stream: TakeStream, rate: Fraction) -> _Known:
         clock = take.clock
         curve = None if stream.altered else stream.curve
-        per_frame = FINE if curve is not None else 1
+        # Of a curve there are some between two samples at the highest rate, too.
+        fine = math.ceil(FINE * max(Fraction(1), rate / clock.rate))
+        per_frame = fine if curve is not None else 1
         count = (clock.count - 1) * per_frame + 1
         points = attached_points(take.rig, SHELL)[..., 0].size
         most = min(count, MAX_INSTANTS, max(2, MAX_COMPARED // max(points, 1)))

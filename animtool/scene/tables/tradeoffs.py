@@ -207,7 +207,9 @@ def _beyond(path: Path, tables: Sequence[TrialTable]) -> list[Fault]:
             continue
         if table.reference is None or table.reference.sensitive:
             continue
-        errors = [row.error.error(table.error, 0.0) for row in table.rows if row.error]
+        errors = [
+            error for row in table.rows if (error := table.error_of(row)) is not None
+        ]
         least = length_text(min(errors, default=float("inf")))
         message = (
             f"{table.name}, {table.kind}: nothing tried keeps "

@@ -129,10 +129,15 @@ class TrialTable:
     budget: float | None = None  # largest error that will do [m]
     # How the recommended setting is asked for; empty where there is none.
     lines: tuple[str, ...] = ()
+    reach: float = 0.0  # how far what is placed reaches from its points, at most [m]
     json_keys: ClassVar[str] = (
         "name kind span instants points extent measure=error cost unit lines reference "
         "rows"
     )
+
+    def error_of(self, row: TrialRow | Reference) -> float | None:
+        """Return what a row is judged by, turns included [m]; None of no error."""
+        return None if row.error is None else row.error.error(self.error, self.reach)
 
     @property
     def chosen(self) -> TrialRow:
@@ -205,6 +210,7 @@ def measure(
         trial.cost,
         trial.unit,
         budget,
+        reach=reach,
     )
     row = table.recommended
     if row is None or row.chosen or trial.lines is None:
@@ -245,9 +251,12 @@ class _Runs:
 
 def _reference(trial: Trial, runs: _Runs) -> tuple[Reference | None, Outcome | None]:
     for settings in trial.references():
-        outcomes = []
+        outcomes: list[Outcome] = []
         for setting in settings:
-            outcomes.append(runs.of(setting))
+            try:
+                outcomes.append(runs.of(setting))
+            except OptionError:
+                break  # the method is not for it; another may be
             if outcomes[-1].status is not Status.OK:
                 break
         else:

@@ -26,7 +26,7 @@ from animtool.systems.attach.skins import Skin, SkinContacts, margin_for
 from animtool.systems.attach.stepping import State, Stepper, cells_of, steps_per_second
 from animtool.systems.attach.strands import (
     DEPENETRATION,
-    CarriedColliders,
+    CharacterColliders,
     depth_at_bind,
 )
 from animtool.systems.framework.meter import ContactMeter, Sides, Solid
@@ -111,7 +111,7 @@ class Actor:
         bound = body.network.points
         depths = scale * depth_at_bind(capsules, rig, bound, settings.radius / scale)
         self.target = body.targets(first)[0]
-        self._contacts = CarriedColliders(
+        self._contacts = CharacterColliders(
             capsules,
             capsules.sizes(first.world),
             (depths, self._skins.depths(first, self.target, settings.radius)),

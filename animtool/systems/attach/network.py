@@ -86,7 +86,7 @@ class Network:
             (self.bends, bends),
         )
         pulling = [
-            (ends[loose[ends].any(axis=1)], Family(0.0, frequency=frequency))
+            (ends[loose[ends].any(axis=1)], Family(frequency=frequency))
             for ends, frequency in families
             if frequency
         ]

@@ -126,7 +126,6 @@ class Settings:
     options: SimulateOptions  # all that is the same for every kind
     frequency: float  # of the draw to the animated pose [Hz]
     bend: float  # of folds [Hz]
-    diagonals: float  # of faces [Hz]
     stretch: float  # aimed at [1]
     radius: float  # distance kept from colliders [m]
     # Distance that cloth keeps from itself [m]; 0 does not ask, None is by its edges.
@@ -152,7 +151,6 @@ def settings_for(options: SimulateOptions, kind: str) -> Settings:
         options,
         frequency,
         bend,
-        options.diagonals,
         stretch,
         length_of(options.radius),
         thickness,

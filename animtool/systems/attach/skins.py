@@ -22,9 +22,9 @@ from animtool.skin.deform import deform
 from animtool.systems.attach.poses import PosePath
 from animtool.systems.framework.meter import Solid
 
-# What of its edges cloth keeps from skins [1]: those of a limb of twice that length are
-# cut by no more.
-CORNERS = 1 / 3
+# What of its edges cloth keeps from skins [1]: halves of these cut limbs of that length
+# by no more.
+CORNERS = 1 / 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -122,9 +122,10 @@ def capped(counts: IntArray, indices: IntArray) -> tuple[IntArray, IntArray, Int
 def margin_for(edge: float, radius: float) -> float:
     """Return what cloth of long edges keeps from skins, over its radius [m].
 
-    Particles are outside of them; what joins two cuts the corner of a limb.
+    Particles and the middles of edges are outside of them; what joins two cuts the
+    corner of a limb.
 
-    >>> round(margin_for(0.03, 0.005), 6), margin_for(0.01, 0.005)
+    >>> round(margin_for(0.04, 0.005), 6), margin_for(0.01, 0.005)
     (0.005, 0.0)
     """
     return max(0.0, CORNERS * edge - radius)

@@ -183,22 +183,14 @@ class Stepper:
         # Of cloth springs that hardly give are brought back, too.
         stretch = self._settings.stretch
         limit = stretch if len(self._network.triangles) else 0.0
-        while True:
-            begun = SpringState(
-                both, system.whole, substeps, substeps, passages=state.passages
-            )
-            grid = Grid(Solver.XPBD, 0.0, span / cells, 0, begun)
-            grid = projected(
-                network, grid, cells, met, system.layers, stretch, most, limit
-            )
-            passages = grid.state.passages
-            if grid.state.substeps >= most or len(passages) <= len(state.passages):
-                break
-            substeps = most
-        motion = grid.state.motion
-        longest = self._stretch(motion[0])
+        begun = SpringState(
+            both, system.whole, substeps, substeps, passages=state.passages
+        )
+        grid = Grid(Solver.XPBD, 0.0, span / cells, 0, begun)
+        grid = projected(network, grid, cells, met, system.layers, stretch, most, limit)
+        longest = self._stretch(grid.state.motion[0])
         self.tally.add(longest, grid.touching, grid.unresolved, grid.through)
-        return stepped(motion, passages)
+        return stepped(grid.state.motion, grid.state.passages)
 
     def _stretch(self, x: FloatArray) -> float:
         rests, (i, j) = self._network.rests, self._network.sides.T
@@ -220,7 +212,8 @@ def _system(
     network: Network, settings: Settings, down: FloatArray, thickness: float
 ) -> SpringSystem:
     """Return a network as a system of springs, held and drawn where it is at rest."""
-    options, body = settings.options, network.body(settings.diagonals, settings.bend)
+    options = settings.options
+    body = network.body(options.diagonals, settings.bend)
     drawn = network.free if settings.frequency else network.free[:0]
     masses, omega = body.masses[drawn], 2 * math.pi * settings.frequency
     # Cloth feels the air by its triangles, other things by their speed alone.

@@ -14,11 +14,11 @@ from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.skeleton import Joint, JointType, Rig
 from animtool.sim.colliders import Capsule, Collider, Colliders
 from animtool.sim.colliders.on_joints import Capsules
-from animtool.systems.framework.meter import Solid
+from animtool.systems.framework.meter import Solid, closed_surfaces, depths_of
 from animtool.systems.springs.contacts import (
-    Carried,
     CellColliders,
     Cells,
+    PosedColliders,
     cell_colliders,
 )
 
@@ -150,7 +150,7 @@ def depth_at_bind(
     return found
 
 
-class CarriedColliders:
+class CharacterColliders:
     """Capsules and skins of a character, and what of the world is met with them."""
 
     def __init__(
@@ -190,9 +190,7 @@ class CarriedColliders:
         In the collider that they are deepest in, as that is at a time [s] [m]; below 0
         outside of all.
         """
-        deepest = np.full(len(points), -np.inf)
-        if self._world.rigid:
-            deepest = -self._world.sample(points, t).distances.min(axis=0)
+        deepest = depths_of(self._world, points, t)
         radii, allowed = self._sizes[:, 6], self._allowed + self._radius
         for c, ends in enumerate(self._capsules.placed(world)[-1]):
             inside = np.minimum(allowed[c], 0.0) - depth(points, ends, radii[c])[0]
@@ -201,11 +199,7 @@ class CarriedColliders:
 
     def solids(self, t: float) -> list[Solid]:
         """Return the closed surfaces of the world at a time [s]."""
-        return [
-            Solid(one.motion.points(t), one.motion.triangles(t))
-            for one in self._world.sheets
-            if one.closed
-        ]
+        return closed_surfaces(self._world, t)
 
     def over(
         self, world: WorldTransforms, cells: Cells, skins: Sequence[Any] = ()
@@ -218,5 +212,5 @@ class CarriedColliders:
         sizes = self._sizes.copy()
         sizes[:, :6] = ends.reshape(-1, 6)
         poses = np.stack([rows[:-1], rows[1:]], axis=2)
-        carried = Carried(sizes, poses, self._depths, skins, UNRESOLVED)
-        return cell_colliders(self._colliders, self._radius, cells, carried)
+        posed = PosedColliders(sizes, poses, self._depths, skins, UNRESOLVED)
+        return cell_colliders(self._colliders, self._radius, cells, posed)

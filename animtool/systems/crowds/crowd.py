@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from animtool import _kernels
-from animtool.core.array_types import BoolArray, FloatArray
+from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.errors import Fault, ToleranceError, refuse
 from animtool.core.record import dataclass
 from animtool.maths import so3
@@ -245,11 +245,7 @@ class Crowd:
             if self._falling is not None and falls is not None:
                 fell = np.flatnonzero((speeds > self._spec.impact.fall) & ~down)
                 if len(fell):
-                    first, last = (
-                        [self._world(body, going, i) for i in fell.tolist()]
-                        for body, going in ((state.bodies, before), (bodies, after))
-                    )
-                    falls = self._falling.begun(falls, fell, first, last, dt)
+                    falls = self._begun(state, falls, fell, dt)
                 falls = self._falling.step(falls, t, dt)
         if not (np.isfinite(points).all() and np.isfinite(headings).all()):
             message = f"agents blew up at {t + dt:g} s"
@@ -258,6 +254,26 @@ class Crowd:
         return CrowdState(
             points, velocities, headings, progress, overlap, bodies, falls
         )
+
+    def _begun(
+        self, state: CrowdState, falls: Falls, fell: IntArray, dt: float
+    ) -> Falls:
+        """Return falls with more agents ``(K,)``, from the beginning of a step on.
+
+        They were about to walk on: what hits them moves their bodies, not their legs.
+        """
+        assert self._casting is not None
+        assert self._falling is not None
+        assert state.bodies is not None
+        here, v = _going(state), state.velocities
+        ahead = Going(here.points + v * dt, v, here.headings)
+        unhit = np.zeros(len(v), np.bool_)
+        walked = self._casting.next(state.bodies, here, ahead, dt, unhit)
+        now, soon = (
+            [self._world(bodies, going, i) for i in fell.tolist()]
+            for bodies, going in ((state.bodies, here), (walked, ahead))
+        )
+        return self._falling.begun(falls, fell, now, soon, dt)
 
     def _shoulders(self, state: CrowdState, down: BoolArray) -> FloatArray:
         """Return how far shoulders of agents are turned ``(N,)`` [rad].

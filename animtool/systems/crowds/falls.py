@@ -17,6 +17,7 @@ from animtool.rig.skeleton import Rig
 from animtool.sim.colliders import Collider, Colliders, Mesh, Plane, Poses
 from animtool.sim.colliders.on_joints import Capsules
 from animtool.systems.crowds.ground import Frame, Ground
+from animtool.systems.crowds.limits import kept, open_to
 from animtool.systems.framework.simulation import growing
 from animtool.systems.rigid.ragdoll import (
     Ragdoll,
@@ -35,8 +36,8 @@ from animtool.systems.rigid.simulation import RigidSimulation
 SMALL_STEP = 0.0025
 # Who moves less than this for so long has come to rest [m/s], [s].
 REST_SPEED, REST_TIME = 0.15, 0.3
-# Nobody falls faster [m/s].
-FASTEST = 60.0
+# Nobody falls faster [m/s]; who would takes the step in so many parts.
+FASTEST, PARTS = 60.0, 8
 GRAVITY = 9.81  # [m/s²]
 
 
@@ -77,7 +78,7 @@ _Pose = tuple[FloatArray, FloatArray]
 class _Falling:
     """The bodies of one who falls."""
 
-    rig: Rig  # of that one's size
+    rig: Rig  # of that one's size, with limits that hold the pose he fell in
     ragdoll: Ragdoll
     simulation: RigidSimulation
 
@@ -139,25 +140,26 @@ class Falling:
         self,
         falls: Falls,
         agents: IntArray,
-        before: Sequence[WorldTransforms],
-        after: Sequence[WorldTransforms],
+        now: Sequence[WorldTransforms],
+        soon: Sequence[WorldTransforms],
         dt: float,
     ) -> Falls:
-        """Return falls with more agents, whose joints were there a step [s] ago."""
-        for agent, first, last in zip(agents.tolist(), before, after, strict=True):
+        """Return falls with more agents, who would be there `soon`, a step [s] on."""
+        for agent, first, last in zip(agents.tolist(), now, soon, strict=True):
             rig = self._rigs[agent]
             positions = np.zeros((1, *falls.positions.shape[1:]))
             turns = np.tile(so3.IDENTITY, (1, falls.turns.shape[1], 1))
-            positions[0, : len(rig.joints)] = last.positions[0]
-            turns[0, : len(rig.joints)] = last.rotations[0]
+            positions[0, : len(rig.joints)] = first.positions[0]
+            turns[0, : len(rig.joints)] = first.rotations[0]
             falling = self._falling(agent, positions[0], turns[0])
+            # The speeds of a pose are those of the later one of two.
             pair = WorldTransforms(
-                np.concatenate([first.positions, last.positions]),
-                np.concatenate([first.linear, last.linear]),
+                np.concatenate([last.positions, first.positions]),
+                np.concatenate([last.linear, first.linear]),
             )
             motion = falling.simulation.initial().motion.copy()
             motion[:, 7:13] = ragdoll_speeds(
-                falling.ragdoll, pair, np.array([0.0, dt]), 1
+                falling.ragdoll, pair, np.array([dt, 0.0]), 1
             )
             whole = np.zeros((1, *falls.motion.shape[1:]))
             whole[0, : len(motion)] = motion
@@ -177,16 +179,9 @@ class Falling:
             if slow[k] >= REST_TIME:
                 continue
             falling = self._falling(agent, falls.positions[k], falls.turns[k])
-            simulation = falling.simulation
-            begun = simulation.initial()
-            count = len(begun.motion)
-            state = replace(begun, motion=np.ascontiguousarray(motion[k, :count]))
-            made = simulation.step(state, t, dt).motion
+            count = len(falling.simulation.initial().motion)
+            made = _moved(falling.simulation, motion[k, :count], t, dt)
             speeds = np.linalg.norm(made[:, 7:10], axis=1)
-            if not speeds.max() < FASTEST:
-                # Squeezed between others that give no way: it goes on from a stop.
-                made = motion[k, :count].copy()
-                made[:, 7:13] = 0.0
             motion[k, :count] = made
             slow[k] = slow[k] + dt if speeds.max() < REST_SPEED else 0.0
         return replace(falls, motion=motion, slow=slow)
@@ -215,11 +210,8 @@ class Falling:
             0.0,
         )
         count = len(rig.joints)
-        turns = falls.turns[k, :count]
-        local = turns.copy()
+        local = _local(rig, falls.turns[k, :count])
         below = rig.parents >= 0
-        above = turns[rig.parents[below]]
-        local[below] = so3.multiply(so3.conjugate(above), turns[below])
         places = rig.rest_translations.copy()
         places[~below] = falls.positions[k, :count][~below]
         moved, turned = ragdoll_transforms(
@@ -229,7 +221,7 @@ class Falling:
             places[None],
             local[None],
         )
-        return moved[0], turned[0]
+        return moved[0], kept(rig, turned[0])
 
     def _falling(
         self, agent: int, positions: FloatArray, turns: FloatArray
@@ -240,6 +232,7 @@ class Falling:
             size = Placement(np.zeros((1, 3)), so3.IDENTITY[None], self._sizes[[agent]])
             rig = placed_rig(self._rigs[agent], size)
             count = len(rig.joints)
+            rig = open_to(rig, _local(rig, turns[:count]))
             pose = WorldTransforms(
                 positions[None, :count], so3.to_matrix(turns[None, :count])
             )
@@ -258,6 +251,35 @@ class Falling:
             )
             self._known[key] = _Falling(rig, ragdoll, simulation)
         return self._known[key]
+
+
+def _moved(
+    simulation: RigidSimulation, motion: FloatArray, t: float, dt: float
+) -> FloatArray:
+    """Return the motion of bodies ``(B, 14)`` a step [s] later, in parts if it must."""
+    begun = simulation.initial()
+    for parts in (1, PARTS):
+        made, each = motion, dt / parts
+        for part in range(parts):
+            state = replace(begun, motion=np.ascontiguousarray(made))
+            made = simulation.step(state, t + part * each, each).motion
+            if not np.linalg.norm(made[:, 7:10], axis=1).max() < FASTEST:
+                break
+        else:
+            return made
+    # Squeezed between others that give no way: it goes on from a stop.
+    made = motion.copy()
+    made[:, 7:13] = 0.0
+    return made
+
+
+def _local(rig: Rig, turns: FloatArray) -> FloatArray:
+    """Return local rotations ``(J, 4)`` of joints that are turned so in the world."""
+    local: FloatArray = turns.copy()
+    below = rig.parents >= 0
+    above = turns[rig.parents[below]]
+    local[below] = so3.multiply(so3.conjugate(above), turns[below])
+    return local
 
 
 def resting(falls: Falls) -> BoolArray:

@@ -190,7 +190,8 @@ class Footing:
             off = local[:, k] - local[:, 1 - k]
             share = np.maximum(state.swings[:, k], 0.0)
             near = np.clip(1 - np.abs(off[:, 1]) / long, 0.0, 1.0)
-            lack = np.maximum(wide - side * off[:, 0], 0.0) * near
+            # Crossed feet go around by no more: legs that did would jerk.
+            lack = np.clip(wide - side * off[:, 0], 0.0, wide) * near
             out = np.zeros_like(off)
             out[:, 0] = side * lack * 16 * (share * (1 - share)) ** 2
             places[:, k, :2] += turned(out, going.headings)

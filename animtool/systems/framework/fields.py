@@ -25,7 +25,6 @@ from animtool.documents.fields import (
     with_fields,
 )
 from animtool.documents.forms import Forms
-from animtool.sim.colliders import Collider
 from animtool.sim.contact import Contact, Material
 
 # One name of a table, and its options.
@@ -223,8 +222,8 @@ class _Entries:
         return handler.generate_schema(list[SystemColliderModel])
 
 
-# Colliders among the options of a pass.
-ColliderEntries = Annotated[Sequence[Collider], _Entries]
+# Colliders among the options of a pass: `Collider` once they are read.
+ColliderEntries = Annotated[Sequence[Any], _Entries]
 
 
 @with_fields(Contact, "margin", before="mesh")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import field
+from dataclasses import asdict, field
 
 import numpy as np
 
@@ -24,26 +24,23 @@ class Worst:
     """The worst of something over the frames, and where it was."""
 
     value: float = 0.0  # a length in [m], a share or a count
-    frame: float | None = None  # its time code; None where there was nothing
+    frame: float | None = None  # its time code; None of a system, or of nothing
     point: int | None = None  # the particle that has it, the first of two
     at: tuple[float, float, float] | None = None  # where that was [m]
+    time: float | None = None  # of a system, when [s]
 
-    def with_more(
-        self, value: float, frame: float, points: FloatArray, point: int
-    ) -> Worst:
-        """Return the worse of this and another."""
-        if not value > self.value:
-            return self
-        x, y, z = points[point].tolist()
-        return Worst(value, frame, point, (x, y, z))
+    @property
+    def when(self) -> str:
+        """When it was, in words."""
+        return f"{self.time:.3g} s" if self.frame is None else f"frame {self.frame:g}"
 
     @property
     def text(self) -> str:
-        """Where it was, in words."""
-        if self.frame is None or self.point is None or self.at is None:
+        """When and where it was, in words."""
+        if self.point is None or self.at is None:
             return "nowhere"
         place = ", ".join(f"{value:.3g}" for value in self.at)
-        return f"frame {self.frame:g}, point {self.point} at [{place}]"
+        return f"{self.when}, point {self.point} at [{place}]"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,6 +65,7 @@ class Sides:
 class ContactMeter:
     """The worst of depth, piercing and strain over the frames that were looked at."""
 
+    seconds: bool = False  # whether frames are times in [s], as those of systems
     depth: Worst = field(default_factory=Worst)  # in a skin or a collider [m]
     # Pairs of an edge and a triangle that it goes through, of surface and skins or of
     # the surface alone.
@@ -86,7 +84,7 @@ class ContactMeter:
         """Note a frame.
 
         Args:
-            frame: Its time code.
+            frame: Its time code, or its time [s].
             points: Of the particles ``(N, 3)`` [m].
             sides: What joins them.
             solids: What they should be outside of.
@@ -98,22 +96,38 @@ class ContactMeter:
             deep[free] = np.maximum(deep[free], depths_in(solid, points[free]))
         if len(free):
             worst = int(free[deep[free].argmax()])
-            self.depth = self.depth.with_more(float(deep[worst]), frame, points, worst)
+            depth = float(deep[worst])
+            self.depth = self._worse(self.depth, depth, frame, points, worst)
         if len(sides.triangles):
             pairs = pierced_pairs(points, sides.triangles, solids)
             first = int(sides.triangles[0, 0])
-            self.pierced = self.pierced.with_more(float(pairs), frame, points, first)
+            count = float(pairs)
+            self.pierced = self._worse(self.pierced, count, frame, points, first)
         if len(sides.rests):
             i, j = sides.ends.T
             lengths = np.linalg.norm(points[j] - points[i], axis=1)
             strains = np.abs(lengths / sides.rests - 1)
             most = int(strains.argmax())
             where = int(i[most])
-            self.strain = self.strain.with_more(
-                float(strains[most]), frame, points, where
-            )
-            share = float(np.quantile(strains, 0.99))
-            self.strain_99 = self.strain_99.with_more(share, frame, points, where)
+            value, share = float(strains[most]), float(np.quantile(strains, 0.99))
+            self.strain = self._worse(self.strain, value, frame, points, where)
+            self.strain_99 = self._worse(self.strain_99, share, frame, points, where)
+
+    def _worse(
+        self, known: Worst, value: float, frame: float, points: FloatArray, point: int
+    ) -> Worst:
+        """Return the worse of what is known and of a frame."""
+        if not value > known.value:
+            return known
+        x, y, z = points[point].tolist()
+        code, t = (None, frame) if self.seconds else (frame, None)
+        return Worst(value, code, point, (x, y, z), t)
+
+    @property
+    def values(self) -> dict[str, dict[str, object]]:
+        """What was measured, for a report."""
+        names = ("depth", "pierced", "strain", "strain_99")
+        return {name: asdict(getattr(self, name)) for name in names}
 
     @property
     def text(self) -> str:
@@ -130,25 +144,42 @@ class ContactMeter:
 
     def notices(self, what: str) -> list[Fault]:
         """Return warnings of what is seen (SIM180, SIM181, SIM182)."""
-        found = []
+        found, finer = [], "a shorter step" if self.seconds else "a higher rate"
         if self.depth.value > DEEP:
             message = f"{what} is {1000 * self.depth.value:.2g} mm inside what it "
             message += f"touches ({self.depth.text})"
-            hint = "take a greater radius or a higher rate, or a slower motion"
+            hint = f"take a greater radius or {finer}, or a slower motion"
             found.append(warning("SIM180", message, hint))
         if self.pierced.value:
             pairs = counted(int(self.pierced.value), "pair")
             message = f"{pairs} of edges and triangles of {what} and what it touches "
-            message += f"go through each other (frame {self.pierced.frame:g})"
+            message += f"go through each other ({self.pierced.when})"
             hint = "take a greater radius or thickness, or a finer mesh"
             found.append(warning("SIM181", message, hint))
         if self.strain_99.value > STRAINED_99 or self.strain.value > STRAINED:
             message = f"{what} is strained by {percent(self.strain.value)} "
             message += f"({self.strain.text}), one side in a hundred by "
             message += f"{percent(self.strain_99.value)} or more"
-            hint = "what is pinned or touched pulls it apart; take a higher rate"
+            hint = f"what is pinned or touched pulls it apart; take {finer}"
+            hint += " or a greater stiffness" if self.seconds else ""
             found.append(warning("SIM182", message, hint))
         return found
+
+
+def closed_surfaces(colliders: Colliders, t: float) -> list[Solid]:
+    """Return the closed surfaces in motion of colliders at a time [s]."""
+    return [
+        Solid(one.motion.points(t), one.motion.triangles(t))
+        for one in colliders.sheets
+        if one.closed
+    ]
+
+
+def depths_of(colliders: Colliders, points: FloatArray, t: float) -> FloatArray:
+    """Return how deep points are in rigid colliders ``(N,)`` [m], below 0 outside."""
+    if not colliders.rigid:
+        return np.full(len(points), -np.inf)
+    return np.asarray(-colliders.sample(points, t).distances.min(axis=0))
 
 
 def depths_in(solid: Solid, points: FloatArray) -> FloatArray:

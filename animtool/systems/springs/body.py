@@ -96,7 +96,7 @@ def springs_between(
     gaps = np.linalg.norm(positions[pairs[:, 1]] - positions[pairs[:, 0]], axis=1)
     lengths = gaps * family.rest if rest is None else np.asarray(rest, np.float64)
     lengths = np.broadcast_to(lengths, len(pairs)).astype(np.float64)
-    stiffness = np.full(len(pairs), float(family.stiffness))
+    stiffness = np.full(len(pairs), float(family.stiffness or 0.0))
     if family.axial_stiffness is not None:
         np.divide(family.axial_stiffness, lengths, out=stiffness, where=lengths > 0)
     means = masses[pairs].mean(axis=1)

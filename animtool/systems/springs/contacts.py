@@ -31,7 +31,7 @@ class Cells:
     count: int
 
 
-class Carried(NamedTuple):
+class PosedColliders(NamedTuple):
     """The last C colliders, where joints carry them, and skins, over cells of time."""
 
     sizes: FloatArray  # ``(C, 13)`` [m], as kernels have them
@@ -44,16 +44,19 @@ class Carried(NamedTuple):
 
 
 def cell_colliders(
-    colliders: Colliders, radius: float, cells: Cells, carried: Carried | None = None
+    colliders: Colliders,
+    radius: float,
+    cells: Cells,
+    posed: PosedColliders | None = None,
 ) -> CellColliders:
     """Return what kernels take of colliders for some cells; None without any."""
-    if not colliders.active and (carried is None or not carried.skins):
+    if not colliders.active and (posed is None or not posed.skins):
         return None
     origin, index, count = cells.origin, cells.index, cells.count
     steps = index + np.arange(count + 1)
     edges = np.asarray(origin + steps * cells.length, np.float64)
     poses = np.zeros((count, colliders.rigid, 2, 7))
-    placed = len(colliders) - (0 if carried is None else len(carried.sizes))
+    placed = len(colliders) - (0 if posed is None else len(posed.sizes))
     for i in range(placed):
         poses[:, i] = _ends(colliders[i], edges)
     for k, (begin, end) in enumerate(pairwise(edges.tolist())):
@@ -61,16 +64,16 @@ def cell_colliders(
     at = float(edges[0])
     arrays = colliders.arrays(at, at)
     surfaces = colliders.surfaces.over(origin, cells.length, index, count)
-    if carried is None:
+    if posed is None:
         return arrays, poses, radius, None, INSIDE, surfaces
     kinds, sizes, *others = arrays
     sizes = sizes.copy()
-    sizes[placed : len(colliders)] = carried.sizes
-    poses[:, placed : len(colliders)] = carried.poses
-    arrays, surfaces = (kinds, sizes, *others), [*carried.skins, *surfaces]
-    rows = colliders.rigid + len(surfaces) - len(carried.depths)
-    depths = np.pad(carried.depths, ((0, rows), (0, 0)))
-    return arrays, poses, radius, depths, carried.inside, surfaces
+    sizes[placed : len(colliders)] = posed.sizes
+    poses[:, placed : len(colliders)] = posed.poses
+    arrays, surfaces = (kinds, sizes, *others), [*posed.skins, *surfaces]
+    rows = colliders.rigid + len(surfaces) - len(posed.depths)
+    depths = np.pad(posed.depths, ((0, rows), (0, 0)))
+    return arrays, poses, radius, depths, posed.inside, surfaces
 
 
 def _ends(collider: Collider, edges: FloatArray) -> FloatArray:

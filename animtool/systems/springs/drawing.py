@@ -101,6 +101,11 @@ class Faces:
         return self.counts[kept], self.indices[np.repeat(kept, self.counts)]
 
     @cached_property
+    def side_springs(self) -> IntArray:
+        """The springs along sides, each once, ascending ``(E,)``."""
+        return np.unique(self._sides[self._sides >= 0])
+
+    @cached_property
     def _sides(self) -> IntArray:
         """The spring along each side, face by face; -1 for none."""
         return _between(self.springs, sides(self.counts, self.indices))

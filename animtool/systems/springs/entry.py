@@ -192,19 +192,22 @@ def _families(entry: BodyEntry) -> dict[str, Family | None]:
 
 def _family(entry: BodyEntry, name: str, model: Any) -> Family:
     """Return a family; one without force stands in for one of impossible numbers."""
-    stiffness, axial = model.stiffness, getattr(model, "axial_stiffness", None)
-    family = record_of(Family, model, stiffness=stiffness or 0.0)
-    hint = "stiffness [N/m] of each spring, or axial_stiffness [N], force over strain"
+    keys = ("stiffness", "frequency", "axial_stiffness")
+    given = [key for key in keys if getattr(model, key, None) is not None]
+    family = record_of(Family, model)
+    hint = "stiffness [N/m] of each spring, frequency [Hz], how fast it swings back"
+    if "axial_stiffness" in type(model).model_fields:
+        hint += ", or axial_stiffness [N], force over strain"
     message = ""
-    if stiffness is None and axial is None:
+    if not given:
         message = "it has no stiffness"
-    elif None not in {stiffness, axial}:
-        message = "it has both stiffness and axial_stiffness"
-    elif axial is not None and family.rest == 0:
+    elif len(given) > 1:
+        message = f"it has {' and '.join(given)}, of which one is enough"
+    elif given == ["axial_stiffness"] and family.rest == 0:
         message = "springs without a length at rest have no axial_stiffness"
         hint = "stiffness, or a rest above 0"
     if message:
-        where = None if axial is None else "axial_stiffness"
+        where = given[-1] if given else None
         faults = [Fault("SIM190", message, hint=f"give {hint}", where=where)]
     else:
         faults = range_faults(family, OF_ENTRY)
@@ -213,7 +216,7 @@ def _family(entry: BodyEntry, name: str, model: Any) -> Family:
             faults.append(Fault("SIM042", message, hint=hint, where="tear"))
     for fault in faults:
         entry.add(fault, "springs", name, doubt=True)
-    return Family(0.0) if faults else family
+    return Family() if faults else family
 
 
 def _faults_of(check: Callable[[], object]) -> Sequence[Fault]:

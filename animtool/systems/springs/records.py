@@ -20,13 +20,21 @@ class Family:
     """What springs of a kind have in common.
 
     Attributes:
+        stiffness: None is no force, unless another says it [N/m].
         damping: [N s/m].
         ratio: Of c = 2 ratio √(k m), on the mean mass m of both ends [1].
         axial_stiffness: Where it is given, `stiffness` is not used.
         frequency: Likewise: stiffness over the mean mass of both ends is (2 π f)².
     """
 
-    stiffness: Annotated[_OfSpring, Key("Force over lengthening [N/m].", 1e4)]
+    stiffness: Annotated[
+        float | None,
+        or_more(0, "SIM042"),
+        Key(
+            "Force over lengthening of each spring [N/m]. Not given: another key is.",
+            1e4,
+        ),
+    ] = None
     damping: Annotated[
         _OfSpring, Key("Along the spring: force over speed [N s/m].", 0.5)
     ] = 0.0

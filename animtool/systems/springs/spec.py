@@ -59,7 +59,7 @@ SelfContactField = Annotated[
 ]
 
 
-@with_fields(Family, "stiffness", "damping", "ratio", "rest", "tear")
+@with_fields(Family, "stiffness", "damping", "ratio", "rest", "tear", "frequency")
 class FamilyModel(FileModel):
     """What springs of a family have in common."""
 
@@ -67,12 +67,6 @@ class FamilyModel(FileModel):
 @with_fields(Family, "axial_stiffness")
 class LineFamilyModel(FamilyModel):
     """Springs along ropes and strands."""
-
-    stiffness: Real | None = key(
-        "Force over lengthening of each spring [N/m]. Not given: `axial_stiffness` is.",
-        1e4,
-        default=None,
-    )
 
 
 class DiagonalsModel(FamilyModel):

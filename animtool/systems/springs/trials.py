@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
+from animtool.core.errors import OptionError
 from animtool.sim.trials.trial import FINER, Setting, stepwise
 from animtool.systems.framework.simulation import TrialSettings
 from animtool.systems.springs.records import Solver, SpringOptions
@@ -31,18 +32,26 @@ def trial_settings(
 
     chosen = usual(Solver(own.solver), own)
 
+    def able(solver: Solver) -> list[Setting]:
+        """Return the setting of a solver; none where it is not for the springs."""
+        try:
+            return [usual(solver)]
+        except OptionError:
+            return []
+
     def settings() -> list[Setting]:
-        each = [usual(solver) for solver in Solver if solver is not Solver.AUTO]
+        each = [one for s in Solver if s is not Solver.AUTO for one in able(s)]
         each = [chosen if one.method == chosen.method else one for one in each]
         return [way for one in each for way in stepwise(one.method, one["step"])]
 
     def references() -> list[list[Setting]]:
-        """Return ever shorter steps of bdf2; of the explicit where that fails."""
-        step = min(chosen["step"], usual(EXACT)["step"])
-        return [
-            stepwise(EXACT, step, FINER),
-            stepwise(EXPLICIT, usual(EXPLICIT)["step"], FINER),
-        ]
+        """Return ever shorter steps of bdf2; of the explicit, of its own else."""
+        exact = [min(chosen["step"], one["step"]) for one in able(EXACT)]
+        ways = [stepwise(EXACT, step, FINER) for step in exact]
+        ways += [stepwise(EXPLICIT, one["step"], FINER) for one in able(EXPLICIT)]
+        if chosen.method not in {EXACT, EXPLICIT}:
+            ways.append(stepwise(chosen.method, chosen["step"], FINER))
+        return ways
 
     def changes(setting: Setting) -> Mapping[str, Any]:
         if setting == chosen:

@@ -4,15 +4,25 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import field
 from typing import Any, cast
+
+import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.errors import Fault, Severity, counted, percent, warning
 from animtool.core.quantities import length_text, plain
 from animtool.core.record import dataclass
 from animtool.motion.frames import Frame, MeshFrame
+from animtool.systems.framework.meter import (
+    ContactMeter,
+    Sides,
+    closed_surfaces,
+    depths_of,
+)
 from animtool.systems.framework.simulation import Diagnostics
 from animtool.systems.framework.spec import Member
+from animtool.systems.springs.body import Body
 from animtool.systems.springs.crossings import SelfCrossings, thin_notices, widest_gap
 from animtool.systems.springs.drawing import Faces, Tearing
 from animtool.systems.springs.motion import SpringState
@@ -33,6 +43,9 @@ class SpringView:
     # How many springs are torn, and the faces that are whole then.
     _whole: tuple[int, IntArray, IntArray] | None = None
     _crossings: SelfCrossings | None = None
+    # What of a surface is measured where it touches anything, and the worst of it.
+    _sides: Sides | None = None
+    _meter: ContactMeter = field(default_factory=lambda: ContactMeter(seconds=True))
 
     @property
     def body(self) -> Any:
@@ -58,6 +71,7 @@ class SpringView:
         self.simulation.measure(state, t)
         points, velocities = state.motion[:, self.rows]
         self._look(points, t)
+        self._measure(points, t, state)
         shape = self._torn_mesh or self.body.shape
         frame: Frame = shape.row(points, velocities, self.torn(state))
         return frame
@@ -71,6 +85,20 @@ class SpringView:
             corners = self.body.body.triangles
             self._crossings = SelfCrossings(corners, made.begin, made.last)
         self._crossings.look(t, points)
+
+    def _measure(self, points: FloatArray, t: float, state: SpringState) -> None:
+        """Note how deep a surface is in what it touches, through it, and strained."""
+        system, body, shape = self.simulation.system, self.body.body, self.body.shape
+        colliders, touches = system.colliders, system.self_contact is not None
+        if not isinstance(shape, Faces) or not (colliders.active or touches):
+            return
+        if self._sides is None:
+            self._sides = _sides_of(shape, system.fixed[self.rows], body, touches)
+        solids, depths = closed_surfaces(colliders, t), depths_of(colliders, points, t)
+        sides, torn = self._sides, self.torn(state)
+        if torn.any():
+            sides = _sides_of(shape, system.fixed[self.rows], body, touches, torn)
+        self._meter.look(t, points, sides, solids, depths)
 
     def _crossing_notices(self) -> list[Fault]:
         """Return warnings of what went through it, or may have (SIM194, SIM195)."""
@@ -124,7 +152,9 @@ class SpringView:
         }
         if made.error is not None:
             values["error"] = made.error if math.isfinite(made.error) else None
-        notices = [*self.own, *self._crossing_notices()]
+        if self._sides is not None:
+            values |= self._meter.values
+        notices = [*self.own, *self._crossing_notices(), *self._meter.notices(name)]
         if self.first:
             notices += made.notices
             if made.long:
@@ -146,5 +176,26 @@ class SpringView:
             parts.append(f"error {length_text(made.error)}")
         if torn:
             parts.append(f"{counted(torn, 'spring')} torn")
+        if self._meter.text:
+            parts.append(self._meter.text)
         message = f"{self.member.name}: {', '.join(parts)}"
         return Fault("SIM130", message, severity=Severity.NOTE)
+
+
+def _sides_of(
+    shape: Faces,
+    fixed: BoolArray,
+    body: Body,
+    touches: bool,
+    torn: BoolArray | None = None,
+) -> Sides:
+    """Return what of a surface is measured, without springs that are torn ``(S,)``.
+
+    Its triangles where they keep apart from each other.
+    """
+    own = shape.side_springs
+    kept = (body.springs.rest[own] > 0) & ~fixed[body.springs.ends[own]].all(axis=1)
+    kept &= True if torn is None else ~torn[own]
+    triangles = body.triangles if touches else body.triangles[:0]
+    springs = body.springs.select(own[kept])
+    return Sides(np.flatnonzero(~fixed), triangles, springs.ends, springs.rest)

@@ -41,8 +41,7 @@ from animtool.usd.layers.sdf import (
     save_layer,
 )
 from animtool.usd.layers.stderr import without_usd_warnings, without_version_warnings
-from animtool.usd.rigs.recorded_place import KEY, place_record
-from animtool.usd.rigs.skeleton import author_binding, author_rig
+from animtool.usd.rigs.skeleton import KEY, author_binding, author_rig, place_record
 from animtool.usd.takes.extents import author_extents
 from animtool.usd.takes.joint_writer import AnimationWriter, round_blocks
 

@@ -63,7 +63,7 @@ from animtool.usd.rigs.prims import (
     stored_data,
     up_axis,
 )
-from animtool.usd.rigs.recorded_place import with_recorded_place
+from animtool.usd.rigs.skeleton import with_recorded_place
 from animtool.usd.rigs.skinned import (
     BINDING_HINT,
     MAX_NAMED,

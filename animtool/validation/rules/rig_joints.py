@@ -148,7 +148,8 @@ def nearly_rest(rig: RigSubject) -> Iterator[Fault]:
         away = math.dist(pose.translation, joint.translation)
         rotations = np.array([pose.rotation]), np.array([joint.rotation])
         turn = float(so3.angle_between(*rotations)[0])
-        if away <= SLIP * rig.size and turn <= SLIP_ANGLE:
+        plain = pose.stretch is None
+        if plain and away <= SLIP * rig.size and turn <= SLIP_ANGLE:
             message = (
                 f"the bind pose of {name!r} is its rest pose but for "
                 f"{length_text(away)} and {math.degrees(turn):.3g}\N{DEGREE SIGN}"

@@ -18,6 +18,9 @@ from animtool.capture.cameras import (
     triangulate,
 )
 from animtool.capture.cameras.camera import Cameras, camera_numbers, rays
+from animtool.capture.cameras.observations import Observations
+from animtool.capture.cameras.stale import Moved
+from animtool.capture.cameras.triangulate import _Run
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import AnimtoolError
 from animtool.maths.so3 import exp, to_matrix
@@ -372,3 +375,27 @@ def test_the_least_angle_is_that_of_two_rays(
     found = triangulate(seen, pair, options).markers.positions
     assert np.isfinite(found[:, 0]).all() == known
     assert np.isfinite(found[:, 1]).all()
+
+
+def test_a_long_range_is_judged_by_fifty_of_its_frames_and_their_confidences() -> None:
+    """Of 20 to 220 each fourth; two of six cameras are wrong in these, and unsure."""
+    cameras, points = ring(6), walkers(240, 12)
+    seen = observed(cameras, points)
+    pixels, sure = seen.stored.copy(), np.ones(seen.stored.shape[:3])
+    judged = np.arange(20, 220, 4)
+    assert len(judged) == 50
+    pixels[20:220, 1] += [14.0, -9.0]
+    pixels[judged, 4] += [-16.0, 12.0]
+    sure[judged, 4] = 0.0
+    asked: list[tuple[int, ...]] = []
+
+    class Asked(Observations):
+        def trust(self, *frames: int) -> FloatArray | None:
+            asked.append(frames)
+            return super().trust(*frames)
+
+    given = Asked(seen.names, seen.clock, pixels, seen.cameras, confidences=sure)
+    run = _Run(given, cameras, TriangulateOptions(), None)
+    run.noise[:] = 0.4
+    assert run._better_without(1, Moved(20, 220, 1.0))
+    assert asked == [(20, 220, 4)]

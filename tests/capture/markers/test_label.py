@@ -191,6 +191,10 @@ def test_the_ten_seconds_with_most_of_longer_runs_are_named_first() -> None:
     first, last = np.array([0, 20, 20, 0]), np.array([30, 49, 49, 29])
     window, runs = _base(Tracklets(np.zeros((60, 1), int), first, last), 60, 4.0)
     assert (window, runs.tolist()) == (slice(0, 40), [0, 3])
+    # The last frame of a window counts: 31 to the end of the first, before 31 later.
+    first, last = np.array([9, 21]), np.array([39, 51])
+    window, runs = _base(Tracklets(np.zeros((60, 1), int), first, last), 60, 4.0)
+    assert (window, runs.tolist()) == (slice(0, 40), [0])
 
 
 def test_a_window_holds_the_runs_that_are_asked_for() -> None:

@@ -165,7 +165,7 @@ def test_no_file_outside_of_the_folder_is_opened(
     assert caught.value.faults[0].where == "/buffers/0/uri"
 
 
-def test_a_file_beside_it_is(tmp_path: Path) -> None:
+def test_a_file_in_the_same_folder_is_opened(tmp_path: Path) -> None:
     document, binary = small_gltf()
     document["buffers"][0]["uri"] = "my%20numbers.bin"
     (tmp_path / "my numbers.bin").write_bytes(binary)

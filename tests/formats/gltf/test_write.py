@@ -18,6 +18,8 @@ from animtool.formats.gltf.read import read_gltf
 from animtool.motion.reorient import reorient
 from animtool.report.compare import compare
 from animtool.rig.skeleton import Rig
+from animtool.scene.bake.bake import bake
+from animtool.scene.bake.options import BakeOptions
 from animtool.scene.convert.takes import convert
 from animtool.scene.sources.open import SourceOptions, open_source
 
@@ -117,6 +119,18 @@ def test_several_takes_become_one_file_and_a_library(tmp_path: Path) -> None:
     assert not issues(both)
 
 
+def test_a_folder_gets_a_file_of_each_clip(tmp_path: Path) -> None:
+    source = write_small(tmp_path / "hero.glb")
+    done = animtool("convert", source, tmp_path / "out")
+    assert done.code == 0, done.stderr
+    files = sorted(path.name for path in (tmp_path / "out").iterdir())
+    assert files == ["nod.usdc", "wave.usdc"]
+    options = SourceOptions(take="nod")
+    other = SourceOptions()
+    apart = compare(source, tmp_path / "out/nod.usdc", options, other)
+    assert apart.world.value <= 1e-6
+
+
 def test_a_bvh_and_a_rig_with_z_up(tmp_path: Path, walk: Path) -> None:
     output = tmp_path / "walk.glb"
     done = animtool("bake", walk, "-o", output)
@@ -170,3 +184,20 @@ def test_names_that_were_changed_are_written_back(tmp_path: Path) -> None:
     renamed = [node for node in nodes if "extras" in node]
     assert [node["name"] for node in renamed] == ["hips"]
     assert renamed[0]["extras"]["animtool"]["name"] == "hips_2"
+
+
+def test_a_character_in_usd_brings_its_meshes(tmp_path: Path) -> None:
+    source = write_small(tmp_path / "hero.glb", "plain")
+    stage, output = tmp_path / "hero.usdc", tmp_path / "again.glb"
+    bake(source, stage, BakeOptions(source=SourceOptions(prim_path="/")))
+    convert(stage, output)
+    whole = read_gltf(source, prim_path="/").rig.meshes
+    again = read_gltf(output, prim_path="/").rig.meshes
+    assert len(whole) == len(again) > 0
+    for one, other in zip(whole, again, strict=True):
+        # USD has points in float32, as glTF does.
+        assert np.array_equal(one.points.load(), other.points.load())
+        assert one.skin is not None
+        assert other.skin is not None
+        weights = one.skin.weights.load(), other.skin.weights.load()
+        assert np.abs(weights[0] - weights[1]).max() <= 1e-6

@@ -10,7 +10,7 @@ import pytest
 from support.faults import raises
 
 from animtool.cli.bake import bake
-from animtool.cli.calling import calling_of
+from animtool.cli.console import calling_of
 from animtool.core.errors import OptionError
 from animtool.core.rates import FractionLike
 from animtool.core.shot import FrameRange, Shot

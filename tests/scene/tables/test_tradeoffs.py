@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from fractions import Fraction
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -37,8 +39,9 @@ def _once(monkeypatch: pytest.MonkeyPatch) -> None:
 def budget_is_kept(table: TrialTable, budget: float) -> None:
     row = table.recommended
     assert row is not None
-    assert row.error is not None
-    assert row.error.error(table.error, 0.0) <= budget
+    error = table.error_of(row)
+    assert error is not None
+    assert error <= budget
 
 
 def test_a_clip_is_traded_by_bytes_and_by_keys() -> None:
@@ -123,3 +126,13 @@ def test_the_suite_has_all_that_can_be_traded() -> None:
         budget_is_kept(table, 1e-3)
         assert table.reference is not None
         assert not table.reference.sensitive
+
+
+def test_samples_of_a_high_rate_are_compared_between_them() -> None:
+    clip = SUITE_FOLDER / "arm.clip.yaml"
+    (samples, _) = measure_tradeoffs(clip, BakeOptions(fps=Fraction(96))).tables
+    rates = [row for row in samples.rows if row.setting.method == RATE]
+    assert [row.setting["fps"] for row in rates] == [24, 48, 96, 192, 384]
+    errors = [row.error.largest for row in rates if row.error]
+    for coarse, fine in pairwise(errors):
+        assert coarse / fine == pytest.approx(4, rel=0.1)

@@ -441,3 +441,20 @@ def test_who_leaves_a_sheet_of_two_sides_does_not_touch_it(
     if not met:
         assert_allclose(found.points, after, atol=1e-12)
         assert_allclose(found.velocities, v, atol=1e-12)
+
+
+@pytest.mark.parametrize("wall", [1.0, 0.5, -0.5])
+@pytest.mark.parametrize("across", [0.0, 2.0])
+def test_who_meets_a_wall_on_its_way_bounces_as_it_comes(
+    wall: float, across: float
+) -> None:
+    """By 1 m/s against a wall a metre off that goes by as much, or goes away."""
+    ends = [[0.0, 0, 0], [wall * 4, across * 4, 0]]
+    poses = Poses([0.0, 4.0], ends, [[0, 0, 0, 1]] * 2)
+    own = Collider(Plane((1.0, 0, 0), 0.0), poses, restitution=1.0)
+    x, v = np.array([[1.0, 0.0, 0.0]]), np.array([[-1.0, across / 2, 0]])
+    found = collide(x + 4 * v, v, np.stack([x, v]), [own], 0.0, 4.0)
+    t = 1 / (1 + wall)
+    away = 2 * wall + 1
+    assert_allclose(found.velocities, [[away, across / 2, 0]], atol=1e-6)
+    assert_allclose(found.points, [[1 - t + away * (4 - t), 2 * across, 0]], atol=1e-6)

@@ -265,3 +265,22 @@ def test_sensitive_motions_are_marked_by_their_figures() -> None:
 def hash_of(step: float) -> int:
     """Return a number that is odd for every second halving."""
     return round(-math.log2(step / 0.4))
+
+
+def test_turns_count_as_far_as_what_is_placed_reaches() -> None:
+    half = math.sqrt(0.5)
+    still, turned = np.array([[0.0, 0, 0, 1]]), np.array([[0.0, 0, half, half]])
+    here = np.zeros((1, 3))
+
+    def run(given: Setting) -> Outcome:
+        off = given.method == "first"
+        shot = Shot(here, orientations=turned if off else still, reach=0.5)
+        return Outcome(1e-3, 1, [shot])
+
+    trial = replace(Known(converging).trial(), run=run)
+    table = measure(replace(trial, references=lambda: [[trial.chosen]]), budget=0.7)
+    assert table.recommended is not None
+    # A quarter of a turn half a metre out is .785 m.
+    first = next(row for row in table.rows if row.setting.method == "first")
+    assert table.error_of(first) == pytest.approx(0.25 * math.pi)
+    assert table.recommended.setting.method == "second"

@@ -87,7 +87,7 @@ def test_cloth_is_no_skin() -> None:
 
 
 def test_coarse_cloth_keeps_more() -> None:
-    assert margin_for(0.06, 0.005) == pytest.approx(0.015)
+    assert margin_for(0.06, 0.005) == pytest.approx(0.01)
     assert margin_for(0.006, 0.005) == 0
 
 

@@ -52,7 +52,7 @@ def test_cloth_in_folds_keeps_its_thickness() -> None:
     # Without a thickness it has one by its edges; without contact it is in a tangle.
     assert crossings(found) == 0
     assert crossings(simulated(whirled(), **OPTIONS)[0]) == 0
-    assert crossings(simulated(whirled(), self_contact=False, **OPTIONS)[0]) > 40
+    assert crossings(simulated(whirled(), self_contact=False, **OPTIONS)[0]) > 30
 
 
 def test_in_blocks_or_from_a_saved_frame_it_moves_the_same(tmp_path: Path) -> None:

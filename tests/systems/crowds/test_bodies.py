@@ -138,17 +138,16 @@ def test_who_spins_takes_steps_that_turn_by_eight_tenths_at_most() -> None:
     """Nor go to a side by more than a quarter of a leg, nor back by 0.3 of one."""
     bodies = Bodies(library("walk", "stand"), np.array([1.0, 1.0, 1.25, 1.25]), level)
     leg = bodies.gaits.walker.leg
-    paces = np.array([[0, 0.3, 0], [0, 2.0, 0], [0, 0, 0.6], [-0.6, 0, 0]])
+    paces = np.array([[0, 0.3, 0], [0, 2.0, 0], [0, 0, 1.0], [-1.0, 0, 0]])
     blend = bodies.blend(paces)
     stands = blend.stands.mean(axis=1)
     for k, (pace, most) in enumerate(
-        [(0.3, 0.8), (2.0, 0.8), (0.48 / 2, 0.25 * leg), (0.48 / 2, 0.3 * leg)]
+        [(0.3, 0.8), (2.0, 0.8), (0.8 / 2, 0.25 * leg), (0.8 / 2, 0.3 * leg)]
     ):
         step = pace * stands[k] / blend.free[k]
         over = max(step / most, 1.0)
         assert blend.rate[k] == pytest.approx(blend.free[k] * over)
-    assert blend.rate[0] == blend.free[0]
-    assert blend.rate[1] > blend.free[1]
+    assert (blend.rate > blend.free).tolist() == [False, True, True, True]
 
 
 def toe_height(bodies: Bodies, k: int) -> float:
@@ -389,3 +388,37 @@ def test_where_a_foot_lands_is_settled_in_its_swing() -> None:
                 count += 1
                 assert after.places[0, k] == pytest.approx(before.aims[0, k], abs=1e-9)
     assert count > 6
+
+
+@pytest.mark.parametrize(
+    ("across", "ahead", "around"),
+    [
+        (0.2, 0.0, 0.0),  # far enough to its side
+        (0.05, 0.0, 0.04),
+        (0.0, 0.0, 0.09),
+        (-0.3, 0.0, 0.09),  # crossed: by no more
+        (-0.3, 0.175, 0.045),  # half as near along
+        (-0.3, 0.4, 0.0),
+    ],
+)
+@pytest.mark.parametrize("k", [0, 1])
+def test_feet_that_swing_go_around_those_that_stand(
+    k: int, across: float, ahead: float, around: float
+) -> None:
+    """Of legs of 1 m, halfway of a swing; turned by 1 rad."""
+    side = 1 - 2 * k
+    gaits: Any = SimpleNamespace(walker=SimpleNamespace(leg=1.0))
+    going = Going(np.zeros((1, 2)), np.zeros((1, 2)), np.array([1.0]))
+    x, z = np.array([np.cos(1.0), -np.sin(1.0)]), np.array([np.sin(1.0), np.cos(1.0)])
+    places = np.zeros((1, 2, 3))
+    places[0, k, :2] = side * across * x + ahead * z
+    swings = np.full((1, 2), -1.0)
+    swings[0, k] = 0.5
+    before = places.copy()
+    bodies = Bodies(gaits, np.ones(1), level)
+    state: Any = SimpleNamespace(swings=swings)
+    found = bodies._pass(state, going, places)
+    np.testing.assert_allclose(found[0, [k, 1 - k]], [around, 0.0], atol=1e-12)
+    moved = before.copy()
+    moved[0, k, :2] += side * around * x
+    np.testing.assert_allclose(places, moved, atol=1e-12)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -14,6 +16,7 @@ from support.simulated import Simulator
 from animtool.core.errors import AnimtoolError
 from animtool.scene.systems.run import SystemRun
 from animtool.scene.systems.simulation import open_systems
+from animtool.systems.crowds import crowd as crowds
 from animtool.systems.framework.run import SimulationRun
 
 FPS = 20
@@ -461,3 +464,59 @@ def test_crowds_and_rocks_go_on_from_their_states(simulator: Simulator) -> None:
     rest = points({"resume": "a.npz"}, [1.0, 1.5, 2.0])
     for one, other in zip(whole[1:], rest, strict=True):
         np.testing.assert_array_equal(one, other)
+
+
+def test_who_is_squeezed_is_moved_apart_in_a_hundred_rounds(
+    simulator: Simulator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A row, each deep in the next: a round less leaves more, one more less."""
+    points = np.zeros((120, 3))
+    points[:, 0] = np.arange(120)
+    row = crowd([{"radius": RADIUS, "points": placed(simulator.folder, points)}])
+    (made,) = open_systems(simulator.scene(row).systems, 0.05)
+    assert isinstance(made, SimulationRun)
+    begun = made.simulation.initial()
+    squeezed = replace(begun, points=0.001 * begun.points)
+    seen: list[dict[str, Any]] = []
+    step = crowds._kernels.crowd_step
+
+    def spy(**given: Any) -> Any:
+        seen.append(given)
+        return step(**given)
+
+    monkeypatch.setattr(crowds._kernels, "crowd_step", spy)
+    left = made.simulation.step(squeezed, 0.0, 0.05).overlap
+    (given,) = seen
+    fewer, same, more = (
+        step(**{**given, "rounds": rounds})[2] for rounds in (99, 100, 101)
+    )
+    assert left == same
+    assert fewer > left > more > 0
+
+
+def test_who_is_knocked_down_falls_as_he_stood_and_was_about_to_walk() -> None:
+    """Two of three, by 1.5 and -2 m/s for half a second; the hit moves nobody."""
+    x = np.array([[1.0, 2.0], [3.0, 4.0], [5.0, 6.0]])
+    v = np.array([[1.5, 0.0], [9.0, 9.0], [0.0, -2.0]])
+    state: Any = SimpleNamespace(
+        points=x, velocities=v, headings=np.array([0.1, 0.2, 0.3]), bodies="stood"
+    )
+    hits = []
+
+    def next_(bodies: str, here: Any, ahead: Any, dt: float, hit: np.ndarray) -> str:
+        hits.append((bodies, dt, hit.tolist()))
+        np.testing.assert_array_equal(here.points, x)
+        np.testing.assert_array_equal(ahead.headings, here.headings)
+        return "walked"
+
+    own: Any = SimpleNamespace(
+        _casting=SimpleNamespace(next=next_),
+        _falling=SimpleNamespace(begun=lambda *given: given),
+        _world=lambda bodies, going, i: (bodies, going.points[i].tolist()),
+    )
+    made: Any = crowds.Crowd._begun(own, state, "falls", np.array([0, 2]), 0.5)  # type: ignore[arg-type]
+    assert hits == [("stood", 0.5, [False] * 3)]
+    falls, fell, now, soon, dt = made
+    assert (falls, fell.tolist(), dt) == ("falls", [0, 2], 0.5)
+    assert now == [("stood", [1.0, 2.0]), ("stood", [5.0, 6.0])]
+    assert soon == [("walked", [1.75, 2.0]), ("walked", [5.0, 5.0])]

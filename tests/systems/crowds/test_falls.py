@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +17,15 @@ from animtool.rig.placed import placed_rig
 from animtool.rig.placement import Placement
 from animtool.rig.skeleton import Rig
 from animtool.sim.colliders import Colliders
-from animtool.systems.crowds.falls import GRAVITY, REST_TIME, Falling, Falls, resting
+from animtool.systems.crowds.falls import (
+    FASTEST,
+    GRAVITY,
+    REST_TIME,
+    Falling,
+    Falls,
+    _moved,
+    resting,
+)
 from animtool.systems.crowds.ground import Frame, Ground
 
 STEP = 1 / 96
@@ -129,3 +140,83 @@ def test_who_fell_lies_on_the_ground_and_rests(biped: Rig) -> None:
     heights = world(biped, own, falls)[:, 1]
     assert heights.max() < 0.6
     assert heights.min() > -0.05
+
+
+def test_who_begins_to_fall_goes_on_as_he_moved(biped: Rig) -> None:
+    """From the first of two poses, and by the second after a step, but for gravity.
+
+    Of one who goes by 3 m/s, spins by 2 rad/s and bends a knee by 4 rad/s.
+    """
+    own, knee = falling(biped), biped.index("knee_l")
+    pair = []
+    for t in (0.0, STEP):
+        places, turns = biped.rest_translations.copy(), biped.rest_rotations.copy()
+        places[0] = [3.0, 50.0, 3.0 * t]
+        turns[0] = so3.exp(np.array([0.0, 2.0 * t, 0.0]))
+        turns[knee] = so3.exp(np.array([0.5 + 4.0 * t, 0.0, 0.0]))
+        pair.append(forward(biped, places[None], turns[None]))
+    falls = own.begun(own.none(), np.array([0]), [pair[0]], [pair[1]], STEP)
+    assert_allclose(falls.positions[0], pair[0].positions[0])
+    assert_allclose(world(biped, own, falls), pair[0].positions[0], atol=1e-9)
+    falls = own.step(falls, 0.0, STEP)
+    off = world(biped, own, falls) - pair[1].positions[0]
+    assert_allclose(off, 0.0, atol=2e-3)
+
+
+def test_who_walks_beyond_his_limits_is_not_pulled_back_as_he_falls(
+    biped: Rig,
+) -> None:
+    """A foot twisted by 43 degrees, where its rig has 20, is so after a step too."""
+    own, foot = falling(biped), biped.index("ankle_r")
+    turns = biped.rest_rotations.copy()
+    turns[foot] = so3.exp(np.radians([0.0, 43.0, 0.0]))
+    places = biped.rest_translations.copy()
+    places[0] = [3.0, 50.0, -2.0]
+    stands = forward(biped, places[None], turns[None])
+    falls = own.begun(own.none(), np.array([0]), [stands], [stands], STEP)
+    for k in range(2):
+        shown = own.poses(falls, 0)[1][foot]
+        assert np.degrees(so3.angle_between(shown, turns[foot])) < 0.01
+        falls = own.step(falls, k * STEP, STEP)
+
+
+def test_joints_of_who_is_torn_apart_are_shown_as_they_can_be(biped: Rig) -> None:
+    """A toe that is turned about x by 150 degrees and out by 60: it ends at 30."""
+    own, toe = falling(biped), biped.index("toe_r")
+    stands = pose(biped, [3.0, 50.0, -2.0])
+    falls = own.begun(own.none(), np.array([0]), [stands], [stands], STEP)
+    ragdoll = own._falling(0, falls.positions[0], falls.turns[0]).ragdoll
+    body = ragdoll.joints.tolist().index(toe)
+    torn = so3.multiply(
+        so3.exp(np.radians([150.0, 0.0, 0.0])), so3.exp(np.radians([0.0, 60.0, 0.0]))
+    )
+    motion = falls.motion.copy()
+    before = so3.from_matrix(stands.linear[0, toe])
+    off = so3.multiply(so3.multiply(before, torn), so3.conjugate(before))
+    motion[0, body, 3:7] = so3.multiply(off, motion[0, body, 3:7])
+    falls = Falls(falls.agents, falls.positions, falls.turns, motion, falls.slow)
+    shown = own.poses(falls, 0)[1][toe]
+    assert_allclose(np.degrees(so3.log(shown)), [30.0, 0.0, 0.0], atol=1e-6)
+
+
+@pytest.mark.parametrize(("longest", "expected"), [(0.8, 0.8), (0.1, 0.8), (0.09, 0.0)])
+def test_who_would_fall_too_fast_takes_the_step_in_eight_parts(
+    longest: float, expected: float
+) -> None:
+    """By 1 m/s, but too fast in longer steps; who still is stays, and stops."""
+
+    def step(state: Any, t: float, dt: float) -> Any:
+        motion = state.motion.copy()
+        assert t == pytest.approx(motion[0, 0])
+        motion[0, 0] += dt
+        motion[0, 7] = 1.0 if dt <= longest else FASTEST
+        return replace(state, motion=motion)
+
+    begun = Falls.none(1, 1)
+    simulation: Any = SimpleNamespace(initial=lambda: begun, step=step)
+    motion = np.zeros((1, 14))
+    motion[0, 7] = 2.0
+    made = _moved(simulation, motion, 0.0, 0.8)
+    assert made[0, 0] == pytest.approx(expected)
+    assert made[0, 7] == (1.0 if expected else 0.0)
+    assert motion[0, 7] == 2.0

@@ -12,9 +12,11 @@ from numpy.testing import assert_allclose
 from animtool.maths import so3
 from animtool.systems.crowds.poses import (
     PHASES,
+    STRAIGHT,
     TILT,
     _ankles,
     _low,
+    _lowered,
     _swung,
     _tilts,
     idle_rows,
@@ -124,3 +126,38 @@ def test_feet_that_stand_lean_as_the_ground_does() -> None:
     assert_allclose(so3.rotate(soles[0, 0], np.array([0.0, 1.0, 0.0])), normal)
     ahead = so3.rotate(soles[0, 0], np.array([0.0, 0.0, 1.0]))
     assert_allclose(ahead, [1.0, 0.0, 0.0], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("swing", "before", "lowered"),
+    [
+        (-1.0, 0.0, 0.02),  # who stands: as far as it takes
+        (0.01, 0.0, 0.02),  # as good as landed
+        (0.5, 0.0, 0.0),  # halfway: not at all
+        (-1.0, 0.03, 0.03),  # hips rise slowly, elsewhere
+        (-1.0, 0.3, 0.11),  # no farther than that
+    ],
+)
+def test_hips_are_lowered_for_feet(swing: float, before: float, lowered: float) -> None:
+    """Straight legs of 1 m, whose ankles are to be 2 cm beyond their reach."""
+    found = hips_lowered(swing, before, STRAIGHT + 0.02)
+    assert found == pytest.approx(lowered, abs=1e-4)
+
+
+def test_hips_are_lowered_for_feet_in_the_air_by_little_in_a_step() -> None:
+    """By 4.5% of a leg over what they were; for those that stand by all of it."""
+    far = STRAIGHT + 0.1
+    assert hips_lowered(0.001, 0.0, far) == pytest.approx(0.045)
+    assert hips_lowered(0.001, 0.02, far) == pytest.approx(0.065)
+    assert hips_lowered(-1.0, 0.02, far) == pytest.approx(0.1)
+
+
+def hips_lowered(swing: float, before: float, far: float) -> float:
+    """Return how far hips are lowered for one foot so far below the hip [m]."""
+    walker: Any = SimpleNamespace(legs=((0, 1, 2, 3), (0, 1, 2, 3)), leg=1.0)
+    joints = np.array([[[0.0, 1.0, 0.0], [0.0, 0.5, 0.0], [0.0, 0.0, 0.0]]])
+    goals = np.array([[[0.0, 1.0 - far, 0.0], [0.0, 0.1, 0.0]]])
+    state: Any = SimpleNamespace(
+        lowered=np.array([before]), swings=np.array([[swing, -1.0]])
+    )
+    return float(_lowered(walker, joints, goals, state)[0])

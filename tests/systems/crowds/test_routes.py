@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.testing import assert_allclose
 
-from animtool.systems.crowds.routes import Grid, route_to
+from animtool.systems.crowds.routes import Grid, Route, route_to
 
 LOW = np.array([10.0, -4.0])
 
@@ -78,3 +78,18 @@ def test_ways_go_round_walls_and_end_at_the_goal_or_the_node_next_to_it() -> Non
     found = route.directions(points, np.array([goal, goal]))
     assert_allclose(found[0], [0, -1], atol=1e-9)
     assert found[1, 1] > 0.7
+
+
+def test_a_way_longer_by_up_to_a_cell_and_a_half_is_straight() -> None:
+    """Along z it is 2 cells, across nothing; who does not see it goes as nodes say."""
+    own = grid(*["....."] * 5)
+    goal = np.array([[11.0, -3.0]])
+    point = np.array([[10.0, -4.0]])
+    straight = np.sqrt(2) / 2
+    for longer, way in ((1.45, [straight, straight]), (1.55, [0.0, 1.0])):
+        far = np.full(own.free.shape, np.sqrt(2) + longer * 0.5)
+        far -= 0.1 * np.arange(5)
+        far[0, 0] = np.sqrt(2) + longer * 0.5
+        goals = np.array([[0.0, 0.0], goal[0]])
+        found = Route(own, goals, far).directions(point, goal)
+        assert_allclose(found, [way], atol=1e-9)

@@ -104,7 +104,7 @@ def described(model: type[BaseModel], seen: set[Any]) -> Iterator[str]:
                 yield from described(one, seen)
 
 
-KNOWN = {"m", "s", "kg", "N", "J", "Pa", "K", "C", "e", "u", "deg", "rad"}
+KNOWN = {"m", "s", "kg", "N", "J", "Pa", "K", "C", "e", "u", "deg", "rad", "Hz"}
 MOLECULAR = {"nm", "ps", "kJ", "mol"}
 
 

@@ -175,6 +175,17 @@ def test_what_is_read_again_moves_alike(tmp_path: Path, keys: dict[str, Any]) ->
     assert so3.angle_between(*spins).max() < 1e-4
 
 
+def test_joints_that_break_are_read_again(tmp_path: Path) -> None:
+    """Forces and torques of each; the last never does."""
+    breaks = [{"force": 300, "torque": 20}, {"torque": 7}]
+    joints = [j | {"breaks": b} for j, b in zip(JOINTS, breaks, strict=False)]
+    file = file_of(written(tmp_path, {**YARD, "joints": [*joints, JOINTS[2]]}))
+    again = Rigid(tmp_path, stages=[{"file": file}], step=0.005)
+    found = again.simulation.joints
+    assert list(found.names) == ["elbow", "shoulder", "rail"]
+    assert_allclose(found.breaks, [[300, 20], [math.inf, 7], [math.inf] * 2])
+
+
 def stage_of(folder: Path, text: str, head: str = "") -> str:
     file = folder / "yard.usda"
     file.write_text(f"#usda 1.0\n({head or 'metersPerUnit = 1'})\n{text}", "utf-8")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from numpy.testing import assert_allclose
 from support.rigid import FLOOR, GRAVITY, Rigid, ball, box
 
 from animtool.core.errors import ToleranceError
+from animtool.systems.rigid.loads import BodyLoads
 
 STEP, MASS, UNTIL = 0.01, 0.01, 0.5
 FALL: dict[str, Any] = {"gravity": None}
@@ -220,3 +222,31 @@ def test_what_leaves_all_scenes_stops_by_name(tmp_path: Path, mass: float) -> No
         found.to(UNTIL)
     assert [fault.code for fault in error.value.faults] == ["SIM102"]
     assert "it blew up at" in error.value.faults[0].message
+
+
+@pytest.mark.parametrize(
+    ("swings", "spins", "dt", "parts"),
+    [
+        ([1.0, 2.4], [0.1, 0.0], 0.2, 1),
+        ([5.0, 2.6], [0.1, 0.0], 0.2, 2),
+        ([2.6, 0.0], [0.0, 9.0], 0.2, 4),
+        ([0.0, 0.0], [0.0, 1e9], 0.2, 256),
+        ([640.0, 0.0], [0.0, 0.0], 0.2, 256),
+        ([], [], 0.2, 1),
+    ],
+)
+def test_a_step_has_parts_in_which_bodies_swing_by_half_a_radian(
+    swings: list[float], spins: list[float], dt: float, parts: int
+) -> None:
+    """Who only spins asks for as many as there may be at most."""
+    rates = np.array(swings), np.array(spins)
+    own: Any = SimpleNamespace(_rates=lambda *_: rates, _body=lambda k: f"body {k}")
+    assert BodyLoads.parts(own, 1.0, dt, np.zeros((2, 14))) == parts
+    stopped: list[tuple[Any, ...]] = []
+    own._stop = lambda *given: stopped.append(given)
+    rates = np.array([0.0, 1280.0]), np.zeros(2)
+    BodyLoads.parts(own, 1.0, dt, np.zeros((2, 14)))
+    ((t, message, hint),) = stopped
+    assert t == 1.0
+    assert "body 1" in message
+    assert hint.startswith("step: 0.1,")

@@ -8,15 +8,20 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose
 
 from animtool.maths.faces import triangulated
 from animtool.systems.springs import (
     Body,
     Family,
+    Pins,
+    SpringOptions,
+    SpringSystem,
     block,
     join,
     rope,
     sheet,
+    simulate_springs,
     springs_between,
     strand,
     surface,
@@ -169,3 +174,17 @@ def test_bodies_are_joined_one_behind_the_other() -> None:
     assert both.springs.ends[2:].min() == 3
     assert both.triangles.min() == 3
     assert len(join([]).positions) == 0
+
+
+def test_springs_of_a_frequency_swing_alike_whatever_their_mass() -> None:
+    """A mass on a spring to a heavy one has the period that the frequency says."""
+    for mass in (0.01, 3.0):
+        body = rope([0, 0, 0], [0, 0, -1], 2, Family(0.0, frequency=2.0), mass=mass)
+        assert_allclose(body.springs.stiffness, (4 * np.pi) ** 2 * mass)
+        pinned = SpringSystem(body, pins=Pins([0]), gravity=[0, 0, 0])
+        start = body.positions * 1.1
+        motion = simulate_springs(
+            pinned.starting_at(start), np.linspace(0, 0.5, 3), SpringOptions(step=1e-4)
+        )
+        heights = motion.positions[:, 1, 2]
+        assert_allclose(heights, [-1.1, -0.9, -1.1], atol=1e-4)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from animtool import BakeOptions, bake
+from animtool.core.errors import StrictError
 from animtool.scene.file.read import load_scene
 from animtool.sim.colliders import Collider
 from animtool.sim.colliders.shapes import Box, Capsule, Plane, Sphere
@@ -151,3 +152,39 @@ def test_particles_keep_their_radius_on_either_side(gap: float, count: int) -> N
     """A rod of 20 mm is kept off by 4 mm twice: gaps of 28 mm are wide enough."""
     rod = [Collider(Capsule(0.01, 1.0))]
     assert len(thin_notices("sail", rod, 0.004, gap, 0.0)) == count
+
+
+@pytest.mark.parametrize(
+    ("more", "measured"),
+    [
+        ("    self_contact: {thickness: 0.02}\n", True),
+        (ROD.format(radius=0.15), True),
+        ("", False),
+    ],
+    ids=["itself", "rod", "nothing"],
+)
+def test_cloth_in_contact_is_measured(
+    tmp_path: Path, more: str, *, measured: bool
+) -> None:
+    """Soft springs are strained by the weight: SIM182 names a time, point and place."""
+    path = tmp_path / "shot.scene.yaml"
+    path.write_text(CLOTH.replace("200, ratio", "40, ratio") + more + OUTPUT, "utf-8")
+    done = bake(load_scene(path), tmp_path / "shot.usdc", BakeOptions(overwrite=True))
+    (said,) = done.takes[0].simulated
+    assert ("strain" in said) is measured
+    codes = {notice.code for notice in done.notices}
+    assert ("SIM182" in codes) is measured
+    if measured:
+        strain = said["strain"]
+        assert strain["value"] > 0.15
+        assert 0 < strain["time"] <= 1
+        assert strain["frame"] is None
+        assert len(strain["at"]) == 3
+        # Held points alone may be inside of what is met, and none is here.
+        assert said["depth"]["value"] < 2e-3
+        with pytest.raises(StrictError):
+            bake(
+                load_scene(path),
+                tmp_path / "shot.usdc",
+                BakeOptions(overwrite=True, strict=True),
+            )

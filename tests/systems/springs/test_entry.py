@@ -311,6 +311,7 @@ def test_every_fault_is_said_at_once(folder: Path) -> None:
         ("{stiffness: 10, axial_stiffness: 5}", "springs.structural.axial_stiffness"),
         ("{ratio: 0.1}", "springs.structural"),
         ("{axial_stiffness: 5, rest: 0}", "springs.structural.axial_stiffness"),
+        ("{stiffness: 10, frequency: 5}", "springs.structural.frequency"),
     ],
 )
 @pytest.mark.parametrize("kind", ["rope", "strands"])

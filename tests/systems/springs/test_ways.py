@@ -102,3 +102,25 @@ def test_where_no_implicit_step_is_solved_explicit_ones_serve(tmp_path: Path) ->
     for settings in ours.references():
         steps = [dict(setting.options)["step"] for setting in settings]
         assert steps == pytest.approx([steps[0], steps[0] / 2, steps[0] / 4])
+
+
+def test_what_only_one_solver_can_is_compared_with_its_own_finer_steps(
+    tmp_path: Path,
+) -> None:
+    cloth = {
+        "name": "flag",
+        "corner": [0, 1, 0],
+        "across": [1, 0, 0],
+        "up": [0, 0.6, 0],
+        "resolution": [5, 4],
+        "mass": 0.1,
+        "springs": {"structural": {"stiffness": 300, "ratio": 0.05}},
+        "pins": [{"particles": ["left"]}],
+        "self_contact": {"thickness": 0.01},
+        "radius": 0.01,
+    }
+    table = measure(Simulator(tmp_path).trial([{"cloth": cloth}], [0.0, 0.05, 0.1]))
+    assert {row.setting.method for row in table.rows} == {"xpbd"}
+    assert table.reference is not None
+    assert table.reference.setting.method == "xpbd"
+    assert all(row.error is not None for row in table.rows)

@@ -1,0 +1,100 @@
+"""What a solve writes of its take: checked before the work, and baked after it."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, Protocol
+
+from animtool.core.errors import Fault, refuse_warnings
+from animtool.core.files.output import check_outputs
+from animtool.core.names import is_named
+from animtool.core.record import dataclass
+from animtool.core.units import unit_name
+from animtool.motion.take import TakeStream
+from animtool.scene.bake.options import BakeOptions
+from animtool.scene.bake.outline import Outline, check_outline, outlined
+from animtool.scene.bake.progress import Progress
+
+if TYPE_CHECKING:
+    from animtool.scene.bake.bake import OutputReport
+
+
+class SolveReport(Protocol):
+    """The report of a solve, as far as writing completes it."""
+
+    notices: list[Fault]
+    written: OutputReport | None
+
+
+@dataclass(frozen=True, slots=True)
+class SolvedOutput:
+    """What a job writes."""
+
+    outline: Outline | None  # of the take; None where it is not written
+    bake: BakeOptions  # how it is
+    others: tuple[Path, ...] = ()  # files of what else is written
+
+    @staticmethod
+    def of(
+        output: Path | None,
+        source: Path,
+        bake: BakeOptions,
+        rig: Path | None,
+        others: Iterable[Path | None] = (),
+    ) -> SolvedOutput:
+        """Return what is written to an output; of a clip, which names a rig file."""
+        outline = None
+        if output is not None:
+            named = rig if rig is not None and is_named(rig, "rig") else None
+            outline = outlined(source, output, bake, rig_file=named)
+        return SolvedOutput(outline, bake, tuple(filter(None, others)))
+
+    @property
+    def files(self) -> list[Path]:
+        """The files, the output last of those of a clip."""
+        return [*self.others, *([] if self.outline is None else self.outline.files)]
+
+    def check(self, inputs: Iterable[Path | None]) -> None:
+        """Raise where something cannot be written.
+
+        Raises:
+            OptionError: A file exists or is one of the inputs, or options do not fit.
+        """
+        if self.files:
+            named = list(filter(None, inputs))
+            check_outputs(self.files, named, overwrite=self.bake.overwrite)
+        if self.outline is not None:
+            check_outline(self.outline)
+
+    def write(
+        self,
+        stream: TakeStream,
+        report: SolveReport,
+        form: str | None = None,
+        progress: Progress = None,
+    ) -> None:
+        """Write a take, and complete the report; without an output, solve it all.
+
+        form: What the take is of, as details of its source say; None leaves these.
+
+        Raises:
+            OutputError: A file cannot be written.
+            StrictError: There were warnings, and ``strict`` is on.
+        """
+        if form is not None:
+            units = unit_name(stream.rig.meters_per_unit)
+            stream.details = {"format": form, "units": units}
+        if self.outline is None:
+            deque(stream.blocks, maxlen=0)
+            more = stream.notices
+        else:
+            from animtool.scene.bake.bake import bake_take
+
+            report.written = bake_take(stream, self.outline, progress=progress)
+            more = report.written.notices
+        known = set(report.notices)
+        report.notices += [notice for notice in more if notice not in known]
+        if self.outline is None:
+            refuse_warnings(report.notices, strict=self.bake.strict)

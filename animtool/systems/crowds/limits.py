@@ -1,0 +1,72 @@
+"""Limits of the joints of who falls: open to how he stood, and kept as he is shown."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from animtool.core.array_types import FloatArray
+from animtool.maths import so3
+from animtool.rig.limits import SMALLEST_CONE, BallLimit, RangeLimit, swing_twist
+from animtool.rig.skeleton import Joint, JointType, Rig
+
+
+def open_to(rig: Rig, turns: FloatArray) -> Rig:
+    """Return a rig whose limits hold local rotations ``(J, 4)``.
+
+    Who walks may be beyond limits of his rig, which would pull him back at once.
+    """
+    joints = zip(rig.joints, _motions(rig, turns), strict=True)
+    return replace(rig, joints=tuple(_open_to(*one) for one in joints))
+
+
+def kept(rig: Rig, turns: FloatArray) -> FloatArray:
+    """Return local rotations ``(J, 4)`` that joints of a rig can have.
+
+    Bodies that are crushed are torn apart for a moment, and turned any way.
+    """
+    motions = _motions(rig, turns)
+    for j, joint in enumerate(rig.joints):
+        if joint.type is JointType.PIN:
+            angle = _angle(joint, motions[j])
+            if isinstance(joint.limits, RangeLimit):
+                angle = float(joint.limits.clamped(np.array(angle)))
+            motions[j] = so3.from_axis_angle(joint.axis, np.array(angle))
+        elif joint.type is JointType.BALL and isinstance(joint.limits, BallLimit):
+            motions[j] = joint.limits.clamped(motions[j][None])[0]
+    return so3.multiply(rig.rest_rotations, motions)
+
+
+def _motions(rig: Rig, turns: FloatArray) -> FloatArray:
+    """Return how joints are turned from rest ``(J, 4)``."""
+    return so3.multiply(so3.conjugate(rig.rest_rotations), turns)
+
+
+def _angle(joint: Joint, motion: FloatArray) -> float:
+    """Return how far a pin is turned about its axis, near its limits [rad]."""
+    angle = 2 * float(np.arctan2(motion[:3] @ np.array(joint.axis), motion[3]))
+    limits = joint.limits
+    middle = (limits.low + limits.high) / 2 if isinstance(limits, RangeLimit) else 0.0
+    return angle - 2 * np.pi * round((angle - middle) / (2 * np.pi))
+
+
+def _open_to(joint: Joint, motion: FloatArray) -> Joint:
+    """Return a joint whose limits hold how it is turned from rest ``(4,)``."""
+    limits = joint.limits
+    if joint.type is JointType.PIN and isinstance(limits, RangeLimit):
+        angle = _angle(joint, motion)
+        wider = RangeLimit(min(limits.low, angle), max(limits.high, angle))
+        return replace(joint, limits=wider)
+    if joint.type is not JointType.BALL or not isinstance(limits, BallLimit):
+        return joint
+    swings, twists = swing_twist(motion[None], limits.twist_axis)
+    twist, swing = limits.twist, limits.swing
+    if twist is not None:
+        twist = min(twist[0], float(twists[0])), max(twist[1], float(twists[0]))
+    if swing is not None:
+        wide = np.maximum(swing, SMALLEST_CONE)
+        reach = np.linalg.norm(so3.log(swings[0]) @ limits.axes[1:].T / wide)
+        first, second = (wide * max(1.0, float(reach))).tolist()
+        swing = first, second
+    return replace(joint, limits=replace(limits, swing=swing, twist=twist))
