@@ -60,7 +60,7 @@ class TracksModel(FileModel):
 class SourceModel(FileModel):
     """A clip, BVH, USD, glTF or marker file, and what it leaves open."""
 
-    file: Name = key("The clip, BVH, USD, glTF or marker file.", "walk.bvh")
+    file: Name = key("The clip, BVH, USD, glTF, FBX or marker file.", "walk.bvh")
     tracks: TracksModel | None = key(
         "Of several sources, but the first: what it brings. Not given: what it moves.",
         {"shapes": ["*"]},
