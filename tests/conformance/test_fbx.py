@@ -14,15 +14,11 @@ from support.suite import some_quick
 
 from animtool.core.errors import FormatError
 from animtool.core.units import UpAxis
-from animtool.formats.fbx.curves import THIRD
 from animtool.formats.fbx.read import read_fbx
 
 # What a file may be refused for, by name.
 NOT_READ = {"FBX003", "FBX004"}
 POSITION, MATRIX, RESAMPLED = 1e-4, 1e-5, 1e-2
-# Weights of handles are whole numbers of 1/9999, as files write beside them; the
-# expected figures take them for 1/10000.
-WEIGHTED = 1e-4
 # Points of skins that are read by another method, with a warning.
 BLENDED = "FBX108"
 
@@ -53,16 +49,6 @@ def opened(path: Path) -> FbxCharacter:
         pytest.skip(str(error.faults[0].message))
 
 
-def has_weighted_keys(character: FbxCharacter) -> bool:
-    """Return whether a curve, or a layer's weight, has handles of other lengths."""
-    curves = []
-    for take in character.scene.takes:
-        curves += take.curves()
-        for track in take.tracks.values():
-            curves += [one.layer.curve for one in track.layers if one.layer.curve]
-    return any((np.abs(curve.weights - THIRD) > 1e-9).any() for curve in curves)
-
-
 @pytest.mark.parametrize("path", some_quick(FILES, 40))
 def test_what_comes_out_is_what_is_expected(path: Path) -> None:
     expected = json.loads(path.with_suffix(".expected.json").read_text("utf-8"))
@@ -77,8 +63,7 @@ def test_what_comes_out_is_what_is_expected(path: Path) -> None:
         assert len(take.layers) == len(stated["layers"])
     codes = {fault.code for fault in scene.file.notes.notices}
     apart = compare(character, expected, points=BLENDED not in codes)
-    matrix = WEIGHTED if has_weighted_keys(character) else MATRIX
-    limits = {"matrix": matrix, "position": POSITION, "point": POSITION}
+    limits = {"matrix": MATRIX, "position": POSITION, "point": POSITION}
     limits |= {"weight": MATRIX}
     for name, largest in apart.largest.items():
         kind = name.removeprefix("resampled ")

@@ -167,7 +167,7 @@ class Browser:
             own = "blob:", address.partition("#")[0]
             assert [u for u in opened.requests if not u.startswith(own)] == []
             assert errors or opened.said == []
-            assert errors or opened.run("animtool.core.errors") == []
+            assert errors or opened.run("animtool.errors") == []
         finally:
             context.close()
 
