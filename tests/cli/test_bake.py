@@ -114,13 +114,13 @@ def test_skipping_wants_every_file_of_a_split(take: Path, tmp_path: Path) -> Non
         ("take.bvh", "none/o.usda", 3),
         ("take.bvh", "folder.bvh", 3),
         ("take.bvh", "folder.bvh/../take.bvh", 2),
-        ("take.fbx", "o.usda", 2),
+        ("take.xyz", "o.usda", 2),
     ],
 )
 def test_bad_paths(take: Path, source: str, output: str, code: int) -> None:
     folder = take.parent
     (folder / "folder.bvh").mkdir()
-    (folder / "take.fbx").write_text("")
+    (folder / "take.xyz").write_text("")
     before = {p: p.stat().st_mtime_ns for p in folder.rglob("*")}
     done = animtool("bake", source, "-o", output, cwd=folder)
     assert done.code == code, done.stderr
