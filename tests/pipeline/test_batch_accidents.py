@@ -40,6 +40,7 @@ def reported(done: Done) -> dict[str, dict[str, object]]:
     return {Path(entry["input"]).name: entry for entry in report["items"]}
 
 
+@pytest.mark.slow(5)
 @pytest.mark.skipif(sys.platform != "linux", reason="/proc, and POSIX signals")
 def test_an_item_that_fails_costs_one_item(
     tmp_path: Path, plug_in: dict[str, str]
@@ -228,6 +229,7 @@ def test_a_folder_that_may_not_be_written_to(
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow(1.2)
 @pytest.mark.skipif(os.name == "nt", reason="POSIX signals")
 def test_an_item_killed_from_outside_says_how_to_go_on(
     tmp_path: Path, plug_in: dict[str, str]

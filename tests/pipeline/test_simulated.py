@@ -141,6 +141,7 @@ def test_saved_states_are_replaced_as_outputs_are(several: bool, beast: Path) ->
     assert states.stat().st_size > 100
 
 
+@pytest.mark.slow(4)
 def test_point_caches_have_what_is_simulated(walker: Path) -> None:
     done = animtool("bake", walker)
     assert done.code == 0, done.stderr
@@ -175,6 +176,7 @@ def test_frames_of_the_output_do_not_change_the_motion(walker: Path) -> None:
     assert done.code == 0, done.stderr
 
 
+@pytest.mark.slow(1.3)
 def test_points_that_are_not_written_are_named(walker: Path) -> None:
     text = walker.read_text("utf-8").replace(", deform: true", "")
     walker.write_text(text, "utf-8")

@@ -84,6 +84,7 @@ def test_the_foot_under_a_kick_stays_on_each_rig(path: Path) -> None:
     assert np.ptp(world.positions[:, rig.index("toe_r"), 2]) > 0.3
 
 
+@pytest.mark.slow(2.4)
 def test_the_batch_reports_each_take_on_each_rig_and_the_worst_first(
     workplace: Path, printed: Printed
 ) -> None:

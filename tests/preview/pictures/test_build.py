@@ -109,6 +109,7 @@ def test_the_whole_motion_is_in_the_picture(walk: Path, tmp_path: Path) -> None:
             assert not cell[:, [0, -1]].any()
 
 
+@pytest.mark.slow(1.1)
 @pytest.mark.parametrize("suffix", [".gif", ".webp", ".mp4", ".webm"])
 def test_a_film_plays_at_the_rate_of_the_motion(
     walk: Path, tmp_path: Path, suffix: str

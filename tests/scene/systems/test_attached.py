@@ -117,6 +117,7 @@ def test_old_names_are_read_and_noted(tmp_path: Path) -> None:
     assert [notice.code for notice in scene.notices] == ["DOC102"] * 3
 
 
+@pytest.mark.slow(6)
 def test_nothing_that_hangs_goes_through_stairs(tmp_path: Path, root: Path) -> None:
     """A character that falls down them: no point of its hair or cape is in them."""
     listed = "".join(
