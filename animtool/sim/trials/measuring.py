@@ -379,6 +379,11 @@ def _marked(
     budget: float | None,
 ) -> list[TrialRow]:
     """Return rows with the best marked, and the one to take."""
+    if not any(row.error is not None and row.error.largest for row in rows):
+        # Nothing moves: each will do, and times are chance.
+        if budget is None:
+            return rows
+        return [replace(row, recommended=row.chosen) for row in rows]
     # What is nearer to the reference than that is to the truth is as good.
     extent += reach
     floor = max(reference.error.error(trial.error, reach), ROUNDING * extent)

@@ -284,3 +284,11 @@ def test_turns_count_as_far_as_what_is_placed_reaches() -> None:
     first = next(row for row in table.rows if row.setting.method == "first")
     assert table.error_of(first) == pytest.approx(0.25 * math.pi)
     assert table.recommended.setting.method == "second"
+
+
+def test_where_nothing_moves_the_present_setting_will_do() -> None:
+    trial = Known(lambda _, __: 0.0).trial()
+    table = measure(trial)
+    assert not any(row.best or row.recommended for row in table.rows)
+    table = measure(trial, budget=1e-3)
+    assert table.recommended is table.chosen
