@@ -107,7 +107,7 @@ Examples:
 def bake(
     console: Console, /, sources: Sequence[Path], output: Path | None, **params: Any
 ) -> None:
-    """Bake SOURCE, a scene, clip, BVH or USD file, to a USD animation that plays.
+    """Bake SOURCE, a scene, clip, BVH, glTF, FBX or USD file, to a USD animation.
 
     Several make a clip library: one skeleton, an animation for each, and a variant
     set `take` that binds one of them. Then -o names the file.

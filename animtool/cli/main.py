@@ -131,7 +131,7 @@ def crash_reason(name: str, path: str = "") -> Fault | None:
 COMMANDS = {
     "bake": (
         "animtool.cli.bake:bake",
-        "Bake a scene, clip, BVH or USD file to USD.",
+        "Bake a scene, clip, BVH, glTF, FBX or USD file to USD.",
     ),
     "batch": (
         "animtool.cli.batch:batch",
@@ -155,7 +155,7 @@ COMMANDS = {
     ),
     "preview": (
         "animtool.cli.preview:preview",
-        "Show files on a page that plays, in a browser.",
+        "Show files: a page that plays, stills and films.",
     ),
     "retarget": (
         "animtool.cli.retarget:retarget",
@@ -163,7 +163,7 @@ COMMANDS = {
     ),
     "report": (
         "animtool.cli.report:report",
-        "Measure time against error of what a file can trade.",
+        "Measure time against error for the settings of a file.",
     ),
     "schema": ("animtool.cli.schema:schema", "Print the JSON Schema of a file."),
     "info": ("animtool.cli.info:info", "Say what is in a file."),

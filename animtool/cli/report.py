@@ -49,22 +49,21 @@ Examples:
 @click.option(
     "--suite",
     is_flag=True,
-    help="In place of SOURCE, measure animtool's own examples on this machine.",
+    help="Measure animtool's own examples on this machine instead of SOURCE.",
 )
 @click.option(
     "--budget",
     type=LENGTH,
     metavar="LENGTH",
-    help="The error that will do, such as 0.5mm: the cheapest setting within is named, "
-    "with what to write for it.  [default: as exact as the present setting]",
+    help="Largest error allowed, such as 0.5mm: the cheapest setting within it is "
+    "recommended.  [default: as exact as the current setting]",
 )
 @click.option(
     "-o",
     "--output",
     type=OUTPUT,
     metavar="FILE",
-    help="Write a page too (.html): plots, tables, and two settings that play beside "
-    "each other.",
+    help="Write a page too (.html): plots, tables, and two settings side by side.",
 )
 @record_option(BakeOptions, *_OF_OUTPUT)
 @set_option
@@ -77,12 +76,12 @@ Examples:
 def report(
     console: Console, /, source: Path | None, output: Path | None, **params: Any
 ) -> None:
-    """Measure time against error of what SOURCE can trade.
+    """Measure time against error for the settings of SOURCE.
 
-    Of a scene, the integrators, steps and tolerances of what it simulates and solves;
-    of what has joints, sample rates, samples left out and keys too. Each setting is
-    compared with the finest, which is compared with one half as fine: that tells what
-    it is worth. No result is written.
+    For a scene: integrators, steps and tolerances of its simulations and IK passes.
+    For joints: sample rates, samples left out, and keys. Each setting is compared with
+    a reference at the finest one; the error of the reference is estimated from its last
+    two refinements. Nothing is baked.
     """
     if (source is None) is not params["suite"]:
         raise click.UsageError("Give a SOURCE, or --suite.")

@@ -103,7 +103,7 @@ def _table(
 def _viewer(pair: Pair) -> Iterator[str]:
     """Yield a viewer of two settings, which stands in a frame of its own."""
     present, other = (html.escape(str(setting)) for setting in pair.settings)
-    yield f"<p>Beside each other: {present} (present), and {other}.</p>\n"
+    yield f"<p>Side by side: {present} (current) and {other}.</p>\n"
     page = make_page([*pair.files], PreviewOptions(findings=False))
     for i, take in enumerate(page.manifest["takes"]):
         take["offset"] = [i * GAP * pair.size, 0.0, 0.0]

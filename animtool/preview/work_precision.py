@@ -158,7 +158,7 @@ def _ring(frame: Any, chosen: Sequence[Point]) -> None:
         color="black",
         fillstyle="none",
         linestyle="none",
-        label="the present setting",
+        label="current setting",
     )
 
 

@@ -14,15 +14,15 @@ from animtool.sim.trials.trial import CostMeasure, Figure
 if TYPE_CHECKING:
     from animtool.sim.trials.measuring import TrialRow, TrialTable
 
-LEGEND = "> the present setting   * none as exact is cheaper   + to take in its place"
+LEGEND = "> current setting   * Pareto front   + recommended"
 _HEAD: tuple[Line, ...] = (
     "{name}: {kind}, {span:plain 4} s",
-    "[  compared with {reference.setting}[{?points} at {instants} times, up to "
-    "{points:n point}]]",
-    "[{?reference.error.rms}  which may be off by {reference.error.rms:milli} mm "
-    "itself (rms)[; order {reference.order:.1f} seen]"
-    "[{?reference.sensitive}: error not small, the motion is sensitive]]",
-    "  work is counted in {unit}",
+    "[  reference: {reference.setting}[{?points}, up to {points:n point} at "
+    "{instants:n time}]]",
+    "[{?reference.error.rms}  error of the reference: {reference.error.rms:milli} mm "
+    "(rms)[, observed order {reference.order:.1f}]"
+    "[{?reference.sensitive}; not small: the motion is sensitive]]",
+    "  work: number of {unit}",
 )
 _ROWS = Table(
     "tried",
@@ -99,15 +99,17 @@ def _advice(part: TrialTable) -> str:
         error = None if better is None else part.error_of(better)
         if better is None or error is None:
             return ""
-        words = "the present setting" if better.chosen else str(better.setting)
+        words = "the current setting" if better.chosen else str(better.setting)
         return (
             f"cheapest within {length_text(part.budget)}: {words}, "
             f"with {length_text(error)} ({part.error})"
         )
     if better is None:
-        return "nothing tried is as exact and much cheaper than the present setting"
+        return (
+            "no setting is as exact and at least a fifth cheaper than the current one"
+        )
     if chosen.error is None:
-        return f"the present setting does not work; {better.setting} does"
+        return f"the current setting fails; {better.setting} works"
     share = _cost(better, part.cost) / _cost(chosen, part.cost)
     what = "time" if part.cost is CostMeasure.SECONDS else str(part.cost)
     return f"{better.setting} is as exact in {share:.0%} of the {what}"

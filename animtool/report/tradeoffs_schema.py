@@ -51,7 +51,7 @@ class RowModel(SettingModel):
     energy_drift: float | None = Field(description="Share of the largest energy.")
     figures: dict[str, float] = Field(description="Stretch, depth, misses by name.")
     worst: str = Field(description="Where the largest distance is.")
-    chosen: bool = Field(description="Whether it is the present setting.")
+    chosen: bool = Field(description="Whether it is the current setting.")
     best: bool = Field(description="Whether no other that is as exact is cheaper.")
     recommended: bool
 

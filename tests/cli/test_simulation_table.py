@@ -133,7 +133,7 @@ def test_a_table_in_words(comets: Path) -> None:
     (chosen,) = [line for line in lines if line.lstrip().startswith(">")][:-2]
     assert chosen.split()[1:4] == ["midpoint", "step", "0.02"]
     assert any("left out: dop853, lsoda, radau: cannot stop" in line for line in lines)
-    assert lines[-1].startswith("> the present setting")
+    assert lines[-1].startswith("> current setting")
 
 
 def test_a_scene_that_is_only_looked_at_saves_no_states(swing: Path) -> None:
@@ -348,7 +348,7 @@ def test_a_sensitive_motion_is_called_so(comets: Path) -> None:
     assert done.code == 0, done.stderr
     assert "comets.scene.yaml:5:5: warning: SIM055 " in done.stderr
     assert "the motion is sensitive" in done.stdout
-    assert " *" not in done.stdout.replace(" * none", "")
+    assert " *" not in done.stdout.replace(" * Pareto", "")
 
 
 def test_a_scene_without_simulation_has_another_table(swing: Path) -> None:

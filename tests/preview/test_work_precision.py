@@ -61,7 +61,7 @@ def test_a_vector_picture_has_its_words(tmp_path: Path) -> None:
         "comets, particles",
         "euler",
         "rk4",
-        "the present setting",
+        "current setting",
         "all is well",
     ):
         assert word in text.replace("&#x27;", "'")

@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
@@ -22,6 +21,7 @@ from animtool.core.errors import Fault, OptionError
 from animtool.core.names import is_named
 from animtool.core.record import dataclass
 from animtool.core.units import parse_length
+from animtool.edit.retiming import trim
 from animtool.motion.motion import Motion
 from animtool.motion.take import Take, TakeStream
 from animtool.rig.kinematics import WorldTransforms, forward, rest_size
@@ -81,18 +81,42 @@ def take_trials(source: Source, options: BakeOptions | None = None) -> list[Tria
         raise OptionError(Fault("SCN062", message, str(source_file(source))))
     stream = plan.takes[0].stream
     curved = stream.curve is not None and not stream.altered
-    take = stream.collect()
-    known = _Known.of(take, stream, plan.options.fps or take.clock.rate)
+    whole = stream.collect()
+    take = _in_range(whole, plan)
+    known = _Known.of(take, plan.options.fps or take.clock.rate, curved=curved)
     path = source_file(source)
+    beyond = tuple(
+        replace(notice, path=notice.path or str(path))
+        for notice in take.notices
+        if notice not in whole.notices
+    )
 
     def opened() -> Source:
         # What passes made is made once.
-        return source if curved else OpenTake(path, TakeStream.of(take))
+        stream = TakeStream.of(take)
+        if curved:
+            stream = replace(stream, altered=False, count=take.clock.count)
+        return OpenTake(path, stream)
 
     return [
-        _samples(path, opened, plan, take, known, curved=curved),
+        replace(
+            _samples(path, opened, plan, take, known, curved=curved), notices=beyond
+        ),
         _keys(path, take, dict(options.reduce_at)),
     ]
+
+
+def _in_range(take: Take, plan: BakePlan) -> Take:
+    """Return the frames of a take that the output is to have."""
+    frames, clock = plan.options.frame_range, take.clock
+    if frames is None:
+        return take
+    codes = clock.fps / plan.fps  # of the take in one of the output
+    first, last = (
+        float(clock.start + (frame - plan.start) * codes)
+        for frame in (frames.first, frames.last)
+    )
+    return trim(take, max(first, float(clock.start)), last)
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,9 +128,9 @@ class _Known:
     shots: list[Shot]
 
     @staticmethod
-    def of(take: Take, stream: TakeStream, rate: Fraction) -> _Known:
+    def of(take: Take, rate: Fraction, *, curved: bool) -> _Known:
         clock = take.clock
-        curve = None if stream.altered else stream.curve
+        curve = take.curve if curved else None
         # Of a curve there are some between two samples at the highest rate, too.
         fine = math.ceil(FINE * max(Fraction(1), rate / clock.rate))
         per_frame = fine if curve is not None else 1
@@ -171,14 +195,18 @@ def _samples(
     def run(setting: Setting) -> Outcome:
         if setting == SOURCE:
             return Outcome(0.0, take.clock.count, known.shots)
-        with _folder() as folder:
+        with tempfile.TemporaryDirectory() as folder:
+            output = Path(folder) / "take.usdc"
             began = time.perf_counter()
-            report = _bake(opened(), folder / "take.usdc", options_of(setting))
+            report = _bake(opened(), output, options_of(setting))
             seconds = time.perf_counter() - began
             codes = float(report.start) + known.seconds * float(report.fps)
-            world = played_world(folder / "take.usdc", codes)
+            world = played_world(output, codes)
         shots = _shots(known.rig, world)
         return Outcome(seconds, report.samples, shots, bytes=report.bytes)
+
+    def write(setting: Setting, output: Path) -> None:
+        _bake(opened(), output, options_of(setting))
 
     chosen = (
         Setting.of(RATE, fps=float(own))
@@ -201,7 +229,7 @@ def _samples(
         "samples",
         where=known.where,
         lines=lambda setting: [_asked(path, setting, by_label)],
-        write=lambda setting, output: _write(opened(), output, options_of(setting)),
+        write=write,
         size=extent_of(known.shots[:1]),
     )
 
@@ -236,16 +264,6 @@ def _bake(source: Source, output: Path, options: BakeOptions) -> _Baked:
     # What is simulated beside the take has no joints to measure.
     result = run_stage(replace(plan, prims=plan.prims[:1], watch=None)).result
     return _Baked(result.samples, result.bytes, plan.start, plan.fps)
-
-
-def _write(source: Source, output: Path, options: BakeOptions) -> None:
-    _bake(source, output, options)
-
-
-@contextmanager
-def _folder() -> Iterator[Path]:
-    with tempfile.TemporaryDirectory() as folder:
-        yield Path(folder)
 
 
 def _keys(path: Path, take: Take, others: dict[str, float]) -> Trial:

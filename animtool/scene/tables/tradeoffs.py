@@ -52,7 +52,7 @@ class Pair:
     """Two settings of a table as stages, to be looked at beside each other."""
 
     table: int  # index of the table
-    settings: tuple[Setting, Setting]  # the present one, and another
+    settings: tuple[Setting, Setting]  # the current one, and another
     files: tuple[Path, Path]
     size: float  # of the figure in them [m]; 0 is not known
 
@@ -75,9 +75,9 @@ def measure_tradeoffs(
         source: A scene, or a file of motion.
         options: Of the bake.
         budget: The largest error that will do [m]: the cheapest setting within is
-            recommended. None recommends what is as exact as the present one.
+            recommended. None recommends what is as exact as the current one.
         folder: Where stages of two settings of each table are written, to be looked at:
-            the present one, and the recommended or the next cheaper one. None writes
+            the current one, and the recommended or the next cheaper one. None writes
             none.
         progress: Called with the share done, 0 to 1.
 

@@ -190,7 +190,7 @@ def measure(
     rows = _rows(trial, runs, settings, truth)
     extent = 0.0 if truth is None else extent_of(truth.shots)
     reach = 0.0 if truth is None else reach_of(truth.shots)
-    notices = _notices(trial, reference)
+    notices = [*trial.notices, *_notices(trial, reference)]
     if truth is not None and reference is not None:
         if reference.sensitive:
             rows = _marked_alike(rows, truth, trial.cost)

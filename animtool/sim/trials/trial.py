@@ -12,6 +12,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.errors import Fault
 from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.sim.system import Energy
@@ -146,6 +147,7 @@ class Trial:
     # Writes what a setting gives as USD, to be looked at; None where it cannot be.
     write: Callable[[Setting, Path], None] | None = None
     size: float = 0.0  # of the figure that is written [m]; 0 is not known
+    notices: tuple[Fault, ...] = ()  # what is odd about it
 
 
 def ladder(value: float, shares: Sequence[float] = COARSER) -> list[float]:

@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 from support.beasts import write_beast
 
-from animtool.core.errors import Severity
+from animtool.core.errors import OptionError, Severity
+from animtool.core.shot import FrameRange
 from animtool.scene.bake.options import BakeOptions
 from animtool.scene.file.read import load_scene
 from animtool.scene.tables.take import KEYS, RATE
@@ -136,3 +137,31 @@ def test_samples_of_a_high_rate_are_compared_between_them() -> None:
     errors = [row.error.largest for row in rates if row.error]
     for coarse, fine in pairwise(errors):
         assert coarse / fine == pytest.approx(4, rel=0.1)
+
+
+@pytest.mark.parametrize(("fps", "first", "last"), [(None, 5, 13), (48, 9, 25)])
+def test_a_range_is_of_the_frames_of_the_output(
+    fps: int | None, first: int, last: int
+) -> None:
+    """Frames 5 to 13 at 24 fps are 9 to 25 at 48: a third of a second either way."""
+    clip = SUITE_FOLDER / "arm.clip.yaml"
+    rate = None if fps is None else Fraction(fps)
+    options = BakeOptions(fps=rate, frame_range=FrameRange(first, last))
+    samples, keys = measure_tradeoffs(clip, options).tables
+    assert samples.span == keys.span == pytest.approx(1 / 3)
+    assert samples.chosen.steps == last - first + 1
+    (whole, _) = measure_tradeoffs(clip, BakeOptions(fps=rate)).tables
+    assert samples.chosen.error is not None
+    assert whole.chosen.error is not None
+    assert samples.chosen.error.largest <= whole.chosen.error.largest
+    assert not samples.notices
+
+
+def test_a_range_beyond_the_take_is_cut_and_said_so() -> None:
+    clip = SUITE_FOLDER / "arm.clip.yaml"
+    options = BakeOptions(frame_range=FrameRange(20, 90))
+    report = measure_tradeoffs(clip, options)
+    assert report.tables[0].chosen.steps == 6
+    assert [(one.code, one.path) for one in report.notices] == [("SCN013", str(clip))]
+    with pytest.raises(OptionError, match="SCN013"):
+        measure_tradeoffs(clip, BakeOptions(frame_range=FrameRange(70, 90)))
