@@ -19,10 +19,10 @@ from animtool.formats.fbx.settings import TICKS
 from animtool.formats.fbx.takes import AnimTake
 from animtool.formats.gltf.characters import chosen
 from animtool.motion.motion import Motion
-from animtool.rig.kinematics import WorldTransforms, bind_matrices, forward
-from animtool.rig.surfaces import surfaces_of
-from animtool.skin.character import CharacterMesh, character_meshes
+from animtool.rig.kinematics import WorldTransforms, forward
+from animtool.skin.character import CharacterMesh
 from animtool.skin.deform import deform
+from support.gltf_states import skinned_meshes
 
 Array = npt.NDArray[np.float64]
 
@@ -50,11 +50,7 @@ class FbxCharacter:
         scene = open_fbx(path)
         character, _ = chosen(scene, "/")
         made = build_rig(scene, character, "whole")
-        rig = made.rig
-        shapes = [shape.name for shape in rig.shapes]
-        bind = bind_matrices(rig)
-        meshes = character_meshes(surfaces_of(rig), rig.names, bind, shapes)
-        return cls(scene, made, {one.name: one for one in meshes})
+        return cls(scene, made, skinned_meshes(made.rig))
 
     def take(self, name: str | None) -> AnimTake | None:
         """Return a take by its name in the file."""

@@ -17,9 +17,18 @@ from animtool.formats.gltf.sampling import sampler
 from animtool.formats.gltf.surfaces import mesh_names, vertex_offset
 from animtool.motion.motion import Motion
 from animtool.rig.kinematics import WorldTransforms, bind_matrices, forward
+from animtool.rig.skeleton import Rig
 from animtool.rig.surfaces import surfaces_of
 from animtool.skin.character import CharacterMesh, character_meshes
 from animtool.skin.deform import deform
+
+
+def skinned_meshes(rig: Rig) -> dict[str, CharacterMesh]:
+    """Return the meshes of a rig by name, ready to follow its joints."""
+    shapes = [shape.name for shape in rig.shapes]
+    bind = bind_matrices(rig)
+    meshes = character_meshes(surfaces_of(rig), rig.names, bind, shapes)
+    return {one.name: one for one in meshes}
 
 
 @dataclass
@@ -37,13 +46,9 @@ class Character:
         gltf = open_gltf(path)
         character, _ = chosen(gltf, "/")
         made = build_rig(gltf, character, "whole")
-        rig = made.rig
-        shapes = [shape.name for shape in rig.shapes]
-        bind = bind_matrices(rig)
-        meshes = character_meshes(surfaces_of(rig), rig.names, bind, shapes)
         nodes = [node for node in character.nodes if gltf.nodes[node].mesh >= 0]
         names = mesh_names(gltf, nodes)
-        return cls(gltf, made, {one.name: one for one in meshes}, names)
+        return cls(gltf, made, skinned_meshes(made.rig), names)
 
 
 @dataclass
