@@ -114,11 +114,11 @@ def _trial(
         trials.references,
         run,
         changes=trials.changes,
-        lines=lambda setting: [_asked(members[0], trials.changes(setting))],
+        lines=lambda setting: [_scene_text(members[0], trials.changes(setting))],
     )
 
 
-def _asked(system: SceneSystem, changes: Mapping[str, Any]) -> str:
+def _scene_text(system: SceneSystem, changes: Mapping[str, Any]) -> str:
     """Return the keys of a system that ask for a setting."""
     keys = ", ".join(
         f"{key}: {value:.6g}" if isinstance(value, float) else f"{key}: {value}"

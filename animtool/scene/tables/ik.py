@@ -52,32 +52,32 @@ def job_trial(job: IkJob) -> Trial:
             only=context.only,
         )
 
-    def asked(options: TakeOptions) -> list[str]:
+    def scene_text(options: TakeOptions) -> list[str]:
         method, tolerance = argument("method"), argument("tolerance")
         value = f"{options.tolerance * 1000:.3g}mm"
         return [f"animtool ik {method} {options.method} {tolerance} {value}"]
 
-    return solve_trial(job.targets.name, job.options, solve, asked)
+    return solve_trial(job.targets.name, job.options, solve, scene_text)
 
 
 def pass_trial(take: Take, tracks: TargetTracks, options: TakeOptions) -> Trial:
     """Return ways to run a pass of a scene that brings a take to targets."""
 
-    def asked(options: TakeOptions) -> list[str]:
+    def scene_text(options: TakeOptions) -> list[str]:
         tolerance = f"{options.tolerance * 1000:.3g}mm"
         return [f"ik: {{method: {options.method}, tolerance: {tolerance}}}"]
 
     def solve(options: TakeOptions) -> TakeIk:
         return solve_take(take, tracks, options)
 
-    return solve_trial(tracks.path.name, options, solve, asked)
+    return solve_trial(tracks.path.name, options, solve, scene_text)
 
 
 def solve_trial(
     name: str,
     options: TakeOptions,
     solve: Callable[[TakeOptions], TakeIk],
-    asked: Callable[[TakeOptions], list[str]],
+    scene_text: Callable[[TakeOptions], list[str]],
 ) -> Trial:
     """Return ways to solve for targets: tolerances by one method, and each method.
 
@@ -103,10 +103,10 @@ def solve_trial(
     def run(setting: Setting) -> Outcome:
         return _outcome(solve(options_of(setting)))
 
-    own = (options.tolerance, options.angle_tolerance)
-    chosen = setting_of(options.method, *own)
+    current = (options.tolerance, options.angle_tolerance)
+    chosen = setting_of(options.method, *current)
     settings = [setting_of(options.method, t * length, t) for t in TOLERANCES]
-    settings += [setting_of(method, *own) for method in IkMethod]
+    settings += [setting_of(method, *current) for method in IkMethod]
     finest = [setting_of(options.method, t * length, t) for t in FINER]
     return Trial(
         name,
@@ -119,7 +119,7 @@ def solve_trial(
         ErrorMeasure.LARGEST,
         unit="iterations",
         where=lambda shot, point: _where(first, shot, point),
-        lines=lambda setting: asked(options_of(setting)),
+        lines=lambda setting: scene_text(options_of(setting)),
     )
 
 

@@ -180,17 +180,17 @@ def _samples(
     curved: bool,
 ) -> Trial:
     """Return ways to write a take's samples in USD."""
-    given = plan.options
-    plain = BakeOptions(source=given.source, to_up=given.to_up)
-    own = take.clock.rate if given.fps is None else given.fps
-    rates = [own * share for share in (CURVE_RATES if curved else SAMPLE_RATES)]
-    by_label = {float(rate): rate for rate in rates}
+    requested = plan.options
+    plain = BakeOptions(source=requested.source, to_up=requested.to_up)
+    rate = take.clock.rate if requested.fps is None else requested.fps
+    rates = [rate * share for share in (CURVE_RATES if curved else SAMPLE_RATES)]
+    by_label = {float(one): one for one in rates}
 
     def options_of(setting: Setting) -> BakeOptions:
         named = dict(setting.options)
         if setting.method == RATE:
             return replace(plain, fps=by_label[named["fps"]])
-        return replace(plain, fps=given.fps, reduce=named["reduce"])
+        return replace(plain, fps=requested.fps, reduce=named["reduce"])
 
     def run(setting: Setting) -> Outcome:
         if setting == SOURCE:
@@ -209,12 +209,12 @@ def _samples(
         _bake(opened(), output, options_of(setting))
 
     chosen = (
-        Setting.of(RATE, fps=float(own))
-        if given.reduce is None
-        else Setting.of(SAMPLES, reduce=given.reduce)
+        Setting.of(RATE, fps=float(rate))
+        if requested.reduce is None
+        else Setting.of(SAMPLES, reduce=requested.reduce)
     )
-    settings = [Setting.of(RATE, fps=float(rate)) for rate in rates]
-    tolerances = {*_tolerances(take.rig), *filter(None, [given.reduce])}
+    settings = [Setting.of(RATE, fps=float(one)) for one in rates]
+    tolerances = {*_tolerances(take.rig), *filter(None, [requested.reduce])}
     settings += [Setting.of(SAMPLES, reduce=t) for t in sorted(tolerances)[::-1]]
     return Trial(
         path.name,
@@ -228,13 +228,13 @@ def _samples(
         CostMeasure.BYTES,
         "samples",
         where=known.where,
-        lines=lambda setting: [_asked(path, setting, by_label)],
+        lines=lambda setting: [_scene_text(path, setting, by_label)],
         write=write,
         size=extent_of(known.shots[:1]),
     )
 
 
-def _asked(path: Path, setting: Setting, rates: Mapping[float, Fraction]) -> str:
+def _scene_text(path: Path, setting: Setting, rates: Mapping[float, Fraction]) -> str:
     """Return how a scene's output asks for a setting, or a command of another file."""
     if setting.method == RATE:
         key, value = "fps", str(rates[setting["fps"]])
@@ -293,5 +293,5 @@ def _keys(path: Path, take: Take, others: dict[str, float]) -> Trial:
         ErrorMeasure.LARGEST,
         CostMeasure.STEPS,
         "keys",
-        lines=lambda setting: [_asked(path, setting, {})],
+        lines=lambda setting: [_scene_text(path, setting, {})],
     )
