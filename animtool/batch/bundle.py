@@ -87,11 +87,11 @@ def mean_seconds(path: Path) -> float:
     except RecordError as error:
         options = (flag("items", "1-20"), flag("force"), flag("format", "json"))
         hint = f"animtool batch JOB {' '.join(options)} writes one"
-        message = f"is no report of a batch: {error}"
+        message = f"is not the report of a batch: {error}"
         raise FormatError(Fault("BAT037", message, str(path), (), hint)) from error
     if not seconds:
-        hint = f"{argument('force', True)} makes also what is up to date"
-        fault = Fault("BAT037", "reports no item that was made", str(path), (), hint)
+        hint = f"{argument('force', True)} also rebuilds what is up to date"
+        fault = Fault("BAT037", "reports no item that was built", str(path), (), hint)
         raise FormatError(fault)
     return min(sum(seconds) / len(seconds), MAX_SECONDS)
 
@@ -165,7 +165,7 @@ def _parameters(batch: Batch, chunk: int, cuts: Cuts) -> list[dict[str, Any]]:
             "type": "PATH",
             "objectType": "FILE",
             "dataFlow": "IN",
-            "description": "The batch file; what it names relatively starts there.",
+            "description": "The batch file; its relative paths start there.",
         },
         {
             "name": "Items",
@@ -179,19 +179,19 @@ def _parameters(batch: Batch, chunk: int, cuts: Cuts) -> list[dict[str, Any]]:
             "type": "INT",
             "minValue": 1,
             "default": chunk,
-            "description": "How many of them a task makes.",
+            "description": "How many items a task builds.",
         },
         {
             "name": "Jobs",
             "type": "STRING",
             "default": str(batch.jobs or "auto"),
-            "description": "Processes a task: a number, or auto, one a processor.",
+            "description": "Processes per task, or auto: one per processor.",
         },
         {
             "name": "Command",
             "type": "STRING",
             "default": "animtool",
-            "description": "What starts animtool on the workers.",
+            "description": "Command that starts animtool on the workers.",
         },
         *([] if cuts.path is None else [timeline]),
     ]

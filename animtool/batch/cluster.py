@@ -69,7 +69,7 @@ MAX_TOKENS = 50
 # A scheduler writes a kilobyte about itself, and some for each worker.
 MAX_SCHEDULER = 16_000_000
 ADDRESS = re.compile(r"([a-z]+://.+)|(.+:[0-9]+)")
-RESUME = "finished items are recorded; the same command resumes with the rest"
+RESUME = "finished items are recorded; run the same command again to resume"
 
 
 def dask(work: Work) -> Iterator[Outcome | Fault]:
@@ -84,11 +84,11 @@ def dask(work: Work) -> Iterator[Outcome | Fault]:
     about = work.argument
     file = about.endswith(".json")
     if not (file or ADDRESS.fullmatch(about)):
-        message = f"{excerpt(about)} is no address of a dask scheduler"
-        hint = "such as dask=tcp://host:8786, or dask=scheduler.json"
+        message = f"{excerpt(about)} is not the address of a dask scheduler"
+        hint = "write it as dask=tcp://host:8786 or dask=scheduler.json"
         raise OptionError(Fault("BAT031", message, hint=hint))
     if importlib.util.find_spec("distributed") is None:
-        message = "the executor dask needs the package distributed"
+        message = "the dask executor needs the package distributed"
         hint = "pip install 'animtool[farm]'"
         raise OptionError(Fault("IO005", message, hint=hint))
     return _outcomes(work, _address(Path(about)) if file else about)
@@ -101,7 +101,9 @@ def _address(path: Path) -> str:
     except RecordError as error:
         raise _unreachable(str(path), error) from error
     if not ADDRESS.fullmatch(address):
-        raise _unreachable(str(path), RecordError(f"{excerpt(address)} is no address"))
+        raise _unreachable(
+            str(path), RecordError(f"{excerpt(address)} is not an address")
+        )
     return address
 
 
@@ -161,8 +163,11 @@ def _client(address: str) -> Any:
 def _unreachable(about: str, error: Exception) -> OutputError:
     why = f"{type(error).__name__}: {excerpt(str(error), 200)}"
     if not isinstance(error, OSError | ValueError):
-        why = f"what answers there is no scheduler of this version ({why})"
-    hint = "is the scheduler running, of the same distributed, and this its address?"
+        why = f"the scheduler there runs another version of dask ({why})"
+    hint = (
+        "check that the scheduler runs, at this address, with the same version of "
+        "distributed"
+    )
     return _unusable(about, why, hint)
 
 
@@ -249,7 +254,7 @@ def _asking(
                 actual = f"animtool {version('animtool')}"
             except PackageNotFoundError:
                 actual = "no animtool"
-            why = f"it has {actual}, instead of {versions['animtool']}: "
+            why = f"it has {actual} instead of {versions['animtool']}: "
             return host, "BAT036", f"{why}{type(error).__name__}: {error}"
 
     return ask
@@ -353,7 +358,7 @@ class _Farm:
     def _addresses(self) -> Mapping[str, int]:
         """Return the workers of now, and how many threads each has."""
         if self.client.status in {"closing", "closed"}:
-            raise _unusable(self.work.argument, "its scheduler is gone", RESUME)
+            raise _unusable(self.work.argument, "the scheduler has stopped", RESUME)
         try:
             threads: Mapping[str, int] = self.client.nthreads(callback_timeout=TIMEOUT)
         except (OSError, RuntimeError):
@@ -368,7 +373,7 @@ class _Farm:
             raise _unusable(self.work.argument, why, RESUME)
         if not self._waits:
             self._waits = True
-            message = f"the cluster at {self.work.argument} has no worker now: "
+            message = f"the cluster at {self.work.argument} has no workers now: "
             message += f"waiting up to {WORKERLESS:g} s for one"
             hint = "start workers: dask worker ADDRESS"
             self.said.append(Fault("BAT076", message, None, (), hint, Severity.WARNING))
@@ -380,7 +385,7 @@ class _Farm:
             worker = self.workers.pop(address)
             for future in [f for f, sent in self.sent.items() if sent.worker is worker]:
                 future.cancel()
-                yield from self._loss(self.sent.pop(future), "it is gone")
+                yield from self._loss(self.sent.pop(future), "the worker has stopped")
         for address in addresses.keys() - self.workers.keys():
             self.workers[address] = _Worker(address, addresses[address])
             self._ask(self.workers[address])
@@ -397,7 +402,9 @@ class _Farm:
             return
         message = f"{MAX_LOSSES} workers were lost while they built it: the last, "
         message += f"{sent.worker}: {why}"
-        hint = "out of memory or a time limit of the cluster; its workers' logs tell"
+        hint = (
+            "out of memory or over a time limit of the cluster; see the workers' logs"
+        )
         fault = Fault("BAT020", message, str(sent.item.file.path), (), hint)
         yield Outcome.failed(sent.item, fault)
 
@@ -439,7 +446,7 @@ class _Farm:
         if not self.workers or any(w.fit is not False for w in self.workers.values()):
             return
         count = counted(len(self.workers), "worker")
-        why = f"{count}, all left out: the warnings say why"
+        why = f"{count}, all excluded: the warnings say why"
         raise _unusable(self.work.argument, why, RESUME)
 
     def _heard(self, sent: _Sent, value: object) -> Iterator[Outcome | Fault]:
@@ -459,7 +466,7 @@ class _Farm:
             self.again.append(item)
             self._ask(worker)
         elif not (isinstance(value, Outcome) and value.number == item.number):
-            message = f"worker {worker} returned something else than its outcome"
+            message = f"worker {worker} returned something other than a result"
             fault = Fault("BAT020", message, str(item.file.path))
             yield Outcome.failed(item, fault)
         elif value.status is Status.DONE:
@@ -482,7 +489,7 @@ class _Farm:
     def _leave_out(self, worker: _Worker, code: str, why: str) -> Iterator[Fault]:
         """Give a worker no more items, and say so once."""
         worker.fit = False
-        message = f"worker {worker} is left out: {excerpt(why, 400)[1:-1]}"
+        message = f"worker {worker} is excluded: {excerpt(why, 400)[1:-1]}"
         yield Fault(code, message, None, (), _HINTS[code], Severity.WARNING)
 
     def _built(
@@ -497,7 +504,7 @@ class _Farm:
         if changed:
             yield Outcome.failed(item, *changed_error(*changed).faults)
         elif other:
-            why = f"it has other files of the same names: {listed(other, 2)}"
+            why = f"it has different files with the same names: {listed(other, 2)}"
             yield from self._leave_out(worker, INPUTS, why)
             self.again.append(item)
         else:
@@ -518,7 +525,10 @@ class _Farm:
             else:
                 self.again.append(item)
                 if worker.fit:
-                    why = f"its {str(item.output.parent)!r} is not this machine's"
+                    why = (
+                        f"its {str(item.output.parent)!r} is not the folder of this "
+                        "machine"
+                    )
                     yield from self._leave_out(worker, DISK, why)
 
     def _failed(
@@ -540,7 +550,8 @@ class _Farm:
 
 
 _HINTS = {
-    "BAT036": "the same versions on every machine give the same bytes",
-    INPUTS: "mount the folders of inputs under the same names on every machine",
-    DISK: "mount the folders of outputs under the same names on every machine",
+    "BAT036": "install the same versions on every machine: results are then equal to "
+    "the byte",
+    INPUTS: "mount the input folders under the same paths on every machine",
+    DISK: "mount the output folders under the same paths on every machine",
 }

@@ -111,7 +111,7 @@ def _reasons(check: WorkerCheck) -> Iterator[tuple[str, str]]:
         yield INPUTS, f"it cannot read {count} of {total} inputs: {listed(missing, 2)}"
     other = [one.path for one in check.inputs if not _is_same(one)]
     if other:
-        yield INPUTS, f"it has other files of the same names: {listed(other, 2)}"
+        yield INPUTS, f"it has different files with the same names: {listed(other, 2)}"
     for path, text in check.tokens.items():
         folder = Path(path).parent
         try:
@@ -119,9 +119,9 @@ def _reasons(check: WorkerCheck) -> Iterator[tuple[str, str]]:
         except AnimtoolError:
             same = False
         if not same:
-            yield DISK, f"its {str(folder)!r} is not this machine's"
+            yield DISK, f"its {str(folder)!r} is not the folder of this machine"
         elif not os.access(folder, os.W_OK | os.X_OK):
-            yield DISK, f"it may not write to {str(folder)!r}"
+            yield DISK, f"it has no permission to write to {str(folder)!r}"
 
 
 def _is_same(one: InputCheck) -> bool:

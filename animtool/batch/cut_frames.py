@@ -86,7 +86,9 @@ def _whole(key: str, value: object) -> int:
 def _timecode(_key: str, value: object) -> str:
     if not is_timecode(value):
         shown = excerpt(str(value))
-        raise ValueError(f"{shown} is no time code such as 01:00:00:00 or 01:00:00;02")
+        raise ValueError(
+            f"{shown} is not a time code such as 01:00:00:00 or 01:00:00;02"
+        )
     return str(value).strip()
 
 
@@ -177,8 +179,11 @@ class CutContext:
         for begin, cut, where in levels:
             if begin is not None and cut not in {None, begin + self.handles}:
                 message = f"{where}: start_frame {begin} with handles of "
-                message += f"{self.handles} begins the cut at {begin + self.handles}, "
-                faults.append(f"{message}and cut_start is {cut}")
+                message += (
+                    f"{self.handles} puts the start of the cut at "
+                    f"{begin + self.handles}, "
+                )
+                faults.append(f"{message}but cut_start is {cut}")
             if cut is not None:
                 return cut, faults
             if begin is not None:
@@ -237,13 +242,15 @@ def played_notices(
         for frame in (shot.cut_in, shot.cut_out)
     )
     if shot.speed == 0:
-        yield "BAT044", f"{named} holds its media at {first}; so does the shot", False
+        yield "BAT044", f"{named} freezes its media at {first}; so does the shot", False
     elif shot.speed < 0:
         how = f"from {first} of its media to {last}"
-        yield "BAT044", f"{named} plays backwards, {how}; so does the shot", True
+        yield "BAT044", f"{named} plays in reverse, {how}; so does the shot", True
     frames = span.seconds * fps
     if frames < 1 - NEAR:
-        message = f"{named} shows {float(frames):.3g} of a frame; the shot has one"
+        message = (
+            f"{named} shows {float(frames):.3g} of a frame; the shot has one frame"
+        )
         yield "BAT043", message, True
 
 

@@ -62,9 +62,8 @@ from animtool.scene.sources.open import source_stem
 # At which rate the shots of a timeline count frames.
 
 HOW = (
-    f"state it: {argument('fps', '{}')} (or {{}}), `fps` of the scene or the batch "
-    "file's options, or "
-    "`fps` under [timeline] in animtool.toml"
+    f"set it with {argument('fps', '{}')} (or {{}}), `fps` in the scene or in the "
+    "batch file's options, or `fps` under [timeline] in animtool.toml"
 )
 USUAL = HOW.format("24", "25, 30000/1001, 30")
 
@@ -83,7 +82,9 @@ def edl_rate(edl: Edl, asked: Fraction | None) -> Fraction:
     found = asked or find_config(edl.path).timeline.fps
     if found is not None:
         return found
-    message = "states no rate: its time codes count frames, which are other seconds at "
+    message = (
+        "states no rate: its time codes count frames, whose duration depends on it: at "
+    )
     message += "each rate"
     how = USUAL
     if edl.drop:
@@ -120,7 +121,7 @@ def timeline_rate(
         try:
             stated = exact_rate(begin.rate)
         except ValueError as error:
-            message = f"its global start time: {error}"
+            message = f"invalid global start time: {error}"
             raise FormatError(Fault("BAT041", message, place)) from error
     if stated is not None:
         return _agreed(stated, asked, place), []
@@ -136,17 +137,17 @@ def timeline_rate(
     if len(rates) == 1:
         return chosen, []
     each = ", ".join(f"{n} at {rate_label(rate)}" for rate, n in rates.most_common())
-    message = f"states no rate, and its clips and gaps count at several: {each}"
+    message = f"states no rate, and its clips and gaps use several: {each}"
     if 2 * count <= total:
         raise OptionError(Fault("BAT054", message, place, (), USUAL))
-    message += f"; {rate_label(chosen)} is taken"
+    message += f"; using {rate_label(chosen)}"
     return chosen, [Fault("BAT049", message, place, (), USUAL, Severity.WARNING)]
 
 
 def _agreed(stated: Fraction, asked: Fraction | None, place: str) -> Fraction:
     """Return a stated rate (BAT051 where another is asked for)."""
     if asked is not None and asked != stated:
-        message = f"has {rate_label(stated)}, and {rate_label(asked)} is asked"
+        message = f"has {rate_label(stated)}, but {rate_label(asked)} was requested"
         hint = "shots are written at the rate of their timeline"
         raise OptionError(Fault("BAT051", message, place, (), hint))
     return stated
@@ -284,10 +285,10 @@ class _Reader:
         try:
             walk.timeline(timeline.tracks)
         except (ValueError, library().exceptions.OTIOError) as error:
-            message = f"a range in it cannot be used: {excerpt(str(error), 120)}"
+            message = f"a range in it is invalid: {excerpt(str(error), 120)}"
             raise FormatError(Fault("BAT041", message, str(self.path))) from error
         if walk.gaps:
-            self.note("BAT043", f"left out gaps: {walk.gaps}")
+            self.note("BAT043", f"skipped gaps: {walk.gaps}")
         walk.clips[:] = [self.entry(shown) for shown in walk.clips]
         return walk
 
@@ -359,7 +360,7 @@ class _Reader:
         own, settings = self.metadata(clip, named), find_config(self.path)
         context = CutContext(self.options, own, self.own, settings)
         for message in context.cut_in()[1]:
-            self.fault("BAT047", f"{named}: {message}", "state one of them")
+            self.fault("BAT047", f"{named}: {message}", "write one of them")
         there = clip.media_reference.available_range
         try:
             span = span_of(entry)
@@ -370,11 +371,11 @@ class _Reader:
             first = context.first_timecode(begin, span.rate, drop=self.drop)
             transitions = self.overlaps(entry, span)
         except UnsupportedTimeError as error:
-            message = f"{named}: {error}; it is left out"
+            message = f"{named}: {error}; it is skipped"
             self.note("BAT044", message, Severity.WARNING)
             return
         except Exception as error:
-            message = f"the range of {named} cannot be used: {excerpt(str(error), 120)}"
+            message = f"the range of {named} is invalid: {excerpt(str(error), 120)}"
             self.fault("BAT041", message)
             return
         if span.seconds <= 0:
@@ -385,7 +386,7 @@ class _Reader:
         )
         if shot.end - shot.start >= MAX_FRAMES:
             message = f"{named} has too many frames: {shot.end - shot.start + 1}"
-            self.fault("BAT041", message, f"a shot has up to {MAX_FRAMES}")
+            self.fault("BAT041", message, f"a shot can have up to {MAX_FRAMES}")
             return
         for notice in played_notices(shot, span, self.fps, named):
             self.say(*notice)
@@ -407,7 +408,7 @@ class _Reader:
         """Return the media of a clip; None where it has none, or it is missing."""
         path = self.referred(clip)
         if path is not None and self.left_out(path):
-            self.note("BAT043", f"{named} is left out, as asked: {path}")
+            self.note("BAT043", f"{named} is skipped, as requested: {path}")
             return None
         if path is not None and _is_file(path):
             return MatchedFile(path, path.parent)
@@ -417,14 +418,17 @@ class _Reader:
             if stem and stem.casefold() in self.media:
                 return self.media[stem.casefold()]
         if path is not None:
-            hint = "give the folder that has it, or one of the clip's name, as INPUT"
+            hint = (
+                "pass the folder that contains it, or a file with the clip's name, as "
+                "INPUT"
+            )
             problem = "a folder" if _is_file(path) is False else "not there"
             shown = clip.media_reference.target_url if is_remote(clip) else path
             self.fault("BAT042", f"the media of {named} is {problem}: {shown}", hint)
         elif self.media:
-            self.fault("BAT042", f"no media is called like {named}")
+            self.fault("BAT042", f"no media matches the name of {named}")
         else:
-            message = f"{named} is left out: it refers to no media"
+            message = f"{named} is skipped: it refers to no media"
             self.note("BAT043", message, Severity.WARNING)
         return None
 
@@ -439,9 +443,7 @@ class _Reader:
         )
         if before or after:
             more = f"{before} frames before its cut and {after} after it"
-            self.note(
-                "BAT043", f"{entry.named} is in transitions: {more} are taken too"
-            )
+            self.note("BAT043", f"{entry.named} is in transitions: {more} are included")
         return before, after
 
     def name(self, shot: str, named: str) -> str:

@@ -85,7 +85,7 @@ def check_columns(spec: BatchSpec) -> None:
     path = spec.variants.path
     place, lines = (None, ()) if path is None else (str(path), (1,))
     hint = (
-        f"names of inputs, shots and {argument('set')} have a meaning: "
+        f"names of inputs, shots and {argument('set')} are reserved: "
         f"{listed(sorted(taken))}"
     )
     faults = [
@@ -106,7 +106,7 @@ def check_effects(
     for path, shot in sorted(kinds.items()):
         if not is_named(path, "scene"):
             if names:
-                message = "variants are of scenes, and this is none"
+                message = "variants need a scene"
                 hint = (
                     f"{argument('scene')} names a scene that uses ${{input}} and "
                     "the variants"
@@ -122,8 +122,8 @@ def check_effects(
             faults.append(_unused(scene, len(shots)))
         if names and not scene.effective_variables.intersection(names):
             used = ", ".join(f"${{{name}}}" for name in names)
-            message = f"the scene uses none of the variants' names: {used}"
-            hint = f"write {used.partition(',')[0]} in place of a value in it"
+            message = f"the scene uses none of the variables that vary: {used}"
+            hint = f"write {used.partition(',')[0]} in the scene in place of a value"
             faults.append(Fault("BAT060", message, str(path), (), hint))
     if faults:
         raise OptionError(faults[:MAX_FAULTS])
@@ -355,15 +355,15 @@ class _Items:
         """Note an output with an unsafe name, at the file that states the name."""
         spec, name = self.spec, error.name
         source: Path | None = shot.media.path
-        hint = f"rename the input, or leave the name out of {argument('output')}"
+        hint = f"rename the input, or remove the name from {argument('output')}"
         if name in shot.names:
             source = spec.cuts
-            hint = "rename it in the edit, or write {shot}, which is always legal"
+            hint = "rename it in the edit, or write {shot}, which is always valid"
         elif name in row:
             source = None if spec.variants is None else spec.variants.path or spec.path
-            hint = "give it another value"
+            hint = "use another value"
         elif name in spec.variables:
-            source, hint = spec.path, "give it another value"
+            source, hint = spec.path, "use another value"
         place = None if source is None else str(source)
         fault = Fault("OUT006", f"the output {error}", place, (), hint)
         if fault not in self.faults:
@@ -376,9 +376,9 @@ def _check_roots(spec: BatchSpec, items: Sequence[Item]) -> None:
         return
     folders = dict.fromkeys(folder for item in items for folder in item.folders)
     shown = listed([str(root) for root in spec.roots])
-    hint = f"give {argument('output')}, or add the folder to roots in animtool.toml"
+    hint = f"set {argument('output')}, or add the folder to roots in animtool.toml"
     faults = [
-        Fault("DOC014", f"{str(folder)!r} is outside of {shown}", place, (), hint)
+        Fault("DOC014", f"{str(folder)!r} is outside {shown}", place, (), hint)
         for folder in folders
         if not any(inside(folder, root) for root in spec.roots)
         for place in [None if spec.path is None else str(spec.path)]
@@ -401,10 +401,10 @@ def _cuts(spec: BatchSpec) -> CutList:
     if None not in {fps, spec.fps} and fps != spec.fps:
         assert fps is not None
         assert spec.fps is not None
-        message = f"{argument('fps')} is {rate_label(spec.fps)}, and the scene has "
+        message = f"{argument('fps')} is {rate_label(spec.fps)}, but the scene has "
         raise OptionError(Fault("BAT051", f"{message}{rate_label(fps)}"))
     if start is not None and start.denominator != 1:
-        message = f"start is {float(start):g}, and shots begin at a whole frame"
+        message = f"start is {float(start):g}, but shots begin at a whole frame"
         raise OptionError(Fault("CLI002", message))
     first = None if start is None else int(start)
     given = CutOptions(
@@ -427,9 +427,9 @@ def _with_rate(spec: BatchSpec) -> BatchSpec:
         )
         flags += [] if spec.first_timecode is None else ["first_timecode"]
         if spec.fps is not None and spec.scene is not None:
-            flags.append(f"{argument('fps')} beside a scene")
+            flags.append(f"{argument('fps')} together with a scene")
     if flags:
-        message = f"{listed(flags)}: for a timeline, and there is none"
+        message = f"{listed(flags)}: only for a timeline, and the inputs contain none"
         raise OptionError(Fault("CLI002", message))
     if spec.fps is None or spec.scene is not None:
         return spec
@@ -443,8 +443,8 @@ def _with_timeline(spec: BatchSpec) -> BatchSpec:
         return spec
     cuts = [*([] if spec.cuts is None else [str(spec.cuts)]), *named]
     if len(cuts) > 1:
-        message = f"there are several timelines: {listed(cuts)}"
-        hint = "a batch is of the shots of one"
+        message = f"the inputs contain several timelines: {listed(cuts)}"
+        hint = "a batch takes the shots of one timeline"
         raise OptionError(Fault("BAT050", message, hint=hint))
     inputs = tuple(text for text in spec.inputs if text not in named)
     return replace(spec, cuts=spec.folder / named[0], inputs=inputs)
@@ -497,7 +497,7 @@ def _nothing(spec: BatchSpec) -> NothingFoundError:
     path = None if spec.path is None else str(spec.path)
     if spec.cuts is not None:
         message = "has no clip with media"
-        hint = "a clip without media shows the INPUT of its name: give takes too"
+        hint = "a clip without media uses the INPUT with its name: pass takes too"
         return NothingFoundError(Fault("BAT005", message, str(spec.cuts), (), hint))
     suffixes = _suffixes(spec)
     message = f"no input in {listed(spec.inputs) or 'nothing'}"

@@ -106,7 +106,7 @@ def read_edl(path: Path) -> Edl:
         elif line[:1].isdigit():
             match = _EVENT.fullmatch(line)
             if match is None:
-                faults.append((f"{excerpt(line)} is no event of an EDL", number))
+                faults.append((f"{excerpt(line)} is not an EDL event", number))
             else:
                 edl.events.append(_event(match, number, drop=drop))
         elif (stated := _RATE.fullmatch(line)) is not None and edl.fps is None:
@@ -114,7 +114,7 @@ def read_edl(path: Path) -> Edl:
         elif edl.events:
             _comment(edl.events[-1], line)
     if not known and not edl.events and not faults:
-        faults.append(("has no event of an EDL", 1))
+        faults.append(("contains no EDL event", 1))
     if faults:
         kept = faults[:MAX_FAULTS]
         raise FormatError(
@@ -205,8 +205,8 @@ class _Builder:
         except ValueError as error:
             message = f"{error}, at {rate_label(self.rate)}"
             hint = (
-                "state the rate that its time codes count: "
-                f"{argument('fps', '30000/1001')}, say"
+                "set the rate that its time codes count, such as "
+                f"{argument('fps', '30000/1001')}"
             )
             place = str(self.edl.path), (event.line,)
             self.faults.append(Fault("BAT041", message, *place, hint))
@@ -219,7 +219,7 @@ class _Builder:
         """Return the frame of a time code, or of a number of a frame."""
         if ":" not in text:
             if len(text) > len(str(MAX_FRAME)):
-                raise ValueError(f"{excerpt(text)} is no frame")
+                raise ValueError(f"{excerpt(text)} is not a frame")
             return int(text)
         return int(parse_timecode(text, self.rate))
 
@@ -287,7 +287,7 @@ class _Builder:
         if shown and source and shown != source:
             message = f"clip {excerpt(name)}: its source has {source} frames, its "
             message += f"record {shown}, and no speed (M2) is stated: the {source} "
-            message += "frames of its source are taken, at their own speed"
+            message += "frames of its source are used, at their own speed"
             place = str(self.edl.path), (event.line,)
             warning = Fault("BAT056", message, *place, severity=Severity.WARNING)
             self.notices.append(warning)

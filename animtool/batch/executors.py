@@ -101,23 +101,23 @@ EXECUTORS = {
 def processes(work: Work) -> Iterator[Outcome]:
     """Yield what becomes of items, made by several processes of this machine."""
     if work.argument:
-        raise _argument("processes", f"{argument('jobs')} says how many")
+        raise _argument("processes", f"{argument('jobs')} sets how many")
     return run_processes(work.builder, work.items, work.limits, work.jobs)
 
 
 def serial(work: Work) -> Iterator[Outcome]:
     """Yield what becomes of items, made one after another in this process."""
     if work.argument:
-        raise _argument("serial", "it takes none")
+        raise _argument("serial", "it takes no argument")
     if work.limits != Limits():
-        message = "serial makes items in its own process, which cannot be limited"
-        hint = f"processes keeps limits, with {argument('jobs', 1)} too"
+        message = "serial builds items in its own process, which cannot be limited"
+        hint = f"processes applies limits, even with {argument('jobs', 1)}"
         raise OptionError(Fault("BAT031", message, hint=hint))
     return map(work.builder.build, work.items)
 
 
 def _argument(name: str, hint: str) -> OptionError:
-    return OptionError(Fault("BAT031", f"{name} has no argument", hint=hint))
+    return OptionError(Fault("BAT031", f"{name} takes no argument", hint=hint))
 
 
 def find_executor(name: str) -> Executor:
@@ -132,7 +132,7 @@ def find_executor(name: str) -> Executor:
     if name in points:
         return load_plugin(points[name], Executor)
     hint = nearest(name, sorted({*EXECUTORS, *points}))
-    message = f"no executor is named {excerpt(name)}"
+    message = f"unknown executor {excerpt(name)}"
     raise OptionError(Fault("BAT030", message, hint=hint))
 
 

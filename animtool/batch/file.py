@@ -63,8 +63,8 @@ def variables_of_document(
     """Return the values of variables as text; names that are none are faults."""
     for name in own:
         if not is_variable_name(name):
-            message = f"{name!r} is no name of a variable"
-            hint = "letters, digits and _ make one, and no digit begins it"
+            message = f"{name!r} is not a valid variable name"
+            hint = "use letters, digits and _, and do not start with a digit"
             document.add("BAT002", (*at, name), message, hint)
     return {name: value_text(document, (*at, name), v) for name, v in own.items()}
 
@@ -73,10 +73,10 @@ class OverrideModel(FileModel):
     """Variables of some inputs."""
 
     inputs: list[Name] = key(
-        "The inputs that it is for: files, folders and globs.", ["takes/mixamo/**"]
+        "The inputs it applies to: files, folders and globs.", ["takes/mixamo/**"]
     )
     variables: dict[str, Value] = key(
-        "Their values, in place of those of the batch or of an override above.",
+        "Their values, which replace those of the batch or of an override above.",
         {"map": "mixamo.map.yaml"},
     )
 
@@ -97,7 +97,7 @@ def overrides_of_document(
         values = variables_of_document(document, at, model.variables)
         for name in sorted(values.keys() & taken):
             message = f"{name!r} already has a value for each item"
-            hint = "inputs, shots and variants give it: name the variable otherwise"
+            hint = "inputs, shots and variants set it: give the variable another name"
             document.add("BAT063", (*at, name), message, hint)
         overrides.append(Override(tuple(model.inputs), values))
     return tuple(overrides)
@@ -107,10 +107,10 @@ class LimitsModel(FileModel):
     """What an item may take."""
 
     seconds: Annotated[Real, Gt(0), Le(MAX_SECONDS)] | None = key(
-        "How long an item may take. Not given: as long as it needs.", 60, default=None
+        "Time limit of an item. Default: none.", 60, default=None
     )
     memory: str | None = key(
-        "How much memory the process that makes it may have, all told. Not given: any.",
+        "Memory limit of the process that builds an item. Default: none.",
         "2GB",
         default=None,
     )
@@ -134,8 +134,8 @@ class RangeModel(FileModel):
     """Values from one number to another."""
 
     start: Real = key("The first value.", 0)
-    stop: Real = key("The last value, where the steps lead to it.", 1)
-    step: Real = key("From each value to the next.", 0.25, default=1)
+    stop: Real = key("The last value, if the steps reach it.", 1)
+    step: Real = key("Step from one value to the next.", 0.25, default=1)
 
 
 Column = str | list[Value] | RangeModel
@@ -146,84 +146,83 @@ class BatchModel(FileModel):
 
     batch: Literal["animtool/1"] = key("File type and format version.", "animtool/1")
     inputs: list[Name] = key(
-        "Files, folders, and globs in which `**` is any folders. Must be "
-        "given, but with a `cut`, or `variants` of a `scene` that has no `${input}`.",
+        "Files, folders and globs, in which `**` matches any folders. Required, "
+        "except with `cut`, or with `variants` of a `scene` without `${input}`.",
         ["takes/**/*.bvh"],
         default=[],
     )
     exclude: list[str] = key(
-        "What of it is left out, written likewise.", ["takes/old/*.bvh"], default=[]
+        "Inputs to exclude, in the same form.", ["takes/old/*.bvh"], default=[]
     )
     scene: str | None = key(
-        "A scene file that says what is done to each input, `${input}` in "
-        "it. Not given: each is baked as it is.",
+        "A scene file that is run for each input, which it names as `${input}`. "
+        "Default: bake each input as it is.",
         "clean.scene.yaml",
         default=None,
     )
     cut: str | None = key(
-        "A timeline that OpenTimelineIO reads: each of its clips is an "
-        "item, and `inputs` are where media is looked for that it does not lead to. A "
-        "timeline among `inputs` is the same.",
+        "A timeline that OpenTimelineIO reads: each of its clips becomes an item. "
+        "Media that it does not locate is searched for in `inputs`. A timeline among "
+        "`inputs` does the same.",
         "edit.otio",
         default=None,
     )
     handles: Annotated[WholeFrame, Ge(0)] | None = key(
-        "Shot frames before and after each cut of the timeline. Not "
-        "given: as its `metadata.animtool` says, else 0.",
+        "Frames before and after each cut of the timeline. Default: its "
+        "`metadata.animtool`, else 0.",
         8,
         default=None,
     )
     cut_start: WholeFrame | None = key(
-        "First frame of each cut of the timeline, the handles before it. Not given: as "
-        "its `metadata.animtool` says, else shots begin at `start`.",
+        "First frame of each cut of the timeline, after the handles. Default: its "
+        "`metadata.animtool`, else shots begin at `start`.",
         1001,
         default=None,
     )
     first_timecode: str | None = key(
-        "Time code of the first frame of each take, as ranges of the timeline count. "
-        "Not given: as the timeline says.",
+        "Time code of the first frame of each take, as the timeline counts. Default: "
+        "as the timeline states.",
         "01:00:00:00",
         default=None,
     )
     variables: dict[str, Value] = key(
-        "What `${name}` stands for in the scene; `set` of the command "
-        "line comes first.",
+        "Value of `${name}` in the scene; `set` of the command line takes precedence.",
         {"shot": "sh010"},
         default={},
     )
     overrides: list[OverrideModel] = key(
-        "Other values of variables for some of the inputs; the last that fits counts.",
+        "Other values of variables for some of the inputs; the last match wins.",
         [{"inputs": ["takes/mixamo/**"], "variables": {"map": "mixamo.map.yaml"}}],
         default=[],
     )
     variants: str | list[dict[str, Value]] | dict[str, Column] = key(
-        "A table of values for `${name}` in the scene and `{name}` in the "
-        "output: an item for each row. Names with values each make every combination; "
-        "a list has the rows themselves; a text names a CSV file.",
+        "A table of values for `${name}` in the scene and `{name}` in the output, "
+        "with an item for each row. Names with lists of values give every "
+        "combination; a list holds the rows themselves; a text names a CSV file.",
         {"stiffness": [50, 100, 200], "seed": "1..4"},
         default={},
     )
     options: OptionsModel | None = key(
-        "How to bake, where there is no `scene`.", {"reduce": "0.5mm"}, default=None
+        "How to bake without a `scene`.", {"reduce": "0.5mm"}, default=None
     )
     output: str | None = key(
-        "The file to write of each input, with names between braces; "
-        "`out/` stands for `out/{parent}/{stem}.usdc`. Not given: as the "
-        "scene says, else beside the input, as .usdc.",
+        "The file to write for each input, with names in braces; `out/` is short for "
+        "`out/{parent}/{stem}.usdc`. Default: as the scene states, else next to the "
+        "input, as .usdc.",
         "out/{parent}/{stem}.usdc",
         default=None,
     )
     limits: LimitsModel = key(
-        "What each may take.", {"seconds": 60, "memory": "2GB"}, default=LimitsModel()
+        "Limits of each item.", {"seconds": 60, "memory": "2GB"}, default=LimitsModel()
     )
     jobs: Annotated[Whole, Ge(1), Le(1024)] | Literal["auto"] = key(
-        "How many processes make them; `auto` is one for each processor.",
+        "Number of processes; `auto` is one per processor.",
         4,
         default="auto",
     )
     ignore: list[IgnoreModel] = key(
-        "Findings of `animtool validate` that are known and stay.",
-        [{"code": "DOC015", "why": "it is made before the batch runs"}],
+        "Findings of `animtool validate` that are accepted.",
+        [{"code": "DOC015", "why": "it is checked before the batch runs"}],
         default=[],
     )
 
@@ -279,7 +278,7 @@ class _Reader:
         for i, entry in enumerate(table):
             if set(entry) != set(first):
                 odd = ", ".join(sorted(set(entry) ^ set(first)))
-                message = f"the columns are not those of the first row: {odd}"
+                message = f"the columns differ from those of the first row: {odd}"
                 hint = f"columns: {', '.join(first)}"
                 self.document.add("BAT062", (*AT, i), message, hint)
                 continue
@@ -354,8 +353,8 @@ class _BatchReader:
     def spec(self) -> BatchSpec:
         model, path, read = self.model, self.document.path, self.keys.read_file
         if model.scene is not None and model.options is not None:
-            message = "there are both a scene and options"
-            hint = "write into the scene's output what the options say"
+            message = "the batch has both a scene and options"
+            hint = "move the options into the scene's output"
             self.document.add("BAT001", ("options",), message, hint)
         if not (model.inputs or self.of_shots or (model.scene and model.variants)):
             message = "key 'inputs' is missing"
@@ -398,8 +397,8 @@ class _BatchReader:
     def _first_timecode(self) -> str | None:
         text = self.model.first_timecode
         if text is not None and not is_timecode(text):
-            message = f"{excerpt(text)} is no time code"
-            hint = "write one such as 01:00:00:00, or 01:00:00;02 of drop-frame"
+            message = f"{excerpt(text)} is not a time code"
+            hint = "write 01:00:00:00, or 01:00:00;02 for drop-frame"
             self.document.add("BAT001", ("first_timecode",), message, hint)
         return text
 
@@ -408,7 +407,7 @@ class _BatchReader:
         given = self.model.variants
         if not given:
             if "variants" in self.model.model_fields_set:
-                hint = "write {k: [1, 2]}, rows, or the name of a CSV file"
+                hint = "write {k: [1, 2]}, a list of rows, or the name of a CSV file"
                 self.document.add("BAT061", ("variants",), "has no values", hint)
             return None
         if isinstance(given, str):

@@ -88,13 +88,16 @@ def unknown_names(
     try:
         fields = [part[1:] for part in Formatter().parse(pattern)]
     except ValueError as error:
-        yield f"{pattern!r} is no pattern: {error}", "write {{ for a brace itself"
+        yield (
+            (f"{pattern!r} is not a valid pattern: {error}"),
+            "write {{ for a literal brace",
+        )
         return
     names = [*INPUT_NAMES, *variables]
     for name, form, conversion in fields:
         if name is not None and (form or conversion or name not in names):
             shown = f"{{{name}}}" if name or not form else "{}"
-            yield f"{pattern!r} has no name {shown}", nearest(name, names)
+            yield f"unknown name in {pattern!r}: {shown}", nearest(name, names)
 
 
 def output_root(pattern: str) -> PurePath:
@@ -130,7 +133,7 @@ class NamedOutputs:
             path /= text
             root = root if below else path
         if below and not self._stays(path.parent, root):
-            message = f"a link in {str(root)!r} leads out of it: {str(path.parent)!r}"
+            message = f"a link in {str(root)!r} leads outside it: {str(path.parent)!r}"
             raise UnsafeNameError("", message)
         return path
 
@@ -199,14 +202,14 @@ def read_rules(path: Path) -> list[PathRule]:
         given = list_in(plain, key) if key in plain else ()
         return [_rule(object_of(rule)) for rule in given]
     except RecordError as error:
-        message = f"is no file of path mapping rules: {error}"
+        message = f"is not a file of path mapping rules: {error}"
         raise FormatError(Fault("BAT038", message, str(path))) from error
 
 
 def _rule(plain: Mapping[str, Any]) -> PathRule:
     kind = text_in(plain, "source_path_format")
     if kind not in _KINDS:
-        raise RecordError(f"{excerpt(kind)} is no 'source_path_format'")
+        raise RecordError(f"unknown 'source_path_format' {excerpt(kind)}")
     source = _KINDS[kind](text_in(plain, "source_path"))
     return PathRule(source, text_in(plain, "destination_path"))
 
@@ -327,9 +330,9 @@ class ItemTask:
             scene = scene.of_shot(item.shot)
         for output in scene.outputs:
             if output.bake.form == "library":
-                message = "items of a batch do not share a library"
+                message = "items of a batch cannot share a library"
                 hint = (
-                    "bake them apart, and then together: animtool bake *.usdc -o FILE"
+                    "bake each first, then combine them: animtool bake *.usdc -o FILE"
                 )
                 raise OptionError(output.place.fault("SCN052", message, hint))
         return scene
@@ -348,10 +351,10 @@ class ItemTask:
     def refuse_several(self, source: Source) -> None:
         """Refuse a scene that names its outputs, where a pattern names them too."""
         if self._is_several(source):
-            message = "the scene names its outputs, and the batch names one"
+            message = "the scene names its outputs, but the batch names one too"
             hint = (
-                f"leave out the batch's output ({argument('output')}), and use "
-                f"${{stem}} in the scene's"
+                f"remove the batch's output ({argument('output')}), and use "
+                "${stem} in the scene's"
             )
             place = cast("Scene", source).outputs[-1].place
             raise OptionError(place.fault("SCN044", message, hint))

@@ -279,8 +279,8 @@ def _lock(held: ExitStack, files: _Files, timeout: float) -> None:
         lock: FileLock = FileLock(path)
         held.enter_context(lock.acquire(timeout=timeout))
     except Timeout as error:
-        message = f"another run of this batch goes on: {_owner(files)}"
-        hint = "wait for it to end, or end it"
+        message = f"another run of this batch is in progress: {_owner(files)}"
+        hint = "wait until it ends, or stop it"
         raise LockedError(Fault("BAT010", message, str(path), (), hint)) from error
     except (OSError, NotImplementedError) as error:
         # The second is of disks that have no locks.
@@ -314,7 +314,7 @@ def _owner(files: _Files) -> str:
     """Return whose run it is, as far as that is known."""
     import platform
 
-    unknown = "of a process that has not said which"
+    unknown = "of an unknown process"
     try:
         owner = json_of_file(files.named(".owner"), MAX_OWNER)
         process, host = whole_in(owner, "process", 1, 2**31), text_in(owner, "host")

@@ -65,7 +65,7 @@ class FileRecord:
         path = text_in(plain, "path")
         if "absent" in plain:
             if plain["absent"] is not True or "size" in plain:
-                raise RecordError("'absent' is not all there is")
+                raise RecordError("'absent' is incomplete")
             return cls(path, None)
         state = FileState(
             whole_in(plain, "size"),
@@ -229,7 +229,7 @@ class _Lines:
         elif "item" in line:
             self.manifest.add(ItemRecord.from_dict(line, self.files))
         else:
-            raise RecordError("is none of a manifest")
+            raise RecordError("is not part of a manifest")
 
     def _file(self, number: int, record: FileRecord) -> None:
         manifest = self.manifest
@@ -309,7 +309,7 @@ def _some(plain: Mapping[str, Any], key: str) -> Sequence[Any]:
 def _score(plain: Mapping[str, Any]) -> Score:
     unit = text_in(plain, "unit")
     if unit not in {*ScoreUnit}:
-        raise RecordError(f"{unit!r} is no unit of a score")
+        raise RecordError(f"unknown unit of a score: {unit!r}")
     value, usual, ideal = (
         number_in(plain, key, -math.inf) for key in ("value", "usual", "ideal")
     )

@@ -69,7 +69,7 @@ def overridden(
             values.setdefault(own, {}).update(override.variables)
         if not matched:
             message = f"no input of the batch is {listed(override.inputs)}"
-            hint = "inputs are files, folders and globs, seen from the batch file"
+            hint = "inputs are files, folders and globs, relative to the batch file"
             file, where = None if path is None else str(path), f"overrides[{i}].inputs"
             warning = Severity.WARNING
             notices.append(

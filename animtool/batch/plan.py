@@ -189,8 +189,8 @@ def _clashes(
         for path in batch.outputs(item):
             where = place(path)
             if where in inputs:
-                message = "is an input of this very batch"
-                hint = f"name another {argument('output')}"
+                message = "is an input of this batch"
+                hint = f"choose another {argument('output')}"
                 yield Fault("OUT003", message, str(path), (), hint)
             name = name_key(where)
             other = taken.setdefault(name, item)
@@ -207,15 +207,17 @@ def _clashes(
 def _apart(item: Item, other: Item) -> str:
     """Return what keeps the outputs of two items apart."""
     if item.shot is not None and item.shot != other.shot:
-        return f"{{shot}} in {argument('output')} keeps the shots apart"
+        return f"use {{shot}} in {argument('output')} to keep the shots separate"
     if item.file != other.file:
-        return f"{{parent}} in {argument('output')} keeps the folders of inputs apart"
+        return (
+            f"use {{parent}} in {argument('output')} to keep the input folders separate"
+        )
     differing = [k for k, v in item.values.items() if other.values.get(k) != v]
     if not differing:
-        return "these values are given twice: leave one out"
+        return "these values appear twice: remove one"
     name = differing[0]
-    return f"{{{name}}} in -o, or ${{{name}}} in the scene's output, " + (
-        "keeps the variants apart"
+    return f"use {{{name}}} in -o, or ${{{name}}} in the scene's output, " + (
+        "to keep the variants separate"
     )
 
 
@@ -228,7 +230,9 @@ def _closed(folders: Iterable[Path]) -> Iterator[Fault]:
             continue
         seen.add(there)
         if not there.is_dir():
-            yield Fault("OUT002", "cannot be written to: it is no folder", str(there))
+            yield Fault(
+                "OUT002", "cannot be written to: it is not a folder", str(there)
+            )
         elif not os.access(there, os.W_OK | os.X_OK):
             yield Fault("OUT002", "cannot be written to: no permission", str(there))
 

@@ -63,10 +63,10 @@ LONGEST_START = 900.0
 MAX_FAILED_STARTS = 3
 TIMEOUT = 5.0
 # What may have happened to a process, by how it ended.
-_RESUME = "finished items are recorded, and the same command resumes with the rest"
+_RESUME = "finished items are recorded; run the same command again to resume"
 _HINTS = {
-    -9: f"lower {argument('jobs')} or give it more memory or time; {_RESUME}",
-    -6: f"the system may have no memory left: lower {argument('jobs')}; {_RESUME}",
+    -9: f"lower {argument('jobs')}, or allow more memory or time; {_RESUME}",
+    -6: f"the system may be out of memory: lower {argument('jobs')}; {_RESUME}",
 }
 
 
@@ -191,7 +191,7 @@ class _Pool:
             if worker.path and -code in CRASHES and code != -9:
                 yield self._lost(worker, crash_fault(worker.path, -code))
                 return
-            message = f"the process that made it {_how_it_ended(worker.process)}"
+            message = f"the process that built it {_how_it_ended(worker.process)}"
             hint = _HINTS.get(code)
             if self.limits.memory is not None:
                 hint = hint and f"raise {argument('memory_limit')}; {_RESUME}"
@@ -227,11 +227,15 @@ class _Pool:
         spent = time.perf_counter() - worker.began
         if limits.seconds is not None and spent > limits.seconds:
             message = f"took more than its {limits.seconds:g} s"
-            return Fault("BAT021", message, hint="limits: {seconds: …} allows more")
+            return Fault(
+                "BAT021", message, hint="raise `limits: {seconds: …}` to allow more"
+            )
         used = _used_bytes(worker.process) if limits.memory is not None else 0
         if limits.memory is not None and used > limits.memory:
-            message = f"took more memory than its {bytes_text(limits.memory)}"
-            return Fault("BAT022", message, hint="limits: {memory: …} allows more")
+            message = f"used more than its {bytes_text(limits.memory)} of memory"
+            return Fault(
+                "BAT022", message, hint="raise `limits: {memory: …}` to allow more"
+            )
         return None
 
     def _lost(self, worker: _Worker, fault: Fault) -> Outcome:
@@ -351,10 +355,10 @@ def _number(worker: _Worker) -> int | None:
 
 
 def _unstartable(why: str) -> OutputError:
-    message = f"processes that make items cannot be started: {why}"
+    message = f"worker processes cannot be started: {why}"
     hint = (
-        f"allow more memory, or fewer at a time with {argument('jobs')}; what was "
-        "made is recorded"
+        f"allow more memory, or lower {argument('jobs')}; finished items are "
+        "recorded and will be skipped"
     )
     return OutputError(Fault("BAT071", message, hint=hint))
 
@@ -362,7 +366,7 @@ def _unstartable(why: str) -> OutputError:
 def _how_it_ended(process: BaseProcess) -> str:
     code = process.exitcode
     if code is None:
-        return "does not answer"
+        return "does not respond"
     if code >= 0:
         return f"ended with {code}"
     if code == -9:

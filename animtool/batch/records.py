@@ -39,13 +39,13 @@ class RecordError(ValueError):
 
 
 def _refused(name: str) -> NoReturn:
-    raise RecordError(f"{name} is no number")
+    raise RecordError(f"{name} is not a number")
 
 
 def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     values = dict(pairs)
     if len(values) < len(pairs):
-        raise RecordError("a key is there twice")
+        raise RecordError("a key appears twice")
     return values
 
 
@@ -78,7 +78,7 @@ def json_of_file(path: Path, most: int) -> dict[str, Any]:
 def object_of(value: object) -> dict[str, Any]:
     """Return a value that is an object."""
     if not isinstance(value, dict):
-        raise RecordError("is no object")
+        raise RecordError("is not an object")
     return value
 
 
@@ -89,11 +89,11 @@ def text_in(record: Mapping[str, Any], key: str, longest: int = MAX_TEXT) -> str
 
 def _text(value: object, key: str, longest: int = MAX_TEXT) -> str:
     if not isinstance(value, str):
-        raise RecordError(f"{key!r} is no text")
+        raise RecordError(f"{key!r} is not text")
     if len(value) > longest:
         raise RecordError(f"{key!r} is too long")
     if "\0" in value:
-        raise RecordError(f"{key!r} has a NUL")
+        raise RecordError(f"{key!r} contains a NUL")
     return value
 
 
@@ -109,7 +109,7 @@ def whole_in(
     value = record.get(key)
     # A truth value is an int to Python.
     if type(value) is not int or not low <= value <= high:
-        raise RecordError(f"{key!r} is no whole number from {low} to {high}")
+        raise RecordError(f"{key!r} is not a whole number from {low} to {high}")
     return value
 
 
@@ -117,13 +117,13 @@ def number_in(record: Mapping[str, Any], key: str, low: float = 0.0) -> float:
     """Return the finite number of a key."""
     value = record.get(key)
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise RecordError(f"{key!r} is no number")
+        raise RecordError(f"{key!r} is not a number")
     try:
         number = float(value)
     except OverflowError:
         number = math.inf
     if not (math.isfinite(number) and number >= low):
-        raise RecordError(f"{key!r} is no number from {low:g}")
+        raise RecordError(f"{key!r} is not a number of at least {low:g}")
     return number
 
 
@@ -131,7 +131,7 @@ def list_in(record: Mapping[str, Any], key: str) -> Sequence[Any]:
     """Return the list of a key."""
     value = record.get(key)
     if not isinstance(value, list):
-        raise RecordError(f"{key!r} is no list")
+        raise RecordError(f"{key!r} is not a list")
     return value
 
 
@@ -220,7 +220,7 @@ class LineReader:
         record = json_object(line, unique=not summed)
         self._summed |= summed
         if not summed and (self._summed or "crc" in record):
-            raise RecordError("is not what was written")
+            raise RecordError("differs from what was written")
         record.pop("crc", None)
         return record
 
@@ -231,7 +231,7 @@ class LineReader:
         number, why = next(iter(self.damaged.items()))
         count = counted(len(self.damaged), "line")
         message = f"{count} of the record cannot be used: line {number} {why}"
-        hint = "the items that it described are made again"
+        hint = "the items in them are rebuilt"
         lines = tuple(self.damaged)[:100]
         return Fault("BAT070", message, str(self.path), lines, hint, Severity.WARNING)
 
@@ -240,11 +240,11 @@ class LineReader:
 
     def _foreign(self, line: Line) -> FormatError:
         (kind, version), *_ = self.head.items()
-        message = f"is no {kind} file of {version}"
+        message = f"is not a {kind} file of {version}"
         stated = line.get(kind)
         if isinstance(stated, str) and stated != version:
-            message = f"is of version {stated[:40]!r}, and {version} is known"
-        hint = "remove it, and everything is made anew"
+            message = f"is of version {stated[:40]!r}; {version} is supported"
+        hint = "remove it to rebuild everything"
         return FormatError(Fault("BAT011", message, str(self.path), (1,), hint))
 
 
@@ -307,10 +307,10 @@ class LineWriter:
             raise self._unwritable(error) from error
         if written < len(data):
             os.ftruncate(self._handle, self.length)
-            raise self._unwritable("there is no room left")
+            raise self._unwritable("the disk is full")
         self.length += written
 
     def _unwritable(self, error: OSError | str) -> OutputError:
         fault = output_error(self.path, error).faults[0]
-        hint = fault.hint or "what was made so far is recorded"
+        hint = fault.hint or "finished items are recorded"
         return OutputError(Fault("BAT012", fault.message, fault.path, (), hint))

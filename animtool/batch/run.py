@@ -241,7 +241,7 @@ class _Run:
             close()
         for number in sorted(self.begun - self.ended.keys()):
             item = self.decisions[number].item
-            message = "whatever made it has not said what became of it"
+            message = "the process that built it did not report a result"
             fault = Fault("BAT020", message, str(item.file.path))
             self._ended(Outcome.failed(item, fault))
         # A process of a run that was killed may have lived a moment longer.

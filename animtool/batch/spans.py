@@ -173,7 +173,7 @@ class Walk:
             name = track.name or f"track {number}"
             kind = getattr(track, "kind", "Video")
             if kind != "Video":
-                self.note("BAT043", f"{name}, of {kind}, is left out", False)
+                self.note("BAT043", f"{name}, of type {kind}, is skipped", False)
             elif not self._off(track, name):
                 self._item(track, name, name, window, Fraction(0), speed)
 
@@ -187,7 +187,7 @@ class Walk:
         """Say why an item gives no shot, nor what is in it."""
         for name in _clip_names(item):
             self.skipped.setdefault(name, why)
-        self.note(code, f"{why}; it is left out", warn)
+        self.note(code, f"{why}; it is skipped", warn)
 
     def _item(
         self,
@@ -242,10 +242,10 @@ class Walk:
                 inner = f"{where}/{child.name}" if child.name else where
                 kind = getattr(child, "kind", "Video")
                 if kind != "Video":
-                    self.note("BAT043", f"{inner}, of {kind}, is left out", False)
+                    self.note("BAT043", f"{inner}, of type {kind}, is skipped", False)
                 elif not self._off(child, inner):
                     self.note(
-                        "BAT043", f"{inner} is nested; its clips are shots", False
+                        "BAT043", f"{inner} is nested; its clips become shots", False
                     )
                     self._item(child, inner, inner, window, begun, speed)
 

@@ -48,7 +48,7 @@ def parse_bytes(text: str) -> int:
     match = _SIZE.fullmatch(text.strip())
     size = float(match[1]) * _UNITS[match[2]] if match else 0.0
     if not 1 <= size <= MAX_BYTES:
-        raise ValueError(f"{excerpt(text)} is no size such as 2GB or 512MiB")
+        raise ValueError(f"{excerpt(text)} is not a size such as 2GB or 512MiB")
     return int(size)
 
 
@@ -59,7 +59,7 @@ def parse_seconds(text: str) -> float:
     except ValueError:
         seconds = 0.0
     if not 0 < seconds <= MAX_SECONDS:
-        raise ValueError(f"{excerpt(text)} is no number of seconds above 0")
+        raise ValueError(f"{excerpt(text)} is not a number of seconds above 0")
     return seconds
 
 

@@ -65,9 +65,9 @@ def _problem(path: Path) -> str | None:
                 # Of archives that are damaged, the library raises almost anything.
                 return f"cannot be read: {excerpt(str(error), 200)}"
         if len(text) > MAX_BYTES:
-            return f"holds more than {MAX_BYTES // 1_000_000} MB"
+            return f"is larger than {MAX_BYTES // 1_000_000} MB"
     if nesting(text) > MAX_NESTING:
-        return f"nests more than {MAX_NESTING} deep"
+        return f"is nested more than {MAX_NESTING} levels deep"
     if b"Inf" in text or b"-NaN" in text:
         text = _INFINITE.sub(lambda m: m[0] if m[0].startswith(b'"') else b"0", text)
     json.loads(text.decode("utf-8"))
@@ -124,10 +124,10 @@ def read_timeline(path: Path) -> Any:
         kind = type(error).__name__
         message = f"cannot be read as a timeline: {kind}: {excerpt(str(error), 200)}"
         known = sorted(otio.adapters.suffixes_with_defined_adapters(read=True))
-        hint = f"there are adapters for {', '.join(known)}"
+        hint = f"supported: {', '.join(known)}"
         raise FormatError(Fault("BAT041", message, str(path), (), hint)) from error
     if not isinstance(timeline, otio.schema.Timeline):
-        message = f"is a {type(timeline).__name__}, and no timeline"
+        message = f"is a {type(timeline).__name__}, not a timeline"
         raise FormatError(Fault("BAT041", message, str(path)))
     if timeline.tracks is None:
         raise FormatError(Fault("BAT041", "has no tracks", str(path)))
@@ -170,7 +170,7 @@ def is_remote(clip: Any) -> bool:
 def exact_rate(rate: float) -> Fraction:
     """Return the rate that a timeline states."""
     if not LOWEST_RATE <= rate <= HIGHEST_RATE:
-        raise ValueError(f"{rate!r} is no rate of frames")
+        raise ValueError(f"{rate!r} is not a frame rate")
     return rate_from_float(rate)
 
 
@@ -178,7 +178,7 @@ def seconds_of(time: Any) -> Fraction:
     """Return a time of a timeline, exact at its own rate [s]."""
     rate = exact_rate(time.rate)
     if not abs(time.value) <= LONGEST * rate:
-        raise ValueError(f"{time.value!r} is no time at {float(rate):g} frames/s")
+        raise ValueError(f"{time.value!r} is not a time at {float(rate):g} frames/s")
     exact = Fraction(time.value)
     whole = Fraction(round(exact))
     if abs(exact - whole) > NEAR:

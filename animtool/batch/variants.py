@@ -24,7 +24,7 @@ MAX_COLUMNS = 1000
 MAX_LINE = 1_000_000
 # As many faults of a table as a person reads.
 MAX_FAULTS = 100
-TOO_MANY = f"at most {MAX_VARIANTS} variants can be made at a time"
+TOO_MANY = f"a batch has at most {MAX_VARIANTS} variants"
 _RANGE = re.compile(
     r"(?P<first>[-+]?\d+(?:\.\d+)?)\.\.(?P<last>[^/.][^/]*)(?:/(?P<step>.+))?"
 )
@@ -53,7 +53,7 @@ def columns_variants(columns: Mapping[str, Sequence[str]]) -> Variants:
     """
     count = math.prod(map(len, columns.values())) if columns else 0
     if count == 0:
-        raise ValueError("there is no value")
+        raise ValueError("a value is missing")
     if count > MAX_VARIANTS:
         raise ValueError(f"{counted(count, 'variant')}: {TOO_MANY}")
     rows = itertools.product(*columns.values())
@@ -168,7 +168,7 @@ def name_problems(
             shown = excerpt(name) if name else "a column without a name"
             yield i, f"{shown} is not a name of letters, digits and _"
         elif name in taken:
-            yield i, f"{name!r} has another meaning here"
+            yield i, f"{name!r} is reserved here"
         elif twice:
             yield i, f"there are two columns {name!r}"
 
@@ -202,8 +202,8 @@ def read_variants(path: Path) -> Variants:
     most = MAX_VARIANTS + 2
     lines = list(itertools.islice(_lines(read_text(path), separator, path), most))
     if len(lines) < 2:
-        message = "has no line of values" if lines else "is empty"
-        hint = "the first line names the columns, each other line is a variant"
+        message = "has no rows" if lines else "is empty"
+        hint = "the first line names the columns; every other line is a variant"
         raise FormatError(Fault("BAT061", message, str(path), (1,), hint))
     (_, names, places), *rows = lines
     separate = None
@@ -251,7 +251,7 @@ def _lines(
             values = _values(line, separator)
         except (csv.Error, ValueError) as error:
             message = f"cannot be read as a table: {error}"
-            hint = "a quote inside of quotes is written twice; values have no line ends"
+            hint = "inside quotes, double a quote; values cannot contain line ends"
             raise FormatError(
                 Fault("BAT061", message, str(path), (number,), hint, column=1)
             ) from error
@@ -264,10 +264,12 @@ def _lines(
 def _values(line: str, separator: str) -> list[str]:
     """Return the values of a line."""
     if len(line) > MAX_LINE:
-        raise ValueError(f"a line has up to {MAX_LINE} letters")
+        raise ValueError(f"a line can have up to {MAX_LINE} characters")
     (values,) = csv.reader(io.StringIO(line), delimiter=separator, strict=True)
     if len(values) > MAX_COLUMNS:
-        raise ValueError(f"there are {len(values)} columns, and up to {MAX_COLUMNS}")
+        raise ValueError(
+            f"the table has {len(values)} columns; the limit is {MAX_COLUMNS}"
+        )
     return values
 
 

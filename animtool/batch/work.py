@@ -92,7 +92,7 @@ class ItemBuilder:
             )
         except MemoryError:
             retired = True
-            faults = (Fault("BAT022", "there was not enough memory", _named(item)),)
+            faults = (Fault("BAT022", "out of memory", _named(item)),)
         except OSError as error:
             message = f"cannot be read or written: {error.strerror or error}"
             faults = (Fault("BAT023", message, error.filename or _named(item)),)

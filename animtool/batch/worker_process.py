@@ -50,7 +50,7 @@ class WorkerProcess:
             raise
         except Exception as error:
             # Unpickling raises anything, of bytes that something else wrote.
-            raise ConnectionError("the program that makes items ended") from error
+            raise ConnectionError("the worker process ended") from error
 
     def end(self) -> None:
         """End the program, and what it is at."""

@@ -247,8 +247,8 @@ def notices(
         and options.cutoff is None
     ):
         message = (
-            f"with {counted(take.clock.count, 'frame')} noise cannot be told from "
-            f"motion; nothing is filtered"
+            f"{counted(take.clock.count, 'frame')} are too few to tell noise from "
+            "motion; nothing is filtered"
         )
         return [Fault("CAP102", message, severity=Severity.WARNING)]
     spiky = sorted({s.joint for s in signals if s.spikes})
@@ -295,7 +295,7 @@ def scores_of(frames: int, signals: list[CleanedSignal]) -> PassScores:
     }
     return PassScores(
         (
-            Score("noise of places", max(shifts, default=0.0), ScoreUnit.LENGTH, 1e-3),
+            Score("position noise", max(shifts, default=0.0), ScoreUnit.LENGTH, 1e-3),
             Score("of turns", max(turns, default=0.0), ScoreUnit.ANGLE, USUAL_NOISE),
             Score("frames with spikes", lost / max(frames, 1), ScoreUnit.SHARE, 0.01),
         ),

@@ -24,21 +24,21 @@ class CleanOptions:
         3,
         "count",
         metavar="FRAMES",
-        help="Longest spike that is removed; 0 leaves them.",
+        help="Longest spike that is removed; 0 keeps them all.",
     )
     keep_noise: bool = option(
         False,
         "switch",
         flag="noise",
         choices=("filter", "keep"),
-        help="Whether noise is filtered, each joint at the cut-off that its noise asks "
-        "for, or kept.  [default: filter]",
+        help="Filter noise at a cut-off that each joint's noise suggests, or keep "
+        "it.  [default: filter]",
     )
     cutoff: float | None = option(
         None,
         "amount",
         metavar="HZ",
-        help="Filter every joint at this frequency instead.",
+        help="Cut-off frequency for every joint instead.",
     )
 
 
@@ -62,14 +62,13 @@ class TriangulateOptions:
         5.0,
         "amount",
         metavar="SIGMAS",
-        help="Leave out observations that are farther off than this many standard "
-        "deviations.",
+        help="Exclude observations farther off than this many standard deviations.",
     )
     min_angle: float = option(
         0.03490658503988659,
         "angle",
-        help="Least angle between rays; points that only flatter ones see are left "
-        "out.",
+        help="Smallest angle between rays; points seen only under smaller angles are "
+        "excluded.",
         written=2.0,
     )
     keep_moved: bool = option(
@@ -77,8 +76,8 @@ class TriangulateOptions:
         "switch",
         flag="moved",
         choices=("leave-out", "keep"),
-        help="Whether cameras that moved after calibration are left out where they "
-        "did, or kept.  [default: leave-out]",
+        help="Exclude cameras that moved after calibration in the frames where they "
+        "did, or keep them.  [default: leave-out]",
     )
 
 
@@ -91,21 +90,21 @@ class FaceOptions:
         1.0,
         "amount",
         metavar="FACTOR",
-        help="How much changes from frame to frame cost: 0 is nothing.",
+        help="Penalty for change from frame to frame: 0 is none.",
     )
     head: str | None = option(
         None,
         "choice",
         choices=("rotation", "pose", "none"),
-        help="Head motion: turn the head joint, also move the root, or leave it out.  "
-        "[default: rotation, of a head-mounted camera none]",
+        help="Head motion: rotate the head joint, also move the root, or ignore it.  "
+        "[default: rotation; none with a head-mounted camera]",
     )
     neutral: int | None = option(
         None,
         "count",
         metavar="FRAME",
-        help="Frame, from 0, in which the actor's face is neutral: proportions are "
-        "then the actor's.",
+        help="Frame, from 0, with a neutral face: proportions are then taken from "
+        "the actor.",
     )
 
 
@@ -126,29 +125,27 @@ class FillOptions:
         "switch",
         flag="gaps",
         choices=("fill", "keep"),
-        help="Whether gaps are filled, or kept.  [default: fill]",
+        help="Fill gaps, or keep them.  [default: fill]",
     )
     keep_spikes: bool = option(
         False,
         "switch",
         flag="spikes",
         choices=("remove", "keep"),
-        help="Whether spikes are removed, and filled as gaps, or kept.  "
-        "[default: remove]",
+        help="Remove spikes and fill them as gaps, or keep them.  [default: remove]",
     )
     keep_swaps: bool = option(
         False,
         "switch",
         flag="swaps",
         choices=("repair", "keep"),
-        help="Whether names that were exchanged are put right, or kept.  "
-        "[default: repair]",
+        help="Repair swapped names, or keep them.  [default: repair]",
     )
     longest: Annotated[float | None, or_more(0, "CAP001", finite=True)] = option(
         None,
         "amount",
         metavar="SECONDS",
-        help="Leave gaps that are longer.  [default: all are filled]",
+        help="Longest gap to fill.  [default: no limit]",
     )
 
 
@@ -166,18 +163,18 @@ class SolveOptions:
         "length",
         written="0.5mm",
         metavar="LENGTH",
-        help="How far a marker may be off its place on the bone; skin moves. More is "
-        "allowed where the capture shows more.",
+        help="Expected shift of a marker on its bone, as skin moves. Larger where "
+        "the capture shows more.",
     )
     acceleration: float = option(
         100.0,
         "amount",
         metavar="RAD/S²",
-        help="Acceleration of joints that is usual; less is smoother.",
+        help="Typical acceleration of joints; lower is smoother.",
     )
     subject: str | None = option(
         None,
         "text",
         metavar="NAME",
-        help="Whose markers count, where names begin with those of several: Ann:LFHD.",
+        help="Subject whose markers to read, where names have a prefix: Ann:LFHD.",
     )

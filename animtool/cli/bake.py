@@ -73,34 +73,35 @@ Examples:
     "-o",
     "--output",
     type=OUTPUT,
-    help="File to write: USD (.usda, .usdc, .usd, .usdz), or another format that holds "
-    f"motion ({', '.join(file_suffixes())}); - is usda on stdout.  "
-    "[default: SOURCE with .usdc, the shot's name; a library has none]",
+    help="File to write: USD (.usda, .usdc, .usd, .usdz), or another motion format "
+    f"({', '.join(file_suffixes())}); - writes usda to stdout.  [default: "
+    "SOURCE with .usdc, or the shot's name; a library has none]",
 )
 @bake_options
 @click.option(
     "--table",
     is_flag=True,
     help="Write nothing; measure time and size against error, over sample rates and "
-    "tolerances; of what a scene simulates, time against error over integrators and "
-    "steps, with its own setting and the best ones marked.",
+    "tolerances; for a simulated scene, time against error over integrators and "
+    "steps, with the current setting and the best ones marked.",
 )
 @plot_option
 @click.option(
     "--plan",
     is_flag=True,
-    help="Write nothing; print every step, what it reads and makes, and what is left "
-    "out and why.",
+    help="Write nothing; print every step, what it reads and makes, and what is "
+    "skipped and why.",
 )
 @click.option(
     "--until",
     metavar="PASS",
-    help="Of a scene, run no pass behind this one, by name or number; 0 is none.",
+    help="Stop a scene after this pass, by name or number; 0 runs none.",
 )
 @click.option(
     "--stats",
     is_flag=True,
-    help="Say what each stage of a scene and each output took: seconds, memory, error.",
+    help="Report the seconds, memory and error of each stage of a scene and each "
+    "output.",
 )
 @strict_option
 @writing_options
@@ -130,7 +131,7 @@ def bake(
         return
     scene = only_scene(opened)
     if scene is not None and output is not None and len(scene.outputs) > 1:
-        raise click.UsageError("The scene names its outputs: no -o.")
+        raise click.UsageError("The scene names its outputs: remove -o.")
     if output is None and (scene is None or scene.output is None):
         output = default_bake_output(opened[0])
     from animtool.scene.bake.outline import outlined
@@ -149,12 +150,12 @@ def bake(
 def _check_usage(params: dict[str, Any]) -> None:
     """Refuse options that exclude each other."""
     if params["split"] and params["form"] == "layer":
-        raise click.UsageError("--split is a stage in three files, not --as layer.")
+        raise click.UsageError("--split writes a stage in three files, not --as layer.")
     if params["plan"] and params["table"]:
-        raise click.UsageError("--plan and --table write nothing: give one.")
+        raise click.UsageError("--plan and --table write nothing: use one of them.")
     refuse_alone(params)
     if params["stats"] and (params["plan"] or params["table"]):
-        raise click.UsageError("--stats measures a bake: no --plan or --table.")
+        raise click.UsageError("--stats measures a bake: remove --plan or --table.")
 
 
 def _check_library(scene: Scene, params: dict[str, Any]) -> None:
@@ -163,7 +164,7 @@ def _check_library(scene: Scene, params: dict[str, Any]) -> None:
         output.bake.form == "library" for output in scene.outputs
     ):
         message = (
-            "--skip-existing is for whole files, and the scene adds a take to one."
+            "--skip-existing works on whole files, but the scene adds a take to one."
         )
         raise click.UsageError(message)
 
@@ -241,7 +242,7 @@ def _measure(
 ) -> None:
     """Measure time against error, print it, and draw it where that is asked for."""
     if output is not None:
-        raise click.UsageError("--table writes no file: no -o.")
+        raise click.UsageError("--table writes no file: remove -o.")
     if len(sources) > 1:
         raise click.UsageError("--table measures one SOURCE.")
     plot, source = params["plot"], sources[0]

@@ -40,8 +40,8 @@ def opened_sources(
     used: set[str] = set()
     for source in sources:
         if is_there(source) and source.is_dir():
-            hint = "animtool batch FOLDER -o out/ bakes what is in it"
-            message = "cannot be read: is a folder"
+            hint = "animtool batch FOLDER -o out/ bakes the files in it"
+            message = "cannot be read: it is a folder"
             raise FormatError(Fault("IO001", message, str(source), (), hint))
         if not is_named(source, "scene"):
             opened.append(source)
@@ -62,7 +62,7 @@ def until_pass(opened: list[Path | Scene], stop: str | None) -> list[Path | Scen
         return opened
     scene = only_scene(opened)
     if scene is None:
-        raise click.UsageError("--until is for a SOURCE that is one scene.")
+        raise click.UsageError("--until needs a SOURCE that is one scene.")
     return [scene.until(stop)]
 
 
@@ -86,14 +86,14 @@ SHOT_OPTIONS = (
     click.option(
         "--shot",
         metavar="NAME",
-        help="Of a timeline: the shot to take; needed where there are several.",
+        help="The shot of a timeline; required if it has several.",
     ),
     click.option(
         "--handles",
         type=click.IntRange(0),
         metavar="N",
-        help="Of a timeline: frames before and after the cut, at its rate.  [default: "
-        "as the timeline says, else 0]",
+        help="Frames before and after the cut of a timeline, at its rate.  [default: "
+        "as the timeline states, else 0]",
     ),
     *TIMECODE_OPTIONS,
 )
@@ -103,7 +103,7 @@ _ORDER: tuple[str | Callable[[Command], Command], ...] = (
     click.option(
         "--split",
         is_flag=True,
-        help="A stage in three files: X.rig.usda, X.anim.usdc, X.",
+        help="Write a stage in three files: X.rig.usda, X.anim.usdc, X.",
     ),
     *("rig_layer", "prim_path", "force_fit", "bones", "strip_namespace", "rest_frame"),
     source_option("rig", "template", "cameras", "clamp"),
@@ -152,11 +152,13 @@ def timeline_shot(
         for name in ("shot", "handles", "cut_start", "first_timecode"):
             if params[name] is not None:
                 flag = name.replace("_", "-")
-                message = f"--{flag} is for motion of a timeline, such as edit.otio."
+                message = f"--{flag} needs a timeline, such as edit.otio."
                 raise click.UsageError(message)
         return None
     if params["table"]:
-        raise click.UsageError("--table measures a take: name the media, not the cut.")
+        raise click.UsageError(
+            "--table measures a take: pass the media, not the timeline."
+        )
     if start is not None and start.denominator != 1:
         raise click.UsageError(f"--start {start}: a shot begins at a whole frame.")
     from animtool.batch.cut_frames import CutOptions
@@ -193,7 +195,7 @@ def bake_shot(
 
     path = next(filter(is_timeline, sources), None)
     if path is not None and len(sources) > 1:
-        raise click.UsageError("A timeline is baked alone: give one SOURCE.")
+        raise click.UsageError("A timeline is baked alone: pass one SOURCE.")
     cut = timeline_shot(console, path, params, params["start"], params["fps"])
     if cut is None:
         return sources, output

@@ -68,7 +68,7 @@ def _numbers(text: str) -> _Numbers:
 def _name(text: str) -> str:
     if re.fullmatch(r"[\w-][\w.-]*", text) is None:
         raise ValueError(
-            f"{text!r} is no name: letters, digits, '_', '-' and '.' make one"
+            f"{text!r} is not a valid name: use letters, digits, '_', '-' and '.'"
         )
     return text
 
@@ -104,15 +104,15 @@ Examples:
     "-o",
     "--output",
     metavar="PATTERN",
-    help="The file to write of each, with {stem}, {name}, {parent}, {folder}, or a "
-    "variable; FOLDER/ stands for FOLDER/{parent}/{stem}.usdc.  [default: as the scene "
-    "says, else beside the input, as .usdc]",
+    help="File to write for each input, with {stem}, {name}, {parent}, {folder}, or "
+    "a variable; FOLDER/ is short for FOLDER/{parent}/{stem}.usdc.  [default: "
+    "as the scene states, else next to the input, as .usdc]",
 )
 @click.option(
     "--scene",
     type=FILE,
     metavar="FILE",
-    help="A scene that says what is done to each: ${input} in it is the input.",
+    help="A scene to run for each input, which it names as ${input}.",
 )
 @set_option
 @cut_options
@@ -121,67 +121,72 @@ Examples:
     "--exclude",
     multiple=True,
     metavar="INPUT",
-    help="What of the inputs is left out; can be given several times.",
+    help="Inputs to exclude; repeatable.",
 )
 @click.option(
     "-j",
     "--jobs",
     type=Parsed("processes", count_or_auto),
     metavar="N|auto",
-    help="Processes that make them.  [default: auto, one for each processor]",
+    help="Number of processes.  [default: auto, one per processor]",
 )
 @click.option(
     "--executor",
     metavar="NAME[=ARGUMENT]",
     default="processes",
     show_default=True,
-    help="What makes them; animtool plugins lists them.",
+    help="How items are run; animtool plugins lists the executors.",
 )
 @click.option(
     "--items",
     "numbers",
     type=Parsed("range", _numbers),
     metavar="A-B|A+N",
-    help="Only some, by their numbers from 1 in the order of their names: from A to B, "
-    "or N of them, if there are so many. Other runs may make others at the same time.",
+    help="Run only some items, numbered from 1 in the order of their names: A to B, "
+    "or N of them from A. Other runs may build the others at the same time.",
 )
 @click.option(
     "--name",
     type=Parsed("name", _name),
     metavar="NAME",
-    help="What the records are called; runs of other names may go on beside this.  "
+    help="Name of the records; runs with other names may run at the same time.  "
     "[default: the batch file's name, else batch]",
 )
 @click.option(
-    "-n", "--dry-run", is_flag=True, help="Make nothing; say what would be, and why."
+    "-n",
+    "--dry-run",
+    is_flag=True,
+    help="Build nothing; list what would be built, and why.",
 )
-@click.option("--force", is_flag=True, help="Make all, also what is up to date.")
+@click.option(
+    "--force", is_flag=True, help="Rebuild everything, even what is up to date."
+)
 @click.option(
     "--verify",
     is_flag=True,
-    help="Read every file again, also where its size and time are what they were.",
+    help="Hash every file again, even if its size and time are unchanged.",
 )
-@click.option("--retry-failed", is_flag=True, help="Only what failed last time.")
-@click.option("--fail-fast", is_flag=True, help="Begin nothing more after a failure.")
+@click.option("--retry-failed", is_flag=True, help="Build only what failed last time.")
+@click.option("--fail-fast", is_flag=True, help="Start nothing more after a failure.")
 @click.option(
     "--max-failures",
     type=click.IntRange(1),
     metavar="N",
-    help="Begin nothing more after so many failures.",
+    help="Start nothing more after this many failures.",
 )
 @click.option(
     "--time-limit",
     type=Parsed("seconds", _seconds),
     metavar="SECONDS",
-    help="How long each may take.",
+    help="Time limit of each item.",
 )
 @click.option(
     "--memory-limit",
     type=Parsed("size", _size),
     metavar="SIZE",
-    help="How much memory the process that makes it may have, such as 2GB.",
+    help="Memory limit of the process that builds an item, such as 2GB.",
 )
-@strict_because("Take warnings for errors.")
+@strict_because("Treat warnings as errors.")
 @overwrites("files that no run of the batch made")
 @click.option(
     "--format",
@@ -197,21 +202,21 @@ Examples:
     type=click.Choice(["text", "openjd"]),
     default="text",
     show_default=True,
-    help="What is told of each item when it ends: openjd adds on stdout the progress, "
-    "status and failures that a session of Open Job Description reads.",
+    help="What to print for each item when it ends: openjd also writes to stdout the "
+    "progress, status and failures that a session of Open Job Description reads.",
 )
 @click.option(
     "--path-mapping",
     type=FILE,
     metavar="RULES",
-    help="Where folders of other machines are on this one, as JSON of Open Job "
-    "Description: for the inputs and outputs of a batch file.",
+    help="Where folders of other machines are on this one, as Open Job Description "
+    "JSON: for the inputs and outputs of a batch file.",
 )
 @click.option(
     "--junit",
     type=FILE,
     metavar="FILE",
-    help="Write a report as JUnit XML too.",
+    help="Also write a report as JUnit XML.",
 )
 @common_options
 @click.pass_obj
@@ -242,10 +247,10 @@ def batch(console: Console, /, inputs: tuple[str, ...], **params: Any) -> None:
     )
 
     if params["fail_fast"] and params["max_failures"] not in {None, 1}:
-        raise click.UsageError("--fail-fast is --max-failures 1: give one.")
+        raise click.UsageError("--fail-fast is --max-failures 1: use one of them.")
     varied = params["table"] is not None or params["columns"]
     if not inputs and params["cuts"] is None and not (varied and params["scene"]):
-        raise click.UsageError("Give a batch file, inputs, or --cut.")
+        raise click.UsageError("Pass a batch file, inputs, or --cut.")
     openjd = params["lines"] == "openjd"
     if openjd and params["report_format"] != "text":
         raise click.UsageError("--lines openjd and --format both write to stdout.")
@@ -273,7 +278,7 @@ def batch(console: Console, /, inputs: tuple[str, ...], **params: Any) -> None:
             listening = openjd_lines(listener, console.calling) if openjd else listener
             report = run_batch(batch_found, options, listening)
     except (KeyboardInterrupt, TerminatedError):
-        console.say("what was made is recorded; the same command goes on with the rest")
+        console.say("finished items are recorded; run the same command again to resume")
         raise
     unshown = [notice for notice in report.notices if notice not in listener.shown]
     _tell(console, report, params, _Repeat(inputs, params), unshown)
@@ -293,7 +298,7 @@ def _spec(inputs: tuple[str, ...], params: dict[str, Any]) -> BatchSpec:
 
     jobs = [text for text in inputs if is_named(Path(text), "batch")]
     if jobs and len(inputs) > 1:
-        raise click.UsageError(f"{jobs[0]} is a batch file: give it alone.")
+        raise click.UsageError(f"{jobs[0]} is a batch file: pass it alone.")
     if jobs:
         from animtool.batch.file import load_batch
 

@@ -22,22 +22,23 @@ cut_options = stacked(
         "cuts",
         type=FILE,
         metavar="FILE",
-        help="A timeline that OpenTimelineIO reads: each clip is an item. A timeline "
-        "among the inputs is the same; the others are where media is looked for.",
+        help="A timeline that OpenTimelineIO reads: each clip becomes an item. A "
+        "timeline among the inputs does the same; the others are searched for "
+        "media.",
     ),
     click.option(
         "--handles",
         type=click.IntRange(0),
         metavar="N",
-        help="Of a timeline: frames before and after each cut, at its rate.  [default: "
-        "as the batch file or the timeline says, else 0]",
+        help="Frames before and after each cut of a timeline, at its rate.  "
+        "[default: as the batch file or the timeline states, else 0]",
     ),
     click.option(
         "--fps",
         type=RATE,
         metavar="RATE",
-        help="Frames a second of the outputs; of a timeline that states no rate, such "
-        "as an EDL, what its time codes and shots count: 24, 25, 30000/1001.",
+        help="Frames per second of the outputs; for a timeline without a rate, such "
+        "as an EDL, the rate of its time codes and shots: 24, 25, 30000/1001.",
     ),
     *TIMECODE_OPTIONS,
 )
@@ -47,15 +48,16 @@ variant_options = stacked(
         "table",
         type=FILE,
         metavar="FILE",
-        help="A CSV file of values: names in the first line, an item a line after it.",
+        help="A CSV file of values: names in the first line, then one item per line.",
     ),
     click.option(
         "--vary",
         "columns",
         multiple=True,
         metavar="NAME=VALUES",
-        help="Make an item for each value of ${NAME} in the scene: values with commas, "
-        "ranges such as 1..20 or 0..1/0.25. Given several times: every combination.",
+        help="Build an item for each value of ${NAME} in the scene: values with "
+        "commas, or ranges such as 1..20 or 0..1/0.25. Repeat it for every "
+        "combination.",
     ),
 )
 
@@ -88,7 +90,9 @@ def variant_words(params: Mapping[str, Any]) -> list[str]:
 def with_variants(spec: BatchSpec, params: Mapping[str, Any]) -> BatchSpec:
     """Return a batch with the variants of a command line, if it has some."""
     if params["table"] is not None and params["columns"]:
-        raise click.UsageError("--variants and --vary both give values: give one.")
+        raise click.UsageError(
+            "--variants and --vary both set values: use one of them."
+        )
     if params["table"] is not None:
         from animtool.batch.variants import read_variants
 

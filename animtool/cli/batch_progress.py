@@ -78,7 +78,7 @@ def openjd_lines(other: Listener, calling: Calling) -> Listener:
             """Say how many are to be made."""
             self.total = due
             _say("progress", f"{0 if due else 100:.1f}")
-            _say("status", f"{due} of {total} to be made")
+            _say("status", f"{due} of {total} to build")
             other.planned(due, total)
 
         def began(self, item: Item) -> None:
@@ -92,7 +92,7 @@ def openjd_lines(other: Listener, calling: Calling) -> Listener:
             if report.status is Status.FAILED:
                 self.failed += 1
                 why = report.worded(calling).why
-                _say("fail", f"{self.failed} failed, at last {output}: {why}")
+                _say("fail", f"{self.failed} failed, the last is {output}: {why}")
             _say("progress", f"{100 * self.ended_items / self.total:.1f}")
             _say("status", f"{count}: {report.status} {output}")
             other.ended(report)
@@ -261,11 +261,11 @@ def _pass_table(items: Sequence[ItemReport], place: tuple[str, str]) -> Iterator
         rows.append(
             (f"  {_item(entry)}", *(texts.get(name, "") for name in names), worse)
         )
-    yield f"{place[0]} ({place[1]}), the worst first:"
+    yield f"{place[0]} ({place[1]}), worst first:"
     yield from columns(rows, {0, len(names) + 1})
     if len(table_rows) > MAX_ROWS:
         rest = counted(len(table_rows) - MAX_ROWS, "item")
-        yield f"  {rest} more, which are better; --format json has all"
+        yield f"  {rest} more, which are better; --format json lists all"
 
 
 SUMMARY = Template(
@@ -273,7 +273,7 @@ SUMMARY = Template(
     (
         "[{items:n item}|0 items]: [{self:counts}|nothing] in {seconds:.2f} s",
         "[  why: {reasons:common}]",
-        "[  warnings: of {warned:n item}]",
+        "[  warnings: from {warned:n item}]",
         "[  slowest: {slowest:slow}]",
         "[  largest errors: {worst:errors}]",
         Each("scored:tables", ("{self}",)),
@@ -293,7 +293,7 @@ SUMMARY = Template(
 # Of a dry run: how many are to be made, and what, each with the reason.
 DRY = replace(
     SUMMARY,
-    printers={**SUMMARY.printers, "counts": lambda one: _counts(one, "to be made")},
+    printers={**SUMMARY.printers, "counts": lambda one: _counts(one, "to build")},
 )
 PLANNED = Template(
     "animtool.batch.report:BatchReport",

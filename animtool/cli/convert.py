@@ -42,15 +42,15 @@ Examples:
 @click.argument("output", type=INPUT)
 @source_options
 @click.option(
-    "--prim-path", metavar="PATH", help="The character, where a stage has several."
+    "--prim-path", metavar="PATH", help="The character, if a stage has several."
 )
 @source_option("rig", "take", "dropped", "positions")
 @click.option(
     "--reduce",
     type=LENGTH,
     metavar="LENGTH",
-    help="For a clip: how far keys may move a joint, such as 0.5mm.  [default: "
-    f"{KEY_TOLERANCE}]",
+    help="For a clip: largest error of joints from leaving out keys, such as 0.5mm.  "
+    f"[default: {KEY_TOLERANCE}]",
 )
 @bake_option("reduce_at", "placement")
 @click.option(
@@ -62,7 +62,7 @@ Examples:
 @click.option(
     "--physics",
     is_flag=True,
-    help="Of a rig to USD: write NAME.physics.usda too, with joint types and limits.",
+    help="For a rig to USD: also write NAME.physics.usda, with joint types and limits.",
 )
 @strict_option
 @writing_options
@@ -165,7 +165,7 @@ def _markers(
     refused = ("prim_path", "rig", "take", "reduce", "reduce_at", "base", "physics")
     for name in (name for name in (*refused, "placement") if params[name]):
         option = f"--{name.replace('_', '-')}"
-        raise click.UsageError(f"{option} is not for markers.")
+        raise click.UsageError(f"{option} does not apply to markers.")
 
     def work(read: Any) -> tuple[Any, Any]:
         return read, _Converted(len(read), len(read.names))
@@ -189,7 +189,7 @@ def _rig(console: Console, source: Path, output: Path, params: dict[str, Any]) -
     ):
         if params[name]:
             option = f"--{name.replace('_', '-')}"
-            raise click.UsageError(f"{option} is for motion, not for a rig.")
+            raise click.UsageError(f"{option} applies to motion, not to a rig.")
     with all_named():
         report = convert_rig(
             source,

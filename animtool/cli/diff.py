@@ -68,11 +68,11 @@ _POINTS = Template(
 def _choices(command: Command) -> Command:
     """Add what to read of the files: options of both, and of either alone."""
     for name, metavar, what in (
-        ("take", "NAME", "The take to read of clip libraries in USD"),
-        ("prim-path", "PATH", "The character, where a stage has several"),
+        ("take", "NAME", "The take to read from clip libraries in USD"),
+        ("prim-path", "PATH", "The character, if a stage has several"),
     ):
         for side, file in (("-b", "SECOND"), ("-a", "FIRST")):
-            text = f"The same, of {file} alone."
+            text = f"The same, for {file} only."
             command = click.option(f"--{name}{side}", metavar=metavar, help=text)(
                 command
             )
@@ -108,10 +108,10 @@ Examples:
     default=1e-5,
     show_default=True,
     metavar="LENGTH",
-    help="Distance that is no difference, such as 1mm; a number alone is in metres.",
+    help="Distance to ignore, such as 1mm; a number alone is in metres.",
 )
-@_tolerance("--tol-degrees", 1e-3, "DEGREES", "Rotation that is no difference.")
-@_tolerance("--tol-weight", 1e-5, "WEIGHT", "Shape weight that is no difference.")
+@_tolerance("--tol-degrees", 1e-3, "DEGREES", "Rotation to ignore.")
+@_tolerance("--tol-weight", 1e-5, "WEIGHT", "Shape weight to ignore.")
 @_choices
 @source_options
 @source_option("positions")

@@ -50,7 +50,7 @@ def explain(console: Console, /, codes: tuple[str, ...], report_format: str) -> 
 
 def _bare_page(rule: Rule) -> str:
     """Return what is known of a code without a page, laid out as one."""
-    where = "Readers and commands say it."
+    where = "Readers and commands report it."
     if rule.kinds:
         upper = {"bvh", "usd"}
         kinds = [k.upper() if k in upper else str(k) for k in sorted(rule.kinds)]

@@ -83,28 +83,28 @@ Examples:
     "--targets",
     type=INPUT,
     metavar="FILE",
-    help="The targets file: where which effector is to be.",
+    help="The targets file: goals for joints and chains.",
 )
 @click.option(
     "--clip",
     "start",
     type=INPUT,
     metavar="START",
-    help="Motion to start from, a clip, BVH or USD file, or a shot of a timeline: each "
-    "frame stays near its pose there.  [default: the rest pose]",
+    help="Motion to start from, a clip, BVH or USD file, or a shot of a timeline: "
+    "each frame stays near its pose.  [default: the rest pose]",
 )
 @stacked(*SHOT_OPTIONS)
 @click.option(
     "--fps",
     type=RATE,
     metavar="RATE",
-    help="Of a timeline that states no rate, such as an EDL: what its time codes and "
-    "shots count, such as 24, 25 or 30000/1001.",
+    help="For a timeline without a rate, such as an EDL: the rate of its time codes "
+    "and shots, such as 24, 25 or 30000/1001.",
 )
 @click.option(
     "--match",
     is_flag=True,
-    help="The other way: write the targets (-o) that give the limbs of START back.",
+    help="Reverse: write the targets (-o) that reproduce the limbs of START.",
 )
 @click.option(
     "--chains",
@@ -118,15 +118,16 @@ Examples:
     is_flag=False,
     flag_value=FIRST,
     metavar="[FRAME]",
-    help="Only one pose: that of the frame, or of the first.  [default: all frames]",
+    help="Solve only one pose: that of the frame, or of the first.  [default: all "
+    "frames]",
 )
 @click.option(
     "-o",
     "--output",
     type=OUTPUT,
-    help="What to write: a USD file (.usda, .usdc, .usd), .clip.yaml or .bvh, or - for "
-    "usda on stdout; with --match .targets.yaml. USD is a stage with the rig in it, or "
-    "with --rig-layer an animation layer over that.  [default: nothing]",
+    help="File to write: USD (.usda, .usdc, .usd), .clip.yaml or .bvh, or - for usda "
+    "on stdout; with --match .targets.yaml. USD is a stage with the rig in it, "
+    "or with --rig-layer an animation layer over that.  [default: nothing]",
 )
 @record_option(TakeOptions)
 @click.option(
@@ -139,18 +140,18 @@ Examples:
     "--tol",
     type=LENGTH,
     metavar="LENGTH",
-    help="A position that is off by more is missed, and reported; none is solved to "
-    f"less.  [default: {MISSED}, or --tolerance where that is more]",
+    help="Report a position as missed if it is farther off than this.  [default: "
+    f"{MISSED}, or --tolerance if that is larger]",
 )
 @click.option(
     "--tol-degrees",
     type=TOLERANCE,
     metavar="DEGREES",
-    help="An orientation, aim or pole that is off by more is missed, likewise.  "
-    f"[default: {MISSED_DEGREES}, or --angle-tolerance]",
+    help="Report an orientation, aim or pole as missed if it is farther off than "
+    f"this.  [default: {MISSED_DEGREES}, or --angle-tolerance]",
 )
 @strict_because(
-    "Write nothing where a goal is missed (exit code 4), or there are warnings."
+    "Write nothing if a goal is missed (exit code 4) or there are warnings."
 )
 @split_option
 @rig_layer_options
@@ -159,17 +160,19 @@ Examples:
     "first_code",
     type=Parsed("frame", _time_code),
     metavar="FRAME",
-    help="Time code of the first frame in USD.  [default: as the targets or START]",
+    help="Time code of the first frame in USD.  [default: as in the targets or START]",
 )
 @click.option(
-    "--sparse", is_flag=True, help="USD with only the joints that leave their rest."
+    "--sparse",
+    is_flag=True,
+    help="Write only the joints of a USD output that leave their rest pose.",
 )
 @click.option(
     "--reduce",
     type=LENGTH,
     metavar="LENGTH",
-    help="How far keys of a clip, or samples left out of USD, may move a joint; with "
-    "--match, how far sparse keys may be off.",
+    help="Largest error of joints from leaving out keys of a clip or samples of USD; "
+    "with --match, from sparse keys.",
 )
 @source_options
 @source_option("prim_path", "take", "positions")
@@ -184,7 +187,7 @@ def ik(console: Console, /, **params: Any) -> None:
     """
     if params["match"]:
         if params["plot"] is not None:
-            raise click.UsageError("--match measures nothing: no --plot.")
+            raise click.UsageError("--match measures nothing: remove --plot.")
         _match(console, params, _source(params))
         return
     _check(params)
@@ -197,9 +200,9 @@ def ik(console: Console, /, **params: Any) -> None:
     to_stdout = goes_to_stdout(output, params)
     if params["table"]:
         if output is not None:
-            raise click.UsageError("--table writes no file: no -o.")
+            raise click.UsageError("--table writes no file: remove -o.")
         if params["strict"]:
-            message = "--table measures, and its rows miss by design: no --strict."
+            message = "--table measures rows that miss by design: remove --strict."
             raise click.UsageError(message)
         _table(console, params)
         return
@@ -252,7 +255,7 @@ def _check_match(params: dict[str, Any]) -> None:
     """Refuse what a match lacks, and what it would not heed."""
     for name, what in (("start", "--clip"), ("output", "-o")):
         if params[name] is None:
-            raise click.UsageError(f"--match wants {what}.")
+            raise click.UsageError(f"--match needs {what}.")
     if str(params["output"]) == "-":
         raise click.UsageError("--match writes a targets file, not to stdout.")
     context = click.get_current_context()
@@ -261,15 +264,15 @@ def _check_match(params: dict[str, Any]) -> None:
         name = option.name or ""
         idle = name in params and name not in _HEEDED
         if idle and context.get_parameter_source(name) is not default:
-            raise click.UsageError(f"{option.opts[-1]} does nothing for --match.")
+            raise click.UsageError(f"{option.opts[-1]} has no effect with --match.")
 
 
 def _check(params: dict[str, Any]) -> None:
     if params["targets"] is None:
-        raise click.UsageError("Give --targets, or --match to write some.")
+        raise click.UsageError("Pass --targets, or --match to write some.")
     refuse_alone(params)
     if params["chains"] is not None:
-        raise click.UsageError("--chains is for --match.")
+        raise click.UsageError("--chains needs --match.")
 
 
 def _source(params: dict[str, Any]) -> Any:
@@ -321,14 +324,14 @@ def _bake_options(params: dict[str, Any]) -> Any:
         "--sparse": params["sparse"],
     }
     if params["reduce"] is not None and output is None:
-        raise click.UsageError("--reduce is for an output: give -o.")
+        raise click.UsageError("--reduce needs an output: pass -o.")
     flags_given = [flag for flag, value in flags.items() if value]
     from animtool.scene.sources.open import is_usd
 
     if flags_given and output is None:
-        raise click.UsageError(f"{flags_given[0]} is for an output: give -o.")
+        raise click.UsageError(f"{flags_given[0]} needs an output: pass -o.")
     if flags_given and str(output) != "-" and not is_usd(output):
-        raise click.UsageError(f"{flags_given[0]} is for USD, and {output} is none.")
+        raise click.UsageError(f"{flags_given[0]} applies to USD, not to {output}.")
     return written_options_record(
         params,
         start=params["first_code"],

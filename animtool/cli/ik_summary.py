@@ -35,28 +35,27 @@ SOLVED = Template(
         "  {solved.problem.joints:n joint moves/joints move}, "
         "{solved.problem.degrees:n degree} of freedom for "
         "{solved.problem.rows:n condition}",
-        "  [{solved:ends}]; {solved.mean_iterations:plain} iterations a frame, "
-        "{solved.restarts:n restart}, {solved.seconds_per_frame:duration} a frame",
+        "  [{solved:ends}]; {solved.mean_iterations:plain} iterations per frame, "
+        "{solved.restarts:n restart}, {solved.seconds_per_frame:duration} per frame",
         Each(
             "goals",
             (
-                "[{!misses}  {name}: never asked for]",
+                "[{!misses}  {name}: never active]",
                 Each(
                     "misses",
                     (
-                        "  {name} {part}: {self:size max} off at most (frame "
-                        "{frame:frame}), {self:size p95} in 95 %, {self:size mean} in "
-                        "the mean of {frames:n frame}",
+                        "  {name} {part}: largest error {self:size max} (frame "
+                        "{frame:frame}), 95th percentile {self:size p95}, mean "
+                        "{self:size mean} over {frames:n frame}",
                     ),
                 ),
             ),
         ),
-        "[  on their limits: {solved.limit_counts:limits | list 8}]",
+        "[  at their limits: {solved.limit_counts:limits | list 8}]",
         "[  written: {outputs:join}]",
         Each("channels:channels", ("    {self}",)),
-        "[{?moved}  frames of goals and joints are those solved, "
-        "{solved.take.clock.span}; frame {solved.take.clock.start:frame} is written as "
-        "{span.first:frame}]",
+        "[{?moved}  goals and joints have solved frames {solved.take.clock.span}; "
+        "frame {solved.take.clock.start:frame} is written as {span.first:frame}]",
     ),
     {"size": _size, "ends": status_text, "limits": _limits, "channels": channel_lines},
     ("joints that move: {solved.problem.joints:join}", SECONDS),

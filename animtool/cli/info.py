@@ -97,20 +97,19 @@ _LINES: Mapping[str, tuple[Line, ...]] = {
         f"{_FRAMES}[{{?strides}}, one every {{step}} time codes]",
         "[{?shot}  shot      [{shot.name}, ]frames {shot.start} to {shot.end}, cut "
         "{shot.cut_in} to {shot.cut_out}, handles {shot.head} and {shot.tail}]",
-        "  animated  {animated:kinds} joints of {joints}"
-        "[{?shapes}, [{moving_shapes:n shape}|0 shapes] of {shapes}]; the rest never "
-        "move",
+        "  animated  {animated:kinds} joints of {joints}[{?shapes}, "
+        "[{moving_shapes:n shape}|0 shapes] of {shapes}]; the rest are static",
         "[  shapes    {moving_shapes:list 12}]",
         Each("points", (_PRIM,), MAX_PRIMS, "  and       {left} more"),
-        "[  feet      stand: {capture.feet:feet}]",
-        "[  speed     {capture.speed_mean:plain 3} m/s, {capture.speed_max:plain 3} at "
-        "most]",
+        "[  feet      planted: {capture.feet:feet}]",
+        "[  speed     mean {capture.speed_mean:plain 3} m/s, largest "
+        "{capture.speed_max:plain 3}]",
         "[{?capture}  cycle     {cycle_period:plain 4} s, frames {cycle.first:g} to "
-        "{cycle.last:g}; its ends differ by {cycle.share:percent} of what moves]",
+        "{cycle.last:g}; its ends differ by {cycle.share:percent} of the motion]",
         "[  noise     up to {capture.noise:angle}, {capture.noisiest}]",
-        "[  all       {characters.count} with {characters.joints:n joint}"
-        "[{?characters.unread}, {characters.unread} of them cannot be read]"
-        "[, {characters.bounds:corners} m]]",
+        "[  all       {characters.count} with {characters.joints:n "
+        "joint}[{?characters.unread}, {characters.unread} cannot be read][, "
+        "{characters.bounds:corners} m]]",
         "[            go {characters.speed_mean:plain 3} m/s in the mean, "
         "{characters.speed:extreme m/s}]",
         "[            hips are {characters.lowest:extreme m} at the lowest, and go up "
@@ -133,8 +132,8 @@ _LINES: Mapping[str, tuple[Line, ...]] = {
         Each(
             "chunks",
             (
-                "  chunks    {name} of {path}: [{files:n file}|0 files]"
-                "[, not there: {missing:list}]",
+                "  chunks    {name} of {path}: [{files:n file}|0 files][, missing: "
+                "{missing:list}]",
             ),
         ),
         _ODD,
@@ -143,15 +142,15 @@ _LINES: Mapping[str, tuple[Line, ...]] = {
         "{path}: scene",
         "  source    [{sources:list}|none: it is simulated]",
         "[  rig       {rig}]",
-        Each("props", ("  beside    {prim} of {file} at {path}",)),
+        Each("props", ("  prop      {prim} of {file} at {path}",)),
         "[  passes    {passes:named 40}]",
         Each(
             "systems",
             (
-                "  {kind:<9} {name}: [{counts:made}, ]by {method}"
-                "[ in steps of {step:g} s][{?colliders}, {colliders:n collider}]"
-                "[, joined to {joined:list}][, meets {self:met}]"
-                "[, tied both ways to {tied:list}][, reads {files:list}]",
+                "  {kind:<9} {name}: [{counts:made}, ]{method}[ in steps of {step:g} "
+                "s][{?colliders}, {colliders:n collider}][, joined to "
+                "{joined:list}][, collides with {self:met}][, coupled to "
+                "{tied:list}][, reads {files:list}]",
             ),
         ),
         "  frames    [{first} to {last}|those of the source][ at {rate} fps]",
@@ -159,9 +158,9 @@ _LINES: Mapping[str, tuple[Line, ...]] = {
         Each(
             "outputs",
             (
-                "  output    {file}: [{?points}{form} of points|{form}|{kind}]"
-                "[, with {systems:list 12}][, {chunk:n sample} a file]"
-                "[, {there:n file} of it there already]",
+                "  output    {file}: [{?points}{form} of points|{form}|{kind}][, "
+                "with {systems:list 12}][, {chunk:n sample} per file][, {there:n "
+                "file} of it already written]",
             ),
         ),
     ),
@@ -255,7 +254,7 @@ Examples:
 @click.argument("files", nargs=-1, required=True, type=INPUT)
 @source_options
 @click.option(
-    "--prim-path", metavar="PATH", help="The character, where a stage has several."
+    "--prim-path", metavar="PATH", help="The character, if a stage has several."
 )
 @source_option("take", "positions")
 @set_option

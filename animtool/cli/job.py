@@ -44,13 +44,13 @@ Examples:
     default="auto",
     show_default=True,
     metavar="N|auto",
-    help="Items a task; auto is what takes --task-seconds by --costs, else 100.",
+    help="Items per task; auto is as many as take --task-seconds by --costs, else 100.",
 )
 @click.option(
     "--costs",
     type=FILE,
     metavar="REPORT",
-    help="What items take: a report of animtool batch --format json.",
+    help="Duration of items: a report of animtool batch --format json.",
 )
 @click.option(
     "--task-seconds",
@@ -58,10 +58,10 @@ Examples:
     default=120.0,
     show_default=True,
     metavar="SECONDS",
-    help="What a task is to take on one processor.",
+    help="Target duration of a task on one processor.",
 )
 @cut_options
-@overwrites("a bundle that is there")
+@overwrites("an existing bundle")
 @format_option
 @common_options
 @click.pass_obj
@@ -83,7 +83,7 @@ def job(console: Console, /, batch_file: Path, **params: Any) -> None:
     from animtool.batch.plan import check_places
 
     if not is_named(batch_file, "batch"):
-        raise click.UsageError(f"{batch_file} is no batch file: *.batch.yaml is one.")
+        raise click.UsageError(f"{batch_file} is not a batch file: use *.batch.yaml.")
     spec = load_batch(batch_file, of_shots=params["cuts"] is not None)
     found_batch = find_batch(with_cuts(spec, params))
     console.faults(found_batch.notices)
@@ -111,7 +111,7 @@ def job(console: Console, /, batch_file: Path, **params: Any) -> None:
         )
         return
     console.say(
-        f"{params['output']}: {bundle.items} items, {bundle.chunk} a task, "
+        f"{params['output']}: {bundle.items} items, {bundle.chunk} per task, "
         f"{bundle.tasks} tasks"
     )
     console.say(f"  here: {shlex.join(command)}")

@@ -35,8 +35,8 @@ Examples:
     "-o",
     "--output",
     type=INPUT,
-    help="What to write: a USD file (.usda, .usdc, .usd), .clip.yaml or .bvh.  "
-    "[default: nothing]",
+    help="File to write: USD (.usda, .usdc, .usd), .clip.yaml or .bvh.  [default: "
+    "nothing]",
 )
 @record_option(LoopOptions)
 @source_options
@@ -88,6 +88,6 @@ _TEMPLATE = Template(
     (
         "{source}: a cycle of {seconds:plain 4} s, frames {cycle.first:g} to "
         "{cycle.last:g}; its ends differ by {cycle.apart:length}, "
-        "{cycle.share:percent} of what moves",
+        "{cycle.share:percent} of the motion",
     ),
 )

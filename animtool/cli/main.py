@@ -47,12 +47,12 @@ _SAID = (
     "std::bad_alloc",
 )
 MEMORY_HINT = (
-    "give the process more memory (ulimit -v, the limit of a container), or less to "
-    "do: fewer frames, a smaller system, -j 1 in a batch"
+    "allow more memory (ulimit -v, or the limit of the container), or reduce the "
+    "work: fewer frames, a smaller system, -j 1 in a batch"
 )
 KILLED_HINT = (
-    "the kernel's log (dmesg) or the scheduler of the farm tells which; then give it "
-    "more memory or time, and run the same command again"
+    "the kernel's log (dmesg) or the farm's scheduler tells which; allow more memory "
+    "or time, and run the same command again"
 )
 
 
@@ -76,7 +76,7 @@ def is_out_of_memory(error: BaseException | None) -> bool:
 def memory_fault(error: BaseException) -> Fault:
     """Return the fault of an error for want of memory: how much, and what needed it."""
     needed = str(error).strip().rstrip(".")
-    message = f"not enough memory: {needed}" if needed else "not enough memory"
+    message = f"out of memory: {needed}" if needed else "out of memory"
     where = _step(error)
     if where:
         message += f", needed in {where}"
@@ -123,8 +123,8 @@ def crash_reason(name: str, path: str = "") -> Fault | None:
     limit = limited_bytes()
     if limit is None:
         return None
-    message = f"the process ended ({name}) within its limit of memory, "
-    message += f"{limit / 1e6:,.0f} MB: libraries crash where they get none"
+    message = f"the process ended ({name}) within its memory limit, "
+    message += f"{limit / 1000000.0:,.0f} MB: libraries crash when memory runs out"
     return Fault("IO013", message, place, (), MEMORY_HINT)
 
 
@@ -135,23 +135,26 @@ COMMANDS = {
     ),
     "batch": (
         "animtool.cli.batch:batch",
-        "Bake many files, on every core, resumable.",
+        "Bake many files on every core; can be resumed.",
     ),
-    "completion": ("animtool.cli.schema:completion", "Print a completion script."),
+    "completion": (
+        "animtool.cli.schema:completion",
+        "Print a shell completion script.",
+    ),
     "convert": ("animtool.cli.convert:convert", "Convert a take to another format."),
     "diff": ("animtool.cli.diff:diff", "Compare two takes or layers."),
-    "explain": ("animtool.cli.explain:explain", "Say what a code means."),
-    "ik": ("animtool.cli.ik:ik", "Bring the joints of a rig to targets."),
-    "job": ("animtool.cli.job:job", "Write a batch as a job for a render farm."),
+    "explain": ("animtool.cli.explain:explain", "Explain a code."),
+    "ik": ("animtool.cli.ik:ik", "Solve the joints of a rig for targets."),
+    "job": ("animtool.cli.job:job", "Write a batch as a render farm job."),
     "migrate": (
         "animtool.cli.migrate:migrate",
-        "Rewrite files of older versions as the newest.",
+        "Update files of older versions.",
     ),
-    "loop": ("animtool.cli.loop:loop", "Find the cycle of a take, and repeat it."),
+    "loop": ("animtool.cli.loop:loop", "Find the cycle of a take and repeat it."),
     "mocap": ("animtool.cli.mocap:mocap", "Turn captures into motion, and clean it."),
     "plugins": (
         "animtool.cli.plugins:plugins",
-        "List the passes, readers and executors there are.",
+        "List passes, readers, executors and other plug-ins.",
     ),
     "preview": (
         "animtool.cli.preview:preview",
@@ -159,14 +162,14 @@ COMMANDS = {
     ),
     "retarget": (
         "animtool.cli.retarget:retarget",
-        "Bring a take onto another rig, feet held.",
+        "Transfer a take to another rig, with planted feet held.",
     ),
     "report": (
         "animtool.cli.report:report",
         "Measure time against error for the settings of a file.",
     ),
     "schema": ("animtool.cli.schema:schema", "Print the JSON Schema of a file."),
-    "info": ("animtool.cli.info:info", "Say what is in a file."),
+    "info": ("animtool.cli.info:info", "Show what is in a file."),
     "validate": (
         "animtool.cli.validate:validate",
         "Check rigs, clips, scenes and captures.",
@@ -294,7 +297,7 @@ def _report(console: Console, error: BaseException) -> int:
         case AnimtoolError():
             console.faults(error.faults, fatal=True)
             if isinstance(error, StrictError):
-                console.say("warnings are errors under --strict: nothing was written")
+                console.say("--strict treats warnings as errors: nothing was written")
             code = int(error.exit_code)
         case click.exceptions.NoArgsIsHelpError() if not console.json_log:
             error.show(sys.stderr)
@@ -311,7 +314,7 @@ def _report(console: Console, error: BaseException) -> int:
         case _CrashError():
             console.error(
                 f"internal error: the process crashed ({error})",
-                "This is a fault of animtool's or of a library. Please report it.",
+                "This is a bug in animtool or in a library. Please report it.",
             )
             code = int(ExitCode.INTERNAL)
         case BrokenPipeError():
@@ -328,7 +331,7 @@ def _report(console: Console, error: BaseException) -> int:
         case _:
             console.error(
                 f"internal error: {type(error).__name__}: {error}",
-                "This is a fault of animtool's. --debug shows where; please report it.",
+                "This is a bug in animtool. --debug shows where; please report it.",
             )
             code = int(ExitCode.INTERNAL)
     return code

@@ -25,8 +25,8 @@ marker_options = stacked(
     click.option(
         "--subject",
         metavar="NAME",
-        help="Whose markers: the prefix of names such as Anna:LFHD.  [default: the "
-        "only one]",
+        help="Subject of the markers: the prefix of names such as Anna:LFHD.  "
+        "[default: the only one]",
     ),
     strict_option,
     writing_options,
@@ -36,7 +36,7 @@ output_option = click.option(
     "--output",
     type=INPUT,
     required=True,
-    help="What to write: .c3d, .trc or .npz.",
+    help="File to write: .c3d, .trc or .npz.",
 )
 
 

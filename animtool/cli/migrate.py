@@ -31,7 +31,7 @@ Examples:
 @click.option(
     "--check",
     is_flag=True,
-    help="Write nothing; say what would change, and end with 1 where something would.",
+    help="Write nothing; show what would change, and exit with 1 if anything would.",
 )
 @overwrites("files of older versions")
 @strict_option
@@ -74,7 +74,9 @@ def migrate(console: Console, /, files: tuple[Path, ...], **params: Any) -> None
 
 def _say(console: Console, plan: Migration, *, check: bool) -> None:
     if not plan.needed:
-        console.say(f"{plan.path}: {plan.kind}, animtool/{plan.version}, is the newest")
+        console.say(
+            f"{plan.path}: {plan.kind}, animtool/{plan.version}, is the newest version"
+        )
         return
     done = "would become" if check else "is now"
     steps = f"from animtool/{plan.version} {done} animtool/{plan.newest}"

@@ -17,19 +17,19 @@ COMMANDS = {
     ),
     "triangulate": (
         "animtool.cli.mocap_triangulate:triangulate",
-        "Find markers in space from what cameras see.",
+        "Triangulate markers from camera images.",
     ),
     "face": (
         "animtool.cli.mocap_face:face",
-        "Turn landmarks of a face into blend-shape weights.",
+        "Solve blend-shape weights from face landmarks.",
     ),
     "label": (
         "animtool.cli.mocap_label:label",
-        "Give unlabelled points the names of markers.",
+        "Label unlabelled marker points.",
     ),
     "fill": (
         "animtool.cli.mocap_fill:fill",
-        "Repair swaps and spikes of markers, fill gaps.",
+        "Repair swaps and spikes of markers, and fill gaps.",
     ),
 }
 

@@ -36,22 +36,21 @@ Examples:
     "--output",
     type=INPUT,
     required=True,
-    help="What to write: a USD file (.usda, .usdc, .usd), .clip.yaml or .bvh.",
+    help="File to write: USD (.usda, .usdc, .usd), .clip.yaml or .bvh.",
 )
 @record_option(CleanOptions)
 @click.option(
     "--feet",
     type=click.Choice(["free", "hold"]),
     default="free",
-    help="Whether feet slide where they stand, as captured, or are held.  "
-    "[default: free]",
+    help="Let planted feet slide, as captured, or hold them.  [default: free]",
 )
 @click.option(
     "--drift",
     type=click.Choice(["keep", "remove"]),
     default="keep",
-    help="Whether a root that drifts over the ground or in height is left alone, or "
-    "moved so that feet stand where they stand.  [default: keep]",
+    help="Keep the drift of the root over the ground and in height, or remove it so "
+    "that planted feet stay in place.  [default: keep]",
 )
 @source_options
 @source_option("prim_path", "take", "positions")

@@ -44,22 +44,22 @@ Examples:
     type=INPUT,
     required=True,
     metavar="RIG",
-    help="The rig whose shapes move: a rig file or USD file.",
+    help="The rig with the shapes: a rig file or USD file.",
 )
 @click.option(
     "-o",
     "--output",
     type=INPUT,
-    help="What to write: a USD file (.usda, .usdc, .usd), .clip.yaml or .csv.  "
-    "[default: nothing]",
+    help="File to write: USD (.usda, .usdc, .usd), .clip.yaml or .csv.  [default: "
+    "nothing]",
 )
 @click.option(
     "--landmarks",
     "landmarks_file",
     type=INPUT,
     metavar="FILE",
-    help="Landmarks file (.landmarks.yaml): where landmarks are on the rig.  [default: "
-    "the face that LANDMARKS brings]",
+    help="Landmarks file (.landmarks.yaml): where landmarks are on the rig.  "
+    "[default: the face in LANDMARKS]",
 )
 @source_option("remap")
 @click.option(
@@ -69,7 +69,7 @@ Examples:
     help="Camera file of a head-mounted camera, for landmarks in pixels.",
 )
 @click.option(
-    "--camera-name", metavar="NAME", help="The camera, where its file has several."
+    "--camera-name", metavar="NAME", help="The camera, if its file has several."
 )
 @record_option(FaceOptions)
 @source_options
@@ -125,12 +125,12 @@ _TEMPLATE = Template(
     "animtool.scene.solves.face:FaceResult",
     (
         "{job.capture} onto {take.rig.name}: [{fit.weights:n frame}|0 frames], "
-        "{fit.model.names:n landmark}, {moved} of "
-        "[{fit.model.shapes:n shape}|0 shapes] move, {rate:.0f} frames a second",
-        "  landmarks within {fit.rms:residual} RMS; noise {fit.noise:residual} in each "
-        "direction",
+        "{fit.model.names:n landmark}, {moved} of [{fit.model.shapes:n shape}|0 "
+        "shapes] move, {rate:.0f} frames per second",
+        "  landmarks within {fit.rms:residual} RMS; noise {fit.noise:residual} per "
+        "axis",
         "[  frames: {fit.status:ends | list}]",
-        "[  shapes that the rig lacks: {links.lost:list 8}]",
+        "[  shapes that the rig does not have: {links.lost:list 8}]",
         "[  written: {written.files:join}]",
     ),
     details=(SECONDS,),

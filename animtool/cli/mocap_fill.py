@@ -30,21 +30,21 @@ Examples:
     "--template",
     type=INPUT,
     metavar="FILE",
-    help="Fill gaps by the skeleton: where the markers are on its rig (.markers.yaml), "
-    "to a few centimetres.",
+    help="Fill gaps from the skeleton: a template with the markers on its rig "
+    "(.markers.yaml), accurate to a few centimetres.",
 )
 @click.option(
     "--rig",
     type=INPUT,
     metavar="RIG",
-    help="That rig, of about the subject's build: a rig file, USD file or BVH.  "
-    "[default: the template's]",
+    help="The rig of the template, built like the subject: a rig file, USD file or "
+    "BVH.  [default: the template's]",
 )
 @click.option(
     "--static",
     type=INPUT,
     metavar="FILE",
-    help="Of the skeleton: markers of the subject standing in about the rest pose.",
+    help="With a skeleton: markers of the subject standing roughly in the rest pose.",
 )
 @record_option(FillOptions)
 @marker_options
@@ -67,7 +67,7 @@ def fill(
     """
     for option, path in (("--rig", rig), ("--static", static)):
         if path is not None and template is None:
-            raise click.UsageError(f"{option} is of a skeleton: give --template too.")
+            raise click.UsageError(f"{option} needs a skeleton: pass --template too.")
 
     def work(read: Any, still: Any = None) -> tuple[Any, Any]:
         from animtool.capture.markers.fill import fill as run_fill

@@ -26,7 +26,7 @@ Examples:
     type=INPUT,
     required=True,
     metavar="FILE",
-    help="A labelled trial of the same subject at rest: names and distances.",
+    help="A labelled trial of the same subject at rest, for names and distances.",
 )
 @marker_options
 def label(
@@ -59,8 +59,8 @@ def _partial(coverage: dict[str, float]) -> list[str]:
 _TEMPLATE = Template(
     "animtool.capture.markers.label:LabelReport",
     (
-        "  {labelled} of {points} points named ({share:.1%}), {rejected} are no "
-        "marker; {runs} runs",
+        "  {labelled} of {points} points named ({share:.1%}), {rejected} are not "
+        "markers; {runs} runs",
         Each("coverage:partial", ("  {self}",)),
     ),
     {"partial": _partial},

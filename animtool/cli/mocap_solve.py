@@ -62,26 +62,26 @@ Examples:
 @click.option(
     "--calibrate",
     is_flag=True,
-    help="Fit the lengths of bones and the offsets of markers to the subject first.",
+    help="First fit the lengths of bones and the offsets of markers to the subject.",
 )
 @click.option(
     "--static",
     type=INPUT,
     metavar="FILE",
-    help="Of a calibration: markers of the subject standing in about the rest pose.",
+    help="For calibration: markers of the subject standing roughly in the rest pose.",
 )
 @take_output_option
 @click.option(
     "--write-rig",
     type=OUTPUT,
     metavar="FILE",
-    help="Of a calibration: write the subject's rig (.rig.yaml).",
+    help="After calibration: write the subject's rig (.rig.yaml).",
 )
 @click.option(
     "--write-template",
     type=OUTPUT,
     metavar="FILE",
-    help="Of a calibration: write the subject's template (.markers.yaml).",
+    help="After calibration: write the subject's template (.markers.yaml).",
 )
 @record_option(SolveOptions)
 @written_options
@@ -97,7 +97,7 @@ def solve(
     """
     to_stdout = goes_to_stdout(output, params)
     if params["static"] is not None and not params["calibrate"]:
-        raise click.UsageError("--static is for a calibration: give --calibrate too.")
+        raise click.UsageError("--static needs a calibration: pass --calibrate too.")
     from animtool.scene.solves.mocap_solve import (
         MocapSolveJob,
         run_solve,
@@ -160,14 +160,14 @@ _TEMPLATE = Template(
     "animtool.scene.solves.mocap_solve:MocapSolveResult",
     (
         "{source} onto {solve.model.rig.name}: {solve.score.frames:n frame}, "
-        "[{solve.score.markers:n marker}|0 markers], {seconds_per_frame:duration} a "
-        "frame",
-        "[  calibrated over {calibration.frames:n frame} in {calibration.rounds:n step}"
-        ": bones {calibration:bones} times as long]",
-        "  markers {solve.score.total:length} off (RMS); most: "
+        "[{solve.score.markers:n marker}|0 markers], {seconds_per_frame:duration} "
+        "per frame",
+        "[  calibrated over {calibration.frames:n frame} in {calibration.rounds:n "
+        "step}: bone lengths {calibration:bones} times the rig's]",
+        "  marker error {solve.score.total:length} (RMS); largest: "
         "[{solve.score.markers:worst | names 3}]",
-        "[  do not fit in some frames: {solve.score.markers:strays | names}]",
-        "[  labels mixed up: {solve:exchanged | names}]",
+        "[  do not match in some frames: {solve.score.markers:strays | names}]",
+        "[  swapped labels: {solve:exchanged | names}]",
         "[  not in the capture: {solve.match.missing:names}]",
         "[  not in the template: {solve.match.unused:names}]",
         "[  written: {outputs:join}]",

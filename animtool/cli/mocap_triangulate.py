@@ -39,8 +39,8 @@ Examples:
     type=INPUT,
     required=True,
     multiple=True,
-    help="Calibration: .cameras.yaml, or as OpenCV (YAML, JSON), Pose2Sim or anipose "
-    "(TOML) write it; can be given several times, for a file of each camera.",
+    help="Calibration: .cameras.yaml, or a file from OpenCV (YAML, JSON), Pose2Sim "
+    "or anipose (TOML); repeat it for one file per camera.",
 )
 @click.option(
     "-o",
@@ -53,8 +53,7 @@ Examples:
     "--people",
     type=click.IntRange(1),
     metavar="N",
-    help="Of keypoints of OpenPose, keep the N people that are seen most.  "
-    "[default: all]",
+    help="For OpenPose keypoints, keep the N people seen most.  [default: all]",
 )
 @record_option(TriangulateOptions)
 @source_options

@@ -51,7 +51,9 @@ def _timecode(text: str) -> str:
     from animtool.core.timecode import is_timecode
 
     if not is_timecode(text):
-        raise ValueError(f"{text!r} is no time code such as 01:00:00:00 or 01:00:00;02")
+        raise ValueError(
+            f"{text!r} is not a time code such as 01:00:00:00 or 01:00:00;02"
+        )
     return text.strip()
 
 
@@ -59,7 +61,7 @@ def _tolerance(text: str) -> float:
     value = float(text)
     # Nothing is within a tolerance that is no number.
     if not value >= 0:
-        raise ValueError(f"{text!r} is no tolerance: a number from 0 up is needed")
+        raise ValueError(f"{text!r} is not a tolerance: use a number from 0 up")
     return value
 
 
@@ -76,7 +78,7 @@ def count_or_auto(text: str) -> int | None:
     if text == "auto":
         return None
     if not text.isdigit() or not int(text):
-        raise ValueError(f"{text!r} is neither auto nor a number from 1 up")
+        raise ValueError(f"{text!r} is neither auto nor a whole number from 1 up")
     return int(text)
 
 
@@ -116,13 +118,13 @@ def _severity(text: str) -> tuple[str, Severity]:
     code, equals, name = text.partition("=")
     if not equals or not code or name not in list(Severity):
         allowed = ", ".join(Severity)
-        raise ValueError(f"{text!r} is not CODE=SEVERITY, of which there are {allowed}")
+        raise ValueError(f"{text!r} is not CODE=SEVERITY; severities are {allowed}")
     return code.upper(), Severity(name)
 
 
 def _processes(text: str) -> int:
     if not text.isdigit() or not int(text):
-        raise ValueError(f"{text!r} is no number of processes from 1 up")
+        raise ValueError(f"{text!r} is not a number of processes from 1 up")
     return int(text)
 
 
@@ -167,7 +169,7 @@ common_options = stacked(
         is_flag=True,
         expose_value=False,
         callback=_set("verbosity", -1),
-        help="Say nothing but errors.",
+        help="Print only errors.",
     ),
     click.option(
         "-v",
@@ -184,7 +186,7 @@ common_options = stacked(
         expose_value=False,
         is_eager=True,
         envvar="ANIMTOOL_LOG_FORMAT",
-        help="How lines on stderr are written.",
+        help="Format of lines on stderr.",
         show_default=True,
     ),
     click.option(
@@ -376,8 +378,7 @@ set_option = click.option(
     type=Parsed("variable", _variable),
     metavar="NAME=VALUE",
     multiple=True,
-    help="What ${NAME} stands for in a scene, such as shot=sh020; can be given "
-    "several times.",
+    help="Value of ${NAME} in a scene, such as shot=sh020; repeatable.",
 )
 
 
@@ -391,7 +392,9 @@ def overwrites(what: str) -> Callable[[Command], Command]:
     return click.option("--overwrite", is_flag=True, help=f"Replace {what}.")
 
 
-strict_option = strict_because("Take warnings for errors and write nothing.")
+strict_option = strict_because(
+    "Treat warnings as errors, and write nothing if there are any."
+)
 format_option = click.option(
     "--format",
     "report_format",
@@ -429,14 +432,14 @@ TIMECODE_OPTIONS = (
         "--cut-start",
         type=click.IntRange(-(10**9), 10**9),
         metavar="FRAME",
-        help="Of a timeline: first frame of the cut, behind its handles.  [default: as "
-        "the timeline says, else the handles begin at 1001]",
+        help="First frame of the cut of a timeline, after the handles.  [default: as "
+        "the timeline states, else the handles begin at 1001]",
     ),
     click.option(
         "--first-timecode",
         type=Parsed("timecode", _timecode),
         metavar="HH:MM:SS:FF",
-        help="Of a timeline: time code of the first frame of each take.  [default: as "
-        "the timeline says, else 00:00:00:00]",
+        help="Time code of the first frame of each take of a timeline.  [default: as "
+        "the timeline states, else 00:00:00:00]",
     ),
 )

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 writing_options = stacked(
     overwrites("outputs that exist"),
     click.option(
-        "--skip-existing", is_flag=True, help="Do nothing where all outputs exist."
+        "--skip-existing", is_flag=True, help="Do nothing if all outputs exist."
     ),
     format_option,
     common_options,
@@ -42,11 +42,11 @@ take_output_option = click.option(
     "-o",
     "--output",
     type=OUTPUT,
-    help="What to write: a USD file (.usda, .usdc, .usd), .clip.yaml or .bvh, or - for "
-    "usda on stdout.  [default: nothing]",
+    help="File to write: USD (.usda, .usdc, .usd), .clip.yaml or .bvh, or - for usda "
+    "on stdout.  [default: nothing]",
 )
 split_option = click.option(
-    "--split", is_flag=True, help="USD in three files, as bake has it."
+    "--split", is_flag=True, help="Write USD in three files, as bake does."
 )
 # How commands write the take that they make.
 written_options = stacked(
@@ -56,7 +56,8 @@ written_options = stacked(
         "--reduce",
         type=LENGTH,
         metavar="LENGTH",
-        help="How far keys of a clip, or samples left out of USD, may move a joint.",
+        help="Largest error of joints from leaving out keys of a clip or samples of "
+        "USD.",
     ),
     strict_option,
 )
@@ -98,7 +99,8 @@ def skipped(
         return False
     if params["overwrite"]:
         raise click.UsageError(
-            "--overwrite replaces outputs and --skip-existing keeps them: give one."
+            "--overwrite replaces outputs, but --skip-existing keeps them: use one "
+            "of them."
         )
     if not all(path.exists() for path in outputs()):
         return False
@@ -113,7 +115,7 @@ def goes_to_stdout(output: Path | None, params: Mapping[str, Any]) -> bool:
     if str(output) != "-":
         return False
     if params["report_format"] == "json":
-        raise click.UsageError("-o - and --format json both want stdout.")
+        raise click.UsageError("-o - and --format json both write to stdout.")
     return True
 
 
@@ -121,15 +123,15 @@ plot_option = click.option(
     "--plot",
     type=OUTPUT,
     metavar="FILE",
-    help="With --table, draw it too: error against time (.png, .svg, .pdf; needs the "
-    "extra preview).",
+    help="With --table, also draw a plot: error against time (.png, .svg, .pdf; "
+    "needs the extra preview).",
 )
 
 
 def refuse_alone(params: dict[str, Any]) -> None:
     """Refuse ``--plot`` without a table."""
     if params["plot"] is not None and not params["table"]:
-        raise click.UsageError("--plot draws what --table measures: give both.")
+        raise click.UsageError("--plot draws what --table measures: pass both.")
 
 
 def check_plot(plot: Path | None, inputs: Sequence[Path], *, overwrite: bool) -> None:

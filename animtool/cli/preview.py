@@ -44,7 +44,7 @@ Examples:
     "--output",
     type=INPUT,
     metavar="FILE",
-    help="Write the page here (.html), or a picture or film of it (.png, .gif, .webp, "
+    help="Write the page (.html), or a picture or film of it (.png, .gif, .webp, "
     ".mp4, .webm).  [default: a temporary page, which is opened]",
 )
 @record_option(ShowOptions)
@@ -54,7 +54,7 @@ Examples:
 @record_option(PictureOptions)
 @source_option(*_OF_SOURCES)
 @set_option
-@overwrites("a page or picture that exists")
+@overwrites("an existing page or picture")
 @format_option
 @common_options
 @click.pass_obj
@@ -74,10 +74,10 @@ def preview(console: Console, /, files: tuple[Path, ...], **params: Any) -> None
     pictures = PictureOptions(**read_values(PictureOptions, params))
     pictured = output is not None and picture_kind(output) is not None
     if not pictured and (given := given_options(pictures)):
-        words = f"--{next(iter(given))} is of pictures, such as -o walk.png."
+        words = f"--{next(iter(given))} applies to pictures, such as -o walk.png."
         raise click.UsageError(words)
     if shows.watch and (output is not None or as_json or shows.plan):
-        words = "--watch serves the page: no -o, no --plan and no --format json."
+        words = "--watch serves the page: remove -o, --plan and --format json."
         raise click.UsageError(words)
     options = PreviewOptions(
         source=source_options_record(params, *_OF_SOURCES),

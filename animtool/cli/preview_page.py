@@ -85,7 +85,7 @@ def watch(
         if not opens or not open_browser(server.address):
             console.result(server.address)
             sys.stdout.flush()
-        console.say("watching; interrupt (Ctrl-C) to end")
+        console.say("watching; press Ctrl-C to stop")
 
         def failed(error: AnimtoolError) -> None:
             console.faults(error.faults)

@@ -40,7 +40,7 @@ def _told(report: PictureReport) -> str:
     wide, high = report.pixels
     frames = counted(len(report.frames), "frame")
     if report.rate:
-        frames += f" at {float(report.rate):.6g} a second"
+        frames += f" at {float(report.rate):.6g} per second"
         step = report.page.manifest["time"]["step"]
         if len(set(report.frames)) > 1:
             every = round((report.frames[1] - report.frames[0]) / step)

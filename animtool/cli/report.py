@@ -55,21 +55,21 @@ Examples:
     "--budget",
     type=LENGTH,
     metavar="LENGTH",
-    help="Largest error allowed, such as 0.5mm: the cheapest setting within it is "
-    "recommended.  [default: as exact as the current setting]",
+    help="Error budget, such as 0.5mm: the cheapest setting within it is "
+    "recommended.  [default: the error of the current setting]",
 )
 @click.option(
     "-o",
     "--output",
     type=OUTPUT,
     metavar="FILE",
-    help="Write a page too (.html): plots, tables, and two settings side by side.",
+    help="Also write a page (.html): plots, tables, and two settings side by side.",
 )
 @record_option(BakeOptions, *_OF_OUTPUT)
 @set_option
 @source_options
 @source_option(*_OF_SOURCE)
-@overwrites("a page that exists")
+@overwrites("an existing page")
 @format_option
 @common_options
 @click.pass_obj
@@ -84,7 +84,7 @@ def report(
     two refinements. Nothing is baked.
     """
     if (source is None) is not params["suite"]:
-        raise click.UsageError("Give a SOURCE, or --suite.")
+        raise click.UsageError("Pass a SOURCE, or --suite.")
     if output is not None and output.suffix.lower() != ".html":
         raise click.UsageError(f"The page is HTML: name it {output.stem}.html.")
     with tempfile.TemporaryDirectory() as folder:

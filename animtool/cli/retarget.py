@@ -83,16 +83,16 @@ _TEMPLATE = Template(
     (
         "{verdict:verdict}",
         "{source} onto {target.name}: {score.frames:n frame}, {score.pairs:n joint} "
-        "paired, scaled by {score.scale:.3g}, {seconds_per_frame:duration} a frame",
-        "[{?score.contacts}  feet stand in {score.contacts:percent} of frames; they "
-        "drift {score.drift_mean:metres}, {score.drift_max:metres} at most (the source "
-        "{score.source_drift_max:metres}, scaled); soles within "
+        "paired, scaled by {score.scale:.3g}, {seconds_per_frame:duration} per frame",
+        "[{?score.contacts}  feet are planted in {score.contacts:percent} of frames; "
+        "they drift {score.drift_mean:metres} on average, {score.drift_max:metres} "
+        "at most (the source {score.source_drift_max:metres}, scaled); soles within "
         "{score.sole_error:metres}]",
-        "  [limbs {score.bone_angle_mean:scored angle} off the source's, "
-        "{score.bone_angle_max:scored angle} at most|no limb is paired: its angles "
-        "have no score][; hands reach within {score.reach_error:scored percent} of the "
-        "arm][; accelerations up to {score.acceleration:scored times} times the "
-        "source's]",
+        "  [limbs differ from the source by {score.bone_angle_mean:scored angle} on "
+        "average, {score.bone_angle_max:scored angle} at most|no limb is paired: its "
+        "angles have no score][; hands within {score.reach_error:scored percent} of "
+        "the arm's reach][; peak acceleration {score.acceleration:scored times} times "
+        "the source's]",
         "[{?score.hand_error}  hands within {score.hand_error:length} of what they "
         "hold]",
         "[{?score.lowered}  hips lowered by up to {score.lowered:length}: legs reach]",
@@ -128,7 +128,7 @@ Examples:
     type=INPUT,
     required=True,
     metavar="RIG",
-    help="The rig that the take goes onto: a rig file, USD file or BVH.",
+    help="The target rig: a rig file, USD file or BVH.",
 )
 @take_output_option
 @record_option(RetargetOptions, *OWN_OPTIONS)
@@ -136,7 +136,7 @@ Examples:
     "--write-map",
     type=OUTPUT,
     metavar="FILE",
-    help="Write the map of joints that was used (.map.yaml), to be edited.",
+    help="Write the joint map that was used (.map.yaml), for editing.",
 )
 @written_options
 @source_options

@@ -68,10 +68,10 @@ CONVERTED = Template(
         "  {span}",
         SHOT,
         _scores("  "),
-        "[{?reduction.samples}  {reduction.samples:n sample} of what moves became "
-        "{reduction.keys:n key}: {reduction.samples_per_key:.3g} a key"
-        "|{?reduction}  nothing moves: [{?reduction.keys}{reduction.keys:n key}, for "
-        "what is not at rest|no keys]]",
+        "[{?reduction.samples}  {reduction.samples:n sample} of animated channels "
+        "became {reduction.keys:n key}: {reduction.samples_per_key:.3g} per "
+        "key|{?reduction}  nothing moves: [{?reduction.keys}{reduction.keys:n key}, "
+        "for what is not at rest|no keys]]",
         "[  largest error: {reduction.error:length}[{?reduction.error} (joint "
         "{reduction.joint:repr}, frame {reduction.frame:next} of {frames})]]",
         "[{?reduction.weight_error}  largest error of a shape's weight: "
@@ -110,19 +110,19 @@ _MESHES = Each(
         Each(
             "meshes",
             (
-                "    {name}: {self:points}, [{?written.characters}"
-                "{written.samples:n frame}, {milliseconds_per_frame:ms} a frame"
-                "|[{?written.samples}{written.samples:n frame}, {written.bytes:size}"
-                "|still, no samples], {milliseconds_per_frame:ms} a frame, largest "
-                "error of float32 {written.error:length 2}"
-                "[{?written.error} ({written:worst_point}, frame "
-                "{written.error_code:frame})]]",
-                "[      {written.characters.own} with an animation of their own, "
+                "    {name}: {self:points}, [{?written.characters}{written.samples:n "
+                "frame}, {milliseconds_per_frame:ms} per "
+                "frame|[{?written.samples}{written.samples:n frame}, "
+                "{written.bytes:size}|static, no samples], "
+                "{milliseconds_per_frame:ms} per frame, largest float32 error "
+                "{written.error:length 2}[{?written.error} ({written:worst_point}, "
+                "frame {written.error_code:frame})]]",
+                "[      {written.characters.own} with their own animation, "
                 "{written.characters:kept} of poses written: joints within "
-                "{written.characters.error:length 2}, standing feet "
+                "{written.characters.error:length 2}, planted feet "
                 "{written.characters.slide:length 2}]",
-                "[      {written.characters.shared} with a part in an animation of who "
-                "stands]",
+                "[      {written.characters.shared} with a part in an animation of "
+                "standing characters]",
             ),
         ),
     ),
@@ -220,8 +220,8 @@ BAKED = Template(
         f"[{{?posed}}{_PROPS}",
         _MESHES,
         f"[{{!posed}}{_PROPS}",
-        "  {up} up, lengths in {units}[{?unit_assumed}; the source taken to be in cm "
-        "(--units)]",
+        "  {up} up, lengths in {units}[{?unit_assumed}; the source is assumed to be "
+        "in cm (--units)]",
         "  {result.bytes:size} written in {seconds.total:duration}"
         "[{?posed}{?source_bytes}, {self:speed}/s of source]",
         "[{?posed}  largest error of {worst:rounded}[{notices:beyond}]: "
@@ -268,7 +268,7 @@ BAKED = Template(
                 Each("simulated", ("  simulated: [{self:stated}]",)),
             ),
         ),
-        "  seconds: [{seconds:times}] (read runs beside author)",
+        "  seconds: [{seconds:times}] (read and author overlap)",
         "  skeleton at rest: {size:length 4} across",
     ),
 )
@@ -295,7 +295,7 @@ PLAN = Template(
                 "{number}  {kind} {name}[ ({where})]",
                 "[     reads {self:others reads}]",
                 "[     makes {self:others makes}]",
-                Each("left_out", ("     leaves out {self}",)),
+                Each("left_out", ("     skips {self}",)),
             ),
         ),
     ),

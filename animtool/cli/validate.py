@@ -107,9 +107,9 @@ def _fixed(
     for note in fixes.notes:
         console.say(note)
     for fault, remedy in fixes.report.mended:
-        console.say(f"{fault.path}: {fault.code} mended: {remedy}")
+        console.say(f"{fault.path}: {fault.code} fixed: {remedy}")
     for fault, reason in fixes.left:
-        console.say(f"{fault.path}: {fault.code} not mended: {reason}")
+        console.say(f"{fault.path}: {fault.code} not fixed: {reason}")
     return fixes.report
 
 
@@ -136,7 +136,7 @@ def _show_difference(
     changes = False
     for plan in plan_files(report, options):
         for fault, reason in plan.left:
-            console.say(f"{fault.path}: {fault.code} not mended: {reason}")
+            console.say(f"{fault.path}: {fault.code} not fixed: {reason}")
         if not plan.mended:
             continue
         mended |= {_identity(fault) for fault, _ in plan.mended}
@@ -148,7 +148,7 @@ def _show_difference(
             code = ExitCode.FINDINGS
     console.faults([one for one in report.findings if _identity(one) not in mended])
     if report.findings and not changes:
-        console.say("nothing to change: no finding has a safe remedy")
+        console.say("nothing to change: no finding has a safe fix")
     console.say(summary(report))
     click.get_current_context().exit(int(code))
 

@@ -55,8 +55,8 @@ class ChannelReader:
         turning = kind == "rotation" and model.euler is None
         width = 4 if turning else _WIDTHS[kind]
         if model.euler is not None and kind != "rotation":
-            message = f"{target!r} is no rotation"
-            self.document.add("CLIP009", (*at, "euler"), message, "leave euler out")
+            message = f"{target!r} is not a rotation"
+            self.document.add("CLIP009", (*at, "euler"), message, "remove euler")
         usual = Interp.SPLINE if turning else Interp.BEZIER
         interps = tuple(Interp(k.interp or model.interp or usual) for k in model.keys)
         fits = self._check_interps(at, model, target, _ROTATING if turning else _SCALAR)
@@ -105,7 +105,7 @@ class ChannelReader:
         ]
         for place, name in wrong:
             hint = f"allowed: {', '.join(sorted(allowed))}"
-            message = f"{name} does not fit {target!r}"
+            message = f"{name} does not apply to {target!r}"
             self.document.add("CLIP009", place, message, hint)
         return not wrong
 
@@ -115,9 +115,13 @@ class ChannelReader:
             self.document.add("CLIP004", (*at, "keys", k, "t"), message)
         for k, before in self.document.descents((*at, "keys"), times.tolist(), "t"):
             same = times[k] == times[before]
-            what = "stands twice" if same else f"stands behind {times[before]:g}"
+            what = (
+                "stands twice"
+                if same
+                else (f"comes before the key at {times[before]:g}")
+            )
             place = (*at, "keys", k, "t")
-            hint = "key times ascend"
+            hint = "key times must ascend"
             self.document.add("CLIP004", place, f"frame {times[k]:g} {what}", hint)
 
     def _check_handles(self, at: Location, model: CurveModel) -> None:
@@ -128,14 +132,14 @@ class ChannelReader:
                     continue
                 if given[0] * sign < 0:
                     where = "before" if sign < 0 else "behind"
-                    message = f"the handle's time {given[0]:g} points backwards"
-                    hint = f"'{name}' lies {where} its key"
+                    message = f"the handle's time {given[0]:g} points the wrong way"
+                    hint = f"'{name}' is {where} its key"
                     place = (*at, "keys", k, name)
                     self.document.add("CLIP005", place, message, hint)
 
     def _refuse_slopes(self, at: Location, model: CurveModel) -> None:
         """Refuse what shapes the curves of numbers, on quaternions."""
-        hint = "euler: XYZ makes it three angles, which have them"
+        hint = "write euler: XYZ to key three angles, which have them"
         spots: list[tuple[Location, CurveModel | KeyModel, tuple[str, ...]]]
         spots = [(at, model, ("tangents", "parametrization"))]
         spots += [
@@ -166,13 +170,13 @@ class ChannelReader:
             ):
                 if given is not None and props and not expected & {*props}:
                     kinds = " and ".join(dict.fromkeys(props))
-                    message = f"'{name}' does nothing, beside it is {kinds}"
-                    hint = f"it is for {' and '.join(sorted(expected))}"
+                    message = f"'{name}' has no effect with {kinds}"
+                    hint = f"it applies to {' and '.join(sorted(expected))}"
                     self.document.warn("CLIP104", (*at, "keys", k, name), message, hint)
         segments = interps[:-1] or interps
         named = "parametrization" in model.model_fields_set
         if named and Interp.CATMULL_ROM not in segments:
-            message = "'parametrization' does nothing without catmull_rom"
+            message = "'parametrization' has no effect without catmull_rom"
             self.document.warn("CLIP104", (*at, "parametrization"), message)
 
     def _values(
@@ -186,7 +190,7 @@ class ChannelReader:
             if len(row) != width:
                 place = (*at, "keys", k, "v")
                 expected = "1 is" if width == 1 else f"{width} are"
-                message = f"{counted(len(row), 'number')} where {expected} wanted"
+                message = f"{counted(len(row), 'number')} instead of {expected}"
                 self.document.add("CLIP007", place, message)
                 continue
             rows.append(row)
@@ -230,7 +234,7 @@ class ChannelReader:
         """Return unit (x, y, z, w) of [w, x, y, z]."""
         rotations, wrong = file_quaternions(values)
         for k in wrong:
-            message = f"quaternion {values[k].tolist()} has no length"
+            message = f"quaternion {values[k].tolist()} has zero length"
             self.document.add("RIG006", (*at, "keys", k, "v"), message)
         return rotations
 

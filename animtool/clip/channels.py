@@ -79,17 +79,17 @@ local_rotation, scale
             )
         return group
     if group != "joint" or not name:
-        hint = "control/NAME, shape/NAME or joint/NAME.PART"
-        return Fault("CLIP001", f"{target!r} is no target", hint=hint)
+        hint = "write control/NAME, shape/NAME or joint/NAME.PART"
+        return Fault("CLIP001", f"{target!r} is not a target", hint=hint)
     return _joint_kind(name, rig)
 
 
 def _joint_kind(name: str, rig: Rig | None) -> str | Fault:
     joint, part = split_part(name, KEYED_PARTS)
     if not part:
-        hint = f"a joint's name and one of .{', .'.join(KEYED_PARTS)}"
+        hint = f"write a joint's name and one of .{', .'.join(KEYED_PARTS)}"
         hint = nearest_part(name, KEYED_PARTS) or hint
-        return Fault("CLIP001", f"{name!r} names no part of a joint", hint=hint)
+        return Fault("CLIP001", f"missing part of joint {name!r}", hint=hint)
     kind = {"angle": "angle", "slide": "slide", "scale": "scale"}.get(
         part, "rotation" if part.endswith("rotation") else "translation"
     )
@@ -97,7 +97,7 @@ def _joint_kind(name: str, rig: Rig | None) -> str | Fault:
         return kind
     if joint not in rig.names:
         hint = nearest(joint, rig.names)
-        return Fault("CLIP002", f"{joint!r} is no joint", hint=hint)
+        return Fault("CLIP002", f"unknown joint {joint!r}", hint=hint)
     own = rig.joints[rig.index(joint)]
     if own.type not in KEYED_PARTS[part]:
         fitting = [p for p, types in KEYED_PARTS.items() if own.type in types]

@@ -84,9 +84,9 @@ class Clip:
         each = step * self.fps / _rate(fps, self.fps)
         count = (self.last - self.first) // each + 1
         if not 0 < count <= MAX_FRAMES:
-            message = f"the range has {count} frames; at most {MAX_FRAMES} are read"
+            message = f"the range has {count} frames; the limit is {MAX_FRAMES}"
             if count <= 0:
-                message = "the range has no frame"
+                message = "the range contains no frame"
             raise FormatError(Fault("CLIP006", message, where="range"))
         return count
 

@@ -55,7 +55,7 @@ class ClipFile:
             check_clip(self)
             path = str(self.document.path)
             hint = (
-                "write 'rig: hero.rig.yaml' into it, or give a rig "
+                "write 'rig: hero.rig.yaml' into it, or pass a rig "
                 f"({argument('source.rig')})"
             )
             raise OptionError(Fault("CLIP011", "names no rig", path, (), hint))
@@ -112,7 +112,7 @@ def _note_missing(file: ClipFile) -> NoReturn:
     message = f"{file.model.rig!r} does not exist"
     near = missing_hint(file.document, file.model.rig or "")
     hint = "; ".join(
-        filter(None, [near, f"{argument('source.rig')} gives another rig"])
+        filter(None, [near, f"pass another rig with {argument('source.rig')}"])
     )
     file.document.add("DOC015", ("rig",), message, hint)
     check_clip(file)
@@ -181,7 +181,7 @@ class _ClipReader:
             if channel is not None:
                 channels.append(channel)
         if not self.model.channels and self.model.range is None:
-            hint = "with a range it holds its rig at rest"
+            hint = "with a range, it holds its rig at rest"
             message = "the clip has no channels"
             self.document.add("CLIP013", ("channels",), message, hint)
         first, last = self._range(channels)
@@ -211,8 +211,12 @@ class _ClipReader:
         if claim in seen:
             other = self.model.channels[seen[claim]].target
             line = self.document.place(("channels", seen[claim]))[0]
-            what = "stands twice" if other == target else f"and {other!r} are the same"
-            hint = f"the other in line {line}"
+            what = (
+                "stands twice"
+                if other == target
+                else (f"and {other!r} are the same target")
+            )
+            hint = f"the other is on line {line}"
             self.document.add("CLIP010", at, f"target {target!r} {what}", hint)
         seen.setdefault(claim, i)
 

@@ -119,8 +119,8 @@ _Note = tuple[str, str, str | None]
 def _released(solved: SolvedControls) -> Iterator[_Note]:
     if solved.released:
         names = listed(solved.released, MAX_NAMES)
-        message = f"controls not keyed: no values of {names} give what they drive"
-        hint = "joints and shapes that they drive have keys instead"
+        message = f"controls not keyed: no values of {names} reproduce what they drive"
+        hint = "the joints and shapes that they drive have keys instead"
         yield "CLIP115", message, hint
 
 
@@ -149,7 +149,7 @@ def _on_top(
         else:
             continue
         joint = rig.joints[track.index].name
-        message = f"joint {joint!r} has keys on top of what controls give it: "
+        message = f"joint {joint!r} has keys on top of what controls drive: "
         yield "CLIP116", f"{message}{track.part} up to {amount}", None
 
 
@@ -163,7 +163,9 @@ def _off_type(
             continue
         joint, motion = rig.joints[track.index], joints[track.index]
         if track.part == "local_rotation":
-            does = "turns" if joint.type is not JointType.PIN else "turns off its axis"
+            does = (
+                "turns" if joint.type is not JointType.PIN else ("rotates off its axis")
+            )
             amount = f"{plain(motion.turn_off / units.angle)} {angle}"
         elif track.part == "local_translation":
             does = (
@@ -175,7 +177,7 @@ def _off_type(
         else:
             continue
         message = f"joint {joint.name!r} of type {joint.type} {does}, by up to {amount}"
-        hint = f"it has keys of {track.part}, in place of its own coordinates"
+        hint = f"it has keys for {track.part} instead of its own coordinates"
         yield "CLIP117", message, hint
 
 
@@ -185,4 +187,4 @@ def _astray(rig: Rig, tracks: Sequence[Track]) -> Iterator[_Note]:
         joint = rig.joints[j]
         if joint.mimic is not None:
             message = f"joint {joint.name!r} does not follow {joint.mimic.joint!r}"
-            yield "CLIP118", message, "it has keys of its own"
+            yield "CLIP118", message, "it has keys"

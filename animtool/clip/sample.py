@@ -190,7 +190,7 @@ def _refuse_undefined(driven: DrivenValues, times: FloatArray) -> None:
         if wrong.size:
             frame = times[wrong[0]] if len(values) > 1 else times[0]
             message = f"{name} has no value at frame {frame:g}"
-            hint = "an expression divides by nothing, or leaves the numbers"
+            hint = "an expression divides by zero or overflows"
             raise FormatError(Fault("CLIP015", message, None, (), hint))
 
 
@@ -219,7 +219,7 @@ def _range_notices(
     return notices
 
 
-_CLAMP = f"{argument('source.clamp', True)} brings it inside"
+_CLAMP = f"{argument('source.clamp', True)} clamps it"
 _CLAMPED = ": clamped"
 
 
@@ -248,10 +248,7 @@ def _replace(parts: Mapping[str, Parts]) -> list[ClipNotice]:
                 continue
             gone = [part.pop(key) for key in added if key in part]
             if any((values != values[0]).any() for values in gone):
-                message = (
-                    f"joint {name!r} has keys of {local}, so no control turns or "
-                    "moves it"
-                )
+                message = f"joint {name!r} has keys for {local}, so no control moves it"
                 fault = Fault("CLIP105", message, severity=Severity.NOTE)
                 notices.append(ClipNotice(fault, f"joint/{name}"))
     return notices
@@ -399,7 +396,7 @@ class _Joints:
             amount = f"{excess[worst]:.4g} m"
         said = f"exceeds {what} by {amount}"
         if self.clamp:
-            said = f"was brought inside {what}, by {amount},"
+            said = f"was clamped to {what}, by {amount},"
         message = f"joint {joint.name!r} {said} at frame "
         message += f"{self.times[worst]:g}"
         hint = None if self.clamp else _CLAMP

@@ -35,41 +35,43 @@ class ClipUnitsModel(FileModel):
     """Units of the numbers in a clip; those of its rig where left out."""
 
     length: Literal["m", "cm", "mm", "in"] | None = key(
-        "Of `translation`, `slide` and `local_translation`. Not given: the rig's.",
+        "Unit of `translation`, `slide` and `local_translation`. Default: the rig's.",
         "cm",
         default=None,
     )
     angle: Literal["deg", "rad"] | None = key(
-        "Of `angle` and of Euler angles. Not given: the rig's.", "deg", default=None
+        "Unit of `angle` and of Euler angles. Default: the rig's.", "deg", default=None
     )
 
 
 class KeyModel(FileModel):
     """A key: time [frames], value, and how the curve leaves and meets it."""
 
-    t: Real = key("Frame at the file's `fps`, fractions allowed; keys ascend.", 12.5)
+    t: Real = key(
+        "Frame at the file's `fps`, which may be fractional; keys ascend.", 12.5
+    )
     v: Real | list[Real] = key(
-        "The value: one number, three, or a quaternion [w, x, y, z], as "
-        "the target has them.",
+        "The value: one number, three, or a quaternion [w, x, y, z], as the target "
+        "needs.",
         80.0,
     )
     interp: Interp | None = key(
-        "How it runs to the next key. Not given: as the channel says.",
+        "Interpolation to the next key. Default: that of the channel.",
         "step",
         default=None,
     )
     in_: Tangent | Handle | None = Field(
         default=None,
         alias="in",
-        description="How it comes to the key: a rule, or a handle [dt, dv] from the "
-        "key, dt ≤ 0 frames. Not given: the channel's `tangents`.",
+        description="Incoming tangent: a rule, or a handle [dt, dv] from the key, dt "
+        "≤ 0 frames. Default: the channel's `tangents`.",
         examples=[[-2.0, 5.0]],
     )
     out: Tangent | Handle | None = key(
-        "How it leaves the key: likewise, dt ≥ 0.", "flat", default=None
+        "Outgoing tangent: likewise, dt ≥ 0.", "flat", default=None
     )
     tcb: Vector | None = key(
-        "Tension, continuity and bias, for `interp: tcb`. Not given: 0 each.",
+        "Tension, continuity and bias, for `interp: tcb`. Default: 0 each.",
         [0.5, 0.0, 0.0],
         default=None,
     )
@@ -77,7 +79,7 @@ class KeyModel(FileModel):
 
 class _TargetModel(FileModel):
     target: Name = key(
-        "What moves: control/NAME, shape/NAME or joint/NAME.PART. Each once.",
+        "The target: control/NAME, shape/NAME or joint/NAME.PART, each once.",
         "joint/elbow_l.angle",
     )
 
@@ -86,27 +88,27 @@ class JoinModel(FileModel):
     """How keys are joined up."""
 
     interp: Interp | None = key(
-        "How keys run to the next. Not given: `bezier`, and `spline` for quaternions.",
+        "Interpolation between keys. Default: `bezier`, or `spline` for quaternions.",
         "linear",
         default=None,
     )
     tangents: Tangent = key(
-        "The rule for keys without handles.", "flat", default="auto_clamped"
+        "Tangent rule for keys without handles.", "flat", default="auto_clamped"
     )
     parametrization: Parametrized = key(
-        "Which Catmull-Rom curve, for `interp: catmull_rom`.",
+        "Type of Catmull-Rom curve, for `interp: catmull_rom`.",
         "centripetal",
         default="uniform",
     )
     euler: Order | None = key(
-        "Makes a rotation of three angles; ZXY is Rz · Rx · Ry, and `v` is "
-        "in that order: [z, x, y]. Not given: quaternions.",
+        "Keys a rotation by three angles; ZXY is Rz · Rx · Ry, and `v` has the same "
+        "order: [z, x, y]. Default: quaternions.",
         "ZXY",
         default=None,
     )
-    pre: Extrapolated = key("Behavior before the first key.", "cycle", default="hold")
+    pre: Extrapolated = key("Behaviour before the first key.", "cycle", default="hold")
     post: Extrapolated = key(
-        "Behavior after the last key.", "cycle_offset", default="hold"
+        "Behaviour after the last key.", "cycle_offset", default="hold"
     )
 
 
@@ -114,7 +116,7 @@ class CurveModel(JoinModel):
     """Keys, and how they are joined up."""
 
     keys: Annotated[list[KeyModel], Len(1)] = key(
-        "At least one.", [{"t": 1.0, "v": 0.0}]
+        "One key or more.", [{"t": 1.0, "v": 0.0}]
     )
 
 
@@ -127,10 +129,10 @@ class ClipModel(FileModel):
 
     clip: Literal["animtool/1"] = key("File type and format version.", "animtool/1")
     name: str | None = key(
-        "What the clip is called. Not given: as the file.", "wave", default=None
+        "Name of the clip. Default: the name of the file.", "wave", default=None
     )
     rig: str | None = key(
-        "The rig: a rig file, USD file or BVH. Not given: the command line or the "
+        "The rig: a rig file, USD file or BVH. Default: the command line or the "
         "scene names it.",
         "hero.rig.yaml",
         default=None,
@@ -139,20 +141,20 @@ class ClipModel(FileModel):
         "Units of the numbers in the file.", {"angle": "deg"}, default=ClipUnitsModel()
     )
     fps: Real | str = key(
-        "Frames a second: a number, or a fraction as text.", "24000/1001"
+        "Frames per second: a number, or a fraction as text.", "24000/1001"
     )
     range: Pair | None = key(
-        "First and last frame. Not given: of the first and last key.",
+        "First and last frame. Default: those of the first and last key.",
         [1.0, 48.0],
         default=None,
     )
     channels: list[ChannelModel] = key(
-        "What moves. None, with a range, holds the rig at rest.",
+        "The channels. Without any, a range holds the rig at rest.",
         [{"target": "control/grip", "keys": [{"t": 1.0, "v": 0.0}]}],
         default=[],
     )
     ignore: list[IgnoreModel] = key(
-        "Findings of `animtool validate` that are known and stay.",
-        [{"code": "CLIP201", "why": "it is meant"}],
+        "Findings of `animtool validate` that are accepted.",
+        [{"code": "CLIP201", "why": "this is intended"}],
         default=[],
     )

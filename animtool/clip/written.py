@@ -87,8 +87,8 @@ def _left_out(take: Take) -> list[Fault]:
     names = [*(track.path for track in take.tracks), *take.motion.points]
     if not names:
         return []
-    message = f"a clip has no place for {listed(names, MAX_NAMES)}: left out"
-    hint = "write USD too, which holds them"
+    message = f"a clip cannot hold {listed(names, MAX_NAMES)}: skipped"
+    hint = "write USD too, which can hold them"
     return [Fault("CLIP119", message, severity=Severity.WARNING, hint=hint)]
 
 

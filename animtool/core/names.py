@@ -154,7 +154,9 @@ def text(value: str) -> str:
     if safe and value.lower() not in named:
         return value
     if problem := unreadable(value):
-        message = f"the name {excerpt(value)} holds {problem!r}, which no file may"
+        message = (
+            f"the name {excerpt(value)} contains {problem!r}, which file names may not"
+        )
         raise FormatError(Fault("DOC023", message, hint="rename it"))
     escaped = value.replace("\\", "\\\\").replace('"', '\\"')
     escaped = "".join(c if c.isprintable() else f"\\U{ord(c):08x}" for c in escaped)

@@ -61,7 +61,7 @@ class _OldNames:
         """Put the module of the new name in the place of one of the old name."""
         new = new_name(module.__name__)
         assert new is not None
-        text = f"{module.__name__} is {new} now"
+        text = f"{module.__name__} is now called {new}"
         warnings.warn(text, DeprecationWarning, stacklevel=2)
         sys.modules[module.__name__] = import_module(new)
 

@@ -271,7 +271,7 @@ def clashes(record: Any) -> list[str]:
                 usual = f"{names[name]} and {names[other]} exclude each other"
                 messages.append(message or usual)
         if one.goes_with and one.goes_with not in given:
-            usual = f"{names[name]} goes with {names[one.goes_with]}"
+            usual = f"{names[name]} needs {names[one.goes_with]}"
             messages.append(one.lacking or usual)
     return messages
 

@@ -107,4 +107,4 @@ def load_plugin(point: EntryPoint, kind: type[Kind]) -> Kind:
 def _broken(point: EntryPoint, kind: type[object], why: str) -> OptionError:
     what = f"plug-in {kind.__name__.lower()} {excerpt(point.name)} ({point.value})"
     message = f"the {what} cannot be loaded: {why}"
-    return OptionError(Fault("IO003", message, hint="mend or remove the plug-in"))
+    return OptionError(Fault("IO003", message, hint="repair or remove the plug-in"))

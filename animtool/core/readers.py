@@ -194,7 +194,7 @@ EXPORTS: dict[str, tuple[str, str]] = {
     ".ma": ("a Maya scene", "export FBX, glTF or USD from Maya, then use that file"),
     ".mb": ("a Maya scene", "export FBX, glTF or USD from Maya, then use that file"),
     ".anim": (
-        "animation of Maya or Unity, without its skeleton",
+        "animation from Maya or Unity, without its skeleton",
         "export FBX or USD of the animated skeleton, then use that file",
     ),
     ".blend": (
@@ -210,7 +210,7 @@ EXPORTS: dict[str, tuple[str, str]] = {
         ),
     ),
     ".abc": (
-        "Alembic, which holds points and no joints",
+        "Alembic, which stores points but no joints",
         "export FBX, glTF or USD of the skeleton from the tool that wrote it",
     ),
     ".dae": (
@@ -258,13 +258,13 @@ def find_reader(path: Path) -> Reader:
         raise unreadable(path, reason)
     if path.suffix.lower() in EXPORTS:
         raise OptionError(export_fault(path))
-    message = f"{suffix_text(path)} is no format that animtool reads"
+    message = f"{suffix_text(path)} is not a format that animtool reads"
     hint = f"allowed: {', '.join(readable_suffixes())}"
     if path.suffix.lower() in TIMELINE_SUFFIXES:
-        message = "is a timeline, and no take is read from it"
+        message = "is a timeline, not a take"
         hint = (
             f"animtool bake {flag('shot', 'NAME')} bakes one of its shots, animtool "
-            "batch all"
+            "batch all of them"
         )
     raise OptionError(Fault("IO002", message, str(path), (), hint))
 
@@ -278,13 +278,13 @@ def export_fault(path: Path) -> Fault:
 
 def _opener(place: str, what: str, path: Path) -> Callable[..., Any]:
     if not place:
-        message = f"no {what} is read from {path.suffix} files"
+        message = f"{path.suffix} files hold no {what}"
         raise OptionError(Fault("IO002", message, str(path)))
     try:
         return cast(Callable[..., Any], load_object(place))
     except (ImportError, AttributeError) as error:
         message = f"the reader {place} cannot be loaded: {error}"
-        hint = "mend or remove the plug-in"
+        hint = "repair or remove the plug-in"
         raise OptionError(Fault("IO003", message, str(path), (), hint)) from error
 
 

@@ -235,7 +235,7 @@ def find_rule(code: str) -> Rule:
     name = current_codes(name)[0]
     rules, _ = all_rules()
     if name not in rules:
-        message = f"{code!r} is no code of a rule"
+        message = f"unknown code {code!r}"
         padded = re.sub(r"\d+$", lambda number: f"{int(number[0]):03d}", name[:20])
         hint = nearest(padded, [padded] if padded in rules else sorted(rules))
         if hint.startswith("allowed"):
@@ -258,7 +258,7 @@ def _loaded(point: EntryPoint) -> Rule | Fault:
         return error.faults[0]
     except Exception as error:
         # Its module may do anything when it is imported.
-        hint = "mend or remove the plug-in"
+        hint = "repair or remove the plug-in"
         message = f"{what} has a check that cannot be loaded: {error}"
         return Fault("IO003", message, hint=hint)
     wrong = _wrong(point.name, rule)
@@ -268,7 +268,7 @@ def _loaded(point: EntryPoint) -> Rule | Fault:
 def _wrong(name: str, rule: Rule) -> str:
     """Return what is wrong with a rule of a plug-in, or nothing."""
     if not _CODE.fullmatch(name) or rule.code != name:
-        return f"has the code {rule.code!r}, and its name must be that: ABC123"
+        return f"has the code {rule.code!r}, but its name must be of the form ABC123"
     if name in own_rules() or name in replaced_codes():
-        return "has a code of animtool's own"
-    return "" if rule.kinds else "says of no kind of file that it is for"
+        return "uses a code of animtool's"
+    return "" if rule.kinds else "names no kind of file to check"

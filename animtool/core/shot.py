@@ -127,7 +127,7 @@ class Shot:
 
     def _timing(self) -> tuple[Fraction, Fraction]:
         if self.fps is None or self.media_in is None:
-            raise ValueError("the shot does not place its media")
+            raise ValueError("the shot has no media times")
         return self.fps, self.media_in
 
     def recut(self, cut_in: int, cut_out: int, head: int, tail: int) -> Shot:
@@ -257,10 +257,10 @@ class FrameRange:
         numbers: tuple[Any, ...] = tuple(frames)
         whole = all(isinstance(one, Integral) for one in numbers)
         if len(numbers) not in {2, 3} or not whole:
-            raise ValueError(f"{frames!r} is no range such as (1, 40) or (1, 40, 2)")
+            raise ValueError(f"{frames!r} is not a range such as (1, 40) or (1, 40, 2)")
         found = FrameRange(*map(int, numbers))
         if found.last < found.first or found.step < 1:
-            raise ValueError(f"{frames!r} has no frame")
+            raise ValueError(f"{frames!r} contains no frame")
         return found
 
 

@@ -28,8 +28,8 @@ def count_rate(rate: Fraction) -> int:
     for labels in (rate, rate * Fraction(1001, 1000)):
         if labels.denominator == 1 and 1 <= labels <= 960:
             return int(labels)
-    message = f"time codes do not count {float(rate):g} frames a second"
-    raise ValueError(f"{message}: a whole number, or 1000/1001 of one, is needed")
+    message = f"time codes do not count {float(rate):g} frames per second"
+    raise ValueError(f"{message}: use a whole number, or 1000/1001 of one")
 
 
 def day_frames(rate: Fraction, *, drop: bool = False) -> int:
@@ -53,19 +53,19 @@ def parse_timecode(text: str, rate: Fraction) -> Fraction:
     """
     match = _LABEL.fullmatch(text.strip())
     if match is None:
-        message = f"{text!r} is no time code such as 01:00:00:00 or 01:00:00;02"
+        message = f"{text!r} is not a time code such as 01:00:00:00 or 01:00:00;02"
         raise ValueError(message)
     count, drop = count_rate(rate), match[4] == ";"
     hours, minutes, seconds, frames = (int(match[i]) for i in (1, 2, 3, 5))
     limits = (("hour", hours, 24), ("minute", minutes, 60), ("second", seconds, 60))
     for what, value, limit in (*limits, ("frame", frames, count)):
         if value >= limit:
-            message = f"{text!r} has {what} {value:02d}; the last is {limit - 1:02d}"
+            message = f"{text!r} has {what} {value:02d}; the largest is {limit - 1:02d}"
             raise ValueError(message)
     left_out = _dropped(rate) if drop else 0
     if minutes % 10 and not seconds and frames < left_out:
         first = f"{hours:02d}:{minutes:02d}:00;{left_out:02d}"
-        message = f"drop-frame has no {text!r}: this minute begins with {first}"
+        message = f"drop-frame has no {text!r}: this minute starts at {first}"
         raise ValueError(message)
     whole = 60 * hours + minutes
     labels = count * (60 * whole + seconds) + frames
@@ -115,6 +115,6 @@ def seconds_between(
 def _dropped(rate: Fraction) -> int:
     """Return how many labels a minute of a drop-frame rate leaves out."""
     if rate not in _DROPPED:
-        message = f"drop-frame (;) is not for {float(rate):g} frames a second"
-        raise ValueError(f"{message}, but for 30000/1001 and 60000/1001")
+        message = f"drop-frame (;) does not apply to {float(rate):g} frames per second"
+        raise ValueError(f"{message}, only to 30000/1001 and 60000/1001")
     return _DROPPED[rate]

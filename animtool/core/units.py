@@ -61,7 +61,7 @@ def parse_length(text: str) -> float:
     except ValueError:
         value = math.nan
     if match is None or not 0 < value < math.inf:
-        raise ValueError(f"{text!r} is no length such as 0.5mm")
+        raise ValueError(f"{text!r} is not a length such as 0.5mm")
     if match[2] is None:
         raise ValueError(f"{text!r} has no unit: write {match[1]}mm or {match[1]}m")
     return value * LengthUnit(match[2]).meters

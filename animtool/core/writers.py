@@ -89,7 +89,7 @@ USD = Writer("usd", "USD", stage=True, rig="animtool.scene.convert.rigs:rig_to_u
 USDZ = replace(USD, rig="")
 RIG = Writer(
     "rig",
-    "rig files, arrays beside them",
+    "rig files, with arrays next to them",
     rig="animtool.scene.convert.rigs:rig_to_file",
 )
 CLIP = Writer(
@@ -190,19 +190,19 @@ def take_writer(path: Path, *, folders: bool = False) -> Writer:
         stated = Path(path.stem).suffix.lower().removeprefix(".")
         if writer is not CLIP or stated not in KINDS or stated == "clip":
             return writer
-        message = f"is the name of a {stated} file, and holds no motion"
+        message = f"is the name of a {stated} file, which holds no motion"
     elif writer is not None:
-        message = f"holds {writer.about}, and no motion of joints"
+        message = f"holds {writer.about}, not motion of joints"
     else:
-        message = f"{suffix_text(path)} is no format that animtool writes"
+        message = f"{suffix_text(path)} is not a format that animtool writes"
     hint = f"allowed: {', '.join(_motion_suffixes())}"
     if writer is None and path.suffix.lower() == ".fbx":
-        message, hint = "FBX is read, and not written", _IN_PLACE_OF_FBX
+        message, hint = "FBX is read, but not written", _IN_PLACE_OF_FBX
     if not path.suffix and path.name and is_there(path) and path.is_dir():
         message = "is a folder, not a file"
         hint = f"name a file in it, such as {path / 'shot.usdc'}"
     elif not path.suffix:
-        hint += f"; {path}/ names a folder" if folders else ""
+        hint += f"; {path}/ is a folder" if folders else ""
     raise OptionError(Fault("OUT004", message, str(path), (), hint))
 
 
@@ -217,7 +217,7 @@ def marker_writer(path: Path) -> Callable[..., list[Fault]]:
     """Return what writes markers to a file; OUT004 where nothing does."""
     writer = writer_of(path)
     if writer is None or not writer.markers:
-        message = f"{suffix_text(path)} is no format that markers are written to"
+        message = f"{suffix_text(path)} is not a format for markers"
         of_markers = [suffix for suffix, one in WRITERS.items() if one.markers]
         hint = f"allowed: {', '.join(of_markers)}"
         raise OptionError(Fault("OUT004", message, str(path), (), hint))
@@ -228,11 +228,11 @@ def rig_writer(path: Path) -> Callable[..., Any]:
     """Return what writes a rig to a file; OUT004 where nothing does."""
     writer = RIG if is_named(path, "rig") else writer_of(path)
     if writer is None or not writer.rig:
-        message = f"suffix {path.suffix!r} holds no rig"
+        message = f"suffix {path.suffix!r} cannot hold a rig"
         own = [suffix for suffix, one in WRITERS.items() if one.rig]
         hint = f"allowed: {', '.join(sorted(own))}"
         if path.suffix.lower() == ".fbx":
-            message, hint = "FBX is read, and not written", _IN_PLACE_OF_FBX
+            message, hint = "FBX is read, but not written", _IN_PLACE_OF_FBX
         raise OptionError(Fault("OUT004", message, str(path), (), hint))
     return cast(Callable[..., Any], load_object(writer.rig))
 

@@ -82,21 +82,23 @@ def read_head(file: Source, where: str) -> StoredArray:
     version = tuple(start[len(MAGIC) :])
     width = _WIDTHS.get(version)  # type: ignore[arg-type]
     if not start.startswith(MAGIC) or width is None:
-        raise ArrayError(f"{where} is no array as numpy.savez writes them")
+        raise ArrayError(f"{where} is not an array as numpy.savez writes it")
     length = int.from_bytes(file.read(width), "little")
     if length > MAX_HEAD_BYTES:
-        raise ArrayError(f"{where} has a head of {length} bytes, no array's")
+        raise ArrayError(
+            f"{where} has a header of {length} bytes, which is not that of an array"
+        )
     text = file.read(length)
     if len(text) < length:
-        raise ArrayError(f"{where} breaks off in its head")
+        raise ArrayError(f"{where} ends in its header")
     return _parsed(text.decode("latin-1"), where, len(start) + width + length)
 
 
 def _parsed(text: str, where: str, begin: int) -> StoredArray:
     if _OBJECTS.search(text):
-        raise ArrayError(f"{where} holds pickled Python objects")
+        raise ArrayError(f"{where} contains pickled Python objects")
     if _STRUCTURE.search(text):
-        raise ArrayError(f"{where} holds structures, not numbers")
+        raise ArrayError(f"{where} contains structures, not numbers")
     text = text.strip()
     fields: dict[str, str] = {}
     if text.startswith("{") and text.endswith("}"):
@@ -110,11 +112,11 @@ def _parsed(text: str, where: str, begin: int) -> StoredArray:
         if rest:
             fields.clear()
     if len(fields) < 3:
-        raise ArrayError(f"{where} has a head that is no array's")
+        raise ArrayError(f"{where} has a header that is not that of an array")
     try:
         dtype = np.dtype(fields["descr"])
     except (TypeError, ValueError) as error:
-        raise ArrayError(f"{where} holds {fields['descr']}, not numbers") from error
+        raise ArrayError(f"{where} contains {fields['descr']}, not numbers") from error
     shape = _shape(fields["shape"], where)
     order: Literal["C", "F"] = "F" if fields["fortran_order"] == "True" else "C"
     return StoredArray(shape, dtype, order, begin)
@@ -127,7 +129,7 @@ def _shape(text: str, where: str) -> tuple[int, ...]:
         parts.pop()
     wrong = len(parts) > MAX_DIMENSIONS or (len(parts) == 1 and "," not in text)
     if wrong or not all(part.isdecimal() and len(part) < 20 for part in parts):
-        raise ArrayError(f"{where} has a shape that is no array's")
+        raise ArrayError(f"{where} has a shape that is not that of an array")
     return tuple(map(int, parts))
 
 
@@ -225,7 +227,7 @@ class Archive:
                 head = read_head(file, where)
             self._file.check()
             if head.dtype.kind not in kinds:
-                raise ArrayError(f"{where} holds {head.dtype}, not numbers")
+                raise ArrayError(f"{where} contains {head.dtype}, not numbers")
             # A dimension of 0 hides another that no array has.
             most = max(info.file_size, SMALL_BYTES)
             empty = not head.count and math.prod(max(n, 1) for n in head.shape) > most
@@ -247,14 +249,14 @@ class Archive:
         """Return texts that are stored as an array of one dimension."""
         head = self.head(key, "fiubU")
         if head.dtype.kind != "U" or len(head.shape) != 1:
-            raise ArrayError(f"{self._path.name}#{key} is no list of texts")
+            raise ArrayError(f"{self._path.name}#{key} is not a list of texts")
         return [str(text) for text in self._values(key, head)]
 
     def text(self, key: str) -> str:
         """Return a text that is stored as an array without dimensions."""
         head = self.head(key, "fiubU")
         if head.dtype.kind != "U" or head.shape:
-            raise ArrayError(f"{self._path.name}#{key} is no text")
+            raise ArrayError(f"{self._path.name}#{key} is not text")
         return str(self._values(key, head))
 
     def _values(self, key: str, head: StoredArray) -> npt.NDArray[Any]:
@@ -266,7 +268,7 @@ class Archive:
             data = file.read(info.file_size - head.begin)
         self._file.check()
         if len(data) < head.size:
-            raise ArrayError(f"{self._path.name}#{key} breaks off")
+            raise ArrayError(f"{self._path.name}#{key} is truncated")
         if not head.count:
             return np.zeros(head.shape, head.dtype)
         flat = np.frombuffer(data, head.dtype, head.count)
@@ -289,14 +291,14 @@ class Archive:
         if info is None:
             names = [known[:40] for known in list(self._members)[:MAX_SHOWN]]
             shown = ", ".join(names) or "nothing"
-            raise ArrayError(f"{name} has no array {key!r}; it holds {shown}")
+            raise ArrayError(f"{name} has no array {key!r}; its arrays are {shown}")
         if key in self._twice:
-            raise ArrayError(f"{name} holds {key!r} twice")
+            raise ArrayError(f"{name} contains {key!r} twice")
         if info.flag_bits & _ENCRYPTED:
             raise ArrayError(f"{name}#{key} is encrypted")
         if info.compress_type not in _METHODS:
             message = f"{name}#{key} is compressed by method {info.compress_type}, "
-            raise ArrayError(f"{message}and numpy.savez uses 0 and 8")
+            raise ArrayError(f"{message}but numpy.savez uses 0 and 8")
         return info
 
     def _check_size(self, key: str, info: ZipInfo, size: int) -> None:

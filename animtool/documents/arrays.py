@@ -115,7 +115,7 @@ class Archives:
         """
         values = np.asarray(self.stored(path, key), np.float64)
         if not np.isfinite(values).all():
-            raise ValueError(f"{path.name}#{key} holds a value that is not finite")
+            raise ValueError(f"{path.name}#{key} contains a value that is not finite")
         return values
 
     def _archive(self, path: Path) -> Archive:

@@ -280,7 +280,7 @@ def _lacking(last: int | str, value: Any) -> str:
     """Return what is missing: a key, or an item behind those that are there."""
     if isinstance(last, str):
         return f"key {last!r} is missing"
-    return f"{counted(len(value), 'item')} where {_are(last + 1)} wanted"
+    return f"{counted(len(value), 'item')} where {_are(last + 1)} needed"
 
 
 # Faults of values that are none of a few.
@@ -294,7 +294,7 @@ def _words(fault: Any) -> str:
     if kind in {"too_short", "too_long", "string_too_long"}:
         length = context.get("min_length", context.get("max_length"))
         noun = "letter" if isinstance(given, str) else "item"
-        return f"{counted(len(given), noun)} where {_are(length)} wanted"
+        return f"{counted(len(given), noun)} where {_are(length)} needed"
     if kind == "missing":
         return _lacking(fault["loc"][-1], given)
     if kind == "union_tag_not_found":

@@ -229,7 +229,7 @@ def document_of(text: str, path: Path) -> Document:
         raise FormatError(_cut(error.faults)) from error
     if not isinstance(value, dict):
         kind = "empty" if value is None else f"a {type(value).__name__}"
-        hint = f"begin with a line such as '{_kind_named(path)}: animtool/1'"
+        hint = f"start it with a line such as '{_kind_named(path)}: animtool/1'"
         message = f"is {kind}, not a mapping of keys"
         raise FormatError(Fault("DOC007", message, str(path), (1,), hint, column=1))
     return Document(path, value, places, plain=plain)
@@ -251,7 +251,7 @@ def read_text(path: Path) -> str:
     with open_input(path, None) as file:
         if file.state.size > MAX_TEXT_BYTES:
             message = f"is larger than {MAX_TEXT_BYTES // 1_000_000} MB"
-            hint = "arrays belong into npz files"
+            hint = "put arrays in npz files"
             raise FormatError(Fault("DOC006", message, str(path), (), hint))
         data = file.whole()
     try:
@@ -259,7 +259,7 @@ def read_text(path: Path) -> str:
     except UnicodeDecodeError as error:
         line = data.count(b"\n", 0, error.start) + 1
         message = f"byte {data[error.start]:#04x} is not UTF-8"
-        hint = "is it a text at all? if so, save it as UTF-8"
+        hint = "is it a text file? if so, save it as UTF-8"
         raise FormatError(Fault("DOC008", message, str(path), (line,), hint)) from error
 
 
@@ -269,5 +269,5 @@ def _cut(faults: Sequence[Fault]) -> Sequence[Fault]:
         return faults
     rest = f"{len(faults) - MAX_FAULTS} more faults are not shown"
     if len(faults) >= MAX_COLLECTED:
-        rest = f"{rest}, and what follows was not looked at"
+        rest = f"{rest}, and the rest was not checked"
     return [*faults[:MAX_FAULTS], Fault("DOC011", rest, faults[0].path)]

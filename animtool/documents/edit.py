@@ -90,7 +90,7 @@ def edited(text: str, path: Path, edits: Iterable[Edit]) -> str:
     if _reads_as(after, path, value):
         return after
     places = ", ".join(spelled(edit.location) for edit in edits)
-    raise EditError(f"the layout around {places} cannot be kept")
+    raise EditError(f"the layout around {places} cannot be preserved")
 
 
 def _reads_as(text: str, path: Path, value: Any) -> bool:
@@ -147,7 +147,7 @@ class _Page:
                 return self._added(self._node(location), key, value)
             case Remove((*outer, step)):
                 return self._removed(self._node(tuple(outer)), step)
-        raise EditError(f"nothing can be done at {spelled(edit.location)}")
+        raise EditError(f"{spelled(edit.location)} cannot be edited")
 
     def _node(self, location: Location) -> Any:
         node = self.root
@@ -163,7 +163,7 @@ class _Page:
         for name, value in self._node(outer).value:
             if name.value == key:
                 return name, value
-        raise EditError(f"there is no {spelled((*outer, key))}")
+        raise EditError(f"{spelled((*outer, key))} does not exist")
 
     def _written(self, node: Any, value: str) -> Splice:
         """Write a text in the quotes of the one before it."""
@@ -178,7 +178,7 @@ class _Page:
 
     def _added(self, node: Any, key: str, value: Any) -> Splice:
         if not node.value:
-            raise EditError(f"no key stands beside {key!r}")
+            raise EditError(f"no key next to {key!r}")
         entry = (
             f"{json.dumps(key)}: {json.dumps(value)}"
             if self.json
@@ -209,7 +209,7 @@ class _Page:
             return start, end, ""
         line = self.text.rfind("\n", 0, start) + 1
         if self.text[line:start].strip() not in {"", "-"}:
-            raise EditError("something else stands in its line")
+            raise EditError("its line contains something else")
         return line, self._behind(end), ""
 
     def _behind(self, end: int) -> int:
@@ -222,7 +222,7 @@ class _Page:
     def _over(self, end: int, start: int) -> int:
         """Return the second of two places between which only a comma may stand."""
         if self.text[end:start].strip() != ",":
-            raise EditError("a comment stands between it and the next")
+            raise EditError("a comment separates it from the next")
         return start
 
 

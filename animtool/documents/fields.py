@@ -104,18 +104,20 @@ def _numbers(
 class IgnoreModel(FileModel):
     """A finding of `animtool validate` that is known and stays."""
 
-    code: str = Field(min_length=1, description="Of the finding.", examples=["RIG201"])
+    code: str = Field(
+        min_length=1, description="Code of the finding.", examples=["RIG201"]
+    )
     where: str | None = Field(
         default=None,
         min_length=1,
-        description="Where it is, as the finding says it, or a place around that; an "
-        "entry of a list by number or name, `*` for anything. Not given: anywhere in "
+        description="Location of the finding, or of something around it; list "
+        "entries by number or name, `*` for any. Default: anywhere in "
         "the file.",
         examples=["joints[knee_l].limits"],
     )
     why: str = Field(
         min_length=1,
-        description="Why it stays: for those who read the file next.",
+        description="Why it is accepted, for the next reader of the file.",
         examples=["this crouch is the rest pose"],
     )
 

@@ -97,8 +97,8 @@ def plan_migration(path: Path | str, table: Mapping[str, Steps] = STEPS) -> Migr
     notices = []
     if lost:
         count = "a comment is" if len(lost) == 1 else f"{len(lost)} comments are"
-        message = f"{count} not kept: the file is written anew"
-        hint = "copy what matters from the old file"
+        message = f"{count} lost: the file is rewritten"
+        hint = "copy important ones from the old file"
         notices.append(
             Fault("DOC101", message, str(path), tuple(lost), hint, Severity.WARNING)
         )
@@ -156,7 +156,7 @@ def migrate(
         return plans
     if not overwrite:
         hint = (
-            f"{argument('overwrite', True)} replaces it, {argument('check')} says "
+            f"{argument('overwrite', True)} replaces it, {argument('check')} shows "
             "what would change"
         )
         message = "would be replaced"

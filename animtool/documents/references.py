@@ -25,10 +25,10 @@ def reference(folder: Path, roots: Sequence[Path], name: str) -> Path:
     try:
         path = (folder / name).resolve()
     except (OSError, RuntimeError, ValueError) as error:
-        raise ValueError(f"{name!r} leads nowhere: {error}") from error
+        raise ValueError(f"{name!r} cannot be resolved: {error}") from error
     if not any(path.is_relative_to(root.resolve()) for root in roots):
         shown = ", ".join(str(root) for root in roots)
-        raise ValueError(f"{name!r} leads out of {shown}")
+        raise ValueError(f"{name!r} leads outside {shown}")
     return path
 
 
@@ -64,11 +64,11 @@ def _way_out(path: Path, name: str, written: bool) -> str:
     try:
         target = (folder / name).resolve()
     except (OSError, RuntimeError, ValueError):
-        return "name a file in the project"
+        return "use a file inside the project"
     if not (written or is_there(target)):
         return (
-            f"it does not exist either: copy {target.name}, and the files that it "
-            f"names, into {folder}, and write its name here"
+            f"nor does it exist: copy {target.name}, and the files it refers to, "
+            f"into {folder}, and write its name here"
         )
     settings = find_config(path).path
     if settings is None and (around := project_around(folder, target)) is not None:
@@ -80,7 +80,7 @@ def _way_out(path: Path, name: str, written: bool) -> str:
         settings = folder / "animtool.toml"
     elif settings.name == "pyproject.toml":
         table = " under [tool.animtool]"
-    return f"to allow that folder, write {line} into {settings}{table}"
+    return f"to allow that folder, add {line} to {settings}{table}"
 
 
 def missing_hint(document: Document, name: str) -> str | None:

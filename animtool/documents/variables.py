@@ -160,8 +160,8 @@ class _Resolver:
         for name, value in (stated if isinstance(stated, dict) else {}).items():
             location = (DEFAULTS, name)
             if not is_variable_name(name):
-                message = f"{name!r} is no name of a variable"
-                hint = "letters, digits and _ make one, and no digit begins it"
+                message = f"{name!r} is not a valid variable name"
+                hint = "use letters, digits and _, and do not start with a digit"
                 self.document.add("SCN032", location, message, hint)
                 continue
             self.stated.add(name)
@@ -201,7 +201,7 @@ class _Resolver:
             try:
                 value = plain_scalar(resolved)
             except OverflowError:
-                self.document.add("DOC001", location, "a number of too many digits")
+                self.document.add("DOC001", location, "a number with too many digits")
                 resolved = None
         if resolved is None:
             annotation = annotation_at(self.model, self.document.value, location)
@@ -219,7 +219,7 @@ class _Resolver:
             problem = name_problem(name)
             if problem is not None:
                 message = f"{excerpt(piece)} is {excerpt(name)}, which {problem}"
-                hint = "a value from another file is a part of one name"
+                hint = "a value from another file can be part of one file name only"
                 self.document.add("OUT006", location, message, hint)
                 return None
         return spelling
@@ -245,7 +245,7 @@ class _Resolver:
             part = self._value(location, use)
             length += len(part or "")
             if length > LONGEST:
-                message = f"variables make a text of more than {LONGEST} letters"
+                message = f"variables expand to more than {LONGEST} characters"
                 self.document.add("DOC025", location, message)
                 return None
             whole &= part is not None
@@ -259,18 +259,18 @@ class _Resolver:
             return match[0][1:]
         name = match["name"]
         if name is None:
-            message = "a ${ has no name and } behind it"
-            hint = "write ${name}, or $${ where those letters are meant"
+            message = "a ${ is not followed by a name and }"
+            hint = "write ${name}, or $${ for the literal characters"
             self.document.add("SCN032", location, message, hint)
             return None
         key = location[:2] if location[0] == DEFAULTS else location[:1]
         self.uses.setdefault(key, set()).add(name)
         if name not in self.values and name not in self.faulty:
-            message = f"there is no variable {name!r}"
+            message = f"unknown variable {name!r}"
             hint = nearest(name, sorted(self.values))
             hint += (
-                f"; {argument('set', f'{name}=…')} gives one, and variables: in the "
-                "file a usual one"
+                f"; set it with {argument('set', f'{name}=…')}, or its default under "
+                "variables: in the file"
             )
             self.document.add("SCN030", location, message, hint)
         return self.values.get(name)

@@ -33,11 +33,11 @@ _OF_TYPE: dict[tuple[str | None, ...], type] = {
 }
 # What is done with a file that is taken for a clip, by what it is.
 _INSTEAD = {
-    "rig": ": what moves is a clip for it; animtool validate checks it, animtool "
+    "rig": ": a clip holds motion for it; animtool validate checks it, animtool "
     "convert writes it as USD",
-    "targets": ": animtool ik makes a clip of it",
-    "markers": ": animtool mocap solve makes a take of a capture with it",
-    "scene": ": let its name end in .scene.yaml",
+    "targets": ": animtool ik solves it to a clip",
+    "markers": ": animtool mocap solve uses it to solve a capture",
+    "scene": ": end its name in .scene.yaml",
 }
 
 _VERSION = re.compile(r"animtool/(0|[1-9][0-9]{0,8})")
@@ -98,7 +98,7 @@ def version_of(
         if named:
             hint = f"it looks like a {named[0]} file"
             hint += _INSTEAD.get(named[0], "") if kind == "clip" else ""
-        document.add("DOC009", (), f"is no {kind or ' or '.join(table)} file", hint)
+        document.add("DOC009", (), f"is not a {kind or ' or '.join(table)} file", hint)
         document.check()
     last, stated = newest(table[named_kind]), document.value[named_kind]
     number = _VERSION.fullmatch(stated) if isinstance(stated, str) else None
@@ -106,9 +106,9 @@ def version_of(
     if version <= last and all(n in table[named_kind] for n in range(version, last)):
         return named_kind, version
     if isinstance(stated, str) and stated.startswith("animtool/"):
-        message = f"{stated} is a version that this animtool does not know"
+        message = f"unknown version {stated}"
         newer = number is not None and version > last
-        hint = "a newer animtool reads it" if newer else f"allowed: animtool/{last}"
+        hint = "use a newer animtool" if newer else f"allowed: animtool/{last}"
         document.add("DOC012", (named_kind,), message, hint)
     else:
         message = f"{named_kind} is {excerpt(str(stated))}"

@@ -77,8 +77,8 @@ def read_values(text: str, path: Path) -> ReadValues:
     """Return what a text holds."""
     marks = sum(map(text.count, _MARKS))
     if marks > MAX_MARKS:
-        message = f"holds {marks} separators of values, more than {MAX_MARKS}"
-        advice = "arrays belong into npz files"
+        message = f"contains {marks} value separators; the limit is {MAX_MARKS}"
+        advice = "put arrays in npz files"
         raise FormatError(Fault("DOC024", message, str(path), (), advice))
     if path.suffix == ".json":
         text = _PAIRS.sub(_joined, text)
@@ -98,7 +98,7 @@ def read_values(text: str, path: Path) -> ReadValues:
             raise FormatError(reader.faults) from error
         hint = "tabs may not indent" if "cannot start any token" in problem else None
         if path.suffix.lower() not in SUFFIXES:
-            hint = f"wanted is a file that ends in {', '.join(SUFFIXES)}"
+            hint = f"write the name of a file that ends in {', '.join(SUFFIXES)}"
         elif _is_variable(text, mark):
             hint = 'write ${name} without spaces, or put the text in quotes: "${…}"'
         reader.fault("DOC001", f"is no YAML: {problem}", spot, hint)
@@ -227,13 +227,13 @@ class _Reader:
                 place = self._spot(event)
                 self.places.append(place)
                 message = f"alias *{_cut(event.anchor)} is not allowed"
-                self.fault("DOC002", message, place, "write the value out")
+                self.fault("DOC002", message, place, "write the value itself")
                 stack[-1].put(None, place, self)
             elif kind is yaml.DocumentStartEvent:
                 documents += 1
                 if documents > 1:
                     place = self._spot(event)
-                    self._stop("DOC007", "holds more than one document", place)
+                    self._stop("DOC007", "contains more than one document", place)
         return root[0] if root else None
 
     def _stop(self, code: str, message: str, place: tuple[int, int]) -> NoReturn:
@@ -250,10 +250,10 @@ class _Reader:
         self.places.append(place)
         if event.anchor is not None:
             message = f"anchor &{_cut(event.anchor)} is not allowed"
-            self.fault("DOC002", message, place, "write the value out")
+            self.fault("DOC002", message, place, "write the value itself")
         if event.tag is not None:
             message = f"tag {_cut(event.tag)} is not allowed"
-            self.fault("DOC003", message, place, "leave it out")
+            self.fault("DOC003", message, place, "remove it")
         return place
 
     def _scalar(self, event: Any, place: tuple[int, int]) -> Any:
@@ -261,8 +261,8 @@ class _Reader:
         if not event.implicit[0]:
             # Only escapes within quotes can stand for one.
             if problem := unreadable(text):
-                message = f"a text holds the control character {problem!r}"
-                self.fault("DOC023", message, place, "leave it out")
+                message = f"a text contains the control character {problem!r}"
+                self.fault("DOC023", message, place, "remove it")
             return text
         try:
             return plain_scalar(text)
@@ -309,15 +309,15 @@ class _Open:
             reader.fault("DOC010", f"a key is {shown}, not text", place, "quote it")
             value = f"\0{place}"
         elif len(value) > LONGEST_KEY:
-            message = f"a key of {len(value)} letters; {LONGEST_KEY} are allowed"
+            message = f"a key of {len(value)} characters; the limit is {LONGEST_KEY}"
             reader.fault("DOC025", message, place)
             value = f"\0{place}"
         elif "\n" in value or "\t" in value:
-            message = f"key {excerpt(value)} holds an end of a line or a tab"
-            reader.fault("DOC023", message, place, "leave it out")
+            message = f"key {excerpt(value)} contains a line end or a tab"
+            reader.fault("DOC023", message, place, "remove it")
         elif value in self.keys:
-            message = f"key {excerpt(value)} stands twice"
-            hint = f"first in line {self.keys[value]}"
+            message = f"duplicate key {excerpt(value)}"
+            hint = f"the first is on line {self.keys[value]}"
             reader.fault("DOC004", message, place, hint)
         self.keys.setdefault(value, place[0])
         self.key = value
@@ -337,7 +337,7 @@ class _Open:
         hint = f"write {TIMED}: {_flow(entries)}"
         if len(hint) > LONGEST_HINT:
             hint = f"write {TIMED}: {_flow(entries[:1])[:-1]}, …]"
-        message = f"a key is {self.times[0][0]!r}, not text: {TIMED} are a list"
+        message = f"a key is {self.times[0][0]!r}, not text: {TIMED} must be a list"
         reader.fault("DOC010", message, self.times[0][1], hint[:LONGEST_HINT])
 
     def _piece(

@@ -67,7 +67,11 @@ def check_same_rig(rig: Rig, other: Rig) -> None:
     if rig.names == other.names and np.array_equal(rig.parents, other.parents):
         return
     missing = sorted(set(rig.names) ^ set(other.names))
-    what = f"joint {missing[0]!r} is in one only" if missing else "joints stand apart"
+    what = (
+        f"joint {missing[0]!r} is in only one of them"
+        if missing
+        else ("joints are in different positions")
+    )
     raise OptionError(
         Fault(
             "SCN017",

@@ -159,7 +159,7 @@ class _Eye:
     def of(take: Take) -> _Eye:
         rig = take.rig
         if not rig.joints:
-            raise _none("without joints: a cycle is told by where they are")
+            raise _none("without joints: a cycle is found from their positions")
         leaves = np.setdiff1d(np.arange(len(rig.joints)), rig.parents)
         bones = np.linalg.norm(rig.rest_translations, axis=-1)
         bones = np.where(rig.parents < 0, 0.0, bones)

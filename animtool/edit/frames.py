@@ -19,7 +19,7 @@ def exact(number: float, name: str) -> Fraction:
     Fraction(1, 10)
     """
     if not math.isfinite(number):
-        raise frame_refusal(f"{name} is {number}, which is no frame")
+        raise frame_refusal(f"{name} is {number}, which is not a frame")
     return Fraction(repr(float(number)))
 
 
@@ -51,7 +51,7 @@ def frame_index(clock: Clock, frame: float, name: str) -> int:
     if not 0 <= index < clock.count:
         last = clock.start + (clock.count - 1) * clock.step
         raise frame_refusal(
-            f"{name} is frame {frame:g}, and the take has "
+            f"{name} is frame {frame:g}, but the take has "
             f"{float(clock.start):g}-{float(last):g}"
         )
     return index
@@ -60,5 +60,5 @@ def frame_index(clock: Clock, frame: float, name: str) -> int:
 def check_count(count: int) -> None:
     """Refuse a result of more than 10 million frames."""
     if count > MAX_FRAMES:
-        message = f"the take would have {count} frames, more than {MAX_FRAMES}"
+        message = f"the take would have {count} frames; the limit is {MAX_FRAMES}"
         raise OptionError(Fault("SCN021", message))

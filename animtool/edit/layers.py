@@ -181,7 +181,7 @@ def _base(base: Take, frame: float | None) -> Take:
         flat = (scales.dense() == 0).any(axis=(0, 2))
         if flat.any():
             name = base.rig.names[int(np.argmax(flat))]
-            message = f"the scale of joint {name!r} is 0 in the base"
+            message = f"joint {name!r} has a scale of 0 in the base"
             raise OptionError(Fault("SCN023", message))
     return base
 
@@ -366,7 +366,7 @@ def _check_layer(options: LayerOptions) -> OptionChecks:
 
 LAYER = Pass(
     "layer",
-    "Put another take on top",
+    "Layer another take on top",
     LayerOptions,
     Scope.FRAME,
     _layered,

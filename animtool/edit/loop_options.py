@@ -19,20 +19,22 @@ class LoopOptions:
 
     first: float | None = option(None, "frame", help="The first frame of the cycle.")
     last: float | None = option(
-        None, "frame", help="The frame that shows the first pose again."
+        None, "frame", help="The frame where the first pose recurs."
     )
     find: bool = False
     shortest: float = option(
         0.25,
         "amount",
         metavar="SECONDS",
-        help="Least length of a cycle that is looked for.",
+        help="Shortest cycle to search for.",
     )
-    longest: float = option(10.0, "amount", metavar="SECONDS", help="Most of it.")
-    repeats: int = option(1, "count", help="How often the cycle is shown.", least=1)
+    longest: float = option(
+        10.0, "amount", metavar="SECONDS", help="Longest cycle to search for."
+    )
+    repeats: int = option(1, "count", help="Number of repeats.", least=1)
     blend: int = option(
         10,
         "count",
         metavar="FRAMES",
-        help="Frames before the seam over which the poses are brought together.",
+        help="Frames before the seam over which the poses are blended.",
     )

@@ -234,7 +234,7 @@ def loop(
     i = 0 if first is None else frame_index(clock, first, "first")
     j = clock.count - 1 if last is None else frame_index(clock, last, "last")
     if j <= i:
-        message = f"no cycle can be made of {j - i} frames"
+        message = f"{j - i} frames are too few for a cycle"
         raise OptionError(Fault("SCN018", message))
     _check_least(repeats, 1, "repeats")
     _check_least(blend, 0, "blend")
@@ -358,7 +358,7 @@ class _Cycling:
 
 def _check_least(number: int, least: int, name: str) -> None:
     if not number >= least:  # NaN too
-        message = f"{name} is {number}; it must be {least} or more"
+        message = f"{name} is {number}; it must be at least {least}"
         raise OptionError(Fault("SCN018", message))
 
 
@@ -389,22 +389,23 @@ def said_of(cycle: Cycle, *, searched: bool) -> list[Fault]:
     """Return what is worth saying of a cycle."""
     ends = (
         f"frames {cycle.first:g} and {cycle.last:g} differ by "
-        f"{1000 * cycle.apart:.2f} mm, {100 * cycle.share:.0f}% of what moves between"
+        f"{1000 * cycle.apart:.2f} mm, {100 * cycle.share:.0f}% of the motion "
+        "between them"
     )
     notices = []
     if searched:
         message = f"the best cycle: {ends}"
         notices.append(Fault("SCN102", message, severity=Severity.NOTE))
     if cycle.share > POOR_SEAM:
-        hint = "choose other frames, or blend over more"
-        message = f"a poor seam of the loop: {ends}"
+        hint = "choose other frames, or a longer blend"
+        message = f"the loop has a visible seam: {ends}"
         notices.append(Fault("SCN101", message, hint=hint, severity=Severity.WARNING))
     return notices
 
 
 PASS = Pass(
     "loop",
-    "Make and repeat a cycle",
+    "Find a cycle and repeat it",
     LoopOptions,
     Scope.CLIP,
     _run,

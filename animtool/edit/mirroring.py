@@ -260,14 +260,18 @@ def _strays(
     message = f"mirror: {kind} of one side have no partner: {shown}"
     meant = stray_sides(names, pairs)
     if kind != "joints":
-        hint = "each keeps its values; give both sides the same name but for the side"
+        hint = (
+            "each keeps its values; give both sides the same name except for the side"
+        )
     elif meant:
         written = ", ".join(f"[{a}, {b}]" for a, b in meant)
-        hint = f"pairs: [{written}] in the pass's options pairs them"
+        hint = f"add pairs: [{written}] to the pass's options to pair them"
     else:
         stray = names[min(alone)]
-        hint = f"pairs: [[{stray}, OTHER]] in the pass's options pairs two joints; "
-        hint += "without it each keeps its own motion"
+        hint = (
+            f"add pairs: [[{stray}, OTHER]] to the pass's options to pair two joints; "
+        )
+        hint += "without a pair each keeps its own motion"
     yield Fault("SCN082", message, hint=hint, severity=Severity.WARNING)
 
 
@@ -293,9 +297,9 @@ def _asymmetries(
         f"mirror: the rest pose is not symmetric: {rig.names[worst]!r} is "
         f"{away[worst]:.3g} m from the mirror image of "
         f"{rig.names[int(partners[worst])]!r}, {percent(away[worst] / size)} of the "
-        f"rig's size; joints off by more than {percent(SYMMETRIC)}: {count}"
+        f"rig's size; joints that differ by more than {percent(SYMMETRIC)}: {count}"
     )
-    hint = "each joint moves from its own rest pose, so the result is off by as much"
+    hint = "each joint moves from its own rest pose, so the result differs by as much"
     yield Fault("SCN083", message, hint=hint, severity=Severity.WARNING)
 
 
@@ -306,13 +310,13 @@ def _check_stated(rig: Rig, pairs: Sequence[Sequence[str]], partners: IntArray) 
         above = [rig.joints[rig.index(name)].parent for name in (a, b)]
         if min(above) < 0 and above[0] != above[1]:
             low, top = (a, b) if above[0] >= 0 else (b, a)
-            faults.append(f"{top!r} hangs from no joint, {low!r} does")
+            faults.append(f"{top!r} has no parent, but {low!r} has one")
         elif min(above) >= 0 and partners[above[0]] != above[1]:
             one, two = (repr(rig.names[parent]) for parent in above)
-            faults.append(f"they hang from {one} and {two}, which are no partners")
+            faults.append(f"their parents {one} and {two} are not a pair")
         else:
             continue
-        faults[-1] = f"pairs: {a!r} and {b!r} cannot change places: {faults[-1]}"
+        faults[-1] = f"pairs: {a!r} and {b!r} cannot be swapped: {faults[-1]}"
     if faults:
         hint = "pair their parents too, or name other joints"
         raise OptionError([Fault("SCN019", text, hint=hint) for text in faults])
@@ -325,8 +329,8 @@ def _check_tree(rig: Rig, partners: IntArray, kept: BoolArray) -> None:
         above = int(partners[joint.parent]) if joint.parent >= 0 else -1
         other = rig.joints[int(partners[i])]
         if other.parent != above:
-            message = f"{joint.name!r} and {other.name!r} do not hang from partners"
-            raise OptionError(Fault("SCN019", message, hint="state the pairs"))
+            message = f"the parents of {joint.name!r} and {other.name!r} are not a pair"
+            raise OptionError(Fault("SCN019", message, hint="write the pairs"))
 
 
 @dataclass(frozen=True, slots=True)

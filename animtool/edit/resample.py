@@ -175,8 +175,8 @@ def _kept_samples(
     if frame_range is not None:
         if frame_range.step != 1:
             raise _refusal(
-                f"{argument('keep_samples', True)} takes a "
-                f"{argument('frame_range')} without a step"
+                f"{argument('keep_samples', True)} needs a {argument('frame_range')} "
+                "without a step"
             )
         low = max(low, -(-(frame_range.first - start) // step))
         high = min(high, (frame_range.last - start) // step)
@@ -184,7 +184,7 @@ def _kept_samples(
             last = start + (clock.count - 1) * step
             raise _refusal(
                 f"frames {frame_range.first}-{frame_range.last} are not in the take, "
-                f"which lasts from {float(start):g} to {float(last):g}"
+                f"which runs from {float(start):g} to {float(last):g}"
             )
     frames = np.arange(low, high + 1)
     first = start + low * step
@@ -197,7 +197,7 @@ def dropped_notice(dropped: Fraction, fps: Fraction, last: Fraction) -> Fault:
     """Return the note that part of a frame > 0 [time codes] is left out at the end."""
     message = (
         f"the take ends {float(dropped):.3g} frames ({float(dropped / fps):.3g} s) "
-        f"after its last whole frame, {frame_label(last)}; that part is left out"
+        f"after its last whole frame, {frame_label(last)}; that part is cut off"
     )
     return Fault("TAKE006", message, severity=Severity.NOTE)
 
@@ -337,7 +337,7 @@ def _even(options: ResampleOptions, clock: Clock) -> EvenTime | None:
 
 PASS = Pass(
     "resample",
-    "Sample at another rate",
+    "Resample at another rate",
     ResampleOptions,
     Scope.CLIP,
     _run,

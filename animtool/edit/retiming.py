@@ -82,7 +82,7 @@ def _trimmed(
         high = math.ceil(away - ON_FRAME) if in_shot else math.floor(away + ON_FRAME)
     if high is not None and high < low:
         raise frame_refusal(
-            f"no frame is from {_shown(options.first, start)} to {options.last:g}"
+            f"there is no frame from {_shown(options.first, start)} to {options.last:g}"
         )
     moved = stream.start if low == 0 else start + low * stream.step
     return replace(
@@ -112,13 +112,13 @@ def _kept(
     if low >= count:
         last = start + (count - 1) * stream.step
         raise frame_refusal(
-            f"the first frame to keep is {float(start + low * stream.step):g}, and "
+            f"the first frame to keep is {float(start + low * stream.step):g}, but "
             f"the take has {float(start):g}-{float(last):g}"
         )
     if high is not None and high >= count and not in_shot:
         last = start + (count - 1) * stream.step
         asked = float(start + high * stream.step)
-        message = f"last is {asked:g}, and the take ends at {float(last):g}"
+        message = f"last is {asked:g}, but the take ends at {float(last):g}"
         stream.notices.append(Fault("SCN013", message, severity=Severity.NOTE))
 
 
@@ -175,7 +175,7 @@ def time_scale(take: Take, speed: float, pivot: float | None = None) -> Take:
     ends = sorted(centre + (edge - centre) / rate for edge in (0, clock.count - 1))
     low, high = math.ceil(ends[0]), math.floor(ends[1])
     if low > high:
-        raise frame_refusal(f"at speed {speed:g} no frame of the take's grid is left")
+        raise frame_refusal(f"at speed {speed:g} no frame remains")
     check_count(high - low + 1)
     index = np.arange(low, high + 1)
     places = even_places(index, centre / rate - centre, rate, clock.count)
@@ -286,7 +286,7 @@ def time_warp(
     high = math.floor((exact(key_times[-1], "curve") - clock.start) / clock.step)
     if low > high:
         first, last = key_times[0], key_times[-1]
-        message = f"the curve from {first:g} to {last:g} holds no whole frame"
+        message = f"the curve from {first:g} to {last:g} contains no whole frame"
         raise frame_refusal(message)
     check_count(high - low + 1)
     start, step = float(clock.start), float(clock.step)
@@ -304,7 +304,7 @@ def _check_inside(clock: Clock, values: FloatArray) -> None:
     slack = 1e-6 * float(clock.step)
     outside = values[(values < first - slack) | (values > last + slack)]
     if len(outside):
-        message = f"the curve shows frame {outside[0]:g}, and the take has "
+        message = f"the curve maps to frame {outside[0]:g}, but the take has "
         raise frame_refusal(f"{message}{first:g}-{last:g}")
 
 

@@ -122,7 +122,9 @@ def recompose_root(take: Take, root: str = "root", *, keep: bool = False) -> Tak
 
 def _check_axes(axes: str) -> None:
     if not set(axes.lower()) <= set("xyz"):
-        raise _refusal(f"axes {axes!r} are not of x, y and z", "write xz, for one")
+        raise _refusal(
+            f"axes {axes!r} may contain only x, y and z", "write xz, for example"
+        )
 
 
 def _checks(options: RootMotionOptions) -> OptionChecks:
@@ -138,7 +140,9 @@ def _hips(take: Take, root: str, hips: str) -> int:
     if hips:
         return joint_index(rig, hips, "hips")
     if not rig.joints:
-        raise _refusal("the rig has no joints, so nothing travels", "drop the pass")
+        raise _refusal(
+            "the rig has no joints, so there is no root motion", "remove the pass"
+        )
     there = root in rig.names
     top = rig.index(root) if there else rig.roots[0]
     traveller_joint = traveller(rig, take.motion, top, below=there)
@@ -158,7 +162,7 @@ def _root_path(take: Take, root: int, hip: int, axes: str, yaw: bool) -> Placing
     frame = above(rig, motion, root)
     if (np.linalg.det(frame.linear) == 0).any():
         name = rig.names[root]
-        raise _refusal(f"what is above {name!r} has a scale of 0", "scale it up")
+        raise _refusal(f"a joint above {name!r} has a scale of 0", "set another scale")
     position = np.where(chosen, hips.position, own.position)
     offset = (position - frame.position)[..., None]
     places = np.asarray(np.linalg.solve(frame.linear, offset)[..., 0], np.float64)
@@ -185,7 +189,7 @@ def _run(take: Take, options: RootMotionOptions, _: PassContext) -> Take:
 
 PASS = Pass(
     "root_motion",
-    "Move travel to a root joint",
+    "Move the root motion to a root joint",
     RootMotionOptions,
     Scope.CLIP,
     _run,

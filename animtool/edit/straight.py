@@ -93,10 +93,10 @@ def straight_notices(between: Between, places: Places) -> list[Fault]:
     if not said:
         return []
     message = (
-        "the take has samples and no curves there, so between two frames it goes "
-        f"straight, which may be off by about {listed(said)}"
+        "the take has samples, not curves, there: interpolation between frames is "
+        f"linear, and may be off by about {listed(said)}"
     )
-    hint = "in a scene, a resample pass with smooth: true goes along curves; bake "
+    hint = "in a scene, a resample pass with smooth: true interpolates smoothly; bake "
     hint += f"{argument('keep_samples', True)} keeps the frames as they are"
     return [Fault("TAKE007", message, hint=hint, severity=Severity.NOTE)]
 

@@ -55,7 +55,9 @@ def joints_matching(
 
 def _unknown(rig: Rig, name: str, option: str) -> OptionError:
     near = similar(name, rig.names)
-    message = f"{option}: no joint is {excerpt(name)}; there are {listed(rig.names)}"
+    message = (
+        f"{option}: unknown joint {excerpt(name)}; the rig has {listed(rig.names)}"
+    )
     hint = f"did you mean {near}?" if near else None
     return OptionError(Fault("SCN012", message, hint=hint))
 
@@ -110,9 +112,9 @@ def _scale(take: Take, joint: int, turned: BoolArray) -> FloatArray:
         raise OptionError(
             Fault(
                 "SCN020",
-                f"{name!r} has a scale that is 0 or differs by axis, and what is "
-                "below it would be sheared",
-                hint="scale its children in its place",
+                f"{name!r} has a scale of 0 or one that differs by axis, which would "
+                "shear the joints below it",
+                hint="scale its children instead",
             )
         )
     return own
@@ -378,10 +380,10 @@ def _check_scales(take: Take, world: WorldTransforms, joint: int) -> None:
     gone = np.flatnonzero(np.linalg.det(world.linear[:, parent]) == 0.0)
     if len(gone):
         message = (
-            f"joint {take.rig.names[joint]!r} cannot hang: a joint above it is scaled "
-            f"to 0 at frame {take.clock.times[gone[0]]:g}"
+            f"joint {take.rig.names[joint]!r} cannot be attached: a joint above it "
+            f"has a scale of 0 at frame {take.clock.times[gone[0]]:g}"
         )
-        raise _refusal(message, "joint", "give that joint another scale there")
+        raise _refusal(message, "joint", "set another scale there")
 
 
 def _check_axis(axis: Sequence[float] | None) -> None:
@@ -402,7 +404,7 @@ def _refusal(message: str, where: str, hint: str | None = None) -> OptionError:
 
 def _run(take: Take, options: HangOptions, context: PassContext) -> Take:
     if context.segments is None:
-        message = "only a scene with systems has something to hang on"
+        message = "attaching a joint needs a scene with systems"
         raise _refusal(message, "system")
     ends = context.segments(take, options.system, options.particle, context.progress)
     return hang(take, options.joint, ends, options.axis)
@@ -418,7 +420,7 @@ def _checks(options: HangOptions) -> OptionChecks:
 
 PASS = Pass(
     "hang",
-    "Hang a joint on the end of a rope that the scene simulates",
+    "Attach a joint to the end of a simulated rope",
     HangOptions,
     Scope.CLIP,
     _run,

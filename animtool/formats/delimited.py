@@ -137,7 +137,7 @@ class Rows:
         size = width * len(self.texts)
         if size > max(SMALL_TABLE, MAX_PADDING * int(self.filled.sum())):
             line = int(self.lines[np.argmax(self.filled)])
-            raise error(f"has {width} values, and most rows far fewer", line)
+            raise error(f"has {width} values, but most rows have far fewer", line)
         blocks = [np.empty((0, width))]
         for begin in range(0, len(self.texts), ROWS_AT_ONCE):
             texts = self.texts[begin : begin + ROWS_AT_ONCE]
@@ -149,9 +149,9 @@ class Rows:
                 text, width, len(texts), True
             )
             if len(block) < len(texts):
-                message = f"has {found} values and not {width}"
+                message = f"has {found} values instead of {width}"
                 if token:
-                    message = f"{excerpt(decoded(token))} is no number"
+                    message = f"{excerpt(decoded(token))} is not a number"
                 raise error(message, int(self.lines[begin + len(block)]))
             blocks.append(block)
         return blocks[1] if len(blocks) == 2 else np.concatenate(blocks)

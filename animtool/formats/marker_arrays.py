@@ -92,7 +92,7 @@ def _read(
     if frames == 0 or count == 0:
         raise file.error("MKR013", f"{key!r} has {frames} frames of {count} points")
     if frames * count > MAX_POSITIONS:
-        message = f"{key!r} has {frames} frames of {count} points, more than are read"
+        message = f"{key!r} has {frames} frames of {count} points, above the limit"
         raise file.error("MKR012", message)
     suffix = _UNIT.fullmatch(key[key.rfind("_") :]) if "_" in key else None
     length = file.unit(suffix[1] if suffix else None, unit, LengthUnit.MM)
@@ -140,9 +140,9 @@ def _array(
     usual = [key for key in known if key.partition("_")[0] == USUAL]
     if not usual:
         suited = [key for key in known if _UNIT.search(key)]
-        message = f"has no array of positions that begins with {USUAL!r}"
+        message = f"has no array of positions whose name starts with {USUAL!r}"
         hint = f"name one: {path.name}#{suited[0]}" if suited else None
-        raise file.error("MKR012", f"{message}; it holds {listed(known)}", hint)
+        raise file.error("MKR012", f"{message}; its arrays are {listed(known)}", hint)
     if len(usual) > 1:
         # Such as the names of the markers, which begin alike.
         usual = [key for key in usual if _UNIT.search(key)] or usual

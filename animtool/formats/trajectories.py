@@ -74,7 +74,7 @@ class MarkerFile:
             shown = "no frame rate" if stated in (None, 0) else f"the rate {stated:g}"
             message = f"states {shown}"
             raise self.error(
-                "MKR010", message, f"{argument('source.fps')} gives the rate"
+                "MKR010", message, f"set the rate with {argument('source.fps')}"
             )
         return rate_from_float(stated)
 
@@ -93,13 +93,13 @@ class MarkerFile:
             self.note(
                 "MKR104",
                 message,
-                f"{argument('source.unit')} says what its lengths are in",
+                f"set the unit with {argument('source.unit')}",
             )
             return usual
         unit = _unit(stated.strip().lower().rstrip("s."))
         if unit is None:
             message = f"states the unit {excerpt(stated)}"
-            hint = f"{argument('source.unit')} gives one of {', '.join(LengthUnit)}"
+            hint = f"set one of {', '.join(LengthUnit)} with {argument('source.unit')}"
             raise self.error("MKR011", message, hint)
         return unit
 
@@ -109,9 +109,7 @@ class MarkerFile:
             return UpAxis(given)
         if stated is None:
             message = "states no up axis; Y is assumed"
-            self.note(
-                "MKR103", message, f"{argument('source.up', 'Z')} says that Z is up"
-            )
+            self.note("MKR103", message, f"set Z up with {argument('source.up', 'Z')}")
             return UpAxis.Y
         return stated
 
@@ -137,7 +135,7 @@ class MarkerFile:
         renamed = [new for old, new in zip(named, unique, strict=True) if old != new]
         if renamed:
             warning = naming(
-                "MKR101", "names that stand twice; later ones became ", renamed,
+                "MKR101", "duplicate names; later ones became ", renamed,
                 self.path, "rename them in the capture software", Severity.WARNING,
             )  # fmt: skip
             self.notices.append(warning)
@@ -156,11 +154,11 @@ class MarkerFile:
             origin = (positions == 0.0).all(axis=-1)
         if beyond.any():
             count = counted(int(beyond.sum()), "position")
-            message = f"{count} beyond the largest number of float32: taken as not seen"
+            message = f"{count} beyond the largest float32: treated as not seen"
             self.warn("MKR102", message, "export the file again")
         if origin.any():
             count = counted(int(origin.sum()), "position")
-            message = f"{count} at exactly 0, 0, 0: taken as not seen"
+            message = f"{count} at exactly 0, 0, 0: treated as not seen"
             self.note("MKR105", message)
         positions[beyond | origin | np.isnan(positions).any(axis=-1)] = np.nan
         positions *= meters

@@ -241,7 +241,9 @@ def _limbs(
         point = origins[tip] + world.linear[0, tip] @ np.asarray(goal.offset)
         limb = limb_joints(rig, goal, moving, origins, point)
         if limb is None:
-            message = f"{goal.joint!r} ends no limb of two bones: its pole has no place"
+            message = (
+                f"the pole of {goal.joint!r} needs a limb of two bones that ends there"
+            )
             faults.append(Fault("IK004", message, where=f"goals[{i}]"))
             limbs.append((-1, -1))
             continue

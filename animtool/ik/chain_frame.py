@@ -230,8 +230,8 @@ def refuse_scales(
         for j in take.rig.upwards(take.rig.index(joint)):
             if scaled[j]:
                 name = take.rig.names[j]
-                message = f"{effector!r} hangs from {name!r}, which is scaled"
-                hint = "inverse kinematics is for joints without scale"
+                message = f"{effector!r} is below {name!r}, which is scaled"
+                hint = "inverse kinematics needs joints without scale"
                 faults[name] = Fault("TGT016", message, place, (), hint)
     if faults:
         raise OptionError(list(faults.values()))

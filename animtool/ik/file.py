@@ -131,8 +131,8 @@ class _Reader:
         held = _held(values, chain) if spans else frozenset[str]()
         given = {part for part in PARTS if getattr(model, part) is not None}
         if not given - {"pole"} and not model.hold:
-            message = f"asks nothing of {model.effector!r}"
-            hint = "give a position, an orientation, an aim or spans to hold"
+            message = f"has no goal for {model.effector!r}"
+            hint = "add a position, an orientation, an aim or spans to hold"
             self.document.add("TGT002", at, message, hint)
         weights = self._weights((*at, "weight"), model.weight, given | held)
         axes = [
@@ -185,7 +185,7 @@ class _Reader:
             return name, None
         if not self.document.doubtful(at):
             known = [*(chain.name for chain in self.rig.ik), *self.rig.names]
-            message = f"{name!r} is no chain and no joint of {self.rig.name!r}"
+            message = f"{name!r} is neither a chain nor a joint of {self.rig.name!r}"
             self.document.add("TGT001", at, message, nearest(name, known))
         return None, None
 
@@ -199,7 +199,7 @@ class _Reader:
             return name
         place = (*at, "root")
         if name not in self.rig.names:
-            message = f"{name!r} is no joint of {self.rig.name!r}"
+            message = f"unknown joint {name!r} of {self.rig.name!r}"
             self.document.add("TGT001", place, message, nearest(name, self.rig.names))
             return None
         if self.rig.index(name) not in self.rig.upwards(self.rig.index(joint)):
@@ -228,15 +228,15 @@ class _Reader:
         spans.sort()
         for (first, last, _), (then, end, i) in pairwise(spans):
             if then <= last:
-                message = f"the span from {then:g} to {end:g} meets that from "
+                message = f"the span from {then:g} to {end:g} overlaps that from "
                 message += f"{first:g} to {last:g}"
-                self.document.add("TGT005", (*at, i), message, "make one of them")
+                self.document.add("TGT005", (*at, i), message, "merge them")
         return [(first, last) for first, last, _ in spans]
 
     def _axis(self, at: Location, axis: list[float]) -> Vector:
         length = math.hypot(*axis)
         if not length > SHORTEST:
-            self.document.add("TGT008", at, f"direction {axis} has no length")
+            self.document.add("TGT008", at, f"direction {axis} has zero length")
             return (0.0, 0.0, 1.0)
         x, y, z = (value / length for value in axis)
         return (x, y, z)
@@ -250,8 +250,8 @@ class _Reader:
         """Return the weights of the parts; those that are 1 throughout are left out."""
         if not isinstance(model, WeightsModel):
             if model == 0 and not self.document.doubtful(at):
-                hint = "leave the goal out"
-                self.document.add("TGT002", at, "a weight of 0 asks nothing", hint)
+                hint = "remove the goal"
+                self.document.add("TGT002", at, "a weight of 0 has no effect", hint)
             if model == 1:
                 return {}
             return {part: Still((float(model),)) for part in PARTS}
@@ -261,7 +261,7 @@ class _Reader:
             if weight is None:
                 continue
             if part not in asked:
-                message = f"the weight of the {part} does nothing: none is asked for"
+                message = f"the weight of the {part} has no effect: the goal has none"
                 self.document.warn("TGT101", (*at, part), message)
             curve = self._weight((*at, part), weight)
             if curve is not None:

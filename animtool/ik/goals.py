@@ -55,10 +55,10 @@ KINDS = (
         rows=3,
         metric=True,
         turning=False,
-        description="Where the point is to be: three numbers, an array (F, 3), keys "
-        "or a prim.",
+        description="Target of the point: three numbers, an array (F, 3), keys or a "
+        "prim.",
         example="hands.npz#left",
-        weight_description="Of the position: a number from 0, or keys. Not given: 1.",
+        weight_description="Weight of the position: at least 0, or keys. Default: 1.",
         weight_example=10.0,
     ),
     GoalKind(
@@ -68,10 +68,10 @@ KINDS = (
         rows=3,
         metric=False,
         directed=True,
-        description="How the joint is to be turned: [w, x, y, z], an array (F, 4) of "
+        description="Target rotation of the joint: [w, x, y, z], an array (F, 4) of "
         "those, keys or a prim.",
         example=[1.0, 0.0, 0.0, 0.0],
-        weight_description="Of the orientation, likewise.",
+        weight_description="Weight of the orientation, likewise.",
         weight_example={"keys": [{"t": 1.0, "v": 0.0}, {"t": 12.0, "v": 1.0}]},
     ),
     GoalKind(
@@ -82,9 +82,9 @@ KINDS = (
         metric=False,
         directed=True,
         axis=True,
-        description="An axis of the joint that points at something.",
+        description="An axis of the joint that points at a target.",
         example={"axis": [0.0, 0.0, 1.0], "at": [0.0, 1.5, 4.0]},
-        weight_description="Of the aim, likewise.",
+        weight_description="Weight of the aim, likewise.",
         weight_example=0.5,
     ),
     GoalKind(
@@ -96,11 +96,11 @@ KINDS = (
         turning=False,
         directed=True,
         pulls=False,
-        description="The point towards which the middle of the limb lies, as a "
-        "`position`. Not given: with a start clip as it has it, else the chain's "
-        "`pole_dir`.",
+        description="The point that the middle of the limb points towards, written "
+        "like a `position`. Default: as in the start clip, else the "
+        "chain's `pole_dir`.",
         example=[0.5, 1.0, -2.0],
-        weight_description="Of the pole, likewise.",
+        weight_description="Weight of the pole, likewise.",
         weight_example=0.1,
     ),
 )
@@ -174,7 +174,9 @@ class Goal:
                     f"{kind.name} of the goal {self.joint!r} is a weight, a number "
                 )
                 message += f"from 0, not {excerpt(str(weight))}"
-                hint = f"targets are given to the solve: Targets({kind.targets}=...), "
+                hint = (
+                    f"targets are arguments of the solve: Targets({kind.targets}=...), "
+                )
                 hint += f"one of {kind.value.value} numbers for each goal of each pose"
                 raise OptionError(Fault("TGT007", message, hint=hint))
 
@@ -228,16 +230,16 @@ def goal_faults(goal: Goal, rig: Rig, where: str) -> list[Fault]:
     if goal.joint not in rig.names:
         near = similar(goal.joint, rig.names)
         hint = f"did you mean {near}?" if near else None
-        message = f"no joint of {rig.name!r} is {excerpt(goal.joint)}"
+        message = f"unknown joint {excerpt(goal.joint)} of {rig.name!r}"
         faults.append(Fault("TGT001", message, where=where, hint=hint))
     faults += _root_faults(goal, rig, where)
     weights = np.array(goal.weights, np.float64)
     if not (np.isfinite(weights).all() and (weights >= 0).all() and weights.any()):
-        message = "weights are numbers from 0, one of them more than 0"
+        message = "weights must be at least 0, and one of them more than 0"
         code = "TGT007" if weights.any() else "TGT002"
         faults.append(Fault(code, message, where=where))
     if not (isinstance(goal.priority, int) and goal.priority >= 0):
-        message = f"its priority is a whole number from 0, not {goal.priority!r}"
+        message = f"its priority must be a whole number from 0, not {goal.priority!r}"
         faults.append(Fault("IK002", message, where=where))
     if not 0 <= goal.soft < 1:
         message = f"soft must be from 0 to less than 1, not {goal.soft}"
@@ -247,13 +249,15 @@ def goal_faults(goal: Goal, rig: Rig, where: str) -> list[Fault]:
         faults.append(Fault("IK002", message, where=where))
     if np.shape(goal.offset) != (3,):
         count = counted(np.size(goal.offset), "number")
-        message = f"its offset has {count} where 3 are wanted"
+        message = f"its offset has {count} instead of 3"
         faults.append(Fault("IK002", message, where=where))
     if not (np.abs(goal.offset) <= FARTHEST).all():
-        message = f"its offset is beyond {FARTHEST:g} m, or no number"
+        message = f"its offset is beyond {FARTHEST:g} m, or not a number"
         faults.append(Fault("IK002", message, where=where))
     if goal.aim > 0 and not abs(np.linalg.norm(goal.aim_axis) - 1) < 1e-6:
-        faults.append(Fault("TGT008", "its aim axis is not of length 1", where=where))
+        faults.append(
+            Fault("TGT008", "its aim axis does not have length 1", where=where)
+        )
     return faults
 
 
@@ -261,7 +265,7 @@ def _root_faults(goal: Goal, rig: Rig, where: str) -> list[Fault]:
     if goal.root is None:
         return []
     if goal.root not in rig.names:
-        message = f"no joint of {rig.name!r} is {excerpt(goal.root)}"
+        message = f"unknown joint {excerpt(goal.root)} of {rig.name!r}"
         return [Fault("TGT001", message, where=where)]
     if goal.joint not in rig.names:
         return []
@@ -374,13 +378,13 @@ def _value_faults(
     bad = ~(np.isfinite(weights) & (weights >= 0)).all(axis=2)
     if bad.any():
         b, e = (int(i) for i in np.argwhere(bad)[0])
-        message = f"weights[{b}, {e}] are no finite numbers from 0"
+        message = f"weights[{b}, {e}] are not finite numbers from 0"
         faults.append(Fault("TGT007", message))
     for i, kind in enumerate(KINDS):
         name = kind.targets
         if wanting[..., i].any():
             goal = int(np.argwhere(wanting[..., i])[0, 1])
-            faults.append(Fault("IK010", f"goal {goal} asks for {name}"))
+            faults.append(Fault("IK010", f"goal {goal} needs {name}"))
             continue
         part = packed[:, :, COLUMNS[kind.name]]
         bad = ~np.isfinite(part).all(axis=2)
@@ -389,6 +393,10 @@ def _value_faults(
         bad &= asked[..., i]
         if bad.any():
             b, e = (int(i) for i in np.argwhere(bad)[0])
-            what = "is no rotation" if _is_rotation(kind) else "are no finite numbers"
+            what = (
+                ("is not a rotation")
+                if _is_rotation(kind)
+                else "are not finite numbers"
+            )
             faults.append(Fault("TGT007", f"{name}[{b}, {e}] {what}"))
     return faults

@@ -80,7 +80,7 @@ def find_limbs(
         limb = _limb(rig, goal, e, moving, chain)
         message = _fault(rig, goal, limb, moving, chain)
         if goal.stretch > 0 and stretched & set(limb.joints):
-            message = "bones that it stretches are another goal's to stretch too"
+            message = "another goal already stretches its bones"
         if goal.stretch > 0:
             stretched |= set(limb.joints)
         if message:
@@ -141,18 +141,18 @@ def _reach(chain: Chain, path: list[int], end: FloatArray) -> float:
 def _fault(
     rig: Rig, goal: Goal, limb: Limb, moving: set[int], chain: Chain
 ) -> str | None:
-    what = "a limb that eases out or stretches"
+    what = "a limb with soft or stretch"
     if not goal.position > 0:
-        return f"{what} must have a position to reach"
+        return f"{what} needs a position goal"
     if (chain.nodes[_path(chain, limb.goal), 0] == SLIDE).any():
-        return f"{what} must have joints that turn, and a root that stays in its place"
+        return f"{what} needs joints that rotate, and a root that stays in place"
     above = rig.upwards(rig.index(goal.joint))
     if goal.root is not None:
         own = above[: above.index(rig.index(goal.root)) + 1]
         others = [j for j in above if j in moving and j not in own]
         if others:
             name = rig.joints[others[0]].name
-            return f"{what} must have a root that stays in its place: {name!r} moves it"
+            return f"{what} needs a root that stays in place: {name!r} moves it"
     if goal.stretch > 0 and limb.bones <= NO_LENGTH:
         return "it has no bones to stretch"
     return None

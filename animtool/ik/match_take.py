@@ -61,10 +61,10 @@ def chains_of(rig: Rig, patterns: Sequence[str] = ()) -> tuple[IkChain, ...]:
     """
     if not rig.ik:
         message = f"rig {rig.name!r} has no chains to match"
-        raise OptionError(Fault("TGT019", message, hint="describe some in its ik"))
+        raise OptionError(Fault("TGT019", message, hint="add some under its ik"))
     names = [chain.name for chain in rig.ik]
     faults = [
-        Fault("TGT001", f"no chain of {rig.name!r} is {pattern!r}", hint=hint)
+        Fault("TGT001", f"no chain of {rig.name!r} matches {pattern!r}", hint=hint)
         for pattern in patterns
         if not any(fnmatchcase(name, pattern) for name in names)
         for hint in [nearest(pattern, names)]
@@ -161,7 +161,9 @@ def left_out(take: Take, chains: Sequence[IkChain]) -> list[Fault]:
     names = [rig.names[j] for j in sorted(shifted | turned)]
     if not names:
         return []
-    message = f"targets say nothing of {listed(names, MAX_NAMED)}, which leave their "
+    message = (
+        f"the targets do not mention {listed(names, MAX_NAMED)}, which leave their "
+    )
     message += "rest pose and move what is matched"
     hint = f"solve with the same motion as {argument('clip')}"
     return [Fault("TGT103", message, hint=hint, severity=Severity.NOTE)]

@@ -286,7 +286,7 @@ def _chosen(whole: Rig, rig: Rig, options: TakeOptions) -> list[str] | None:
     for pattern in options.joints:
         matches = {name for name in whole.names if fnmatchcase(name, pattern)}
         if not matches:
-            message = f"no joint of {whole.name!r} is {pattern!r}"
+            message = f"no joint of {whole.name!r} matches {pattern!r}"
             hint = nearest(pattern, whole.names)
             faults.append(Fault("TGT001", message, hint=hint))
         names |= matches

@@ -65,49 +65,49 @@ class TakeOptions:
     tolerance: float = option(
         parse_length(LENGTH_TOLERANCE),
         "length",
-        help="A position is solved to within this.",
+        help="Position tolerance.",
         written=LENGTH_TOLERANCE,
     )
     angle_tolerance: float = option(
         math.radians(ANGLE_TOLERANCE),
         "angle",
-        help="An orientation, aim or pole is solved to within this.",
+        help="Tolerance of orientations, aims and poles.",
         written=ANGLE_TOLERANCE,
     )
     restarts: int = option(
         50,
         "count",
-        help="Most new starts of a frame that does not reach its goals.",
+        help="Limit of restarts for a frame that does not reach its goals.",
     )
     seed: int = option(
         0,
         "seed",
-        help="Of the new starts: the same seed gives the same poses.",
+        help="Seed of the restarts: the same seed gives the same poses.",
     )
     seconds: float = option(
         0.0,
         "amount",
         flag="time-budget",
         metavar="SECONDS",
-        help="Most time for one frame, such as 0.01; what is found then depends on the "
+        help="Time limit for one frame, such as 0.01; results then depend on the "
         "machine.  [default: none]",
     )
     joints: tuple[str, ...] = option(
         (),
         "names",
-        help="The joints that may move, or patterns such as 'arm_*'.  [default: every "
-        "one that moves a goal]",
+        help="The joints that may move, or patterns such as 'arm_*'.  [default: "
+        "every joint that moves a goal]",
     )
     rest_weight: float = option(
         0.0,
         "amount",
         metavar="WEIGHT",
-        help="How strongly each frame's pose in START, or the rest pose, is kept; the "
-        "goals give way by about as much.",
+        help="How strongly to keep each frame's pose in START, or the rest pose; the "
+        "goals are missed by about as much.",
     )
     smooth: float = option(
         0.0,
         "amount",
         metavar="SECONDS",
-        help="Time over which motion that the goals leave free is evened out.",
+        help="Time over which motion that the goals leave free is smoothed.",
     )

@@ -147,17 +147,17 @@ def _faults(
     rest_weight: float,
 ) -> list[Fault]:
     """Return what is wrong with the wishes, before any geometry."""
-    faults = [] if goals else [Fault("IK006", "there are no goals")]
+    faults = [] if goals else [Fault("IK006", "the problem has no goals")]
     names = set(rig.names)
     for i, goal in enumerate(goals):
         faults += goal_faults(goal, rig, f"goals[{i}]")
     if isinstance(joints, str):
-        message = f"joints are a list of names, such as [{joints!r}], not text"
+        message = f"joints must be a list of names, such as [{joints!r}], not text"
         faults.append(Fault("TGT001", message))
         joints = ()
     for name in joints or ():
         if name not in names:
-            faults.append(Fault("TGT001", f"no joint of {rig.name!r} is {name!r}"))
+            faults.append(Fault("TGT001", f"unknown joint {name!r} of {rig.name!r}"))
     faults += rest_faults(rest_weight)
     for joint in rig.joints:
         if _reversed(joint.limits):
@@ -216,11 +216,11 @@ def _still_faults(rig: Rig, goals: Sequence[Goal], moving: set[int]) -> list[Fau
         if moving.intersection(above):
             continue
         able = [rig.joints[j].name for j in sorted(moving_joints(rig, [goal]))]
-        hint = "what turns about its own point moves no position: give it an offset"
+        hint = "a joint cannot move a position at its own origin: set an offset"
         if able:
-            hint = f"of those that would, none may move: {listed(able)}"
+            hint = f"none of the joints that could move it may: {listed(able)}"
         elif not any(rig.joints[j].type is not JointType.FIXED for j in above):
-            hint = "it hangs from fixed joints only"
+            hint = "only fixed joints are above it"
         message = f"no joint moves {goal.joint!r}"
         faults.append(Fault("IK003", message, hint=hint, where=f"goals[{i}]"))
     return faults

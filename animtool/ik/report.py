@@ -192,11 +192,11 @@ def _advice(solved: TakeIk, report: GoalReport) -> str | None:
     """Return what to do about a goal that is missed, where that is known."""
     far = FAR * solved.problem.length
     if any(span.distance > far for span in report.spans):
-        return "far beyond the reach: are units and space of the targets those meant?"
+        return "far out of reach: do the targets use these units and this space?"
     if any(span.status is IkStatus.BUDGET for span in report.spans):
         hint = (
-            f"steps or time ran out: give a larger {argument('seconds')}, or none, "
-            "or a "
+            f"the step or time limit was reached: raise {argument('seconds')}, "
+            "remove it, or use a "
         )
         return f"{hint}start that is nearer"
     if any(span.status is IkStatus.CONFLICT for span in report.spans):
@@ -215,8 +215,8 @@ def _unbounded(solved: TakeIk) -> str | None:
             others = any(joint in own for k, own in enumerate(chains) if k != e)
             if others and rig.joints[joint].type is JointType.FREE:
                 message = f"the free joint {rig.names[joint]!r} moves for "
-                message += f"{solved.tracks.goals[e].name!r} and carries other goals "
-                return f"{message}along: 'root: {rig.names[below]}' keeps it still"
+                message += f"{solved.tracks.goals[e].name!r} and moves other goals "
+                return f"{message}too: 'root: {rig.names[below]}' keeps it still"
     return None
 
 
@@ -233,8 +233,8 @@ def span_notices(solved: TakeIk) -> list[Fault]:
             solved,
             "TGT104",
             i,
-            f"the span from {span_label(first, last)}, to hold {track.name!r}, is "
-            f"in none of the frames {times[0]:g} to {times[-1]:g}",
+            f"the span from {span_label(first, last)}, to hold {track.name!r}, "
+            f"contains none of the frames {times[0]:g} to {times[-1]:g}",
         )
         for i, track in enumerate(solved.tracks.goals)
         for first, last in track.spans
@@ -250,7 +250,7 @@ def jump_notices(solved: TakeIk) -> list[Fault]:
     first, last = (
         frame_label(solved.take.clock.times[worst.frame - back]) for back in (1, 0)
     )
-    message = f"joint {worst.joint!r} {'slides' if worst.slides else 'turns'} by "
+    message = f"joint {worst.joint!r} {'slides' if worst.slides else 'rotates'} by "
     message += f"{_much(worst, worst.size)} from frame {first} to {last}"
     if worst.source > 0:
         message += f" ({_much(worst, worst.source)} in the source)"
@@ -287,26 +287,26 @@ def _cure(solved: TakeIk, worst: Jump) -> str:
     if steadier is not None:
         left = "leaves no jump"
         if steadier.angle > 0:
-            left = "leaves turns of "
+            left = "leaves rotations of "
             left += f"{angle_text(math.degrees(steadier.angle), 3)} at most"
         return f"{argument('smooth', f'{steadier.seconds:g}')} {left}"
     fading = _fading(solved, worst)
     if fading is not None:
-        hint = f"the goal {fading.name!r} comes or goes there within "
+        hint = f"the goal {fading.name!r} starts or ends there within "
         return f"{hint}{counted(round(fading.ease), 'frame')}: a longer ease: slows it"
     if worst.by_goals:
-        return "its goals move or turn as fast there: keys farther apart slow them"
+        return "its goals move or rotate as fast there: space their keys farther apart"
     goal = _stretching(solved, worst)
     if goal is not None:
-        hint = f"the limb comes to full stretch there: soft: {EASED:g} on the goal "
-        return f"{hint}{goal!r} eases it out, short of its target by a little"
+        hint = f"the limb becomes straight there: soft: {EASED:g} on the goal "
+        return f"{hint}{goal!r} eases it, and stops slightly short of its target"
     if solved.between:
         return "each frame is solved on its own; let the joints between move (TGT105)"
     hint = (
-        f"no steadier path was found, nor with {argument('smooth')}; a target that "
+        f"no smoother path was found, nor with {argument('smooth')}; a target that "
         "passes farther "
     )
-    return f"{hint}from {worst.joint!r}, moves sooner or has less weight may leave one"
+    return f"{hint}from {worst.joint!r}, moves earlier or has less weight may help"
 
 
 def _fading(solved: TakeIk, worst: Jump) -> GoalTrack | None:
@@ -364,10 +364,10 @@ def away_notices(solved: TakeIk, reports: list[GoalReport]) -> list[Fault]:
     for i, (report, away) in enumerate(zip(reports, solved.away, strict=True)):
         if report.spans or not away > AWAY * solved.size:
             continue
-        message = f"the positions of {report.name!r} are at least {length_text(away)} "
-        message += f"from where it starts, and the rig is {length_text(solved.size)} "
+        message = f"the targets of {report.name!r} are at least {length_text(away)} "
+        message += f"from its start, but the rig is {length_text(solved.size)} "
         message += "large"
-        hint = "are units and space of the targets those meant?"
+        hint = "do the targets use these units and this space?"
         notices.append(replace(_warning(solved, "TGT106", i, message), hint=hint))
     return notices
 
@@ -386,8 +386,8 @@ def apart_notices(solved: TakeIk, *, smooth: bool = False) -> list[Fault]:
     message += f"{listed([repr(name) for name in solved.between], most=6)} "
     message += "between the joints that may move "
     message += "moves too" if len(solved.between) == 1 else "move too"
-    hint = "that takes longer, no steadier path is looked for, and nothing is "
-    hint += "evened out; let these joints move, or move by what their types have"
+    hint = "that takes longer, no smoother path is searched for, and nothing is "
+    hint += "smoothed; let these joints move, or move by what their types have"
     level = Severity.WARNING if smooth else Severity.NOTE
     return [Fault("TGT105", message, str(solved.tracks.path), (), hint, level)]
 
@@ -443,7 +443,7 @@ def status_text(solved: TakeIk) -> str:
     steadier = counts.pop(IkStatus.STEADIER, 0)
     if steadier:
         missed = steadier + counts.pop(IkStatus.NEAREST, 0)
-        tail = f"{steadier} of them on a steadier path than the nearest poses make"
+        tail = f"{steadier} of them on a smoother path than the nearest poses give"
         return ", ".join(
             [*(f"{n} {status}" for status, n in counts.items()),
              f"{missed} out of reach ({tail})"]

@@ -47,10 +47,10 @@ class IkStatus(StrEnum):
 
     CONVERGED = "converged"
     NEAREST = "at the nearest reachable"
-    STEADIER = "out of reach, on a steadier path"
-    YIELDED = "given way to what is preferred"
-    CONFLICT = "between goals that contradict each other"
-    STALLED = "stopped on the way"
+    STEADIER = "out of reach, on a smoother path"
+    YIELDED = "yields to what is preferred"
+    CONFLICT = "between contradicting goals"
+    STALLED = "stopped early"
     BUDGET = "out of budget"
     NOT_FINITE = "numbers beyond range"
 

@@ -31,12 +31,12 @@ class TargetUnitsModel(FileModel):
     """Units of the numbers in a targets file; those of its rig where left out."""
 
     length: Literal["m", "cm", "mm", "in"] | None = key(
-        "Of points and offsets, those in arrays included. Not given: the rig's.",
+        "Unit of points and offsets, also in arrays. Default: the rig's.",
         "cm",
         default=None,
     )
     angle: Literal["deg", "rad"] | None = key(
-        "Of Euler angles. Not given: the rig's.", "deg", default=None
+        "Unit of Euler angles. Default: the rig's.", "deg", default=None
     )
 
 
@@ -44,33 +44,32 @@ class ValueModel(JoinModel):
     """A value that moves: keys, or a prim of a USD stage."""
 
     keys: Annotated[list[KeyModel], Len(1)] | None = key(
-        "Keys as those of a clip: three numbers of a point, [w, x, y, z] "
-        "of an orientation, or its Euler angles.",
+        "Keys as in a clip: three numbers of a point, [w, x, y, z] of an "
+        "orientation, or its Euler angles.",
         [{"t": 1.0, "v": [0.0, 1.0, 0.0]}],
         default=None,
     )
     prim: Name | None = key(
-        "A prim whose transform in the world is followed. Its `file` is named with it.",
+        "A prim whose world transform is followed; `file` names its stage.",
         "/World/prop",
         default=None,
     )
     file: Name | None = key("The USD file of `prim`.", "shot.usda", default=None)
     space: Name | None = key(
-        "Of `prim`: another prim of the stage, in whose frame the rig "
-        "stands. Not given: the world.",
+        "With `prim`: another prim of the stage that defines the rig's frame. "
+        "Default: the world.",
         "/World/hero",
         default=None,
     )
     offset: Vector | None = key(
-        "Of a point that follows a `prim`: where it is in the prim's "
-        "frame, in the file's length, whatever scale the prim has. Not given: its "
-        "origin.",
+        "For a point that follows a `prim`: its position in the prim's frame, in the "
+        "file's length, whatever the prim's scale. Default: the prim's origin.",
         [0.0, 0.1, 0.0],
         default=None,
     )
     rotate: Quaternion | None = key(
-        "Of an orientation that follows a `prim`: the rotation "
-        "[w, x, y, z] from the prim's frame. Not given: none.",
+        "For an orientation that follows a `prim`: the rotation [w, x, y, z] "
+        "relative to the prim's frame. Default: none.",
         [0.7071, 0.7071, 0.0, 0.0],
         default=None,
     )
@@ -79,11 +78,9 @@ class ValueModel(JoinModel):
 class AimModel(FileModel):
     """An axis that points at something."""
 
-    axis: Vector = key(
-        "Direction in the joint's frame; of any length.", [0.0, 0.0, 1.0]
-    )
+    axis: Vector = key("Direction in the joint's frame; any length.", [0.0, 0.0, 1.0])
     at: Vector | str | ValueModel = key(
-        "The point, as a `position` has it.", [0.0, 1.5, 4.0]
+        "The point, written like a `position`.", [0.0, 1.5, 4.0]
     )
 
 
@@ -117,17 +114,15 @@ class WeightsModel(_Weights):
 
 
 class _Effector(FileModel):
-    effector: Name = key(
-        "A chain of the rig's `ik`, whose tip is meant, or a joint.", "arm_l"
-    )
+    effector: Name = key("A chain of the rig's `ik`, for its tip, or a joint.", "arm_l")
     root: Name | None = key(
-        "The topmost joint that may move for this goal. Not given: the "
-        "chain's; of a joint any above it.",
+        "The topmost joint that may move for this goal. Default: that of the chain; "
+        "for a joint, any above it.",
         "shoulder_l",
         default=None,
     )
     offset: Vector = key(
-        "The point that reaches, in the joint's frame.",
+        "The point to bring to the target, in the joint's frame.",
         [0.08, 0.0, 0.0],
         default=[0.0, 0.0, 0.0],
     )
@@ -143,42 +138,40 @@ class GoalModel(_Asked):
     """What one effector is to reach."""
 
     weight: Weight | WeightsModel = key(
-        "How much it counts where not all can be reached: one number, or "
-        "one for each part.",
+        "Weight where goals conflict: one number, or one for each part.",
         {"position": 10.0},
         default=1.0,
     )
     priority: Annotated[Whole, Field(ge=0)] = key(
-        "0 is hard; goals of higher numbers give way to those of lower.", 1, default=0
+        "0 is hard; goals with higher numbers yield to those with lower.", 1, default=0
     )
     soft: Annotated[Real, Field(ge=0, lt=1)] = key(
-        "Share of the limb's reach over which its extension eases out, so "
-        "that it does not snap straight. It wants a `root` that no goal moves.",
+        "Fraction of the limb's reach over which it eases into full extension, to "
+        "avoid snapping straight. Needs a `root` that no goal moves.",
         0.05,
         default=0.0,
     )
     stretch: Weight | None = key(
-        "Share of their length that the limb's bones may grow by to reach "
-        "what is too far. Not given: the chain's.",
+        "Fraction of their length that the limb's bones may stretch to reach a "
+        "target. Default: that of the chain.",
         0.1,
         default=None,
     )
     hold: list[Pair] = key(
-        "First and last frame of spans in which it stays in the world "
-        "where it is at the first.",
+        "First and last frame of spans in which it keeps its world position of the "
+        "first frame.",
         [[12.0, 30.0], [48.0, 60.0]],
         default=[],
     )
     during: list[Pair] = key(
-        "First and last frame of spans in which it is asked for; outside "
-        "of these and their `ease` it is as free as without the goal. Not given: all.",
+        "First and last frame of spans in which the goal is active; outside them and "
+        "their `ease` it is as free as without the goal. Default: all frames.",
         [[20.0, 80.0]],
         default=[],
     )
     ease: Annotated[Real, Field(ge=0)] = key(
-        "Frames before and behind a span of `hold` or `during` in which it "
-        "comes to its place and leaves it, without a jump in speed; less where spans "
-        "are near.",
+        "Frames before and after a span of `hold` or `during` in which the goal "
+        "fades in and out smoothly; fewer if spans are close.",
         6.0,
         default=4.0,
     )
@@ -194,22 +187,22 @@ class TargetsModel(FileModel):
         default=TargetUnitsModel(),
     )
     fps: Real | str | None = key(
-        "Frames a second that times count: a number, or a fraction as "
-        "text. Not given: the start clip's; 24 without one.",
+        "Frames per second of times: a number, or a fraction as text. Default: that "
+        "of the start clip, or 24.",
         "24000/1001",
         default=None,
     )
     range: Pair | None = key(
-        "First and last frame; arrays have a row for each. Not given: of "
-        "the start clip, or of the keys, spans and arrays, which begin at 1.",
+        "First and last frame; arrays have a row for each. Default: those of the "
+        "start clip, or of the keys, spans and arrays, which begin at 1.",
         [1.0, 48.0],
         default=None,
     )
     goals: Annotated[list[GoalModel], Len(1, 1000)] = key(
-        "At least one.", [{"effector": "leg_l", "hold": [[1.0, 12.0]]}]
+        "One goal or more.", [{"effector": "leg_l", "hold": [[1.0, 12.0]]}]
     )
     ignore: list[IgnoreModel] = key(
-        "Findings of `animtool validate` that are known and stay.",
-        [{"code": "TGT101", "why": "it is meant"}],
+        "Findings of `animtool validate` that are accepted.",
+        [{"code": "TGT101", "why": "this is intended"}],
         default=[],
     )

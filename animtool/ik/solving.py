@@ -350,13 +350,13 @@ def check_method(problem: Problem, method: IkMethod) -> None:
     """Raise where a method cannot serve a problem."""
     if method not in set(IkMethod):
         hint = f"methods for this problem: {', '.join(serving(problem))}"
-        raise OptionError(Fault("IK015", f"no method is {method!r}", hint=hint))
+        raise OptionError(Fault("IK015", f"unknown method {method!r}", hint=hint))
     obstacle = _obstacle(problem, method)
     if obstacle is None:
         return
     hint = f"methods for this problem: {', '.join(serving(problem))}"
     if method == IkMethod.FABRIK and _sliding(problem):
-        hint += "; or choose joints that do not travel, or a root below them"
+        hint += "; or choose joints that do not translate, or a root below them"
     raise OptionError(Fault("IK015", f"{method} {obstacle}", hint=hint))
 
 
@@ -366,15 +366,15 @@ def _obstacle(problem: Problem, method: IkMethod) -> str | None:
         return None
     if method == IkMethod.TWO_BONE:
         reason = misfit(problem)
-        return reason and f"does not fit: {reason}"
+        return reason and f"does not apply: {reason}"
     plain = {IkMethod.CCD, IkMethod.FABRIK}
     kinds = [kind for goal in problem.goals for kind in goal.kinds]
     slides = _sliding(problem)
     levels = bool(problem.chain.goals[:, 3].any())
     rules = [
-        (levels, {*plain, IkMethod.GRADIENT, IkMethod.NEWTON}, "heeds no priorities"),
-        (problem.rest_weight > 0, plain, "heeds no preference for a pose"),
-        *((not kind.pulls, plain, f"heeds no {kind.targets}") for kind in kinds),
+        (levels, {*plain, IkMethod.GRADIENT, IkMethod.NEWTON}, "ignores priorities"),
+        (problem.rest_weight > 0, plain, "ignores the preferred pose"),
+        *((not kind.pulls, plain, f"ignores {kind.targets}") for kind in kinds),
         (
             any(kind.turning for kind in kinds),
             {IkMethod.FABRIK},
@@ -394,4 +394,4 @@ def _sliding(problem: Problem) -> list[str]:
 
 
 def _stiff(sliding: list[str]) -> str:
-    return f"is for joints that turn only, and {listed(sliding)} may travel"
+    return f"is for joints that only rotate, but {listed(sliding)} may translate"

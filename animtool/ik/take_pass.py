@@ -122,7 +122,7 @@ def _refuse(faults: list[Fault]) -> None:
 
 PASS = Pass(
     "ik",
-    "Bring joints to targets: hold feet, put hands on props",
+    "Solve joints for targets: hold feet, put hands on props",
     IkPassOptions,
     Scope.CLIP,
     _run,

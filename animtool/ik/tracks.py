@@ -236,7 +236,7 @@ class TargetTracks:
             first, last = Fraction(min(ends)), Fraction(max(ends))
         count = int((last - first) // 1) + 1
         if count > MAX_FRAMES:
-            message = f"the range has {count} frames; at most {MAX_FRAMES} are solved"
+            message = f"the range has {count} frames; the limit is {MAX_FRAMES}"
             raise OptionError(Fault("CLIP006", message, str(self.path)))
         return Clock(self.fps or USUAL_RATE, first, Fraction(1), count)
 
@@ -250,7 +250,7 @@ class TargetTracks:
         faults = []
         if self.fps is not None and self.fps != clock.fps:
             message = f"the targets are at {rate_label(self.fps)}, the take at "
-            hint = f"leave fps out, or write fps: {clock.fps} and frames of that rate"
+            hint = f"remove fps, or write fps: {clock.fps} and frames at that rate"
             message += rate_label(clock.fps)
             line, column = self.rate_place
             place = str(self.path), (line,)
@@ -262,9 +262,11 @@ class TargetTracks:
                     rows = len(value.values)
                     if rows == count:
                         continue
-                    message = f"{value.name!r} has {counted(rows, 'row')}, and the take"
+                    message = (
+                        f"{value.name!r} has {counted(rows, 'row')}, but the take has "
+                    )
                     message += f" {counted(count, 'frame')}"
-                    hint = "range says which frames the rows are for"
+                    hint = "write range to tell which frames the rows are for"
                     faults.append(value.fault(message, hint, str(self.path)))
         if faults:
             raise OptionError(faults)

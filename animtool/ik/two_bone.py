@@ -36,15 +36,15 @@ def misfit(problem: Problem) -> str | None:
     """Return why a problem is no limb of two bones with one position to reach."""
     nodes, goal = problem.chain.nodes, problem.goals[0]
     if len(problem.goals) != 1:
-        return "there is more than one goal"
+        return "the problem has more than one goal"
     asked = {kind.name for kind in goal.kinds}
     if "position" not in asked or not asked <= {"position", "pole"}:
-        return "the goal is not a position, with a pole or without"
+        return "the goal is not a position, with or without a pole"
     if problem.rest_weight > 0:
         return "a pose is preferred"
     # A ball that hangs on nothing, and a joint of its own on it.
     if nodes[:, :2].tolist() != [[BALL, -1], [nodes[-1, 0], 0]] or nodes[1, 3]:
-        return "the joints that move are not a ball and another that hangs on it"
+        return "the joints that move are not a ball joint and a child of it"
     return _stiffness(problem.chain)
 
 
@@ -69,7 +69,7 @@ def _stiffness(chain: Chain) -> str | None:
     plain = chain.numbers[1, 12] == 1 and chain.numbers[1, 13] == 0
     if chain.nodes[1, 0] == PIN and plain and across < ACROSS:
         return None
-    return "its second joint does not turn across both bones"
+    return "its second joint does not rotate about an axis across both bones"
 
 
 def solve_limb(

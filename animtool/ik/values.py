@@ -162,9 +162,9 @@ class Rows:
         if beyond.any():
             message = f"{self.name!r} has {last + 1} rows, for the frames {first:g} to "
             message += (
-                f"{first + last:g}, and none for frame {frames.times[beyond][0]:g}"
+                f"{first + last:g}, but none for frame {frames.times[beyond][0]:g}"
             )
-            hint = "write range into the targets, or an array of another length"
+            hint = "add range to the targets, or use an array of that length"
             raise OptionError(self.fault(message, hint))
         return between(self.values, places)
 
@@ -264,7 +264,7 @@ class ValueReader:
     def _turn(self, at: Location, numbers: list[float]) -> Still | None:
         rotations, wrong = file_quaternions(np.array([numbers], np.float64))
         if wrong:
-            message = f"quaternion {numbers} has no length"
+            message = f"quaternion {numbers} has zero length"
             self.document.add("TGT007", at, message)
             return None
         return Still(tuple(rotations[0].tolist()))
@@ -272,7 +272,7 @@ class ValueReader:
     def _moving(self, at: Location, model: ValueModel, key: str) -> Value | None:
         if (model.keys is None) == (model.prim is None):
             has = "both keys and a prim" if model.prim else "neither keys nor a prim"
-            self.document.add("TGT009", at, f"has {has}", "one of them says where")
+            self.document.add("TGT009", at, f"has {has}", "write one of them")
             return None
         names = _OF_PRIM if model.keys is not None else _OF_KEYS
         idle = [name for name in names if name in model.model_fields_set]
@@ -281,7 +281,7 @@ class ValueReader:
         if key == "orientation" and model.offset:
             idle.append("offset")
         for name in dict.fromkeys(idle):
-            what = "keys have" if model.keys is not None else "a prim has here"
+            what = "keys have" if model.keys is not None else "only a prim has here"
             self.document.add("TGT009", (*at, name), f"{what} no {name}")
         if model.keys is not None:
             given = {
@@ -320,7 +320,7 @@ class ValueReader:
     def _stage(self, at: Location, model: ValueModel) -> Path | None:
         """Return the file of a prim; None where it is not there."""
         if model.file is None:
-            message = f"prim {model.prim!r} is of no file"
+            message = f"prim {model.prim!r} has no file"
             self.document.add("TGT009", at, message, "add file: shot.usda")
             return None
         place = (*at, "file")
@@ -350,9 +350,9 @@ class ValueReader:
             self.document.add("TGT006", at, message)
             return None
         if count is not None and len(values) != count:
-            message = f"{text!r} has {counted(len(values), 'row')}, and the range "
+            message = f"{text!r} has {counted(len(values), 'row')}, but the range has "
             message += counted(count, "frame")
-            self.document.add("TGT006", at, message, "a row for each frame")
+            self.document.add("TGT006", at, message, "write a row for each frame")
             return None
         return self._finite_rows(at, text, values, first)
 
@@ -371,7 +371,7 @@ class ValueReader:
             return Rows(text, values * self.units.length, first, place)
         rotations, wrong = file_quaternions(values)
         if wrong:
-            message = f"{text!r} holds a quaternion without length in row {wrong[0]}"
+            message = f"{text!r} contains a quaternion of zero length in row {wrong[0]}"
             self.document.add("TGT007", at, message)
             return None
         return Rows(text, rotations, first, place)

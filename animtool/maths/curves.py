@@ -358,11 +358,11 @@ def _held(curves: Curves, at: FloatArray) -> FloatArray:
 def _check(curves: Curves) -> None:
     first, keys = curves.first, len(curves.times)
     if first.ndim != 1 or not len(first) or first[0] != 0 or first[-1] != keys:
-        raise ValueError("first must go from 0 to the number of keys")
+        raise ValueError("first must run from 0 to the number of keys")
     if (np.diff(first) < 1).any():
         raise ValueError("every curve needs a key")
     if not len(curves.pre) == len(curves.post) == len(first) - 1:
-        raise ValueError("pre and post must name one extrapolation a curve")
+        raise ValueError("pre and post must name one extrapolation per curve")
     shapes = {"times": (keys,), "values": (keys,), "kinds": (keys,)}
     for name, shape in {**shapes, "ins": (keys, 2), "outs": (keys, 2)}.items():
         array = getattr(curves, name)

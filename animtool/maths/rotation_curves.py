@@ -35,7 +35,7 @@ def aligned_keys(keys: ArrayLike, count: int | str = "K") -> FloatArray:
     q = as_floats(keys, (count, "C", 4) if several else (count, 4), "keys")
     for fault, rows in (
         ("is not finite", ~np.isfinite(q).all(axis=-1)),
-        ("is zero: no rotation", ~q.any(axis=-1)),
+        ("is zero, not a rotation", ~q.any(axis=-1)),
     ):
         if rows.any():
             raise ValueError(f"key {int(np.argwhere(rows)[0, 0])} {fault}")

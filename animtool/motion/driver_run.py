@@ -118,26 +118,27 @@ class DriverRun:
             joint = self.rig.joints[self.rig.index(name)]
             if worst.amount > SAME:
                 message = (
-                    f"the driver of {name!r} goes {_shown(joint, worst.amount)} beyond "
-                    f"its limits at frame {worst.frame:g}; the joint stays inside"
+                    f"the driver of {name!r} exceeds its limits by "
+                    f"{_shown(joint, worst.amount)} at frame {worst.frame:g}; the "
+                    "joint is clamped"
                 )
-                hint = "widen the limits, or drive it less far"
+                hint = "widen the limits, or reduce the driver"
                 fault = _warning("RIG103", message, hint)
                 notices.append((fault, f"joint/{name}", worst.frame))
         for name, worst in self._wrapped.items():
             message = (
-                f"{name} passes half a turn at frame {worst.frame:g}: what it drives "
-                "steps there"
+                f"{name} crosses 180 degrees at frame {worst.frame:g}: what it "
+                "drives jumps there"
             )
-            hint = "limits of the joint's twist say which half turn is the seam"
+            hint = "the limits of the joint's twist place the seam"
             fault = _warning("RIG105", message, hint)
             joint_name = split_coordinate(name)[0]
             notices.append((fault, f"joint/{joint_name}", worst.frame))
         if self._kept and self.replaced:
             names = sorted(target.partition("/")[2] for target in self._kept)
             message = (
-                "the take holds no controls, which drivers read: its own values stay "
-                f"for {listed(names)}"
+                "the take contains no controls for its drivers to read: "
+                f"{listed(names)} keep the take's values"
             )
             fault = Fault("RIG106", message, severity=Severity.NOTE)
             notices.append((fault, sorted(self._kept)[0], 0.0))
@@ -148,10 +149,10 @@ class DriverRun:
                 joint = self.rig.joints[self.rig.index(name)]
                 amount = _shown(joint, worst.amount)
             message = (
-                f"{kind} {name!r} is driven, so the source's motion of it is replaced; "
-                f"the largest difference is {amount}, at frame {worst.frame:g}"
+                f"{kind} {name!r} is driven, which replaces the source's motion of "
+                f"it; the largest difference is {amount}, at frame {worst.frame:g}"
             )
-            hint = "take its `driven` out of the rig to keep the source's motion"
+            hint = "remove its `driven` from the rig to keep the source's motion"
             fault = _warning("RIG104", message, hint)
             notices.append((fault, target, worst.frame))
         return notices
@@ -339,7 +340,7 @@ def _refuse_undefined(rig: Rig, done: DriverValues, times: FloatArray) -> None:
         if wrong.size and len(times):
             frame = times[wrong[0] if len(values) > 1 else 0]
             message = f"the driver of {what} has no value at frame {frame:g}"
-            hint = "an expression divides by nothing, or leaves the numbers"
+            hint = "an expression divides by zero or overflows"
             faults.append(Fault("CLIP015", message, None, (), hint))
     if faults:
         raise FormatError(faults)

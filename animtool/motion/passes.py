@@ -76,7 +76,7 @@ def checked_tracks(
     if not before:
         return stream
     paths = listed([track.path for track in before], MAX_NAMED)
-    message = f"the pass {name} changes the clock, and loses {paths}"
+    message = f"the pass {name} changes the clock and loses {paths}"
     hint = "it must treat track_times as the other channels of a motion"
     lost = OptionError(Fault("SCN045", message, hint=hint))
     if not stream.tracks:
@@ -279,7 +279,7 @@ def find_pass(name: str) -> Pass:
     allowed = sorted({*PASSES, *points})
     near = similar(name, allowed)
     hint = f"did you mean {near}?" if near else None
-    message = f"no pass is named {excerpt(name)}; there are {', '.join(allowed)}"
+    message = f"unknown pass {excerpt(name)}; allowed: {', '.join(allowed)}"
     raise OptionError(Fault("SCN010", message, hint=hint))
 
 
@@ -399,7 +399,7 @@ def _check_points(stream: TakeStream, pass_: Pass) -> None:
         return
     names = ", ".join(sorted(stream.points))
     message = f"{pass_.name} would move joints away from what is simulated: {names}"
-    raise OptionError(Fault("SIM034", message, hint="put simulate behind it"))
+    raise OptionError(Fault("SIM034", message, hint="put simulate after it"))
 
 
 def _untouched(before: Take, after: Take) -> set[str]:

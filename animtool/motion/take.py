@@ -90,7 +90,7 @@ def impossible_values(
             code, what = "TAKE004", "not finite"
             if wrong is None and name == "rotations":
                 wrong = _first_unequal(values)
-                code, what = "TAKE005", "no unit quaternion (x, y, z, w)"
+                code, what = "TAKE005", "not a unit quaternion (x, y, z, w)"
             if wrong is not None:
                 index = wrong[0] if still else int(channel.animated[wrong[1]])
                 when = "" if still else f" at frame {float(clock.times[wrong[0]]):g}"

@@ -128,7 +128,7 @@ def write_page(
     check_page_output(output, paths, overwrite=overwrite)
     if options is not None and isinstance(options.frame_range, FrameList):
         message = "a page plays a range of frames"
-        hint = "1-240x2 plays every second one; .png and .webp show listed ones"
+        hint = "1-240x2 plays every second frame; .png and .webp show listed ones"
         raise OptionError(Fault("PRV006", message, hint=hint, where="frames"))
     with sparing_inputs([output]):
         page = make_page(paths, options)
@@ -139,8 +139,10 @@ def write_page(
 def check_page_output(output: Path, files: Sequence[Path], *, overwrite: bool) -> None:
     """Refuse a page that cannot or must not be written."""
     if output.suffix.lower() not in PAGE_SUFFIXES:
-        message = f"a page is an .html file, and {output.name!r} is none"
-        raise OptionError(Fault("PRV002", message, hint="name it page.html"))
+        message = f"a page is an .html file, but the name is {output.name!r}"
+        raise OptionError(
+            Fault("PRV002", message, hint="name it page.html, for example")
+        )
     check_outputs([output], files, overwrite=overwrite)
 
 

@@ -132,7 +132,7 @@ def skipped(draft: Draft, what: str) -> Iterator[None]:
         more = len(error.faults) - 1
         others = f", and {counted(more, 'more fault')}" if more else ""
         fault = error.faults[0]
-        draft.note(f"{what} is left out: {fault.code} {fault.message}{others}")
+        draft.note(f"{what} is skipped: {fault.code} {fault.message}{others}")
 
 
 def rounded_up(error: float) -> float:

@@ -45,7 +45,7 @@ def add_character(draft: Draft, character: ShownTake, shown: Shown) -> None:
         if needs_points(mesh.mesh.skin):
             draft.note(
                 f"mesh {surface.name!r} is drawn from its points: the viewer skins "
-                "linearly by four joints a vertex"
+                "linearly with four joints per vertex"
             )
             entry["cache"] = _points(draft, shown, mesh)
             continue

@@ -51,12 +51,12 @@ if TYPE_CHECKING:
 
 # Kinds of files that hold nothing to be seen by themselves, and what shows them.
 _UNSEEN = {
-    "batch": "look at what it bakes",
-    "cameras": "look at what it is used for",
-    "landmarks": "look at what it is used for",
-    "map": "look at what it is used for",
-    "markers": "look at a file of markers that it describes",
-    "remap": "look at what it is used for",
+    "batch": "preview its output",
+    "cameras": "preview a file that uses it",
+    "landmarks": "preview a file that uses it",
+    "map": "preview a file that uses it",
+    "markers": "preview a file of its markers",
+    "remap": "preview a file that uses it",
 }
 
 
@@ -141,7 +141,7 @@ def open_file(
     """
     for kind, hint in _UNSEEN.items():
         if is_named(path, kind):
-            message = f"is a {kind} file, which shows nothing by itself"
+            message = f"is a {kind} file, which has nothing to show by itself"
             raise OptionError(Fault("PRV001", message, str(path), (), hint))
     if is_named(path, "scene"):
         return _open_scene(path, options, held)
@@ -208,7 +208,9 @@ def _open_targets(path: Path, *, alone: bool) -> OpenFile:
     assert opened.targets is not None
     opened.notices += opened.targets.notices
     if alone:
-        message = "targets are shown without a rig: in metres, Y up, joints at 0"
+        message = (
+            "targets are shown without a rig: in metres, Y up, joints at the origin"
+        )
         hint = f"animtool preview RIG {path.name} shows them with it"
         opened.notices.append(
             Fault("PRV107", message, str(path), (), hint, Severity.NOTE)
@@ -294,8 +296,8 @@ def _other_takes(path: Path, stream: TakeStream) -> list[Fault]:
     if not isinstance(names, list) or len(names) < 2:
         return []
     shown = stream.details.get("take")
-    message = f"take {shown!r} is shown of {counted(len(names), 'take')}"
-    hint = f"{argument('source.take')} shows another: {listed(names)}"
+    message = f"showing take {shown!r} of {counted(len(names), 'take')}"
+    hint = f"show another with {argument('source.take')}: {listed(names)}"
     return [Fault("PRV101", message, str(path), (), hint, Severity.NOTE)]
 
 
@@ -324,7 +326,7 @@ def _open_scene(path: Path, options: PreviewOptions, held: ExitStack) -> OpenFil
     scene = load_scene(path, dict(options.variables))
     if scene.kept:
         message = f"saves {', '.join(sorted({kept.name for kept in scene.kept}))}"
-        hint = "bake it, and look at its output"
+        hint = "bake it, and preview its output"
         raise OptionError(Fault("PRV004", message, str(path), (), hint))
     output = shown_scene(scene).outputs[0]
     usual = output.bake

@@ -27,26 +27,26 @@ class PreviewOptions:
         None,
         "text",
         metavar="PATH",
-        help="What to show of a USD file.  [default: all]",
+        help="The prim of a USD file to show.  [default: all]",
     )
     over: tuple[str, ...] = option(
         (),
         "texts",
         metavar="LAYER",
-        help="A USD layer laid over a USD file, or over what a scene bakes, such as a "
-        "look or props; of several the first is the strongest.",
+        help="A USD layer over a USD file, or over the output of a scene, such as a "
+        "look or props; the first is the strongest.",
     )
     frame_range: FrameRange | None = option(
         None,
         "frames",
         flag="frames",
-        help="Frames to show, such as 1-240, 1-240x2 or 12; of a picture 1,20,40 too.  "
-        "[default: all]",
+        help="Frames to show, such as 1-240, 1-240x2 or 12; for a picture also "
+        "1,20,40.  [default: all]",
     )
     findings: bool = option(
         True,
         "answer",
-        help="Whether findings of validate are on the page.  [default: "
+        help="Whether the page lists findings of validate.  [default: "
         f"{argument('findings')}]",
     )
     variables: Mapping[str, str] = field(default_factory=dict)
@@ -68,7 +68,8 @@ class PictureOptions:
         None,
         "text",
         metavar="CxR",
-        help="Frames side by side, such as 4x3, spread over the motion or listed.",
+        help="Columns and rows of frames, such as 4x3, spread over the motion or "
+        "listed.",
     )
     camera: tuple[str, ...] = option(
         (),
@@ -82,30 +83,30 @@ class PictureOptions:
         None,
         "text",
         metavar="YAW,PITCH",
-        help="From where the key light comes, seen from the camera [degrees]; positive "
-        "is right, and up.  [default: -27,40]",
+        help="Direction of the key light, relative to the camera [degrees]; positive "
+        "is right and up.  [default: -27,40]",
     )
     caption: tuple[str, ...] = option(
         (),
         "texts",
         metavar="TEXT",
-        help="Text at the top; as many as a sheet has pictures, one for each.",
+        help="Text at the top; one, or one for each picture of a sheet.",
     )
     numbers: bool | None = option(
         None,
         "answer",
-        help="Write the frame's number.  [default: where several frames are shown]",
+        help="Show the frame number.  [default: where several frames are shown]",
     )
     show: tuple[str, ...] = option(
         (),
         "names",
-        help="What is drawn, of bones, axes, meshes, trails, contacts, cameras, grid "
-        "and shadows.  [default: all but axes]",
+        help="What to draw: bones, axes, meshes, trails, contacts, cameras, grid, "
+        "shadows.  [default: all but axes]",
     )
     turntable: bool = option(
         False,
         "switch",
-        help="Let the camera go round once, in 4 s where nothing moves.",
+        help="Turn the camera around once, in 4 s if nothing moves.",
     )
 
 
@@ -124,10 +125,10 @@ class ShowOptions:
     watch: bool = option(
         False,
         "switch",
-        help="Serve the page on this machine alone, and reload it when a file changes.",
+        help="Serve the page on this machine only, and reload it when a file changes.",
     )
     plan: bool = option(
         False,
         "switch",
-        help="Write nothing; print what the page would show, and where it would be.",
+        help="Write nothing; print what the page would show and its path.",
     )

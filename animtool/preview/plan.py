@@ -47,7 +47,7 @@ def page_steps(
             else:
                 steps.append(_read(open_file(path, options, files, held)))
     reads = tuple(str(path) for path in files)
-    left_out = () if options.findings else ("findings: not asked for (findings)",)
+    left_out = () if options.findings else ("findings: not requested (findings)",)
     makes = ("a page" if output is None else str(output),)
     name = "a temporary file" if output is None else output.name
     return [*steps, Step(StepKind.OUTPUT, name, "", reads, makes, left_out)]

@@ -43,12 +43,12 @@ def add_stage(draft: Draft, contents: StageContents) -> None:
 
 def _add_mesh(draft: Draft, prim: ShownPrim, codes: FloatArray) -> None:
     if prim.deforms and prim.changes_faces:
-        draft.note(f"mesh {prim.name!r} changes its faces: its points are drawn")
+        draft.note(f"mesh {prim.name!r} changes its faces: only its points are drawn")
         _add_points(draft, prim, codes)
         return
     faces = prim.faces()
     if faces is None:
-        draft.note(f"mesh {prim.name!r} has no sound faces: it is not drawn")
+        draft.note(f"mesh {prim.name!r} has no valid faces: it is not drawn")
         return
     if not prim.deforms:
         _add_rigid(draft, prim, faces, codes)
@@ -77,7 +77,7 @@ def _add_rigid(draft: Draft, prim: ShownPrim, faces: Faces, codes: FloatArray) -
     times = codes if prim.travels else codes[:1]
     matrices = np.stack([prim.world(code) for code in times.tolist()])
     if not np.isfinite(matrices).all():
-        draft.note(f"{prim.name!r} is placed at no finite place: it is not drawn")
+        draft.note(f"{prim.name!r} has a transform that is not finite: it is not drawn")
         return
     shown = _visible(draft, prim, codes)
     if not prim.travels and shown is None:
@@ -127,7 +127,7 @@ def _cache(draft: Draft, prim: ShownPrim, codes: FloatArray, count: int) -> int:
             rows[i] = points.reshape(-1)
         else:
             rows[i] = rows[i - 1] if i else 0.0
-            draft.note(f"{prim.name!r} has other numbers of points in some frames")
+            draft.note(f"{prim.name!r} has a different number of points in some frames")
     stored = quantized_range(rows, period=3)
     draft.off(position=stored.error)
     return draft.packer.add(stored)
@@ -139,7 +139,7 @@ def _visible(draft: Draft, prim: ShownPrim, codes: FloatArray) -> int | None:
 
 def _add_curves(draft: Draft, prim: ShownPrim, codes: FloatArray) -> None:
     if prim.changes_faces:
-        draft.note(f"curves {prim.name!r} change their number: points are drawn")
+        draft.note(f"the number of curves {prim.name!r} changes: points are drawn")
         _add_points(draft, prim, codes)
         return
     counts = prim.counts()

@@ -42,7 +42,7 @@ def add_targets(
     with skipped(draft, f"targets {tracks.path.name!r}"):
         frames = _frames(draft, tracks)
         if not len(frames):
-            draft.note(f"targets {tracks.path.name!r} are of other frames")
+            draft.note(f"targets {tracks.path.name!r} have other frames")
             return
         turn = up_from_up(UpAxis.Y, UpAxis(up))
         rig, world = _posed(tracks, shown, frames, turn)

@@ -97,7 +97,9 @@ def gathered_part(
         notices += [one for one in said if one.code not in quiet]
         start = Fraction(1) if stream.start is None else stream.start
     if asked is not None and take.stream.fps != fps:
-        message = f"has {rate_label(take.stream.fps)} and is shown at {rate_label(fps)}"
+        message = (
+            f"has {rate_label(take.stream.fps)}, but is shown at {rate_label(fps)}"
+        )
         note = Fault("PRV103", message, str(file.path), severity=Severity.NOTE)
         notices.append(note)
     gathered = Gathered(stream.blocks, stream.rig.meters_per_unit)
@@ -113,7 +115,7 @@ def align(parts: list[TimedPart]) -> list[Fault]:
         if part.first > lead.last or part.last < lead.first:
             message = (
                 f"take {part.take.name!r} begins at frame {frame_label(part.first)}, "
-                f"and is shown from frame {frame_label(lead.first)}"
+                f"but is shown from frame {frame_label(lead.first)}"
             )
             notices.append(Fault("PRV104", message, severity=Severity.NOTE))
             part.shift = lead.first - part.first
@@ -168,7 +170,7 @@ def timeline_of(
             raise OptionError(Fault("CLI005", message))
     count = int((last - first) / step) + 1
     if count > MAX_FRAMES:
-        message = f"the page would have {count} frames; at most {MAX_FRAMES} are shown"
+        message = f"the page would have {count} frames; the limit is {MAX_FRAMES}"
         raise OptionError(Fault("PRV003", message, hint=FEWER))
     return Timeline(fps, first, step, count)
 

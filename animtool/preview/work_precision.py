@@ -73,7 +73,7 @@ class Panel:
 def check_drawable(path: Path) -> None:
     """Refuse a picture without matplotlib (IO005), or of no such kind (SCN072)."""
     if path.suffix.lower() not in SUFFIXES:
-        message = f"{path.suffix or 'a name without a suffix'} is no kind of picture"
+        message = f"{path.suffix or 'a name without a suffix'} is not a kind of picture"
         hint = f"name it {', '.join(SUFFIXES)}"
         raise OptionError(Fault("SCN072", message, str(path), (), hint))
     _figures()

@@ -195,7 +195,7 @@ def _streams_apart(one: TakeStream, two: TakeStream) -> TakeDifference:
     difference.notices.extend([*one.notices, *two.notices])
     difference.notes.extend(_space_notes(one.rig, two.rig))
     if None not in {one.start, two.start} and one.start != two.start:
-        codes = f"{float(one.start or 0):g} against {float(two.start or 0):g}"
+        codes = f"{float(one.start or 0):g} instead of {float(two.start or 0):g}"
         difference.notes.append(f"first time code {codes}; compared from there")
     return difference
 
@@ -280,11 +280,11 @@ def _space_notes(first: Rig, second: Rig) -> list[str]:
     """Say in which units and up axes two files are, where these differ."""
     notes = []
     if first.up is not second.up:
-        ups = f"{first.up} up against {second.up} up"
+        ups = f"{first.up} up instead of {second.up} up"
         notes.append(f"{ups}; compared with {first.up} up")
     if not math.isclose(first.meters_per_unit, second.meters_per_unit, rel_tol=1e-6):
         units = [unit_name(rig.meters_per_unit) for rig in (first, second)]
-        notes.append(f"lengths in {units[0]} against {units[1]}; compared in metres")
+        notes.append(f"lengths in {units[0]} instead of {units[1]}; compared in metres")
     return notes
 
 
@@ -359,7 +359,7 @@ def _mismatches(first: Take, second: Take, pairs: list[tuple[int, int]]) -> list
             names.append(lost_text("joint", missing, other))
     if first.clock.count != second.clock.count:
         frames = counted(first.clock.count, "frame")
-        names.append(f"{frames} against {second.clock.count}")
+        names.append(f"{frames} instead of {second.clock.count}")
     if first.clock.rate != second.clock.rate:
-        names.append(f"{first.clock.rate} fps against {second.clock.rate}")
+        names.append(f"{first.clock.rate} fps instead of {second.clock.rate}")
     return names

@@ -77,9 +77,9 @@ def compare_points(first: Path, second: Path) -> PointsDifference | None:
     for name in both:
         codes = one.codes(name), two.codes(name)
         if one.type(name) != two.type(name):
-            mismatches.append(f"{name}: {one.type(name)} against {two.type(name)}")
+            mismatches.append(f"{name}: {one.type(name)} instead of {two.type(name)}")
         if len(codes[0]) != len(codes[1]):
-            counts = f"{counted(len(codes[0]), 'sample')} against {len(codes[1])}"
+            counts = f"{counted(len(codes[0]), 'sample')} instead of {len(codes[1])}"
             mismatches.append(f"{name}: {counts}")
         for code, a, b in _pairs(one, two, name, codes):
             samples += 1
@@ -93,7 +93,7 @@ def compare_points(first: Path, second: Path) -> PointsDifference | None:
                     candidate = float(values[worst]), name, int(ids[worst]), code
                     largest[kind] = PointDifference(*candidate)
     if one.fps != two.fps:
-        mismatches.append(f"{one.fps} time codes a second against {two.fps}")
+        mismatches.append(f"{one.fps} time codes per second instead of {two.fps}")
     return PointsDifference(
         "points",
         **largest,
@@ -148,17 +148,17 @@ def _turned(one: PointSource, two: PointSource, sample: PointSample) -> PointSam
 def _unlike(a: PointSample, b: PointSample) -> str:
     """Return in words why two samples have not the same points; empty where they do."""
     if len(a.points) != len(b.points):
-        return f"{counted(len(a.points), 'point')} against {len(b.points)}"
+        return f"{counted(len(a.points), 'point')} instead of {len(b.points)}"
     if a.ids is not None and b.ids is not None:
         alone = np.setdiff1d(a.ids, b.ids)
         if len(alone):
-            return f"the second has no point with the id {int(alone[0])}"
+            return f"the second file has no point with the id {int(alone[0])}"
     if a.copied is not None and b.copied is not None:
         ids, mine, theirs = _matched(a, b)
         (other,) = np.nonzero(a.copied[mine] != b.copied[theirs])
         if len(other):
             i = int(other[0])
-            meshes = f"mesh {a.copied[mine][i]} against {b.copied[theirs][i]}"
+            meshes = f"mesh {a.copied[mine][i]} instead of {b.copied[theirs][i]}"
             return f"point {int(ids[i])} is a copy of {meshes}"
     return ""
 
@@ -191,7 +191,7 @@ def _start_notes(one: PointSource, two: PointSource, names: list[str]) -> list[s
     starts = [(one.codes(name)[:1], two.codes(name)[:1]) for name in names]
     for mine, theirs in starts:
         if mine and theirs and mine != theirs:
-            codes = f"{mine[0]:g} against {theirs[0]:g}"
+            codes = f"{mine[0]:g} instead of {theirs[0]:g}"
             return [f"first time code {codes}; compared from there"]
     return []
 
@@ -199,8 +199,8 @@ def _start_notes(one: PointSource, two: PointSource, names: list[str]) -> list[s
 def _notes(one: PointSource, two: PointSource) -> list[str]:
     notes = []
     if one.up is not two.up:
-        notes.append(f"{one.up} up against {two.up} up; compared with {one.up} up")
+        notes.append(f"{one.up} up instead of {two.up} up; compared with {one.up} up")
     if one.unit != two.unit:
         units = unit_name(one.unit), unit_name(two.unit)
-        notes.append(f"lengths in {units[0]} against {units[1]}; compared in metres")
+        notes.append(f"lengths in {units[0]} instead of {units[1]}; compared in metres")
     return notes

@@ -22,7 +22,7 @@ _HEAD: tuple[Line, ...] = (
     "[{?reference.error.rms}  error of the reference: {reference.error.rms:milli} mm "
     "(rms)[, observed order {reference.order:.1f}]"
     "[{?reference.sensitive}; not small: the motion is sensitive]]",
-    "  work: number of {unit}",
+    "  skipped: {value:list}: {key}",
 )
 _ROWS = Table(
     "tried",
@@ -75,7 +75,7 @@ def _ending(row: TrialRow) -> str:
     if step == 0:
         text += "; no step is stable"
     elif step is not None and math.isfinite(step):
-        text += f"; steps up to {plain(step)} s are stable"
+        text += f"; stable up to steps of {plain(step)} s"
     return text
 
 
@@ -106,13 +106,13 @@ def _advice(part: TrialTable) -> str:
         )
     if better is None:
         return (
-            "no setting is as exact and at least a fifth cheaper than the current one"
+            "no setting is as accurate and at least 20 % cheaper than the current one"
         )
     if chosen.error is None:
         return f"the current setting fails; {better.setting} works"
     share = _cost(better, part.cost) / _cost(chosen, part.cost)
     what = "time" if part.cost is CostMeasure.SECONDS else str(part.cost)
-    return f"{better.setting} is as exact in {share:.0%} of the {what}"
+    return f"{better.setting} is as accurate in {share:.0%} of the {what}"
 
 
 def _cost(row: TrialRow, measure: CostMeasure) -> float:

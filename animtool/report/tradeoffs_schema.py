@@ -17,10 +17,10 @@ class DistancesModel(_Model):
     """How far points are from where the reference has them."""
 
     largest: float = Field(description="[m]")
-    rms: float = Field(description="Root of the mean of squares [m].")
+    rms: float = Field(description="Root mean square [m].")
     median: float = Field(description="[m]")
-    apart: float = Field(description="Share of the points that only one has.")
-    angle: float | None = Field(None, description="Of orientations, rms [rad].")
+    apart: float = Field(description="Fraction of points that only one of them has.")
+    angle: float | None = Field(None, description="RMS of orientations [rad].")
 
 
 class SettingModel(_Model):
@@ -33,26 +33,30 @@ class SettingModel(_Model):
 class ReferenceModel(SettingModel):
     """What settings are compared with."""
 
-    error: DistancesModel = Field(description="How far it may be off itself.")
-    order: float | None = Field(description="Power of the step that errors go with.")
-    sensitive: bool = Field(description="Whether no step brings the motion near.")
+    error: DistancesModel = Field(description="Uncertainty of the reference.")
+    order: float | None = Field(
+        description="Observed order of convergence in the step."
+    )
+    sensitive: bool = Field(
+        description="Whether the motion does not converge at any step."
+    )
 
 
 class RowModel(SettingModel):
     """A setting, and what it comes to."""
 
-    status: str = Field(description="How it ended: `ok`, `blew up`, `left out`, …")
-    reason: str = Field(description="Why it has no error; empty where it has one.")
-    stable_step: float | None = Field(description="The largest that is stable [s].")
+    status: str = Field(description="Outcome: `ok`, `blew up`, `left out`, …")
+    reason: str = Field(description="Why there is no error; empty if there is one.")
+    stable_step: float | None = Field(description="The largest stable step [s].")
     seconds: float
-    steps: int = Field(description="Work that was counted, in the unit of the table.")
-    bytes: int = Field(description="Size of what was written; 0 where nothing was.")
+    steps: int = Field(description="Work, in the unit of the table.")
+    bytes: int = Field(description="Size of the output; 0 if none was written.")
     error: DistancesModel | None
-    energy_drift: float | None = Field(description="Share of the largest energy.")
-    figures: dict[str, float] = Field(description="Stretch, depth, misses by name.")
-    worst: str = Field(description="Where the largest distance is.")
-    chosen: bool = Field(description="Whether it is the current setting.")
-    best: bool = Field(description="Whether no other that is as exact is cheaper.")
+    energy_drift: float | None = Field(description="Relative to the largest energy.")
+    figures: dict[str, float] = Field(description="Strain, depth, misses by name.")
+    worst: str = Field(description="Where the largest error is.")
+    chosen: bool = Field(description="Whether this is the current setting.")
+    best: bool = Field(description="Whether it is on the Pareto front.")
     recommended: bool
 
 
@@ -61,14 +65,16 @@ class TableModel(_Model):
 
     name: str
     kind: str
-    span: float = Field(description="How long it is [s].")
-    instants: int = Field(description="At how many times points were compared.")
+    span: float = Field(description="Duration [s].")
+    instants: int = Field(description="Number of times at which points were compared.")
     points: int
-    extent: float = Field(description="Diagonal of the box that they stay in [m].")
-    measure: Literal["largest", "rms"] = Field(description="What rows are judged by.")
+    extent: float = Field(description="Diagonal of the bounding box of the motion [m].")
+    measure: Literal["largest", "rms"] = Field(
+        description="The error that rows are ranked by."
+    )
     cost: Literal["seconds", "bytes", "steps"]
-    unit: str = Field(description="What `steps` count.")
-    lines: list[str] = Field(description="How the recommended setting is asked for.")
+    unit: str = Field(description="The unit of `steps`.")
+    lines: list[str] = Field(description="How to select the recommended setting.")
     reference: ReferenceModel | None
     rows: list[RowModel]
 
@@ -78,6 +84,6 @@ class TradeoffsModel(_Model):
 
     report: Literal["animtool/1"]
     source: str
-    budget: float | None = Field(description="The error that will do [m].")
+    budget: float | None = Field(description="The error budget [m].")
     tables: list[TableModel]
     notices: list[dict[str, Any]]

@@ -162,10 +162,10 @@ def _one_person(search: _Search) -> list[Fault]:
         return []
     names = body.rig.names
     message = (
-        f"{len(others) + 1} skeletons in one file: that of {names[main]!r} is mapped, "
-        f"{listed([repr(names[r]) for r in others], MAX_NAMED)} left out"
+        f"{len(others) + 1} skeletons in one file: that of {names[main]!r} is "
+        f"mapped, {listed([repr(names[r]) for r in others], MAX_NAMED)} are skipped"
     )
-    hint = "write the others to files of their own"
+    hint = "export the others to separate files"
     return [Fault("MAP103", message, hint=hint, severity=Severity.WARNING)]
 
 
@@ -414,20 +414,20 @@ def _doubts(search: _Search) -> list[Fault]:
     texts = []
     missing = _missing_legs(roles)
     if missing:
-        hint = "root motion is scaled as the rest of the body, and no feet are held"
+        hint = "root motion is scaled like the rest of the body, and no feet are held"
         if missing in ONE_LEG:
-            hint = "the foot of the other one alone is held"
+            hint = "only the other foot is held"
         texts.append(("MAP101", f"{rig.name!r} has no {missing}", hint))
     if len(rig.joints) > 1 and body.size <= 0:
         message = f"all offsets of {rig.name!r} are zero: it has no rest pose"
-        texts.append(("MAP102", message, "joints are mapped by their names alone"))
+        texts.append(("MAP102", message, "joints are mapped by name only"))
     if blunt:
         names = listed(blunt, MAX_NAMED)
-        message = f"nothing of {rig.name!r} shows where {names} end"
-        texts.append(("MAP104", message, "the hand goes on as the forearm does"))
+        message = f"the rest pose of {rig.name!r} does not show where {names} end"
+        texts.append(("MAP104", message, "the hand is assumed to continue the forearm"))
     if search.guessed:
-        message = f"nothing tells left from right in {rig.name!r}"
-        hint = "the first limb of the file is taken for the left one; check the map"
+        message = f"left and right cannot be told apart in {rig.name!r}"
+        hint = "the first limb of the file is assumed to be the left one; check the map"
         texts.append(("MAP105", message, hint))
     return [
         Fault(code, message, hint=hint, severity=Severity.WARNING)

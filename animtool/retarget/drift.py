@@ -89,7 +89,7 @@ def without_drift(take: Take, options: DriftOptions, context: PassContext) -> Ta
     person = Person.of(take.rig, found.source.roles)
     stance = _stance(take, person, heading=options.heading)
     if stance is None:
-        message = "no foot stands long enough to tell drift: nothing is changed"
+        message = "no foot is planted long enough to measure drift: nothing is changed"
         context.notices.append(Fault("CAP103", message, severity=Severity.WARNING))
         return take
     old, at = take.motion, np.array([take.rig.roots[0]])
@@ -113,8 +113,8 @@ def without_drift(take: Take, options: DriftOptions, context: PassContext) -> Ta
     )
     far = float(np.linalg.norm(places - before, axis=1).max())
     degrees = float(np.degrees(np.abs(angle)).max())
-    message = f"the root is moved by up to {length_text(far)} and turned by up to "
-    message += f"{angle_text(degrees)}, as feet that stand say"
+    message = f"the root is moved by up to {length_text(far)} and rotated by up to "
+    message += f"{angle_text(degrees)}, measured from planted feet"
     context.notices.append(Fault("CAP104", message, severity=Severity.NOTE))
     return replace(take, motion=motion)
 
@@ -247,7 +247,7 @@ def _slope(values: FloatArray, rate: float) -> FloatArray:
 
 PASS = Pass(
     "root_drift",
-    "Take out how a captured root drifts",
+    "Remove the drift of a captured root",
     DriftOptions,
     Scope.CLIP,
     without_drift,

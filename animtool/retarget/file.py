@@ -27,16 +27,16 @@ class MapEntryModel(FileModel):
     """Joints of the target that follow joints of the source."""
 
     source: Joints = key(
-        "A joint of the take's skeleton, or several of a chain, from its root on.",
+        "A joint of the take's skeleton, or several joints of a chain, root first.",
         "mixamorig:Spine",
     )
     target: Joints = key(
-        "The joint of the rig that follows it, or several. Chains of unequal length "
-        "share by their normalised lengths.",
+        "The joint of the rig that follows it, or several. Chains of different "
+        "numbers of joints are matched by normalised length.",
         ["spine_01", "spine_02"],
     )
     role: Name | None = key(
-        "What it is of a body. Not given: as names and structure say.",
+        "The role in the body. Default: found from names and structure.",
         "spine",
         default=None,
     )
@@ -47,16 +47,18 @@ class MapTwistModel(FileModel):
 
     joint: Name = key("The joint that twists.", "upperarm_twist_01_l")
     bone: Name = key("The joint whose bone is twisted.", "upperarm_l")
-    share: Share = key("0 is none of the twist, 1 all of it.", 0.5)
+    share: Share = key("Fraction of the twist, from 0 to 1.", 0.5)
 
 
 class MapIgnoredModel(FileModel):
     """Joints that are left as they are."""
 
     source: list[Name] = key(
-        "Of the source: they move nothing.", ["HeadTop_End"], default=[]
+        "Joints of the source to ignore.", ["HeadTop_End"], default=[]
     )
-    target: list[Name] = key("Of the target.", ["ik_foot_l"], default=[])
+    target: list[Name] = key(
+        "Joints of the target to ignore.", ["ik_foot_l"], default=[]
+    )
 
 
 class MapModel(FileModel):
@@ -67,24 +69,24 @@ class MapModel(FileModel):
         "Which joints follow which.", [{"source": "Hips", "target": "pelvis"}]
     )
     others: Literal["none", "auto"] = key(
-        "Joints that the file does not name: `none` leaves them as they are, `auto` "
-        "maps them as without a file.",
+        "Joints that the file does not name: `none` keeps them at rest, `auto` maps "
+        "them as without a file.",
         "auto",
         default="none",
     )
     twists: list[MapTwistModel] | None = key(
-        "Joints that share a bone's twist. Not given: those that names show.",
+        "Joints that share a bone's twist. Default: those recognised by name.",
         [{"joint": "upperarm_twist_01_l", "bone": "upperarm_l", "share": 0.5}],
         default=None,
     )
     ignored: MapIgnoredModel = key(
-        "Joints that are left as they are, whatever `others` says.",
+        "Joints to keep at rest, whatever `others` states.",
         {"target": ["ik_foot_l"]},
         default=MapIgnoredModel(),
     )
     ignore: list[IgnoreModel] = key(
-        "Findings of `animtool validate` that are known and stay.",
-        [{"code": "MAP002", "why": "it is meant"}],
+        "Findings of `animtool validate` that are accepted.",
+        [{"code": "MAP002", "why": "this is intended"}],
         default=[],
     )
 
@@ -132,8 +134,8 @@ def map_of_document(document: Document) -> MapFile:
     for i, entry in enumerate(model.joints):
         for name in _names(entry.target):
             if name in taken:
-                message = f"{name!r} follows the joints of two entries"
-                hint = f"leave it out here, or of joints[{taken[name]}]"
+                message = f"{name!r} appears in two entries as a target"
+                hint = f"remove it here or from joints[{taken[name]}]"
                 document.add("MAP002", ("joints", i, "target"), message, hint)
             taken.setdefault(name, i)
         if entry.role is not None and entry.role not in ROLES:

@@ -24,60 +24,60 @@ class RetargetOptions:
     map: Path | None = option(
         None,
         "file",
-        help="A map file (.map.yaml): which joint follows which. Joints that it does "
-        "not name stay at rest, unless it says others: auto.",
+        help="A map file (.map.yaml) with the joints that follow each other. Unnamed "
+        "joints stay at rest, unless it has others: auto.",
     )
     by: MapMode = option(
         "auto",
         "name",
         choices=get_args(MapMode),
-        help="How joints are recognised: by their names and by where they are in the "
-        "body, by one of both, or (rename) each by a joint of the same name.",
+        help="How joints are recognised: by name and by position in the body, by one "
+        "of these, or (rename) by equal names.",
     )
     preset: str | None = option(
         None,
         "text",
         metavar="NAME",
-        help="The convention of the source's names.  [default: the nearest]",
+        help="Naming convention of the source.  [default: the nearest]",
     )
     target_preset: str | None = option(
         None,
         "text",
         metavar="NAME",
-        help="The convention of the rig's names.  [default: the nearest]",
+        help="Naming convention of the rig.  [default: the nearest]",
     )
     rest: int | Literal["rig"] | None = option(
         None,
         "source_rest",
         metavar="offsets|frame:N|rig",
-        help="Where the rest pose of the source comes from; rig: it rests as the rig "
-        "does, whatever its offsets are.  [default: offsets]",
+        help="Rest pose of the source: its offsets, a frame, or (rig) the rest pose "
+        "of the rig.  [default: offsets]",
     )
     free_feet: bool = option(
         False,
         "switch",
         flag="feet",
         choices=("hold", "free"),
-        help="Whether feet stay where they stand, or slide.  [default: hold]",
+        help="Hold planted feet in place, or let them slide.  [default: hold]",
     )
     hold_hands: bool = option(
         False,
         "switch",
         flag="hands",
         choices=("free", "hold"),
-        help="Whether arms turn as the source's, or hands keep their contacts with "
+        help="Copy the rotations of the arms, or keep the contacts of hands with "
         "each other and the ground.  [default: free]",
     )
     force_fit: bool = option(
         False,
         "switch",
-        help="Bring over what is paired, though it is less than one limb or a third of "
-        "the joints that move.",
+        help="Retarget even if less than one limb or a third of the moving joints is "
+        "paired.",
     )
     warn_above: float | None = option(
         None,
         "amount",
         metavar="TIMES",
-        help="Warn where drift, soles or another score is more than so many times what "
-        f"a good take has; with {argument('strict')} that fails.",
+        help="Warn where drift, soles or another score exceeds this multiple of a "
+        f"good take's; an error with {argument('strict')}.",
     )

@@ -112,7 +112,7 @@ def map_joints(
         twists = _twists(target, anatomies[1], pairing)
     if not pairs:
         message = f"no joint of {source.name!r} maps to one of {target.name!r}"
-        hint = "name a preset of each, or write a map file"
+        hint = "name a preset for each, or write a map file"
         raise OptionError(Fault("MAP004", message, hint=hint))
     used = {pair.source for pair in pairs.values()}
     used |= {j for chain in chains for j in chain.source}

@@ -239,7 +239,7 @@ def lying_notice(path: Path, rig: Rig, motion: Motion) -> list[Fault]:
     axis = stands_along(rig, motion, anatomy(rig).roles)
     if axis is None:
         return []
-    message = f"the body stands along {axis}, and {rig.up} is taken as up"
+    message = f"the body stands along {axis}, but the up axis is {rig.up}"
     hint = f"read it with {argument('source.up', axis)}"
     return [Fault("MOT214", message, str(path), (), hint, Severity.NOTE)]
 

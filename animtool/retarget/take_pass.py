@@ -97,7 +97,7 @@ def lacking_pairs(
     if limbs and not whole:
         message += f", and none of its limbs ({listed(sorted(limbs), MAX_NAMED)})"
     hint = (
-        "write a map file, or bring what is paired all the same with "
+        "write a map file, or retarget what is paired with "
         f"{argument('force_fit', True)}, "
     )
     hint += "in a pass force_fit: true"
@@ -128,15 +128,15 @@ def collapsed(source: Rig, found: JointMap, longest: FloatArray) -> Fault | None
         return None
     names = listed([repr(source.names[j]) for j in bones], MAX_NAMED)
     message = (
-        f"{counted(len(bones), 'limb bone')} of {source.name!r} have no length in any "
-        f"frame, and up to {length_text(float(lengths[bones].max()))} at rest: {names} "
-        "are at their parents"
+        f"{counted(len(bones), 'limb bone')} of {source.name!r} have zero length in "
+        f"every frame, but up to {length_text(float(lengths[bones].max()))} at rest: "
+        f"{names} are at their parents' positions"
     )
     hint = (
-        f"of a BVH, {argument('source.positions', 'offsets')} lets OFFSETs hold; "
+        f"for a BVH, {argument('source.positions', 'offsets')} uses the OFFSETs; "
         f"{argument('force_fit', True)}, in a pass "
     )
-    hint += "force_fit: true, takes it as it is"
+    hint += "force_fit: true, retargets it as it is"
     return Fault("MAP011", message, hint=hint)
 
 
@@ -215,10 +215,13 @@ def onto_rig(
     if stream.details.get("up_choice") != "stated":
         stands = stands_along(source, first, found.source.roles)
     if stands is not None:
-        message = f"the take stands along {stands}, though its up axis is {source.up}; "
-        message += f"it is taken as {stands} up"
+        message = (
+            f"the body stands along {stands}, though the take's up axis is "
+            f"{source.up}; "
+        )
+        message += f"using {stands} up"
         hint = (
-            f"say so with {argument('source.up', stands)}, or "
+            f"confirm with {argument('source.up', stands)}, or write "
             f"{argument('source.up', source.up)} if it lies"
         )
         notices.append(Fault("MAP009", message, hint=hint, severity=Severity.WARNING))
@@ -241,8 +244,8 @@ def onto_rig(
     made.forced = [] if lacking is None else [lacking]
     contacts = made.standing.contacts if lock else ()
     if contacts and not any(own.any.any() for own in contacts):
-        message = "no foot stands in any frame: none is held"
-        hint = "is the take of a person with legs, and longer than two frames?"
+        message = "no foot is planted in any frame: none is held"
+        hint = "does the take show a person with legs, for more than two frames?"
         notices.append(Fault("MAP007", message, hint=hint, severity=Severity.NOTE))
     return made, found, notices
 
@@ -287,7 +290,7 @@ def _rest(
             turns = motion.select(slice(frame - 1 - count, frame - count)).rotations
             return turns.dense()[0], chain(held, blocks)
         count += motion.frames
-    message = f"the rest pose is that of frame {frame}, and there are {count}"
+    message = f"the rest pose is frame {frame}, but the take has {count}"
     raise OptionError(Fault("MAP006", message, where="rest"))
 
 
@@ -311,10 +314,10 @@ def _scale_warnings(scale: float) -> list[Fault]:
     low, high = LIKELY_SCALES
     if low <= scale <= high:
         return []
-    message = f"the rig is {scale:.3g} times as large as who is in the take"
+    message = f"the rig is {scale:.3g} times the size of the person in the take"
     hint = (
-        f"is the unit right? {argument('source.unit')} says that of a BVH take, a "
-        "rig file its own"
+        f"is the unit right? {argument('source.unit')} sets that of a BVH take; a "
+        "rig file states its own"
     )
     return [Fault("MAP106", message, hint=hint, severity=Severity.WARNING)]
 
@@ -376,8 +379,8 @@ def checked_blocks(
     for score in scores_of(made.report()).scores:
         if score.excess > options.warn_above:
             good = replace(score, value=score.usual).text
-            message = f"{score.name} {score.text}, and a good take has up to {good}"
-            hint = "the report names the joints; limits, map or rest pose may be why"
+            message = f"{score.name} {score.text}; a good take has up to {good}"
+            hint = "the report names the joints; check limits, map and rest pose"
             file = None if path is None else str(path)
             fault = Fault("MAP107", message, file, (), hint, Severity.WARNING)
             notices.append(fault)
@@ -425,8 +428,8 @@ def nobody(error: OptionError) -> Fault:
     """Return a warning that a take is of no person, where that is what is wrong."""
     if error.code != "MAP004":
         raise error
-    message = "no person is found in the take: it stays as it is"
-    hint = "name its joints in a map file, or leave out what is for persons"
+    message = "no person was recognised in the take: it is unchanged"
+    hint = "name its joints in a map file, or skip what needs a person"
     return Fault("CAP105", message, hint=hint, severity=Severity.WARNING)
 
 
@@ -461,7 +464,7 @@ def held_feet(take: Take, options: FeetOptions, context: PassContext) -> Take:
 
 FEET = Pass(
     "feet",
-    "Hold feet where they stand",
+    "Hold planted feet in place",
     FeetOptions,
     Scope.CLIP,
     held_feet,

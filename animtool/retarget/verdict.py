@@ -29,7 +29,7 @@ class Status(StrEnum):
     """What to do with a take."""
 
     GOOD = "good"
-    LOOK = "look at these frames"
+    LOOK = "check these frames"
     UNUSABLE = "not usable"
 
 

@@ -88,7 +88,7 @@ class ArrayReader:
             self.document.add("RIG019", at, message)
             return False
         if role in _COUNTING and header.kind not in "iu":
-            message = f"{ref.text!r} holds floats, not whole numbers"
+            message = f"{ref.text!r} contains floats, not whole numbers"
             self.document.add("RIG019", at, message)
             return False
         if role in {"faces", "strands"} and not header.shape[0]:
@@ -96,11 +96,15 @@ class ArrayReader:
             self.document.add("RIG019", at, f"{ref.text!r} has no {kind}")
             return False
         if role == "strands" and header.shape[1] < 2:
-            message = f"{ref.text!r} has strands of {header.shape[1]} points, not 2"
+            message = (
+                f"{ref.text!r} has strands of {header.shape[1]} points, fewer than 2"
+            )
             self.document.add("RIG019", at, message)
             return False
         if role == "faces" and header.shape[1] < 3:
-            message = f"{ref.text!r} has faces of {header.shape[1]} corners, not 3"
+            message = (
+                f"{ref.text!r} has faces of {header.shape[1]} corners, fewer than 3"
+            )
             self.document.add("RIG019", at, message)
             return False
         return True
@@ -117,10 +121,10 @@ def _value_fault(role: str, values: npt.NDArray[Any], count: int | None) -> str 
         if spot is None:
             return None
         most = "" if count is None else f" to {count - 1}"
-        return f"holds {values[spot]} at {list(spot)}, not 0{most}"
+        return f"contains {values[spot]} at {list(spot)}, not 0{most}"
     spot = _first(~np.isfinite(values))
     if spot is not None:
-        return f"holds {values[spot]} at {list(spot)}, not a finite number"
+        return f"contains {values[spot]} at {list(spot)}, not a finite number"
     if role == "strands":
         return _strand_fault(values)
     return _weight_fault(values) if role == "weights" else None
@@ -131,13 +135,13 @@ def _strand_fault(values: npt.NDArray[Any]) -> str | None:
     if spot is None:
         return None
     strand, point = spot
-    return f"has points {point} and {point + 1} of strand {strand} in one place"
+    return f"has points {point} and {point + 1} of strand {strand} at the same position"
 
 
 def _weight_fault(values: npt.NDArray[Any]) -> str | None:
     spot = _first(values < 0)
     if spot is not None:
-        return f"holds {values[spot]} at {list(spot)}, a negative weight"
+        return f"contains {values[spot]} at {list(spot)}, a negative weight"
     spot = _first(np.asarray(~values.any(axis=1)))
     return None if spot is None else f"gives vertex {spot[0]} no weight"
 
@@ -204,12 +208,12 @@ class AttachmentReader:
         )
         every = ("joints", "joint", "mesh", "pins", "points")
         given = [key for key in every if getattr(entry, key) is not None]
-        hint = f"it has {', '.join((*wants, *takes))}"
+        hint = f"its keys are {', '.join((*wants, *takes))}"
         if entry.kind not in _ATTACH_KEYS:
             kinds = [str(kind) for kind in AttachKind]
             hint = nearest(entry.kind, kinds)
             if similar(entry.kind, kinds, SLIP):
-                message = f"no known kind of attachment is called {entry.kind!r}"
+                message = f"unknown kind of attachment {entry.kind!r}"
                 self.document.warn("RIG102", (*at, "kind"), message, hint)
         for key in wants:
             sure = not self.document.doubtful((*at, key))
@@ -218,5 +222,5 @@ class AttachmentReader:
                 self.document.add("RIG031", at, message, hint)
         for key in given:
             if key not in (*wants, *takes):
-                message = f"an attachment of kind {entry.kind!r} takes no {key}"
+                message = f"an attachment of kind {entry.kind!r} does not use {key}"
                 self.document.add("RIG031", (*at, key), message, hint)

@@ -33,13 +33,13 @@ def read_driver(
     """
     if (model.expr is None) == (model.curve is None):
         message = "has both expr and curve" if model.expr else "has no expr or curve"
-        document.add("RIG015", at, message, "one of them says the value")
+        document.add("RIG015", at, message, "write one of them for the value")
         return None
     if model.expr is not None:
         return _of_expression(document, at, model, units, unit)
     if model.by is None:
-        message = "the curve does not say what it reads"
-        document.add("RIG015", at, message, "by: elbow.angle, say")
+        message = "the curve does not name its input"
+        document.add("RIG015", at, message, "write by: elbow.angle, for example")
         return None
     points = tuple((x, y) for x, y in model.curve or ())
     if list(ascending_faults(document, (*at, "curve"), [x for x, _ in points])):
@@ -55,8 +55,8 @@ def _of_expression(
     unit: float,
 ) -> Driver | None:
     if model.by is not None:
-        message = "`by` is of a curve; an expr names what it reads"
-        document.add("RIG015", (*at, "by"), message, "leave it out")
+        message = "`by` belongs to a curve; an expr names its inputs"
+        document.add("RIG015", (*at, "by"), message, "remove it")
         return None
     refuse_smooth(document, at, model.interp)
     try:
@@ -71,8 +71,8 @@ def _of_expression(
 def refuse_smooth(document: Document, at: Location, interp: str) -> None:
     """Note an ``interp`` beside an expression, which it would not change."""
     if interp == "smooth":
-        message = "`interp` joins the points of a curve, and this is an expr"
-        document.add("RIG015", (*at, "interp"), message, "leave it out")
+        message = "`interp` joins the points of a curve, but this is an expr"
+        document.add("RIG015", (*at, "interp"), message, "remove it")
 
 
 def ascending_faults(
@@ -80,7 +80,7 @@ def ascending_faults(
 ) -> Iterator[int]:
     """Note and yield the points of a curve that do not ascend."""
     for k, before in list(document.descents(at, values, 0)):
-        message = f"{values[k]:g} does not follow {values[before]:g}"
+        message = f"{values[k]:g} is not greater than {values[before]:g}"
         document.add("RIG016", (*at, k), message, "values ascend")
         yield k
 
@@ -181,10 +181,10 @@ def _rivals(rig: Rig, order: list[str]) -> Iterator[tuple[str, str, str]]:
                 target = f"joint/{name}"
                 by = sorted(moved.intersection(reads(control, drive)))
                 if by:
-                    message = f"control {by[0]!r} is driven, and drives {name!r}"
+                    message = f"control {by[0]!r} is driven, but drives {name!r}"
                     hint = "give the joint a driver; it may read the control"
                     yield f"control/{by[0]}", message, hint
                     continue
             if target in driven:
-                message = f"control {control.name!r} drives what a driver gives"
+                message = f"control {control.name!r} drives what a driver sets"
                 yield target, message, "let the driver read the control"

@@ -75,26 +75,30 @@ def coordinate_fault(rig: Rig, name: str) -> Fault | None:
         known = [control.name for control in rig.controls]
         if name in known:
             return None
-        message, hint = f"{name!r} is no control", _near(name, known)
+        message, hint = f"unknown control {name!r}", _near(name, known)
         if name in rig.names:
             parts = readable_parts(rig.joints[rig.index(name)])
-            message = f"{name!r} is a joint: say which coordinate"
+            message = f"{name!r} is a joint: write which coordinate"
             hint = f"write {name}.{parts[0]}" if parts else None
         elif any(shape.name == name for shape in rig.shapes):
-            message = f"{name!r} is a shape: drivers read joints and controls"
-            hint = "read what drives the shape"
+            message = f"{name!r} is a shape: drivers read only joints and controls"
+            hint = "read the input of the shape's driver instead"
         return Fault("RIG012", message, hint=hint)
     if joint not in rig.names:
         hint = _near(joint, rig.names)
-        return Fault("RIG008", f"{joint!r} is no joint", hint=hint)
+        return Fault("RIG008", f"unknown joint {joint!r}", hint=hint)
     own = rig.joints[rig.index(joint)]
     parts = readable_parts(own)
     if part in parts:
         return None
     message = f"the {own.type} joint {joint!r} has no coordinate {part!r}"
-    hint = f"it has {', '.join(parts)}" if parts else "drivers read pins, slides, balls"
+    hint = (
+        f"it has {', '.join(parts)}"
+        if parts
+        else ("drivers read pin, prismatic and ball joints")
+    )
     if own.type is JointType.BALL and not isinstance(own.limits, BallLimit):
-        hint = "say its twist axis: limits: {twist_axis: [1, 0, 0]}, along the bone"
+        hint = "set its twist axis, along the bone: limits: {twist_axis: [1, 0, 0]}"
     elif part == TWIST and own.type is JointType.BALL:
         message = f"the twist of {joint!r} is locked: it is always 0"
     elif near := similar(part, parts):

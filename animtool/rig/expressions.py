@@ -141,7 +141,7 @@ def parse_expression(text: str, *, coordinates: bool = False) -> Expression:
     the joint's name is no word of Python: ``'rig:elbow.angle'``.
     """
     if len(text) > LONGEST:
-        raise ValueError(f"is {len(text)} characters long; {LONGEST} are allowed")
+        raise ValueError(f"has {len(text)} characters; the limit is {LONGEST}")
     # Python's parser takes more brackets in brackets for a lack of memory.
     depths = accumulate((c in "([{") - (c in ")]}") for c in text)
     if max(depths, default=0) > MAX_BRACKETS:
@@ -152,7 +152,7 @@ def parse_expression(text: str, *, coordinates: bool = False) -> Expression:
             tree = ast.parse(text.strip(), mode="eval").body
     except (SyntaxError, ValueError, RecursionError) as error:
         reason = getattr(error, "msg", None) or "too deep"
-        raise ValueError(f"is no expression: {reason}") from error
+        raise ValueError(f"invalid expression: {reason}") from error
     names: set[str] = set()
     _check(tree, text.strip(), names, 0, coordinates=coordinates)
     return Expression(text, tuple(sorted(names)), tree)
@@ -237,7 +237,7 @@ def _check(
         return
     if isinstance(node, ast.Attribute) and coordinate is not None:
         raise ValueError(
-            f"{coordinate[:40]!r} is not allowed here: drives read controls; "
+            f"{coordinate[:40]!r} is not allowed here: `drives` reads controls; "
             "`driven` of a joint, shape or control reads joints"
         )
     for child in _inner(node, text, names):
@@ -264,15 +264,15 @@ def _inner(node: ast.expr, text: str, names: set[str]) -> list[ast.expr]:
         case ast.Call(func=ast.Name(id=name), args=inner, keywords=[]):
             if name not in FUNCTIONS:
                 allowed = ", ".join(FUNCTIONS)
-                raise ValueError(f"{name!r} is no function; allowed: {allowed}")
+                raise ValueError(f"unknown function {name!r}; allowed: {allowed}")
             if len(inner) != FUNCTIONS[name][1]:
                 expected = FUNCTIONS[name][1]
                 raise ValueError(f"{name} takes {expected} values, not {len(inner)}")
         case ast.BinOp(op=ast.Pow()):
-            raise ValueError("'**' is not allowed; pow(a, b) is")
+            raise ValueError("'**' is not allowed; write pow(a, b)")
         case _:
             shown = (ast.get_source_segment(text, node) or text)[:40]
-            raise ValueError(f"{shown!r} is not allowed; + - * / and functions are")
+            raise ValueError(f"{shown!r} is not allowed; use + - * / and functions")
     return inner
 
 

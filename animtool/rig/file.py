@@ -47,7 +47,7 @@ def bind_of(
     bind = dict(inherited)
     for name, model in models.items():
         if name not in joints:
-            message = f"{name!r} is no joint"
+            message = f"unknown joint {name!r}"
             if not read.unnamed:
                 hint = nearest(name, list(joints))
                 document.add("RIG008", ("bind", name), message, hint)
@@ -203,10 +203,10 @@ def _base(
         return None
     above = (*above, document.path.resolve())
     if path in above:
-        document.add("RIG030", ("from",), f"{name!r} leads back to where it came from")
+        document.add("RIG030", ("from",), f"{name!r} refers back to this file")
         return None
     if len(above) >= MAX_SIDECARS:
-        message = f"more than {MAX_SIDECARS} files lead on to another"
+        message = f"more than {MAX_SIDECARS} files refer to each other in a chain"
         document.add("RIG030", ("from",), message)
         return None
     try:
@@ -243,13 +243,13 @@ def _overlaid(
         for key in ("name", "mirror"):
             name = getattr(entry, key)
             if name is not None and name not in names:
-                message = f"{name!r} is no joint of {model.source}"
+                message = f"unknown joint {name!r} of {model.source}"
                 hint = nearest(name, list(names))
                 document.add("RIG008", ("joints", i, key), message, hint)
         for key in ("parent", "translate", "rotate", "tips", "channels"):
             if key in entry.model_fields_set:
-                message = f"{key} comes from {model.source}"
-                document.add("RIG023", ("joints", i, key), message, "leave it out")
+                message = f"{key} is defined by {model.source}"
+                document.add("RIG023", ("joints", i, key), message, "remove it")
     own = _added(document, model, units)
     added = {names.get(joint.name, joint.name): joint for joint in own.joints}
     mirrors = {

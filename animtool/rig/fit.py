@@ -207,7 +207,8 @@ def check_fit(
         message += _numbers(fit)
         return fit, [_fault("RIG041", message, names, where, None, Severity.WARNING)]
     message = (
-        f"the take does not fit the rig: score {fit.score:.2f}, {FITS} is needed; "
+        f"the take does not match the rig: score {fit.score:.2f}, but {FITS} is "
+        "needed; "
     )
     message += _numbers(fit)
     faults = [_fault("RIG040", message, names, where, _hint(fit), Severity.ERROR)]
@@ -226,7 +227,7 @@ def _fault(
 ) -> Fault:
     if not names:
         return Fault(code, message, where, (), hint, severity)
-    message += "; joints that rest differently: "
+    message += "; joints with different rest poses: "
     return naming(code, message, names, where, hint, severity)
 
 
@@ -252,15 +253,15 @@ def _hint(fit: Fit) -> str:
     parts = fit.parts
     worst = min(parts, key=lambda name: parts[name])
     advice = {
-        "joints": "name another rig, or match the names "
+        "joints": "choose another rig, or match the names "
         f"({argument('strip_namespace')} N drops prefixes)",
-        "rotations": "bring the motion to the rig's rest pose with animtool retarget",
-        "lengths": "bring the motion to the bones of the rig with animtool retarget",
-        "size": f"check the units of both ({argument('source.unit')} states those of a "
+        "rotations": "transfer the motion to the rest pose with animtool retarget",
+        "lengths": "transfer the motion to the bones of the rig with animtool retarget",
+        "size": f"check the units of both ({argument('source.unit')} sets that of a "
         "BVH)"
         if _unit_apart(fit.size)
-        else "bring the motion to the size of the rig with animtool retarget",
-        "up axis": f"check the up axes of both ({argument('source.up')} states that of "
+        else "transfer the motion to the size of the rig with animtool retarget",
+        "up axis": f"check the up axes of both ({argument('source.up')} sets that of "
         "a BVH)",
     }
     return f"{advice[worst]}; {argument('force_fit', True)} writes it as it is"

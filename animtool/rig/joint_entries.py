@@ -132,9 +132,9 @@ def _entries(
     mirrors |= {mirror: name for name, mirror in mirrors.items()}
     for i, model in enumerate(models):
         if model.name in entries:
-            message = f"joint {model.name!r} stands twice"
+            message = f"duplicate joint {model.name!r}"
             first = document.place(("joints", entries[model.name].index))[0]
-            hint = f"first in line {first}"
+            hint = f"the first is on line {first}"
             document.add("RIG001", ("joints", i, "name"), message, hint)
             continue
         entries[model.name] = _Entry(i, model.name, model.parent)
@@ -143,12 +143,12 @@ def _entries(
             continue
         if model.mirror == model.name:
             message = f"{model.name!r} mirrors itself"
-            hint = "mirror names the joint of the other side"
+            hint = "mirror names the joint on the other side"
             document.add("RIG010", ("joints", i, "mirror"), message, hint)
             continue
         if model.mirror in entries:
-            message = f"mirror {model.mirror!r} is a joint already"
-            hint = "mirror writes that joint; leave the other out"
+            message = f"mirror {model.mirror!r} is already a joint"
+            hint = "mirror creates that joint; remove the other"
             document.add("RIG010", ("joints", i, "mirror"), message, hint)
             continue
         parent = model.parent
@@ -156,7 +156,7 @@ def _entries(
         entries[model.mirror] = _Entry(i, model.name, parent, mirrored=True)
     for entry in list(entries.values()):
         if entry.parent is not None and entry.parent not in entries:
-            message = f"parent {entry.parent!r} is no joint"
+            message = f"unknown parent {entry.parent!r}"
             location = ("joints", entry.index, "parent")
             if not entry.mirrored and not unnamed:
                 hint = nearest(entry.parent, list(entries))
@@ -189,7 +189,7 @@ def _parents_first(document: Document, entries: dict[str, _Entry]) -> Iterator[s
                 waiting = list(pending)
                 trail = [*waiting[waiting.index(missing) :], missing]
                 shown = circle(trail[::-1])
-                message = f"joints are each other's parents: {shown}"
+                message = f"the joints are their own ancestors: {shown}"
                 document.add("RIG003", ("joints", entry.index), message)
                 entry.parent, entry.adrift = None, True
                 if entry.mirrored and missing == entry.source:
@@ -212,8 +212,8 @@ def _note_off_middle(
         return
     parent = joints[joint.parent].name
     message = (
-        f"{joint.name!r} mirrors {entry.source!r} in the world's plane x = 0, but both "
-        f"hang from {parent!r}, which is {length_text(abs(away), 4)} off it"
+        f"{joint.name!r} mirrors {entry.source!r} in the world's plane x = 0, but "
+        f"their parent {parent!r} is {length_text(abs(away), 4)} off that plane"
     )
     hint = f"give {parent!r} a mirror, or write both joints without one"
     document.note("RIG101", ("joints", entry.index, "mirror"), message, hint)
@@ -250,8 +250,8 @@ def _joint(
 def _refuse_repeats(document: Document, at: Location, channels: Sequence[str]) -> None:
     for k, name in enumerate(channels):
         if name in channels[:k]:
-            message = f"channel {name!r} stands twice"
-            document.add("RIG028", (*at, k), message, "a joint has each once")
+            message = f"duplicate channel {name!r}"
+            document.add("RIG028", (*at, k), message, "write each once")
 
 
 def _scaled(values: list[float], unit: float) -> Vector:
@@ -278,7 +278,7 @@ def _ball_limit(
     if model.swing is not None:
         both = model.swing if isinstance(model.swing, list) else [model.swing] * 2
         if not all(0 <= angle * units.angle <= math.pi for angle in both):
-            message = f"swing {model.swing} is not between 0 and half a turn"
+            message = f"swing {model.swing} is not between 0 and 180 degrees"
             document.add("RIG007", (*at, "swing"), message)
         swing = (both[0] * units.angle, both[1] * units.angle)
     twist = None
@@ -339,7 +339,7 @@ def _with_mimics(
         mimic, at = model.mimic, ("joints", entry.index, "mimic", "joint")
         leader = by_name.get(mimic.joint)
         if leader is None:
-            message = f"{mimic.joint!r} is no joint"
+            message = f"unknown joint {mimic.joint!r}"
             if not read.unnamed:
                 document.add("RIG008", at, message, nearest(mimic.joint, list(by_name)))
             continue
@@ -368,10 +368,10 @@ def _refuse_chains(
         if joint.mimic and joint.mimic.joint in following:
             entry = entries[joint.name]
             if not entry.mirrored:
-                message = f"{joint.mimic.joint!r} follows another joint itself"
+                message = f"{joint.mimic.joint!r} is a mimic itself"
                 if joint.mimic.joint == joint.name:
                     message = f"{joint.name!r} follows itself"
-                hint = "name the joint that is moved"
+                hint = "name the joint that is keyed"
                 at = ("joints", entry.index, "mimic", "joint")
                 document.add("RIG009", at, message, hint)
 
@@ -385,7 +385,7 @@ def quaternion(
     if abs(length - 1.0) <= UNIT_LENGTH:
         return (x, y, z, w)
     if not SHORTEST < length < 1 / SHORTEST:
-        document.add("RIG006", location, f"quaternion {values} gives no rotation")
+        document.add("RIG006", location, f"quaternion {values} is not a rotation")
         return (0.0, 0.0, 0.0, 1.0)
     a, b, c, d = so3.normalize([x, y, z, w]).tolist()
     return (a, b, c, d)
@@ -397,7 +397,7 @@ def unit_vector(document: Document, location: Location, values: list[float]) -> 
     if abs(length - 1.0) <= UNIT_LENGTH:
         length = 1.0
     if not SHORTEST < length < 1 / SHORTEST:
-        document.add("RIG005", location, f"axis {values} gives no direction")
+        document.add("RIG005", location, f"axis {values} has no direction")
         return (0.0, 0.0, 1.0)
     x, y, z = (value / length for value in values)
     return (x, y, z)

@@ -16,19 +16,19 @@ class BallLimitsModel(FileModel):
     """Cone half-angle, or two, and range of twist."""
 
     swing: Real | Pair | None = key(
-        "Half angle of the cone in which the twist axis may swing, or two, "
-        "about the two other axes. Not given: any.",
+        "Half angle of the cone within which the twist axis may swing, or two angles "
+        "about the other axes. Default: no limit.",
         [30.0, 60.0],
         default=None,
     )
     twist: Pair | Literal["locked"] | None = key(
-        "Least and largest turn about the twist axis; `locked` is [0, 0]. "
-        "Not given: any.",
+        "Range of the rotation about the twist axis; `locked` is [0, 0]. Default: no "
+        "limit.",
         [-20.0, 20.0],
         default=None,
     )
     twist_axis: Vector = key(
-        "Direction in the joint's rest frame, as a rule along the bone; of any length.",
+        "Direction in the joint's rest frame, usually along the bone; any length.",
         [1.0, 0.0, 0.0],
         default=[0.0, 1.0, 0.0],
     )
@@ -37,10 +37,10 @@ class BallLimitsModel(FileModel):
 class MimicModel(FileModel):
     """The joint that a pin or prismatic joint follows."""
 
-    joint: Name = key("A pin or prismatic joint that follows none itself.", "crank")
+    joint: Name = key("A pin or prismatic joint that is not a mimic itself.", "crank")
     gain: Real = key(
-        "How far this joint goes for one unit of the other, each in the "
-        "file's own unit: cm a degree for a prismatic joint that follows a pin.",
+        "Motion of this joint per unit of the other, each in the file's own unit: cm "
+        "per degree for a prismatic joint that follows a pin.",
         -0.5,
         default=1.0,
     )
@@ -49,8 +49,8 @@ class MimicModel(FileModel):
 
 # Of every curve of a rig file.
 JOINED = (
-    "How the points of a curve are joined: by straight lines, or by a monotone "
-    "cubic, which goes beyond no point and is flat at both ends."
+    "Interpolation between the points of a curve: linear, or a monotone cubic, which "
+    "overshoots no point and is flat at both ends."
 )
 
 
@@ -64,12 +64,12 @@ class DrivenModel(FileModel):
         default=None,
     )
     by: Name | None = key(
-        "Of a curve: the coordinate or control that it reads.",
+        "The coordinate or control that a curve reads.",
         "elbow_l.angle",
         default=None,
     )
     curve: Annotated[list[Pair], Len(1)] | None = key(
-        "The value: points [what `by` reads, value], ascending, held at both ends.",
+        "The value: points [input, value], ascending, constant beyond both ends.",
         [[0.0, 0.0], [90.0, 1.0]],
         default=None,
     )
@@ -80,61 +80,60 @@ class DrivenModel(FileModel):
     )
 
 
-_TYPE = "What it can do."
+_TYPE = "Degrees of freedom."
 # The coordinate of a pin or prismatic joint.
 _Axis = Annotated[
     Vector,
-    key("Direction in the joint's rest frame; of any length.", [0.0, -1.0, 0.0]),
+    key("Direction in the joint's rest frame; any length.", [0.0, -1.0, 0.0]),
 ]
 _Limits = Annotated[
     Pair | None,
-    key("Least and largest coordinate. Not given: any.", [0.0, 148.0]),
+    key("Range of the coordinate. Default: no limit.", [0.0, 148.0]),
 ]
 _Mimic = Annotated[
     MimicModel | None,
-    key("The joint that it follows.", {"joint": "crank", "gain": -1.0}),
+    key("The joint to follow.", {"joint": "crank", "gain": -1.0}),
 ]
 _Driven = Annotated[
     DrivenModel | None,
     key(
-        "What its coordinate is, in the file's units: it has no motion of its own. "
-        "Limits hold.",
+        "Sets the coordinate, in the file's units, in place of keys. Limits apply.",
         {"expr": "wrist_l.twist / 2"},
     ),
 ]
 
 
 class _JointBase(FileModel):
-    name: Name = key("Unique among the joints of the rig.", "elbow_l")
+    name: Name = key("Unique name among the joints of the rig.", "elbow_l")
     parent: Name | None = key(
-        "The joint it hangs from, anywhere in the file. Not given: a root.",
+        "The parent joint, anywhere in the file. Default: none, for a root.",
         "shoulder_l",
         default=None,
     )
     translate: Vector = key(
-        "Rest place in the frame of the parent, in the file's length.",
+        "Rest position in the parent's frame, in the file's length.",
         [0.28, 0.0, 0.0],
         default=[0.0, 0.0, 0.0],
     )
     rotate: Quaternion = key(
-        "Rest rotation in the frame of the parent: a quaternion "
-        "[w, x, y, z], brought to unit length.",
+        "Rest rotation in the parent's frame: a quaternion [w, x, y, z], which is "
+        "normalised.",
         [0.7071, 0.7071, 0.0, 0.0],
         default=[1.0, 0.0, 0.0, 0.0],
     )
     mirror: Name | None = key(
-        "Name of the joint on the other side, which this key writes.",
+        "Name of the joint on the other side, which this key creates.",
         "elbow_r",
         default=None,
     )
     tips: list[Vector] = key(
-        "Ends of the bone that carry no joint, in the joint's frame: the "
-        "End Sites of a BVH.",
+        "End points of the bone that have no joint, in the joint's frame: the End "
+        "Sites of a BVH.",
         [[0.0, 0.17, 0.0]],
         default=[],
     )
     channels: list[ChannelName] | None = key(
-        "Order of the joint's channels in a BVH; nothing else uses it.",
+        "Order of the joint's channels in a BVH; used nowhere else.",
         ["Zrotation", "Xrotation", "Yrotation"],
         default=None,
     )
@@ -157,7 +156,7 @@ class BallJointModel(_JointBase):
 
     type: Literal["ball"] = key(_TYPE, "ball")
     limits: BallLimitsModel | None = key(
-        "How far it may turn. Not given: any way.",
+        "Limits of the rotation. Default: none.",
         {"swing": 35.0, "twist": "locked"},
         default=None,
     )
@@ -197,18 +196,18 @@ class PoseModel(FileModel):
     """A local transform; what is left out is the rest's."""
 
     translate: Vector | None = key(
-        "Place in the frame of the parent. Not given: that at rest.",
+        "Position in the parent's frame. Default: the rest position.",
         [0.0, 0.9, 0.0],
         default=None,
     )
     rotate: Quaternion | None = key(
-        "Rotation [w, x, y, z] in the frame of the parent. Not given: that at rest.",
+        "Rotation [w, x, y, z] in the parent's frame. Default: the rest rotation.",
         [1.0, 0.0, 0.0, 0.0],
         default=None,
     )
     stretch: Annotated[list[Real], Len(9, 9)] | None = key(
-        "Scale and shear of the joint when its skin was bound, for nothing below it: 9 "
-        "numbers, row by row, in the frame of the joint. Not given: none.",
+        "Scale and shear of the joint in the bind pose, not inherited: 9 numbers, "
+        "row by row, in the joint's frame. Default: none.",
         [1.0, 0.0, 0.0, 0.0, 2.0, 0.0, 0.0, 0.0, 1.0],
         default=None,
     )
@@ -224,15 +223,15 @@ class SkinModel(FileModel):
         "How the transforms of joints are blended.", "dual_quaternion", default="linear"
     )
     joints: list[Name] = key(
-        "The joints that `indices` count, from 0.", ["hips", "spine"]
+        "The joints that `indices` refer to, from 0.", ["hips", "spine"]
     )
     indices: str = key(
-        "Array (V, I), whole numbers: which joints each point follows.",
+        "Array (V, I) of whole numbers: the joints that each point follows.",
         "body.npz#indices",
     )
     weights: str = key(
-        "Array (V, I): by how much; not negative, and not all 0. They are "
-        "brought to the sum 1.",
+        "Array (V, I) of weights, not negative and not all 0. They are normalised to "
+        "the sum 1.",
         "body.npz#weights",
     )
 
@@ -240,26 +239,26 @@ class SkinModel(FileModel):
 class MeshModel(FileModel):
     """A surface; arrays are ``file.npz`` or ``file.npz#name``."""
 
-    name: Name = key("Unique among the meshes.", "body")
+    name: Name = key("Unique name among the meshes.", "body")
     points: str = key("Array (V, 3) in the file's length.", "body.npz#points")
     faces: str = key(
-        "Array (N, K), whole numbers: the points of each face; -1 fills "
-        "the last places of a face of fewer than K corners, and each has 3.",
+        "Array (N, K) of whole numbers: the points of each face; -1 pads faces with "
+        "fewer than K corners; 3 is the minimum.",
         "body.npz#faces",
     )
     normals: str | None = key(
-        "Array (V, 3). Not given: renderers find their own.",
+        "Array (V, 3). Default: renderers compute normals.",
         "body.npz#normals",
         default=None,
     )
     geom_bind: Matrix | None = key(
-        "World transform of the points at bind: 16 numbers, row by row, "
-        "the translation 4th, 8th and 12th. Not given: none.",
+        "World transform of the points at bind: 16 numbers, row by row, translation "
+        "at 4, 8 and 12. Default: identity.",
         [1, 0, 0, 0, 0, 1, 0, 0.9, 0, 0, 1, 0, 0, 0, 0, 1],
         default=None,
     )
     skin: SkinModel | None = key(
-        "How it follows joints. Not given: it follows none.",
+        "How it follows joints. Default: it does not.",
         {
             "joints": ["hips"],
             "indices": "body.npz#indices",
@@ -268,8 +267,8 @@ class MeshModel(FileModel):
         default=None,
     )
     subdivision: Literal["none", "catmull_clark", "loop", "bilinear"] | None = key(
-        "By which rule renderers refine it. Not given: `none` for a mesh "
-        "with normals, else `catmull_clark`.",
+        "Subdivision scheme of renderers. Default: `none` for a mesh with normals, "
+        "else `catmull_clark`.",
         "loop",
         default=None,
     )
@@ -280,11 +279,11 @@ class InbetweenModel(FileModel):
 
     at: Real = key("The weight, ascending in the list; neither 0 nor 1.", 0.5)
     deltas: str = key(
-        "Array, what is added at that weight; shaped as the shape's own.",
+        "Array of the deltas at that weight, with the shape of the main deltas.",
         "head.npz#blink_half",
     )
     normals: str | None = key(
-        "Array, likewise for the normals. Not given: they stay.",
+        "Array, likewise for the normals. Default: unchanged.",
         "head.npz#blink_half_normals",
         default=None,
     )
@@ -293,41 +292,41 @@ class InbetweenModel(FileModel):
 class ShapeModel(FileModel):
     """A blend shape."""
 
-    name: Name = key("Unique among the shapes.", "smile")
+    name: Name = key("Unique name among the shapes.", "smile")
     mesh: Name | None = key(
-        "The mesh that it shapes. Not given: none, it is a weight alone.",
+        "The mesh of the shape. Default: none; the shape is only a weight.",
         "head",
         default=None,
     )
     deltas: str | None = key(
-        "Array (V, 3), or (N, 3) with `vertices`: what is added to the "
-        "points at weight 1, in the file's length. Not given: nothing.",
+        "Array (V, 3), or (N, 3) with `vertices`: offsets of the points at weight 1, "
+        "in the file's length. Default: none.",
         "head.npz#smile",
         default=None,
     )
     normals: str | None = key(
-        "Array, likewise for the normals. Not given: they stay.",
+        "Array, likewise for the normals. Default: unchanged.",
         "head.npz#smile_normals",
         default=None,
     )
     vertices: str | None = key(
-        "Array (N,), whole numbers: which points `deltas`, `normals` and "
-        "inbetweens are for. Not given: all V, in order.",
+        "Array (N,) of whole numbers: the points of `deltas`, `normals` and "
+        "inbetweens. Default: all V, in order.",
         "head.npz#smile_vertices",
         default=None,
     )
     inbetweens: list[InbetweenModel] = key(
-        "What it adds on its way to weight 1.",
+        "Deltas at weights between 0 and 1.",
         [{"at": 0.5, "deltas": "head.npz#smile_half"}],
         default=[],
     )
     combine: list[Name] = key(
-        "Shapes: the product of their weights is added to its own.",
+        "Shapes whose weights are multiplied and added to its own.",
         ["smile", "jaw_open"],
         default=[],
     )
     driven: DrivenModel | None = key(
-        "What its weight is, in place of keys.",
+        "Sets the weight, in place of keys.",
         {"by": "elbow_l.angle", "curve": [[30.0, 0.0], [120.0, 1.0]]},
         default=None,
     )

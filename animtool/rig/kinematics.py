@@ -79,7 +79,7 @@ def forward(
         shape = (len(t), joints, 3)
         out = WorldTransforms(np.zeros(shape), np.zeros((*shape, 3)))
     elif out.positions.shape != t.shape or out.linear.shape != (*t.shape, 3):
-        raise ValueError(f"out must be for {len(t)} frames of {joints} joints")
+        raise ValueError(f"out must have {len(t)} frames of {joints} joints")
     _kernels.forward_kinematics(rig.parents, t, r, s, out.positions, out.linear)
     return out
 

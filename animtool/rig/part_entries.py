@@ -102,8 +102,11 @@ class PartReader:
             for k, step in enumerate(shape.inbetweens):
                 spot = (*at, "inbetweens", k)
                 if step.at in {0, 1} or k in late:
-                    message = f"inbetween weight {step.at:g} is out of place"
-                    hint = "weights ascend; at 0 nothing is added, at 1 the deltas"
+                    message = f"inbetween weight {step.at:g} is out of order"
+                    hint = (
+                        "weights ascend strictly between 0 (no deltas) and 1 (the "
+                        "main deltas)"
+                    )
                     self.document.add("RIG024", (*spot, "at"), message, hint)
                 ref = self.arrays.array((*spot, "deltas"), step.deltas, "deltas", rows)
                 normals = self._maybe((*spot, "normals"), step.normals, "normals", rows)
@@ -124,7 +127,7 @@ class PartReader:
             combination_order(shapes)
         except ShapeCycleError as error:
             place = [shape.name for shape in shapes].index(error.cycle[0])
-            message = f"shapes combine each other in a circle: {error}"
+            message = f"shapes combine each other in a cycle: {error}"
             self.document.add("RIG026", ("shapes", place, "combine"), message)
         return tuple(shapes)
 
@@ -150,7 +153,7 @@ class PartReader:
             evaluation_order(controls)
         except ControlCycleError as error:
             first = next(name for name in error.cycle if name in own)
-            message = f"controls drive each other in a circle: {error}"
+            message = f"controls drive each other in a cycle: {error}"
             self.document.add("RIG014", ("controls", own[first]), message)
         return controls
 
@@ -163,10 +166,10 @@ class PartReader:
             kind = self.joints[name].type
             if kind not in DRIVEN_PARTS[part]:
                 message = (
-                    f"its control {control.name!r} drives {name}.{part}, and a {kind} "
-                    f"joint has no {part}"
+                    f"its control {control.name!r} drives {name}.{part}, but a "
+                    f"{kind} joint has no {part}"
                 )
-                hint = "leave the joint's type, or write a control of that name"
+                hint = "keep the joint's type, or write a control with that name"
                 self.document.add("RIG023", ("from",), message, hint)
 
     def ik(self, inherited: Sequence[IkChain] = ()) -> tuple[IkChain, ...]:
@@ -328,13 +331,15 @@ class PartReader:
         ]
         if len(given) != 1:
             message = f"drives {' and '.join(given) or 'nothing'}"
-            self.document.add("RIG015", at, message, "one of shape, joint, control")
+            self.document.add(
+                "RIG015", at, message, "write one of shape, joint, control"
+            )
             return None
         if (model.expr is None) == (model.curve is None):
             message = (
                 "has both expr and curve" if model.expr else "has no expr or curve"
             )
-            self.document.add("RIG015", at, message, "one of them says by how much")
+            self.document.add("RIG015", at, message, "write one of them for the amount")
             return None
         target, unit = self._target((*at, given[0]), given[0], model, shapes)
         if model.expr is not None:
@@ -378,8 +383,8 @@ class PartReader:
             return f"{kind}/{name}", 1.0
         joint, part = split_part(name, DRIVEN_PARTS)
         if not part:
-            message = f"{name!r} names no part of a joint"
-            hint = f"a joint's name and one of .{', .'.join(DRIVEN_PARTS)}"
+            message = f"missing part of joint {name!r}"
+            hint = f"write a joint's name and one of .{', .'.join(DRIVEN_PARTS)}"
             hint = nearest_part(name, DRIVEN_PARTS) or hint
             self.document.add("RIG015", at, message, hint)
         elif self._known(at, joint, self.joints, "joint"):
@@ -401,8 +406,8 @@ class PartReader:
         for i, entry in enumerate(getattr(self.model, key)):
             if entry.name in seen:
                 line = self.document.place((key, seen[entry.name]))[0]
-                message = f"{kind} {entry.name!r} stands twice"
-                hint = f"first in line {line}"
+                message = f"duplicate {kind} {entry.name!r}"
+                hint = f"the first is on line {line}"
                 self.document.add("RIG011", (key, i, "name"), message, hint)
             seen.setdefault(entry.name, i)
 
@@ -431,7 +436,7 @@ class PartReader:
 def _name_problem(name: str) -> str:
     """Return why an expression cannot read a name; empty where it can."""
     if not name.isidentifier():
-        return "an expression would not read it as one word"
+        return "an expression would not read it as one name"
     if keyword.iskeyword(name):
         return "it is a keyword of Python"
     if name in FUNCTIONS:

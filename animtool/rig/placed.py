@@ -193,12 +193,12 @@ def standing_notice(
     if rig.stands is None and not rig.rides:
         return []
     first = f"stands {rig.stands.described()}" if rig.stands else ""
-    rides = "rides on what moves above its SkelRoot" if rig.rides else ""
+    rides = "moves with a prim above its SkelRoot" if rig.rides else ""
     message = f"the take {' and '.join(filter(None, (first, rides)))}, "
     message += "which is kept" if kept else "which is dropped"
     if over is not None and not over.is_none:
-        message += f"; the rig stands {over.described()}"
+        message += f"; the rig has its placement {over.described()}"
     if stays:
-        message += "; what it rode on is in its joints, and stays"
-    hint = f"{argument('placement', 'drop' if kept else 'keep')} does the other"
+        message += "; the motion from above is in its joints, and is kept"
+    hint = f"{argument('placement', 'drop' if kept else 'keep')} does the opposite"
     return [Fault("USD124", message, where, (), hint, Severity.NOTE)]

@@ -120,7 +120,7 @@ class Placement:
         x, y, z = (round(v, 4) + 0.0 for v in self.translations[0].tolist())
         cosine = min(1.0, abs(float(self.rotations[0, 3])))
         angle = round(math.degrees(2 * math.acos(cosine)), 2)
-        return f"at ({x:g}, {y:g}, {z:g}) m, turned {angle:g}°"
+        return f"at ({x:g}, {y:g}, {z:g}) m, rotated by {angle:g}°"
 
     def split(self, up: UpAxis) -> tuple[Placement, Placement]:
         """Return where it stands and faces, and before that, what sizes and rights it.

@@ -23,12 +23,12 @@ class RemapEntryModel(FileModel):
 
     source: Name = key("A shape of the source.", "Smile_L")
     target: Name = key(
-        "The shape that it moves: of the rig, or by a name of ARKit.", "mouthSmileLeft"
+        "The target shape: of the rig, or an ARKit name.", "mouthSmileLeft"
     )
-    gain: Real = key("What its weight is multiplied by.", 0.8, default=1.0)
-    offset: Real = key("What is added to that.", -0.1, default=0.0)
+    gain: Real = key("Factor of its weight.", 0.8, default=1.0)
+    offset: Real = key("Added after the gain.", -0.1, default=0.0)
     clamp: Pair | None = key(
-        "Least and largest value of the result. Not given: any.", [0, 1], default=None
+        "Range to clamp the result to. Default: none.", [0, 1], default=None
     )
 
 
@@ -37,19 +37,19 @@ class RemapModel(FileModel):
 
     remap: Literal["animtool/1"] = key("File type and format version.", "animtool/1")
     shapes: Annotated[list[RemapEntryModel], Len(1)] = key(
-        "Which shape moves which. Weights of several sources of one target add up, and "
-        "a source may have several targets.",
+        "Pairs of shapes. Weights of several sources of one target are added, and a "
+        "source may have several targets.",
         [{"source": "Smile_L", "target": "mouthSmileLeft"}],
     )
     others: Literal["auto", "none"] = key(
-        "Shapes that the file does not name: `auto` pairs them by name, `none` leaves "
-        "them out.",
+        "Shapes that the file does not name: `auto` pairs them by name, `none` "
+        "ignores them.",
         "none",
         default="auto",
     )
     ignore: list[IgnoreModel] = key(
-        "Findings of `animtool validate` that are known and stay.",
-        [{"code": "FAC002", "why": "it is meant"}],
+        "Findings of `animtool validate` that are accepted.",
+        [{"code": "FAC002", "why": "this is intended"}],
         default=[],
     )
 
@@ -108,12 +108,12 @@ def remap_of_document(document: Document) -> RemapFile:
     for i, entry in enumerate(model.shapes):
         pair = (entry.source, entry.target)
         if pair in taken:
-            message = f"{entry.source!r} moves {entry.target!r} twice"
-            hint = f"leave it out here, or of shapes[{taken[pair]}]"
+            message = f"{entry.source!r} is paired with {entry.target!r} twice"
+            hint = f"remove it here or from shapes[{taken[pair]}]"
             document.add("FAC002", ("shapes", i), message, hint)
         taken.setdefault(pair, i)
         if entry.clamp is not None and entry.clamp[0] > entry.clamp[1]:
-            message = f"clamp goes from {entry.clamp[0]:g} down to {entry.clamp[1]:g}"
+            message = f"clamp is reversed: {entry.clamp[0]:g} to {entry.clamp[1]:g}"
             document.add("FAC002", ("shapes", i, "clamp"), message, "swap them")
     document.check()
     return RemapFile(document, model)

@@ -25,30 +25,28 @@ from animtool.rig.joint_schema import (
 class AttachModel(FileModel):
     """What a simulation moves."""
 
-    name: Name = key("Unique among the attachments.", "cape")
+    name: Name = key("Unique name among the attachments.", "cape")
     kind: Name = key(
-        "`spring_chain` of joints; `cloth` of a mesh; `strands` of points "
-        "that a joint carries. Another is taken as it is, with `joints`.",
+        "`spring_chain` of joints; `cloth` of a mesh; `strands` of points attached "
+        "to a joint. Other kinds are kept unchanged, with `joints`.",
         "cloth",
     )
     joints: Annotated[list[Name], Len(1)] | None = key(
-        "Of a spring_chain: what swings, from the root on.",
+        "The joints of a spring_chain, root first.",
         ["tail_1", "tail_2"],
         default=None,
     )
-    mesh: Name | None = key("Of cloth: what hangs.", "cape", default=None)
+    mesh: Name | None = key("The mesh of a cloth.", "cape", default=None)
     pins: str | None = key(
-        "Of cloth: array (N,), whole numbers, the points that stay with "
-        "the skin. Not given: none.",
+        "For cloth: array (N,) of whole numbers, the points pinned to the skin. "
+        "Default: none.",
         "cape.npz#pins",
         default=None,
     )
-    joint: Name | None = key(
-        "Of strands: what carries their roots.", "head", default=None
-    )
+    joint: Name | None = key("The joint of strands' roots.", "head", default=None)
     points: str | None = key(
-        "Of strands: array (S, K, 3) in the world at bind, each strand "
-        "from root to tip, in the file's length.",
+        "For strands: array (S, K, 3) in world space at bind, each strand from root "
+        "to tip, in the file's length.",
         "hair.npz#points",
         default=None,
     )
@@ -58,18 +56,20 @@ class CapsuleModel(FileModel):
     """A cylinder with round ends, in the frame of its joint."""
 
     radius: Annotated[Real, Field(gt=0)] = key(
-        "Of the cylinder and its round ends.", 0.08
+        "Radius of the cylinder and its round ends.", 0.08
     )
     length: Annotated[Real, Field(ge=0)] = key(
-        "Between the centres of the round ends; 0 makes a ball.", 0.3, default=0.0
+        "Distance between the centres of the round ends; 0 makes a sphere.",
+        0.3,
+        default=0.0,
     )
     axis: Vector = key(
-        "Direction of the cylinder in the joint's frame; of any length.",
+        "Direction of the cylinder in the joint's frame; any length.",
         [1.0, 0.0, 0.0],
         default=[0.0, 1.0, 0.0],
     )
     offset: Vector = key(
-        "Centre of the cylinder, from the joint's origin, in its frame.",
+        "Centre of the cylinder, relative to the joint, in its frame.",
         [0.0, 0.15, 0.0],
         default=[0.0, 0.0, 0.0],
     )
@@ -78,7 +78,7 @@ class CapsuleModel(FileModel):
 class ColliderModel(FileModel):
     """What a simulation may not pass through."""
 
-    joint: Name = key("The joint that carries it.", "head")
+    joint: Name = key("The joint it is attached to.", "head")
     capsule: CapsuleModel = key("Its form.", {"radius": 0.08, "length": 0.3})
 
 
@@ -95,13 +95,13 @@ class DriveModel(FileModel):
     )
     control: Name | None = key("The control that it adds to.", "wrinkle", default=None)
     expr: str | None = key(
-        "How much: arithmetic over the values of controls.",
+        "The amount: arithmetic over the values of controls.",
         "clamp(grip * 2, 0, 1)",
         default=None,
     )
     curve: Annotated[list[Pair], Len(1)] | None = key(
-        "How much: points [value of this control, what is added], "
-        "ascending, held at both ends.",
+        "The amount: points [value of this control, amount], ascending, constant "
+        "beyond both ends.",
         [[0.0, 0.0], [1.0, 80.0]],
         default=None,
     )
@@ -116,25 +116,25 @@ class ControlModel(FileModel):
     """What an animator holds."""
 
     name: Name = key(
-        "Letters, digits and underscores, as expressions read it; no word "
-        "of Python, no function of expressions, not `pi`.",
+        "Letters, digits and underscores, so that expressions can read it; not a "
+        "Python keyword, a function of expressions or `pi`.",
         "grip",
     )
     range: Pair | None = key(
-        "Least and largest value that is meant; others are reported, and "
-        "with `clamp` brought inside. Not given: any.",
+        "Intended range; values outside are reported, and clamped with `clamp`. "
+        "Default: no limit.",
         [0.0, 1.0],
         default=None,
     )
-    default: Real = key("Its value where no key sets it.", 0.25, default=0.0)
+    default: Real = key("Value without keys.", 0.25, default=0.0)
     drives: list[DriveModel] = key(
-        "What it adds to, and how much.",
+        "The targets and amounts.",
         [{"joint": "elbow_l.angle", "expr": "grip * 80"}],
         default=[],
     )
     driven: DrivenModel | None = key(
-        "What its value is, in place of keys. It drives shapes and other controls, "
-        "and no joint.",
+        "Sets the value, in place of keys. It can then drive shapes and other "
+        "controls, but no joint.",
         {"expr": "elbow_l.angle / 150"},
         default=None,
     )
@@ -144,11 +144,11 @@ class UnitsModel(FileModel):
     """Units of the numbers in a file."""
 
     length: Literal["m", "cm", "mm", "in"] = key(
-        "Of all lengths, points and deltas of arrays included.", "cm", default="m"
+        "Unit of all lengths, including points and deltas of arrays.", "cm", default="m"
     )
     angle: Literal["deg", "rad"] = key(
-        "Of limits, mimics, what drives add to angles and turns, and what drivers "
-        "read and give.",
+        "Unit of limits, mimics, drives of angles and rotations, and inputs and "
+        "outputs of drivers.",
         "rad",
         default="deg",
     )
@@ -157,22 +157,24 @@ class UnitsModel(FileModel):
 class IkModel(FileModel):
     """A chain that reaches for a goal."""
 
-    name: Name = key("Unique among the chains.", "arm_l")
+    name: Name = key("Unique name among the chains.", "arm_l")
     root: Name = key("Its first joint.", "shoulder_l")
-    tip: Name = key("Its last joint, which is below the root.", "wrist_l")
+    tip: Name = key("Its last joint, below the root.", "wrist_l")
     goal: Literal["position", "orientation", "pose"] = key(
-        "What the tip reaches for: a place, a rotation, or both.",
+        "Target of the tip: a position, a rotation, or both.",
         "position",
         default="pose",
     )
     pole_dir: Vector | None = key(
-        "Where the middle of the chain points, in the frame of the root's "
-        "parent; of any length. Not given: open.",
+        "Direction of the middle of the chain, in the frame of the root's parent; "
+        "any length. Default: open.",
         [0.0, 0.0, -1.0],
         default=None,
     )
     stretch: Annotated[Real, Field(ge=0)] = key(
-        "Share of its length that it may grow by; 0.1 is a tenth.", 0.1, default=0.0
+        "Fraction of its length that it may stretch by; 0.1 is a tenth.",
+        0.1,
+        default=0.0,
     )
 
 
@@ -180,7 +182,7 @@ class RigModel(FileModel):
     """A rig file."""
 
     rig: Literal["animtool/1"] = key("File type and format version.", "animtool/1")
-    name: Name = key("What the character is called.", "hero")
+    name: Name = key("Name of the character.", "hero")
     units: UnitsModel = key(
         "Units of the numbers in the file.",
         {"length": "cm", "angle": "deg"},
@@ -190,18 +192,18 @@ class RigModel(FileModel):
     source: str | None = Field(
         default=None,
         alias="from",
-        description="A rig file, USD file, glTF or BVH that this file adds to.",
+        description="A rig file, USD file, glTF or BVH that this file extends.",
         examples=["hero.usda"],
     )
     joints: list[JointModel] = key(
-        "In any order; at least one, here or in `from`, but for a face of "
-        "shapes alone.",
+        "In any order; at least one, here or in `from`, except for a face that has "
+        "only shapes.",
         [{"name": "root", "type": "free"}],
         default=[],
     )
     bind: dict[str, PoseModel] = key(
-        "By joint: the pose in which skins and strands were made, where it "
-        "is not the rest pose.",
+        "By joint: the pose in which skins and strands were made, if it differs from "
+        "the rest pose.",
         {"hips": {"translate": [0.0, 0.9, 0.0]}},
         default={},
     )
@@ -216,27 +218,27 @@ class RigModel(FileModel):
         default=[],
     )
     controls: list[ControlModel] = key(
-        "Values that an animator holds, and what they move.",
+        "Values for the animator to key, and what they drive.",
         [{"name": "grip", "range": [0.0, 1.0]}],
         default=[],
     )
     ik: list[IkModel] = key(
-        "Chains that reach for goals.",
+        "IK chains.",
         [{"name": "arm_l", "root": "shoulder_l", "tip": "wrist_l"}],
         default=[],
     )
     attach: list[AttachModel] = key(
-        "What simulations move.",
+        "Parts to simulate.",
         [{"name": "tail", "kind": "spring_chain", "joints": ["tail_1"]}],
         default=[],
     )
     colliders: list[ColliderModel] = key(
-        "What simulations may not pass through.",
+        "Shapes that simulations collide with.",
         [{"joint": "head", "capsule": {"radius": 0.08}}],
         default=[],
     )
     ignore: list[IgnoreModel] = key(
-        "Findings of `animtool validate` that are known and stay.",
-        [{"code": "RIG201", "why": "it is meant"}],
+        "Findings of `animtool validate` that are accepted.",
+        [{"code": "RIG201", "why": "this is intended"}],
         default=[],
     )

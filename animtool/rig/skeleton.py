@@ -218,7 +218,7 @@ class Rig:
         if name not in self._index:
             near = similar(name, self._index)
             hint = f"did you mean {near}?" if near else None
-            message = f"no joint of {self.name!r} is {excerpt(name)}"
+            message = f"unknown joint {excerpt(name)} of {self.name!r}"
             raise OptionError(Fault("RIG008", message, hint=hint))
         return self._index[name]
 
@@ -284,8 +284,12 @@ class Rig:
             paths.append(name if joint.parent < 0 else f"{paths[joint.parent]}/{name}")
             total += len(paths[-1])
             if total > MAX_PATHS:
-                message = f"paths of the {len(self.joints)} joints of {self.name!r} "
-                message += f"have over {MAX_PATHS:g} letters in all"
-                hint = "make chains shorter: each path has all names above its joint"
+                message = (
+                    f"the paths of the {len(self.joints)} joints of {self.name!r} "
+                )
+                message += f"have more than {MAX_PATHS:g} characters in total"
+                hint = (
+                    "shorten the chains: each path contains all names above its joint"
+                )
                 raise FormatError(Fault("USD020", message, hint=hint))
         return paths

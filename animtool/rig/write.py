@@ -372,7 +372,7 @@ def _mesh(mesh: Mesh) -> str:
 def _file(source: ArraySource | None) -> str | None:
     """Return where an array is, as the rig's file spells it."""
     if isinstance(source, HeldArray):
-        message = "the array is in no file; animtool.rig.surfaces puts it into one"
+        message = "the array is in no file; animtool.rig.surfaces writes it to one"
         raise TypeError(message)
     return None if source is None else text(source.text)
 

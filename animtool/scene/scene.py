@@ -142,12 +142,12 @@ class Scene:
         for output in self.outputs:
             bake, own = output.bake, shot
             if bake.start is not None:
-                message = "the timeline already says where the take begins"
-                hint = "leave start out; start_frame in metadata.animtool of the clip "
+                message = "the timeline already places the start of the take"
+                hint = "remove start; start_frame in metadata.animtool of the clip "
                 hint += f"moves the shot, which begins at {shot.start}"
                 faults.append(output.place.fault("SCN073", message, hint))
             if bake.fps not in {None, shot.fps}:
-                message = f"fps is {bake.fps}, and the shot has {shot.fps}"
+                message = f"fps is {bake.fps}, but the shot has {shot.fps}"
                 faults.append(output.place.fault("SCN073", message, "write ${fps}"))
             if bake.shot is not None:
                 cut = bake.shot
@@ -354,9 +354,9 @@ class Scene:
         if len(numbers) == 1:
             return replace(self, passes=self.passes[: numbers[0]])
         listed = ", ".join(f"{i} {name}" for i, name in enumerate(names, 1)) or "none"
-        message = f"no pass of the scene is {stop!r}"
+        message = f"unknown pass of the scene {stop!r}"
         if numbers:
-            message = f"several passes of the scene are {stop!r}: say its number"
+            message = f"several passes of the scene are called {stop!r}: use its number"
         path = str(self.path)
         raise OptionError(Fault("SCN043", message, path, (), f"the passes: {listed}"))
 

@@ -72,7 +72,7 @@ def _too_small(trial: float, run: Run, target: float) -> bool:
 
 
 def _stopped(run: Run, trial: float) -> Status:
-    reason = f"the tolerance asks for a step of {plain(trial)} s"
+    reason = f"the tolerance needs a step of {plain(trial)} s"
     suspect = run.equations.system.suspect(run.time, run.state)
     reason += f"; {suspect}" if suspect else ""
     return run.stop(Status.STEP_TOO_SMALL, reason)

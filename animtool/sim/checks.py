@@ -57,11 +57,12 @@ def ending(integrator: Integrator, options: IntegrateOptions, stats: Stats) -> F
     message = f"{integrator.name} {verb} at {stats.time:.6g} s: {stats.reason}"
     advice = {
         Status.UNSTABLE: _advice(stats.stable_step),
-        Status.STEP_TOO_SMALL: f"the floor is {options.floor:g} s: raise the "
-        "tolerance, soften what is hard there, or take radau where the system is stiff",
-        Status.OUT_OF_BUDGET: "raise the budget or the tolerance, or take lsoda or "
-        "radau where the system is stiff",
-        Status.NOT_SOLVED: "take a shorter step",
+        Status.STEP_TOO_SMALL: f"the smallest step is {options.floor:g} s: raise the "
+        "tolerance, soften the stiffest parts, or use radau "
+        "for stiff systems",
+        Status.OUT_OF_BUDGET: "raise the budget or the tolerance, or use lsoda or "
+        "radau for stiff systems",
+        Status.NOT_SOLVED: "use a shorter step",
     }
     code, hint = _CODES[stats.status], advice[stats.status]
     return warning(code, message, hint)
@@ -69,10 +70,10 @@ def ending(integrator: Integrator, options: IntegrateOptions, stats: Stats) -> F
 
 def _advice(stable_step: float | None) -> str:
     if stable_step is None or math.isinf(stable_step):
-        return f"take a shorter step, or {STEADY}"
+        return f"use a shorter step, or {STEADY}"
     if stable_step == 0:
-        return f"no step of it is: take {STEADY}"
-    return f"steps up to {plain(stable_step)} s are stable"
+        return f"no step is stable: use {STEADY}"
+    return f"it is stable up to steps of {plain(stable_step)} s"
 
 
 class Watch:
@@ -119,7 +120,7 @@ class Watch:
         most = self._options.growth * self._usual
         gained = now.total - first.total
         if self._usual > 0 and not gained <= most:
-            return f"its energy is {now.total:.3g} J, and was {first.total:.3g} J"
+            return f"its energy rose from {first.total:.3g} J to {now.total:.3g} J"
         return ""
 
     def _stretched(self, t: float, state: FloatArray) -> str:
@@ -127,7 +128,7 @@ class Watch:
             return ""
         ratio = self._system.stretch(t, state)
         if ratio is not None and not ratio <= self._options.stretch:
-            return f"a spring is {ratio:.3g} times as long as at rest"
+            return f"a spring is {ratio:.3g} times its rest length"
         return ""
 
 
@@ -145,10 +146,13 @@ def check_times(times: ArrayLike, checkpoint: Checkpoint | None) -> FloatArray:
         message = f"time {int(np.argmin(np.isfinite(moments)))} is not finite"
     elif (np.diff(moments) < 0).any():
         i = int(np.argmax(np.diff(moments) < 0))
-        message = f"times run backwards, from {moments[i]:g} to {moments[i + 1]:g} s"
-        hint = "what loses energy cannot be integrated backwards: begin at the start"
+        message = f"times go backwards, from {moments[i]:g} to {moments[i + 1]:g} s"
+        hint = (
+            "systems that dissipate energy cannot be integrated backwards: start at "
+            "the beginning"
+        )
     elif checkpoint is not None and moments[0] != checkpoint.time:
-        message = f"what is carried is at {checkpoint.time:g} s, not {moments[0]:g} s"
+        message = f"the saved state is at {checkpoint.time:g} s, not {moments[0]:g} s"
     if message:
         raise OptionError(Fault("SIM002", message, where="times", hint=hint))
     return moments
@@ -167,8 +171,8 @@ def check_fit(equations: Equations, integrator: Integrator) -> None:
         message = f"a {kind} has neither rates nor accelerations"
         hint = "derive it from FirstOrder or SecondOrder"
     elif integrator.form is Form.ACCELERATIONS and equations.second is None:
-        message = f"{name} is for accelerations, and the system has rates"
-        hint = "take heun or rk4"
+        message = f"{name} needs accelerations, but the system has rates"
+        hint = "use heun or rk4"
     elif integrator.control is Control.SCIPY and equations.system.settles:
         message = f"{name} cannot stop for contacts and constraints"
         hint = "take rk45"

@@ -16,7 +16,7 @@ class Material:
     """What a contact keeps of velocities."""
 
     restitution: Annotated[float, Range("0 to 1", "SIM020", 0, 1)] = key(
-        "Share of the speed into the surface that comes back, 0 to 1.", 0.4, 0.0
+        "Restitution: fraction of the normal speed that is returned, 0 to 1.", 0.4, 0.0
     )
     friction: Annotated[float, or_more(0, "SIM020", finite=True)] = key(
         "Coulomb's coefficient.", 0.3, 0.0
@@ -29,14 +29,16 @@ class Contact(Material):
 
     name: str = key("For messages.", "step_1", "")
     container: bool = key(
-        "Particles are to stay inside; of `kill`, those outside go.", True, False
+        "Keep particles inside; with `kill`, remove those outside.", True, False
     )
     margin: Annotated[float, or_more(0, "SIM020", finite=True)] = key(
-        "Distance that they keep [m].", 0.01, 0.0
+        "Distance to keep [m].", 0.01, 0.0
     )
     depenetration: Annotated[float, above(0, "SIM020")] = key(
-        "How fast those that begin inside are moved out [m/s].", 0.5, 1.0
+        "How fast particles that start inside are pushed out [m/s].", 0.5, 1.0
     )
     speed_limit: Annotated[float, above(0, "SIM020")] = key(
-        "What moves faster was put elsewhere, and hits nothing [m/s].", 500, SPEED_LIMIT
+        "Faster motion is treated as a teleport and collides with nothing [m/s].",
+        500,
+        SPEED_LIMIT,
     )

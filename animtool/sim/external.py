@@ -45,7 +45,7 @@ def advance(run: Run, target: float) -> Status:
         if go is not Status.OK:
             return go
         if h < run.options.floor and solver.t < run.end:
-            failure = f"the tolerance asks for a step of {plain(h)} s"
+            failure = f"the tolerance needs a step of {plain(h)} s"
             return run.stop(Status.STEP_TOO_SMALL, _with_suspect(run, failure))
     run.time, run.state = target, _value(held, target).reshape(shape)
     return Status.OK
@@ -66,7 +66,7 @@ def _stepped(solver: Any) -> str:
         message = solver.step()
     if solver.status != "failed":
         return ""
-    return str(message or (caught[-1].message if caught else "its solver gave up"))
+    return str(message or (caught[-1].message if caught else "its solver failed"))
 
 
 def _with_suspect(run: Run, failure: str) -> str:

@@ -120,11 +120,11 @@ def _unfit(options: IntegrateOptions, *, fixed: bool) -> list[Fault]:
     faults = []
     if fixed and options.step is None:
         message = f"{options.method} needs a step"
-        hint = "give one in seconds, or take a method that chooses its own, as rk45"
+        hint = "set one in seconds, or use an adaptive method, such as rk45"
         faults.append(Fault("SIM005", message, where="step", hint=hint))
     given = {"tolerance": options.tolerance, "absolute": options.absolute}
     for name in [name for name, value in given.items() if fixed and value is not None]:
-        message = f"{options.method} has a fixed step and heeds no {name}"
-        hint = f"leave {name} out, or take a method that chooses its steps, as rk45"
+        message = f"{options.method} has a fixed step and ignores {name}"
+        hint = f"remove {name}, or use an adaptive method, such as rk45"
         faults.append(Fault("SIM005", message, where=name, hint=hint))
     return faults

@@ -155,7 +155,7 @@ def _stepwise(run: Run, division: Division) -> Status:
         t = division.time(i)
         step = take(run.equations, t, run.state, division.h, run.memory)
         if step is None:
-            reason = "Newton's method found no solution"
+            reason = "Newton's method did not converge"
             return run.stop(Status.NOT_SOLVED, reason)
         go = run.keep(step, division.time(i + 1), division.h)
         if go is not Status.OK:

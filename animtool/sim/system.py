@@ -287,4 +287,4 @@ class ForceSystem(_StateFunctions, SecondOrder):
     def suspect(self, t: float, state: FloatArray) -> str:
         """Return which particle is accelerated most."""
         pulls = np.linalg.norm(self._acceleration(t, *state), axis=1)
-        return f"particle {int(np.argmax(pulls))} is accelerated most"
+        return f"particle {int(np.argmax(pulls))} has the largest acceleration"

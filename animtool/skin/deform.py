@@ -66,7 +66,7 @@ class DeformedMesh:
         expected = len(self.points) if at is None else len(at)
         if np.shape(self.normals) != (expected, 3):
             message = (
-                f"normals are {np.shape(self.normals)}, and must be ({expected}, 3)"
+                f"normals are {np.shape(self.normals)}, but must be ({expected}, 3)"
             )
             return [Fault("SKIN001", message)]
         if (

@@ -169,10 +169,12 @@ def _check_shapes(
         )
         faults.append(Fault("SKIN001", message))
     elif vertices is not None and len(numbers) not in {1, vertices}:
-        message = f"influences of {len(numbers)} vertices, and there are {vertices}"
+        message = f"influences of {len(numbers)} vertices, but there are {vertices}"
         faults.append(Fault("SKIN001", message))
     elif not np.issubdtype(numbers.dtype, np.integer):
-        faults.append(Fault("SKIN002", f"joint indices are {numbers.dtype}, not whole"))
+        faults.append(
+            Fault("SKIN002", f"joint indices are {numbers.dtype}, not integers")
+        )
     if faults:
         raise FormatError(faults)
 

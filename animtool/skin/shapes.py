@@ -307,7 +307,7 @@ def _faults(shape: ShapeDeltas, count: int) -> list[Fault]:
         at = np.asarray(shape.indices)
         if at.ndim != 1 or not (at.size == 0 or np.issubdtype(at.dtype, np.integer)):
             message = (
-                f"{where}: vertex indices are {at.dtype} {at.shape}, not whole (D,)"
+                f"{where}: vertex indices are {at.dtype} {at.shape}, not integers (D,)"
             )
             return [Fault("SKIN001", message)]
         length = len(at)
@@ -329,7 +329,7 @@ def _faults(shape: ShapeDeltas, count: int) -> list[Fault]:
 def _offset_faults(name: str, values: ArrayLike, length: int) -> list[Fault]:
     array = np.asarray(values, np.float64)
     if array.shape != (length, 3):
-        message = f"{name} are {array.shape}, and must be ({length}, 3)"
+        message = f"{name} are {array.shape}, but must be ({length}, 3)"
         return [Fault("SKIN001", message)]
     finite = np.isfinite(array)
     if finite.all():
@@ -344,5 +344,5 @@ def _knot_faults(where: str, shape: ShapeDeltas) -> list[Fault]:
         return []
     weights = listed([f"{part.at:g}" for part in shape.inbetweens])
     message = f"{where} has inbetweens at {weights}"
-    hint = "each needs a weight of its own, other than 0 and 1"
+    hint = "each needs its own weight, other than 0 and 1"
     return [Fault("SKIN006", message, hint=hint)]

@@ -252,7 +252,7 @@ def _check_matrices(bind: FloatArray, geom: FloatArray) -> None:
         ("the bind transform of the points", geom, (4, 4)),
     ):
         if matrix.shape != shape:
-            message = f"{name}: shape {matrix.shape}, and must be {shape}"
+            message = f"{name}: shape {matrix.shape}, but must be {shape}"
             faults.append(Fault("SKIN001", message))
         elif not np.isfinite(matrix).all():
             rows = np.flatnonzero(~np.isfinite(matrix).all(axis=(-2, -1))).tolist()
@@ -265,7 +265,7 @@ def _check_matrices(bind: FloatArray, geom: FloatArray) -> None:
 def _check_order(order: IntArray, joints: int) -> None:
     if order.ndim != 1 or not np.issubdtype(order.dtype, np.integer):
         message = (
-            f"the mesh's joint order is {order.dtype} {order.shape}, not whole (U,)"
+            f"the mesh's joint order is {order.dtype} {order.shape}, not integers (U,)"
         )
         raise FormatError(Fault("SKIN001", message))
     wrong = order[(order < 0) | (order >= joints)].tolist()
@@ -281,7 +281,7 @@ def _check_regular(bind: FloatArray, joints: IntArray) -> None:
     if singular.any():
         at = listed(joints[singular].tolist())
         message = f"bind transforms of joints {at} have no inverse"
-        hint = "no axis of them may have length 0"
+        hint = "none of their axes may have length 0"
         raise FormatError(Fault("USD226", message, hint=hint))
 
 

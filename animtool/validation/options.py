@@ -29,24 +29,25 @@ class ValidateOptions:
     select: tuple[str, ...] = option(
         (),
         "codes",
-        help="Look for these codes only; a beginning such as RIG2 means all with it.",
+        help="Check only these codes; a prefix such as RIG2 selects all codes that "
+        "start with it.",
     )
     ignore: tuple[str, ...] = option(
         (),
         "codes",
-        help="Leave these out. Of a code that both name, the longer one decides.",
+        help="Skip these codes. If both options match a code, the longer prefix wins.",
     )
     severity: Mapping[str, Severity] = option(
         MISSING,
         "severities",
         default_factory=dict,
-        help="Take a code for an error, a warning or a note.",
+        help="Report a code as an error, a warning or a note.",
     )
     jobs: int | None = option(
         1,
         "processes",
         short="-j",
-        help="Processes to share the files among.  [default: as fits]",
+        help="Number of processes.  [default: automatic]",
     )
     profile: str = option(
         "",
@@ -110,8 +111,10 @@ class ValidateOptions:
 
 
 FORMATS = ("text", "json", "github", "sarif", "junit")
-_FOR_FIX = f"is for {argument('fix', True)}, which writes"
-_NO_REPORT = f"{argument('diff')} writes a diff, not a report: no {argument('format')}"
+_FOR_FIX = f"needs {argument('fix', True)}, which writes"
+_NO_REPORT = (
+    f"{argument('diff')} writes a diff, not a report: remove {argument('format')}"
+)
 
 
 @described
@@ -119,15 +122,14 @@ _NO_REPORT = f"{argument('diff')} writes a diff, not a report: no {argument('for
 class ReportOptions:
     """What to do about findings: fix or show them, where, and the exit code."""
 
-    strict: bool = option(False, "switch", help="End with 1 where there are warnings.")
-    exit_zero: bool = option(False, "switch", help="End with 0 whatever is found.")
+    strict: bool = option(False, "switch", help="Exit with 1 if there are warnings.")
+    exit_zero: bool = option(False, "switch", help="Exit with 0 whatever is found.")
     fix: bool = option(
         False,
         "switch",
-        help="Fix in place what has a safe remedy in rigs, clips, scenes and targets, "
-        "and report what is left. A USD file needs -o or "
-        f"{argument('overwrite', True)}; BVH is not "
-        "written.",
+        help="Repair findings with a safe fix in place, in rigs, clips, scenes and "
+        "targets, and report the rest. A USD file needs -o or "
+        f"{argument('overwrite', True)}; BVH is not written.",
     )
     output: Path | None = option(
         None,
@@ -136,14 +138,14 @@ class ReportOptions:
         goes_with="fix",
         lacking=f"{argument('output')} {_FOR_FIX}",
         help=f"With {argument('fix', True)} and one USD file: write the repaired "
-        "copy there.",
+        "copy here.",
     )
     overwrite: bool = option(
         False,
         "switch",
         goes_with="fix",
         lacking=f"{argument('overwrite', True)} {_FOR_FIX}",
-        help=f"With {argument('fix', True)}: replace the file of -o; without -o, "
+        help=f"With {argument('fix', True)}: replace the file of -o; without -o, the "
         "USD files themselves.",
     )
     diff: bool = option(
@@ -162,12 +164,12 @@ class ReportOptions:
         "choice",
         flag="format",
         choices=FORMATS,
-        help="text, JSON, annotations of GitHub, SARIF 2.1.0 or JUnit XML.",
+        help="text, JSON, GitHub annotations, SARIF 2.1.0 or JUnit XML.",
     )
     output_file: Path | None = option(
         None,
         "output",
-        help="Write the report there, and what it comes to on stderr.",
+        help="Write the report here, and its summary to stderr.",
     )
 
 
@@ -197,7 +199,7 @@ def check_codes(options: ValidateOptions, path: str | None = None) -> None:
         rules, _ = all_rules()
         if given and any(code.startswith(given) for code in rules):
             continue
-        message = f"no code is or begins with {given!r}"
+        message = f"no code matches {given!r}"
         hint = nearest(given, list(rules))
         if hint.startswith("allowed"):
             hint = "animtool explain lists them"
@@ -243,7 +245,7 @@ def _options(table: Any, path: str) -> ValidateOptions:
         severities[code] = Severity(name)
     profile = table.get("profile", "")
     if not isinstance(profile, str):
-        message = f"validate.profile is {profile!r}, not a name or file"
+        message = f"validate.profile is {profile!r}, not a name or a file"
         raise OptionError(Fault("CFG003", message, path))
     levels = load_profile(profile, Path(path).parent) if profile else {}
     options = ValidateOptions(

@@ -32,9 +32,9 @@ class Profile:
 
 
 PROFILES: dict[str, Profile] = {
-    "default": Profile("each code's own severity, for layers too", {}),
+    "default": Profile("each code's own severity, also for layers", {}),
     "asset": Profile(
-        "a rig or asset that is published: what it is opened by must be stated",
+        "a published rig or asset: metadata needed to open it must be present",
         dict.fromkeys(
             (
                 *("MOT213", "MOT215", "MOT220", "USD227", "USD228", "USD229"),
@@ -44,7 +44,8 @@ PROFILES: dict[str, Profile] = {
         ),
     ),
     "layer": Profile(
-        "an animation layer over a rig elsewhere: a stage's metadata is not its own",
+        "an animation layer over a rig elsewhere: the stage metadata comes from the "
+        "shot",
         {
             "MOT217": _NOTE,
             "USD237": None,
@@ -56,7 +57,7 @@ PROFILES: dict[str, Profile] = {
         },
     ),
     "shot": Profile(
-        "a stage of a shot: its time must be right, its assets are others' work",
+        "the stage of a shot: its time must be right; its assets belong to others",
         {
             "MOT215": _NOTE,
             "MOT217": _NOTE,
@@ -74,7 +75,7 @@ PROFILES: dict[str, Profile] = {
         },
     ),
     "vendor": Profile(
-        "a file that others delivered: what it loses is a warning, the rest is noted",
+        "a file delivered by others: losses are warnings, the rest are notes",
         {
             "USD2": _NOTE,
             # UsdSkel ignores or misreads what has these.
@@ -104,7 +105,7 @@ def load_profile(name: str, folder: Path | None = None) -> Levels:
         return PROFILES[name].levels
     path = Path(name) if folder is None else folder / name
     if not path.is_file():
-        message = f"no profile {name!r}, and no file of that name"
+        message = f"unknown profile {name!r}, and there is no file with that name"
         hint = nearest(name, list(PROFILES))
         raise OptionError(Fault("VAL009", message, None, (), hint))
     is_toml = path.suffix.lower() == ".toml"
@@ -148,7 +149,7 @@ def _levels(table: Mapping[str, Any], path: str) -> Levels:
         raise _malformed(f"extends is {base!r}", path, hint)
     given = table.get("severity", {})
     if not isinstance(given, dict):
-        hint = "write codes, such as USD25: note"
+        hint = "write codes and severities, such as USD25: note"
         raise _malformed(f"severity is {given!r}, not a table of codes", path, hint)
     own = {
         str(code).upper(): _level(code, value, path) for code, value in given.items()
@@ -177,7 +178,7 @@ def _check_codes(levels: Levels, path: str) -> None:
     for code in levels:
         known = code and any(rule.startswith(current_codes(code)) for rule in rules)
         if not known:
-            message = f"no code is or begins with {code!r}"
+            message = f"no code matches {code!r}"
             raise OptionError(
                 Fault("VAL005", message, path, (), nearest(code, [*rules]))
             )

@@ -94,15 +94,15 @@ class Ignores:
         for i, entry in enumerate(_entries(self.document)):
             code = entry["code"]
             if current_codes(code)[0] not in rules:
-                message = f"{code!r} is no code"
+                message = f"unknown code {code!r}"
                 hint = nearest(code, sorted(rules))
                 yield self.document.fault(
                     "VAL002", ("ignore", i, "code"), message, hint
                 )
             elif not self.used[i]:
                 where = f" at {entry['where']}" if entry.get("where") else ""
-                message = f"nothing here is {code}{where}"
-                hint = "leave it out"
+                message = f"nothing here has {code}{where}"
+                hint = "remove it"
                 fault = self.document.fault("VAL001", ("ignore", i), message, hint)
                 yield replace(fault, severity=Severity.WARNING)
 
@@ -337,7 +337,7 @@ def findings_of_rule(rule: Rule, path: Path) -> list[Fault]:
     checked = open_file(path)
     if checked.kind not in rule.kinds:
         kinds = ", ".join(sorted(rule.kinds))
-        message = f"is a {checked.kind} file, and {rule.code} looks at {kinds}"
+        message = f"is a {checked.kind} file, but {rule.code} checks {kinds}"
         raise FormatError(Fault("DOC009", message, str(path)))
     subjects = _subjects(rule, checked)
     if not subjects:
@@ -367,7 +367,7 @@ def _run(rule: Rule, checked: CheckedFile) -> list[Fault]:
         path = None if checked.document is None else str(checked.document.path)
         kind = type(error).__name__
         message = f"rule {rule.code} failed: {kind}: {excerpt(str(error), 200)}"
-        hint = "please report it to whoever wrote the rule"
+        hint = "please report it to the author of the rule"
         return [Fault("VAL003", message, path, (), hint)]
 
 

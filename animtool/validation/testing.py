@@ -28,11 +28,11 @@ def check_rule(rule: Rule, wrong: Path | str, right: Path | str) -> list[Finding
         raise AssertionError(f"{rule.code} finds nothing in {wrong}")
     for finding in findings:
         if finding.code != rule.code:
-            raise AssertionError(f"{rule.code} speaks of {finding.code}")
+            raise AssertionError(f"{rule.code} reports {finding.code}")
         if not finding.message or finding.path is None:
-            raise AssertionError(f"{rule.code} says nothing, or of no file: {finding}")
+            raise AssertionError(f"{rule.code} reports nothing, or no file: {finding}")
         if not finding.lines and not finding.where:
-            raise AssertionError(f"{rule.code} names no place: {finding}")
+            raise AssertionError(f"{rule.code} reports no location: {finding}")
     others = findings_of_rule(rule, Path(right))
     if others:
         raise AssertionError(f"{rule.code} is a false alarm in {right}: {others[0]}")

@@ -122,7 +122,7 @@ def calibration_of(
         if camera is None:
             continue
         if camera.name in {other.name for other in found}:
-            message = f"a second camera is called {camera.name!r}"
+            message = f"two cameras are called {camera.name!r}"
             document.add("CAM002", location, message)
         found.append(camera)
     document.check()
@@ -141,7 +141,7 @@ def _unit(document: Document) -> LengthUnit:
     if isinstance(stated, str) and stated in set(LengthUnit):
         return LengthUnit(stated)
     hint = f"allowed: {', '.join(LengthUnit)}"
-    document.add("CAM003", location, f"{excerpt(str(stated))} is no unit", hint)
+    document.add("CAM003", location, f"unknown unit {excerpt(str(stated))}", hint)
     return LengthUnit.M
 
 
@@ -177,8 +177,8 @@ class _Entry:
     def camera(self, name: str, scale: float) -> Camera | None:
         """Return the camera; None where there are faults, which are noted."""
         if self.value.get("fisheye") is True:
-            message = "a fisheye lens is not modelled"
-            hint = "undistort its pixels first, and state a lens without distortion"
+            message = "fisheye lenses are not supported"
+            hint = "undistort the pixels first, and write a lens without distortion"
             self.document.add("CAM003", (*self.location, "fisheye"), message, hint)
             return None
         matrix = self._numbers("matrix", (3, 3))
@@ -214,7 +214,7 @@ class _Entry:
             if what == "distortion":
                 return np.zeros(0)
             message = f"the camera has no {what}"
-            hint = f"it is called {listed(_KEYS[what])}"
+            hint = f"write it as {listed(_KEYS[what])}"
             if what in {"rotation", "translation"}:
                 hint = f"only its lens is calibrated; {hint}"
             self.document.add("CAM003", self.location, message, hint)
@@ -255,8 +255,8 @@ class _Entry:
         below = [*matrix[1:, 0], matrix[2, 1], matrix[2, 2] - 1]
         fine = matrix[0, 0] > 0 and matrix[1, 1] > 0 and np.allclose(below, 0)
         if not fine:
-            message = "is no camera matrix"
-            hint = "[[fx, s, cx], [0, fy, cy], [0, 0, 1]] with fx and fy above 0"
+            message = "is not a camera matrix"
+            hint = "write [[fx, s, cx], [0, fy, cy], [0, 0, 1]] with fx and fy above 0"
             key = self._key("matrix") or "matrix"
             self.document.add("CAM003", (*self.location, key), message, hint)
         return bool(fine)
@@ -266,9 +266,9 @@ class _Entry:
             return to_matrix(exp(value.ravel()))
         matrix = nearest_rotation(value.reshape(3, 3)) if value.size == 9 else None
         if matrix is None:
-            message = "is no rotation"
+            message = "is not a rotation"
             hint = (
-                "a matrix with rows of length 1 at right angles, or a rotation vector"
+                "write a matrix with orthogonal rows of length 1, or a rotation vector"
             )
             key = self._key("rotation") or "rotation"
             self.document.add("CAM001", (*self.location, key), message, hint)
@@ -277,11 +277,11 @@ class _Entry:
     def _is_lens(self, value: FloatArray) -> bool:
         key = self._key("distortion") or "distortion"
         if value.size not in range(9) and value.size not in _LENSES:
-            message = f"{value.size} numbers are no lens of OpenCV"
+            message = f"{value.size} numbers do not make an OpenCV lens"
             self.document.add("CAM003", (*self.location, key), message)
             return False
         if value.ravel()[MODELLED:].any():
-            message = "thin prisms and tilted sensors are not modelled"
+            message = "thin prisms and tilted sensors are not supported"
             hint = "calibrate without them: k1, k2, p1, p2, k3 to k6"
             self.document.add("CAM003", (*self.location, key), message, hint)
             return False
@@ -300,7 +300,7 @@ class _Entry:
         except (TypeError, ValueError, OverflowError):
             sides = []
         if len(sides) != 2 or not all(0 < side <= 100_000 for side in sides):
-            message = "is no width and height of an image"
+            message = "is not the width and height of an image"
             self.document.add("CAM003", (*self.location, key), message)
             return None
         return sides[0], sides[1]

@@ -44,16 +44,18 @@ class CameraUnitsModel(FileModel):
     """Units of the numbers in a camera file."""
 
     length: Literal["m", "cm", "mm", "in"] = key(
-        "Of translations. Focal lengths and centres are in pixels.", "mm", default="m"
+        "Unit of translations. Focal lengths and centres are in pixels.",
+        "mm",
+        default="m",
     )
 
 
 class CameraModel(FileModel):
     """A calibrated camera: `x_camera = rotation * x_world + translation`."""
 
-    name: Name = key("Unique among the cameras.", "cam01")
+    name: Name = key("Unique name of the camera.", "cam01")
     size: Annotated[list[Side], Len(2, 2)] | None = key(
-        "Width and height of its images in pixels. Pixels outside are named.",
+        "Width and height of its images in pixels. Pixels outside are reported.",
         [1920, 1080],
         default=None,
     )
@@ -65,18 +67,18 @@ class CameraModel(FileModel):
     )
     skew: Real = key("Skew of the image axes in pixels.", 0.5, default=0.0)
     distortion: Annotated[list[Real], Len(0, 8)] = key(
-        "k1, k2, p1, p2, k3, k4, k5, k6 of the lens, as OpenCV orders them; the last "
-        "ones may be left out.",
+        "k1, k2, p1, p2, k3, k4, k5, k6 of the lens, in OpenCV's order; trailing "
+        "ones can be omitted.",
         [-0.073, 0.006, 0, 0, 0],
         default=[],
     )
     rotation: Annotated[list[Vector], Len(3, 3)] | Quaternion = key(
-        "From the world to the camera, which looks along z with y down: a matrix by "
-        "rows, or `[w, x, y, z]`.",
+        "Rotation from the world to the camera, which looks along z with y down: a "
+        "matrix by rows, or `[w, x, y, z]`.",
         [0.7, 0.0, 0.7, 0.0],
     )
     translation: Vector = key(
-        "Of the world's origin, seen from the camera.", [-0.08, 0.92, 4.72]
+        "Position of the world's origin in the camera's frame.", [-0.08, 0.92, 4.72]
     )
 
 
@@ -101,8 +103,8 @@ class CamerasModel(FileModel):
         ],
     )
     ignore: list[IgnoreModel] = key(
-        "Findings of `animtool validate` that are known and stay.",
-        [{"code": "CAM002", "why": "it is meant"}],
+        "Findings of `animtool validate` that are accepted.",
+        [{"code": "CAM002", "why": "this is intended"}],
         default=[],
     )
 
@@ -121,14 +123,14 @@ def cameras_of_document(document: Document) -> Cameras:
     names: dict[str, int] = {}
     for i, view in enumerate(model.views):
         if view.name in names:
-            message = f"a second camera is called {view.name!r}"
+            message = f"two cameras are called {view.name!r}"
             hint = f"the first is views[{names[view.name]}]"
             document.add("CAM002", ("views", i, "name"), message, hint)
         names.setdefault(view.name, i)
         rotation = _rotation(view.rotation)
         if rotation is None:
-            message = "is no rotation"
-            hint = "rows of length 1 at right angles, right-handed, or [w, x, y, z]"
+            message = "is not a rotation"
+            hint = "write orthogonal, right-handed rows of length 1, or [w, x, y, z]"
             document.add("CAM001", ("views", i, "rotation"), message, hint)
             continue
         found.append(
@@ -200,14 +202,16 @@ def load_all_cameras(
     found: dict[str, Camera] = {}
     for path, each in zip(paths, read, strict=True):
         if each.up != read[0].up:
-            message = f"{each.up} points up, and {read[0].up} does in {paths[0].name}"
-            hint = "measure all cameras in one world, and write its `up` in each file"
+            message = (
+                f"its up axis is {each.up}, but that of {paths[0].name} is {read[0].up}"
+            )
+            hint = "calibrate all cameras in one world, and write its `up` in each file"
             raise FormatError(Fault("CAM003", message, str(path), hint=hint))
         for camera in each.cameras:
             alone = len(each) == 1 and camera.name == UNNAMED
             name = path.name.partition(".")[0] if alone else camera.name
             if name in found:
-                message = f"a second camera is called {name!r}"
+                message = f"two cameras are called {name!r}"
                 raise FormatError(Fault("CAM002", message, str(path)))
             found[name] = replace(camera, name=name)
     notices = tuple(note for each in read for note in each.notices)

@@ -116,11 +116,11 @@ def _other_kind(path: Path, message: str) -> tuple[str, str]:
         return message, WANTED
     text = head.lstrip(b"\xef\xbb\xbf \r\n\t")
     if path.suffix.lower() != ".json" and text[:1] not in {b"{", b"["}:
-        return "is no npz file of pixels", WANTED
+        return "is not an npz file of pixels", WANTED
     kind = "is a JSON file; observations are an npz file of pixels, or a folder of "
     kind += "OpenPose keypoints"
     if b'"people"' in text:
-        hint = "give the folder that has a folder of such files for each camera: "
+        hint = "pass the folder that contains one folder of such files per camera: "
         hint += (
             f"animtool mocap triangulate pose/ {flag('cameras', 'calib.toml')} "
             f"{flag('fps', '60')} "
@@ -128,7 +128,7 @@ def _other_kind(path: Path, message: str) -> tuple[str, str]:
         return kind, hint + "-o people.npz"
     if any(key in text for key in (b'"cameras"', b'"camera_matrix"', b'"K"')):
         kind = (
-            "holds cameras, not what they see; give it as "
+            "holds cameras, not observations; pass it as "
             f"{argument('cameras', path.name)}"
         )
     return kind, WANTED
@@ -139,7 +139,7 @@ def _read(archives: Archives, path: Path, fps: FractionLike | None) -> Observati
     key = next((name for name in _ARRAYS if name in known), None)
     if key is None:
         held = listed(known) or "nothing"
-        raise ValueError(f"has no array 'uv' or 'uv8' of pixels; it holds {held}")
+        raise ValueError(f"has no array 'uv' or 'uv8' of pixels; its arrays are {held}")
     unit, missing = _ARRAYS[key]
     head = archives.header(path, key)
     if len(head.shape) != 4 or head.shape[3] != 2:
@@ -147,15 +147,15 @@ def _read(archives: Archives, path: Path, fps: FractionLike | None) -> Observati
         raise ValueError(message)
     frames, views, count, _ = head.shape
     if not (frames and views and count):
-        raise ValueError(f"{key!r} has shape {head.shape}: nothing is in it")
+        raise ValueError(f"{key!r} has shape {head.shape}: it is empty")
     if views > MAX_CAMERAS:
-        raise ValueError(f"{key!r} is of {views} cameras; at most {MAX_CAMERAS} can be")
+        raise ValueError(f"{key!r} has {views} cameras; the limit is {MAX_CAMERAS}")
     if (head.kind == "f") != (key == "uv"):
         kinds = "floats" if key == "uv" else "whole numbers"
         raise ValueError(f"{key!r} does not hold {kinds}")
     stored = archives.stored(path, key)
     if head.kind == "f" and np.isinf(stored).any():
-        raise ValueError(f"{key!r} holds an infinity")
+        raise ValueError(f"{key!r} contains an infinity")
     texts = {
         name: tuple(archives.texts(path, name)) if name in known else ()
         for name in ("marker_names", "camera_names")
@@ -168,7 +168,7 @@ def _read(archives: Archives, path: Path, fps: FractionLike | None) -> Observati
     )
     for what, given, wanted in lengths:
         if given not in {wanted, 0}:
-            raise ValueError(f"{what!r} are {given}, and {key!r} is of {wanted}")
+            raise ValueError(f"{what!r} has {given}, but {key!r} has {wanted}")
     rate = _rate(archives, path, known, fps)
     confidences = None
     if "confidence" in known:
@@ -189,13 +189,15 @@ def _rate(
         return rate_option(fps)
     if "fs" not in known:
         raise ValueError(
-            f"has no number 'fs', the frame rate; {argument('fps')} gives one"
+            f"has no number 'fs', the frame rate; set it with {argument('fps')}"
         )
     stated = archives.stored(path, "fs").ravel()
     low, high = _RATES
     if stated.size != 1 or not low <= float(stated[0]) <= high:
         shown = listed(stated.tolist())
-        raise ValueError(f"'fs' is {shown}, no frame rate; {argument('fps')} gives one")
+        raise ValueError(
+            f"'fs' is {shown}, which is not a frame rate; set it with {argument('fps')}"
+        )
     return rate_from_float(float(stated[0]))
 
 
@@ -213,20 +215,22 @@ def matched(observations: Observations, cameras: Cameras) -> Cameras:
         missing = [name for name in observations.cameras if name not in by_name]
         if missing:
             near = similar(missing[0], list(by_name))
-            message = f"there is no calibration of camera {missing[0]!r}"
+            message = f"camera {missing[0]!r} has no calibration"
             hint = (
-                f"did you mean {near!r}?" if near else f"it has {listed(list(by_name))}"
+                f"did you mean {near!r}?"
+                if near
+                else f"the calibration has {listed(list(by_name))}"
             )
             raise OptionError(Fault("CAM011", message, path, (), hint))
         chosen = tuple(by_name[name] for name in observations.cameras)
     else:
         chosen = cameras.cameras
         if len(chosen) != seen:
-            message = f"holds {counted(len(chosen), 'camera')}, and the observations "
-            message += f"are of {seen}"
-            hint = "camera_names in the observations says which they are"
+            message = f"holds {counted(len(chosen), 'camera')}, but the observations "
+            message += f"have {seen}"
+            hint = "write camera_names in the observations to tell which they are"
             raise OptionError(Fault("CAM011", message, path, (), hint))
     if seen < 2:
-        message = "one camera sees no depth: two and more are needed"
+        message = "one camera sees no depth: at least two are needed"
         raise OptionError(Fault("CAM012", message, observations.path or path))
     return replace(cameras, cameras=chosen)

@@ -283,13 +283,13 @@ def read_keypoints(
     """
     folder = Path(folder)
     if fps is None:
-        message = "keypoints of OpenPose state no frame rate"
-        hint = f"{argument('source.fps')} gives it"
+        message = "OpenPose keypoints state no frame rate"
+        hint = f"set it with {argument('source.fps')}"
         raise OptionError(Fault("CAM010", message, str(folder), (), hint))
     rate = rate_option(fps)
     folders = sorted(each for each in folder.iterdir() if any(each.glob("*.json")))
     if not folders:
-        message = "holds no folder of JSON files for each camera"
+        message = "contains no folder of JSON files for each camera"
         raise FormatError(Fault("CAM010", message, str(folder)))
     names = _camera_names(folders, cameras)
     frames = [dict(_frames(each)) for each in folders]
@@ -310,7 +310,7 @@ def read_keypoints(
     counts = {len(p) for frame in detections for seen in frame for p in seen}
     if len(counts) != 1:
         message = f"people have {listed(sorted(counts)) or 'no'} keypoints"
-        hint = "all files must be of one model of the body"
+        hint = "all files must use one body model"
         raise FormatError(Fault("CAM010", message, str(folder), (), hint))
     keypoints = counts.pop()
     followed = follow_people(detections, chosen.cameras, float(rate), keypoints, people)
@@ -341,12 +341,16 @@ def _camera_names(folders: list[Path], cameras: Cameras) -> tuple[str, ...]:
     if any(found):
         missing = folders[found.index("")].name
         near = similar(missing, cameras.names)
-        message = f"there is no calibration of camera {missing!r}"
-        hint = f"did you mean {near!r}?" if near else f"it has {listed(cameras.names)}"
+        message = f"camera {missing!r} has no calibration"
+        hint = (
+            f"did you mean {near!r}?"
+            if near
+            else (f"the calibration has {listed(cameras.names)}")
+        )
         raise OptionError(Fault("CAM011", message, cameras.path or None, (), hint))
     if len(folders) != len(cameras):
-        message = f"{len(folders)} folders and {len(cameras)} cameras"
-        hint = "call each folder as the calibration calls its camera"
+        message = f"{len(folders)} folders, but {len(cameras)} cameras"
+        hint = "give each folder the name of its camera in the calibration"
         raise OptionError(Fault("CAM011", message, cameras.path or None, (), hint))
     return cameras.names
 
@@ -357,11 +361,11 @@ def _frames(folder: Path) -> Iterator[tuple[int, Path]]:
     for path in sorted(folder.glob("*.json")):
         number = _NUMBER.search(path.name.removesuffix("_keypoints.json"))
         if number is None or len(number[1]) > 15:
-            message = "has no number of a frame in its name"
+            message = "has no frame number in its name"
             raise FormatError(Fault("CAM010", message, str(path)))
         frame = int(number[1])
         if frame in taken:
-            message = f"is frame {frame}, as {taken[frame].name} is"
+            message = f"has frame number {frame}, as {taken[frame].name} has"
             raise FormatError(Fault("CAM010", message, str(path)))
         taken[frame] = path
         yield frame, path
@@ -378,10 +382,10 @@ def _people(path: Path) -> list[FloatArray]:
             for person in people[: MAX_PEOPLE + 1]
         ]
     except (ValueError, TypeError, KeyError, OverflowError, RecursionError) as error:
-        message = f"is no file of keypoints: {_reason(error)}"
+        message = f"is not a file of keypoints: {_reason(error)}"
         raise FormatError(Fault("CAM010", message, str(path))) from error
     if len(people) > MAX_PEOPLE:
-        message = f"holds {len(people)} people; at most {MAX_PEOPLE} are followed"
+        message = f"holds {len(people)} people; the limit is {MAX_PEOPLE}"
         raise FormatError(Fault("CAM010", message, str(path)))
     kept = []
     for person in found:
@@ -399,5 +403,5 @@ def _reason(error: Exception) -> str:
     if isinstance(error, KeyError):
         return f"it has no {error.args[0]!r}"
     if isinstance(error, RecursionError):
-        return "it is nested too deep"
+        return "it is nested too deeply"
     return str(error).split(" (char")[0]

@@ -160,38 +160,40 @@ def camera_notices(
             f"camera {report.name!r} moved in frames {moved.first + 1} to {moved.end}"
         )
         if whole:
-            text = f"camera {report.name!r} does not fit its calibration in any frame"
-        text += f": {percent(moved.outliers)} of what it sees are outliers"
+            text = f"camera {report.name!r} does not match its calibration in any frame"
+        text += f": {percent(moved.outliers)} of its points are outliers"
         if moved.change is not None:
             text += f", and {moved.change} would explain it"
         if moved.kept:
-            text += "; it is kept: the others fit no better without it"
+            text += "; it is kept: without it, the others do not agree better"
         else:
-            text += "; it is kept" if kept else "; it is left out there"
+            text += "; it is kept" if kept else "; it is excluded there"
         yield warning("CAM101", text, "calibrate it again")
     if report.disagrees:
         worst = max(report.disagrees, key=lambda each: each.outliers)
         named = frame_spans([each.frame + 1 for each in report.disagrees])
-        text = f"camera {report.name!r} does not agree with the others in "
+        text = f"camera {report.name!r} disagrees with the others in "
         text += f"{counted(len(report.disagrees), 'frame')}: {named}"
         if worst.outliers > 0:
             text += f" ({percent(worst.outliers)} outliers in {worst.frame + 1})"
-        hint = "was it bumped or out of step there? its outliers are left out"
+        hint = "was it bumped or out of sync there? its outliers are excluded"
         yield warning("CAM111", text, hint)
     if report.outliers > MANY_OUTLIERS and not report.moved:
-        text = f"{percent(report.outliers)} of what camera {report.name!r} sees are "
+        text = (
+            f"{percent(report.outliers)} of the points of camera {report.name!r} are "
+        )
         yield warning("CAM102", f"{text}outliers", "check its labels and its clock")
     if not report.observed:
         yield warning("CAM103", f"camera {report.name!r} sees nothing")
     if report.no_ray:
         text = (
-            f"{counted(report.no_ray, 'pixel')} of camera {report.name!r} are beyond "
+            f"{counted(report.no_ray, 'pixel')} of camera {report.name!r} are outside "
         )
-        yield warning("CAM106", f"{text}what its lens model covers")
+        yield warning("CAM106", f"{text}the range of its lens model")
     if report.outside and camera.size is not None:
         text = f"{counted(report.outside, 'pixel')} of camera {report.name!r} are "
-        text += f"outside of its image of {camera.size[0]} x {camera.size[1]}"
-        hint = "are calibration and observations of the same image size?"
+        text += f"outside its image of {camera.size[0]} x {camera.size[1]}"
+        hint = "do calibration and observations have the same image size?"
         yield warning("CAM107", text, hint)
 
 
@@ -210,9 +212,9 @@ def lost_frames(
     frames = np.flatnonzero((lost > LOST * seen.sum(axis=1)) & (lost >= MIN_VIEW))
     if not len(frames) or len(frames) == clock.count:
         return
-    text = f"cameras do not agree in {counted(len(frames), 'frame')}: "
+    text = f"cameras disagree in {counted(len(frames), 'frame')}: "
     text += f"{frame_spans((frames + 1).tolist())}; most points there are gaps"
-    hint = "too few cameras see them to tell which one is off: one may have moved"
+    hint = "too few cameras see them to tell which one is wrong: one may have moved"
     yield Fault("CAM112", text, path or None, (), hint, Severity.WARNING)
 
 
@@ -230,6 +232,6 @@ def gap_notices(
         yield Fault("CAM104", text, path or None, severity=Severity.WARNING)
     lost = seen - int(found.sum())
     if lost > 0:
-        text = f"{counted(lost, 'point')} that two cameras and more see are gaps: no "
-        text += "two agree, or their rays are too flat"
+        text = f"{counted(lost, 'point')} that two or more cameras see are gaps: no "
+        text += "two agree, or their rays are too close to parallel"
         yield Fault("CAM105", text, path or None, severity=Severity.NOTE)

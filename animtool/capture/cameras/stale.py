@@ -38,7 +38,7 @@ class PoseChange:
 
     def __str__(self) -> str:
         """Return it in words."""
-        turn = f"a turn of {np.degrees(self.angle):.2f} degrees"
+        turn = f"a rotation of {np.degrees(self.angle):.2f} degrees"
         way = f"a shift of {1000 * self.distance:.1f} mm"
         return f"{turn} and {way} (reprojection then {self.error_px:.2f} px)"
 

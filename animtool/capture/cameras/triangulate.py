@@ -88,7 +88,9 @@ def _check_options(options: TriangulateOptions) -> None:
             raise OptionError(Fault("CAP001", message, where=name))
     if not 0 <= options.min_angle < np.pi / 2:
         degrees = np.degrees(options.min_angle)
-        message = f"the least angle must be from 0 to below 90 degrees, not {degrees:g}"
+        message = (
+            f"the smallest angle must be from 0 to below 90 degrees, not {degrees:g}"
+        )
         raise OptionError(Fault("CAP001", message, where="min_angle"))
 
 
@@ -140,7 +142,7 @@ class _Run:
         ]
         width = max(1.0, float(np.median(widths)))
         if middle > MAX_NOISE * width:
-            message = f"cameras do not agree: rays miss each other by {middle:.0f} px"
+            message = f"cameras disagree: their rays miss each other by {middle:.0f} px"
             self._disagree(message)
         if not measured.agree or middle > ODD_NOISE * width:
             message = f"rays of the cameras miss each other by {middle:.1f} px"

@@ -154,13 +154,15 @@ def _read(
     infinite = np.isinf(points).any(axis=-1)
     if infinite.any():
         points[infinite] = np.nan
-        message = f"{int(infinite.sum())} landmarks are infinite: taken for missing"
+        message = f"{int(infinite.sum())} landmarks are infinite: treated as missing"
         notices.append(Fault("FAC106", message, str(path), severity=Severity.WARNING))
     texts = None
     if "landmark_names" in known:
         texts = tuple(archives.texts(path, "landmark_names"))
         if len(texts) != count or len(set(texts)) < count:
-            message = f"landmark_names are {len(set(texts))} names of {count} landmarks"
+            message = (
+                f"landmark_names has {len(set(texts))} names for {count} landmarks"
+            )
             raise _wrong(path, message)
     return FaceCapture(
         path,
@@ -185,13 +187,15 @@ def _rate(
     if fps is not None:
         return rate_option(fps)
     if "fs" not in known:
-        hint = f"{argument('source.fps')} says it"
+        hint = f"set it with {argument('source.fps')}"
         raise _wrong(path, "states no rate (fs)", hint)
     stated = archives.stored(path, "fs").ravel()
     try:
         return parse_rate(rate_from_float(float(stated[0])))
     except (IndexError, RateError, ValueError, OverflowError) as error:
-        raise _wrong(path, f"fs is {stated[:1].tolist()}, no frame rate") from error
+        raise _wrong(
+            path, f"fs is {stated[:1].tolist()}, which is not a frame rate"
+        ) from error
 
 
 def _model(
@@ -236,15 +240,15 @@ def in_order(capture: FaceCapture, model: FaceModel) -> tuple[FloatArray, list[F
         if capture.points.shape[1] != count:
             message = (
                 f"has {counted(capture.points.shape[1], 'landmark')} without names, "
-                f"and the face has {count}"
+                f"but the face has {count}"
             )
-            hint = "landmark_names in the npz says which are which"
+            hint = "write landmark_names in the npz to tell which are which"
             raise OptionError(Fault("FAC004", message, path, (), hint))
         return capture.points, []
     places = {name: i for i, name in enumerate(capture.names)}
     there = [places.get(name, -1) for name in model.names]
     if max(there) < 0:
-        message = f"no landmark is one of the face, such as {capture.names[0]!r}"
+        message = f"no landmark belongs to the face, such as {capture.names[0]!r}"
         hint = f"{nearest(capture.names[0], model.names)}"
         raise OptionError(Fault("FAC004", message, path, (), hint))
     made = np.full((len(capture.points), count, capture.points.shape[2]), np.nan)

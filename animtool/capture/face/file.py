@@ -31,19 +31,19 @@ Vertex = Annotated[int, Ge(0)]
 class LandmarkModel(FileModel):
     """A landmark on a mesh: at a vertex, or in between several."""
 
-    name: Name = key("The landmark, unique in the file.", "nose_tip")
+    name: Name = key("Name of the landmark, unique in the file.", "nose_tip")
     mesh: Name | None = key(
-        "The mesh that it is on. Not given: that of the file.", "face", default=None
+        "The mesh it is on. Default: that of the file.", "face", default=None
     )
-    vertex: Vertex | None = key("The vertex that it is at.", 1042, default=None)
+    vertex: Vertex | None = key("The vertex it is at.", 1042, default=None)
     vertices: Annotated[list[Vertex], Len(1)] | None = key(
-        "The vertices that it is in between, such as those of a triangle.",
+        "The vertices it lies between, such as those of a triangle.",
         [7, 12, 13],
         default=None,
     )
     weights: Annotated[list[Real], Len(1)] | None = key(
-        "How near it is to each of the vertices, 1 in all: barycentric coordinates. "
-        "Not given: in their middle.",
+        "Barycentric coordinates: the weight of each vertex, with a sum of 1. "
+        "Default: equal.",
         [0.5, 0.3, 0.2],
         default=None,
     )
@@ -56,22 +56,22 @@ class LandmarksModel(FileModel):
         "File type and format version.", "animtool/1"
     )
     rig: Name | None = key(
-        "The rig that it is for. `mocap face` names the rig itself.",
+        "The rig of the landmarks. `mocap face` names the rig itself.",
         "head.rig.yaml",
         default=None,
     )
     mesh: Name | None = key(
-        "The mesh of landmarks that name none. Not given: the only mesh with shapes.",
+        "The mesh of landmarks that name none. Default: the only mesh with shapes.",
         "face",
         default=None,
     )
     points: Annotated[list[LandmarkModel], Len(1)] = key(
-        "The landmarks, in the order of captures that name none.",
+        "The landmarks, in the order of captures without names.",
         [{"name": "nose_tip", "vertex": 1042}],
     )
     ignore: list[IgnoreModel] = key(
-        "Findings of `animtool validate` that are known and stay.",
-        [{"code": "FAC008", "why": "it is meant"}],
+        "Findings of `animtool validate` that are accepted.",
+        [{"code": "FAC008", "why": "this is intended"}],
         default=[],
     )
 
@@ -112,7 +112,7 @@ def landmarks_of_document(document: Document) -> LandmarksFile:
             document.add("FAC008", (*at, "name"), message, hint)
         taken.setdefault(point.name, i)
         if (point.vertex is None) == (point.vertices is None):
-            message = "a landmark is at one vertex, or in between several"
+            message = "a landmark is either at one vertex or between several"
             hint = "write vertex: 12, or vertices: [12, 13, 14]"
             document.add("FAC008", at, message, hint)
         if point.weights is not None:
@@ -121,7 +121,7 @@ def landmarks_of_document(document: Document) -> LandmarksFile:
                 message = f"has {len(point.weights)} weights for {count} vertices"
                 document.add("FAC008", (*at, "weights"), message)
             elif abs(sum(point.weights) - 1) > SUM_TOLERANCE:
-                message = f"weights add up to {sum(point.weights):g}, not 1"
+                message = f"the weights have a sum of {sum(point.weights):g}, not 1"
                 document.add("FAC008", (*at, "weights"), message)
     rig = None
     if model.rig is not None:
@@ -186,7 +186,7 @@ def _rows(file: LandmarksFile, surfaces: dict[str, Surface]) -> list[_Row]:
         at: Location = ("points", i)
         mesh = point.mesh or usual
         if mesh is None:
-            message = "names no mesh, and several have shapes"
+            message = "no mesh is named, and several have shapes"
             document.add("FAC008", at, message, f"allowed: {', '.join(shaped)}")
             continue
         if mesh not in surfaces:

@@ -55,7 +55,7 @@ class FaceModel:
                 faults.append(Fault("FAC003", message))
             elif not np.isfinite(values).all():
                 faults.append(
-                    Fault("FAC003", f"{name} holds a value that is not finite")
+                    Fault("FAC003", f"{name} contains a value that is not finite")
                 )
         for what, names in (("landmarks", self.names), ("shapes", self.shapes)):
             if len(set(names)) < len(names):
@@ -112,7 +112,10 @@ class FaceModel:
         pairs = self.alike()
         if len(pairs):
             names = [f"{self.shapes[a]} = {self.shapes[b]}" for a, b in pairs]
-            message = f"{len(pairs)} pairs of shapes move landmarks alike, and share: "
+            message = (
+                f"{len(pairs)} pairs of shapes move landmarks in the same direction, "
+                "and are solved together: "
+            )
             made.append(naming("FAC102", message, names, severity=Severity.WARNING))
         return made
 

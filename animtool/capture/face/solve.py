@@ -182,7 +182,7 @@ def fit_face(
     moving = model.moving()
     if not moving.any():
         message = "no shape moves a landmark"
-        hint = "are the landmarks on the mesh that the shapes are of?"
+        hint = "are the landmarks on the mesh of the shapes?"
         raise OptionError(Fault("FAC007", message, hint=hint))
     # What moves landmarks alike is solved as one shape, and shared evenly; shapes that
     # bend are solved by themselves.
@@ -235,13 +235,13 @@ def _check(model: FaceModel, observed: FloatArray, camera: FloatArray | None) ->
     shape = (len(model.names), width)
     if observed.ndim != 3 or observed.shape[1:] != shape or not len(observed):
         message = (
-            f"landmarks have shape {observed.shape}, and the face has "
+            f"landmarks have shape {observed.shape}, but the face has "
             f"{counted(len(model.names), 'landmark')}: (F, {shape[0]}, {width})"
         )
         raise OptionError(Fault("FAC004", message))
     if len(model.names) < MIN_LANDMARKS:
         message = f"the face has {counted(len(model.names), 'landmark')}"
-        hint = f"a pose and weights need {MIN_LANDMARKS} or more"
+        hint = f"a pose and weights need at least {MIN_LANDMARKS}"
         raise OptionError(Fault("FAC004", message, hint=hint))
     if camera is not None or spread(model.neutral) == 0:
         return
@@ -253,8 +253,8 @@ def _check(model: FaceModel, observed: FloatArray, camera: FloatArray | None) ->
     ]
     ratio = float(np.median(ratios)) if ratios else 1.0
     if not 1 / MAX_SCALE <= ratio <= MAX_SCALE:
-        message = f"the captured face is {ratio:.3g} times as large as the rig's"
-        hint = f"{argument('source.unit')} says the unit of the landmarks"
+        message = f"the captured face is {ratio:.3g} times the size of the rig's"
+        hint = f"set the unit of the landmarks with {argument('source.unit')}"
         raise OptionError(Fault("FAC006", message, hint=hint))
 
 
@@ -287,8 +287,11 @@ class _Fit:
         middle[some] = np.nanmedian(self.observed[:, some], axis=0)
         pose = camera_pose(self.face.neutral, middle, self.camera)
         if pose is None or not pose[6] > 0:
-            message = "the camera sees no face that could be the rig's"
-            hint = "are the landmarks in its pixels, in the order of their names?"
+            message = "no face in the camera matches the rig's"
+            hint = (
+                "are the landmarks in pixels of this camera, in the order of their "
+                "names?"
+            )
             raise OptionError(Fault("FAC010", message, hint=hint))
         return np.repeat(pose[None], len(self.observed), axis=0)
 
@@ -415,8 +418,8 @@ def _notices(
 ) -> list[Fault]:
     made = []
     for frames, code, what in (
-        (~usable, "FAC103", f"fewer than {MIN_LANDMARKS} landmarks: in between"),
-        (poor, "FAC104", "landmarks of which most are outliers"),
+        (~usable, "FAC103", f"fewer than {MIN_LANDMARKS} landmarks: interpolated"),
+        (poor, "FAC104", "landmarks that are mostly outliers"),
     ):
         which = np.flatnonzero(frames).tolist()
         if which:
@@ -434,7 +437,7 @@ def _notices(
         ([n for n, c in zip(model.names, counts.tolist(), strict=True) if not c],
          "are never seen: "),
         ([n for n, o in zip(model.names, off.tolist(), strict=True) if o],
-         "do not fit the face in most frames: "),
+         "do not match the face in most frames: "),
     ):  # fmt: skip
         if names:
             message = f"{counted(len(names), 'landmark')} {what}"

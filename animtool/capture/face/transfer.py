@@ -71,8 +71,8 @@ def transfer_weights(
     links = link_shapes(source, target, remap)
     if faces is None:
         if not links.links:
-            message = "no shape of the source has one of its name in the target"
-            hint = "a remap file says which moves which"
+            message = "no shape of the source has its name in the target"
+            hint = "pair them in a remap file"
             raise OptionError(Fault("FAC009", message, hint=hint))
         moves = np.abs(weights).max(axis=0, initial=0) > 0
         kept = {name for name, m in zip(source, moves.tolist(), strict=True) if m}
@@ -86,7 +86,7 @@ def transfer_weights(
     ours, theirs = faces
     shared = [name for name in theirs.names if name in set(ours.names)]
     if len(shared) < 4:
-        message = f"the faces have {len(shared)} landmarks in common, and need 4"
+        message = f"the faces share {len(shared)} landmarks; 4 are needed"
         raise OptionError(Fault("FAC004", message))
     columns = {name: i for i, name in enumerate(source)}
     own = np.stack(

@@ -150,7 +150,9 @@ def _filled_markers(
     if left and not options.keep_gaps:
         open_gaps = sum(not gap.method for gap in gaps)
         message = f"{counted(open_gaps, 'gap')} could not be filled"
-        hint = "no three markers around are seen, or too little is seen to learn from"
+        hint = (
+            "no three nearby markers are seen, or the take is too short to learn from"
+        )
         notices.append(Fault("MKR111", message, None, (), hint, Severity.WARNING))
     report = FillReport(
         len(markers), len(markers.names), int((now & ~was_seen).sum()), left, gaps,

@@ -222,8 +222,8 @@ def label(cloud: Markers, static: Markers) -> tuple[Markers, LabelReport]:
     tracklets = follow(cloud.positions, rate)
     given = _first_names(cloud, tracklets, rest)
     if given is None:
-        message = "no group of points moves like one of the trial's segments"
-        hint = "is it of the same subject, with the same markers and unit?"
+        message = "no group of points moves like a segment of the trial"
+        hint = "does it show the same subject, with the same markers and unit?"
         raise OptionError(Fault("MKR021", message, hint=hint))
     apart = np.linalg.norm(rest[:, None] - rest[None], axis=-1)
     work = RunLabels(cloud.positions, tracklets, rate, given, apart)
@@ -240,7 +240,7 @@ def _template(static: Markers) -> tuple[tuple[str, ...], FloatArray]:
     known = np.flatnonzero(static.seen.any(axis=0))
     known = np.array([i for i in known.tolist() if not static.names[i].startswith("*")])
     if len(known) < 4:
-        message = f"the trial has {len(known)} labelled markers; labelling takes 4"
+        message = f"the trial has {len(known)} labelled markers; labelling needs 4"
         raise OptionError(Fault("MKR020", message))
     rest = np.nanmedian(static.positions[:, known], axis=0)
     return tuple(static.names[i] for i in known.tolist()), rest
@@ -313,11 +313,12 @@ def _doubted(doubts: list[Doubt], cloud: Markers) -> Fault:
     for doubt in doubts:
         first, last = cloud.clock.times[[doubt.first, doubt.last]]
         parts.append(f"{', '.join(doubt.markers)} (frames {span_label(first, last)})")
-    message = (
-        "the names given could as well be exchanged, by distances and shapes: "
-        + "; ".join(parts)
+    message = "by distances and shapes, these names could be swapped: " + "; ".join(
+        parts
     )
-    hint = "look at a frame; a trial whose pose is nearer to the take tells them apart"
+    hint = (
+        "look at a frame; a trial with a pose nearer to the take would tell them apart"
+    )
     return Fault("MKR116", message, hint=hint, severity=Severity.WARNING)
 
 

@@ -156,7 +156,9 @@ class _Calibrating:
         self.still = 0 if static is None else len(parts[0])
         self.positions = np.concatenate(parts)
         if len(self.positions) < MIN_FRAMES:
-            message = f"{len(self.positions)} frames have {MIN_MARKERS} markers or more"
+            message = (
+                f"{len(self.positions)} frames have at least {MIN_MARKERS} markers"
+            )
             hint = f"a calibration needs {MIN_FRAMES}"
             raise OptionError(Fault("SOL006", message, hint=hint))
         check_units(self.model, self.positions)
@@ -372,8 +374,8 @@ class _Calibrating:
             )
         notices = []
         if not converged:
-            message = f"the calibration did not come to an end in {ROUNDS} steps"
-            hint = "a longer take, or a static one, says more"
+            message = f"the calibration did not converge in {ROUNDS} steps"
+            hint = "a longer take, or a static one, gives more data"
             notices.append(Fault("SOL104", message, None, (), hint, Severity.WARNING))
         unseen = [
             rig.names[group[0]]
@@ -382,7 +384,8 @@ class _Calibrating:
         ]
         if unseen:
             message = (
-                "no marker says how long these bones are; they follow the others: "
+                "no marker determines the length of these bones; they scale with the "
+                "others: "
             )
             message += listed(unseen, 8)
             notices.append(Fault("SOL105", message, None, (), None, Severity.NOTE))

@@ -148,7 +148,7 @@ def marker_model(
     if len(used) < MIN_MARKERS:
         names = ", ".join(template.markers[m].name for m in used)
         message = f"has {len(used)} of the template's {len(columns)} markers: {names}"
-        hint = f"at least {MIN_MARKERS} are needed, and some on every limb"
+        hint = f"at least {MIN_MARKERS} are needed, with some on every limb"
         raise OptionError(Fault("SOL003", message, hint=hint))
     used.sort(key=lambda m: int(joints[m]))
     markers = tuple(template.markers[m] for m in used)

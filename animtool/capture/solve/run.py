@@ -157,16 +157,16 @@ class MarkerSolve:
         clock = self.markers.clock
         for code, frames, what in (
             ("SOL101", self.score.sparse, f"fewer than {MIN_MARKERS} markers are seen"),
-            ("SOL102", self.score.poor, "markers do not fit"),
+            ("SOL102", self.score.poor, "markers do not match"),
         ):
             if not len(frames):
                 continue
             start, step = clock.start, clock.step
             named = frame_spans([math.floor(start + step * f) for f in frames.tolist()])
             message = f"{what} in {counted(len(frames), 'frame')}: {named}"
-            hint = "poses there are of the frames around them"
+            hint = "their poses are taken from nearby frames"
             if code == "SOL102":
-                hint = "labels may be wrong there, or the rig not the subject's"
+                hint = "labels may be wrong there, or the rig may not match the subject"
             self.notices.append(
                 Fault(code, message, hint=hint, severity=Severity.WARNING)
             )
@@ -213,7 +213,7 @@ def solve_markers(
     noise = sampled_noise(model, sample, options.noise)
     usual = float(np.median(noise))
     if usual > STRANGE:
-        message = f"markers are {length_text(usual)} off their places on the rig"
+        message = f"markers are {length_text(usual)} off their positions on the rig"
         hint = f"{argument('calibrate', True)} fits bones and offsets to the subject"
         notices.append(Fault("SOL107", message, hint=hint, severity=Severity.WARNING))
     score = SolveScore(model.template.names, len(positions), noise)
@@ -259,5 +259,7 @@ def check_units(model: MarkerProblem, sample: FloatArray) -> None:
         return
     times, what = (ratio, "larger") if ratio > 1 else (1 / max(ratio, 1e-12), "smaller")
     message = f"the markers are {times:.3g} times {what} than those on the rig"
-    hint = f"{argument('source.unit')} says what the capture is in: m, cm, mm or in"
+    hint = (
+        f"set the unit of the capture with {argument('source.unit')}: m, cm, mm or in"
+    )
     raise OptionError(Fault("SOL005", message, hint=hint))

@@ -62,10 +62,10 @@ def open_markers_source(
     else:
         markers = triangulated(path, cameras, unit=unit, up=up, fps=fps)
     if template is None:
-        message = "holds markers, and no template says where they are"
+        message = "holds markers, but no template places them on the rig"
         hint = (
-            f"{argument('source.template')} says it, or template: of the source in "
-            "a scene"
+            f"name one with {argument('source.template')}, or as template: of the "
+            "source in a scene"
         )
         raise OptionError(Fault("SOL007", message, str(path), (), hint))
     read = load_template(template)
@@ -86,7 +86,7 @@ def named_rig(template: MarkerTemplate, rig: Path | None, path: Path) -> Path:
         return template.rig
     message = "names no rig"
     hint = (
-        f"write 'rig: hero.rig.yaml' into it, or give a rig ({argument('source.rig')})"
+        f"write 'rig: hero.rig.yaml' into it, or pass a rig ({argument('source.rig')})"
     )
     raise OptionError(Fault("SOL008", message, str(path), (), hint))
 

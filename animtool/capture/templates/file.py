@@ -30,23 +30,20 @@ class MarkerUnitsModel(FileModel):
 class MarkerModel(FileModel):
     """A marker, and the joint that carries it."""
 
-    name: Name = key("As captures call it, without the name of the subject.", "LFHD")
-    joint: Name = key("The joint of the rig that carries it.", "head")
-    offset: Vector = key("Where it is, in the joint's frame.", [0.07, 0.1, 0.08])
+    name: Name = key("Name in captures, without the name of the subject.", "LFHD")
+    joint: Name = key("The joint it is attached to.", "head")
+    offset: Vector = key("Its position in the joint's frame.", [0.07, 0.1, 0.08])
     weight: Annotated[Real, Field(ge=0)] = key(
-        "How much it counts in a solve, against 1 of the others; 0 is not at all.",
+        "Its weight in a solve, relative to 1 for the others; 0 ignores it.",
         0.5,
         default=1.0,
     )
     fixed: bool = key(
-        "Whether calibration keeps the offset, as of a marker on a landmark that was "
-        "measured.",
+        "Whether calibration keeps the offset, as for a marker on a measured landmark.",
         True,
         default=False,
     )
-    aliases: list[Name] = key(
-        "Other names that captures give it.", ["LeftFrontHead"], default=[]
-    )
+    aliases: list[Name] = key("Other names in captures.", ["LeftFrontHead"], default=[])
 
 
 class MarkersModel(FileModel):
@@ -54,8 +51,7 @@ class MarkersModel(FileModel):
 
     markers: Literal["animtool/1"] = key("File type and format version.", "animtool/1")
     rig: str | None = key(
-        "The rig that carries the markers. Not given: the command line or the "
-        "scene names it.",
+        "The rig of the markers. Default: the command line or the scene names it.",
         "hero.rig.yaml",
         default=None,
     )
@@ -69,7 +65,7 @@ class MarkersModel(FileModel):
         [{"name": "LFHD", "joint": "head", "offset": [0.07, 0.1, 0.08]}],
     )
     ignore: list[IgnoreModel] = key(
-        "Findings of `animtool validate` that are known and stay.",
+        "Findings of `animtool validate` that are accepted.",
         [{"code": "MKT003", "why": "the prop is this large"}],
         default=[],
     )

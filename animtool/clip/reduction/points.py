@@ -53,7 +53,7 @@ def joint_bounds(rig: Rig, tolerance: float, others: Mapping[str, float]) -> Flo
         if not matching:
             near = similar(pattern, rig.names)
             hint = f"did you mean {near!r}?" if near else None
-            message = f"{rig.name!r} has no joint {excerpt(pattern)}"
+            message = f"unknown joint {excerpt(pattern)} of {rig.name!r}"
             faults.append(Fault("CLIP020", message, hint=hint))
     if faults:
         raise OptionError(faults)

@@ -319,4 +319,4 @@ def _check(take: Take, base: Take | None, shell: float) -> None:
     if base is not None and (
         base.rig.names != take.rig.names or base.motion.frames != take.motion.frames
     ):
-        raise ValueError("the base has other joints or another number of frames")
+        raise ValueError("the base has other joints or a different number of frames")

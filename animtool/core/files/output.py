@@ -58,10 +58,10 @@ def _problems(name: str) -> Iterator[tuple[bool, str]]:
     yield bool(controls), f"has the control character {''.join(controls[:1])!r}"
     yield name[-1:] in {".", " "}, "ends with a dot or a space"
     yield size > LONGEST_NAME, f"has more than {LONGEST_NAME} bytes"
-    yield not is_text(name), "has bytes that are no UTF-8"
+    yield not is_text(name), "contains bytes that are not UTF-8"
     device = name.partition(".")[0].rstrip().casefold() in _DEVICES
     yield device, "is the name of a device on Windows"
-    yield name.casefold().startswith(_OWN), f"begins with {_OWN!r}, as records do"
+    yield name.casefold().startswith(_OWN), f"starts with {_OWN!r}, which records use"
 
 
 def is_text(name: str) -> bool:
@@ -98,7 +98,7 @@ def inside(path: Path, folder: Path) -> bool:
     try:
         return path.resolve().is_relative_to(folder.resolve())
     except RuntimeError as error:
-        raise OSError(f"{path} is a link that leads to itself") from error
+        raise OSError(f"{path} is a link to itself") from error
 
 
 # Final paths that were free when they were checked, and may not be replaced: who else
@@ -157,7 +157,7 @@ def _check_folder(folder: Path, path: Path) -> None:
     try:
         missing = "" if folder.is_dir() else "does not exist"
         if missing and folder.exists():
-            missing = "is no folder"
+            missing = "is not a folder"
     except OSError as error:
         raise output_error(path, error) from error
     if missing:
@@ -190,8 +190,8 @@ def _refuse_inputs(targets: Iterable[Target], inputs: Iterable[Path]) -> None:
     for place in targets:
         other = taken.get(name_key(place.final))
         if other is not None and same_file(place.final, other):
-            message = "is an input of this very command"
-            hint = "name another -o"
+            message = "is an input of this command"
+            hint = "choose another -o"
             raise OptionError(Fault("OUT003", message, str(place.path), (), hint))
 
 
@@ -201,7 +201,7 @@ def _refuse_twice(targets: Iterable[Target | Whole]) -> None:
     for place in targets:
         first = names.setdefault(name_key(place.final), place.path)
         if first is not place.path:
-            message = f"and {str(first)!r} would be one file"
+            message = f"and {str(first)!r} would be the same file"
             fault = Fault("OUT007", message, str(place.path), (), "rename one")
             raise OptionError(fault)
 

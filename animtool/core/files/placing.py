@@ -58,12 +58,12 @@ def target(path: Path) -> Target:
         return Target(path, path.resolve())
     except OSError as error:
         if error.errno == errno.ELOOP:
-            message, hint = "is a link that leads to itself", "remove the link"
+            message, hint = "is a link to itself", "remove the link"
             fault = Fault("OUT005", message, str(path), (), hint)
             raise OutputError(fault) from error
         raise output_error(path, error) from error
     except ValueError as error:
-        raise output_error(path, "its name has a NUL byte") from error
+        raise output_error(path, "its name contains a NUL byte") from error
     _check_kind(path, status)
     return Target(path, path.resolve())
 
@@ -80,11 +80,15 @@ _KINDS = {
 def _check_kind(path: Path, status: os.stat_result) -> None:
     """Refuse to replace what is not a file."""
     if stat.S_ISDIR(status.st_mode):
-        raise OutputError(Fault("OUT002", "is a folder", str(path), (), "name a file"))
+        raise OutputError(
+            Fault("OUT002", "is a folder", str(path), (), "write the name of a file")
+        )
     if not stat.S_ISREG(status.st_mode):
         kind = _KINDS.get(stat.S_IFMT(status.st_mode), "something else")
         message = f"is {kind}, not a file"
-        raise OutputError(Fault("OUT005", message, str(path), (), "name a file"))
+        raise OutputError(
+            Fault("OUT005", message, str(path), (), "write the name of a file")
+        )
 
 
 @dataclass(slots=True)
@@ -132,7 +136,7 @@ class Whole:
             else:
                 self.temporary.replace(self.final)
         except FileExistsError as error:
-            message = "already exists: another process wrote it meanwhile"
+            message = "already exists: another process wrote it in the meantime"
             hint = f"{argument('overwrite', True)} replaces it"
             fault = Fault("OUT001", message, str(self.path), (), hint)
             raise OptionError(fault) from error

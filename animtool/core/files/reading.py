@@ -85,7 +85,7 @@ class Inputs:
 def changed_error(*paths: Path) -> FormatError:
     """Return the error of files that changed while they were read (IO004)."""
     message = "changed while it was being read"
-    hint = "run it again when nobody writes to it"
+    hint = "run it again when no process writes to it"
     return FormatError([Fault("IO004", message, str(path), (), hint) for path in paths])
 
 
@@ -277,7 +277,7 @@ def read_input(
 
 def too_large(path: Path, size: int, limit: int) -> FormatError:
     """Return the error of a file of more bytes than the limit [bytes] (IO010)."""
-    message = f"is {size / 1e6:,.6g} MB, and at most {limit / 1e6:,.6g} MB are read"
+    message = f"is {size / 1000000.0:,.6g} MB; the limit is {limit / 1000000.0:,.6g} MB"
     return FormatError(Fault("IO010", message, str(path)))
 
 
@@ -298,7 +298,7 @@ def why_no_file(path: Path) -> str | None:
     except (FileNotFoundError, NotADirectoryError, ValueError):
         return "does not exist"
     except OSError as error:
-        return error.strerror or "cannot be looked at"
+        return error.strerror or "cannot be examined"
     return None if stat.S_ISREG(status.st_mode) else _kind(status)
 
 

@@ -48,8 +48,8 @@ class Spool:
             self._file.flush()
         except OSError as error:
             folder, reason = tempfile.gettempdir(), error.strerror or str(error)
-            message = f"what a long take needs does not fit there: {reason}"
-            hint = "make room, or name another folder in TMPDIR"
+            message = f"temporary data of a long take does not fit there: {reason}"
+            hint = "free some space, or set TMPDIR to another folder"
             raise OutputError(Fault("OUT002", message, folder, (), hint)) from error
         self._lengths.append(len(arrays))
 

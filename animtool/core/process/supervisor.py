@@ -61,7 +61,7 @@ class Crash:
 def crash_fault(path: str, number: int) -> Fault:
     """Return the fault of a file that ended what read it by a signal."""
     name = signal.Signals(number).name
-    message = f"USD crashes while it reads this file or one that it refers to ({name})"
+    message = f"USD crashes while reading this file or one it refers to ({name})"
     hint = "export it again; do not open it in other programs"
     return Fault("USD160", message, path, (), hint)
 
@@ -201,7 +201,9 @@ def stdin_lines() -> list[str]:
 
             from animtool.core.files.reading import unreadable
 
-            reason = f"line {number} has {len(line)} letters, and no name of a file has"
+            reason = (
+                f"line {number} has {len(line)} characters, too many for a file name"
+            )
             raise unreadable(Path("-"), reason)
     return lines
 

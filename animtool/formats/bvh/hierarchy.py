@@ -81,7 +81,7 @@ class _Hierarchy:
             line = self.lines.next()
         self.lines.fail(
             "BVH005",
-            "the file ends inside the HIERARCHY: there is no MOTION block",
+            "the file ends inside the HIERARCHY, without a MOTION block",
             self._open_blocks() or "is the file truncated?",
         )
 
@@ -126,12 +126,14 @@ class _Hierarchy:
 
     def _open(self, block: _Block | None) -> None:
         if block is None or block.opened:
-            self.lines.fail("BVH004", "'{' belongs to no joint")
+            self.lines.fail("BVH004", "'{' without a joint")
         block.opened = True
 
     def _close(self) -> None:
         if not self.stack:
-            self.lines.fail("BVH004", "'}' closes nothing", "one brace too many")
+            self.lines.fail(
+                "BVH004", "'}' without a matching '{'", "there is one brace too many"
+            )
         block = self.stack.pop()
         if not block.is_end and not block.has_offset:
             self.lines.fail("BVH006", f"{self._name(block)} has no OFFSET")
@@ -141,14 +143,14 @@ class _Hierarchy:
             allowed = "JOINT" if block else "ROOT"
             place = "inside a joint" if block else "outside every joint"
             self.lines.fail(
-                "BVH003", f"{keyword} stands {place}", f"expected {allowed}"
+                "BVH003", f"unexpected {keyword} {place}", f"expected {allowed}"
             )
         if block is not None and block.is_end:
-            self.lines.fail("BVH003", "a JOINT stands inside an End Site")
+            self.lines.fail("BVH003", "unexpected JOINT inside an End Site")
         name = self._take_name(words)
         if _CONTROL.search(name):
-            message = f"the name {excerpt(name)} holds a control character"
-            self.lines.fail("BVH001", message, "leave it out")
+            message = f"the name {excerpt(name)} contains a control character"
+            self.lines.fail("BVH001", message, "remove it")
         if not name:
             self.lines.fail("BVH003", f"{keyword} has no name")
         parent = block.joint if block else -1
@@ -157,7 +159,7 @@ class _Hierarchy:
 
     def _end_site(self, words: list[str], block: _Block | None) -> None:
         if block is None or block.is_end:
-            self.lines.fail("BVH003", "End Site stands outside a joint")
+            self.lines.fail("BVH003", "unexpected End Site outside a joint")
         self._take_name(words)
         self.stack.append(_Block(block.joint, True, self.lines.number))
 
@@ -171,11 +173,11 @@ class _Hierarchy:
 
     def _offset(self, words: list[str], block: _Block | None) -> None:
         if block is None:
-            self.lines.fail("BVH003", "OFFSET stands outside a joint")
+            self.lines.fail("BVH003", "unexpected OFFSET outside a joint")
         texts = [words.pop(0) for _ in range(3) if words and words[0] not in "{}"]
         if len(texts) < 3 or (words and words[0].upper() not in _AFTER_OFFSET):
             count = len(texts) + sum(word not in "{}" for word in words)
-            message = f"OFFSET has {counted(count, 'number')}, 3 are needed"
+            message = f"OFFSET has {counted(count, 'number')} instead of 3"
             self.lines.fail("BVH006", message, self._name(block))
         values = tuple(self._number(text) for text in texts)
         offset = (values[0], values[1], values[2])
@@ -197,7 +199,7 @@ class _Hierarchy:
 
     def _channels(self, words: list[str], block: _Block | None) -> None:
         if block is None or block.is_end:
-            self.lines.fail("BVH003", "CHANNELS stands outside a joint")
+            self.lines.fail("BVH003", "unexpected CHANNELS outside a joint")
         joint = self.joints[block.joint]
         if joint.channels is not None:
             self.lines.fail("BVH007", f"{self._name(block)} has two CHANNELS lines")
@@ -217,17 +219,17 @@ class _Hierarchy:
         if len(names) != count:
             self.lines.fail(
                 "BVH007",
-                f"CHANNELS says {count} and names {len(names)}",
+                f"CHANNELS states {count}, but names {len(names)}",
                 self._name(block),
             )
         joint.channels = tuple(_CHANNELS[name.lower()] for name in names)
         if len(set(joint.channels)) != count:
-            self.lines.fail("BVH007", "a channel stands twice", self._name(block))
+            self.lines.fail("BVH007", "duplicate channel", self._name(block))
 
     def _finish(self) -> None:
         if self.stack:
             self.lines.fail(
-                "BVH004", "MOTION before every brace is closed", self._open_blocks()
+                "BVH004", "MOTION before all braces are closed", self._open_blocks()
             )
         if not self.joints:
             self.lines.fail("BVH003", "the HIERARCHY has no ROOT")
@@ -243,7 +245,7 @@ class _Hierarchy:
         if not self.stack:
             return None
         inner = self.stack[-1]
-        return f"{len(self.stack)} '}}' missing, the innermost of {self._name(inner)}"
+        return f"{len(self.stack)} '}}' missing, the innermost for {self._name(inner)}"
 
 
 def read_header(lines: HeaderLines, path: str) -> tuple[BvhHeader, list[Fault]]:
@@ -296,11 +298,11 @@ def _duplicate_names(joints: list[BvhJoint], path: str) -> list[Fault]:
     return [
         Fault(
             "BVH103",
-            f"joint name {excerpt(name)} stands {len(found)} times, on lines "
+            f"joint name {excerpt(name)} appears {len(found)} times, on lines "
             + listed(found, 10),
             path,
             tuple(found),
-            "the later ones get a number behind their name",
+            "a number is appended to the later ones",
             Severity.WARNING,
         )
         for name, found in lines.items()
@@ -312,23 +314,28 @@ def _rate_notices(header: BvhHeader, path: str, line: int) -> list[Fault]:
     rate, text = header.rate, header.frame_time
     assert rate is not None
     low, high = PLAUSIBLE_RATES
-    hint = f"{argument('source.fps')} states the real rate"
+    hint = f"set the real rate with {argument('source.fps')}"
     severity = Severity.WARNING
     if not low <= rate.fps <= high:
         code = "BVH105"
         message = f"Frame Time {text} is {rate_label(rate.fps)}, which is implausible"
         if low <= float(text) <= high:
-            hint = f"a rate in place of a time? then {argument('source.fps', text)}"
+            hint = (
+                "is it a rate instead of a time? then set "
+                f"{argument('source.fps', text)}"
+            )
     elif rate.kind is RateKind.PRINTED:
         code = "BVH106"
-        message = f"Frame Time {text} is no usual rate; {rate_label(rate.fps)} is taken"
+        message = (
+            f"Frame Time {text} is not a standard rate; using {rate_label(rate.fps)}"
+        )
     elif rate.rivals:
         code, severity = "BVH107", Severity.NOTE
         others = listed(rate.rivals, 6)
         message = (
-            f"Frame Time {text} is printed so that {others} fps would read the same"
+            f"Frame Time {text} is rounded: {others} fps would be printed the same"
         )
-        message += f"; {rate_label(rate.fps)} is taken"
+        message += f"; using {rate_label(rate.fps)}"
     else:
         return []
     return [Fault(code, message, path, (line,), hint, severity)]

@@ -73,7 +73,7 @@ class HeaderLines:
             )
         self._data = self._data.removeprefix(b"\xef\xbb\xbf")
         if b"\0" in self._data:
-            message = "the file is binary, not the text of a BVH"
+            message = "the file is binary, not BVH text"
             self.fail("BVH001", message, line=False)
 
     def next(self) -> str | None:
@@ -219,7 +219,7 @@ class RowReader:
             if final and not text:
                 return
             if len(text) > longest and not consumed:
-                message = "the line is too long to be a row of numbers"
+                message = "the line is too long for a row of numbers"
                 raise FormatError(Fault("BVH013", message, self._path, (line,)))
             starved = len(rows) < limit
 
@@ -230,18 +230,19 @@ class RowReader:
         if fault == 2:
             word = token.decode("utf-8", "replace")
             name = (
-                self.source.channels[found] if found < self._width else "a further word"
+                self.source.channels[found] if found < self._width else "another word"
             )
             hint = "write decimals with a point" if "," in word else None
             message = f"{excerpt(word)} is not a number ({excerpt(name)})"
             return Fault("BVH011", message, path, (line,), hint)
-        hint = "each frame is one line; are these rows wrapped?"
+        hint = "each frame must be one line; are these rows wrapped?"
         if found > self._width:
             hint = "does the HIERARCHY name every channel?"
         elif last:
-            hint = "the last line of the file: is it truncated?"
+            hint = "this is the last line of the file: is it truncated?"
         message = (
-            f"the row has {counted(found, 'number')}; the channels need {self._width}"
+            f"the row has {counted(found, 'number')}, but the channels need "
+            f"{self._width}"
         )
         return Fault("BVH010", message, path, (line,), hint)
 
@@ -294,7 +295,7 @@ class RowReader:
             if too_many or lost == self._count:
                 name = self.source.channels[column]
                 message = f"{name}: {lost} of {self._count} values are not finite"
-                hint = "too many to fill in"
+                hint = "too many to interpolate"
                 faults.append(Fault("BVH012", message, path, tuple(lines[:10]), hint))
         if faults:
             raise FormatError(faults[:MAX_NAMED])
@@ -303,10 +304,10 @@ class RowReader:
         declared, found, path = self.source.declared, self._count, self._path
         if declared != found:
             line = self._extra_line or self.source.declared_line
-            message = f"Frames says {declared}, and there are {found} rows"
+            message = f"Frames states {declared}, but there are {found} rows"
             hint = "all rows are read"
             if declared > found:
-                hint += "; is the file cut off?"
+                hint += "; is the file truncated?"
             self.notices.append(
                 Fault("BVH101", message, path, (line,), hint, Severity.WARNING)
             )
@@ -317,7 +318,7 @@ class RowReader:
             "BVH104",
             self._beyond,
             "beyond float32",
-            "the largest float32 is written; no error in the report counts them",
+            "the largest float32 is written; the reported error does not count them",
         )
 
     def _name_all(

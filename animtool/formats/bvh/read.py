@@ -139,11 +139,14 @@ def _size_notice(rig: Rig, stated: LengthUnit | None, path: str) -> list[Fault]:
     if stated is not None and not fitting:
         return []
     unit = stated or LengthUnit.CM
-    message = f"the skeleton spans {numbers:.4g}, which in {unit} is no character"
-    hint = f"{argument('source.unit')} says what it is in"
+    message = (
+        f"the skeleton spans {numbers:.4g}, which is not plausible for a character in "
+        f"{unit}"
+    )
+    hint = f"set the unit with {argument('source.unit')}"
     if fitting:
         hint = (
-            f"{argument('source.unit', fitting[0])} would make it "
+            f"with {argument('source.unit', fitting[0])} it would be "
             f"{numbers * fitting[0].meters:.2g} m"
         )
     return [Fault("RIG217", message, path, (), hint, Severity.NOTE)]
@@ -288,13 +291,13 @@ def _without_length(
         return []
     names = [rig.names[j] for j in moving[lost].tolist()]
     message = (
-        f"the position channels of {counted(len(names), 'joint')} are 0 in all frames, "
-        f"with OFFSETs up to {sizes[lost].max():.4g}: they are at their parents, "
-        f"without a bone ({listed(names, MAX_NAMED)})"
+        f"the position channels of {counted(len(names), 'joint')} are 0 in all "
+        f"frames, but their OFFSETs reach {sizes[lost].max():.4g}: the joints are at "
+        f"their parents, without a bone ({listed(names, MAX_NAMED)})"
     )
     hint = (
         "position channels replace OFFSETs; "
-        f"{argument('source.positions', 'offsets')} lets OFFSETs hold"
+        f"{argument('source.positions', 'offsets')} keeps the OFFSETs"
     )
     # Where channels of other joints are filled in, these may be meant as well.
     severity = Severity.WARNING if lost.sum() == below.sum() else Severity.NOTE

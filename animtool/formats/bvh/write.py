@@ -59,7 +59,7 @@ def bvh_text(take: Take) -> TakeText:
     have no place in the format; scales are named in the notices.
     """
     if not take.rig.joints:
-        message = f"{take.rig.name!r} has no joints, and a BVH holds nothing else"
+        message = f"{take.rig.name!r} has no joints, and a BVH can hold only joints"
         hint = "write USD, or keys in a .clip.yaml"
         raise OptionError(Fault("RIG044", message, hint=hint))
     motion = take.motion
@@ -219,7 +219,9 @@ def _unit_notices(rig: Rig) -> list[Fault]:
     unit = unit_name(rig.meters_per_unit)
     if (unit, rig.up) == (LengthUnit.CM.value, UpAxis.Y):
         return []
-    message = f"a BVH states no unit and no up axis: this one is in {unit}, {rig.up} up"
+    message = (
+        f"a BVH states neither unit nor up axis: this one is in {unit}, {rig.up} up"
+    )
     hint = (
         f"read it back with {argument('source.unit', unit)} "
         f"{argument('source.up', rig.up)}"
@@ -235,5 +237,7 @@ def _scale_notices(take: Take) -> list[Fault]:
     names = [take.rig.names[j] for j in np.flatnonzero(off)]
     if not names:
         return []
-    message = f"BVH has no scale: that of {len(names)} joints is lost ({listed(names)})"
+    message = (
+        f"BVH has no scale: the scale of {len(names)} joints is lost ({listed(names)})"
+    )
     return [Fault("BVH108", message, severity=Severity.WARNING)]

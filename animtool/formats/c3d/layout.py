@@ -65,8 +65,8 @@ class Layout:
         """Return the counts in words."""
         kind = "floats" if self.width == 4 else "integers"
         return (
-            f"{self.frames} frames of {self.points} points and {self.analog} analogue "
-            f"numbers, {kind} from byte {self.begin} on"
+            f"{self.frames} frames of {self.points} points and {self.analog} "
+            f"analogue values, {kind} from byte {self.begin}"
         )
 
 

@@ -77,21 +77,21 @@ def read_screen(file: MarkerFile, sections: Sections, given: UpAxis | None) -> S
     if up is None and right is not None and right[1] == "Y":
         # Y points to the side, and cannot be assumed to point up.
         message = f"states no up axis; Z is assumed, as X_SCREEN is {right}"
-        file.note("MKR103", message, f"{argument('source.up')} says which axis is up")
+        file.note("MKR103", message, f"set the up axis with {argument('source.up')}")
         return Screen(UpAxis.Z)
     if up is None:
         return Screen(file.up(None, None))
     if right is not None and right[1] == up[1]:
-        message = f"X_SCREEN is {right} and Y_SCREEN {up}, which are one axis; "
+        message = f"X_SCREEN is {right} and Y_SCREEN {up}, which are the same axis; "
         file.warn(
             "C3D105",
-            f"{message}{up} is taken as up",
+            f"{message}{up} is used as up",
             f"{argument('source.up', 'Y')} or {argument('source.up', 'Z')}",
         )
     if up not in _TURNS:
         return Screen(UpAxis(up[1]))
     axis, order, signs = _TURNS[up]
-    message = f"has {up} up; positions are turned so that {axis} is up"
+    message = f"has {up} up; positions are rotated so that {axis} is up"
     file.note("C3D106", message)
     return Screen(axis, np.array(order), np.array(signs, np.float64))
 
@@ -104,7 +104,7 @@ def _axis(file: MarkerFile, sections: Sections, name: str) -> str | None:
         return None
     match = _AXIS.fullmatch(text.upper())
     if match is None:
-        message = f"{name} is {excerpt(text)}, which is none of +X, -X, +Y, -Y, +Z, -Z"
+        message = f"{name} is {excerpt(text)}, not one of +X, -X, +Y, -Y, +Z, -Z"
         file.warn(
             "C3D105",
             message,
@@ -210,8 +210,8 @@ def read_c3d(
     except MalformedError as error:
         raise file.error("C3D001", str(error)) from None
     if not sections.groups:
-        message = "has no parameters: names, unit and up axis are not stated, and "
-        message += "nothing confirms the counts of its header"
+        message = "has no parameters: names, unit and up axis are unknown, and "
+        message += "nothing confirms the counts in its header"
         file.warn("C3D107", message, "check the number of points and frames")
     layout = _layout(file, sections, data)
     _check_scale(file, sections, layout)
@@ -254,16 +254,18 @@ def _layout(file: MarkerFile, sections: Sections, data: bytes) -> Layout:
         raise file.error("MKR013", f"has no {what}")
     if layout.points * layout.frames > MAX_POSITIONS:
         message = f"claims {layout.points} points in {layout.frames} frames, "
-        raise file.error("C3D001", message + "more than are read")
+        raise file.error("C3D001", message + "above the limit")
     told = [_told(*each) for each in contradicted(claims, layout)]
     if told:
-        message = "its header, parameters and size disagree; what fills the file is "
+        message = (
+            "its header, parameters and size disagree; what matches the file size is "
+        )
         file.warn("C3D101", f"{message}read: {'; '.join(told)}")
     if layout.rest >= min(BLOCK, layout.width * layout.row) or (
         layout.rest and len(data) % BLOCK
     ):
-        message = f"has {counted(layout.rest, 'byte')} behind the last of "
-        message += f"{counted(layout.frames, 'frame')}, which are not read"
+        message = f"has {counted(layout.rest, 'byte')} after the last of "
+        message += f"{counted(layout.frames, 'frame')}, which are ignored"
         file.warn("C3D108", message, "check the number of frames")
     return layout
 
@@ -281,27 +283,27 @@ def _without_layout(file: MarkerFile, outcome: Outcome, size: int) -> FormatErro
     """Return the error of a file in which no combination of counts fits."""
     if len(outcome.rivals) == 1:
         (alone,) = outcome.rivals
-        message = f"its counts do not fit its size of {size} bytes: {alone} end at "
-        message += f"{alone.end}, and are no positions"
+        message = f"its counts do not match its size of {size} bytes: {alone} end at "
+        message += f"{alone.end}, and are not positions"
         return file.error("C3D003", message, "export it again")
     if outcome.rivals:
-        message = "its header, parameters and size disagree, and nothing decides "
+        message = "its header, parameters and size disagree, and nothing resolves it: "
         message += f"between {' or '.join(map(str, outcome.rivals))}"
         return file.error("C3D003", message, "export it again")
     short = outcome.short
     if short is None or not short.points or not short.frames:
         return file.error("MKR013", "has no points in frames")
     room = max(0, size - short.begin)
-    message = f"is cut short: it claims {short}, {short.end - short.begin} bytes; "
-    message += f"there are {room}, {room // (short.width * short.row)} frames"
+    message = f"is truncated: it claims {short}, {short.end - short.begin} bytes; "
+    message += f"it has {room}, {room // (short.width * short.row)} frames"
     return file.error("C3D002", message, "copy or export it again")
 
 
 _QUANTITIES = {
     "frames": "frames",
     "points": "points",
-    "analog": "analogue numbers a frame",
-    "width": "bytes a number",
+    "analog": "analogue values per frame",
+    "width": "bytes per number",
     "begin": "bytes before the first frame",
 }
 
@@ -335,11 +337,13 @@ def _check_scale(file: MarkerFile, sections: Sections, layout: Layout) -> None:
         return
     both = [abs(s) for s in (stated, header) if s and np.isfinite(s)]
     if not both:
-        message = "has integers without a scale; they are read as they are"
-        file.warn("C3D101", message, "check the size of what is captured")
+        message = "has integers without a scale; they are read unscaled"
+        file.warn("C3D101", message, "check the size of the captured subject")
     elif len(both) == 2 and not math.isclose(both[0], both[1], rel_tol=1e-4):
-        message = f"its header has the scale {both[1]:g}, its parameters {both[0]:g}"
-        file.warn("C3D101", f"{message}; that of the parameters is taken")
+        message = (
+            f"its header has the scale {both[1]:g}, but its parameters {both[0]:g}"
+        )
+        file.warn("C3D101", f"{message}; using the parameters")
 
 
 def _rate(
@@ -350,8 +354,8 @@ def _rate(
     if not stated or not np.isfinite(stated):
         return header
     if fps is None and header > 0 and not np.isclose(header, stated, rtol=1e-4):
-        message = f"its header has {header:g} fps, its parameters {stated:g}"
-        file.warn("C3D101", f"{message}; those of the parameters are taken")
+        message = f"its header has {header:g} fps, but its parameters {stated:g}"
+        file.warn("C3D101", f"{message}; using the parameters")
     return stated
 
 
@@ -385,7 +389,7 @@ def _names(
     labels = sections.texts("POINT", "LABELS")
     if len(labels) < points:
         message = f"names {len(labels)} of {counted(points, 'point')}"
-        file.warn("C3D102", f"{message}; the others are points without label")
+        file.warn("C3D102", f"{message}; the others are unlabelled points")
     labels = [*labels[:points], *[""] * (points - len(labels))]
     modelled = {
         label for group in MODELLED for label in sections.texts("POINT", group) if label
@@ -393,10 +397,10 @@ def _names(
     kept = np.array([i for i, name in enumerate(labels) if name not in modelled])
     if len(kept) < points:
         left_out = [name for name in labels if name in modelled]
-        message = f"{counted(len(left_out), 'result')} of models left out: "
+        message = f"{counted(len(left_out), 'result')} of models skipped: "
         file.note("C3D103", message + listed(left_out))
     if not len(kept):
-        raise file.error("MKR013", "has no points that are markers")
+        raise file.error("MKR013", "has no marker points")
     return file.names([labels[i] for i in kept.tolist()], subject), kept
 
 

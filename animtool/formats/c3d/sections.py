@@ -138,7 +138,7 @@ def read_sections(data: bytes) -> Sections:
         MalformedError: It is no C3D file.
     """
     if len(data) < BLOCK or data[1] != MAGIC:
-        raise MalformedError("does not begin as a C3D file does")
+        raise MalformedError("does not start like a C3D file")
     start = BLOCK * (data[0] - 1)
     found = data[0] >= 2 and start + 4 <= len(data)
     kind = data[start + 3] if found else 0
@@ -175,7 +175,7 @@ def _lone_header(data: bytes, kind: int) -> tuple[Header, Processor]:
         header = _header(data, processor)
         if _possible(header, len(data)):
             return header, processor
-    raise MalformedError("has no parameters where its header says")
+    raise MalformedError("has no parameters where its header points")
 
 
 def _possible(header: Header, size: int) -> bool:

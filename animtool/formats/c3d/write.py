@@ -79,7 +79,7 @@ def _head(markers: Markers, path: Path) -> bytes:
     blocks = -(-(_HEAD + len(section)) // BLOCK)
     if count > MAX_COUNT or blocks > MAX_BLOCKS or frames == 0 or count == 0:
         message = f"a C3D holds 1 to {MAX_COUNT} markers with 130000 bytes of names, "
-        message += f"and at least one frame; these are {count} in {frames} frames"
+        message += f"and at least one frame, not {count} in {frames} frames"
         raise OptionError(Fault("C3D010", message, str(path), (), "write .npz"))
     section = _parameters(markers, 2 + blocks)
     first, last = _shown(markers.clock)
@@ -244,7 +244,7 @@ def _lost(markers: Markers, path: str) -> list[Fault]:
     """Return what the format cannot hold."""
     lost = []
     if markers.cameras is not None and (markers.cameras > MAX_CAMERAS).any():
-        lost.append(f"more than {MAX_CAMERAS} cameras of a point")
+        lost.append(f"a point has more than {MAX_CAMERAS} cameras")
     if markers.clock.start.denominator != 1 or markers.clock.start < 0:
         lost.append(f"the first frame {markers.clock.start}")
     beyond = (np.abs(markers.positions) * 1000.0 > FLOAT32_MAX).any(axis=-1)

@@ -127,11 +127,11 @@ class _Table:
         self.names = [n.strip().strip('"').strip() for n in self._cells(header)]
         lower = [name.lower() for name in self.names]
         if TIMECODE.lower() not in lower:
-            message = "no column is called Timecode: this is no Live Link Face file"
+            message = "no column is called Timecode: this is not a Live Link Face file"
             hint = f"the first columns are {listed(self.names[:4])}"
             raise FormatError(Fault("LLF001", message, str(path), (line,), hint))
         if len(self.names) > MAX_COLUMNS:
-            message = f"has {len(self.names)} columns, and at most {MAX_COLUMNS} count"
+            message = f"has {len(self.names)} columns; the limit is {MAX_COLUMNS}"
             raise FormatError(Fault("LLF001", message, str(path), (line,)))
         self.time = lower.index(TIMECODE.lower())
         self.count = lower.index(COUNT.lower()) if COUNT.lower() in lower else None
@@ -140,7 +140,7 @@ class _Table:
             arkit_name(n) or _ANGLES.get(n.lower(), n.lower()) for n in self.names
         ]
         faults = [
-            self._fault("LLF002", i, f"column {name!r} stands twice")
+            self._fault("LLF002", i, f"duplicate column {name!r}")
             for i, name in enumerate(self.names)
             if name and self.known.index(self.known[i]) < i
         ]
@@ -170,7 +170,7 @@ class _Table:
                 row.pop()
         if cells and len(cells[-1][1]) < width:
             number, row = cells.pop()
-            message = f"the last row is cut short at column {len(row)}: left out"
+            message = f"the last row ends at column {len(row)}: skipped"
             notices.append(
                 Fault(
                     *("LLF103", message, str(self.path), (number,)),
@@ -180,7 +180,7 @@ class _Table:
         faults = [
             Fault(
                 "LLF003",
-                f"has {counted(len(row), 'column')}; the header names {width}",
+                f"has {counted(len(row), 'column')}, but the header names {width}",
                 str(self.path),
                 (number,),
             )
@@ -190,7 +190,7 @@ class _Table:
         if faults:
             raise FormatError(faults[:MAX_FAULTS])
         if not cells:
-            message = "holds no frame: only the header"
+            message = "has no frames, only a header"
             raise FormatError(Fault("LLF001", message, str(self.path), (self.line,)))
         values = self._numbers(cells)
         lines = np.array([number for number, _ in cells], np.int64)
@@ -205,7 +205,7 @@ class _Table:
             notices,
         )
         if not (set(found.shapes) & set(ARKIT_SHAPES)) and not self.shapes:
-            message = "has no column of weights"
+            message = "has no weight columns"
             raise FormatError(Fault("LLF001", message, str(self.path), (self.line,)))
         notices += self._count_notice(values, lines)
         return found
@@ -226,7 +226,7 @@ class _Table:
                     try:
                         made[r, c] = float(text) if text else np.nan
                     except ValueError:
-                        message = f"{self.names[c]}: {excerpt(text)} is no number"
+                        message = f"{self.names[c]}: {excerpt(text)} is not a number"
                         faults.append(self._fault("LLF004", c, message, number))
             if len(faults) >= MAX_FAULTS:
                 break
@@ -246,8 +246,7 @@ class _Table:
             return []
         row = int(np.flatnonzero(odd)[0])
         message = (
-            f"{COUNT} is {stated[row]:g}, and there are "
-            f"{counted(max(has), 'value')} in the row"
+            f"{COUNT} is {stated[row]:g}, but the row has {counted(max(has), 'value')}"
         )
         where = int(lines[row])
         notice = Fault("LLF106", message, str(self.path), (where,))

@@ -82,7 +82,7 @@ def read_livelink(
     turned = _turned(recording)
     if not links.links and not (set(turned) & set(joints)):
         message = f"{target.name!r} has no shape of this recording, and no head joint"
-        hint = f"{argument('source.remap')} names the shapes of other conventions"
+        hint = f"map the shapes of other conventions with {argument('source.remap')}"
         if not target.shapes:
             hint = "the rig has no shapes"
         raise OptionError(Fault("LLF007", message, str(path), (), hint))
@@ -205,16 +205,13 @@ def _notices(recording: Recording, frames: RowFrames, dropped: Dropped) -> list[
         what = {
             "interpolate": "interpolated",
             "hold": "held from the frame before",
-            "close": "left out, so that later frames move up",
+            "close": "removed, which moves later frames up",
         }[dropped]
         message = (
             f"{len(gaps)} of {frames.count} frames have no row: {what}; from the "
             f"first, frames {listed((gaps).tolist(), MAX_NAMED)}"
         )
-        hint = (
-            f"{argument('source.dropped')} interpolate, hold or close says what "
-            "becomes of them"
-        )
+        hint = f"choose with {argument('source.dropped')}: interpolate, hold or close"
         made.append(Fault("LLF101", message, path, (), hint, Severity.WARNING))
     for values, names in (
         (recording.weights, recording.shapes),
@@ -223,9 +220,9 @@ def _notices(recording: Recording, frames: RowFrames, dropped: Dropped) -> list[
         missing = ~np.isfinite(values)
         for c in np.flatnonzero(missing.any(axis=0)).tolist():
             lines = recording.lines[missing[:, c]].tolist()
-            how = "put in from its neighbours"
+            how = "interpolated from its neighbours"
             if missing[:, c].all():
-                how = "taken for 0"
+                how = "set to 0"
             message = f"{names[c]} has no value in {counted(len(lines), 'row')}: {how}"
             fault = Fault("LLF102", message, path, tuple(lines[:MAX_NAMED]))
             made.append(replace(fault, severity=Severity.WARNING))
@@ -239,7 +236,7 @@ def _notices(recording: Recording, frames: RowFrames, dropped: Dropped) -> list[
             f"{recording.shapes[column]} = {recording.weights[row, column]:g}"
         )
         line = (int(recording.lines[row]),)
-        hint = "a remap file has gain and clamp"
+        hint = "set gain and clamp in a remap file"
         made.append(Fault("LLF109", message, path, line, hint, Severity.WARNING))
     return made
 
@@ -263,11 +260,11 @@ def _unmatched(
         lost = [name for name in links.lost if name not in still]
         if lost:
             message = f"{len(lost)} shapes are not in the rig: "
-            hint = f"{argument('source.remap')} names the shapes that they move"
+            hint = f"map them to its shapes with {argument('source.remap')}"
             made.append(naming("LLF108", message, lost, path, hint, Severity.WARNING))
     for part, angles in turned.items():
         if part not in joints and np.nan_to_num(angles).any():
-            message = f"the rig has no joint for the {part}: its rotation is left out"
+            message = f"the rig has no joint for the {part}: its rotation is skipped"
             made.append(Fault("LLF110", message, path, (), None, Severity.NOTE))
     lone = {
         angle
@@ -275,6 +272,6 @@ def _unmatched(
         if not any(angle.startswith(part) for part in _turned_parts(recording))
     }
     if lone:
-        message = f"{listed(sorted(lone))} without the two others: left out"
+        message = f"{listed(sorted(lone))} without the two others: skipped"
         made.append(Fault("LLF110", message, path, (), None, Severity.NOTE))
     return made

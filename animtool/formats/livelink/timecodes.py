@@ -105,7 +105,7 @@ def row_frames(
         message = (
             f"{worst / float(rate):.6g} s without a row before {labels[order[at + 1]]}"
         )
-        hint = "split the recording there, or mend the time code"
+        hint = "split the recording there, or repair the time code"
         line = (int(lines[order[at + 1]]),)
         raise FormatError(Fault("LLF006", message, path, line, hint))
     step, frames = _frames(times, parts)
@@ -120,7 +120,7 @@ def _fields(labels: Sequence[str], lines: IntArray, path: str) -> IntArray:
     faults = [
         Fault(
             "LLF005",
-            f"{excerpt(label)} is no time code such as 12:00:00:00.000",
+            f"{excerpt(label)} is not a time code such as 12:00:00:00.000",
             path,
             (int(line),),
             column=1,
@@ -145,10 +145,10 @@ def _clock(fields: IntArray, drop: bool, path: str, notices: list[Fault]) -> Fra
     if len(fitting) > 1 and not len(turns):
         rate = USUAL_CLOCK if USUAL_CLOCK in fitting else fitting[0]
         message = (
-            f"the time code ends in no second, so it counts {rate} frames as the app "
-            "does unless told otherwise"
+            f"the time code never reaches another second, so {rate} frames per "
+            "second are assumed, the default of the app"
         )
-        hint = f"{argument('source.fps')} says what it counts"
+        hint = f"set the rate of its time code with {argument('source.fps')}"
         notices.append(Fault("LLF107", message, path, (), hint, Severity.NOTE))
         return Fraction(rate)
     if len(fitting) == 1:
@@ -213,7 +213,7 @@ def _unsorted(order: IntArray, lines: IntArray, path: str) -> list[Fault]:
     if not len(moved):
         return []
     late = lines[order[moved + 1]].tolist()
-    message = f"{counted(len(late), 'row')} out of the order of time: sorted"
+    message = f"{counted(len(late), 'row')} not in order of time: sorted"
     notice = Fault(
         "LLF104", message, path, tuple(late[:MAX_NAMED]), None, Severity.WARNING
     )
@@ -230,7 +230,7 @@ def _repeated(
     if not again:
         return []
     message = (
-        f"{counted(len(again), 'row')} of a frame that has one already: left out, "
+        f"{counted(len(again), 'row')} for a frame that already has one: skipped, "
         f"lines {listed(again, MAX_NAMED)}"
     )
     return [

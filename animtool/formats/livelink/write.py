@@ -56,14 +56,16 @@ def livelink_text(take: Take) -> TakeText:
     columns = {arkit_name(s.name): i for i, s in enumerate(take.rig.shapes)}
     columns.pop(None, None)
     if not columns:
-        message = f"{take.rig.name!r} has no shape of ARKit's, and a CSV holds these"
+        message = (
+            f"{take.rig.name!r} has no ARKit shape, which is all that this CSV holds"
+        )
         hint = "write USD, or keys in a .clip.yaml"
         raise OptionError(Fault("LLF008", message, hint=hint))
     rate = take.clock.rate
     try:
         count_rate(rate)
     except ValueError as error:
-        hint = f"{argument('fps', '60')} makes it a rate that time codes count"
+        hint = f"{argument('fps', '60')} gives it a rate that time codes can count"
         raise OptionError(Fault("LLF009", str(error), hint=hint)) from error
     weights = np.zeros((take.clock.count, len(APP_SHAPES)))
     channel = take.motion.weights
@@ -81,7 +83,7 @@ def livelink_text(take: Take) -> TakeText:
             if i not in known and dense[:, i].any()
         ]
         if lost:
-            message = f"{len(lost)} shapes have no column of a CSV: "
+            message = f"{len(lost)} shapes have no column in the CSV: "
             notices.append(naming("LLF111", message, lost, severity=Severity.WARNING))
     head = ",".join((TIMECODE, COUNT, *APP_SHAPES, *ANGLES))
     return TakeText([head], _rows(weights, _angles(take), rate), notices)

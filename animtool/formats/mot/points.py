@@ -72,7 +72,7 @@ def read_points(
     lines = read_lines(path)
     header = read_header(path, lines)
     if not header.has_points:
-        message = f"has DataType {header.kind or 'double'}, and markers are Vec3"
+        message = f"has DataType {header.kind or 'double'}, but markers are Vec3"
         raise FormatError(Fault("MOF009", message, str(path)))
     width = 1 + 3 * len(header.names)
     if header.separator != b",":
@@ -81,10 +81,8 @@ def read_points(
         ]
     rows = read_rows(path, lines, header, width, file.notices)
     values = numbers_of(path, rows, width)
-    message = (
-        f"{counted(len(header.names), 'column')} of vectors are taken as positions"
-    )
-    hint = "forces and other vectors are no markers"
+    message = f"{counted(len(header.names), 'column')} of vectors are read as positions"
+    hint = "forces and other vectors are not markers"
     file.note("MOF111", f"{message}: {listed(list(header.names[:3]))}", hint)
     length = file.unit(header.unit, unit, LengthUnit.M)
     names, axis = file.names(header.names, subject), file.up(None, up)
@@ -118,24 +116,24 @@ def _frames(
         raise file.error(
             "MOF006",
             f"has a row every {steps.step:g} s",
-            f"{argument('source.fps')} gives the rate",
+            f"set the rate with {argument('source.fps')}",
         )
     if stated is not None and is_rate_of(stated, steps, rounding):
         found = file.rate(stated, None)
     elif stated is not None:
-        message = f"states DataRate {stated:g}, and its times are at {float(found):g}"
-        file.warn("MOF101", f"{message} fps: read as they are")
+        message = f"states DataRate {stated:g}, but its times are at {float(found):g}"
+        file.warn("MOF101", f"{message} fps: using the times")
     with np.errstate(over="ignore"):
         at = (times - times[0]) * float(found)
     if steps.even:
         at = steps.frames.astype(np.float64)
     if not has_room(at, len(header.names)):
         message = f"has {count} rows for {float(at[-1]) + 1:.3g} frames"
-        hint = f"{argument('source.fps')} takes the rows as they come"
+        hint = f"{argument('source.fps')} reads each row as a frame"
         raise file.error("MOF006", message, hint)
     if not steps.even:
-        message = f"times are uneven: read at {float(found):g} fps, with straight lines"
-        file.warn("MOF105", f"{message} between rows, none over gaps")
+        message = f"times are uneven: resampled at {float(found):g} fps, linearly "
+        file.warn("MOF105", f"{message}between rows, but not over gaps")
     elif (absent := int(at[-1]) + 1 - count) > 0:
         message = f"{counted(absent, 'frame')} without a row: no marker is seen there"
         file.warn("MOF105", message)

@@ -72,18 +72,18 @@ def read_mot(
     target = _own(table) if rig is None else at_origin(Rig.load(Path(rig)))
     at, columns, lost = _matched(table, target)
     if rig is None:
-        message = "has no rig: each coordinate became a joint of its own"
-        hint = f"{argument('source.rig')} names the rig whose coordinates they are"
+        message = "names no rig: each coordinate became a joint"
+        hint = f"set the rig of its coordinates with {argument('source.rig')}"
         notices.append(Fault("MOF106", message, str(path), (), hint, Severity.NOTE))
     elif lost:
-        message = f"{len(lost)} columns are no coordinates of {target.name!r}: "
-        hint = "columns have the names of joints: knee.angle, lift.slide, hip_x"
+        message = f"{len(lost)} columns are not coordinates of {target.name!r}: "
+        hint = "name columns after joints: knee.angle, lift.slide, hip_x"
         warning = Severity.WARNING
         notices.append(naming("MOF102", message, lost, str(path), hint, warning))
     degrees = table.degrees
     if degrees is None:
         degrees = False
-        message = "does not say inDegrees: radians are assumed, as OpenSim does"
+        message = "has no inDegrees in its header: using radians, as OpenSim does"
         hint = "write inDegrees=yes or no in its header"
         warning = Severity.WARNING
         notices.append(Fault("MOF107", message, str(path), (), hint, warning))
@@ -119,7 +119,7 @@ def read_mot_rig(path: Path) -> Rig:
 def _own(table: MotionTable) -> Rig:
     names = dict.fromkeys(filter(None, map(plain_name, table.names)))
     if not names:
-        message = "has no column that is a coordinate"
+        message = "has no column with a coordinate"
         raise FormatError(Fault("MOF002", message, str(table.path)))
     return own_rig(table.path.stem, list(names))
 
@@ -155,8 +155,8 @@ def _even(
         return given, values, []
     if len(times) == 1:
         message, hint = (
-            "has one row, which has no rate",
-            f"{argument('source.fps')} gives the rate",
+            "has one row, which gives no rate",
+            f"set the rate with {argument('source.fps')}",
         )
         raise FormatError(Fault("MOF006", message, path, (), hint))
     span = float(times[-1] - times[0])
@@ -168,15 +168,15 @@ def _even(
     count = span * float(rate) + 1
     if count > MAX_FRAMES_EACH * len(times):
         message = f"has {len(times)} rows for {count:.3g} frames at {float(rate):g} fps"
-        hint = f"{argument('source.fps')} takes the rows as they come"
+        hint = f"{argument('source.fps')} reads each row as a frame"
         raise FormatError(Fault("MOF006", message, path, (), hint))
     at = times[0] + np.arange(int(count + EVEN)) / float(rate)
     made = np.stack([np.interp(at, times, column) for column in values.T], axis=-1)
     message = (
-        f"times are uneven, up to {steps.off:.3g} s off: read at {float(rate):g} fps, "
-        "with straight lines between rows"
+        f"times are uneven, up to {steps.off:.3g} s off: resampled at "
+        f"{float(rate):g} fps, linearly between rows"
     )
-    hint = f"{argument('source.fps')} takes the rows as they come"
+    hint = f"{argument('source.fps')} reads each row as a frame"
     return rate, made, [Fault("MOF105", message, path, (), hint, Severity.WARNING)]
 
 
@@ -184,7 +184,7 @@ def _rate(path: str, step: float, rounding: float, frames: int) -> Fraction:
     rate = rate_of_step(step, rounding, frames)
     if rate is None:
         message = f"has a row every {step:g} s"
-        hint = f"{argument('source.fps')} gives the rate"
+        hint = f"set the rate with {argument('source.fps')}"
         raise FormatError(Fault("MOF006", message, path, (), hint))
     return rate
 

@@ -34,8 +34,8 @@ _KINDS = {
     "spatial": "rotations and translations",
 }
 _IMU = (
-    "orientations of sensors become coordinates by OpenSim's IMU inverse kinematics: "
-    "opensim-cmd run-tool imu_ik.xml; its MOT is read"
+    "OpenSim's IMU inverse kinematics turns orientations of sensors into "
+    "coordinates: opensim-cmd run-tool imu_ik.xml; its MOT is read"
 )
 _POINTS = "animtool convert writes them as markers: .trc, .c3d or .npz"
 _HINTS = {"quaternion": _IMU, "vec3": _POINTS}
@@ -88,7 +88,7 @@ def read_table(path: Path) -> MotionTable:
     wanted = {"rows": len(values), "columns": len(names) + 1}
     for what, count in wanted.items():
         if what in stated and stated[what] != count:
-            message = f"states {stated[what]:g} {what} and has {count}"
+            message = f"states {stated[what]:g} {what}, but has {count}"
             warning = Severity.WARNING
             notices.append(Fault("MOF101", message, str(path), (), None, warning))
     times = values[:, 0].copy()
@@ -141,7 +141,7 @@ def read_header(path: Path, lines: list[bytes]) -> MotHeader:
     counts, degrees, texts = _header(lines[:at])
     head = next((i for i in range(at + 1, len(lines)) if lines[i].strip(BLANK)), None)
     if head is None:
-        raise _error("MOF002", path, "ends with its header", at + 1)
+        raise _error("MOF002", path, "ends after its header", at + 1)
     separator = separator_of(lines[head])
     names = _names(path, lines[head], separator, head + 1)
     kind, unit = texts.get("datatype", ""), texts.get("units")
@@ -199,11 +199,13 @@ def _names(path: Path, line: bytes, separator: bytes, number: int) -> tuple[str,
         raise _error("MOF002", path, message, number)
     if len(cells) < 2 or not all(cells):
         what = (
-            "has no column but the time" if len(cells) < 2 else "has an unnamed column"
+            "has no column besides the time"
+            if len(cells) < 2
+            else "has an unnamed column"
         )
         raise _error("MOF002", path, what, number)
     if len(cells) - 1 > MAX_COLUMNS:
-        message = f"has {len(cells) - 1} columns, and {MAX_COLUMNS} are read"
+        message = f"has {len(cells) - 1} columns; the limit is {MAX_COLUMNS}"
         raise _error("MOF002", path, message, number)
     names = tuple(cells[1:])
     check_once(path, names, names, number)
@@ -218,7 +220,7 @@ def check_once(
     for key, name in zip(keys, names, strict=True):
         if key in first:
             two = f"{excerpt(first[key])} and {excerpt(name)}"
-            what = f"{excerpt(name)} stands twice"
+            what = f"duplicate column {excerpt(name)}"
             message = what if first[key] == name else f"{two} are the same coordinate"
             raise _error("MOF004", path, message, line)
         first[key] = name
@@ -268,19 +270,19 @@ def read_rows(
         row = int(wrong[0])
         line, short = int(rows.lines[row]), rows.cells[row] < width
         count = int(rows.cells[row] if short else rows.filled[row])
-        message = f"has {count} values and not {width}"
+        message = f"has {count} values instead of {width}"
         # No line ends the last row of a file that is cut.
         last = row == len(rows.texts) - 1 and line == len(lines)
         if not (last and short and row):
             raise _error("MOF003", path, message, line)
-        message = f"is cut short: {message}; it is left out"
+        message = f"is truncated: {message}; it is skipped"
         notices.append(Fault("MOF103", message, str(path), (line,), None, warning))
         rows = rows.without_last()
     if not rows.texts:
         raise _error("MOF003", path, "has no rows")
     if rows.decimal_commas:
-        message = "numbers have commas in place of points: read as decimal"
-        hint = "export it with points, as other programs read it"
+        message = "numbers have decimal commas: read as such"
+        hint = "export it with decimal points, which other programs need"
         notices.append(Fault("MOF110", message, str(path), (), hint, Severity.NOTE))
     return rows
 
@@ -294,7 +296,7 @@ def check_times(path: Path, times: FloatArray, lines: IntArray) -> None:
         row = int(np.flatnonzero(wrong)[0])
         message = f"time {times[row]:g} does not come after the row before"
         if not np.isfinite(times[row]):
-            message = "the time is no finite number"
+            message = "the time is not a finite number"
         raise _error("MOF005", path, message, int(lines[row]))
 
 
@@ -308,8 +310,8 @@ def _missing(
         return []
     count = counted(int(missing.sum()), "value")
     message = (
-        f"{count} missing in {listed([names[c] for c in columns])}: put in between "
-        "those around, 0 where a column has none"
+        f"{count} missing in {listed([names[c] for c in columns])}: interpolated, or "
+        "0 where a column has no values"
     )
     row = int(lines[np.flatnonzero(missing.any(axis=1))[0]])
     return [Fault("MOF104", message, str(path), (row,), None, Severity.WARNING)]

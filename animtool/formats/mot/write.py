@@ -129,8 +129,8 @@ def _lost(
     bent = [rig.joints[j].name for j in np.flatnonzero(np.maximum(shift, angle) > LOST)]
     notices = []
     if bent:
-        message = "joints do what their type cannot, which is left out: "
-        hint = "free joints in the rig hold all that a joint does"
+        message = "motion that the joint types do not allow is skipped: "
+        hint = "free joints in the rig can hold any motion"
         notices.append(naming("MOF108", message, bent, None, hint, warning))
     lost = []
     if scales is not None and np.abs(scales - 1.0).max(initial=0) > LOST:
@@ -141,7 +141,7 @@ def _lost(
     lost += [track.path for track in take.tracks]
     lost += list(take.motion.points)
     if lost:
-        message = f"a MOT has no place for {listed(lost)}: left out"
-        hint = "write USD too, which holds them"
+        message = f"a MOT cannot hold {listed(lost)}: skipped"
+        hint = "write USD too, which can hold them"
         notices.append(Fault("MOF109", message, None, (), hint, warning))
     return notices

@@ -69,12 +69,12 @@ def read_header(file: MarkerFile, lines: list[bytes]) -> TrcHeader:
     """
     first = re.split(rb"[\s,;]+", lines[0].strip(BLANK + b'"'))[0].strip(b'"')
     if first.lower() != b"pathfiletype":
-        raise file.error("TRC001", "does not begin with PathFileType")
+        raise file.error("TRC001", "does not start with PathFileType")
     starts = [_NAMES.match(line) for line in lines[:MAX_LINES]]
     at = next((i for i, start in enumerate(starts) if start), 0)
     above = [i for i in range(1, at) if lines[i].strip(BLANK)]
     if len(above) < 2:
-        what = "no line that begins with Frame#" if not at else "no line of DataRate"
+        what = "no line starts with Frame#" if not at else "no DataRate line"
         raise file.error("TRC001", f"has {what} in its first {MAX_LINES} lines")
     stated = _stated(lines[above[-2]], lines[above[-1]])
     start = starts[at]
@@ -133,7 +133,7 @@ def _names_of_header(
     while names and not names[-1]:
         names.pop()
     if len(names) > MAX_MARKERS:
-        message = f"names {len(names)} markers, and {MAX_MARKERS} are read"
+        message = f"names {len(names)} markers; the limit is {MAX_MARKERS}"
         raise FormatError(Fault("TRC001", message, file.path, (number,)))
     return names
 
@@ -171,17 +171,17 @@ def columns_of(
     names, stated = header.names, header.markers
     held = max(rows, header.axes if header.axes == stated else 0)
     if header.separator == b" " and len(names) > held > 0 and held == stated:
-        message = f"names {len(names)} markers over the columns of {held}"
+        message = f"names {len(names)} markers above the columns of {held}"
         hint = f"names between blanks have no blanks: {excerpt(' '.join(names))}"
         raise file.error("TRC001", message, hint)
     if len(names) > held > 0 and held == stated:
-        message = f"names {len(names)} markers and has columns of {held}"
-        file.warn("TRC101", f"{message}; the last names are left out")
+        message = f"names {len(names)} markers, but has columns of {held}"
+        file.warn("TRC101", f"{message}; the last names are ignored")
         names = names[:held]
     count = max(len(names), held)
     if stated is not None and stated not in (count, len(header.names)):
-        message = f"states {stated:g} markers and has {count}"
-        file.warn("TRC101", f"{message}; all that it has are read")
+        message = f"states {stated:g} markers, but has {count}"
+        file.warn("TRC101", f"{message}; all of them are read")
     names = [*names, *[""] * (count - len(names))]
     return names, sum(not name for name in names)
 
@@ -227,17 +227,21 @@ def read_trc(
         return FormatError(Fault("TRC002", message, file.path, (line,)))
 
     if len(rows.texts) * len(names) > MAX_POSITIONS:
-        raise file.error("TRC001", "has more positions than are read")
+        raise file.error("TRC001", "has more positions than the limit")
     decimals = rows.decimals(1)
     values = rows.values(2 + 3 * len(names), fault)
     if rows.decimal_commas:
-        message = "numbers have commas in place of points: read as decimal"
-        file.note("TRC108", message, "export it with points, as other programs read it")
+        message = "numbers have decimal commas: read as such"
+        file.note(
+            "TRC108",
+            message,
+            "export it with decimal points, which other programs need",
+        )
     length = file.unit(header.unit, unit, LengthUnit.MM)
     axis = file.up(None, up)
     if header.frames not in (None, len(values)):
-        message = f"states {header.frames:g} frames and has {len(values)}"
-        file.warn("TRC101", f"{message}; all that it has are read")
+        message = f"states {header.frames:g} frames, but has {len(values)}"
+        file.warn("TRC101", f"{message}; all of them are read")
     positions = values[:, 2:].reshape(len(values), -1, 3).copy()
     labels = file.names(names, subject)
     positions = file.cleaned(positions, length.meters)
@@ -267,14 +271,14 @@ def _names(file: MarkerFile, header: TrcHeader, rows: Rows) -> list[str]:
     wrong = np.flatnonzero(wide & ragged)
     if len(wrong) or len(names) > MAX_MARKERS:
         row = int(wrong[0]) if len(wrong) else int(rows.filled.argmax())
-        message = f"has {int(rows.filled[row])} values and not {2 + 3 * len(names)}"
+        message = f"has {int(rows.filled[row])} values instead of {2 + 3 * len(names)}"
         if len(wrong):
-            message = f"has {int(rows.filled[row])} values, and "
-            message += f"{counted(len(header.names), 'marker')} with a name have "
+            message = f"has {int(rows.filled[row])} values, but "
+            message += f"{counted(len(header.names), 'marker')} with a name need "
             message += str(2 + 3 * len(header.names))
         hint = None
         if header.separator == b"," and not any(b"." in text for text in rows.texts):
-            hint = "decimal commas between commas: export with tabs or with points"
+            hint = "decimal commas between commas: export with tabs or decimal points"
         at = (int(rows.lines[row]),)
         raise FormatError(Fault("TRC002", message, file.path, at, hint))
     if unnamed:
@@ -286,8 +290,8 @@ def _names(file: MarkerFile, header: TrcHeader, rows: Rows) -> list[str]:
         if wide.any() and not wide.all():
             lines = rows.lines[wide]
             message += f", in {counted(len(lines), 'row')} from line {lines[0]}"
-        hint = "mocap label gives points the names of markers"
-        file.warn("TRC103", f"{message}: points without label", hint)
+        hint = "name the points with mocap label"
+        file.warn("TRC103", f"{message}: unlabelled points", hint)
     return names
 
 
@@ -308,9 +312,9 @@ def _whole_rows(file: MarkerFile, rows: Rows, unended: int, width: int) -> Rows:
     row = last if dropped else int(cut[0])
     message = f"has {int(rows.cells[row])} values of {width}"
     if dropped:
-        message += ", as the file ends there: the row is left out"
+        message += ", where the file ends: the row is skipped"
     else:
         more = counted(len(cut) - 1, "other row")
-        message += f", and ends within a marker, which is not seen there; {more} alike"
+        message += f", and ends within a marker, which is not seen there; {more} too"
     file.warn("TRC109", message, "copy or export it again", int(rows.lines[row]))
     return rows.without_last() if dropped else rows

@@ -54,10 +54,10 @@ def frames_of_rows(
     if fps is not None or len(times) == 1 or np.isnan(times).all():
         rate = file.rate(stated, fps)
         if fps is None and len(times) > 1:
-            message = f"has no Time: rows are at Frame#, {float(rate):g} fps"
-            file.warn("TRC107", message, "write Time, which other programs read")
+            message = f"has no Time: rows are placed by Frame#, at {float(rate):g} fps"
+            file.warn("TRC107", message, "write Time, which other programs need")
         if counted_frames is None:
-            _warn_numbers(file, numbers, lines, "every row is one frame")
+            _warn_numbers(file, numbers, lines, "each row is one frame")
         at = np.arange(len(times)) if counted_frames is None else counted_frames
         start, begin = _start(numbers[0]), None
     else:
@@ -114,17 +114,17 @@ def _check_times(
         return
     row, more = int(rows[0]), len(rows) - 1
     here = _frame(numbers[row], int(lines[row]))
-    message = f"the time of {here} is no finite number"
+    message = f"the time of {here} is not a finite number"
     if np.isfinite(times[row]):
         before = _frame(numbers[row - 1], int(lines[row - 1]))
         again = numbers[row] == numbers[row - 1] or times[row] == times[row - 1]
         what = "repeats" if again else "does not come after"
         message = f"{here}, at {times[row]:g} s, {what} {before}, at "
         message += f"{times[row - 1]:g} s"
-    message += f"; {counted(more, 'other row')} alike" if more else ""
+    message += f"; {counted(more, 'other row')} too" if more else ""
     hint = (
-        f"mend the rows; {argument('source.fps')} gives the rate and takes them by "
-        "Frame#"
+        f"repair the rows, or set the rate with {argument('source.fps')} to place "
+        "them by Frame#"
     )
     at = (int(lines[row]),)
     raise FormatError(Fault("TRC003", message, file.path, at, hint))
@@ -140,19 +140,18 @@ def _rate(
     rate = rate_of_step(steps.step, rounding, count)
     if rate is None:
         message = f"has a row every {steps.step:g} s"
-        hint = f"{argument('source.fps')} gives the rate and takes rows by Frame#"
+        hint = f"set the rate with {argument('source.fps')} to place rows by Frame#"
         raise file.error("TRC003", message, hint)
     if stated is None or stated <= 0:
-        message = f"states no DataRate; {float(rate):g} fps, as Time has it"
+        message = f"states no DataRate; using {float(rate):g} fps, from Time"
         file.note("TRC104", message)
         return rate
     message = (
-        f"Time goes by {steps.step:.6g} s, {float(rate):g} fps, and DataRate is "
-        f"{stated:g}: read as Time has it"
+        f"the Time step is {steps.step:.6g} s, {float(rate):g} fps, but DataRate is "
+        f"{stated:g}: using Time"
     )
     hint = (
-        f"{argument('source.fps', f'{float(rate_from_float(stated)):g}')} reads it "
-        "as DataRate has it"
+        f"{argument('source.fps', f'{float(rate_from_float(stated)):g}')} uses DataRate"
     )
     file.warn("TRC104", message, hint)
     return rate
@@ -169,7 +168,7 @@ def _check_room(
     message = (
         f"has {len(at)} rows for {frames:.6g} frames, most of them before this one"
     )
-    hint = "mend Frame# and Time of the row, or cut the file there"
+    hint = "repair Frame# and Time of the row, or end the file there"
     raise FormatError(Fault("TRC003", message, file.path, (int(lines[row]),), hint))
 
 
@@ -200,10 +199,10 @@ def _warn_uneven(
     between = np.diff(times)
     row = int(np.abs(between - steps.step).argmax()) + 1
     message = (
-        f"rows are {between.min():.4g} to {between.max():.4g} s apart: read at "
-        f"{float(rate):g} fps, with straight lines between rows, none over gaps"
+        f"rows are {between.min():.4g} to {between.max():.4g} s apart: resampled at "
+        f"{float(rate):g} fps, linearly between rows, but not over gaps"
     )
-    hint = f"{argument('source.fps')} gives the rate and takes rows by Frame#"
+    hint = f"set the rate with {argument('source.fps')} to place rows by Frame#"
     file.warn("TRC106", message, hint, int(lines[row]))
 
 
@@ -219,11 +218,11 @@ def _warn_numbers(
     if not len(rows):
         return
     row = int(rows[0])
-    message = f"Frame# is {numbers[row]:g}" if known[row] else "Frame# is no number"
+    message = f"Frame# is {numbers[row]:g}" if known[row] else "Frame# is not a number"
     if row and known[row]:
         message += f" after {numbers[row - 1]:g}"
     if len(rows) > 1:
-        message += f", and {counted(len(rows) - 1, 'other row')} alike"
+        message += f", and {counted(len(rows) - 1, 'other row')} too"
     file.warn("TRC107", f"{message}: {result}", None, int(lines[row]))
 
 
@@ -243,21 +242,21 @@ def _compared(
     start = _start(numbers[0])
     by_time = times[0] * float(rate) + 1
     if _whole_frames(numbers) is None:
-        _warn_numbers(file, numbers, lines, "rows are at their Time")
+        _warn_numbers(file, numbers, lines, "rows are placed by their Time")
         return start, float(times[0])
     off = np.flatnonzero(numbers - numbers[0] != at)
     if len(off):
         row = int(off[0])
         message = (
             f"frame {numbers[row]:g} is {times[row] - times[0]:.6g} s after frame "
-            f"{numbers[0]:g}, and {float(rate):g} fps make it "
-            f"{numbers[0] + at[row]:g}: rows are at their Time"
+            f"{numbers[0]:g}; at {float(rate):g} fps it would be "
+            f"{numbers[0] + at[row]:g}: rows are placed by their Time"
         )
         file.warn("TRC107", message, None, int(lines[row]))
     elif abs(by_time - start) > EVEN + 3 * rounding * float(rate):
         message = (
-            f"frame {start} is at {times[0]:.6g} s: kept in a TRC; a MOT has it at "
-            f"{(start - 1) / float(rate):.6g} s, as frame 1 is time 0"
+            f"frame {start} is at {times[0]:.6g} s: a TRC keeps that; a MOT would "
+            f"have it at {(start - 1) / float(rate):.6g} s, as its frame 1 is time 0"
         )
         file.note("TRC107", message)
         return start, float(times[0])

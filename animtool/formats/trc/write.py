@@ -41,7 +41,7 @@ def write_trc(
     path = Path(path)
     check_outputs([path], [], overwrite=overwrite)
     if not markers.names or not len(markers):
-        message = "a TRC holds at least one marker and one frame"
+        message = "a TRC needs at least one marker and one frame"
         raise OptionError(Fault("TRC010", message, str(path)))
     write_parts(path, _parts(markers, path.name))
     lost = []
@@ -53,7 +53,7 @@ def write_trc(
         lost.append("residuals")
     if not lost:
         return []
-    message = f"a TRC has no place for {' and '.join(lost)}"
+    message = f"a TRC cannot store {' and '.join(lost)}"
     return [Fault("TRC102", message, str(path), (), "write .npz", Severity.NOTE)]
 
 

@@ -127,7 +127,7 @@ def write_pictures(
     paths, output = [Path(file) for file in files], Path(output)
     kind = picture_kind(output)
     if kind is None:
-        message, hint = "a page is no picture", "write_page writes it"
+        message, hint = "a page is not a picture", "use write_page for it"
         raise OptionError(Fault("PRV002", message, str(output), (), hint))
     check_outputs([output], paths, overwrite=overwrite)
     options = replace(options or PreviewOptions(), findings=False)
@@ -178,15 +178,15 @@ def _check(
     asked = {"sheet": sheet, "frames": frames, "camera": pictures.camera[1:]}
     several = [name for name, value in asked.items() if value]
     if several and not kind.still:
-        message = "a film plays frames one after another, by one camera"
-        hint = "a sheet, or listed frames, are .png or .webp; 1-240x2 plays some"
+        message = "a film shows frames one after another, from one camera"
+        hint = "a sheet, or listed frames, need .png or .webp; 1-240x2 plays a range"
         raise refused(several[0], message, hint)
     if sheet and len(frames) > sheet[0] * sheet[1]:
-        message = f"{len(frames)} frames are more than a sheet of {pictures.sheet} has"
-        raise refused("frames", message, "fewer, or a larger sheet")
+        message = f"{len(frames)} frames do not fit on a sheet of {pictures.sheet}"
+        raise refused("frames", message, "list fewer frames, or enlarge the sheet")
     if pictures.turntable and (several or not kind.codec):
         hint = "name it .gif, .webp, .mp4 or .webm"
-        raise refused("turntable", "a still does not go round", hint)
+        raise refused("turntable", "a still has no turntable", hint)
 
 
 class Studio:
@@ -300,8 +300,8 @@ class Studio:
         """Return what is written on each picture."""
         texts = self._options.caption
         if len(texts) not in {0, 1, cells}:
-            message = f"{len(texts)} captions are given for {cells} pictures"
-            raise refused("caption", message, "one, or one for each")
+            message = f"{len(texts)} captions for {cells} pictures"
+            raise refused("caption", message, "write one, or one for each")
         if len(texts) == cells:
             return [caption_of(text, *size) for text in texts]
         return [Caption((), 0)] * cells

@@ -64,7 +64,7 @@ def caption_of(text: str, width: int, height: int) -> Caption:
         if caption.height <= MOST * height:
             return caption
     message = f"the caption needs {len(lines)} lines on {width}x{height} pixels"
-    hint = "a shorter one, or a larger size"
+    hint = "shorten it, or enlarge the picture"
     raise OptionError(Fault("PRV006", message, hint=hint, where="caption"))
 
 

@@ -25,8 +25,8 @@ SAMPLES = 4
 # Cells of a row of a table, at most.
 ROW = 1024
 _PACKAGES = (
-    "apt-get install libegl1 libgl1 libgl1-mesa-dri, or "
-    "dnf install mesa-libEGL mesa-dri-drivers, draws without a graphics card"
+    "to draw without a graphics card: apt-get install libegl1 libgl1 "
+    "libgl1-mesa-dri, or dnf install mesa-libEGL mesa-dri-drivers"
 )
 
 
@@ -178,5 +178,5 @@ def _context(module: ModuleType) -> Any:
         # Backends raise whatever they like.
         except Exception as error:
             reasons.append(str(error))
-    message = f"no OpenGL 3.3 could be started to draw with: {reasons[0]}"
+    message = f"OpenGL 3.3 could not be started: {reasons[0]}"
     raise OptionError(Fault("PRV005", message, hint=_PACKAGES))

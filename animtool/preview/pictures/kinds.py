@@ -88,7 +88,7 @@ def picture_kind(path: Path) -> PictureKind | None:
     if suffix in PAGE_SUFFIXES:
         return None
     if suffix not in KINDS:
-        message = f"{suffix_text(path)} is no page and no kind of picture"
+        message = f"{suffix_text(path)} is neither a page nor a picture"
         hint = f"allowed: .html, {', '.join(KINDS)}"
         raise OptionError(Fault("PRV002", message, str(path), (), hint))
     return KINDS[suffix]

@@ -65,8 +65,8 @@ def size_of(
         return CELL if sheet else kind.size
     wide, high = _pair(options.size, "size", "960x540")
     if not (LEAST <= wide <= MOST and LEAST <= high <= MOST):
-        message = f"{options.size} is no size: {LEAST} to {MOST} pixels a side"
-        raise refused("size", message, "such as 960x540")
+        message = f"invalid size {options.size}: {LEAST} to {MOST} pixels per side"
+        raise refused("size", message, "write 960x540, for example")
     return wide, high
 
 
@@ -77,14 +77,16 @@ def sheet_of(options: PictureOptions) -> tuple[int, int] | None:
     columns, rows = _pair(options.sheet, "sheet", "4x3")
     if not 1 <= columns * rows <= MOST_CELLS:
         message = f"a sheet of {options.sheet} pictures"
-        raise refused("sheet", message, f"1 to {MOST_CELLS} of them, such as 4x3")
+        raise refused("sheet", message, f"use 1 to {MOST_CELLS} of them, such as 4x3")
     return columns, rows
 
 
 def _pair(text: str, where: str, example: str) -> tuple[int, int]:
     found = _PAIR.fullmatch(text.strip().lower())
     if found is None:
-        raise refused(where, f"{text!r} is not two whole numbers", f"such as {example}")
+        raise refused(
+            where, f"{text!r} is not two whole numbers", f"write {example}, for example"
+        )
     return int(found[1]), int(found[2])
 
 
@@ -92,7 +94,7 @@ def layers_of(options: PictureOptions) -> frozenset[str]:
     """Return what is drawn."""
     for name in options.show:
         if name not in LAYERS:
-            message = f"nothing of a picture is called {name!r}"
+            message = f"unknown part of a picture {name!r}"
             raise refused("show", message, f"allowed: {', '.join(LAYERS)}")
     return frozenset(options.show) or USUAL
 
@@ -105,7 +107,7 @@ def light_of(options: PictureOptions) -> FloatArray:
     numbers = _numbers(options.light)
     if len(numbers) != 2:
         message = f"{options.light!r} is not two angles in degrees"
-        raise refused("light", message, "such as -27,40")
+        raise refused("light", message, "write -27,40, for example")
     yaw, pitch = map(math.radians, numbers)
     level = math.cos(pitch)
     return np.array([math.sin(yaw) * level, math.sin(pitch), math.cos(yaw) * level])
@@ -133,7 +135,7 @@ def camera_of(text: str, names: Sequence[str]) -> Camera:
     near = similar(text, known)
     hint = f"did you mean {near!r}?" if near else f"allowed: {', '.join(known)}"
     hint += "; or YAW,PITCH in degrees, or the `cam` of a page's address"
-    raise refused("camera", f"no camera is called {text!r}", hint)
+    raise refused("camera", f"unknown camera {text!r}", hint)
 
 
 def _numbers(text: str) -> list[float]:

@@ -54,7 +54,7 @@ def bake(
     outline = outlined(source, output, options)
     if not any(entry.is_stage for entry in outline.outputs):
         entry = outline.outputs[0]
-        message = "the scene names no USD file" if entry.place else "is no USD file"
+        message = "the scene names no USD file" if entry.place else "is not a USD file"
         hint = "animtool.convert writes files of other formats"
         fault = Fault("SCN044", message, hint=hint)
         if entry.place is not None:

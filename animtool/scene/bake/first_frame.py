@@ -88,5 +88,5 @@ def start_notice(
     if fps != own_fps:
         message += f", which is {frame_label(own * fps / own_fps)} at {rate_label(fps)}"
     message += f"; it is written from frame {frame_label(first)}"
-    hint = f"{argument('start')} names another first frame"
+    hint = f"choose another first frame with {argument('start')}"
     return [Fault("TAKE008", message, None, (), hint, Severity.NOTE)]

@@ -183,7 +183,8 @@ def _missing_frames(plan: TakePlan, shot: Shot, clock: Clock) -> list[Fault]:
     ):
         if frames:
             message = (
-                f"{named}the take lacks {what} {frame_spans(frames, frame_range.step)}"
+                f"{named}the take does not have {what} "
+                f"{frame_spans(frames, frame_range.step)}"
             )
             message += "; the nearest pose is held"
             warning = Severity.WARNING
@@ -229,8 +230,8 @@ def _range_notice(plan: TakePlan, times: SampleTimes) -> list[Fault]:
         return []
     message = (
         f"{argument('frame_range', f'{frame_range.first}-{frame_range.last}')} "
-        "reaches beyond the take; "
-        f"{float(times.first):g} to {float(times.last):g} are written"
+        f"extends beyond the take; {float(times.first):g} to {float(times.last):g} "
+        "are written"
     )
     return [Fault("SCN202", message, str(plan.source), severity=Severity.WARNING)]
 

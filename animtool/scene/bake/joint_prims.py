@@ -237,7 +237,9 @@ def _kept_curves(plan: TakePlan) -> dict[str, Curves]:
     stream = plan.stream
     if not stream.control_curves:
         message = "there is no control whose curve could be kept"
-        hint = "clips have such curves; a pass that changes a control drops its curve"
+        hint = (
+            "only clips have such curves; a pass that changes a control drops its curve"
+        )
         plan.notices.append(
             Fault("SCN208", message, str(plan.source), (), hint, Severity.WARNING)
         )

@@ -70,7 +70,7 @@ def alike(
     """Return the takes with their joints in the order of the first take's."""
     first, *others = [_named(stream.rig, options) for stream in streams]
     faults = [
-        Fault("USD030", difference, str(path), (), "one library has one skeleton")
+        Fault("USD030", difference, str(path), (), "a library has one skeleton")
         for path, other in zip(sources[1:], others, strict=True)
         if (difference := _difference(first, other, str(sources[0])))
     ]
@@ -108,7 +108,7 @@ def _difference(first: dict[str, str], other: dict[str, str], source: str) -> st
             return f"there is no joint {name!r}, which {source} has"
         if other[name] != parent:
             places = [f"below {p!r}" if p else "a root" for p in (other[name], parent)]
-            return f"joint {name!r} is {places[0]}, and in {source} {places[1]}"
+            return f"joint {name!r} is {places[0]}, but in {source} {places[1]}"
     for name in other:
         if name not in first:
             return f"joint {name!r} is not in {source}"
@@ -153,8 +153,8 @@ def _rest_notice(first: Rig, other: Rig, path: str, source: str) -> list[Fault]:
         return []
     i = int(worse.argmax())
     message = (
-        f"the rest pose is not that of {source}: joint {first.names[i]!r} is "
-        f"{length_text(apart[i])} and {np.degrees(turned[i]):.3g} degrees from it"
+        f"the rest pose differs from that of {source}: joint {first.names[i]!r} by "
+        f"{length_text(apart[i])} and {np.degrees(turned[i]):.3g} degrees"
     )
-    hint = f"the library has the rest pose of {source}"
+    hint = f"the library uses the rest pose of {source}"
     return [Fault("USD130", message, path, (), hint, Severity.WARNING)]

@@ -19,8 +19,8 @@ from animtool.scene.file.option_text import parse_frame, parse_frame_range
 from animtool.scene.sources.open import SourceOptions
 
 _ADOPTED = (
-    f"a layer adopts its rig layer's units and up axis: no {argument('to_units')}, "
-    f"{argument('to_up')}"
+    "a layer adopts its rig layer's units and up axis: remove "
+    f"{argument('to_units')}, {argument('to_up')}"
 )
 
 
@@ -47,24 +47,23 @@ class BakeOptions:
         not_for=("file",),
         flag="as",
         scene=Key(
-            "One file, three, an animation layer, or a take of a clip library, "
-            "beside those that the file has. Not given: `layer` with `rig_layer`, else "
-            "`stage`.",
+            "One file, three, an animation layer, or a take added to a clip library. "
+            "Default: `layer` with `rig_layer`, else `stage`.",
             "split",
             ("stage", "split", "layer", "library"),
             "as",
         ),
         batch=Key(
-            "One file, three, or an animation layer. Not given: `layer` with "
+            "One file, three, or an animation layer. Default: `layer` with "
             "`rig_layer`, else `stage`.",
             "split",
             ("stage", "split", "layer"),
             "as",
         ),
         choices=("stage", "layer", "library"),
-        help="One file with skeleton and animation, or only the animation, over a rig "
-        "layer; or a clip library, of a glTF with every clip that it has.  [default: "
-        f"layer where there is {argument('rig_layer')}, else stage]",
+        help="One file with skeleton and animation, or only the animation, over a "
+        "rig layer; or a clip library, for a glTF with all its clips.  "
+        f"[default: layer with {argument('rig_layer')}, else stage]",
     )
     rig_layer: Path | None = option(
         None,
@@ -72,24 +71,24 @@ class BakeOptions:
         label="a rig layer",
         not_for=("systems", "file"),
         both=Key(
-            "The rig in USD, or a shot that holds it, that a layer goes over.",
+            "The USD rig that a layer goes over, or a shot that contains it.",
             "hero.usda",
         ),
-        help="The rig in USD that a layer is for, or a shot that holds it; its units, "
-        "up axis, rate and start are adopted.",
+        help="The USD rig that a layer is for, or a shot that contains it; the layer "
+        "adopts its units, up axis, rate and start.",
     )
     force_fit: bool = option(
         False,
         "switch",
-        both=Key("Write a take that does not fit the rig all the same.", True),
-        help="Write a take that does not fit the rig all the same.",
+        both=Key("Write a take even if it does not match the rig.", True),
+        help="Write a take even if it does not match the rig.",
     )
     take: str | None = option(
         None,
         "text",
         not_for=("file",),
         scene=Key(
-            "With `as: library`: the name of the take. Not given: that of the scene.",
+            "With `as: library`: name of the take. Default: name of the scene.",
             "walk",
         ),
     )
@@ -98,15 +97,13 @@ class BakeOptions:
         "text",
         not_for=("file",),
         scene=Key(
-            "Where the character stands. Not given: /NAME of the source, or "
-            "where the rig layer has it.",
+            "Path of the character. Default: /NAME of the source, or its path in the "
+            "rig layer.",
             "/World/hero",
         ),
-        batch=Key(
-            "Where the character stands. Not given: as `bake` has it.", "/World/hero"
-        ),
+        batch=Key("Path of the character. Default: as in `bake`.", "/World/hero"),
         metavar="PATH",
-        help="Where the character stands, such as /World/hero.",
+        help="Path of the character in the output, such as /World/hero.",
     )
     placement: str | None = option(
         None,
@@ -114,23 +111,23 @@ class BakeOptions:
         label="placement",
         not_for=("systems",),
         both=Key(
-            "Where the stage of a USD source has the character stand and face: in the "
-            "output, or left out. Its size and its up axis stay. Not given: `keep`; "
-            "of a layer over a rig that stands somewhere itself: `drop`.",
+            "Keep or drop the placement of a USD source's character, its position "
+            "and heading on the stage. Size and up axis are kept. Default: `keep`; "
+            "for a layer over a rig with its own placement: `drop`.",
             "drop",
             ("keep", "drop"),
         ),
         choices=("keep", "drop"),
-        help="Where the stage of a USD source has the character stand and face: keep "
-        "it, or drop it. Its size and its up axis stay.  [default: keep; drop in a "
-        "layer over a rig that stands somewhere itself]",
+        help="Keep or drop the placement of a USD source's character, its position "
+        "and heading on the stage. Size and up axis are kept.  [default: keep; "
+        "drop in a layer over a rig with its own placement]",
     )
     bones: bool = option(
         False,
         "switch",
         label="bones",
         not_for=("systems", "library", "deform", "file"),
-        over_layer=f"{argument('bones', True)} never goes into a layer",
+        over_layer=f"{argument('bones', True)} has no effect on a layer",
         both=Key("Add geometry that shows the joints.", True),
         help="Add light geometry that shows the joints.",
     )
@@ -147,58 +144,58 @@ class BakeOptions:
         flag="rest",
         label="rest",
         not_for=("systems", "library", "deform", "file"),
-        over_layer=f"{argument('rest_frame')} sets a skeleton's rest pose, which a "
-        "layer does not "
-        "hold",
+        over_layer=f"{argument('rest_frame')} sets the rest pose of a skeleton, "
+        "which a layer does not contain",
         metavar="offsets|frame:N",
-        help="Where the rest pose comes from.  [default: offsets]",
+        help="Source of the rest pose.  [default: offsets]",
     )
     fps: OptionalFraction = option(
         None,
         "rate",
         batch=Key(
-            "Frames a second of the outputs. Not given: the rig layer's, or "
-            "each source's.",
+            "Frames per second of the outputs. Default: the rig layer's, or each "
+            "source's.",
             24,
         ),
-        help="Frames a second of the output.",
+        help="Frames per second of the output.",
     )
     frame_range: OptionalRange = option(
         None,
         "range",
         flag="range",
         batch=Key(
-            "First and last frame to write, as the outputs number them. Not "
-            "given: all.",
+            "First and last frame to write, in frame numbers of the outputs. "
+            "Default: all.",
             [1001, 1040],
             alias="range",
         ),
-        help="Frames to write, such as 1-240, 1-240x2 or 12, as the output numbers "
-        "them.",
+        help="Frames to write, such as 1-240, 1-240x2 or 12, in frame numbers of the "
+        "output.",
     )
     shot: Shot | None = None
     start: OptionalFraction = option(
         None,
         "frame",
         scene=Key(
-            "Time code of the first frame; of systems alone that of 0 s, and `range` "
-            "keeps its numbers. Not given: the rig layer's, the source's, the "
-            "project's, or 1; of systems alone the first of the range.",
+            "Time code of the first frame; with systems only, that of 0 s, while "
+            "`range` keeps its numbers. Default: the rig layer's, the source's, the "
+            "project's, or 1; with systems only the first of the range.",
             1001,
         ),
-        batch=Key("Time code of the first frame. Not given: as `bake` has it.", 1001),
-        help="Time code of the first frame; in a scene of systems alone, that of 0 s, "
-        "where the simulation begins: the frames of the range keep their numbers.  "
-        "[default: the rig layer's, the project's, 1; of a shot the timeline's, the "
-        "project's, 1001; of systems alone the first of the range]",
+        batch=Key("Time code of the first frame. Default: as in `bake`.", 1001),
+        help="Time code of the first frame; in a scene with systems only, that of 0 "
+        "s, when the simulation starts: frames of the range keep their numbers. "
+        " [default: the rig layer's, the project's, 1; for a shot the "
+        "timeline's, the project's, 1001; with systems only the first of the "
+        "range]",
     )
     samples: tuple[Fraction, ...] = option(
         (),
         "offsets",
         not_for=("file",),
         scene=Key(
-            "Samples around each frame, in frames, for motion blur. Not given: "
-            "one on the frame.",
+            "Samples around each frame, in frames, for motion blur. Default: one on "
+            "the frame.",
             [-0.25, 0, 0.25],
         ),
         help="Samples around each frame, such as -.25,0,.25.",
@@ -216,7 +213,7 @@ class BakeOptions:
         "unit",
         not_for=("library", "file"),
         over_layer=_ADOPTED,
-        batch=Key("Unit of the outputs. Not given: each source's.", "m"),
+        batch=Key("Unit of the outputs. Default: each source's.", "m"),
         help="Unit of the output.",
     )
     to_up: UpAxis | None = option(
@@ -224,7 +221,7 @@ class BakeOptions:
         "axis",
         not_for=("library", "file"),
         over_layer=_ADOPTED,
-        batch=Key("Up axis of the outputs. Not given: each source's.", "Y"),
+        batch=Key("Up axis of the outputs. Default: each source's.", "Y"),
         help="Up axis of the output.",
     )
     root_motion: bool = option(
@@ -233,7 +230,7 @@ class BakeOptions:
         label="root_motion",
         not_for=("systems", "deform", "file"),
         choices=("joint", "skelroot"),
-        help="What carries the root's motion.  [default: joint]",
+        help="What carries the root motion.  [default: joint]",
     )
     sparse: bool = option(
         False,
@@ -241,16 +238,17 @@ class BakeOptions:
         label="sparse",
         not_for=("systems", "deform", "file"),
         both=Key("Write only joints that leave their rest pose.", True),
-        help="Write only the joints that leave their rest.",
+        help="Write only joints that leave their rest pose.",
     )
     keep_curves: bool = option(
         False,
         "switch",
         label="keep_curves",
         not_for=("systems", "deform", "file"),
-        scene=Key("Of a clip: write the curves of its controls as splines too.", True),
-        help="Write the curves of a clip's controls too, as splines that stay "
-        "editable.",
+        scene=Key(
+            "For a clip: also write the curves of its controls as splines.", True
+        ),
+        help="Also write the curves of a clip's controls, as editable splines.",
     )
     reduce: float | None = option(
         None,
@@ -259,30 +257,29 @@ class BakeOptions:
         not_for=("systems", "deform", "file"),
         excludes={
             "samples": "",
-            "root_motion": f"{argument('reduce')} measures joints: no "
+            "root_motion": f"{argument('reduce')} measures joints: remove "
             f"{argument('root_motion', True)}",
         },
         scene=Key(
-            "Leave out samples that the others give back within this length. "
-            f"Not given: all stay; of keys: {KEY_TOLERANCE}.",
+            "Leave out samples that interpolation restores within this length. "
+            f"Default: keep all; for keys: {KEY_TOLERANCE}.",
             "0.5mm",
         ),
         batch=Key(
-            "Leave out samples that the others give back within this length. "
-            "Not given: all stay.",
+            "Leave out samples that interpolation restores within this length. "
+            "Default: keep all.",
             "0.5mm",
         ),
-        help="Leave out samples that the others give back within so much, such as "
-        "0.5mm.",
+        help="Leave out samples that interpolation restores within this length, such "
+        "as 0.5mm.",
     )
     reduce_at: tuple[tuple[str, float], ...] = option(
         (),
         "lengths",
         goes_with="reduce",
         both=Key("Other tolerances, by joint or pattern.", {"hand_*": "0.1mm"}),
-        help=f"Another tolerance of {argument('reduce')} for a joint, or for those "
-        "that fit a "
-        "pattern, such as 'hand_*=0.1mm'; can be given several times.",
+        help=f"Another tolerance of {argument('reduce')} for a joint or a pattern, "
+        "such as 'hand_*=0.1mm'; repeatable.",
     )
     deform: bool = option(
         False,
@@ -290,21 +287,21 @@ class BakeOptions:
         label="deform",
         not_for=("systems", "library", "file"),
         scene=Key(
-            "Write the meshes deformed, as point caches, in place of a skinned "
+            "Write the meshes deformed, as point caches, instead of a skinned "
             "character.",
             True,
         ),
-        help="Write the meshes and strands of the rig deformed, as point caches, in "
-        "place of a skinned character: points, extent, and normals of meshes that have"
-        " them.",
+        help="Write the meshes and strands of the rig deformed, as point caches, "
+        "instead of a skinned character: points, extent, and normals of meshes "
+        "that have them.",
     )
     velocities: bool = option(
         False,
         "switch",
         not_for=("file",),
         goes_with="deform",
-        scene=Key("With `deform`: write how fast points move, per second, too.", True),
-        help=f"With {argument('deform', True)}, how fast points move too, per "
+        scene=Key("With `deform`: also write velocities of points, per second.", True),
+        help=f"With {argument('deform', True)}, also write velocities of points, per "
         "second, for motion blur.",
     )
     normals: bool | None = option(
@@ -312,41 +309,38 @@ class BakeOptions:
         "answer",
         not_for=("file",),
         goes_with="deform",
-        scene=Key(
-            "With `deform`: whether meshes keep normals. Not given: they do.", False
-        ),
+        scene=Key("With `deform`: whether meshes keep normals. Default: yes.", False),
         help=f"With {argument('deform', True)}, whether meshes keep normals, which "
-        "are half of the file.  "
-        "[default: normals]",
+        "take half of the file.  [default: normals]",
     )
     chunk: int | None = option(
         None,
         "count",
         not_for=("file",),
         scene=Key(
-            "Of `deform` and of systems: a file for every so many samples. Not "
-            "given: one file.",
+            "For `deform` and systems: number of samples in each file. Default: one "
+            "file.",
             500,
         ),
         metavar="N",
         least=1,
-        help=f"Of {argument('deform', True)} and of a scene's systems, for long "
-        "takes, a file for every N "
-        "samples, joined as value clips; memory holds two or three of them.",
+        help=f"For {argument('deform', True)} and systems of a scene: write long "
+        "takes as a file for every N samples, joined as value clips; memory "
+        "holds two or three files.",
     )
     keep_stopped: bool = option(
         False,
         "switch",
         not_for=("file",),
         scene=Key(
-            "Where a system stops before the last frame: write the frames before that. "
-            "The bake fails all the same.",
+            "If a system stops before the last frame, write the frames before that. "
+            "The bake still fails.",
             True,
         ),
-        help="Where a scene's system blows up, write the frames before that too; the "
-        "exit code stays 4.",
+        help="If a system of a scene blows up, write the frames before that; the "
+        "exit code is still 4.",
     )
-    strict: bool = option(False, "switch", batch=Key("Take warnings for errors.", True))
+    strict: bool = option(False, "switch", batch=Key("Treat warnings as errors.", True))
     overwrite: bool = option(False, "switch")
 
     def __post_init__(self) -> None:

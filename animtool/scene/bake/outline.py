@@ -177,7 +177,7 @@ def check_outline(outline: Outline) -> None:
     kinds: list[type[AnimtoolError]] = []
     for entry in outline.outputs:
         if several and entry.path is None:
-            message = "an output names no file"
+            message = "an output has no file"
             fault = Fault("DOC021", message)
             raise OptionError(entry.place.put(fault) if entry.place else fault)
         try:
@@ -206,7 +206,7 @@ def outputs_twice(outline: Outline) -> list[Fault]:
         for path in entry.files if len(outline.outputs) > 1 else ():
             first = owners.setdefault(name_key(target(path).final), entry)
             if first is not entry and entry.place and first.place:
-                message = f"{str(path)!r} is written by {first.place.where} too"
+                message = f"{str(path)!r} is also written by {first.place.where}"
                 faults.append(entry.place.fault("OUT007", message, "name another"))
     return faults
 
@@ -268,9 +268,9 @@ def _check_count(count: int, options: BakeOptions) -> None:
     if not count:
         message = "there is no source to bake"
     elif options.shot is not None and count > 1:
-        message = "a shot shows one take, and there are several"
+        message = "a shot shows one take, but there are several"
     elif options.deform and count > 1:
-        message = f"{argument('deform', True)} writes the points of one take, and "
+        message = f"{argument('deform', True)} writes the points of one take, but "
         message += "there are several"
     if message:
         raise OptionError(Fault("CLI002", message))
@@ -282,5 +282,5 @@ def _check_systems(outline: Outline) -> None:
         return
     for scene in outline.reading.scenes.values():
         if scene.writing(scene.outputs[0]).systems:
-            message = "what is simulated is no take of a library"
+            message = "a simulation is not a take of a library"
             raise OptionError(Fault("SCN062", message, str(scene.path)))

@@ -68,7 +68,7 @@ def plan_stage(
     (plan,) = plan_outputs(outline)
     if isinstance(plan, BakePlan):
         return plan
-    message = "is no USD file"
+    message = "is not a USD file"
     raise OptionError(Fault("OUT004", message, str(output)))
 
 
@@ -182,12 +182,12 @@ def _planned_file(
     options, left_out = entry.options, []
     if entry.scene is not None and entry.scene.systems:
         names = listed([system.name for system in entry.scene.systems], MAX_NAMED)
-        left_out.append(f"what is simulated: {names}")
+        left_out.append(f"simulated systems: {names}")
     if stream.tracks:
         left_out.append(listed([track.path for track in stream.tracks], MAX_NAMED))
         stream = PassthroughTracks(stream).stream
     for text in left_out:
-        message = f"a {writer.name} file has no place for {text}"
+        message = f"a {writer.name} file cannot hold {text}"
         note = Fault("SCN112", message, severity=Severity.NOTE)
         notices.append(note if entry.place is None else entry.place.put(note))
     fps = options.fps or stream.fps
@@ -214,8 +214,8 @@ def _with_others(
 
     writer = take_writer(plan.path)
     if not writer.several:
-        message = f"a {writer.name} file holds one take, and there are {len(streams)}"
-        hint = "write .usdc or .glb, or name one source"
+        message = f"a {writer.name} file holds one take, but there are {len(streams)}"
+        hint = "write .usdc or .glb, or pass one source"
         raise OptionError(Fault("OUT004", message, str(plan.path), (), hint))
     streams = alike(sources, streams, entry.options, notices)
     others = [
@@ -238,7 +238,7 @@ def _planned_systems(entry: OutputEntry, notices: list[Fault]) -> BakePlan:
     if not entry.is_stage:
         assert entry.path is not None
         what = take_writer(entry.path).name
-        message = f"a {what} file has no place for what is simulated"
+        message = f"a {what} file cannot hold simulated systems"
         fault = Fault("OUT004", message, hint="write .usdc")
         raise OptionError(fault if entry.place is None else entry.place.put(fault))
     systems = plan_systems(entry.scene, entry.options)
@@ -261,8 +261,8 @@ def _with_systems(plan: BakePlan, scene: Scene) -> BakePlan:
     if not scene.systems:
         return plan
     if plan.form is Form.LIBRARY:
-        message = "a clip library has no place for what is simulated"
-        hint = "bake the systems in a scene of their own, or as: stage"
+        message = "a clip library cannot hold simulated systems"
+        hint = "bake the systems in a separate scene, or as: stage"
         raise OptionError(Fault("SCN067", message, str(scene.path), (), hint))
     from animtool.scene.systems.bake import plan_with_take
 
@@ -314,7 +314,7 @@ def plan_takes(
         up = options.to_up or streams[0].rig.up
         streams = [reorient(stream, up) for stream in streams]
     if options.root_motion and not streams[0].rig.joints:
-        message = f"{argument('root_motion', True)} carries a joint's motion, and "
+        message = f"{argument('root_motion', True)} carries the motion of a joint, but "
         message += "there is none"
         raise OptionError(Fault("CLI002", message, str(sources[0])))
     names = [take_name(options, sources[0]) if library else ""]
@@ -347,7 +347,7 @@ def plan_takes(
             zip(sources, names, streams, mappings, strict=True)
         )
     )
-    reason = f"{'no' if target is None else 'a'} rig layer was named"
+    reason = f"{'no' if target is None else 'a'} rig layer was set"
     if options.form is not None:
         reason = "asked for"
     plan = BakePlan(takes, path, options, form, reason, target, fps, start, notices, ())
@@ -411,8 +411,8 @@ def _left_points(streams: list[TakeStream], options: BakeOptions) -> list[Fault]
     names = sorted({name for stream in streams for name in stream.points})
     if not names or options.deform:
         return []
-    message = f"points of {listed(names)} are simulated, and not written"
-    hint = "an output with deform: true has them"
+    message = f"points of {listed(names)} are simulated, but not written"
+    hint = "an output with deform: true includes them"
     return [Fault("SIM134", message, hint=hint, severity=Severity.WARNING)]
 
 
@@ -420,8 +420,8 @@ def _rate_apart(target: RigTarget | None, fps: Fraction) -> list[Fault]:
     if target is None or fps == target.fps:
         return []
     theirs = rate_label(target.fps)
-    message = f"the output has {rate_label(fps)}, and the rig layer {theirs}"
-    hint = "USD stretches time where a sublayer's rate is not its stage's"
+    message = f"the output has {rate_label(fps)}, but the rig layer {theirs}"
+    hint = "USD scales time if a sublayer's rate differs from its stage's"
     return [Fault("USD106", message, str(target.path), (), hint, Severity.WARNING)]
 
 

@@ -131,8 +131,8 @@ def open_character(take: TakePlan, target: RigTarget | None) -> Character:
     if not surfaces and not strands:
         message = "there is no mesh to deform"
         hint = (
-            "name a rig that has meshes: in the clip, or with "
-            f"{argument('source.rig')} or {argument('rig_layer')}"
+            f"use a rig with meshes: in the clip, or with {argument('source.rig')} "
+            f"or {argument('rig_layer')}"
         )
         raise FormatError(Fault("USD040", message, str(source), (), hint))
     meshes = character_meshes(surfaces, rig.names, bind, shapes)

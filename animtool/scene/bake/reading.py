@@ -155,8 +155,8 @@ def found_sources(sources: Sequence[Source]) -> Reading:
 
 def _unused(scenes: dict[Path, Scene]) -> list[Fault]:
     """Say so where a take of a library is a scene that states how to bake it."""
-    message = "the scene's fps, range and output are for it alone, and not used here"
-    hint = "the options of the command are for the whole library"
+    message = "the scene's fps, range and output are ignored here"
+    hint = "set them once for the whole library, on the command"
     return [
         Fault("CLI103", message, str(path), (), hint, Severity.WARNING)
         for path, scene in scenes.items()
@@ -190,7 +190,7 @@ def check_options(
     wrong += _chunk_clashes(options, to_stdout=to_stdout, simulated=simulated)
     lonely = options.keep_stopped and not simulated
     wrong.append(
-        (lonely, f"{argument('keep_stopped', True)} goes with a scene that has systems")
+        (lonely, f"{argument('keep_stopped', True)} needs a scene with systems")
     )
     faults = [Fault("CLI002", message) for holds, message in wrong if holds]
     if faults:
@@ -207,7 +207,7 @@ def _layer_clashes(options: BakeOptions, form: str) -> list[tuple[bool, str]]:
         ),
         (
             form != "layer" and options.rig_layer is not None,
-            f"{argument('rig_layer')} goes with {argument('form', 'layer')}",
+            f"{argument('rig_layer')} needs {argument('form', 'layer')}",
         ),
         *((form == "layer", reason) for reason in dict.fromkeys(filter(None, refused))),
     ]
@@ -219,7 +219,7 @@ def _library_clashes(
     """Return what a take of a library does not go with, and whether it is asked for."""
     flags = [argument("output", "-")] if to_stdout else []
     flags += refused_options(options, "library")
-    return [(True, f"a take of a library goes without {flag}") for flag in flags]
+    return [(True, f"a take of a library cannot use {flag}") for flag in flags]
 
 
 def _shot_clashes(options: BakeOptions, form: str) -> list[tuple[bool, str]]:
@@ -231,13 +231,13 @@ def _shot_clashes(options: BakeOptions, form: str) -> list[tuple[bool, str]]:
     return [
         (
             options.fps != shot.fps,
-            f"{argument('fps', options.fps)} is not the rate of {named}, "
+            f"{argument('fps', options.fps)} differs from the rate of {named}, "
             f"{rate_label(shot.fps)}",
         ),
         (
             options.start is not None,
             f"{argument('start')}: {named} begins at {shot.start}, as its timeline "
-            "says",
+            "states",
         ),
         (form == "library", f"{named} is not a take of a library"),
     ]
@@ -253,11 +253,13 @@ def _chunk_clashes(
         return [
             (
                 True,
-                f"{argument('chunk')} goes with {argument('deform', True)}, or a "
-                "scene that has systems",
+                f"{argument('chunk')} needs {argument('deform', True)}, or a scene "
+                "with systems",
             )
         ]
-    message = f"{argument('chunk')} needs 1 sample a file or more, not {options.chunk}"
+    message = (
+        f"{argument('chunk')} needs at least 1 sample per file, not {options.chunk}"
+    )
     return [
         (to_stdout, f"{argument('chunk')} writes several files, not stdout"),
         (options.chunk < 1, message),
@@ -268,7 +270,7 @@ def _deform_clashes(options: BakeOptions, form: str) -> list[tuple[bool, str]]:
     """Return what does not go with point caches, and whether it is asked for."""
     if not options.deform:
         return []
-    joints = f"{argument('deform', True)} writes points, no joints"
+    joints = f"{argument('deform', True)} writes points, not joints"
     flags = [argument("form", "split")] if form == "split" else []
     flags += refused_options(options, "deform")
     return [(True, f"{joints}: no {flag}") for flag in flags]
@@ -283,7 +285,7 @@ def check_file_options(options: BakeOptions, writer: Writer, path: Path) -> None
         if name == "reduce":
             faults.append(of_keys(called(name, given), path))
             continue
-        message = f"{called(name, given)} is for USD, and {path} is none"
+        message = f"{called(name, given)} applies to USD, not to {path}"
         faults.append(Fault("CLI002", message))
     if not faults:
         faults = [Fault("CLI002", message) for message in clashes(options)]
@@ -293,7 +295,7 @@ def check_file_options(options: BakeOptions, writer: Writer, path: Path) -> None
 
 def of_keys(name: str, path: Path) -> Fault:
     """Return the fault of an option of keys, where a file holds samples (CLI004)."""
-    message = f"{name} is for keys, and this output holds samples"
+    message = f"{name} applies to keys, but this output holds samples"
     hint = f"write a .clip.yaml, or bake to USD with {argument('reduce')}"
     return Fault("CLI004", message, str(path), (), hint)
 
@@ -322,7 +324,7 @@ def check_package(path: Path, options: BakeOptions) -> None:
     if options.chunk is not None:
         refused = argument("chunk")
     if refused is not None:
-        message = f"a package is one file, and {refused} writes several or adds to one"
+        message = f"a package is one file, but {refused} writes several or adds to one"
         hint = "write .usdc"
         raise OptionError(Fault("OUT004", message, str(path), (), hint))
 

@@ -235,7 +235,7 @@ def _prop_step(prop: SceneProp, track: Track) -> Step:
     if not prop.retimed:
         left_out.append("changes of time by passes: it is not retimed")
     if track.reference is None and track.type_name == "Xform":
-        left_out.append("geometry: not asked for (reference)")
+        left_out.append("geometry: not requested (reference)")
     return Step(
         StepKind.PROP,
         f"{prop.prim} of {prop.file}",
@@ -272,11 +272,11 @@ def _pass_step(scene: Scene, entry: ScenePass, state: _State) -> Step:
         there -= {TakePart.TRACKS}
     left_out = []
     if scene.preroll is not None and not entry.pass_.settles:
-        left_out.append("pre-roll: it has no state that would have to settle")
+        left_out.append("pre-roll: it has no state that would settle")
     lacking = sorted((entry.pass_.reads & entry.pass_.changes) - there)
     left_out += [f"{part}: the take has none" for part in lacking]
     if state.curves and not state.dropped and _drops(entry):
-        left_out.append("curves of controls: they hold no more where it changes these")
+        left_out.append("curves of controls: invalid where it changes these")
     return Step(
         StepKind.PASS,
         entry.pass_.name,
@@ -301,9 +301,9 @@ def _output_step(entry: OutputEntry, state: _State) -> Step:
         reads.insert(0, str(options.rig_layer))
     makes = "deformed points" if options.deform else "an animation of the skeleton"
     if form is Form.LIBRARY:
-        makes += " as a take, beside others that there are,"
+        makes += " as a take, next to the existing ones,"
     if state.tracks:
-        makes += f" and {counted(len(state.tracks), 'thing')} beside it"
+        makes += f" and {counted(len(state.tracks), 'prop')} with it"
     if state.systems:
         makes += f" and {counted(state.systems, 'system')}"
     return Step(
@@ -325,7 +325,7 @@ def _file_step(entry: OutputEntry, state: _State) -> Step:
     left_out = []
     if state.tracks:
         what = counted(len(state.tracks), "thing")
-        left_out.append(f"{what} beside: {noun} no place")
+        left_out.append(f"{what} with it: {noun} no place")
     if state.systems:
         left_out.append(f"{counted(state.systems, 'system')}: they are points")
     has = {"shapes": TakePart.SHAPES in state.moving, "meshes": bool(state.rig.meshes)}
@@ -335,7 +335,7 @@ def _file_step(entry: OutputEntry, state: _State) -> Step:
         if there and part not in writer.holds
     ]
     if state.curves and writer is CLIP:
-        left_out.append("curves of controls: keys are fitted to the samples anew")
+        left_out.append("curves of controls: keys are fitted to the samples again")
     return Step(
         StepKind.OUTPUT,
         str(path),
@@ -358,32 +358,32 @@ def _left_out(options: BakeOptions, form: Form, state: _State) -> Iterator[str]:
     yield from _of_rig(options, form, state.rig)
     if state.curves and not options.deform:
         if not options.keep_curves:
-            yield "curves of controls: not asked for (keep_curves)"
+            yield "curves of controls: not requested (keep_curves)"
         elif state.dropped:
             yield f"curves of controls: the pass {state.dropped} may change these"
     if TakePart.SHAPES not in state.moving and state.rig.shapes:
-        yield "shape weights: the take moves none"
+        yield "shape weights: the take has none"
     if TakePart.POINTS in state.moving and not options.deform:
-        yield "points that are simulated: not asked for (deform)"
+        yield "simulated points: not requested (deform)"
     frame_range = options.frame_range
     if frame_range is not None:
         first, last = frame_range.first, frame_range.last
-        yield f"frames but {first} to {last}: they are not asked for"
+        yield f"frames outside {first} to {last}: not requested"
     if options.sparse:
         yield "joints that stay at rest: sparse"
     if options.reduce is not None:
-        yield f"samples that others give back within {options.reduce * 1000:g} mm"
+        yield f"samples that interpolation restores within {options.reduce * 1000:g} mm"
 
 
 def _of_rig(options: BakeOptions, form: Form, rig: Rig) -> Iterator[str]:
     """Yield what of a rig a USD file does not get, and why."""
     if options.deform:
-        yield "skeleton and its animation: points are written in their place"
+        yield "skeleton and its animation: points are written instead"
         if not options.velocities:
-            yield "velocities: not asked for (velocities)"
+            yield "velocities: not requested (velocities)"
     elif form is Form.LAYER:
         yield "skeleton and meshes: the rig layer has them"
     elif rig.meshes:
-        yield "deformed points: not asked for (deform)"
+        yield "deformed points: not requested (deform)"
     else:
         yield "meshes: the rig has none"

@@ -120,7 +120,7 @@ def _report(
 def rig_to_file(job: RigJob) -> RigReport:
     """Write a rig file, its arrays beside it."""
     if job.physics:
-        message = f"{argument('physics')} is for a USD file, and this is none"
+        message = f"{argument('physics')} needs a USD file as output"
         raise OptionError(Fault("CLI004", message, str(job.output)))
     with recorded_inputs() as inputs:
         rig, notices = open_rig(job.source, job.prim_path)
@@ -173,7 +173,7 @@ def _motion_left_out(source: Path, output: Path, prim_path: str | None) -> list[
         return []
     if frames < 2:
         return []
-    message = f"only the rig is written, not its motion of {frames} frames"
+    message = f"only the rig is written, without its motion of {frames} frames"
     hint = (
         f"animtool bake {source.name} {flag('rig-layer', output.name)} -o MOTION.usda"
     )

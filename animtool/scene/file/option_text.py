@@ -27,7 +27,7 @@ def parse_frame_range(text: str) -> FrameRange:
     first = int(match[1])
     last, step = int(match[2] or first), int(match[3] or 1)
     if last < first or step < 1:
-        raise ValueError(f"{text!r} has no frame")
+        raise ValueError(f"{text!r} contains no frame")
     return FrameRange(first, last, step)
 
 
@@ -68,7 +68,7 @@ def parse_offsets(text: str) -> tuple[Fraction, ...]:
             raise ValueError(f"offset {part.strip()} is not within a frame")
         offsets.append(offset)
     if len(set(offsets)) < len(offsets) or max(offsets) - min(offsets) >= 1:
-        raise ValueError(f"offsets {text!r} meet those of the next frame")
+        raise ValueError(f"offsets {text!r} overlap those of the next frame")
     return tuple(sorted(offsets))
 
 

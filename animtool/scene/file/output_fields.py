@@ -158,7 +158,7 @@ class OutputReader:
             return (self._output(("output",), given, fps, frames),)
         for i, entry in enumerate(given):
             if entry.file is None:
-                hint = "each of several outputs names its file"
+                hint = "each of several outputs needs a file"
                 message = "key 'file' is missing"
                 self._document.add("DOC021", ("output", i), message, hint)
         outputs = tuple(
@@ -167,7 +167,7 @@ class OutputReader:
         )
         for i, output in enumerate(outputs):
             if output.bake.chunk is not None:
-                message = "chunks are for a scene of one output"
+                message = "chunks need a scene with one output"
                 self._document.add("SCN039", ("output", i, "chunk"), message)
         return outputs
 
@@ -184,7 +184,7 @@ class OutputReader:
             self._check_keys(at, model, writer)
         keys = option_keys(BakeOptions, model, "scene", at, self._keys)
         if "take" in keys and keys.get("form") != "library":
-            message = "take is for a take of a library"
+            message = "take applies to a take of a library"
             self._document.add("SCN039", (*at, "take"), message, "write as: library")
         if "start" not in keys and self.start is not None:
             keys["start"] = self.start
@@ -194,8 +194,8 @@ class OutputReader:
             names = self._model.system_names
             check_names(self._document, (*at, "systems"), systems, names)
         if not systems and systems is not None and self._model.source is None:
-            message = "nothing would be written: it takes no system"
-            hint = "leave systems out to write all"
+            message = "nothing would be written: it includes no system"
+            hint = "remove systems to write all"
             self._document.add("SCN081", (*at, "systems"), message, hint)
         place = place_of_entry(self._document, at)
         return SceneOutput(path, bake, place, systems)
@@ -209,8 +209,8 @@ class OutputReader:
         """Refuse what only other kinds of files have."""
         allowed = {"file", "start", *writer.options}
         for name in sorted(model.model_fields_set - allowed):
-            message = f"{name} is not for a {writer.name} file"
-            hint = f"it has {', '.join(sorted(allowed))}"
+            message = f"{name} does not apply to a {writer.name} file"
+            hint = f"its keys are {', '.join(sorted(allowed))}"
             self._document.add("SCN039", (*at, name), message, hint)
 
     def _frames(self) -> FrameRange | None:
@@ -219,8 +219,8 @@ class OutputReader:
         at: Location = ("range",) if shot is None else ("shot", "cut")
         ends = self._model.range if shot is None else shot.cut
         if shot is not None and self._model.range is not None:
-            message = "the cut of the shot says which frames to write"
-            hint = "leave range or shot out"
+            message = "the cut of the shot already sets the frames to write"
+            hint = "remove range or shot"
             self._document.add("SCN041", ("range",), message, hint)
         if ends is None:
             return None

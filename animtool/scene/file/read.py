@@ -163,7 +163,9 @@ class _SceneReader:
         """Return what is simulated, alone or beside a source."""
         model = self.model
         if model.source is None and not model.systems:
-            hint = "it names the clip, BVH or USD file; what is simulated has systems"
+            hint = (
+                "it names the clip, BVH or USD file; a simulation has systems instead"
+            )
             self.document.add("DOC021", (), "key 'source' is missing", hint)
         if not model.systems:
             return ()
@@ -195,11 +197,13 @@ class _SceneReader:
         if len(kinds) == 1:
             return kinds[0]
         if kinds:
-            message = f"a system is of one kind, and this of {' and '.join(kinds)}"
-            hint = "give each an entry of its own, beginning with a dash"
+            message = f"a system has one kind, but this one has {' and '.join(kinds)}"
+            hint = "write each as its own entry, starting with a dash"
             self.document.add("SCN065", at, message, hint)
         elif not self._written_systems()[at[1]]:
-            self.document.add("SCN065", at, "it names no kind", f"they are {known}")
+            self.document.add(
+                "SCN065", at, "its kind is missing", f"the kinds are {known}"
+            )
         return None
 
     def _written_systems(self) -> Any:
@@ -211,18 +215,18 @@ class _SceneReader:
         """Refuse what there is only with a source, and outputs of other kinds."""
         model = self.model
         for key in sorted({"rig", "passes", "shot", "props"} & model.model_fields_set):
-            message = f"{key} is for scenes with a source"
-            self.document.add("SCN060", (key,), message, "leave it out")
+            message = f"{key} needs a scene with a source"
+            self.document.add("SCN060", (key,), message, "remove it")
         if model.range is None:
-            message = "what is simulated has no end of its own"
-            hint = "say which frames to write: range: [1, 120]"
+            message = "a simulation has no natural end"
+            hint = "set the frames to write: range: [1, 120]"
             self.document.add("SCN061", (), message, hint)
         given = model.output
         entries = given if isinstance(given, list) else [given]
         for i, entry in enumerate(entries):
             at: Location = ("output", i) if isinstance(given, list) else ("output",)
             if entry.file and not writes_stage(Path(entry.file)):
-                message = f"{entry.file!r} is no USD file, as what is simulated is"
+                message = f"{entry.file!r} is not a USD file, which simulations need"
                 self.document.add("SCN060", (*at, "file"), message)
 
     def _renamed_props(self) -> tuple[SceneProp, ...]:
@@ -232,20 +236,20 @@ class _SceneReader:
         for i, prop in enumerate(props):
             for other in props[:i]:
                 if _overlap(prop.path, other.path):
-                    message = f"{prop.path!r} meets {other.path!r} of "
+                    message = f"{prop.path!r} overlaps {other.path!r} of "
                     message += other.place.where
-                    hint = "each has a path of its own, none below another's"
+                    hint = "each needs its own path, not below another's"
                     self.document.add("SCN046", ("props", i, "path"), message, hint)
         return tuple(props)
 
     def _prop(self, at: Location, model: PropModel) -> SceneProp:
         file = self.keys.read_file((*at, "from"), model.file)
         if not is_usd(file):
-            message = f"{model.file!r} is no USD file"
+            message = f"{model.file!r} is not a USD file"
             self.document.add("SCN048", (*at, "from"), message)
         path = model.path or model.prim.rpartition("/")[2]
         if not _PRIM_PATH.fullmatch(path):
-            message = f"{path!r} is no path such as Props/box or /World/box"
+            message = f"{path!r} is not a path such as Props/box or /World/box"
             self.document.add("SCN048", (*at, "path"), message)
         shown: Path | None = None
         if isinstance(model.reference, str):
@@ -270,13 +274,13 @@ class _SceneReader:
         if isinstance(given, SourceModel):
             for key in ("tracks", "timecode", "timecode_fps"):
                 if getattr(given, key) is not None:
-                    message = f"{key} is for one of several sources"
+                    message = f"{key} applies to one of several sources"
                     hint = "write a list: source: [{file: …}, {file: …}]"
                     self.document.add("SCN038", ("source", key), message, hint)
             return (self._source(("source",), given, rig),)
         if given and given[0].tracks is not None:
-            message = "the first source brings all that it has"
-            hint = "tracks: says what each of the others puts in its place"
+            message = "the first source always provides everything it has"
+            hint = "list under tracks: what each of the others replaces"
             self.document.add("SCN038", ("source", 0, "tracks"), message, hint)
         # Others than clips are brought onto the rig of the first as they are joined.
         return tuple(

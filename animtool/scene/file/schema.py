@@ -45,7 +45,7 @@ class TracksModel(FileModel):
     joints: list[str] = key("Joints.", ["head", "eye_*"], default=[])
     shapes: list[str] = key("Shapes.", ["*"], default=[])
     controls: list[str] = key(
-        "Controls, and what these drive.", ["grin", "blink_*"], default=[]
+        "Controls, and what they drive.", ["grin", "blink_*"], default=[]
     )
 
 
@@ -62,18 +62,19 @@ class SourceModel(FileModel):
 
     file: Name = key("The clip, BVH, USD, glTF, FBX or marker file.", "walk.bvh")
     tracks: TracksModel | None = key(
-        "Of several sources, but the first: what it brings. Not given: what it moves.",
+        "For sources after the first: the tracks to take from it. Default: those "
+        "that move.",
         {"shapes": ["*"]},
         default=None,
     )
     timecode: str | None = key(
-        "Of several sources: the SMPTE time code of its first frame. Not "
-        "given, for none: first frames coincide.",
+        "For several sources: SMPTE time code of its first frame. Default, if none "
+        "has one: first frames coincide.",
         "01:00:00:00",
         default=None,
     )
     timecode_fps: Real | str | None = key(
-        "Frames a second that the time code counts. Not given: those of the source.",
+        "Frames per second of the time code. Default: those of the source.",
         29.97,
         default=None,
     )
@@ -84,38 +85,38 @@ class PropModel(FileModel):
 
     file: Name = Field(
         alias="from",
-        description="The USD file that it is read from.",
+        description="The USD file to read it from.",
         examples=["set/props.usda"],
     )
     prim: Name = key("Path of its prim there.", "/Set/box")
     path: str | None = key(
-        "Where it is written: below the character and in its space, or, "
-        "from `/` on, in the world of the stage. Not given: the name of the prim.",
+        "Where it is written: below the character, in its space, or, starting with "
+        "`/`, in the world of the stage. Default: the name of the prim.",
         "Props/box",
         default=None,
     )
     frame: Frame | None = key(
-        "Time code of its file that comes with the first frame of the "
-        "source. Not given: the number of that frame, by `start` of the shot or as the "
-        "source states it.",
+        "Time code in its file that matches the first frame of the source. Default: "
+        "the number of that frame, from `start` of the shot or as the source states "
+        "it.",
         1001,
         default=None,
     )
     retimed: bool = key(
-        "Whether passes that change the time of the take change its time "
-        "too. `false` is for a camera of the shot: `frame` is then that of the first "
-        "frame behind the passes.",
+        "Whether passes that change the time of the take change its time too. Use "
+        "`false` for a camera of the shot: `frame` then matches the first frame "
+        "after the passes.",
         False,
         default=True,
     )
     attributes: list[str] = key(
-        "Names of attributes to read of it; those of a camera are read anyway.",
+        "Names of attributes to read; those of a camera are always read.",
         ["primvars:wetness", "visibility"],
         default=[],
     )
     reference: bool | str = key(
-        "Refer to what is to be seen: `true` to the prim itself, or to "
-        "the default prim of another file.",
+        "Reference visible geometry: `true` for the prim itself, or the default prim "
+        "of another file.",
         True,
         default=False,
     )
@@ -125,14 +126,14 @@ class SceneUnitsModel(FileModel):
     """Units of the numbers of systems and passes."""
 
     length: Literal["m", "cm", "mm", "in"] | None = key(
-        "Of lengths, and of those in speeds, densities, forces and all else that is "
-        "given in metres: m/s is cm/s then, N is kg cm/s². What is not given keeps its "
-        "default; expressions and meshes of USD files keep their units. Not given: m.",
+        "Unit of lengths, and of those in speeds, densities, forces and everything "
+        "else in metres: m/s becomes cm/s, N becomes kg cm/s². Default values stay "
+        "the same; expressions and meshes of USD files keep their units. Default: m.",
         "cm",
         default=None,
     )
     angle: Literal["deg", "rad"] | None = key(
-        "Of what is given in degrees. Not given: deg.", "deg", default=None
+        "Unit of angles. Default: deg.", "deg", default=None
     )
 
 
@@ -148,25 +149,25 @@ class ShotModel(FileModel):
     """Where a scene stands in a shot; frames are those of the output."""
 
     start: Frame | None = key(
-        "Time code of the first frame of the take. Not given: as for an "
-        "output without `start`; of a timeline's shot, where that has it.",
+        "Time code of the first frame of the take. Default: as for an output without "
+        "`start`; for a shot of a timeline, as in the timeline.",
         1001,
         default=None,
     )
     cut: Annotated[list[WholeFrame], Len(2, 2)] = key(
-        "First and last frame of the cut; those that the take lacks are "
-        "held and named.",
+        "First and last frame of the cut; frames that the take does not have are "
+        "held and reported.",
         [1009, 1090],
     )
     handles: Annotated[WholeFrame, Ge(0)] = key(
-        "Frames to write before and after the cut; those that the take "
-        "lacks are held and named.",
+        "Frames to write before and after the cut; frames that the take does not "
+        "have are held and reported.",
         8,
         default=0,
     )
     preroll: Annotated[WholeFrame, Ge(0)] = key(
-        "Frames before the handles that passes with a state of their own "
-        "begin in; they are not written.",
+        "Frames before the handles, in which passes with state start; they are not "
+        "written.",
         20,
         default=0,
     )
@@ -185,14 +186,15 @@ class OutputModel(FileModel):
     """What to write; the command line's own options come first."""
 
     file: str | None = key(
-        f"What to write: USD, or {', '.join(f'`{one}`' for one in file_suffixes())}. "
-        "Not given: USD beside the source.",
+        "File to write: USD, or "
+        f"{', '.join(f'`{one}`' for one in file_suffixes())}. Default: USD next to "
+        "the source.",
         "shot.usdc",
         default=None,
     )
     systems: list[str] | None = key(
-        "Names of the systems that go into it; others are simulated where "
-        "these need them. Not given: all.",
+        "Names of the systems to write; others are simulated if these need them. "
+        "Default: all.",
         ["flag", "rope"],
         default=None,
     )
@@ -203,35 +205,35 @@ class SceneModel(FileModel):
 
     scene: Literal["animtool/1"] = key("File type and format version.", "animtool/1")
     variables: dict[str, str | Real | bool] = key(
-        "What `${name}` stands for in the texts of the file; `set` of "
-        "the command line comes first.",
+        "Values for `${name}` in the texts of the file; `set` on the command line "
+        "takes precedence.",
         {"shot": "sh010"},
         default={},
     )
     rig: str | None = key(
-        "The rig that the sources move. Not given: the one that a clip "
-        "names, else the joints of the first source.",
+        "The rig that the sources move. Default: the rig of a clip, else the joints "
+        "of the first source.",
         "hero.rig.yaml",
         default=None,
     )
     units: SceneUnitsModel = key(
-        "Units of the numbers of `systems` and `passes`, and of arrays that they name. "
-        "Not given: metres and degrees, whatever the rig counts.",
+        "Units of the numbers of `systems` and `passes`, and of arrays that they "
+        "name. Default: metres and degrees, whatever the rig uses.",
         {"length": "cm"},
         default=SceneUnitsModel(),
     )
     fps: Real | str | None = key(
-        "Frames a second of the output. Not given: the rig layer's, or the source's.",
+        "Frames per second of the output. Default: the rig layer's, or the source's.",
         24,
         default=None,
     )
     range: Annotated[list[WholeFrame], Len(2, 2)] | None = key(
-        "First and last frame to write, as the output numbers them. Not given: all.",
+        "First and last frame to write, in frame numbers of the output. Default: all.",
         [1001, 1040],
         default=None,
     )
     shot: ShotModel | None = key(
-        "The cut, its handles and pre-roll, in place of `range`.",
+        "The cut, its handles and pre-roll, instead of `range`.",
         {"start": 1001, "cut": [1009, 1090], "handles": 8},
         default=None,
     )
@@ -243,14 +245,14 @@ class SceneModel(FileModel):
         ]
         | None
     ) = key(
-        "What is read; of a list the first is the whole, and the others "
-        "put tracks in its place.",
+        "The source to read; in a list, the first provides everything, and the "
+        "others replace tracks of it.",
         {"file": "walk.bvh"},
         default=None,
     )
     props: Annotated[list[PropModel], Len(0, 1000)] = key(
-        "Props, cameras and attributes next to the character, which take "
-        "part in every change of time and are written with it.",
+        "Props, cameras and attributes next to the character, which follow every "
+        "change of time and are written with it.",
         [{"from": "props.usda", "prim": "/Set/box", "path": "Props/box"}],
         default=[],
     )
@@ -264,13 +266,13 @@ class SceneModel(FileModel):
         ],
         Len(0, 1000),
     ] = key(
-        "What is done to it, in order: the name of a pass, and its options.",
+        "The passes to run, in order: the name of each, and its options.",
         [{"mirror": {}}, {"trim": {"first": 5, "last": 60}}],
         default=[],
     )
     systems: Annotated[list[SystemModel], Len(0, 1000)] = key(
-        "What is simulated: beside the source, or without one for the "
-        "frames of `range`.",
+        "The systems to simulate: next to the source, or without one for the frames "
+        "of `range`.",
         [{"particles": {"emitters": [{"rate": 100, "speed": 2}]}}],
         default=[],
     )
@@ -279,14 +281,14 @@ class SceneModel(FileModel):
         | Annotated[list[OutputModel], Len(1), Tag("several")],
         Discriminator(_one_or_several),
     ] = key(
-        "What is written, or a list of all that is, each with its `file`; "
-        "options of the command line come first.",
+        "The output, or a list of outputs, each with its `file`; options on the "
+        "command line take precedence.",
         {"file": "shot.usdc"},
         default=OutputModel(),
     )
     ignore: list[IgnoreModel] = key(
-        "Findings of `animtool validate` that are known and stay.",
-        [{"code": "SCN102", "why": "it is meant"}],
+        "Findings of `animtool validate` that are accepted.",
+        [{"code": "SCN102", "why": "this is intended"}],
         default=[],
     )
 

@@ -162,8 +162,8 @@ def solve_face(job: FaceJob, *, progress: Progress = None) -> FaceResult:
         raise OptionError([_at(path, fault) for fault in error.faults]) from error
     links = link_shapes(model.shapes, [shape.name for shape in rig.shapes], remap)
     if not links.links:
-        message = f"{rig.name!r} has no shape of the face"
-        hint = f"{argument('source.remap')} says which moves which"
+        message = f"{rig.name!r} has no face shape"
+        hint = f"pair them with {argument('source.remap')}"
         raise OptionError(Fault("FAC009", message, str(job.rig), (), hint))
     head = job.options.head or ("rotation" if camera is None else "none")
     if capture.up is UpAxis.Z and camera is None and job.landmarks is None:
@@ -190,7 +190,7 @@ def _model(job: FaceJob, capture: FaceCapture, rig: Rig) -> FaceModel:
         return face_model(load_landmarks(job.landmarks), rig)
     if capture.model is None:
         message = "has no face (neutral_mm, delta_mm, shape_names)"
-        hint = f"{argument('landmarks')} FILE says where they are on the rig"
+        hint = f"place them on the rig with {argument('landmarks')} FILE"
         raise OptionError(Fault("FAC003", message, str(job.capture), (), hint))
     return capture.model
 
@@ -201,14 +201,14 @@ def _seen(
     """Return the camera, and landmarks in its pixels free of distortion."""
     if not capture.pixels:
         if job.camera is not None:
-            message = "is for landmarks in pixels, and these are positions"
+            message = "is for landmarks in pixels, but these are positions"
             raise OptionError(
                 Fault("CLI004", f"{argument('camera')} {message}", str(job.capture))
             )
         return None, points
     if job.camera is None:
-        message = "landmarks are in pixels, and no camera is given"
-        hint = f"{argument('camera')} FILE has the lens of the camera"
+        message = "landmarks are in pixels, but there is no camera"
+        hint = f"set the lens of the camera with {argument('camera')} FILE"
         raise OptionError(Fault("FAC010", message, str(job.capture), (), hint))
     from animtool.capture.cameras.camera import rays
     from animtool.capture.cameras.file import load_cameras
@@ -223,7 +223,7 @@ def _camera(job: FaceJob, cameras: tuple[Camera, ...]) -> Camera:
     if job.camera_name is None and len(cameras) == 1:
         return cameras[0]
     if job.camera_name not in names:
-        message = f"no camera is called {job.camera_name!r}"
+        message = f"unknown camera {job.camera_name!r}"
         if job.camera_name is None:
             message = f"has {len(names)} cameras"
         hint = f"{argument('camera_name')}: {', '.join(names)}"
@@ -237,11 +237,12 @@ def _proportions(
     if options.neutral is None:
         return model
     if pixels:
-        message = f"{argument('neutral')} is for landmarks in three dimensions"
+        message = f"{argument('neutral')} needs landmarks in three dimensions"
         raise OptionError(Fault("CLI004", message))
     if options.neutral >= len(points):
         message = (
-            f"{argument('neutral', options.neutral)}: there are {len(points)} frames"
+            f"{argument('neutral', options.neutral)}: the capture has {len(points)} "
+            "frames"
         )
         raise OptionError(Fault("FAC011", message))
     if np.isfinite(points[options.neutral]).all(axis=-1).sum() < 4:
@@ -280,15 +281,15 @@ def face_motion(
     notices: list[Fault] = []
     joint = head_joints(rig).get(HEAD)
     if head != "none" and joint is None:
-        message = "the rig has no joint called head: its motion is left out"
+        message = "the rig has no joint called head: head motion is ignored"
         notices.append(Fault("FAC109", message, severity=Severity.NOTE))
     elif head != "none" and joint is not None:
         mean = np.abs(fit.rotations[:, 3]).mean()
         if 2 * np.arccos(min(float(mean), 1.0)) > MAX_MEAN_TURN:
-            message = "the head is turned far from the rig's in most frames"
+            message = "the head faces far away from the rig's in most frames"
             hint = (
-                f"{argument('source.up')} says which axis points up; "
-                f"{argument('head', 'none')} leaves its motion out"
+                f"set the up axis with {argument('source.up')}; "
+                f"{argument('head', 'none')} ignores head motion"
             )
             fault = Fault("FAC110", message, hint=hint, severity=Severity.WARNING)
             notices.append(fault)
@@ -311,7 +312,10 @@ def _placed(
     """Return translations that bring the head to its place by those of its root."""
     root = rig.upwards(joint)[-1]
     if rig.joints[root].type is not JointType.FREE:
-        message = f"the root {rig.joints[root].name!r} is not free: the head stays"
+        message = (
+            f"the root {rig.joints[root].name!r} is not a free joint: the head motion "
+            "is ignored"
+        )
         return translations, [Fault("FAC109", message, severity=Severity.NOTE)]
     rest = forward(rig, rig.rest_translations[None], rig.rest_rotations[None])
     at = rest.positions[0, joint]

@@ -210,7 +210,7 @@ def frame_index(take: Take, frame: Fraction | None, path: Path) -> int:
     place = (frame - clock.start) / clock.step
     if place.denominator != 1 or not 0 <= place < clock.count:
         last = clock.start + clock.step * (clock.count - 1)
-        message = f"frame {float(frame):g} is none of the frames "
+        message = f"frame {float(frame):g} is not one of the frames "
         message += f"{float(clock.start):g} to {float(last):g}"
         raise OptionError(Fault("SCN013", message, str(path)))
     return int(place)
@@ -374,8 +374,8 @@ def _mapped(take: Take, rig: Rig, path: Path) -> tuple[Motion, list[Fault]]:
     lacking = [rig.names[j] for j in np.flatnonzero(names.joints < 0).tolist()]
     spare = [take.rig.names[j] for j in names.spare]
     for which, what in (
-        (lacking, "has no {}: they stay at rest"),
-        (spare, "moves {}, which the rig lacks: they are left out"),
+        (lacking, "does not have {}: they stay at rest"),
+        (spare, "moves {}, which the rig does not have: they are ignored"),
     ):
         if which:
             message = what.format(listed(which, MAX_NAMED))

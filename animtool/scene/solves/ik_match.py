@@ -80,7 +80,7 @@ def run_match(job: MatchJob, *, progress: Progress = None) -> MatchReport:
         StrictError: There were warnings, and ``strict`` is on.
     """
     if not is_named(job.output, "targets") or job.output.suffix.lower() == ".json":
-        message = "is no name of a targets file"
+        message = "is not the name of a targets file"
         hint = "allowed: .targets.yaml, .targets.yml"
         raise OptionError(Fault("OUT004", message, str(job.output), (), hint))
     with together():

@@ -129,7 +129,7 @@ def _check(job: MocapSolveJob) -> None:
         if path is None:
             continue
         if not is_named(path, kind):
-            message = f"is no name of a {kind} file"
+            message = f"is not the name of a {kind} file"
             hint = f"allowed: .{kind}.yaml, .{kind}.yml"
             raise OptionError(Fault("OUT004", message, str(path), (), hint))
         if not job.calibrate:

@@ -130,10 +130,13 @@ def run_retarget(job: RetargetJob, *, progress: Progress = None) -> RetargetResu
         StrictError: There were warnings, and ``strict`` is on.
     """
     if job.write_map is not None and not is_named(job.write_map, "map"):
-        message, hint = "is no name of a map file", "allowed: .map.yaml, .map.yml"
+        message, hint = "is not the name of a map file", "allowed: .map.yaml, .map.yml"
         raise OptionError(Fault("OUT004", message, str(job.write_map), (), hint))
     if job.source.is_dir():
-        hint = "a batch of a scene with the pass retarget takes folders: animtool batch"
+        hint = (
+            "to retarget folders, run a batch of a scene with the pass retarget: "
+            "animtool batch"
+        )
         raise OptionError(Fault("IO001", "is a folder", str(job.source), (), hint))
     target = job.target
     target.check((job.source, job.rig, job.options.map, job.bake.rig_layer))

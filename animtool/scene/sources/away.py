@@ -50,11 +50,11 @@ def range_away(shot: Shot, first: int, last: int, length: Fraction) -> tuple[str
     here = f"{clock.label(shown[0])} to {clock.label(shown[1])}"
     ends = Fraction(0), max(Fraction(0), length - frame)
     there = f"{clock.label(ends[0])} to {clock.label(ends[1])}"
-    message = f"they show {here}, the take is {there}: the range is "
+    message = f"the range shows {here}, but the take is {there}: the range is "
     message += f"{_distance(shown[0])} {'after' if shown[0] > 0 else 'before'} it"
     code = _first_label(shot, shown[0], length)
     hint = (
-        "if the take's first timecode is another, state it: "
+        "if the first timecode of the take is different, set it: "
         f"{argument('first_timecode', code)}"
     )
     hint += ", or `first_timecode` under [timeline] in animtool.toml or in "

@@ -144,7 +144,7 @@ def _layer(first: Part, other: Part) -> _Layer:
         faults = [
             other.note(
                 "SCN037",
-                f"tracks.{one.kind}: it and {rig.name!r} have nothing that is "
+                f"tracks.{one.kind}: nothing in it and {rig.name!r} matches "
                 f"{excerpt(one.pattern)}",
                 nearest(one.pattern, one.known),
             )
@@ -153,8 +153,10 @@ def _layer(first: Part, other: Part) -> _Layer:
         if faults:
             raise OptionError(faults)
     if not tracks:
-        message = f"brings nothing that {rig.name!r} has"
-        raise OptionError(other.note("SCN036", message, "tracks: says what it brings"))
+        message = f"has no tracks of {rig.name!r}"
+        raise OptionError(
+            other.note("SCN036", message, "list its tracks under tracks:")
+        )
     return _Layer(placed, take, tracks, _delay(first, other), notices)
 
 
@@ -165,8 +167,8 @@ def _delay(first: Part, other: Part) -> Fraction:
         return Fraction(0)
     for part in parts:
         if part.timecode is None:
-            message = "no time code says when it starts, as another source's does"
-            hint = "write the timecode of its first frame, for all or for none"
+            message = "it has no time code, but another source has one"
+            hint = "write the timecode of its first frame for all sources or for none"
             raise OptionError(part.note("SCN034", message, hint))
     stated = [
         (str(part.timecode), part.timecode_fps or part.stream.fps / part.stream.step)
@@ -176,7 +178,7 @@ def _delay(first: Part, other: Part) -> Fraction:
         try:
             seconds_between(label, rate, label, rate)
         except ValueError as error:
-            hint = f"it counts {rate_label(rate)}, unless timecode_fps says otherwise"
+            hint = f"it counts {rate_label(rate)}; set another rate with timecode_fps"
             raise OptionError(part.note("SCN033", str(error), hint)) from error
     return seconds_between(*stated[0], *stated[1])
 
@@ -191,7 +193,7 @@ def _taken_twice(layer: _Layer, before: Sequence[_Layer]) -> list[Fault]:
     if not both:
         return []
     message = f"moves {listed(list(both), MAX_NAMED)}, as a source above it does"
-    hint = "its own are taken; tracks: says what each brings"
+    hint = "its own are used; list the tracks of each under tracks:"
     return [layer.part.note("SCN105", message, hint, Severity.WARNING)]
 
 
@@ -278,7 +280,7 @@ class _Joining:
         end = begin + (clock.count - 1) * own_step
         if end < 0 or begin > last:
             own, theirs = self._span(begin, end), self._span(Fraction(0), last)
-            message = f"has no frame of the first source: {own} is not in {theirs}"
+            message = f"overlaps no frame of the first source: {own} is not in {theirs}"
             raise OptionError(
                 note("SCN035", message, "compare their time codes and timecode_fps")
             )
@@ -289,12 +291,15 @@ class _Joining:
         if end + max(own_step, Fraction(1)) <= last:
             lacking.append(self._span(Fraction(end // 1 + 1), last))
         if lacking:
-            message = f"has no frame {' and '.join(lacking)}: its nearest is held there"
+            message = (
+                f"does not have frame {' and '.join(lacking)}: its nearest is held "
+                "there"
+            )
             yield note("SCN103", message, None, Severity.WARNING)
         beyond = (max(-begin, Fraction(0)) + max(end - last, Fraction(0))) / self._rate
         if beyond:
-            message = f"{plain(float(beyond))} s before and behind the first source"
-            yield note("SCN104", f"{message} are left out", None, Severity.NOTE)
+            message = f"{plain(float(beyond))} s before and after the first source"
+            yield note("SCN104", f"{message} are ignored", None, Severity.NOTE)
 
     def _span(self, first: Fraction, last: Fraction) -> str:
         shown = [

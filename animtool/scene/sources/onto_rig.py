@@ -35,14 +35,14 @@ def open_rig(path: Path, prim_path: str | None = None) -> tuple[Rig, list[Fault]
         rig = opener(path, prim_path)
     else:
         message = (
-            f"{argument('source.prim_path')} is for USD, glTF and FBX files, and this "
+            f"{argument('source.prim_path')} is for USD, glTF and FBX files, but this "
         )
         raise OptionError(Fault("CLI004", f"{message}is none", str(path)))
     return rig, list(rig.notices)
 
 
 MAX_NAMED = 6
-LOST = "their motion is left out"
+LOST = "their motion is ignored"
 RESTING = "they stay at rest"
 
 

@@ -28,8 +28,8 @@ ANY_SOURCE = frozenset({"rig", "force_fit", "shot"})
 BEYOND_READERS = frozenset({"force_fit", "shot"})
 _DROPPED = ("interpolate", "hold", "close")
 _POSITIONS = ("channels", "offsets")
-_OF_BVH = "says what a BVH leaves open; this file states it"
-_UNITS = "says what a BVH, a glTF or an FBX is in; this file states it"
+_OF_BVH = "sets what a BVH does not state; this file states it"
+_UNITS = "sets the unit of a BVH, a glTF or an FBX; this file states its own"
 
 
 @described
@@ -53,55 +53,53 @@ class SourceOptions:
         flag="units",
         reason=_UNITS,
         scene=Key(
-            "Of a BVH, glTF or FBX: the unit of its lengths. Not given: cm, of a glTF "
-            "m, of an FBX what it says.",
+            "Unit of the lengths of a BVH, glTF or FBX. Default: cm; m for a glTF; "
+            "as stated in an FBX.",
             "cm",
             alias="units",
         ),
         batch=Key(
-            "Of BVH, glTF and FBX files: the unit of their lengths. Not given: cm, of "
-            "glTF m, of FBX what each says.",
+            "Unit of the lengths of BVH, glTF and FBX files. Default: cm; m for "
+            "glTF; as stated in FBX.",
             "cm",
             alias="units",
         ),
-        help="Unit of the lengths of a BVH, a glTF or an FBX.  [default: cm; of a glTF "
-        "m; of an FBX what it says]",
+        help="Unit of the lengths of a BVH, glTF or FBX.  [default: cm; m for a "
+        "glTF; as stated in an FBX]",
     )
     up: UpAxis | None = option(
         None,
         "axis",
         reason=_UNITS,
         scene=Key(
-            "Of a BVH, glTF or FBX: its up axis. Not given: Y, of an FBX what it says.",
+            "Up axis of a BVH, glTF or FBX. Default: Y; as stated in an FBX.",
             "Z",
         ),
         batch=Key(
-            "Of BVH, glTF and FBX files: their up axis. Not given: Y, of FBX what "
-            "each says.",
+            "Up axis of BVH, glTF and FBX files. Default: Y; as stated in FBX.",
             "Z",
         ),
-        help="Up axis of a BVH, a glTF or an FBX.  [default: Y; of an FBX what it "
-        "says]",
+        help="Up axis of a BVH, glTF or FBX.  [default: Y; as stated in an FBX]",
     )
     positions: str | None = option(
         None,
         "choice",
         reason=_OF_BVH,
         scene=Key(
-            "Of a BVH: whether position channels of joints below a root count, or "
-            "their OFFSETs hold. Not given: `channels`.",
+            "For a BVH: use the position channels of joints below a root, or their "
+            "OFFSETs. Default: `channels`.",
             "offsets",
             _POSITIONS,
         ),
         batch=Key(
-            "Of BVH files: whether position channels of joints below a root count, or "
-            "their OFFSETs hold. Not given: `channels`.",
+            "For BVH files: use the position channels of joints below a root, or "
+            "their OFFSETs. Default: `channels`.",
             "offsets",
             _POSITIONS,
         ),
         choices=_POSITIONS,
-        help="Of a BVH: whether position channels of joints below a root count, or "
-        "their OFFSETs hold, as where these channels are all 0.  [default: channels]",
+        help="For a BVH: use the position channels of joints below a root, or their "
+        "OFFSETs, as when all these channels are 0.  [default: channels]",
     )
     fps: OptionalFraction = option(
         None,
@@ -109,76 +107,75 @@ class SourceOptions:
         flag="source-fps",
         reason=_UNITS,
         scene=Key(
-            "Of a BVH: its true frame rate; of a face recording: what its time code "
-            "counts; of a glTF or FBX: the rate that its keys are read at. Not given: "
-            "what the file shows.",
+            "For a BVH: its true frame rate; for a face recording: the rate of its "
+            "time code; for a glTF or FBX: the rate to sample its keys at. Default: "
+            "as found in the file.",
             120,
         ),
         batch=Key(
-            "Of BVH files: their true frame rate; of glTF and FBX files: the rate "
-            "that they are read at. Not given: what each shows.",
+            "For BVH files: their true frame rate; for glTF and FBX files: the rate "
+            "to sample them at. Default: as found in each file.",
             120,
             alias="source_fps",
         ),
-        help="The real frame rate of a BVH whose Frame Time is wrong, or what the time "
-        "code of a face recording counts; of a glTF, which states none, or an FBX the "
-        "rate to read its keys at.",
+        help="True frame rate of a BVH with a wrong Frame Time; rate of the time "
+        "code of a face recording; rate to sample the keys of a glTF or FBX at.",
     )
     prim_path: str | None = option(
         None,
         "text",
         flag="source-prim",
-        reason="is for USD, glTF and FBX files, and this is none",
+        reason="is for USD, glTF and FBX files only",
         scene=Key(
-            "Of a USD, glTF or FBX file with several characters: the one to read.",
+            "For a USD, glTF or FBX file with several characters: the one to read.",
             "/World/hero",
             alias="prim",
         ),
-        help="The character to read, where a USD, glTF or FBX source has several.",
+        help="The character to read from a USD, glTF or FBX source with several.",
         metavar="PATH",
     )
     rig: Path | None = option(
         None,
         "file",
         batch=Key(
-            "Of clips: their rig. Not given: the one that each names.", "hero.rig.yaml"
+            "For clips: their rig. Default: the rig named in each.", "hero.rig.yaml"
         ),
-        help="Rig of a clip, in place of the one that it names; of a MOT, whose "
-        "coordinates its columns are.",
+        help="Rig of a clip, instead of the one it names; for a MOT, the rig of its "
+        "coordinates.",
     )
     clamp: bool = option(
         False,
         "switch",
-        reason="is for clips, and this is no clip",
+        reason="is for clips only",
         scene=Key(
-            "Of a clip: bring controls into their ranges and joints into their limits.",
+            "For a clip: clamp controls to their ranges and joints to their limits.",
             True,
         ),
         batch=Key(
-            "Of clips: bring controls into their ranges and joints into their limits.",
+            "For clips: clamp controls to their ranges and joints to their limits.",
             True,
         ),
-        help="Bring a clip's controls into their ranges and joints into their limits.",
+        help="Clamp a clip's controls to their ranges and joints to their limits.",
     )
     take: str | None = option(
         None,
         "text",
-        reason="is for clip libraries in USD, glTF and FBX, and this is none",
+        reason="is for clip libraries in USD, glTF and FBX only",
         scene=Key(
-            "Of a clip library in USD, a glTF or an FBX: the take to read. Not given: "
-            "the one that is selected, of a glTF the first.",
+            "For a clip library in USD, a glTF or an FBX: the take to read. Default: "
+            "the selected one; the first of a glTF.",
             "walk",
         ),
-        help="The take to read of a clip library in USD, a glTF or an FBX.  [default: "
-        "the one selected, of a glTF the first]",
+        help="The take to read from a clip library in USD, a glTF or an FBX.  "
+        "[default: the selected one; the first of a glTF]",
         metavar="NAME",
     )
     remap: Path | None = option(
         None,
         "file",
-        reason="is for face recordings (.csv), and this is none",
+        reason="is for face recordings (.csv) only",
         scene=Key(
-            "Of a face recording: a remap file for the names of its shapes.",
+            "For a face recording: a remap file for the names of its shapes.",
             "hero.remap.yaml",
         ),
         help="Remap file (.remap.yaml) for the shapes of a face recording.",
@@ -186,40 +183,40 @@ class SourceOptions:
     dropped: str | None = option(
         None,
         "choice",
-        reason="is for face recordings (.csv), and this is none",
+        reason="is for face recordings (.csv) only",
         scene=Key(
-            "Of a face recording: what becomes of frames without a row. Not given: "
+            "For a face recording: how to fill frames without a row. Default: "
             "`interpolate`.",
             "hold",
             _DROPPED,
         ),
         choices=_DROPPED,
-        help="Frames that a face recording lacks: values in between, those of the "
-        "frame before, or none, so that later frames move up.  [default: interpolate]",
+        help="How to fill missing frames of a face recording: interpolate, hold the "
+        "previous frame, or close the gap, which moves later frames up.  "
+        "[default: interpolate]",
     )
     template: Path | None = option(
         None,
         "file",
-        reason="is for files of markers, and this is none",
+        reason="is for files of markers only",
         scene=Key(
-            "Of a file of markers: the marker template that says where they are. They "
-            "are solved on the rig of the scene, or on the one that the template "
-            "names.",
+            "For a file of markers: the marker template that places them on a rig. "
+            "They are solved on the rig of the scene, or on the template's.",
             "ann.markers.yaml",
         ),
-        help="Of a file of markers: the template that says where they are "
-        "(.markers.yaml); it is solved on the rig.",
+        help="For a file of markers: the template that places them on the rig "
+        "(.markers.yaml) for the solve.",
     )
     cameras: Path | None = option(
         None,
         "file",
-        reason="is for what cameras see, an npz of pixels, and this is none",
+        reason="is for camera observations, an npz of pixels, only",
         scene=Key(
-            "Of an npz of pixels, what cameras see of markers: their calibrations. The "
+            "For an npz of pixels, as cameras see markers: the calibrations. The "
             "markers are triangulated, then solved.",
             "stage.cameras.yaml",
         ),
-        help="Of an npz of pixels: the calibrations of the cameras, which triangulate "
+        help="For an npz of pixels: the calibrations of the cameras, to triangulate "
         "the markers.",
     )
     placement: str | None = None
@@ -327,8 +324,8 @@ def open_source(
     """
     path, options = Path(path), options or SourceOptions()
     if is_named(path, "scene"):
-        message = "is a scene, and no take is read from scenes"
-        hint = "animtool bake bakes it; its source is a file that can be read"
+        message = "is a scene, not a take"
+        hint = "bake it with animtool bake, and read its source or output instead"
         raise OptionError(Fault("IO002", message, str(path), (), hint))
     if options.shot is not None:
         from animtool.scene.sources.retime import in_shot

@@ -120,7 +120,7 @@ def _counted(
         if shear > SEEN_SHEAR and not noticed:
             noticed = True
             message = f"{entry.prim} is sheared between its keys, by up to "
-            message += f"{shear:.2g} of its size, which is left out"
+            message += f"{shear:.2g} of its size, which is ignored"
             notices.append(entry.place.fault("SCN113", message, None, Severity.NOTE))
         return sampled
 
@@ -161,19 +161,19 @@ class _Prop:
         note = entry.place.fault
         if source.unstated:
             message = f"{entry.prim} does not state {listed(source.unstated)}"
-            hint = "what USD takes for it is written"
+            hint = "the default of USD is written"
             yield note("SCN108", message, hint, Severity.WARNING)
         if source.span is None:
             message = f"{entry.prim} does not move: it is written once"
             yield note("SCN109", message, None, Severity.NOTE)
         elif (fps / source.fps).denominator > 1:
             mine, theirs = rate_label(source.fps), rate_label(fps)
-            message = f"{entry.prim} has {mine}, and the output {theirs}"
-            hint = "what it is between its own frames is written"
+            message = f"{entry.prim} has {mine}, but the output {theirs}"
+            hint = "values interpolated between its own frames are written"
             yield note("SCN110", message, hint, Severity.NOTE)
         if source.sheared:
-            message = f"{entry.prim} is sheared: its place is written as a matrix"
-            hint = "a scale that is not even stands above a rotation"
+            message = f"{entry.prim} is sheared: its transform is written as a matrix"
+            hint = "a non-uniform scale is above a rotation"
             yield note("SCN111", message, hint, Severity.NOTE)
 
 

@@ -198,8 +198,8 @@ def plan_systems(scene: Scene, options: BakeOptions) -> SystemPrims:
     fps = options.fps or FPS
     frames, own = options.frame_range, scene.bake.frame_range
     if frames is None:
-        message = "what is simulated has no end of its own"
-        hint = "say which frames to write: range: [1, 120]"
+        message = "a simulation has no natural end"
+        hint = "set the frames to write: range: [1, 120]"
         raise OptionError(Fault("SCN061", message, str(scene.path), (), hint))
     # Where only a part is asked for, the simulation still begins with the whole.
     first = Fraction((own or frames).first) if options.start is None else options.start
@@ -217,7 +217,7 @@ def _codes(frames: FrameRange, offsets: tuple[Fraction, ...]) -> tuple[Fraction,
     whole = range(frames.first, frames.last + 1, frames.step)
     count = len(whole) * max(1, len(offsets))
     if count > MAX_FRAMES:
-        message = f"the range has {count} samples; at most {MAX_FRAMES} are written"
+        message = f"the range has {count} samples; the limit is {MAX_FRAMES}"
         raise FormatError(Fault("SCN091", message, where="range"))
     return tuple(
         frame + offset for frame in whole for offset in offsets or (Fraction(),)
@@ -231,7 +231,7 @@ def _check(scene: Scene, options: BakeOptions) -> None:
         names.insert(options.rig_layer is not None, f"as: {options.form}")
     path = str(scene.path)
     faults = [
-        Fault("SCN062", f"{name} is for characters, and there is none", path)
+        Fault("SCN062", f"{name} is for characters, but there is none", path)
         for name in names
     ]
     if faults:

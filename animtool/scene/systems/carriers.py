@@ -43,7 +43,7 @@ class OnJoint:
         """Return what is wrong with it, at its key; None where it is there."""
         if self.joint in rig.names:
             return None
-        message = f"no joint of {rig.name!r} is {self.joint!r}"
+        message = f"unknown joint {self.joint!r} of {rig.name!r}"
         hint = nearest(self.joint, list(rig.names))
         return Fault("SIM053", message, hint=hint, where="joint")
 
@@ -73,7 +73,7 @@ class OnVertex:
         last = len(mesh.points) - 1
         if self.vertex <= last:
             return None
-        message = f"{self.mesh!r} has no vertex {self.vertex}: they are 0 to {last}"
+        message = f"{self.mesh!r} has no vertex {self.vertex}: vertices are 0 to {last}"
         return Fault("SIM053", message, where="vertex")
 
     def poses(self, characters: CharacterMotions) -> Poses:

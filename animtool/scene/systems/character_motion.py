@@ -45,7 +45,7 @@ class CharacterMotion:
         """Return the capsules of its rig over its frames, like a collider [m]."""
         if not self.rig.colliders:
             message = f"the rig {self.rig.name!r} has no colliders"
-            hint = "particles run into the capsules that its rig file lists"
+            hint = "particles collide with the capsules listed in its rig file"
             raise OptionError(Fault("SIM020", message, str(self.path), (), hint))
         return rig_colliders(self.rig, self.world, self.times, like)
 
@@ -95,7 +95,7 @@ def no_mesh(rig: Rig, name: str) -> Fault | None:
     names = [surface.name for surface in surfaces_of(rig)]
     if name in names:
         return None
-    message = f"no mesh of {rig.name!r} is {name!r}"
+    message = f"unknown mesh {name!r} of {rig.name!r}"
     return Fault("SIM053", message, hint=nearest(name, names), where="mesh")
 
 

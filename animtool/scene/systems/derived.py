@@ -204,7 +204,7 @@ class PartReader(EntryReader):
     def prototype(self, at: Location, model: PrototypeModel) -> Prototype | None:
         """Return a mesh that copies are made of; a USD file is looked at now."""
         if (model.prim is None) is (model.mesh is None):
-            message = "it is the prim of a USD file, or the mesh of a rig"
+            message = "write either the prim of a USD file, or the mesh of a rig"
             hint = "write prim: /bird/body, or mesh: body"
             self.note(at, Fault("SIM053", message, hint=hint))
             return None

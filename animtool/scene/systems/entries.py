@@ -227,7 +227,7 @@ class EntryReader:
         assert model.prim is not None
         for key in ("moves", "turns"):
             if getattr(model, key):
-                message = f"{key} is not for what goes with a prim"
+                message = f"{key} does not apply to something that follows a prim"
                 self.note((*at, key), Fault(code, message))
         path = self.followed((*at, "prim", "file"), model.prim.file)
         if path is None:
@@ -269,14 +269,14 @@ class EntryReader:
     ) -> Path | None:
         """Return the file of a character; the scene's own has that of the scene."""
         if model.source is (model.file is not None):
-            message = "it is a file, or the character of this scene"
+            message = "write either a file, or the character of this scene"
             hint = "write file: walk.clip.yaml, or source: true"
             self.note(at, Fault("SCN066", message, hint=hint))
             return None
         if model.file is not None:
             return self.input((*at, "file"), model.file)
         if not self.document.value.get("source"):
-            message = "the scene has no character: it has no source"
+            message = "the scene has no character, as it has no source"
             hint = "name a file, or give the scene a source"
             self.note((*at, "source"), Fault("SCN066", message, hint=hint))
             return None
@@ -317,12 +317,12 @@ class EntryReader:
         closed = given.get("closed", False)
         if not isinstance(closed, bool):
             fault = Fault(
-                "SCN002", f"true or false: {excerpt(repr(closed))} is neither"
+                "SCN002", f"must be true or false, not {excerpt(repr(closed))}"
             )
             self.note((*at, "closed"), fault)
             return None
         points, triangles = (
-            self._named_array(at, given, key, f"a mesh has {key}, such as stairs.npz")
+            self._named_array(at, given, key, f"a mesh needs {key}, such as stairs.npz")
             for key in ("points", "triangles")
         )
         if unknown or points is None or triangles is None:
@@ -332,7 +332,7 @@ class EntryReader:
 
     def _height_field(self, at: Location, given: dict[str, Any]) -> Mesh | None:
         """Return the mesh of the heights that a file has."""
-        what = "a height field has heights, such as hill.npz"
+        what = "a height field needs heights, such as hill.npz"
         heights = self._named_array(at, given, "heights", what)
         if heights is not None:
             heights = heights * self.units.length
@@ -399,7 +399,7 @@ class EntryReader:
 def _array_fault(values: npt.NDArray[np.float64]) -> str | None:
     """Return why a system can do nothing with an array."""
     if not values.ndim:
-        return "is one number, not a list of them"
+        return "is a single number, not a list"
     if np.abs(values).max(initial=0.0) > MAX_NUMBER:
-        return f"holds a value beyond {MAX_NUMBER:g}"
+        return f"contains a value beyond {MAX_NUMBER:g}"
     return None

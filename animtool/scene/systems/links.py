@@ -121,8 +121,11 @@ def check_met(
         at = location_of(entry.place.where)
         for i, one in enumerate(getattr(entry.options, "characters", ())):
             if one.source:
-                message = "what hangs on the character of this scene meets it anyway"
-                hint = "`capsules` and `skin` say how; leave the entry out"
+                message = (
+                    "what is attached to the character of this scene always collides "
+                    "with it"
+                )
+                hint = "set how with `capsules` and `skin`, and remove the entry"
                 document.add("SIM183", (*at, "characters", i, "source"), message, hint)
         for i, one in enumerate(getattr(entry.options, "systems", ())):
             if not isinstance(one, SystemSurfaceModel):
@@ -138,8 +141,8 @@ def check_met(
                 "surface",
             )
             if one.two_way:
-                message = "what a pass moves pushes no bodies of systems"
-                hint = "leave two_way out, or simulate it as a system"
+                message = "what a pass simulates does not push bodies of systems"
+                hint = "remove two_way, or simulate it as a system"
                 document.add("SIM184", (*place, "two_way"), message, hint)
 
 
@@ -158,7 +161,7 @@ def _check_body(
     known = [model.name for model in specs[0].bodies]
     if body in known or body.rpartition("[")[0] in known:
         return True
-    message = f"no body of {name!r} is {body!r}"
+    message = f"unknown body {body!r} of {name!r}"
     hint = nearest(body, known) or f"it has {listed(known, 12)}"
     document.add("SIM162", (*system.setup.at, *location_of(where)), message, hint)
     return False
@@ -184,9 +187,9 @@ def _check_joined(document: Document, systems: Sequence[SceneSystem]) -> None:
         for key, value in system.setup.spec.shared(meets=meets).items():
             name, other = first.setdefault(key, (system.name, value))
             if value != other:
-                message = f"{key} is another than that of {name}: they are "
+                message = f"{key} differs from that of {name}: they are "
                 message += "joined, and simulated as one"
-                hint = "state it once, or twice the same"
+                hint = "write it once, or the same value twice"
                 document.add("SIM054", (*system.setup.at, key), message, hint)
 
 
@@ -200,9 +203,9 @@ def _check_circles(document: Document, systems: Sequence[SceneSystem]) -> bool:
         for system in systems:
             for name, at in system.setup.around.needs if system.name in members else ():
                 if name in members:
-                    message = f"{listed(sorted(members))} run into each other in a "
+                    message = f"{listed(sorted(members))} collide with each other in a "
                     message += "circle"
-                    hint = "leave out the one that matters less"
+                    hint = "remove the collision that matters less"
                     document.add("SCN063", at, message, hint)
                     return False
     return True
@@ -215,9 +218,9 @@ def check_names(
     known = sorted({*names})
     for i, name in enumerate(wanted):
         if name not in names:
-            hint = nearest(name, known) or f"there are {listed(known)}"
+            hint = nearest(name, known) or f"the scene has {listed(known)}"
             hint = hint if known else "the scene has no systems"
-            message = f"no system is named {name!r}"
+            message = f"unknown system {name!r}"
             document.add("SCN063", (*at, i), message, hint)
 
 
@@ -236,13 +239,13 @@ def _check_name(
     message, hint = "", None
     if name not in names:
         others = sorted({*names} - {own})
-        message = f"no system is named {name!r}"
-        hint = nearest(name, others) or f"there are {listed(others)}"
+        message = f"unknown system {name!r}"
+        hint = nearest(name, others) or f"the scene has {listed(others)}"
         none = "there is no other" if own else "the scene has no systems"
         hint = hint if others else none
     elif list(names).count(name) > 1:
         message = f"{list(names).count(name)} systems are named {name!r}"
-        hint = "give each a name of its own"
+        hint = "give each a unique name"
     elif name == own:
         message = f"{name!r} is the system itself"
     elif named and not getattr(SYSTEM_KINDS[named[0].kind], having):

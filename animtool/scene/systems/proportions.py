@@ -95,7 +95,7 @@ def _out_of_scale(
     if not fits or length * scale > FITTING * size:
         return
     if away > FAR * size:
-        what = f"begins {plain(away, 4)} m from the character"
+        what = f"starts {plain(away, 4)} m from the character"
     elif length > LARGE * size:
         what = f"is {plain(length, 4)} m large"
     else:
@@ -103,8 +103,8 @@ def _out_of_scale(
     unit = unit_name(rig.meters_per_unit)
     counts = _COUNTED[counted]
     message = (
-        f"{system.name} {what}, and the joints of {rig.name!r} span {plain(tall)} m; "
-        f"systems count {counts}, this rig is in {unit}"
+        f"{system.name} {what}, but the joints of {rig.name!r} span {plain(tall)} m; "
+        f"systems use {counts}, this rig is in {unit}"
     )
     hint = _counting_as(unit) or f"write its lengths in {counts}"
     yield warning("SIM169", message, hint)
@@ -164,16 +164,14 @@ def _faults(
         what = f"vertex {carrier.vertex} of mesh {carrier.mesh!r}"
     unit = unit_name(rig.meters_per_unit)
     message = (
-        f"the pinned end is {plain(away, 4)} m from {what}, and the joints of "
+        f"the pinned end is {plain(away, 4)} m from {what}, but the joints of "
         f"{rig.name!r} span {plain(tall)} m"
     )
-    hint = "begin it at what carries it, or give the pin an offset"
+    hint = "place it near its pin, or give the pin an offset"
     if unit != counted:
         counts = _COUNTED[counted]
-        message += f"; systems count {counts}, this rig is in {unit}"
-        hint = "; or ".join(
-            filter(None, [_counting_as(unit), "begin it at what carries it"])
-        )
+        message += f"; systems use {counts}, this rig is in {unit}"
+        hint = "; or ".join(filter(None, [_counting_as(unit), "place it near its pin"]))
     yield warning("SIM168", message, hint, pinned.where)
 
 
@@ -181,7 +179,7 @@ def _counting_as(unit: str) -> str:
     """Return how a scene counts in a unit; empty of one that it cannot name."""
     if unit not in {one.value for one in LengthUnit}:
         return ""
-    return f"units: {{length: {unit}}} of the scene counts as the rig does"
+    return f"units: {{length: {unit}}} in the scene uses the rig's unit"
 
 
 def _sizes(rig: Rig) -> tuple[float, float]:

@@ -192,9 +192,9 @@ class SystemRun:
             reached = run.time(run.state.steps)
             if run.state.steps and times[0] < reached - ON_STEP * run.step_length:
                 frame = float(codes[0]) + (reached - times[0]) * float(fps)
-                message = f"its state is of frame {frame:g}, "
+                message = f"its state is from frame {frame:g}, but "
                 message += _step_end(frame, run.step_length, fps) + "and frame "
-                message += f"{float(codes[0]):g} is asked for"
+                message += f"{float(codes[0]):g} is requested"
                 frames = f"{math.ceil(frame - ON_STEP)}-{float(codes[-1]):g}"
                 hint = argument("frame_range", frames)
                 faults.append(system.place.fault("SIM035", message, hint))
@@ -207,11 +207,9 @@ class SystemRun:
             code = self._kept[i][0] if i in self._kept else None
             if at is not None and code != at:
                 saved = "nothing" if code is None else f"the state of frame {code:g}"
-                message = (
-                    f"save_at is {at:g}, and there is no such frame: {saved} is saved"
-                )
+                message = f"save_at is {at:g}, which is not a frame: {saved} is saved"
                 place = self.systems[i].place
-                hint = "name one of the frames that are written"
+                hint = "use one of the frames that are written"
                 fault = place.fault("SIM185", message, hint, Severity.WARNING)
                 self._warnings.append(fault)
 
@@ -300,7 +298,7 @@ def _unlikely(system: SceneSystem) -> list[str]:
     found = [*_sizes(given, ""), *_sizes(system.setup.parts, "")]
     far = [(abs(math.log10(size)), name, size) for name, size in found if size > 0]
     most, name, size = max(far, default=(0.0, "", 0.0))
-    return [f"look at the unit of {name}: {size:g}"] if most > LIKELY else []
+    return [f"check the unit of {name}: {size:g}"] if most > LIKELY else []
 
 
 def _sizes(node: Any, name: str) -> Iterator[tuple[str, float]]:
@@ -340,8 +338,8 @@ def _check_steps(systems: Sequence[SceneSystem], last: float) -> None:
         seconds = max(last, 0.0) + system.setup.spec.preroll
         if seconds / step > MAX_STEPS:
             message = f"{plain(seconds)} s in steps of {plain(step)} s are "
-            message += f"{seconds / step:.3g} steps, and {MAX_STEPS} are run at most"
-            hint = "take longer steps, a shorter pre-roll or fewer frames"
+            message += f"{seconds / step:.3g} steps; the limit is {MAX_STEPS}"
+            hint = "use longer steps, a shorter pre-roll or fewer frames"
             faults.append(system.place.fault("SCN091", message, hint))
     if faults:
         raise FormatError(faults)
@@ -371,9 +369,9 @@ def named_alike(systems: Sequence[SceneSystem]) -> list[Fault]:
     said = []
     for system, prim in zip(systems, _prim_names(systems), strict=True):
         if prim != legal_name(system.name):
-            message = f"another system is named {excerpt(system.name)} before it: its "
+            message = f"another system is already named {excerpt(system.name)}: its "
             message += f"prim is {excerpt(prim)}"
-            hint = "give each its own name"
+            hint = "give each a unique name"
             said.append(system.place.fault("SCN090", message, hint, Severity.WARNING))
     return said
 

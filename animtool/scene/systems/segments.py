@@ -81,8 +81,8 @@ def _view(opened: EntryRun, name: str) -> SpringView:
     view = opened.simulation
     if isinstance(view, SpringView) and isinstance(view.body.shape, Curves):
         return view
-    message = f"{name!r} has no segments to hang on"
-    hint = "name a rope or strands"
+    message = f"{name!r} has no segments to attach to"
+    hint = "use a rope or strands"
     raise OptionError(Fault("SIM192", message, where="system", hint=hint))
 
 

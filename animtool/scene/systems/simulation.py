@@ -116,7 +116,7 @@ def _resume(run: SimulationRun, member: SceneSystem) -> None:
         why = run.simulation.misfit(run.state.state, t)
         if why:
             raise OptionError(
-                Fault("SIM035", f"its state does not fit: {why}", str(path))
+                Fault("SIM035", f"its state does not match: {why}", str(path))
             )
 
 

@@ -79,7 +79,7 @@ class _Motion:
     def _points(self, code: float) -> FloatArray:
         found = self._source.at(None if self._source.span is None else code).points
         if len(found) != self._count:
-            message = f"it has {len(found)} points at {code:g}, and had {self._count}"
+            message = f"it has {len(found)} points at {code:g}, but had {self._count}"
             refuse("SIM051", message)
         return found
 
@@ -158,7 +158,7 @@ class Surroundings:
             *(Path(str(one.file)).name for one in self.characters),
             *(one.system for one in self.systems),
             *(mesh.prim for mesh in self.meshes),
-            *(f"{body}, tied both ways" for body in self.tied_bodies),
+            *(f"{body}, coupled both ways" for body in self.tied_bodies),
         ]
 
     @property

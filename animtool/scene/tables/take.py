@@ -73,11 +73,11 @@ def take_trials(source: Source, options: BakeOptions | None = None) -> list[Tria
     plan = plan_stage(source, None, options)
     if plan.options.deform:
         message = (
-            f"{argument('table')} measures joints, and the scene writes deformed points"
+            f"{argument('table')} measures joints, but the scene writes deformed points"
         )
         raise OptionError(Fault("CLI002", message, str(source_file(source))))
     if not plan.takes:
-        message = f"is simulated, and {argument('table')} measures joints"
+        message = f"is simulated, but {argument('table')} measures joints"
         raise OptionError(Fault("SCN062", message, str(source_file(source))))
     stream = plan.takes[0].stream
     curved = stream.curve is not None and not stream.altered

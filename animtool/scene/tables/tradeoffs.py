@@ -153,8 +153,8 @@ def _measured(
     progress: Progress,
 ) -> Tradeoffs:
     if not trials:
-        message = "simulates nothing that could be measured"
-        hint = "it has no systems, and no simulate pass with what to move"
+        message = "has no simulation to measure"
+        hint = "it has no systems, and no simulate pass with something to move"
         raise OptionError(Fault("SCN071", message, str(path), (), hint))
     tables = []
     for i, (place, trial) in enumerate(trials):
@@ -212,9 +212,10 @@ def _beyond(path: Path, tables: Sequence[TrialTable]) -> list[Fault]:
         ]
         least = length_text(min(errors, default=float("inf")))
         message = (
-            f"{table.name}, {table.kind}: nothing tried keeps "
-            f"{length_text(table.budget)}: the least {table.error} error is {least}"
+            f"{table.name}, {table.kind}: no setting is within "
+            f"{length_text(table.budget)}: the smallest {table.error} error is "
+            f"{least}"
         )
-        hint = "ask for more, or try finer settings than the file has"
+        hint = "raise the budget, or try finer settings than the file's"
         faults.append(Fault("SIM176", message, str(path), (), hint, Severity.WARNING))
     return faults

@@ -93,7 +93,7 @@ class Poses:
         times = np.asarray(self.times, np.float64)
         expected = {"origins": (self.origins, 3), "rotations": (self.rotations, 4)}
         if times.ndim != 1 or not len(times) or not (np.diff(times) > 0).all():
-            return ["its times must ascend, at least one"]
+            return ["its times must ascend, and there must be at least one"]
         faults = [] if np.isfinite(times).all() else ["its times are not finite"]
         for name, (values, width) in expected.items():
             array = np.asarray(values, np.float64)

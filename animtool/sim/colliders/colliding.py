@@ -245,8 +245,10 @@ def _side(collider: Collider) -> int:
 
 def _jump(collider: Collider, where: str, k: int) -> Fault:
     speed, when = collider.speed_limit, collider.poses.moments[k + 1]
-    message = f"it goes faster than {speed:g} m/s until {when:g} s: it hits nothing"
-    hint = "raise its speed limit if it is to hit on its way"
+    message = (
+        f"it moves faster than {speed:g} m/s until {when:g} s: it collides with nothing"
+    )
+    hint = "raise its speed limit if it should collide on its way"
     return warning("SIM120", message, hint, where)
 
 

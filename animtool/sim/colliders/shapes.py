@@ -183,7 +183,7 @@ class Mesh:
         if triangles.ndim != 2 or triangles.shape[1] != 3:
             return [f"its triangles must have shape (T, 3), not {triangles.shape}"]
         if triangles.size and not 0 <= triangles.min() <= triangles.max() < len(points):
-            return [f"corners of its triangles must be of its {len(points)} points"]
+            return [f"corners of its triangles must refer to its {len(points)} points"]
         if not triangles.size or not _have_area(points, triangles).any():
             return ["it has no triangle with an area"]
         return []
@@ -231,7 +231,9 @@ class HeightField:
         shape = np.shape(heights)
         if len(shape) == 2 and min(shape) >= 2:
             return []
-        return [f"its heights must be two rows of two or more, not of shape {shape}"]
+        return [
+            f"its heights must have at least two rows and columns, not shape {shape}"
+        ]
 
 
 Shape: TypeAlias = Plane | Sphere | Capsule | Box | Mesh

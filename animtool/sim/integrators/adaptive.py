@@ -32,7 +32,7 @@ def doubled(base: Integrator) -> Integrator:
     step = base.step
     if step is None or base.control is not Control.FIXED or base.multistep:
         message = f"{base.name} cannot be the base of adaptive_doubling"
-        hint = "take one with steps of its own, such as rk4 or implicit_euler"
+        hint = "use one with fixed steps, such as rk4 or implicit_euler"
         raise OptionError(Fault("SIM006", message, where="base", hint=hint))
     gain = 1 / (2**base.order - 1)
     growth = _growth(base.growth, gain)
@@ -53,7 +53,7 @@ def doubled(base: Integrator) -> Integrator:
     return replace(
         base,
         name="adaptive_doubling",
-        summary="one step beside two half steps, until they agree",
+        summary="one step and two half steps, until they agree",
         order=base.order + 1,
         control=Control.ADAPTIVE,
         step=both,
@@ -99,19 +99,19 @@ RK45 = Tableau(
     tuple(a - b for a, b in zip((*_FIFTH, 0.0), _FOURTH, strict=True)),
 ).integrator(
     "rk45",
-    "steps by their error, six rates each: for smooth motion, the first to try",
+    "adaptive, six rates per step: for smooth motion, try it first",
     5,
 )
 DOP853 = Integrator(
     "dop853",
-    "scipy's, steps by their error: for smooth motion to many digits",
+    "scipy's, adaptive: for smooth motion to many digits",
     order=8,
     control=Control.SCIPY,
     solver="scipy.integrate:DOP853",
 )
 LSODA = Integrator(
     "lsoda",
-    "scipy's, changes between methods for stiff and other systems by itself",
+    "scipy's, switches between methods for stiff and non-stiff systems",
     order=5,
     control=Control.SCIPY,
     implicit=True,
@@ -119,7 +119,7 @@ LSODA = Integrator(
 )
 RADAU = Integrator(
     "radau",
-    "scipy's, implicit, steps by their error: for stiff systems",
+    "scipy's, implicit, adaptive: for stiff systems",
     order=5,
     control=Control.SCIPY,
     implicit=True,

@@ -94,21 +94,21 @@ def _moved(
 
 EULER = Tableau((0.0,), ((),), (1.0,)).integrator(
     "euler",
-    "along the rate at the start; grows without damping, for comparison only",
+    "uses the rate at the start; gains energy, for comparison only",
     1,
 )
 MIDPOINT = Tableau((0.0, 0.5), ((), (0.5,)), (0.0, 1.0)).integrator(
-    "midpoint", "along the rate at the middle of Euler's step", 2
+    "midpoint", "uses the rate at the midpoint", 2
 )
 HEUN = Tableau((0.0, 1.0), ((), (1.0,)), (0.5, 0.5)).integrator(
-    "heun", "along the mean of the rates at both ends of Euler's step", 2
+    "heun", "uses the mean of the rates at both ends of an Euler step", 2
 )
 RK4 = Tableau(
     (0.0, 0.5, 0.5, 1.0),
     ((), (0.5,), (0.0, 0.5), (0.0, 0.0, 1.0)),
     (1 / 6, 1 / 3, 1 / 3, 1 / 6),
 ).integrator(
-    "rk4", "four rates a step: exact where steps are fixed and forces smooth", 4
+    "rk4", "four rates per step: accurate with fixed steps and smooth forces", 4
 )
 
 
@@ -123,7 +123,7 @@ def modified_euler(
 
 MODIFIED_EULER = Integrator(
     "modified_euler",
-    "along the mean of the velocities at both ends; exact in a uniform field",
+    "uses the mean of the velocities at both ends; exact in a uniform field",
     order=1,
     form=Form.ACCELERATIONS,
     step=modified_euler,

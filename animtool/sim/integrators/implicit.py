@@ -35,7 +35,7 @@ def implicit_euler(
 
 IMPLICIT_EULER = Integrator(
     "implicit_euler",
-    "along the rate at the end, by Newton's method; stable with any step, damps",
+    "uses the rate at the end, by Newton's method; stable with any step, damps",
     order=1,
     step=implicit_euler,
     limit=unlimited,
@@ -54,7 +54,7 @@ def trapezoid(
 
 TRAPEZOID = Integrator(
     "trapezoid",
-    "along the mean of the rates at both ends, by Newton's method; does not damp",
+    "uses the mean of the rates at both ends, by Newton's method; does not damp",
     order=2,
     step=trapezoid,
     limit=unlimited,
@@ -80,7 +80,7 @@ def bdf2(
 
 BDF2 = Integrator(
     "bdf2",
-    "backward difference of two steps, by Newton's method; stable, damps little",
+    "backward difference over two steps, by Newton's method; stable, damps little",
     order=2,
     step=bdf2,
     limit=unlimited,

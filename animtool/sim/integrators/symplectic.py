@@ -31,7 +31,7 @@ def symplectic_euler(
 
 SYMPLECTIC_EULER = Integrator(
     "symplectic_euler",
-    "the velocity first, then along the new one; cheap, and keeps energy in bounds",
+    "velocity first, then position; cheap, and bounds the energy error",
     order=1,
     form=Form.ACCELERATIONS,
     step=symplectic_euler,
@@ -62,7 +62,7 @@ def velocity_verlet(
 
 VELOCITY_VERLET = Integrator(
     "velocity_verlet",
-    "half a kick, a drift, half a kick; keeps energy in bounds for ever",
+    "half a kick, a drift, half a kick; bounds the energy error",
     order=2,
     form=Form.ACCELERATIONS,
     step=velocity_verlet,
@@ -87,7 +87,7 @@ def position_verlet(
 
 POSITION_VERLET = Integrator(
     "position_verlet",
-    "half a drift, a kick, half a drift; one force a step, energy in bounds",
+    "half a drift, a kick, half a drift; one force per step, bounds the energy error",
     order=2,
     form=Form.ACCELERATIONS,
     step=position_verlet,

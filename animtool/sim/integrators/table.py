@@ -47,7 +47,7 @@ def find_integrator(name: str) -> Integrator:
     if name not in INTEGRATORS:
         from animtool.core.names import nearest
 
-        message = f"no integrator is named {excerpt(name)}"
+        message = f"unknown integrator {excerpt(name)}"
         raise OptionError(
             Fault("SIM001", message, hint=nearest(name, list(INTEGRATORS)))
         )

@@ -289,7 +289,7 @@ def _rows(
     for setting in settings:
         row = slow.get(setting.method)
         if row is not None and setting != trial.chosen and not runs.has(setting):
-            reason = f"not tried: {row.setting} took {row.seconds:.3g} s"
+            reason = f"skipped: {row.setting} took {row.seconds:.3g} s"
             rows.append(TrialRow(setting, reason=reason))
             continue
         row = replace(_row(trial, runs, setting, truth), chosen=setting == trial.chosen)
@@ -338,9 +338,9 @@ def _row(
 def _sign(error: Distances, extent: float) -> str:
     """Return why a motion that went on to the end is none, empty where it is one."""
     if error.apart > MAX_APART:
-        return f"it has other points, by {error.apart:.0%}"
+        return f"{error.apart:.0%} of its points differ"
     if not error.largest <= FAR * extent:
-        return f"it is off by {length_text(error.largest)}"
+        return f"its error is {length_text(error.largest)}"
     return ""
 
 
@@ -356,17 +356,19 @@ def _drift(energies: Sequence[Energy] | None) -> float | None:
 
 def _notices(trial: Trial, reference: Reference | None) -> list[Fault]:
     if reference is None:
-        message = f"{trial.name}: there is no motion to compare with: each blew up"
-        hint = "shorten the step, or choose an implicit method: it is then refined"
+        message = (
+            f"{trial.name}: there is no motion to compare with: every setting blew up"
+        )
+        hint = "shorten the step, or use an implicit method: it is then refined"
         return [warning("SIM056", message, hint)]
     if not reference.sensitive:
         return []
     off = reference.error.rms
     message = (
-        f"{trial.name}: half the steps lead elsewhere, by {1000 * off:.3g} mm (rms): "
-        "the motion is sensitive, and errors are not small with any setting"
+        f"{trial.name}: half the step changes the motion by {1000 * off:.3g} mm "
+        "(rms): it is sensitive, and no setting has a small error"
     )
-    hint = "judge settings by how they look; a shorter range may still tell them apart"
+    hint = "compare settings by eye; a shorter range may still separate them"
     return [warning("SIM055", message, hint)]
 
 

@@ -172,13 +172,15 @@ def _apart(agents: Agents, placed: Sequence[bool]) -> tuple[Agents, list[Fault]]
     odd = (moved > ENOUGH * agents.radii) & np.asarray(placed, bool)[agents.kinds]
     faults = []
     if odd.any():
-        message = f"{counted(int(odd.sum()), 'agent')} would begin inside each other, "
-        message += f"{agents.named(int(np.argmax(odd)))} first: moved apart, by "
-        message += f"{moved.max():.3g} m at most"
-        faults.append(warning("SIM147", message, "begin farther apart"))
+        message = f"{counted(int(odd.sum()), 'agent')} would start inside each other, "
+        message += f"{agents.named(int(np.argmax(odd)))} first: moved apart by up to "
+        message += f"{moved.max():.3g} m"
+        faults.append(warning("SIM147", message, "place them farther apart"))
     if overlap > ENOUGH * radius:
-        message = "agents begin inside each other: there are too many for their place"
-        faults.append(warning("SIM147", message, "a larger place, or fewer agents"))
+        message = "agents start inside each other: too many for their region"
+        faults.append(
+            warning("SIM147", message, "use a larger region, or fewer agents")
+        )
     return replace(agents, starts=starts), faults
 
 
@@ -210,7 +212,7 @@ def _drawn(
     if points is not None and (
         points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all()
     ):
-        message = f"points of {population.name!r} are of shape {points.shape} or not "
+        message = f"points of {population.name!r} have shape {points.shape} or are not "
         refuse("SIM145", f"{message}finite: they must be (N, 3)", "points")
     count = population.count if points is None else len(points)
     keys = np.arange(count)
@@ -274,8 +276,12 @@ def _problems(spec: CrowdsModel) -> Iterator[Problem]:
         where = f"populations[{k}]"
         for name in population.route:
             if name not in goals:
-                hint = f"there are {', '.join(goals)}" if goals else "name it in goals"
-                yield f"no goal is named {excerpt(name)}", where, hint
+                hint = (
+                    (f"the goals are {', '.join(goals)}")
+                    if goals
+                    else "add it to goals"
+                )
+                yield f"unknown goal {excerpt(name)}", where, hint
         if population.then == "repeat" and len(set(population.route)) == 1:
             message = f"the route of {population.name!r} repeats one goal"
             yield message, where, "then: stay"
@@ -283,13 +289,13 @@ def _problems(spec: CrowdsModel) -> Iterator[Problem]:
         shown = [getattr(one, what) is not None for one in spec.populations]
         if any(shown) and not all(shown):
             name = spec.populations[shown.index(False)].name
-            message = f"some populations have {what}, and {name!r} has not"
-            yield message, "populations", "give it to all, or make two systems"
+            message = f"some populations have {what}, but {name!r} does not"
+            yield message, "populations", "give it to all of them, or make two systems"
     for k, door in enumerate(spec.doors):
         for first, last in door.opens:
             if not first < last:
-                message = f"{door.name!r} is to be open from {first:g} s to {last:g} s"
-                yield message, f"doors[{k}]", "the earlier time first"
+                message = f"{door.name!r} is open from {first:g} s to {last:g} s"
+                yield message, f"doors[{k}]", "write the earlier time first"
 
 
 def _same_names(kind: str, names: Sequence[str]) -> Iterator[Problem]:

@@ -43,7 +43,7 @@ def outside(
     moved = np.linalg.norm(x - agents.starts, axis=1) > ENOUGH * agents.radii
     if moved.any():
         first = agents.named(int(np.argmax(moved)))
-        message = f"{counted(int(moved.sum()), 'agent')} would begin in an obstacle "
+        message = f"{counted(int(moved.sum()), 'agent')} would start in an obstacle "
         message += f"or off the ground, {first} first: moved out"
         notices.append(warning("SIM148", message, "begin elsewhere"))
     return x, notices
@@ -62,16 +62,16 @@ def unreachable(
         at = steering.points[g : g + 1]
         if lost(grid, at)[0]:
             message = f"the goal {goal.name!r} is in an obstacle or off the ground: "
-            message += "agents go to the nearest place to it"
+            message += "agents go to the nearest free position"
             faults.append(warning("SIM146", message, "move the goal"))
         part = parts[grid.free_at(at)[0]]
         for kind, population in enumerate(spec.populations):
             mine = (agents.kinds == kind) & (own != part)
             if goal.name in population.route and mine.any():
-                message = f"no way leads {counted(int(mine.sum()), 'agent')} of "
+                message = f"no path leads {counted(int(mine.sum()), 'agent')} of "
                 message += f"{population.name!r} to the goal {goal.name!r}: they go "
-                message += "to the nearest place that they can reach"
-                hint = "leave a gap wider than agents, or move the goal"
+                message += "to the nearest position that they can reach"
+                hint = "leave a gap wider than the agents, or move the goal"
                 faults.append(warning("SIM146", message, hint))
     return faults
 
@@ -81,8 +81,8 @@ def along_ground(frame: Frame, direction: Sequence[float]) -> FloatArray:
     way = frame.turned_back(np.array(direction, float))[[0, 2]]
     size = float(np.linalg.norm(way))
     if not size > 0:
-        message = "the direction of a queue is straight up"
-        refuse("SIM145", message, "goals", "along the ground")
+        message = "the direction of a queue is vertical"
+        refuse("SIM145", message, "goals", "use a direction along the ground")
     return np.asarray(way / size)
 
 
@@ -91,13 +91,13 @@ def ground_of(context: SimContext) -> tuple[Frame, Ground]:
     parts = context.parts["ground"]
     poses, shape, mesh = parts["poses"], parts.get("shape"), parts.get("mesh")
     if len(poses.moments) > 1:
-        message = "the ground does not move"
-        refuse("SIM145", message, "ground", "leave moves and turns out")
+        message = "the ground cannot move"
+        refuse("SIM145", message, "ground", "remove moves and turns")
     pose = poses.at(context.begin)
     frame = Frame(pose[:3], pose[3:])
     if shape is not None and mesh is not None:
-        message = "the ground is a shape or a mesh of a file"
-        refuse("SIM145", message, "ground", "leave one out")
+        message = "the ground is either a shape or a mesh of a file"
+        refuse("SIM145", message, "ground", "remove one of them")
     if mesh is not None:
         found = mesh()[0]
         corners = triangulated(found.counts, found.indices)
@@ -105,7 +105,9 @@ def ground_of(context: SimContext) -> tuple[Frame, Ground]:
     if shape is None:
         return frame, Ground()
     if not isinstance(shape, Mesh):
-        message = "the ground is a mesh, a height_field or, with no shape, a plane"
+        message = (
+            "the ground must be a mesh, a height_field or, without a shape, a plane"
+        )
         refuse("SIM145", message, "ground", "shape: {height_field: {...}}")
     points, faces = shape.welded()
     return frame, Ground(points[faces])

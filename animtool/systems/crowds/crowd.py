@@ -86,7 +86,7 @@ class Crowd:
         self._frame, self._ground = ground_of(context)
         if context.colliders.sheets:
             message = "crowds avoid shapes, rigid bodies and the capsules of characters"
-            hint = "give it colliders in place of the surface"
+            hint = "use its colliders instead of the surface"
             refuse("SIM145", message, "systems", hint)
         self._agents, self._notices = agents_of(
             spec, context.parts["populations"], context.begin, self._frame
@@ -135,7 +135,9 @@ class Crowd:
         ends = np.stack([self._on_ground(one) for one in sides], axis=1)
         for door, (begin, end) in zip(spec.doors, ends, strict=True):
             if not ((end - begin) ** 2).sum() > 0:
-                message = f"both ends of {door.name!r} are one place on the ground"
+                message = (
+                    f"both ends of {door.name!r} are at the same position on the ground"
+                )
                 refuse("SIM145", message, "doors")
         obstacles = Obstacles(
             agents,
@@ -219,7 +221,7 @@ class Crowd:
         does[state.progress.stages == GONE] = OUT
         if not all(np.isfinite(each).all() for each in (x, v, relaxed, walls.rows)):
             message = f"agents blew up at {t:g} s"
-            raise ToleranceError(Fault("SIM102", message, hint="take shorter steps"))
+            raise ToleranceError(Fault("SIM102", message, hint="use shorter steps"))
         shoulders = self._shoulders(state, down)
         points, velocities, overlap, pressed = _kernels.crowd_step(
             points=x, velocities=v, preferred=relaxed,
@@ -249,7 +251,7 @@ class Crowd:
                 falls = self._falling.step(falls, t, dt)
         if not (np.isfinite(points).all() and np.isfinite(headings).all()):
             message = f"agents blew up at {t + dt:g} s"
-            raise ToleranceError(Fault("SIM102", message, hint="take shorter steps"))
+            raise ToleranceError(Fault("SIM102", message, hint="use shorter steps"))
         overlap = max(state.overlap, overlap)
         return CrowdState(
             points, velocities, headings, progress, overlap, bodies, falls

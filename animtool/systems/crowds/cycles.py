@@ -55,17 +55,19 @@ def gaits_of(rig: Rig, takes: Sequence[tuple[str, Take]]) -> Gaits:
         {"moves": moving, "stands": idle, "reacts": reactions}[kind].append(gait)
     notices = []
     if not moving:
-        message = "none of the clips walks: give one that goes ahead in even steps"
+        message = "none of the clips walks: add one that moves ahead in even steps"
         raise OptionError(Fault("SIM149", message, where="gaits"))
     moving.sort(key=lambda gait: gait.speed)
     slowest = moving[0]
     if slowest.speed > RUNS * np.sqrt(9.81 * walker.leg):
         message = f"no clip walks: {slowest.name!r}, which runs at {slowest.speed:.2g} "
-        message += "m/s, is played slower, with shorter steps"
+        message += "m/s, is slowed down, with shorter steps"
         notices.append(warning("SIM150", message, "add a clip that walks"))
     if not idle:
-        message = f"no clip stands: agents stand as {slowest.name!r} lands its foot"
-        notices.append(warning("SIM150", message, "add a clip that stands"))
+        message = (
+            f"no clip stands still: agents stand as in {slowest.name!r} at foot contact"
+        )
+        notices.append(warning("SIM150", message, "add a clip that stands still"))
         idle.append(replace(slowest, turns=slowest.turns[:1], hips=slowest.hips[:1]))
     return Gaits(walker, tuple(moving), idle[0], tuple(reactions), tuple(notices))
 

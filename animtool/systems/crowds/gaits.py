@@ -55,7 +55,7 @@ class Walker:
         person = Person.of(rig, anatomy(rig).roles)
         left, right, facing = person.leg("l"), person.leg("r"), person.facing
         if left is None or right is None or facing is None:
-            message = f"{rig.name!r} has no two legs of thigh, shin and foot"
+            message = f"{rig.name!r} does not have two legs with thigh, shin and foot"
             raise OptionError(Fault("SIM149", message, where="gaits"))
         ahead = float(np.arctan2(facing[2, 0], facing[2, 2]))
         back = about_up(np.array([-ahead]))[0]

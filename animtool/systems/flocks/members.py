@@ -100,7 +100,7 @@ class Members:
 
     def check_apart(self) -> None:
         """Refuse two at one place: nothing would ever tell them apart (SIM060)."""
-        hint = "place: {sphere: {radius: 2}}, or another place that has a size"
+        hint = "use place: {sphere: {radius: 2}}, or another region with a size"
         check_apart(
             self.points,
             lambda i, j: f"{self.named(i)} and {self.named(j)}",
@@ -130,13 +130,13 @@ class Members:
         else:
             if colliders.rigid:
                 name = self.named(int(np.argmax(within)))
-                message = f"{name} begins inside colliders, and finds no way out"
-                hint = "begin elsewhere, or leave room between them"
+                message = f"{name} starts inside colliders, with no way out"
+                hint = "start elsewhere, or leave room between them"
                 refuse("SIM060", message, "species", hint)
         if not moved.any():
             return points, []
         message = (
-            f"{counted(int(moved.sum()), 'member')} would begin inside a collider, "
+            f"{counted(int(moved.sum()), 'member')} would start inside a collider, "
         )
         message += f"{self.named(int(np.argmax(moved)))} first: moved out"
         hint = "begin elsewhere"
@@ -153,17 +153,15 @@ class Members:
         odd = (moved > MOVED * self.radii) & given[self.kinds]
         faults = []
         if odd.any():
-            message = f"{counted(int(odd.sum()), 'member')} would begin nearer to each "
-            message += (
-                f"other than they come, {self.named(int(np.argmax(odd)))} first: "
-            )
-            message += f"moved apart, by {moved.max():.3g} m at most"
-            hint = "begin farther apart, or keep a smaller repulsion.least"
+            message = f"{counted(int(odd.sum()), 'member')} would start closer to each "
+            message += f"other than allowed, {self.named(int(np.argmax(odd)))} first: "
+            message += f"moved apart by up to {moved.max():.3g} m"
+            hint = "place them farther apart, or reduce repulsion.least"
             faults.append(warning("SIM147", message, hint))
         if overlap > MOVED * float(self.radii.max()):
-            message = f"members begin {overlap:.3g} m nearer to each other than they "
-            message += "come: there are too many for their place"
-            hint = "a larger place, fewer members, or a smaller repulsion.least"
+            message = f"members start {overlap:.3g} m closer to each other than "
+            message += "allowed: too many for their region"
+            hint = "use a larger region, fewer members, or a smaller repulsion.least"
             faults.append(warning("SIM147", message, hint))
         return faults
 
@@ -174,7 +172,7 @@ def _drawn(
     """Return where members begin ``(N, 3)`` [m], and how fast [m/s]."""
     points, velocities = parts.get("points"), parts.get("velocities")
     if points is None and velocities is not None:
-        message = "velocities are of points, and there are none"
+        message = "velocities need points"
         refuse("SIM060", message, hint="points: birds.npz")
     emitter = Emitter(
         place=parts["place"],
@@ -192,7 +190,7 @@ def _drawn(
     for name, array in (("points", points), ("velocities", velocities)):
         shape = (len(points), 3)
         if array is not None and (array.shape != shape or not np.isfinite(array).all()):
-            message = f"{name} of {species.name!r} are of shape {array.shape} or not "
+            message = f"{name} of {species.name!r} have shape {array.shape} or are not "
             refuse("SIM060", f"{message}finite: they must be {shape}", name)
     return points, ways if velocities is None else velocities
 
@@ -212,8 +210,8 @@ def _problems(spec: FlocksModel) -> Iterator[Problem]:
         others += [one.species for one in species.chases]
         for name in others:
             if name not in names:
-                hint = f"there are {', '.join(names)}"
-                yield f"no species is named {excerpt(name)}", where, hint
+                hint = f"the species are {', '.join(names)}"
+                yield f"unknown species {excerpt(name)}", where, hint
         speed = species.speed
         if not speed.least <= speed.cruise <= max_speed(species):
             message = f"the cruise of {species.name!r} is {speed.cruise:g} m/s, not "
@@ -223,7 +221,7 @@ def _problems(spec: FlocksModel) -> Iterator[Problem]:
     if any(shown) and not all(shown):
         name = names[shown.index(False)]
         hint = f"give {name!r} a mesh to show, or make two systems"
-        yield "some species show a mesh and others points", "species", hint
+        yield "some species show a mesh, but others show points", "species", hint
     if spec.domain is not None:
         yield from _domain_problems(spec, spec.domain)
 
@@ -235,9 +233,9 @@ def _domain_problems(spec: FlocksModel, domain: DomainModel) -> Iterator[Problem
         if domain.wrap:
             radius, what = farthest(species), "what it sees"
         if least < 2 * radius:
-            message = f"the domain is {least:g} m wide, and {species.name!r} needs "
+            message = f"the domain is {least:g} m wide, but {species.name!r} needs "
             message += f"{2 * radius:g} m: twice {what}"
-            yield message, "domain", "a larger domain, or a smaller radius"
+            yield message, "domain", "use a larger domain, or a smaller radius"
 
 
 def max_speed(species: SpeciesModel) -> float:

@@ -83,6 +83,8 @@ class Spacing:
     @staticmethod
     def _check(count: int, looked: float, most: float) -> None:
         if looked > most:
-            message = f"{count} members are so close that each is near thousands"
-            hint = "let them begin in a larger place, or keep a smaller distance"
+            message = (
+                f"{count} members are so close that each has thousands of neighbours"
+            )
+            hint = "use a larger start region, or a smaller distance"
             raise ToleranceError(Fault("SIM107", message, hint=hint))

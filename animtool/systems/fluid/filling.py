@@ -70,8 +70,8 @@ def coarse_drops(
         count = radius / spec.spacing
         if count >= RESOLVED * (1 - ROUNDING):
             continue
-        message = f"{name} has a radius of {radius:.3g} m, {count:.2g} spacings: of "
-        message += f"less than {RESOLVED:g}, tension may be off by a tenth or more"
+        message = f"{name} has a radius of {radius:.3g} m, {count:.2g} spacings: below "
+        message += f"{RESOLVED:g}, surface tension may be off by a tenth or more"
         hint = f"spacing: {plain(floored(radius / RESOLVED))}"
         yield warning("SIM175", message, hint, "spacing")
         return
@@ -91,9 +91,9 @@ def _filled(
         gaps = colliders.volumes.sample(points, t).distances.min(axis=0)
         points = points[gaps >= (1 - ROUNDING) * spec.spacing / 2]
     if not len(points):
-        message = f"{name} has no particle: it is thinner than the spacing of "
-        message += f"{spec.spacing:g} m, or within colliders"
-        refuse("SIM064", message, "fills", "a smaller spacing, or a larger fill")
+        message = f"{name} has no particles: it is thinner than the spacing of "
+        message += f"{spec.spacing:g} m, or inside colliders"
+        refuse("SIM064", message, "fills", "use a smaller spacing, or a larger fill")
     speeds = np.broadcast_to(np.asarray(fill.velocity, np.float64), points.shape)
     return np.stack([points, speeds])
 
@@ -110,7 +110,7 @@ def _given_points(fill: FillModel, own: Mapping[str, Any], name: str) -> FloatAr
     for what, array in (("points", points), ("velocities", velocities)):
         shape = (len(points), 3)
         if array.shape != shape:
-            message = f"{what} of {name} are of shape {array.shape}, not {shape}"
+            message = f"{what} of {name} have shape {array.shape}, not {shape}"
             refuse("SIM064", message, "fills")
         bad = ~np.isfinite(array).all(axis=1)
         if bad.any():
@@ -134,10 +134,10 @@ def _check_outside(
     collider = [*colliders, *bodies][c]
     what = repr(collider.name) if collider.name else f"colliders[{c}]"
     where = "outside the container" if collider.container else "inside"
-    message = f"particle {i} of {name} begins {-gaps[c, i]:g} m {where} {what}"
+    message = f"particle {i} of {name} starts {-gaps[c, i]:g} m {where} {what}"
     more = int(within.any(axis=0).sum()) - 1
-    message += f", as {counted(more, 'other')} begin in colliders" if more else ""
-    refuse("SIM064", message, "fills", "move it, or leave it out")
+    message += f", and {counted(more, 'other')} start in colliders too" if more else ""
+    refuse("SIM064", message, "fills", "move it, or remove it")
 
 
 def _check_apart(spec: FluidModel, points: FloatArray, ends: IntArray) -> None:
@@ -156,17 +156,19 @@ def _check_apart(spec: FluidModel, points: FloatArray, ends: IntArray) -> None:
         begin = int(ends[k - 1]) if k else 0
         names.append(f"particle {i - begin} of {_named(spec, k)}")
     gap = float(np.linalg.norm(points[one] - points[other]))
-    message = f"{names[0]} and {names[1]} begin {gap:g} m apart, where the spacing is "
+    message = f"{names[0]} and {names[1]} start {gap:g} m apart, but the spacing is "
     message += f"{spec.spacing:g} m"
-    refuse("SIM064", message, "fills", "let fills not overlap, and leave out doubles")
+    refuse(
+        "SIM064", message, "fills", "keep fills from overlapping, and remove duplicates"
+    )
 
 
 def _check_count(spec: FluidModel, count: float, key: str) -> None:
     if count > spec.max_particles:
         message = (
-            f"it takes {count:,.0f} particles at a spacing of {spec.spacing:g} m, "
+            f"it needs {count:,.0f} particles at a spacing of {spec.spacing:g} m, "
         )
-        message += f"and {spec.max_particles:,} are allowed"
+        message += f"but the limit is {spec.max_particles:,}"
         wider = spec.spacing * (count / spec.max_particles) ** (1 / 3)
         hint = f"spacing: {math.ceil(wider * 1e3) / 1e3:g}, or raise max_particles"
         refuse("SIM064", message, key, hint)

@@ -46,7 +46,7 @@ HELPS = 0.8
 MAX_SHORTENING = 1000
 # How many times shorter still steps are that are tried, and how many of each.
 ROOM, TRIED = (2.0, 4.0, 8.0, 16.0), 4
-LESS = "weaker forces, a larger spacing, or colliders that move less fast"
+LESS = "use weaker forces, a larger spacing, or slower colliders"
 _NONE = np.zeros((2, 0, 3))
 
 
@@ -118,7 +118,7 @@ class Fluid:
     def misfit(self, state: FluidState, t: float) -> str:
         """Return why a state of a file cannot be resumed from; empty where it can."""
         del t
-        return "" if state.sound >= 0 else "the speed of its sound is below 0"
+        return "" if state.sound >= 0 else "the speed of sound is below 0"
 
     def step(self, state: FluidState, t: float, dt: float) -> Stepped[FluidState]:
         """Return the fluid a step [s] later, and what it pushed bodies by.
@@ -186,8 +186,8 @@ class Fluid:
         wanted = self._substeps.parts(dt, fastest, sound)
         if wanted > self._substeps.most:
             most, spacing = self._substeps.most, self._spec.spacing
-            message = f"at {fastest:.3g} m/s and a spacing of {spacing:g} m a step of "
-            message += f"{dt:g} s takes more than {most} parts"
+            message = f"at {fastest:.3g} m/s and a spacing of {spacing:g} m, a step of "
+            message += f"{dt:g} s needs more than {most} substeps"
             self._stop_long(state, t, dt, message, wanted / most, notices)
         parts, allowed = int(wanted), self._spec.compression
         found = self._kernel(state, t, dt, pull, sound, parts)
@@ -197,16 +197,18 @@ class Fluid:
                 break
             found, sound, parts = again, 2 * sound, 2 * parts
         if not np.isfinite(found.motion).all():
-            self._stop("SIM102", t + dt, "numbers are not finite", "take shorter steps")
+            self._stop("SIM102", t + dt, "numbers are not finite", "use shorter steps")
         dense = found.compression
         if dense > max(COLLAPSED, TIMES * allowed):
-            message = f"it is {dense:.1%} denser than at rest: it has no room"
-            hint = "widen what holds it, open a drain, or close an emitter before"
+            message = f"it is {dense:.1%} denser than at rest: there is too little room"
+            hint = "enlarge its container, open a drain, or close an emitter earlier"
             self._stop("SIM108", t + dt, message, hint)
         if dense > allowed and notices is not None:
             message = f"it is {dense:.2%} denser than at rest at "
-            message += f"{t + dt:g} s, where {allowed:.2%} is allowed"
-            notices.append(warning("SIM137", message, "give it room: it is squeezed"))
+            message += f"{t + dt:g} s; the limit is {allowed:.2%}"
+            notices.append(
+                warning("SIM137", message, "give it more room: it is compressed")
+            )
         after = replace(
             state,
             motion=found.motion,
@@ -217,7 +219,7 @@ class Fluid:
             parts=parts,
         )
         if self._gains(after):
-            message = f"its energy is {self._energy(after)[0]:.3g} J, and was "
+            message = f"its energy changed to {self._energy(after)[0]:.3g} J, from "
             message += f"{state.energy:.3g} J"
             self._stop_long(state, t, dt, message, 1.0, notices)
         return after, found.wrenches
@@ -365,16 +367,18 @@ class Fluid:
             new = nozzle.inflow(t, until, mean, room)
             if new.missed:
                 most = self._spec.max_particles
-                message = f"there is room for {most:,} particles, from {until:g} s on "
+                message = f"the limit of {most:,} particles is reached at {until:g} s "
                 hint = "raise max_particles, open a drain, or close an emitter"
-                notices.append(warning("SIM121", f"{message}for no more", hint))
+                notices.append(
+                    warning("SIM121", f"{message}and stops the emitters", hint)
+                )
             others, spacing = state.motion[0], self._spec.spacing
             free = has_room(new.state[0], others, self._colliders, until, spacing)
             blocked = int((~free).sum())
             if blocked:
-                message = f"{counted(blocked, 'particle')} did not come out by "
-                message += f"{until:g} s: fluid or a collider is before the nozzle"
-                hint = "a faster or a higher nozzle, or one that is clear of colliders"
+                message = f"{counted(blocked, 'particle')} could not be emitted until "
+                message += f"{until:g} s: fluid or a collider blocks the nozzle"
+                hint = "use a faster or higher nozzle, or move it away from colliders"
                 notices.append(warning("SIM138", message, hint))
             count = int(free.sum())
             grown = replace(
@@ -430,7 +434,7 @@ class Fluid:
         if state.held:
             values = {**values, "held_back": float(state.held)}
         hint = "give it a fill, or a nozzle that is open in the range"
-        message = "there is no fluid at any frame"
+        message = "there is no fluid in any frame"
         nobody = warning("SIM188", message, hint)
         energy = Energy(kinetic, total - kinetic) if known and self._closed else None
         return Diagnostics(energy, values, self._notices, [nobody])

@@ -43,21 +43,21 @@ class FillModel(PlacedModel):
 
     name: str = key("For messages.", "pool", default="")
     shape: ShapeEntry | None = key(
-        "What it fills, in its frame, up to the colliders: `box`, `sphere`, `capsule` "
-        "or `mesh`.",
+        "Shape to fill, in its frame, up to the colliders: `box`, `sphere`, "
+        "`capsule` or `mesh`.",
         {"box": {"size": [0.4, 1, 0.8]}},
         default=None,
     )
     points: ArrayEntry | None = key(
-        "Where each particle is `(N, 3)` [m], in place of a shape.",
+        "Position of each particle `(N, 3)` [m], instead of a shape.",
         "water.npz#points",
         default=None,
     )
     velocities: ArrayEntry | None = key(
-        "Of these `(N, 3)` [m/s].", "water.npz#velocities", default=None
+        "Velocities of these `(N, 3)` [m/s].", "water.npz#velocities", default=None
     )
     velocity: Vector = key(
-        "Of all of it at the beginning [m/s].", [1, 0, 0], default=[0.0, 0.0, 0.0]
+        "Initial velocity [m/s].", [1, 0, 0], default=[0.0, 0.0, 0.0]
     )
 
 
@@ -65,13 +65,15 @@ class FluidEmitterModel(PlacedModel):
     """A nozzle that fluid comes out of, along its y."""
 
     name: str = key("For messages.", "tap", default="")
-    radius: Positive | None = key("Of a round nozzle [m].", 0.1, default=None)
+    radius: Positive | None = key("Radius of a round nozzle [m].", 0.1, default=None)
     size: Annotated[list[Positive], Len(2, 2)] | None = key(
-        "Sides of a rectangular one, along its x and z [m].", [0.4, 0.2], default=None
+        "Sides of a rectangular nozzle, along its x and z [m].",
+        [0.4, 0.2],
+        default=None,
     )
-    speed: Positive = key("How fast it comes out [m/s].", 2, default=1.0)
+    speed: Positive = key("Outflow speed [m/s].", 2, default=1.0)
     opens: list[Pair] = key(
-        "Spans of seconds from the first frame on that it runs in. Not given: all.",
+        "Spans of seconds, from the first frame, in which it runs. Default: always.",
         [[0, 1.5], [2, 3]],
         default=[],
     )
@@ -81,16 +83,15 @@ class FluidSurfaceModel(FileModel):
     """A mesh around the particles, in place of points."""
 
     cell: Positive | None = key(
-        "Sides of the cells that it is found in [m]. Not given: three quarters of the "
-        "spacing.",
+        "Cell size of the surface grid [m]. Default: three quarters of the spacing.",
         0.02,
         default=None,
     )
     smoothing: NotNegative = key(
-        "Half the width that it is smoothed by, in spacings.", 1.5, default=1.0
+        "Half width of the smoothing kernel, in spacings.", 1.5, default=1.0
     )
     max_cells: Annotated[Whole, Gt(0), Le(10**9)] = key(
-        "Cells of a frame; more are refused.", 10**8, default=5 * 10**7
+        "Limit of grid cells in a frame.", 10**8, default=5 * 10**7
     )
 
 
@@ -101,36 +102,34 @@ class FluidModel(SystemSpec):
     quantities: ClassVar[Sequence[str]] = get_args(Quantity)
 
     spacing: Positive = key(
-        "How far particles are from each other [m]: half of it, and there are eight "
-        "times as many.",
+        "Spacing of particles [m]; half the spacing gives eight times as many.",
         0.04,
     )
     fills: list[FillModel] = key(
-        "What is full of it at the beginning.",
+        "What is filled at the start.",
         [{"shape": {"box": {"size": [0.4, 1, 0.8]}}, "at": [0.2, 0.5, 0.4]}],
         default=[],
     )
     emitters: list[FluidEmitterModel] = key(
-        "Where it comes in.", [{"at": [0, 2, 0], "radius": 0.1}], default=[]
+        "Inflow.", [{"at": [0, 2, 0], "radius": 0.1}], default=[]
     )
     drains: list[SystemColliderModel] = key(
-        "Where it goes.", [{"shape": {"plane": {"offset": -1}}}], default=[]
+        "Outflow.", [{"shape": {"plane": {"offset": -1}}}], default=[]
     )
-    density: Positive = key("At rest [kg/m³].", 900, default=1000.0)
+    density: Positive = key("Rest density [kg/m³].", 900, default=1000.0)
     viscosity: NotNegative = key(
-        "Kinematic viscosity [m²/s]: 1e-6 of water, 1e-4 of oil, 5e-3 of honey.",
+        "Kinematic viscosity [m²/s]: 1e-6 for water, 1e-4 for oil, 5e-3 for honey.",
         1e-4,
         default=1e-6,
     )
     tension: NotNegative = key(
-        "Surface tension [N/m]: 0.072 of water, 0.022 of alcohol. Walls do not "
+        "Surface tension [N/m]: 0.072 for water, 0.022 for alcohol. Walls do not "
         "attract.",
         0.072,
         default=0.0,
     )
     compression: Annotated[Real, Gt(0), Le(0.2)] = key(
-        "Most that it is denser than at rest, in the mean: steps are parted as this "
-        "takes.",
+        "Largest mean compression; steps are divided to stay below it.",
         0.02,
         default=0.01,
     )
@@ -140,18 +139,18 @@ class FluidModel(SystemSpec):
     systems: Surfaces = Field([])
     meshes: Meshes = Field([])
     primvars: list[Quantity] = key(
-        "What particles are written with: `age`, `density` (over that at rest), "
-        "`pressure` [Pa], `speed` [m/s].",
+        "Attributes to write: `age`, `density` (over that at rest), `pressure` [Pa], "
+        "`speed` [m/s].",
         ["pressure"],
         default=[],
     )
     colour: ColourModel | None = key(
-        "Colours by one of these. It needs a `range`: fluid begins at rest.",
+        "Colours by one of these. It needs a `range`: fluid starts at rest.",
         {"by": "speed", "range": [0, 4]},
         default=None,
     )
     surface: FluidSurfaceModel | None = key(
-        "A mesh in place of points; needs `pip install 'animtool[surface]'`.",
+        "Write a mesh instead of points; needs `pip install 'animtool[surface]'`.",
         {"cell": 0.02},
         default=None,
     )
@@ -179,19 +178,19 @@ class FluidModel(SystemSpec):
         """Yield which keys make no sense together (SIM064)."""
         box = "shape: {box: {size: [1, 1, 1]}}"
         if not self.fills and not self.emitters:
-            why = "there is neither a fill nor an emitter, so it is never there"
+            why = "it has neither a fill nor an emitter"
             yield why, "fills", f"fills: [{{{box}}}]"
         for fill in self.fills:
             kind = next(iter(fill.shape)) if fill.shape else ""
             if (fill.shape is None) is (fill.points is None):
-                yield "a fill is a shape or points, one of both", "fills", box
+                yield "a fill has either a shape or points", "fills", box
             elif fill.velocities is not None and fill.points is None:
-                yield "velocities are of points, and there are none", "fills", None
+                yield "velocities need points", "fills", None
             elif kind in ENDLESS:
                 yield f"a {kind} has no volume to fill", "fills", box
         for emitter in self.emitters:
             if (emitter.radius is None) is (emitter.size is None):
-                why = "a nozzle is round or rectangular: radius or size"
+                why = "a nozzle is round or rectangular: write either radius or size"
                 yield why, "emitters", None
             for begin, end in emitter.opens:
                 if not begin <= end:
@@ -202,7 +201,7 @@ class FluidModel(SystemSpec):
         """Return which keys make no sense together, colours without a range too."""
         found = list(super().faults(parts))
         if self.colour is not None and self.colour.range is None:
-            why, hint = "colours have no range", "range: [0, 4]"
+            why, hint = "colours need a range", "range: [0, 4]"
             found.append(Fault(self.code, why, where="colour", hint=hint))
         return found
 

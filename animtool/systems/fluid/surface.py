@@ -29,7 +29,7 @@ def check_surface() -> None:
         OptionError: scikit-image is missing (SIM065).
     """
     if find_spec("skimage") is None:
-        message = "a surface of a fluid is made by scikit-image, which is not installed"
+        message = "the surface of a fluid needs scikit-image, which is not installed"
         hint = "pip install 'animtool[surface]'"
         raise OptionError(Fault("SIM065", message, where="surface", hint=hint))
 
@@ -58,9 +58,9 @@ def surface_of(
     low = points.min(axis=0) - radius - 2 * cell
     sizes = np.ceil((points.max(axis=0) + radius + 2 * cell - low) / cell) + 1
     if np.prod(sizes) > spec.surface.max_cells:
-        message = f"its surface takes {np.prod(sizes):,.0f} cells of {cell:g} m, and "
-        message += f"{spec.surface.max_cells:,} are allowed: it is far spread"
-        hint = "drain what flew off, take larger cells, or raise max_cells"
+        message = f"its surface needs {np.prod(sizes):,.0f} cells of {cell:g} m, but "
+        message += f"{spec.surface.max_cells:,} are allowed: it is spread far"
+        hint = "drain stray particles, use larger cells, or raise max_cells"
         raise OptionError(Fault("SIM064", message, where="surface", hint=hint))
     shape = tuple(int(size) for size in sizes)
     values = field(points, low, shape, cell, radius, spec.spacing)

@@ -34,7 +34,7 @@ def check_bounds(name: str, frame: Frame, t: float, step: float) -> None:
         place = np.argwhere(~(np.abs(rows) <= BOUND))[0]
         value = f"{float(rows[tuple(place)]):.3g} {UNITS.get(what, '')}".rstrip()
         message = f"{name} blew up at {t:g} s: {what}[{int(place[0])}] is {value}"
-        hint = f"step: {half(step)}, or weaker forces"
+        hint = f"use step: {half(step)}, or weaker forces"
         raise ToleranceError(Fault("SIM102", message, hint=hint))
 
 
@@ -51,7 +51,7 @@ def check_finite(name: str, frame: Frame, t: float, step: float) -> None:
     finite = np.isfinite(np.concatenate(arrays, axis=1))
     (bad,) = np.nonzero(~finite.all(axis=1))
     message = f"{name} blew up at {t:g} s: point {int(bad[0])} is not finite"
-    hint = f"step: {half(step)}, or weaker forces"
+    hint = f"use step: {half(step)}, or weaker forces"
     raise ToleranceError(Fault("SIM102", message, hint=hint))
 
 

@@ -31,14 +31,14 @@ class ColourModel(FileModel):
 
     by: Name = key("The quantity.", "speed")
     range: Pair | None = key(
-        "Its values at the ends of the ramp. Not given: those that 2 % and 98 % of the "
-        "points are below at the beginning.",
+        "Values at the ends of the colour ramp. Default: the 2nd and 98th percentile "
+        "at the start.",
         [0, 3],
         default=None,
     )
     ramp: Annotated[list[Colour], Len(2, 64)] | None = key(
-        "Colours from low to high, red, green and blue from 0 to 1; of `species`, one "
-        "for each. Not given: dark blue to light yellow, or a palette.",
+        "Colours from low to high, as red, green and blue from 0 to 1; for "
+        "`species`, one for each. Default: dark blue to light yellow, or a palette.",
         [[0, 0, 1], [1, 1, 0]],
         default=None,
     )
@@ -46,9 +46,11 @@ class ColourModel(FileModel):
     def faults(self, names: Sequence[str], code: str) -> list[Fault]:
         """Return what is wrong with it, where a kind has quantities of some names."""
         if self.by not in names:
-            message = f"no quantity is named {excerpt(self.by)}"
+            message = f"unknown quantity {excerpt(self.by)}"
             return [
-                Fault(code, message, hint=f"one of {', '.join(names)}", where="colour")
+                Fault(
+                    code, message, hint=f"use one of {', '.join(names)}", where="colour"
+                )
             ]
         if self.range is not None and not self.range[0] < self.range[1]:
             message = (

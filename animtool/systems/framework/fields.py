@@ -64,27 +64,28 @@ ShapeEntry = Annotated[Named, Part.SHAPE, SHAPE_FORMS]
 TimedVector = Annotated[list[Real], Len(4, 4)]
 
 Velocities = Annotated[
-    ArrayEntry | None, key("Of these `(N, 3)` [m/s].", "birds.npz#velocities")
+    ArrayEntry | None,
+    key("Velocities of these `(N, 3)` [m/s].", "birds.npz#velocities"),
 ]
 PrimName = Annotated[str, Field(description="Name of the prim.")]
 UsdFile = Annotated[Name, Field(description="The USD file.")]
 PrimPath = Annotated[Name, Field(description="Path of the prim.")]
 CharacterFile = Annotated[
     Name | None,
-    key("A clip or a scene; its first frame comes at 0 s.", "walk.clip.yaml"),
+    key("A clip or a scene; its first frame is at 0 s.", "walk.clip.yaml"),
 ]
 OwnCharacter = Annotated[
     bool,
-    key("In place of a file: the character of this scene, behind its passes.", True),
+    key("Instead of a file: the character of this scene, after its passes.", True),
 ]
 Tolerance = Annotated[
     Real | None,
-    key("Of integrators that choose their steps: most error of each.", 1e-5),
+    key("Error tolerance of adaptive integrators.", 1e-5),
 ]
 Preroll = Annotated[
     Real,
     Ge(0),
-    key("Seconds before the first frame that it begins in.", 2),
+    key("Seconds of simulation before the first frame.", 2),
 ]
 
 
@@ -94,7 +95,7 @@ class FollowedPrimModel(FileModel):
     file: UsdFile = Field(examples=["props.usda"])
     prim: PrimPath = Field(examples=["/Set/hook"])
     frame: Frame | None = key(
-        "Time code of its file that comes at 0 s. Not given: the first.",
+        "Time code in its file that is shown at 0 s. Default: the first.",
         101,
         default=None,
     )
@@ -114,8 +115,8 @@ class _CarrierModel(FileModel):
     """What carries others; a part is for `SimContext.poses`."""
 
     offset: Vector | None = key(
-        "Where in its frame the particles are held [m]; the whole system "
-        "is brought there before it begins. Not given: where they are at 0 s.",
+        "Position in its frame where the particles are held [m]; the whole system is "
+        "moved there before the start. Default: where they are at 0 s.",
         [0, 0.1, 0],
         default=None,
     )
@@ -146,7 +147,9 @@ class CarryingBodyModel(_CarrierModel):
     """A rigid body of the scene, which bears what the particles pull."""
 
     system: Name = key("Name of its system, of kind `rigid`.", "crates")
-    body: Name = key("Name of the body; of several copies, with its number.", "lamp")
+    body: Name = key(
+        "Name of the body; for one of several copies, with its number.", "lamp"
+    )
 
 
 class RecordModel(FileModel):
@@ -164,9 +167,9 @@ class RecordModel(FileModel):
 class PlacementModel(FileModel):
     """Where something is, and how it is turned."""
 
-    at: Vector = key("Where it is [m].", [0, 1.5, 0], default=[0.0, 0.0, 0.0])
+    at: Vector = key("Position [m].", [0, 1.5, 0], default=[0.0, 0.0, 0.0])
     rotate: Quaternion = key(
-        "How it is turned: a quaternion w, x, y, z.",
+        "Orientation: a quaternion w, x, y, z.",
         [0.7071, 0, 0.7071, 0],
         default=[1.0, 0.0, 0.0, 0.0],
     )
@@ -178,21 +181,21 @@ class PlacedModel(PlacementModel):
     code: ClassVar[str] = "SIM020"  # of a place that makes no sense
 
     moves: list[TimedVector] = key(
-        "Where it is over time, from `at`: rows of seconds from the first "
-        "frame on and three coordinates [m]. Not given: it stays.",
+        "Displacement over time, from `at`: rows of seconds from the first frame and "
+        "three coordinates [m]. Default: none.",
         [[0, 0, 0, 0], [2, 4, 0, 0]],
         default=[],
     )
     turns: list[Annotated[list[Real], Len(5, 5)]] = key(
-        "How it is turned over time, after `rotate`: rows of seconds from "
-        "the first frame on and a quaternion w, x, y, z; it turns the short way from "
-        "row to row. Not given: it does not turn.",
+        "Rotation over time, after `rotate`: rows of seconds from the first frame "
+        "and a quaternion w, x, y, z; it rotates the short way between rows. "
+        "Default: none.",
         [[0, 1, 0, 0, 0], [1, 0.7071, 0, 0, 0.7071]],
         default=[],
     )
     prim: FollowedPrimModel | None = key(
-        "A prim that it goes and turns with, in place of `moves` and "
-        "`turns`; `at` and `rotate` are in the frame of the prim then.",
+        "A prim to follow, instead of `moves` and `turns`; `at` and `rotate` are "
+        "then in the frame of the prim.",
         {"file": "props.usda", "prim": "/Set/mill"},
         default=None,
     )
@@ -235,13 +238,15 @@ class CharacterModel(_MaterialModel):
     if TYPE_CHECKING:
         margin: float
     mesh: Name | None = key(
-        "A mesh of its rig in motion, in place of the capsules; `margin` "
+        "Collide with a mesh of its rig in motion, instead of the capsules; `margin` "
         "is half its thickness.",
         "body",
         default=None,
     )
     closed: bool = key(
-        "The mesh is the skin of a body: met from outside alone.", True, default=False
+        "The mesh is the skin of a body: collisions are from outside only.",
+        True,
+        default=False,
     )
 
 
@@ -250,7 +255,7 @@ class SystemSurfaceModel(_MaterialModel):
 
     system: Name = key("Its name.", "flag")
     two_way: bool = key(
-        "Its bodies are pushed in return; of kind `rigid` alone.", True, default=False
+        "Its bodies are pushed back; only for kind `rigid`.", True, default=False
     )
 
 
@@ -261,7 +266,9 @@ class MovingMeshModel(FollowedPrimModel, _MaterialModel):
         "Half its thickness [m].", 0.01, default=0.005
     )
     closed: bool = key(
-        "It is the skin of a body: met from outside alone.", True, default=False
+        "It is the skin of a body: collisions are from outside only.",
+        True,
+        default=False,
     )
 
 
@@ -280,8 +287,8 @@ class PrototypeModel(FileModel):
     )
     mesh: Name | None = key("Name of the mesh of a rig.", "body", default=None)
     samples: Annotated[Whole, Ge(1), Le(240)] = key(
-        "Phases of its cycle that are shown; its last frame comes at the "
-        "place of its first. What does not move has one.",
+        "Number of phases of its cycle to show; the last frame continues with the "
+        "first. Something static has one.",
         24,
         default=12,
     )
@@ -295,9 +302,9 @@ class GaitsModel(FileModel):
 
     rig: Name = key("A rig file, or a USD file with a rig.", "biped.rig.yaml")
     clips: Annotated[list[Name], Len(1, 100)] = key(
-        "Clips, BVH or USD files with takes; those of other skeletons are "
-        "retargeted. What they are is found: gaits of one speed each, who stands, and "
-        "reactions.",
+        "Clips, BVH or USD files with takes; those with other skeletons are "
+        "retargeted. Their role is recognised: gaits with one speed each, standing, "
+        "and reactions.",
         ["idle.bvh", "walk.bvh", "run.bvh"],
     )
 
@@ -305,28 +312,28 @@ class GaitsModel(FileModel):
 class PhysicsStageModel(FollowedPrimModel):
     """Bodies, joints and colliders of a USD stage; a part is `physics.Physics`."""
 
-    prim: PrimPath = key("All below this prim is read.", "/Yard", default="/")
+    prim: PrimPath = key("Everything below this prim is read.", "/Yard", default="/")
 
 
 # What a system runs into, each under one key of that name; `AROUND` lists them.
 Colliders = Annotated[
     list[SystemColliderModel],
     key(
-        "Shapes that it runs into, and containers that hold it.",
+        "Shapes to collide with, and containers.",
         [{"shape": {"plane": None}, "friction": 0.4}],
     ),
 ]
 Characters = Annotated[
     list[CharacterModel],
     key(
-        "Characters in motion that it runs into; none is written.",
+        "Moving characters to collide with; they are not written.",
         [{"file": "walk.clip.yaml", "friction": 0.3}],
     ),
 ]
 Surfaces = Annotated[
     list[SystemSurfaceModel],
     key(
-        "Cloth, volumes and rigid bodies of the scene that it runs into, as thick as "
+        "Cloth, volumes and rigid bodies of the scene to collide with, as thick as "
         "their `radius`; with `two_way` rigid ones are pushed, and float.",
         [{"system": "crates", "two_way": True}],
     ),
@@ -334,7 +341,7 @@ Surfaces = Annotated[
 Meshes = Annotated[
     list[MovingMeshModel],
     key(
-        "Meshes of USD files that it runs into, whose points may move.",
+        "Meshes of USD files to collide with, whose points may move.",
         [{"file": "set.usda", "prim": "/Set/rock", "closed": True}],
     ),
 ]
@@ -342,24 +349,26 @@ AROUND = ("colliders", "characters", "systems", "meshes")
 Forces = Annotated[
     list[ForceEntry],
     key(
-        "What moves it: the name of a force, and its options.",
+        "Forces: the name of each, and its options.",
         [{"gravity": None}, {"wind": {"velocity": [2, 0, 0], "drag": 0.05}}],
     ),
 ]
 Integrator = Annotated[str, key("An integrator.", "rk4")]
 Seed = Annotated[Whole, key("Seed for random numbers.", 7)]
-MaxParticles = Annotated[Whole, Gt(0), Le(10**7), key("Particles at once.", 50_000)]
+MaxParticles = Annotated[
+    Whole, Gt(0), Le(10**7), key("Limit of particles at once.", 50_000)
+]
 Shows = Annotated[
     PrototypeModel | None,
     key(
-        "A mesh that each is a copy of, headed along its way. Not given: a point.",
+        "A mesh to instance for each, heading along its motion. Default: a point.",
         {"file": "bird.usda", "prim": "/bird/body"},
     ),
 ]
 StartPoints = Annotated[
     ArrayEntry | None,
     key(
-        "Where each begins `(N, 3)` [m], in place of `count` and `place`.",
+        "Initial positions `(N, 3)` [m], instead of `count` and `place`.",
         "birds.npz#points",
     ),
 ]

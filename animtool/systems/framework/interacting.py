@@ -255,13 +255,13 @@ class Interacting(ABC, Generic[State, Sums]):
         usual = max(begin.kinetic, abs(begin.potential), self._in_play(state, now))
         supplied = self._moves or not usual
         if not supplied and not abs(self._gained(state, now)) <= GROWTH * usual:
-            message = f"its energy is {now.total:.4g} {self.unit}, and was "
+            message = f"its energy changed to {now.total:.4g} {self.unit}, from "
             self._stop(state, t, f"{message}{begin.total:.4g} {self.unit}")
 
     def _stop(self, state: State, t: float, reason: str) -> None:
         message = f"{self._spec.name} blew up at {t:g} s: {reason}"
         step = min(self._advised(state, t), self._spec.step / 4)
-        raise StoppedError([Fault("SIM102", message, hint=f"give step: {step:.2g}")])
+        raise StoppedError([Fault("SIM102", message, hint=f"use step: {step:.2g}")])
 
     def _kinetic(self, motion: FloatArray) -> float:
         return 0.5 * float(self.bodies.masses @ (motion[1] ** 2).sum(axis=1))

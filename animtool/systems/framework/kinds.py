@@ -41,7 +41,7 @@ SYSTEM_KINDS: dict[str, SystemKind] = {
     "particles": SystemKind(
         "animtool.systems.particles.spec:ParticlesModel",
         "animtool.systems.particles.spec:build",
-        "Particles that are born, moved, stopped and removed.",
+        "Particles that are emitted, moved, stopped and removed.",
         {"emitters": [{"rate": 100, "speed": 2, "lifetime": 1}]},
     ),
     "crowds": SystemKind(
@@ -57,7 +57,7 @@ SYSTEM_KINDS: dict[str, SystemKind] = {
     "flocks": SystemKind(
         "animtool.systems.flocks.spec:FlocksModel",
         "animtool.systems.flocks.flock:Flock",
-        "Flocks that attract, align and repel: birds, fish, and who hunts them.",
+        "Flocks that attract, align and repel: birds, fish, and predators.",
         {"name": "birds", "species": [{"name": "starling", "count": 200}]},
     ),
     "fluid": SystemKind(
@@ -82,7 +82,7 @@ SYSTEM_KINDS: dict[str, SystemKind] = {
     "molecules": SystemKind(
         "animtool.systems.molecules.spec:MoleculesModel",
         "animtool.systems.molecules.molecules:Molecules",
-        "Atoms that attract, repel and carry charges in a periodic box.",
+        "Atoms that attract, repel and have charges, in a periodic box.",
         {
             "name": "argon",
             "species": [{"name": "argon", "count": 256}],
@@ -104,7 +104,7 @@ SYSTEM_KINDS: dict[str, SystemKind] = {
     "rigid": SystemKind(
         "animtool.systems.rigid.spec:RigidModel",
         "animtool.systems.rigid.simulation:RigidSimulation.of",
-        "Rigid bodies: they fall, tumble, collide, stack and hang on joints.",
+        "Rigid bodies: they fall, tumble, collide, stack and are connected by joints.",
         {
             "name": "crates",
             "bodies": [{"name": "crate", "shape": {"box": {"size": [1, 1, 1]}}}],
@@ -122,7 +122,7 @@ SYSTEM_KINDS: dict[str, SystemKind] = {
     ),
     "cloth": _springs(
         "ClothModel",
-        "A sheet of cloth, or cloth of a mesh.",
+        "A sheet of cloth, or cloth from a mesh.",
         {"across": [1.5, 0, 0], "mass": 0.3},
         surface=True,
     ),

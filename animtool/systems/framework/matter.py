@@ -24,7 +24,7 @@ def unit_quaternion(wxyz: Sequence[float]) -> FloatArray:
     w, *xyz = wxyz
     size = float(np.linalg.norm(wxyz))
     if not size > 0:
-        message = "rotate is a quaternion of zeros, which turns nowhere"
+        message = "rotate is a zero quaternion, which has no rotation"
         refuse("SIM020", message, "rotate")
     return np.array([*xyz, w], np.float64) / size
 
@@ -91,7 +91,7 @@ class Bodies(Rows):
         masses = np.full(len(points), mass) if masses is None else masses
         if (masses <= 0).any():
             i = int(np.argmax(masses <= 0))
-            message = f"the mass of {kind} {i} is {masses[i]:g} kg, not above 0"
+            message = f"the mass of {kind} {i} is {masses[i]:g} kg; it must be above 0"
             refuse(code, message, where)
         return Bodies(points, velocities, masses)
 
@@ -137,7 +137,7 @@ def check_apart(
     if same.any():
         i = int(np.argmax(same))
         names = pair(*sorted(order[[i, i + 1]].tolist()))
-        message = f"{names} begin at one place{': ' if why else ''}{why}"
+        message = f"{names} start at the same position{': ' if why else ''}{why}"
         refuse(code, message, where, hint)
 
 
@@ -158,7 +158,7 @@ def check_rows(
         if array is None:
             continue
         shape = (count,) if name == "masses" else (count, 3)
-        message = f"{name} have the shape {array.shape}, not {shape}"
+        message = f"{name} have shape {array.shape}, not {shape}"
         if array.shape == shape:
             finite = np.isfinite(array.reshape(count, 3 if array.ndim > 1 else 1)).all(
                 axis=1

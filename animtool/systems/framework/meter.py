@@ -134,34 +134,36 @@ class ContactMeter:
         """What was measured, in words; empty where there was nothing to say."""
         parts = []
         if self.depth.value > 0:
-            depth = f"{1000 * self.depth.value:.2g} mm inside what it touches"
+            depth = f"{1000 * self.depth.value:.2g} mm deep in what it touches"
             parts.append(f"{depth} ({self.depth.text})")
         if self.strain.value > 0:
             share = percent(self.strain_99.value)
-            parts.append(f"99 sides of 100 strained by up to {share}")
-            parts.append(f"any by {percent(self.strain.value)} ({self.strain.text})")
+            parts.append(f"99th percentile of strain {share}")
+            parts.append(
+                f"largest strain {percent(self.strain.value)} ({self.strain.text})"
+            )
         return ", ".join(parts)
 
     def notices(self, what: str) -> list[Fault]:
         """Return warnings of what is seen (SIM180, SIM181, SIM182)."""
         found, finer = [], "a shorter step" if self.seconds else "a higher rate"
         if self.depth.value > DEEP:
-            message = f"{what} is {1000 * self.depth.value:.2g} mm inside what it "
+            message = f"{what} is {1000 * self.depth.value:.2g} mm deep in what it "
             message += f"touches ({self.depth.text})"
-            hint = f"take a greater radius or {finer}, or a slower motion"
+            hint = f"use a larger radius or {finer}, or a slower motion"
             found.append(warning("SIM180", message, hint))
         if self.pierced.value:
             pairs = counted(int(self.pierced.value), "pair")
             message = f"{pairs} of edges and triangles of {what} and what it touches "
-            message += f"go through each other ({self.pierced.when})"
-            hint = "take a greater radius or thickness, or a finer mesh"
+            message += f"intersect ({self.pierced.when})"
+            hint = "use a larger radius or thickness, or a finer mesh"
             found.append(warning("SIM181", message, hint))
         if self.strain_99.value > STRAINED_99 or self.strain.value > STRAINED:
-            message = f"{what} is strained by {percent(self.strain.value)} "
-            message += f"({self.strain.text}), one side in a hundred by "
-            message += f"{percent(self.strain_99.value)} or more"
-            hint = f"what is pinned or touched pulls it apart; take {finer}"
-            hint += " or a greater stiffness" if self.seconds else ""
+            message = f"{what} is strained by up to {percent(self.strain.value)} "
+            message += f"({self.strain.text}), 99th percentile "
+            message += f"{percent(self.strain_99.value)}"
+            hint = f"pins or contacts pull it apart; use {finer}"
+            hint += " or a higher stiffness" if self.seconds else ""
             found.append(warning("SIM182", message, hint))
         return found
 

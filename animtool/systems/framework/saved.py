@@ -71,7 +71,7 @@ def open_states(path: Path) -> Iterator[SavedStates]:
         with Archives() as archives:
             known = archives.has(path, "format")
             if not known or archives.text(path, "format") != FORMAT:
-                message = "is no file of states that were saved"
+                message = "is not a file of saved states"
                 raise FormatError(Fault("SIM035", message, str(path)))
             yield SavedStates(archives, path)
     except ValueError as error:
@@ -106,20 +106,20 @@ class SavedStates:
             return OptionError(Fault("SIM035", text, str(path), (), hint))
 
         if name and not archives.has(path, f"{above}kind"):
-            raise other("there is no such state")
+            raise other("the state does not exist")
         kind = archives.text(path, f"{above}kind")
         if kind != clocked.kind:
-            raise other(f"it has the state of {kind}, not of {clocked.kind}")
+            raise other(f"it contains a state of {kind}, not of {clocked.kind}")
         clock = archives.load(path, f"{above}clock")
         if clock.shape != (3,) or not 0 <= clock[2] <= MAX_STEPS or clock[2] % 1:
-            raise other("its clock is no begin, step and count of steps")
+            raise other("its clock is not a start, a step and a count")
         begin, step, steps = clock.tolist()
         if not (
             math.isclose(begin, clocked.begin) and math.isclose(step, clocked.step)
         ):
-            message = f"its steps of {step:g} s begin at {begin:g} s, and those of the "
-            message += f"scene, of {clocked.step:g} s, at {clocked.begin:g} s"
-            hint = "keep the step and the pre-roll that it was saved with"
+            message = f"its steps of {step:g} s start at {begin:g} s, but those of the "
+            message += f"scene, of {clocked.step:g} s, start at {clocked.begin:g} s"
+            hint = "keep the step and the pre-roll it was saved with"
             raise other(message, hint)
         like, marks = _arrays(start.state), _Marks()
         _mark(start.state, marks)
@@ -130,7 +130,7 @@ class SavedStates:
             (like.keys() - lacking) | {n for n in saved if marks.is_later(n)}
         )
         if held != _listed(names):
-            raise other(f"its state has {held}, and the scene's {_listed(like)}")
+            raise other(f"its state has {held}, but the scene's {_listed(like)}")
         found: _Arrays = {}
         lengths = set()
         for key in names:
@@ -141,17 +141,19 @@ class SavedStates:
                 shape[axis] = values.shape[axis]
                 lengths.add(shape[axis])
             if values.shape != (*shape,) or values.dtype.kind != mine.dtype.kind:
-                message = f"{key} is {values.dtype} of shape {values.shape}, and in "
+                message = f"{key} is {values.dtype} of shape {values.shape}, but in "
                 raise other(f"{message}the scene {mine.dtype} of shape {mine.shape}")
             # Who lives for ever has a death that is infinite.
             sound = np.isfinite(values) if axis is None else ~np.isnan(values)
             finite = mine.dtype.kind != "f" or sound.all()
             if not finite or not _is_in_bounds(values, mine):
                 what = "out of bounds" if finite else "not finite"
-                raise other(f"{key} holds a number that is {what}")
+                raise other(f"{key} contains a number that is {what}")
             found[key] = values.astype(mine.dtype)
         if len(lengths) > 1:
-            raise other(f"its arrays have {listed(sorted(lengths))} rows, not the same")
+            raise other(
+                f"its arrays have {listed(sorted(lengths))} rows; they must be equal"
+            )
         try:
             found |= {key: like[key] for key in lacking}
             return Reached(int(steps), _restored(start.state, found, marks))
@@ -210,7 +212,7 @@ def _arrays(state: Any, above: str = "") -> _Arrays:
     if not (isinstance(state, Mapping) or is_dataclass(state)):
         array = np.asarray(state)
         if array.dtype.kind not in "iufb":
-            raise TypeError(f"{above} of a state is no array of numbers: {state!r}")
+            raise TypeError(f"{above} of a state is not an array of numbers: {state!r}")
         return {above: array}
     found: _Arrays = {}
     for name, part in _parts(state).items():
@@ -266,4 +268,4 @@ def _part(arrays: _Arrays, records: Sequence[type[Any]], above: str) -> Any:
         }
         if {name: type(part) for name, part in held.items()} == kinds:
             return record(**held)
-    raise TypeError(f"{above} is of another method")
+    raise TypeError(f"{above} belongs to another method")

@@ -44,23 +44,25 @@ class SystemSpec(FileModel):
 
     name: PrimName = Field(examples=["chain"])
     step: Annotated[Real, Gt(0)] = key(
-        "Step of the simulation [s], whatever the frame rate is.", 0.005, default=0.01
+        "Step of the simulation [s], independent of the frame rate.",
+        0.005,
+        default=0.01,
     )
     preroll: Preroll = 0.0
     save: Name | None = key(
-        "File (`.npz`) for its state at `save_at`, which like an output is "
-        "replaced with `overwrite` alone.",
+        "File (`.npz`) for its state at `save_at`; like an output it is replaced "
+        "only with `overwrite`.",
         "birds.npz",
         default=None,
     )
     save_at: Frame | None = key(
-        "Time code of the state that is saved. Not given: the last that is written.",
+        "Time code at which the state is saved. Default: the last that is written.",
         48,
         default=None,
     )
     resume: Name | None = key(
-        "Such a file to go on from: frames from there on are those of the "
-        "whole run, bit for bit, and none before is asked for.",
+        "A saved state to resume from: later frames are identical to those of the "
+        "whole run, to the bit; earlier ones cannot be requested.",
         "birds.npz",
         default=None,
     )

@@ -51,7 +51,7 @@ class TiedBodies(Bodies):
         names = list(self.system.shared.names)
         if carrier.body in names:
             return names.index(carrier.body)
-        message = f"no body of {carrier.system!r} is {carrier.body!r}"
+        message = f"unknown body {carrier.body!r} of {carrier.system!r}"
         hint = nearest(carrier.body, names) or f"it has {listed(names, 12)}"
         fault = Fault("SIM162", message, hint=hint, where=carrier.where)
         raise OptionError(fault)

@@ -85,9 +85,9 @@ class Atoms(Bodies):
         total = float(made.charges.sum())
         if abs(total) > NEUTRAL:
             message = (
-                f"charges add up to {total:g} e, and a box that repeats is neutral"
+                f"charges have a sum of {total:g} e, but a periodic box must be neutral"
             )
-            refuse(spec.code, message, "species", "give as many of either sign")
+            refuse(spec.code, message, "species", "use as many of either sign")
         return made
 
 
@@ -98,7 +98,7 @@ def _read(
     points, velocities = parts.get("points"), parts.get("velocities")
     if points is None:
         if velocities is not None:
-            message = "velocities are of points, and there are none"
+            message = "velocities need points"
             refuse(MoleculesModel.code, message, "species")
         return None, None
     kind = f"{model.name!r}, atom"
@@ -110,7 +110,7 @@ def _read(
         i = int(np.argmax(outside))
         where = ", ".join(f"{value:g}" for value in points[i])
         message = f"atom {i} of {model.name!r} is outside the box, at ({where}) m"
-        hint = "a nanometre is `scale` metres; `at` is the middle"
+        hint = "a nanometre is `scale` metres; `at` is the centre"
         refuse(MoleculesModel.code, message, "species", hint)
     return x, None if velocities is None else box.velocities_in(given.velocities)
 
@@ -125,8 +125,8 @@ def _sites(spec: MoleculesModel, counts: list[int]) -> list[FloatArray]:
     side = (len(basis) * size.prod() / total) ** (1 / 3)
     shape = np.maximum(np.round(size / side), 1)
     if not len(basis) * shape.prod() <= SPARSE * total + SPARSE:
-        message = f"{total} atoms fill no lattice in a box of {size.tolist()} nm"
-        refuse(spec.code, message, "box", "give sides that are more alike")
+        message = f"{total} atoms do not fill a lattice in a box of {size.tolist()} nm"
+        refuse(spec.code, message, "box", "use more equal sides")
     cells = shape.astype(np.int64)
     while len(basis) * cells.prod() < total:
         cells[np.argmax(size / cells)] += 1

@@ -88,7 +88,7 @@ class Interactions:
                     reference, self._box.size, self._cutoff + self._skin, most
                 )
             except ValueError as error:
-                message = f"atoms fell together: {error}"
+                message = f"atoms overlap: {error}"
                 raise ToleranceError(Fault("SIM102", message)) from error
             self._listed = reference, pairs
         order, starts, partners = self._listed[1]
@@ -156,10 +156,10 @@ class Molecules(Interacting[MoleculeState, Listed]):
         if step * self._stiffest > LONGEST:
             message = f"a step of {step:.3g} ps is too long: atoms vibrate in "
             message += f"{2 * math.pi / self._stiffest:.3g} ps"
-            hint = f"give step: {self._advised(start):.2g}, or less pace"
+            hint = f"use step: {self._advised(start):.2g}, or a smaller pace"
             refuse(spec.code, message, "step", hint)
         if not np.isfinite(self._placed(start.motion)).all():
-            message = "atoms are so far or fast in the scene that numbers overflow"
+            message = "atoms are so far away or fast in the scene that numbers overflow"
             refuse(spec.code, message, "scale")
 
     def _check_apart(self, start: MoleculeState) -> None:
@@ -175,8 +175,8 @@ class Molecules(Interacting[MoleculeState, Listed]):
         distances, others = cKDTree(x % size, boxsize=size).query(x, 2)
         i = int(np.argmin(distances[:, 1]))
         one, other = sorted(others[i].tolist())
-        message = f"atoms {one} and {other} begin {distances[i, 1]:.3g} nm apart"
-        hint = "move one of them, or give a larger box"
+        message = f"atoms {one} and {other} start {distances[i, 1]:.3g} nm apart"
+        hint = "move one of them, or use a larger box"
         refuse(self._spec.code, message, "species", hint)
 
     def _start(self, motion: FloatArray) -> MoleculeState:
@@ -217,13 +217,13 @@ class Molecules(Interacting[MoleculeState, Listed]):
         try:
             motion = self._integrated(system, t, dt, dt)
         except StoppedError as error:
-            hint = f"give step: {self._advised(state):.2g}"
+            hint = f"use step: {self._advised(state):.2g}"
             faults = [replace(one, hint=hint) for one in error.faults]
             raise StoppedError(faults, error.stats) from None
         ways = np.sqrt((motion[1] * motion[1]).sum(axis=1)) * dt * spec.pace
         i = int(np.argmax(ways))
         if not ways[i] <= FARTHEST * self._placing.size.min():
-            self._stop(state, t + dt, f"atom {i} goes {ways[i]:.3g} nm in a step")
+            self._stop(state, t + dt, f"atom {i} moves {ways[i]:.3g} nm in a step")
         (acting, reference), heat = system.at(motion[0]), state.heat
         if spec.thermostat is not None:
             kinetic = self._kinetic(motion)

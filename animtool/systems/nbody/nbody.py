@@ -101,7 +101,7 @@ class Nbody(Interacting[NbodyState, Pulls]):
         numbers = [np.arange(n) < n - k for n, k in zip(counts, dark, strict=True)]
         self.shown = np.flatnonzero(np.concatenate(numbers))
         where, hint = "bodies", "move one of them"
-        whys = "their attraction is infinite", "nothing tells them apart"
+        whys = "their attraction is infinite", "they cannot be told apart"
         pair, why = "bodies {} and {}".format, whys[spec.softening > 0]
         check_apart(bodies.points, pair, spec.code, where, hint, why)
         if not np.isfinite([bodies.points, bodies.velocities]).all():
@@ -198,7 +198,7 @@ class Nbody(Interacting[NbodyState, Pulls]):
         message = f"{pair} at {t:.6g} s, too close for steps of {dt / most:.3g} s"
         widest = (PHASE * most / dt) ** 2
         enough = (self._spec.gravity_constant * mass / widest) ** (1 / 3)
-        hint = f"give softening: {1.05 * enough:.3g}, or more substeps"
+        hint = f"use softening: {1.05 * enough:.3g}, or more substeps"
         return StoppedError([Fault("SIM110", message, hint=hint)])
 
     def _in_play(self, state: NbodyState, now: Energy) -> float:  # noqa: ARG002

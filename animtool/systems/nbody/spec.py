@@ -35,45 +35,45 @@ from animtool.systems.framework.spec import SystemSpec
 class BodiesModel(FileModel):
     """Bodies of a file; at rest if it gives no velocities."""
 
-    points: ArrayEntry = key("Where each begins `(N, 3)` [m].", "stars.npz#points")
+    points: ArrayEntry = key("Initial positions `(N, 3)` [m].", "stars.npz#points")
     velocities: Velocities = None
     masses: ArrayEntry | None = key(
-        "Of these `(N,)` [kg], in place of `mass`.", "stars.npz#masses", default=None
+        "Masses of these `(N,)` [kg], instead of `mass`.",
+        "stars.npz#masses",
+        default=None,
     )
-    mass: Positive = key("Of each [kg].", 0.5, default=1.0)
-    radius: NotNegative = key(
-        "Half the width they are drawn with [m].", 0.05, default=0.02
-    )
+    mass: Positive = key("Mass of each [kg].", 0.5, default=1.0)
+    radius: NotNegative = key("Half their width when drawn [m].", 0.05, default=0.02)
 
 
 class SpheroidModel(FileModel):
     """Stars or dark matter around a centre, alike all around."""
 
-    count: Count = key("How many bodies.", 2000)
-    mass: Positive = key("Of all of them [kg].", 0.3)
+    count: Count = key("Number of bodies.", 2000)
+    mass: Positive = key("Total mass [kg].", 0.3)
     radius: Positive = key("Scale radius of the profile [m].", 0.3)
     profile: Literal["hernquist", "plummer"] = key(
         "`hernquist` or `plummer`.", "plummer", default="hernquist"
     )
     cutoff: Annotated[Real, Gt(0), Le(100)] = key(
-        "No body is farther out [scale radii].", 8, default=10.0
+        "Largest radius of a body [scale radii].", 8, default=10.0
     )
 
 
 class DiscModel(FileModel):
     """Stars in an exponential disc that rotates about the galaxy's y."""
 
-    count: Count = key("How many bodies.", 5000)
-    mass: Positive = key("Of all of them [kg].", 1.0)
+    count: Count = key("Number of bodies.", 5000)
+    mass: Positive = key("Total mass [kg].", 1.0)
     radius: Positive = key("Scale length of the surface density [m].", 1.0)
     thickness: Annotated[Real, Gt(0), Le(1)] = key(
         "Scale height over the scale length.", 0.05, default=0.1
     )
     cutoff: Annotated[Real, Gt(0), Le(100)] = key(
-        "No body is farther out [scale lengths].", 4, default=5.0
+        "Largest radius of a body [scale lengths].", 4, default=5.0
     )
     stability: NotNegative = key(
-        "Toomre's Q: 0 is cold and falls into clumps, above 1 it stays.",
+        "Toomre's Q: 0 is cold and forms clumps; above 1 it is stable.",
         1.5,
         default=1.2,
     )
@@ -83,8 +83,10 @@ class GalaxyModel(PlacementModel):
     """A galaxy in equilibrium, on its own; it spins about its y."""
 
     name: Name = key("Its name.", "milky_way")
-    at: Vector = key("Its centre [m].", [0, 5, 0], default=[0.0, 0.0, 0.0])
-    velocity: Vector = key("Of its centre [m/s].", [0.2, 0, 0], default=[0.0, 0.0, 0.0])
+    at: Vector = key("Position of its centre [m].", [0, 5, 0], default=[0.0, 0.0, 0.0])
+    velocity: Vector = key(
+        "Velocity of its centre [m/s].", [0.2, 0, 0], default=[0.0, 0.0, 0.0]
+    )
     disc: DiscModel | None = key(
         "Stars in a disc.", {"count": 5000, "mass": 1, "radius": 1}, default=None
     )
@@ -94,13 +96,14 @@ class GalaxyModel(PlacementModel):
         default=None,
     )
     halo: SpheroidModel | None = key(
-        "Dark matter around all; it is written, too, unless `shows_halo` is not.",
+        "Dark matter around everything; it is also written, unless `shows_halo` is "
+        "false.",
         {"count": 5000, "mass": 5, "radius": 3},
         default=None,
     )
-    shows_halo: bool = key("Bodies of the halo are written.", False, default=True)
+    shows_halo: bool = key("Write the bodies of the halo.", False, default=True)
     nucleus: NotNegative = key(
-        "Mass of one body in the centre [kg]; 0 is none.", 0.1, default=0.0
+        "Mass of a central body [kg]; 0 is none.", 0.1, default=0.0
     )
     seed: Seed = 0
     radius: NotNegative = key("Half the width of its bodies [m].", 0.01, default=0.02)
@@ -119,20 +122,24 @@ class GalaxyModel(PlacementModel):
 class EncounterModel(PlacementModel):
     """The orbit on which two galaxies meet, as two points would, about its y."""
 
-    at: Vector = key("Where they meet [m].", [0, 5, 0], default=[0.0, 0.0, 0.0])
-    separation: Positive = key("Their distance at the beginning [m].", 10)
-    pericentre: Positive = key("Their distance where it is least [m].", 2)
+    at: Vector = key(
+        "Position of the encounter [m].", [0, 5, 0], default=[0.0, 0.0, 0.0]
+    )
+    separation: Positive = key("Initial separation [m].", 10)
+    pericentre: Positive = key("Separation at closest approach [m].", 2)
     eccentricity: Annotated[Real, Ge(0), Lt(100)] = key(
-        "Of the orbit: 1 is a parabola, above 1 they part.", 0.9, default=1.0
+        "Eccentricity of the orbit: 1 is a parabola, above 1 a hyperbola.",
+        0.9,
+        default=1.0,
     )
 
 
 class AttractorModel(PlacedModel):
     """A mass that attracts bodies and goes where it is put."""
 
-    mass: NotNegative = key("Its mass [kg].", 10)
+    mass: NotNegative = key("Mass [kg].", 10)
     softening: NotNegative = key(
-        "Length below which its pull grows no more [m].", 0.2, default=0.1
+        "Length below which its attraction stops growing [m].", 0.2, default=0.1
     )
 
 
@@ -150,40 +157,40 @@ class NbodyModel(SystemSpec):
     )
 
     bodies: list[BodiesModel] = key(
-        "Bodies of files.", [{"points": "stars.npz#points"}], default=[]
+        "Bodies from files.", [{"points": "stars.npz#points"}], default=[]
     )
     galaxies: list[GalaxyModel] = key(
-        "Galaxies that are built.",
+        "Generated galaxies.",
         [{"name": "disc", "disc": {"count": 5000, "mass": 1, "radius": 1}}],
         default=[],
     )
     encounter: EncounterModel | None = key(
-        "The orbit of two galaxies, from which follow where they are and how fast.",
+        "The orbit of two galaxies, which sets their positions and velocities.",
         {"separation": 10, "pericentre": 2},
         default=None,
     )
     attractors: list[AttractorModel] = key(
-        "Masses that attract bodies and are not attracted.",
+        "Masses that attract bodies but are not attracted.",
         [{"mass": 10, "at": [0, 5, 0]}],
         default=[],
     )
     gravity_constant: NotNegative = key(
-        "The constant of gravity [m³/(kg s²)]; in nature 6.674e-11.", 0.5, default=1.0
+        "Gravitational constant [m³/(kg s²)]; in nature 6.674e-11.", 0.5, default=1.0
     )
     softening: NotNegative = key(
-        "Length ε of Plummer's softening [m]: two bodies attract each other by "
-        "`d/(d² + ε²)^1.5`. With 0 close encounters are followed by shorter steps.",
+        "Length ε of Plummer softening [m]: two bodies attract each other by `d/(d² "
+        "+ ε²)^1.5`. With 0, close encounters are resolved with shorter steps.",
         0.02,
         default=0.05,
     )
     accuracy: Annotated[Real, Ge(0), Le(0.02)] = key(
-        "Error of accelerations that a tree may make, as a share of them (root mean "
-        "square); few bodies are summed directly, and with 0 all are.",
+        "Relative error of accelerations allowed for the tree (root mean square); "
+        "few bodies are summed directly; with 0 all are.",
         1e-3,
         default=2e-4,
     )
     substeps: Annotated[Whole, Ge(1), Le(2**20)] = key(
-        "Most parts that a step is divided into where two bodies come close.",
+        "Largest number of substeps where two bodies come close.",
         1024,
         default=64,
     )
@@ -203,13 +210,13 @@ class NbodyModel(SystemSpec):
             yield "it has no bodies", None, hint
         for galaxy in self.galaxies:
             if not galaxy.parts and not galaxy.nucleus:
-                hint = "give it a disc, a bulge, a halo or a nucleus"
+                hint = "add a disc, a bulge, a halo or a nucleus"
                 yield f"galaxy {galaxy.name!r} has no bodies", "galaxies", hint
         orbit, count = self.encounter, len(self.galaxies)
         if orbit is None:
             return
         if count != 2:
-            message = f"an encounter is of two galaxies, and there are {count}"
+            message = f"an encounter needs two galaxies, but there are {count}"
             yield message, "encounter", None
         e, near = orbit.eccentricity, orbit.pericentre
         far = near * (1 + e) / (1 - e) if e < 1 else float("inf")

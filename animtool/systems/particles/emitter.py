@@ -187,7 +187,7 @@ class Emitter(Emission, Checked):
         found += [("poses", message) for message in self.poses.faults()]
         found += super().problems()
         if not 0 <= self.spread <= math.pi:
-            found.append(("spread", "its spread must be 0 to half a turn"))
+            found.append(("spread", "its spread must be from 0 to 180 degrees"))
         if self.radius_spread >= self.radius > 0:
             message = "its radius_spread must be below its radius"
             found.append(("radius_spread", message))

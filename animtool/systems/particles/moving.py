@@ -112,7 +112,8 @@ class ParticleForces(_Living, SecondOrder):
         """Return which particle is accelerated most."""
         pulls = np.linalg.norm(self.acceleration(t, *state), axis=1)
         return (
-            f"particle {int(self.particles.ids[np.argmax(pulls)])} is accelerated most"
+            f"particle {int(self.particles.ids[np.argmax(pulls)])} has the largest "
+            "acceleration"
         )
 
 
@@ -279,5 +280,5 @@ class DivergenceCheck:
             float(self._particles.masses.sum()) * self._colliders.fastest**2,
         )
         if usual > 0 and not now - first <= self._setup.options.growth * usual:
-            return f"its energy is {now:.3g} J, and was {first:.3g} J"
+            return f"its energy rose from {first:.3g} J to {now:.3g} J"
         return ""

@@ -31,47 +31,41 @@ class Emission:
     """
 
     name: str = key("For messages.", "embers", "")
-    rate: Annotated[float, _SPREAD, Le(1e9)] = key("Particles a second.", 200, 0.0)
+    rate: Annotated[float, _SPREAD, Le(1e9)] = key("Particles per second.", 200, 0.0)
     bursts: Sequence[tuple[float, int]] = key(
-        "Seconds from the first frame on, and how many at once.",
+        "Seconds from the first frame, and number of particles at once.",
         [[0, 50], [1.5, 50]],
         (),
         read=_bursts,
     )
     start: float = key(
-        "Second that the rate begins in. Not given: the first.", 0.5, -math.inf
+        "Time at which the rate starts [s]. Default: the first frame.", 0.5, -math.inf
     )
-    end: float = key("Second that the rate ends in. Not given: never.", 2.5, math.inf)
+    end: float = key("Time at which the rate ends [s]. Default: never.", 2.5, math.inf)
     direction: Sequence[float] | None = key(
-        "Middle of their directions. Not given: y, and from surfaces outwards.",
+        "Mean direction. Default: y; from surfaces, outwards.",
         [1, 1, 0],
         None,
     )
     spread: float = key(
-        "Half the angle of the cone about it [deg]; 180 is all around.",
+        "Half angle of the cone about it [deg]; 180 is every direction.",
         20,
         0.0,
         read=math.radians,
     )
     speed: Annotated[float, _FINITE] = key("Speed [m/s].", 3, 0.0)
-    speed_spread: Annotated[float, _SPREAD] = key(
-        "Most that it differs by [m/s].", 0.5, 0.0
-    )
+    speed_spread: Annotated[float, _SPREAD] = key("Largest deviation [m/s].", 0.5, 0.0)
     inherit: Annotated[float, _FINITE] = key(
-        "Share of the emitter's velocity that they have too.", 0.5, 1.0
+        "Fraction of the emitter's velocity that they inherit.", 0.5, 1.0
     )
     lifetime: Annotated[float, above(0, "SIM021")] = key(
-        "How long they live [s]. Not given: for ever.", 2.5, math.inf
+        "Lifetime [s]. Default: unlimited.", 2.5, math.inf
     )
-    lifetime_spread: Annotated[float, _SPREAD] = key(
-        "Most that it differs by [s].", 0.5, 0.0
-    )
-    radius: Annotated[float, _AMOUNT] = key("Their radius [m].", 0.01, 0.005)
-    radius_spread: Annotated[float, _SPREAD] = key(
-        "Most that it differs by [m].", 0.005, 0.0
-    )
-    mass: Annotated[float, _MASS] = key("Their mass [kg].", 0.1, 0.001)
-    charge: Annotated[float, _FINITE] = key("Their charge [C].", 1e-6, 0.0)
+    lifetime_spread: Annotated[float, _SPREAD] = key("Largest deviation [s].", 0.5, 0.0)
+    radius: Annotated[float, _AMOUNT] = key("Radius [m].", 0.01, 0.005)
+    radius_spread: Annotated[float, _SPREAD] = key("Largest deviation [m].", 0.005, 0.0)
+    mass: Annotated[float, _MASS] = key("Mass [kg].", 0.1, 0.001)
+    charge: Annotated[float, _FINITE] = key("Charge [C].", 1e-6, 0.0)
     seed: int = key("Seed for random numbers.", 7, 0)
 
 
@@ -79,6 +73,6 @@ class Emission:
 class Velocity:
     """A velocity at each place and time: expressions of x, y, z, t and age."""
 
-    x: str = key("Along x [m/s].", "-z", "0")
-    y: str = key("Along y [m/s].", "0.2", "0")
-    z: str = key("Along z [m/s].", "x", "0")
+    x: str = key("Component along x [m/s].", "-z", "0")
+    y: str = key("Component along y [m/s].", "0.2", "0")
+    z: str = key("Component along z [m/s].", "x", "0")

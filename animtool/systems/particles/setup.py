@@ -91,15 +91,17 @@ class Particles:
         except AnimtoolError as error:
             found += error.faults
         if self.options.step is None:
-            message = "particles need a step: those who are born begin within one"
+            message = "particles need a step: they are emitted during a step"
             found.append(Fault("SIM024", message, where="step"))
         found += range_faults(self)
         if not self.emitters:
-            message = "there is no emitter, so nothing is ever born"
+            message = "it has no emitter, so there are no particles"
             found.append(Fault("SIM024", message, where="emitters"))
         if self.velocity is not None and self.forces:
-            message = "a velocity field takes particles along, whatever the forces"
-            hint = "leave one of them out, or take a force by drag: wind, turbulence"
+            message = "a velocity field moves particles whatever the forces are"
+            hint = (
+                "remove one of them, or use a force that acts by drag: wind, turbulence"
+            )
             found.append(Fault("SIM024", message, where="velocity", hint=hint))
         return found
 

@@ -207,7 +207,9 @@ class ParticleSimulation:
         missed = max(made - room, 0)
         if missed and not state.missed:
             most = self.setup.max_particles
-            message = f"there is room for {most} particles, from {until:g} s on for "
+            message = (
+                f"from {until:g} s on, the limit of {most} particles leaves room for "
+            )
             hint = "raise max_particles, or lower rates or lifetimes"
             notices.append(
                 warning("SIM121", f"{message}no more", hint, self.setup.name)
@@ -278,8 +280,8 @@ class ParticleSimulation:
             *(one.name for own in self.setup.bodies for one in own.colliders),
             *(one.name or f"sheets[{i}]" for i, one in enumerate(self.setup.sheets)),
         ][which]
-        message = f"{who} is inside {what!r} at {t:g} s, and cannot be moved out at "
-        hint = "particles begin inside, or colliders close in on them from several "
+        message = f"{who} is inside {what!r} at {t:g} s, and cannot be pushed out at "
+        hint = "particles start inside, or colliders close in on them from several "
         yield warning("SIM123", f"{message}once", f"{hint}sides", self.setup.name)
 
     def _without_dead(self, state: ParticleRunState, t: float) -> ParticleRunState:
@@ -300,9 +302,9 @@ class ParticleSimulation:
 
     def diagnostics(self, state: ParticleRunState, t: float) -> Diagnostics:
         """Return the energy, where nothing takes or brings any, and warnings."""
-        hint = "give emitters a rate or bursts, and a start and a lifetime by which "
-        hint += "their particles are there in the range"
-        message = "there is no particle at any frame"
+        hint = "set a rate or bursts, and a start and a lifetime with which "
+        hint += "particles exist in the range"
+        message = "there are no particles in any frame"
         nobody = warning("SIM188", message, hint)
         return Diagnostics(
             self._energy(state, t),

@@ -44,7 +44,7 @@ class EmitterModel(PlacedModel, RecordModel):
     makes: ClassVar[str] = "animtool.systems.particles.emitter:Emitter"
 
     place: PlaceEntry = key(
-        "Where they are born: `point`, `disc`, `sphere`, `box` or `mesh`.",
+        "Emitter shape: `point`, `disc`, `sphere`, `box` or `mesh`.",
         {"disc": {"radius": 0.2}},
         default={"point": None},
     )
@@ -65,11 +65,11 @@ class ParticlesModel(SystemSpec):
 
     name: PrimName = Field(default="particles", examples=["embers"])
     emitters: Annotated[list[EmitterModel], Len(1)] = key(
-        "What makes them.", [{"rate": 100, "speed": 2, "lifetime": 1}]
+        "Emitters.", [{"rate": 100, "speed": 2, "lifetime": 1}]
     )
     forces: Forces = Field([])
     velocity: VelocityModel | None = key(
-        "A field that they go with, in place of forces.",
+        "A velocity field to follow, instead of forces.",
         {"x": "-z", "z": "x"},
         default=None,
     )
@@ -78,11 +78,15 @@ class ParticlesModel(SystemSpec):
     systems: Surfaces = Field([])
     meshes: Meshes = Field([])
     kill: list[SystemColliderModel] = key(
-        "Where they are removed.", [{"shape": {"plane": {"offset": -1}}}], default=[]
+        "Regions where they are removed.",
+        [{"shape": {"plane": {"offset": -1}}}],
+        default=[],
     )
     method: Integrator = "midpoint"
     step: Real = key(
-        "Step of the simulation [s], whatever the frame rate is.", 0.005, default=0.01
+        "Step of the simulation [s], independent of the frame rate.",
+        0.005,
+        default=0.01,
     )
     tolerance: Tolerance = None
     max_particles: MaxParticles = 1_000_000

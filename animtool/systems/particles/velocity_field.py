@@ -85,7 +85,7 @@ def expression_faults(given: object, names: tuple[str, ...]) -> list[tuple[str, 
             found.append((axis, str(error)))
             continue
         found += [
-            (axis, f"{name!r} is no variable of it: {nearest(name, list(names))}")
+            (axis, f"unknown variable {name!r}: {nearest(name, list(names))}")
             for name in expression.names
             if name not in names
         ]

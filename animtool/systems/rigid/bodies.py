@@ -102,7 +102,7 @@ class Bodies:
                 poses.append(placed_on(own, point, turn))
         refusals.check()
         if len(names) > MAX_BODIES:
-            message = f"there are {len(names)} bodies, and {MAX_BODIES} at most"
+            message = f"there are {len(names)} bodies; the limit is {MAX_BODIES}"
             refuse("SIM061", message, "bodies")
         return Bodies(
             kinds, names, np.array(of), np.array(moved, np.bool_), poses, begin
@@ -299,7 +299,7 @@ class Bodies:
 def refuse_unknown(name: str, names: Sequence[str], key: str) -> NoReturn:
     """Refuse the name of a body that there is none of (SIM061)."""
     hint = nearest(name, names) or ""
-    refuse("SIM061", f"no body is named {name!r}", key, hint)
+    refuse("SIM061", f"unknown body {name!r}", key, hint)
 
 
 def outline(shape: Shape) -> Shape:

@@ -83,7 +83,7 @@ def core_of(shape: Shape) -> Core:
             return Core(signs * half, [np.array(face) for face in _BOX_FACES])
         case Mesh():
             return _hull(np.asarray(shape.points, np.float64))
-    raise ValueError("a plane has no end: it is a collider, not a body")
+    raise ValueError("a plane is infinite: use it as a collider, not as a body")
 
 
 def _hull(points: FloatArray) -> Core:
@@ -92,7 +92,7 @@ def _hull(points: FloatArray) -> Core:
     try:
         hull = ConvexHull(points)
     except QhullError:
-        raise ValueError("its points lie in one plane: it has no volume") from None
+        raise ValueError("its points are coplanar: it has no volume") from None
     # Triangles in one plane are one face.
     normals, planes = hull.equations[:, :3], []
     rest = list(range(len(normals)))

@@ -125,7 +125,7 @@ def check_joints(
                     message += f"{' and '.join(types)}"
                     hint = f"type: {types[0]}"
                     if model.type == "ball" and option == "limits":
-                        hint = "swing: 40, or twist: [-30, 30]"
+                        hint = "use swing: 40, or twist: [-30, 30]"
                     refuse("SIM061", message, f"{at}.{option}", hint)
         with refusals.collect():
             _axis(model, name, at)
@@ -170,7 +170,9 @@ def joints_of(
         else:
             other = bodies.find(model.to, f"{at}.to")
             if len(poses.moments) > 1:
-                message = f"{name!r} goes with {model.to!r}, not as moves or a prim say"
+                message = (
+                    f"{name!r} follows {model.to!r}, so it cannot have moves or a prim"
+                )
                 refuse("SIM061", message, at)
             if other in place:
                 first, on_a = place[other], seen_by(bodies, other, frame)
@@ -292,7 +294,7 @@ def _axis(model: RigidJointModel, name: str, at: str) -> FloatArray:
     size = float(np.linalg.norm(axis))
     if not size:
         message = f"the axis of {name!r} has no direction"
-        refuse("SIM061", message, f"{at}.axis", "axis: [0, 1, 0]")
+        refuse("SIM061", message, f"{at}.axis", "use axis: [0, 1, 0]")
     return so3.between(np.array([1.0, 0.0, 0.0]), axis / size)
 
 
@@ -318,11 +320,13 @@ def _limits(model: RigidJointModel, name: str, at: str) -> list[float]:
         scale = 1.0 if model.type == "prismatic" else np.pi / 180
         low, high = (value * scale for value in given)
         if low > high:
-            message = f"the least of {name!r}, {given[0]:g}, is above the most"
+            message = (
+                f"the lower limit of {name!r}, {given[0]:g}, is above the upper limit"
+            )
             refuse("SIM061", f"{message}, {given[1]:g}", f"{at}.{key}")
         if model.type == "pin" and high - low > 2 * np.pi * (1 + 1e-12):
-            message = f"the limits of {name!r} are more than a turn apart"
-            hint = "leave them out: turns are not counted"
+            message = f"the limits of {name!r} are more than 360 degrees apart"
+            hint = "remove them: full rotations are not counted"
             refuse("SIM061", message, f"{at}.{key}", hint)
     if model.swing is not None:
         pair = model.swing if isinstance(model.swing, list) else [model.swing] * 2
@@ -344,7 +348,7 @@ def _drive(model: RigidJointModel, at: str) -> list[float]:
         refuse("SIM061", message, f"{at}.drive.{wrong}", f"{right}: ...")
     turn = np.array(drive.rotation, np.float64)[[1, 2, 3, 0]]
     if not turn.any():
-        refuse("SIM061", "the rotation of a drive is all 0", f"{at}.drive")
+        refuse("SIM061", "the rotation of a drive is a zero quaternion", f"{at}.drive")
     target = drive.target if model.type == "prismatic" else np.radians(drive.target)
     # The drive sees the joint's own axes.
     own = _axis(model, model.name, at)
@@ -360,15 +364,20 @@ def _speed(model: RigidJointModel, drive: JointDriveModel, at: str) -> float:
     if drive.speed is None:
         return 0.0
     if model.type == "ball":
-        message = "the drive of a ball has no speed: it has no axis to turn about"
+        message = "the drive of a ball has no speed: it has no single axis"
         refuse("SIM061", message, f"{at}.drive.speed", "type: pin")
     for key in ("stiffness", "target"):
         if key in drive.model_fields_set:
-            message = f"a drive has a speed or a {key}, not both"
+            message = f"a drive has either a speed or a {key}"
             refuse("SIM061", message, f"{at}.drive.{key}", "keep one")
     if "damping" in drive.model_fields_set and not drive.damping:
-        message = "a motor without damping pulls nothing"
-        refuse("SIM061", message, f"{at}.drive.damping", "leave it out: it is hard")
+        message = "a motor with zero damping has no effect"
+        refuse(
+            "SIM061",
+            message,
+            f"{at}.drive.damping",
+            "remove it to make the motor rigid",
+        )
     return drive.speed * (1.0 if model.type == "prismatic" else float(np.pi / 180))
 
 
@@ -378,7 +387,7 @@ def _far(bodies: Bodies, i: int, frame: FloatArray, name: str, at: str) -> list[
     distance = float(np.linalg.norm(off))
     if distance <= FAR * kind.reach:
         return []
-    message = f"{name} is {distance:g} m from {bodies.names[i]!r}, which reaches "
-    hint = "is its `at` in the world?"
+    message = f"{name} is {distance:g} m from {bodies.names[i]!r}, which extends "
+    hint = "is its `at` in world space?"
     message += f"{kind.reach:g} m from its centre of mass"
     return [warning("SIM127", message, hint, f"{at}.at")]

@@ -96,7 +96,7 @@ def kind_of(model: BodyModel, parts: Mapping[str, Any]) -> Kind:
         key = "shape" if model.shape is not None else f"shapes[{k}]"
         if "height_field" in (model.shape or model.shapes[k].shape):
             message = f"a shape of {model.name!r}: a height field has no inside"
-            refuse("SIM061", message, key, "it is a collider, not a body")
+            refuse("SIM061", message, key, "use it as a collider, not as a body")
         try:
             core = core_of(shape)
         except ValueError as error:
@@ -125,16 +125,16 @@ def kind_of(model: BodyModel, parts: Mapping[str, Any]) -> Kind:
 
 def _weight_problems(model: BodyModel) -> Iterator[Problem]:
     if model.mass is not None and "density" in model.model_fields_set:
-        yield f"{model.name!r} has a mass and a density", "density", "keep one"
+        yield f"{model.name!r} has both a mass and a density", "density", "keep one"
     if model.inertia is None:
         return
     least, middle, most = sorted(model.inertia)
     if 2 * most > (least + middle + most) * (1 + ROUNDING):
-        message = f"no body has the moments of {model.name!r}, {model.inertia}: "
-        yield f"{message}one is more than the sum of the others", "inertia", None
+        message = f"no body can have the moments of {model.name!r}, {model.inertia}: "
+        yield f"{message}one is larger than the sum of the others", "inertia", None
     elif not middle:
         message = f"{model.name!r} must have two moments of inertia above 0"
-        yield message, "inertia", "a rod has one of 0"
+        yield message, "inertia", "only a rod has one of 0"
 
 
 def _shapes(
@@ -153,7 +153,10 @@ def _shapes(
     if model.shape is not None:
         if shapes:
             refuse(
-                "SIM061", f"{model.name!r} has a shape and shapes", "shapes", "keep one"
+                "SIM061",
+                f"{model.name!r} has both a shape and shapes",
+                "shapes",
+                "keep one",
             )
         shapes = [(parts["shape"], np.zeros(3), so3.IDENTITY)]
     if not shapes:
@@ -174,11 +177,13 @@ def _concave(name: str, mesh: Mesh, found: Sequence[tuple[Shape, Core]]) -> Faul
     """Return how a mesh is met that is not convex."""
     if found:
         more = beyond(mesh, [core for _, core in found])
-        message = f"a mesh of {name!r} is met as {counted(len(found), 'convex piece')}"
+        message = (
+            f"a mesh of {name!r} collides as {counted(len(found), 'convex piece')}"
+        )
         message += f", {more:+.1%} of its volume"
         return Fault("SIM198", message, severity=Severity.NOTE)
-    message = f"a mesh of {name!r} is not convex, or open: its hull is met"
-    hint = "make it of several convex shapes"
+    message = f"a mesh of {name!r} is not convex, or open: its convex hull collides"
+    hint = "build it from several convex shapes"
     if not installed():
         hint += f", or install coacd: {EXTRA}"
     return warning("SIM125", message, hint)
@@ -194,7 +199,7 @@ def _weighed(
     )
     if min(weight, weight if model.mass is None else model.mass) < LIGHTEST:
         message = f"{model.name!r} must weigh {LIGHTEST:g} kg or more"
-        refuse("SIM061", message, hint="is it in metres?")
+        refuse("SIM061", message, hint="are its lengths in metres?")
     whole = together(solids, own)
     mass = whole.volume if model.mass is None else model.mass
     inertia = whole.inertia * (mass / whole.volume)
@@ -209,7 +214,7 @@ def _weighed(
         inertia = turn @ np.diag(moments) @ turn.T
     if np.trace(inertia) < LEAST_MOMENT:
         message = f"{model.name!r} must have moments of {LEAST_MOMENT:g} kg m² or more"
-        refuse("SIM061", message, hint="is it in metres?")
+        refuse("SIM061", message, hint="are its lengths in metres?")
     return mass, centre, inertia
 
 
@@ -267,21 +272,21 @@ def check_moved(model: BodyModel) -> None:
 def _moved_problems(model: BodyModel) -> Iterator[Problem]:
     for key in ("moves", "turns", "prim"):
         if getattr(model, key) and not model.kinematic:
-            message = f"{model.name!r} is moved by what happens to it, not by {key}"
+            message = f"{model.name!r} is dynamic, so it cannot have {key}"
             yield message, key, "kinematic: true"
     for key in ("velocity", "spin") if model.kinematic else ():
         if key in model.model_fields_set:
-            message = f"{model.name!r} is kinematic: its moves say how fast it is"
+            message = f"{model.name!r} is kinematic: its moves set its velocity"
             yield message, key, f"no {key}"
     if model.release is not None and not model.kinematic:
-        message = f"{model.name!r} is not held, and cannot be released"
+        message = f"{model.name!r} is not kinematic, and cannot be released"
         yield message, "release", "kinematic: true"
     if model.pushes and model.kinematic and model.release is None:
-        yield f"{model.name!r} is kinematic: nothing pushes it", "pushes", None
+        yield f"{model.name!r} is kinematic: forces do not act on it", "pushes", None
     for k, push in enumerate(model.pushes):
         start, end = push.start, push.end
         if start is not None and end is not None and end <= start:
-            message = f"a push of {model.name!r} begins at {start:g} s, and ends at "
+            message = f"a force on {model.name!r} starts at {start:g} s, but ends at "
             yield f"{message}{end:g} s", f"pushes[{k}].end", None
 
 
@@ -291,7 +296,10 @@ def copies(model: BodyModel, parts: Mapping[str, Any]) -> tuple[FloatArray, Floa
     if model.grid is not None:
         if points is not None:
             refuse(
-                "SIM061", f"{model.name!r} has a grid and points", "points", "keep one"
+                "SIM061",
+                f"{model.name!r} has both a grid and points",
+                "points",
+                "keep one",
             )
         counts = np.array(model.grid.count)
         if counts.prod() > MAX_BODIES:
@@ -304,7 +312,7 @@ def copies(model: BodyModel, parts: Mapping[str, Any]) -> tuple[FloatArray, Floa
         points = cells * np.array(model.grid.spacing)
     if points is None:
         if rotations is not None:
-            refuse("SIM061", "rotations are of points, and there are none", "rotations")
+            refuse("SIM061", "rotations need points", "rotations")
         return np.zeros((1, 3)), so3.IDENTITY[None]
     count = len(points)
     turns = np.tile(so3.IDENTITY, (count, 1))
@@ -314,15 +322,17 @@ def copies(model: BodyModel, parts: Mapping[str, Any]) -> tuple[FloatArray, Floa
             turns = turns[:, [1, 2, 3, 0]]
     for name, array, width in (("points", points, 3), ("rotations", turns, 4)):
         if array.shape != (count, width) or not np.isfinite(array).all():
-            message = f"{name} of {model.name!r} are of shape {array.shape} or not "
+            message = f"{name} of {model.name!r} have shape {array.shape} or are not "
             refuse("SIM061", f"{message}finite: they must be {(count, width)}", name)
     if not turns.any(axis=1).all():
-        refuse("SIM061", f"a rotation of {model.name!r} is all 0", "rotations")
+        refuse(
+            "SIM061", f"a rotation of {model.name!r} is a zero quaternion", "rotations"
+        )
     return np.asarray(points, np.float64), so3.normalize(turns)
 
 
 def _turn(wxyz: Sequence[float], name: str, key: str) -> FloatArray:
     turn = np.array(wxyz, np.float64)[[1, 2, 3, 0]]
     if not turn.any():
-        refuse("SIM061", f"a rotation of {name!r} is all 0", key)
+        refuse("SIM061", f"a rotation of {name!r} is a zero quaternion", key)
     return so3.normalize(turn)

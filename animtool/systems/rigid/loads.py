@@ -149,9 +149,9 @@ class BodyLoads:
         if loads.flight is not None and loads.flight.coarse.any():
             number = int(np.argmax(loads.flight.coarse))
             message = (
-                f"the force on {self._body(number)} changes too fast to be followed"
+                f"the force on {self._body(number)} changes too fast to be resolved"
             )
-            self._stop(t, message, "a weaker or smoother force")
+            self._stop(t, message, "use a weaker or smoother force")
 
     def parts(self, t: float, dt: float, motion: FloatArray) -> int:
         """Return into how many parts a step is divided: bodies swing little in each.
@@ -163,13 +163,13 @@ class BodyLoads:
         fastest = float(swings.max(initial=0.0)) * dt / ANGLE
         if not fastest <= MAX_PARTS:
             number = int(np.argmax(swings))
-            message = f"the forces on {self._body(number)} swing it at "
-            message += f"{swings[number]:.3g} rad/s, which takes more than "
-            message += f"{MAX_PARTS} parts of a step of {plain(dt)} s"
-            hint = "weaker forces, or more mass"
+            message = f"the forces on {self._body(number)} make it oscillate at "
+            message += f"{swings[number]:.3g} rad/s, which needs more than "
+            message += f"{MAX_PARTS} substeps in a step of {plain(dt)} s"
+            hint = "use weaker forces, or more mass"
             if math.isfinite(fastest):
                 step = floored(dt * MAX_PARTS / fastest)
-                hint = f"step: {plain(step)}, or {hint}"
+                hint = f"use step: {plain(step)}, or {hint}"
             self._stop(t, message, hint)
         turned = float(spins.max(initial=0.0)) * dt / ANGLE
         return max(1, math.ceil(fastest), min(math.ceil(turned), MAX_PARTS))
@@ -190,10 +190,12 @@ class BodyLoads:
         inertias = np.where(held, flight.inertias, 1.0)
         heaviest = float(inertias.max()) * parts
         if heaviest > HEAVIEST * MAX_HELD:
-            message = f"drag on {self._body(int(np.argmax(inertias)))}, which touches "
-            message += f"something, is too strong for a step of {plain(dt)} s"
+            message = f"drag on {self._body(int(np.argmax(inertias)))}, which is in "
+            message += f"contact, is too strong for a step of {plain(dt)} s"
             step = floored(dt * HEAVIEST * MAX_HELD / heaviest)
-            self._stop(t, message, f"step: {plain(step)}, or less drag, or more mass")
+            self._stop(
+                t, message, f"use step: {plain(step)}, or less drag, or more mass"
+            )
         return divided(parts, inertias)
 
     def _rates(self, t: float, dt: float, motion: FloatArray) -> FloatArray:

@@ -103,7 +103,7 @@ def locked_notices(
                 message += f" and {counted(len(one.by) - 3, 'more', 'more')}"
         else:
             message += "several other joints"
-        hint = "let their axes agree, or take one of them away"
+        hint = "align their axes, or remove one of them"
         notices.append(warning("SIM172", message, hint))
     return notices
 

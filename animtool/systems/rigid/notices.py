@@ -22,10 +22,10 @@ def swing_notices(state: RigidState, joints: Joints, step: float) -> Iterator[Fa
     if state.swinging < 0:
         return
     name = excerpt(joints.names[state.swinging])
-    message = f"the drive of joint {name} swings too fast for a step of "
-    message += f"{plain(step)} s: it may lose energy or be out of time"
+    message = f"the drive of joint {name} oscillates too fast for a step of "
+    message += f"{plain(step)} s: it may lose energy or get out of phase"
     shorter = plain(floored(state.follows))
-    hint = f"step: {shorter}, or more damping, or less stiffness"
+    hint = f"use step: {shorter}, or more damping, or less stiffness"
     yield warning("SIM171", message, hint)
 
 
@@ -34,7 +34,7 @@ def break_notices(state: RigidState, joints: Joints) -> Iterator[Fault]:
     order = np.argsort(state.broken[:, 0], kind="stable")
     for k in order[np.isfinite(state.broken[order, 0])].tolist():
         t, force, torque = state.broken[k].tolist()
-        message = f"joint {joints.names[k]!r} broke at {t:.4g} s, with "
+        message = f"joint {joints.names[k]!r} broke at {t:.4g} s, under "
         message += f"{force:.4g} N and {torque:.4g} N m"
         yield Fault("SIM197", message, severity=Severity.NOTE)
 
@@ -52,11 +52,11 @@ def depth_notices(
 
     ever, begin = state.deepest.tolist()
     if begin > DEEP * size:
-        message = f"{pair(1)} begin {begin:g} m inside each other: "
-        message += "they are moved apart no faster than 2 m/s"
-        yield warning("SIM126", message, "begin with a little room between them")
+        message = f"{pair(1)} start {begin:g} m inside each other: "
+        message += "they are separated at up to 2 m/s"
+        yield warning("SIM126", message, "leave a small gap between them at the start")
     elif ever > HELD * size:
-        message = f"{pair(0)} came {ever:g} m into each other: from "
-        message += "several sides, or faster than they get out"
-        hint = "leave room between what closes in; take shorter steps"
+        message = f"{pair(0)} penetrated each other by up to {ever:g} m: from "
+        message += "several sides, or faster than they separate"
+        hint = "leave room between closing bodies, or use shorter steps"
         yield warning("SIM123", message, hint)

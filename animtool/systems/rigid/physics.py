@@ -221,7 +221,7 @@ def _model(keys: dict[str, Any], origin: str, entry: str) -> BodyModel:
         value, key = first["input"], ".".join(map(str, first["loc"]))
         said = f"{value:g}" if isinstance(value, float) else excerpt(str(value))
         message = f"{origin}: {key} is {said} in metres, kilograms and seconds"
-        hint = f"{first['msg']}: look at the units of the stage"
+        hint = f"{first['msg']}: check the units of the stage"
         refuse("SIM051", message, entry, hint)
 
 

@@ -92,7 +92,7 @@ def bodies_of_rig(rig: Rig, world: WorldTransforms, options: RagdollOptions) -> 
     """Return the bodies of a rig in the pose of one frame (SIM062)."""
     capsules = Capsules.of(rig)
     if not len(capsules):
-        message = f"none of the joints of {rig.name!r} has colliders: nothing can fall"
+        message = f"no joint of {rig.name!r} has colliders: nothing can fall"
         hint = "give its rig file `colliders`: capsules on joints"
         raise OptionError(Fault("SIM062", message, hint=hint))
     if options.fingers:

@@ -142,12 +142,12 @@ class RigidSimulation(SharedBodies):
         del t
         sizes = np.linalg.norm(np.clip(state.motion[:, 3:7], -2, 2), axis=1)
         if not (sizes > 0.5).all():
-            return "the attitude of a body is no rotation"
+            return "the orientation of a body is not a rotation"
         if state.swinging >= len(self.joints.names):
-            return f"there is no joint {state.swinging} that swings"
+            return f"there is no joint {state.swinging} with an oscillating drive"
         pairs, count = state.deepest_pairs, len(self._shape_names())
         if pairs.size and not -1 <= pairs.min() <= pairs.max() < count:
-            return f"a shape that was in another is none of {count}"
+            return f"a shape that penetrates another is outside the {count}"
         return ""
 
     def step(self, state: RigidState, t: float, dt: float) -> RigidState:
@@ -276,7 +276,7 @@ class RigidSimulation(SharedBodies):
         speed = float(np.linalg.norm(motion[bad, 7:10] / FARTHEST)) * FARTHEST
         message = f"{self._spec.name} blew up at {t:g} s: {name!r} is at {speed:g} m/s"
         step = plain(floored(self._spec.step / 2))
-        hint = f"do joints begin where their limits allow? else step: {step}"
+        hint = f"do joints start within their limits? if so, use step: {step}"
         raise ToleranceError(Fault("SIM102", message, hint=hint))
 
     def _weighed(self, phase: Phase, loads: Loads, t: float) -> Any:

@@ -68,7 +68,9 @@ def ragdoll(take: Take, options: RagdollOptions, context: PassContext) -> Take:
     if first == clock.count - 1 and options.end is None:
         return take
     if last <= first:
-        message = f"end is frame {codes[last]:g}, not behind start, {codes[first]:g}"
+        message = (
+            f"end is frame {codes[last]:g}, which is not after start, {codes[first]:g}"
+        )
         raise OptionError(Fault("SIM062", message, where="end"))
     translations, rotations, scales = take.motion.dense()
     world = forward(rig, translations, rotations, scales)
@@ -169,7 +171,7 @@ def _index(frame: float | None, codes: FloatArray, option: str, usual: int) -> i
         return usual
     found = np.flatnonzero(np.abs(codes - frame) < 1e-6)
     if not len(found):
-        message = f"{option} is frame {frame:g}, and the take has {codes[0]:g} to "
+        message = f"{option} is frame {frame:g}, but the take has {codes[0]:g} to "
         raise OptionError(Fault("SIM062", f"{message}{codes[-1]:g}", where=option))
     return int(found[0])
 
@@ -205,12 +207,12 @@ def _notices(
             size = (
                 f"{1000 * beyond:.2g} mm" if slides else f"{math.degrees(beyond):.2g}°"
             )
-            text = f"joint {name!r} goes {size} beyond its limits"
+            text = f"joint {name!r} exceeds its limits by {size}"
     if text:
         message += f"; {text}, the most of all"
     said = [Fault("SIM128", message, severity=Severity.NOTE)]
     if worst > 1:
-        hint = "give shorter steps, or a pose within the limits at `start`"
+        hint = "use shorter steps, or a pose within the limits at `start`"
         said.append(warning("SIM129", text, hint))
     return said + [one for one in run.notices if one.code != "SIM126"]
 
@@ -227,7 +229,7 @@ def _checks(options: RagdollOptions) -> OptionChecks:
 
 PASS = Pass(
     "ragdoll",
-    "Let the rig fall from a frame on, as bodies of its colliders",
+    "Let the rig fall from a frame on, as rigid bodies of its colliders",
     RagdollOptions,
     Scope.CLIP,
     ragdoll,

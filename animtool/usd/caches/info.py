@@ -214,9 +214,9 @@ def _gone(chunks: Sequence[ChunkSet], where: str) -> list[Fault]:
     return [
         Fault(
             "USD276",
-            f"chunks of {chunk.path} are not there: {listed(chunk.missing)}",
+            f"chunks of {chunk.path} are missing: {listed(chunk.missing)}",
             where,
-            hint="points between them hold still",
+            hint="points are static between them",
             severity=Severity.WARNING,
         )
         for chunk in chunks

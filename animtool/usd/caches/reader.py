@@ -286,9 +286,9 @@ class MeshSource:
         world = self._reader.world_from_prim(time)
         placed = transformed(points, world) * self._unit
         if not np.isfinite(placed).all():
-            message = f"{self._reader.prim.GetPath()} is placed at no finite place"
+            message = f"the transform of {self._reader.prim.GetPath()} is not finite"
             raise OptionError(
-                Fault("SIM051", message, hint="look at the transforms above it")
+                Fault("SIM051", message, hint="check the transforms above it")
             )
         if self._turn is not None:
             placed = so3.rotate(np.array(self._turn), placed)
@@ -320,7 +320,7 @@ def mesh_fault(points: FloatArray, counts: IntArray, indices: IntArray) -> str:
         return f"has {len(indices)} corners, and its faces {counts.sum()}"
     outside = indices[(indices < 0) | (indices >= len(points))]
     if len(outside):
-        return f"has a corner {outside[0]} that is none of its {len(points)} points"
+        return f"has a corner {outside[0]} outside its {len(points)} points"
     return ""
 
 

@@ -97,7 +97,9 @@ class CacheTarget:
             if mesh.path not in wrong and (not stack or stack[0].layer != layer):
                 wrong.append(mesh.path)
         if wrong:
-            message = f"the rig's own opinions win over the cache at {listed(wrong)}"
+            message = (
+                f"the rig's own opinions are stronger than the cache at {listed(wrong)}"
+            )
             hint = "a layer cannot reach into instances"
             where = str(self.rig.path)
             raise OutputError(Fault("USD042", message, where, (), hint))
@@ -136,7 +138,7 @@ def open_cache_target(
     missing = [name for name in counts if name not in skinned]
     missing += [name for name in curves if name not in matched]
     what = "meshes or strands of the take are not in the rig layer"
-    notices = _notice("USD141", missing, what, "they are left out", rig.path)
+    notices = _notice("USD141", missing, what, "they are skipped", rig.path)
     deformed = {skinned[mesh.name].GetPath() for mesh in meshes}
     deformed |= {matched[entry.name][1].GetPath() for entry in strands}
     notices += _left_notice(root, deformed, rig.path)
@@ -148,8 +150,8 @@ def _misfits(mesh: Any, name: str, count: int, rig: RigTarget) -> list[Fault]:
     points = PointReader(mesh.GetPrim()).count()
     if points == count:
         return []
-    message = f"mesh {name!r} has {points} points here, and {count} in the take's rig"
-    hint = "the cache would not fit its faces"
+    message = f"mesh {name!r} has {points} points here, but {count} in the take's rig"
+    hint = "the cache would not match its faces"
     return [Spot.of(rig.path, mesh).fault("USD041", message, hint)]
 
 
@@ -160,9 +162,9 @@ def _uneven(
     here = entry.points.load().shape[:2]
     if here == shape:
         return []
-    message = f"{entry.name!r} has {here[0]} strands of {here[1]} points here, and "
+    message = f"{entry.name!r} has {here[0]} strands of {here[1]} points here, but "
     message += f"{shape[0]} of {shape[1]} in the take's rig"
-    hint = "the cache would not fit its curves"
+    hint = "the cache would not match its curves"
     return [Spot.of(rig.path, curves).fault("USD041", message, hint)]
 
 
@@ -174,7 +176,7 @@ def _moving(mesh: Any, skeleton: Any, rig: RigTarget) -> list[Fault]:
             break
         xform = UsdGeom.Xformable(between)
         if xform and xform.TransformMightBeTimeVarying():
-            message = f"{between.GetPath()} moves below the skeleton by itself"
+            message = f"{between.GetPath()} is animated below the skeleton"
             faults.append(at.fault("USD043", message))
         between = between.GetParent()
     return faults
@@ -247,7 +249,7 @@ def _left_notice(root: Any, deformed: set[Any], path: Path) -> list[Fault]:
         for query in binding.GetSkinningTargets()
         if query.GetPrim().GetPath() not in deformed
     ]
-    hint = "the SkelRoot becomes an Xform, and the cache has no points of them"
+    hint = "the SkelRoot becomes an Xform, but the cache does not cover their points"
     return _notice("USD142", left, "prims stop following their skeleton", hint, path)
 
 
@@ -255,6 +257,6 @@ def _normals_notice(meshes: Sequence[TargetMesh], path: Path) -> list[Fault]:
     blocked = [mesh.name for mesh in meshes if mesh.blocked]
     if not blocked:
         return []
-    message = f"normals of {listed(blocked, MAX_NAMED)} are not one a vertex"
-    hint = "they are blocked, as they would not fit deformed points"
+    message = f"normals of {listed(blocked, MAX_NAMED)} are not one per vertex"
+    hint = "they are blocked, as they would not match deformed points"
     return [Fault("USD143", message, str(path), (), hint, Severity.NOTE)]

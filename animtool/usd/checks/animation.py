@@ -57,7 +57,7 @@ def _target(
     relationship: Any, target: Any, prim: Any, schema: Any, type_name: str
 ) -> Iterator[Fault]:
     if not prim:
-        message = f"{target} is not there"
+        message = f"{target} does not exist"
         yield finding("USD208", relationship.GetPath(), message)
     elif not prim.IsA(schema):
         kind = prim.GetTypeName() or "prim without a type"

@@ -132,7 +132,7 @@ def _compare(
     wrong = sampled.counts != 2
     if wrong.any():
         count = sampled.counts[np.flatnonzero(wrong)[0]]
-        message = f"{count} corners, not 2, {at_samples(sampled, wrong)}"
+        message = f"{count} corners instead of 2, {at_samples(sampled, wrong)}"
         yield finding("USD251", attr.GetPath(), message)
         return
     extents = sampled.rows(2, 3)[1].astype(np.float64)
@@ -172,7 +172,7 @@ def _compare(
     worst, when = max((gap, -i) for i, gap in bad)
     places = Sampled(times, [], np.zeros(len(times), np.int64))
     more = " or more" if flagged is None and len(suspects) < len(times) else ""
-    lead = "off by" if exact else "what moves leaves it by"
+    lead = "off by" if exact else "what moves exceeds it by"
     message = f"{lead} {worst:.3g}{more} {at_samples(places, frames)}"
     if len(frames) > 1:
         message += f", most at {frame_label(times[-when])}"
@@ -217,11 +217,11 @@ def _overhang_text(root: Any, extents: FloatArray, times: FloatArray) -> str:
     # What rounding moves is no overhang, as of `bounds_apart`.
     reach = float(np.abs(extents).max(initial=0.0))
     if over is None or over[0] <= 1e-6 * (1 + reach):
-        return "; no skinned point leaves it"
+        return "; no skinned point exceeds it"
     most, when, of_all = over
     at = "" if np.isnan(when) else f" at time code {frame_label(when)}"
     more = "" if of_all else " or more"
-    return f"; skinned points leave it by {most:.4g}{more}{at}"
+    return f"; skinned points exceed it by {most:.4g}{more}{at}"
 
 
 def bounds_apart(

@@ -32,7 +32,8 @@ def check_types(subject: Subject) -> Iterator[Fault]:
         type_name, expected = attr.GetPropertyStack()[0].typeName, _expected_type(attr)
         if expected is not None and type_name.type != expected.type:
             message = (
-                f"it is {type_name}, its schema has {expected}; more may be wrong there"
+                f"it is {type_name}, but its schema has {expected}; there may be "
+                "more errors"
             )
             yield finding("USD280", attr.GetPath(), message)
 

@@ -32,7 +32,7 @@ def register() -> Any:
         if registry.HasValidator(name):
             return registry.GetOrLoadValidatorByName(name)
     metadata = UsdValidation.ValidatorMetadata(
-        name=NAME, keywords=[OWN_KEYWORD], doc="What animtool checks of a stage."
+        name=NAME, keywords=[OWN_KEYWORD], doc="Checks of animtool for USD stages."
     )
     registry.RegisterStageValidator(metadata, validate)
     return registry.GetOrLoadValidatorByName(NAME)

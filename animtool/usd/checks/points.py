@@ -77,7 +77,7 @@ def _topology(
         if short.any():
             count = points.counts[np.flatnonzero(short)[0]]
             message = (
-                f"{count} points for faces that name {needed} "
+                f"{count} points for faces that refer to {needed} "
                 f"{at_samples(points, short)}"
             )
             yield finding("USD264", attr.GetPath(), message)
@@ -90,7 +90,7 @@ def _topology(
     if changed.any():
         count = points.counts[np.flatnonzero(changed)[0]]
         message = (
-            f"{count} points where the first sample has {points.counts[0]} "
+            f"{count} points, but the first sample has {points.counts[0]} "
             f"{at_samples(points, changed)}"
         )
         yield finding("USD264", attr.GetPath(), message)
@@ -122,7 +122,7 @@ def _extent(
     if not points.animated or not prim.IsA(UsdGeom.Mesh) or subject.alone:
         return
     if not attr.HasAuthoredValue():
-        message = f"this {prim.GetTypeName()} has none, and its points move"
+        message = f"this {prim.GetTypeName()} has none, but its points move"
         yield finding("USD250", prim.GetPath(), message)
         return
     sampled = subject.sampled(attr)
@@ -172,11 +172,13 @@ def _prototypes(subject: Subject, instancer: Any, indices: Sampled) -> Iterator[
     targets = relationship.GetForwardedTargets()
     gone = [t for t in targets if not subject.stage.GetPrimAtPath(t)]
     if gone and not subject.alone:
-        yield finding("USD287", relationship.GetPath(), f"there is no prim {gone[0]}")
+        yield finding(
+            "USD287", relationship.GetPath(), f"prim {gone[0]} does not exist"
+        )
     own = instancer.GetPath()
     around = [target for target in targets if own.HasPrefix(target)]
     if around:
-        message = f"{around[0]} holds the copies of itself"
+        message = f"{around[0]} contains the instances themselves"
         yield finding("USD287", relationship.GetPath(), message)
     ends = [
         (int(np.min(array)), int(np.max(array))) if count > 0 else (0, -1)
@@ -187,7 +189,10 @@ def _prototypes(subject: Subject, instancer: Any, indices: Sampled) -> Iterator[
     if bad.any() and not (subject.alone and not targets):
         worst = ends[int(np.argmax(bad))]
         index = worst[0] if worst[0] < 0 else worst[1]
-        message = f"{index} names none of {len(targets)} {at_samples(indices, bad)}"
+        message = (
+            f"{index} is outside the {len(targets)} prototypes "
+            f"{at_samples(indices, bad)}"
+        )
         yield finding("USD287", instancer.GetProtoIndicesAttr().GetPath(), message)
 
 
@@ -204,7 +209,8 @@ def _lengths(attr: Any, sampled: Sampled, indices: Sampled) -> Iterator[Fault]:
     if bad.any():
         i = int(np.argmax(bad))
         message = (
-            f"{sampled.counts[i]} for {expected[i]} copies {at_samples(sampled, bad)}"
+            f"{sampled.counts[i]} for {expected[i]} instances "
+            f"{at_samples(sampled, bad)}"
         )
         yield finding("USD269", attr.GetPath(), message)
 

@@ -39,11 +39,11 @@ def _bodies(subject: Subject, joint: Any) -> Iterator[Fault]:
         bodies = relationship.GetTargets()
         targets += bodies
         if len(bodies) > 1:
-            message = f"{counted(len(bodies), 'target')}, not one"
+            message = f"{counted(len(bodies), 'target')} instead of one"
             yield finding("USD270", relationship.GetPath(), message)
         for target in bodies:
             if not subject.stage.GetPrimAtPath(target) and not subject.alone:
-                message = f"{target} is not there"
+                message = f"{target} does not exist"
                 yield finding("USD270", relationship.GetPath(), message)
     if not targets and not subject.alone and joint.GetPrim().IsDefined():
         yield finding("USD270", joint.GetPath(), "neither body0 nor body1 is named")
@@ -87,7 +87,7 @@ def _numbers(prim: Any, name: str) -> Iterator[Fault]:
     attr = prim.GetAttribute(name)
     value = attr.Get() if attr else None
     if value is not None and math.isnan(value):
-        yield finding("USD271", attr.GetPath(), "it is no number")
+        yield finding("USD271", attr.GetPath(), "it is not a number")
 
 
 def _pair(
@@ -141,7 +141,9 @@ def _order(skeleton: Any, joints: list[str]) -> Iterator[Fault]:
     parted = ((name, name.rpartition("/")[0]) for name in joints)
     lost = [name for name, parent in parted if parent and parent not in known]
     if lost:
-        message = f"{len(lost)} joints have a parent that is none: {listed(lost)}"
+        message = (
+            f"{len(lost)} joints have a parent that does not exist: {listed(lost)}"
+        )
         yield finding("USD222", path, message)
 
 
@@ -171,12 +173,14 @@ def _swapped(
         return
     path = skeleton.GetBindTransformsAttr().GetPath()
     if skins and _same(bind, eye):
-        message = f"all {len(bind)} are identity, and the joints at rest are elsewhere"
+        message = (
+            f"all {len(bind)} are identity, but the joints have other rest positions"
+        )
         yield finding("USD227", path, message)
         return
     inverse = np.asarray(np.linalg.inv(bind), np.float64)
     if _same(world, inverse):
-        message = f"all {len(bind)} are the inverse of the joints' places at rest"
+        message = f"all {len(bind)} are the inverse of the joints' rest transforms"
         yield finding("USD228", path, message)
     elif _same(rest, inverse):
         message = f"all {len(bind)} are the inverse of the bindTransforms"
@@ -190,4 +194,6 @@ def _same(a: FloatArray, b: FloatArray) -> bool:
 def _root(skeleton: Any) -> Iterator[Fault]:
     prim = skeleton.GetPrim()
     if prim.IsDefined() and not UsdSkel.Root.Find(prim):
-        yield finding("USD237", prim.GetPath(), "no SkelRoot stands above the Skeleton")
+        yield finding(
+            "USD237", prim.GetPath(), "there is no SkelRoot above the Skeleton"
+        )

@@ -61,7 +61,7 @@ def _joints(prim: Any, binding: Any, indices: FloatArray) -> Iterator[Fault]:
     own = _own_joints(prim)
     unknown = [name for name in own if name not in set(skeleton)]
     if skeleton and unknown:
-        message = f"{len(unknown)} joints that {held.GetPath()} lacks: "
+        message = f"{len(unknown)} joints that {held.GetPath()} does not have: "
         message += listed(unknown)
         yield finding("USD238", f"{prim.GetPath()}.skel:joints", message)
     count = len(own or skeleton)
@@ -128,8 +128,8 @@ def _values(prim: Any, weights: FloatArray, size: int) -> Iterator[Fault]:
         if off.any():
             worst = int(np.abs(sums - 1.0).argmax())
             message = (
-                f"{off.sum()} of {len(sums)} points have another sum, point {worst} "
-                f"{sums[worst]:.6g}"
+                f"the weights of {off.sum()} of {len(sums)} points have another sum, "
+                f"of point {worst} {sums[worst]:.6g}"
             )
             yield finding("USD232", path, message)
 
@@ -161,7 +161,7 @@ def check_targets(subject: Subject) -> Iterator[Fault]:
             message = f"{len(names)} blendShapes for {len(paths)} targets"
             yield finding("USD245", f"{prim.GetPath()}.skel:blendShapes", message)
         elif twice:
-            message = f"{len(twice)} shapes stand twice: {listed(twice)}"
+            message = f"{len(twice)} duplicate shapes: {listed(twice)}"
             yield finding("USD245", attr.GetPath(), message)
 
 
@@ -228,7 +228,9 @@ def _indices(shape: Any, indices: IntArray, points: int | None) -> Iterator[Faul
     elif len(np.unique(indices)) != len(indices):
         held, counts = np.unique(indices, return_counts=True)
         twice = held[counts > 1]
-        message = f"{len(twice)} of {len(indices)} stand twice, the first is {twice[0]}"
+        message = (
+            f"{len(twice)} of {len(indices)} are duplicates, the first is {twice[0]}"
+        )
         yield finding("USD241", path, message)
 
 

@@ -37,7 +37,7 @@ def check_assets(subject: Subject) -> Iterator[Fault]:
         wrong = [p for p in layer.GetCompositionAssetDependencies() if _absolute(p)]
         for path in wrong:
             owner = _owner(layer, path)
-            message = f"{layer.GetDisplayName()} names {excerpt(path, 80)}"
+            message = f"{layer.GetDisplayName()} refers to {excerpt(path, 80)}"
             yield finding("USD262", owner, message)
     for attr in subject.attributes:
         kind = attr.GetTypeName()
@@ -48,11 +48,11 @@ def check_assets(subject: Subject) -> Iterator[Fault]:
 def _values(attr: Any, value: Any) -> Iterator[Fault]:
     for asset in [value] if isinstance(value, Sdf.AssetPath) else value or ():
         if _absolute(asset.path):
-            message = f"it names {excerpt(asset.path, 80)}"
+            message = f"it refers to {excerpt(asset.path, 80)}"
             yield finding("USD262", attr.GetPath(), message)
         # Pattern paths such as texture.<UDIM>.png are resolved by who reads them.
         elif asset.path and not asset.resolvedPath and "<" not in asset.path:
-            message = f"{excerpt(asset.path, 80)} is not there"
+            message = f"{excerpt(asset.path, 80)} does not exist"
             yield finding("USD263", attr.GetPath(), message)
 
 
@@ -124,7 +124,7 @@ def check_rates(subject: Subject) -> Iterator[Fault]:
         subject.times(attr) or attr.ValueMightBeTimeVarying()
         for attr in subject.attributes
     ):
-        message = f"no {' and no '.join(missing)}, and there is motion"
+        message = f"no {' and no '.join(missing)}, but there is motion"
         yield finding("USD252", ROOT, message)
     yield from _retimed(subject)
 
@@ -139,11 +139,11 @@ def _retimed(subject: Subject) -> Iterator[Fault]:
         times = layer.ListAllTimeSamples()
         if times:
             stated = layer.HasTimeCodesPerSecond() or layer.HasFramesPerSecond()
-            says = f"has {own:g}" if stated else f"states none, so {own:g}"
+            says = f"has {own:g}" if stated else f"states none, so {own:g} is assumed"
             message = (
-                f"the stage has {rate:g} time codes a second, "
-                f"{layer.GetDisplayName()} {says}: its {len(times)} sample times "
-                f"are scaled by {rate / own:.6g}"
+                f"the stage has {rate:g} time codes per second, "
+                f"{layer.GetDisplayName()} {says}: its {len(times)} sample times are "
+                f"scaled by {rate / own:.6g}"
             )
             yield finding("USD257", ROOT, message)
 
@@ -188,7 +188,9 @@ def check_range(subject: Subject) -> Iterator[Fault]:
     else:
         begin, finish = spans[out[0]]
         more = "" if len(out) == 1 else f", as are those of {len(out) - 1} more"
-        message = f"samples are at {span_label(begin, finish)}, the stage's range is "
+        message = (
+            f"samples are at {span_label(begin, finish)}, but the stage's range is "
+        )
         message += f"{span_label(start, end)}{more}"
         yield finding("USD256", out[0], message)
 
@@ -210,7 +212,7 @@ def _between_frames(
         if round(code, 6) not in held
     ]
     if told:
-        message = f"the range {' and '.join(told)}, and samples are at "
+        message = f"the range {' and '.join(told)}, but samples are at "
         yield finding("USD289", ROOT, message + span_label(*samples))
 
 
@@ -243,7 +245,7 @@ def _other_units(stage: Any) -> Iterator[Fault]:
             mine, theirs = (x.pseudoRoot.GetInfo(name) for x in (root, layer))
             if mine != theirs:
                 message = (
-                    f"{name} of the stage is {mine}, that of the sublayer "
-                    f"{layer.GetDisplayName()} {theirs}"
+                    f"{name} of the stage is {mine}, but that of the sublayer "
+                    f"{layer.GetDisplayName()} is {theirs}"
                 )
                 yield finding("USD268", ROOT, message)

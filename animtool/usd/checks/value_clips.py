@@ -37,7 +37,7 @@ def _clip_set(
     for asset in held.get("assetPaths", ()):
         layer = _open(prim, asset)
         if layer is None:
-            message = f"clip {excerpt(asset.path, 80)} is not there"
+            message = f"clip {excerpt(asset.path, 80)} does not exist"
             yield finding("USD276", where, message)
         layers.append(layer)
     if not template:
@@ -80,7 +80,7 @@ def _active(held: dict[str, Any], count: int, where: str) -> Iterator[Fault]:
         return
     unknown = [n for n in active[:, 1] if not (0 <= n < count and n == math.floor(n))]
     if unknown:
-        message = f"active names clip {unknown[0]:g} of {count}"
+        message = f"active refers to clip {unknown[0]:g} of {count}"
         yield finding("USD277", where, message)
     if (np.diff(active[:, 0]) <= 0).any():
         yield finding("USD277", where, "the times of active do not ascend")
@@ -108,13 +108,13 @@ def _template(
     )
     template = str(held["templateAssetPath"])
     if not (math.isfinite(start + end + stride) and stride > 0):
-        message = "templateStartTime, templateEndTime or templateStride is no number"
+        message = "templateStartTime, templateEndTime or templateStride is not a number"
         yield finding("USD277", where, message)
         return
     expected = math.floor((end - start) / stride + 1e-9) + 1
     have = len(Usd.ClipsAPI(prim).ComputeClipAssetPaths(name))
     if have == 0:
-        message = f"none of the {expected} clips of {excerpt(template, 80)} is there"
+        message = f"none of the {expected} clips of {excerpt(template, 80)} exists"
         yield finding("USD276", where, message)
     elif have < expected:
         message = (
@@ -146,13 +146,15 @@ def _manifest(
         return
     manifest = _open(prim, asset)
     if manifest is None:
-        message = f"the manifest {excerpt(asset.path, 80)} is not there"
+        message = f"the manifest {excerpt(asset.path, 80)} does not exist"
         yield finding("USD276", where, message)
         return
     used = set().union(*(_sampled(layer, target) for layer in layers))
     lost = sorted(p for p in used if not manifest.GetPropertyAtPath(target + p))
     if lost:
-        message = f"the manifest lacks {len(lost)} that clips have: {listed(lost)}"
+        message = (
+            f"the manifest does not list {len(lost)} that clips have: {listed(lost)}"
+        )
         yield finding("USD279", where, message)
 
 

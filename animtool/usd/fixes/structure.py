@@ -46,7 +46,7 @@ def normalised(target: Target, fault: Fault) -> Edit:
                 rows = array.astype(np.float64).reshape(-1, size)
                 sums = rows.sum(axis=1, keepdims=True)
                 if not (sums > 0).all() or not np.isfinite(sums).all():
-                    raise NotFixableError("a point has no weight at all")
+                    raise NotFixableError("a point has no weights")
                 wrong = np.abs(sums - 1) > ROUNDING
                 points, total = points + int(wrong.sum()), total + len(rows)
                 rows = rows / np.where(wrong, sums, 1.0)
@@ -114,10 +114,12 @@ def rest_from_bind(target: Target, fault: Fault) -> Edit:
     skeleton = UsdSkel.Skeleton(prim)
     joints = tokens(skeleton.GetJointsAttr())
     if skeleton.GetRestTransformsAttr().HasAuthoredValue():
-        raise NotFixableError("there are rest transforms of another number")
+        raise NotFixableError(
+            "the number of rest transforms differs from the number of joints"
+        )
     rest = relative_bind(skeleton, joints)
     if rest is None:
-        raise NotFixableError("there are no bind transforms to take them from")
+        raise NotFixableError("there are no bind transforms to compute them from")
     spec = target.prim_spec(prim)
 
     def edit() -> Change:
@@ -140,7 +142,7 @@ def default_value(target: Target, fault: Fault) -> Edit:
     times = layer.ListTimeSamplesForPath(path)
     values = [layer.QueryTimeSample(path, time) for time in times]
     if not values or spec.HasDefaultValue():
-        raise NotFixableError("it has a default beside its samples")
+        raise NotFixableError("it has a default and samples")
     if any(value != values[0] for value in values):
         raise NotFixableError("its samples differ")
 
@@ -168,7 +170,7 @@ def computed(target: Target, fault: Fault) -> Edit:
         raise NotFixableError("the prim has no extent")
     varies = any(above.HasVariantSets() for above in upwards(prim))
     if varies and _own_spec(target, prim) is None:
-        raise NotFixableError("a variant decides what moves; author it in each variant")
+        raise NotFixableError("a variant sets the motion; author it in each variant")
 
     def edit() -> Change:
         change = _author(target, prim)

@@ -149,7 +149,7 @@ class EditedLayer:
     def edit_of(self, fault: Fault) -> Edit:
         """Return the edit that fixes a finding; else `NotFixableError`."""
         if fault.code not in EDITS:
-            raise NotFixableError("it has no fix")
+            raise NotFixableError("there is no automatic fix")
         fix = cast(Fix, load_object(EDITS[fault.code]))
         return fix(self.target, fault)
 
@@ -191,7 +191,7 @@ def spare_composed_layers(source: Path, output: Path) -> None:
         used = [Path(layer.realPath) for layer in edited.target.stage.GetUsedLayers()]
     if output.resolve() in {path.resolve() for path in used}:
         message = f"is a layer of {source}"
-        hint = f"name another {argument('output')}, or fix that layer by itself"
+        hint = f"choose another {argument('output')}, or fix that layer separately"
         raise OptionError(Fault("OUT003", message, str(output), (), hint))
 
 

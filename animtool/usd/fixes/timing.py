@@ -159,7 +159,7 @@ def _span(stage: Any) -> tuple[float, float]:
     subject = Subject(stage)
     times = sorted({t for attr in subject.attributes for t in subject.times(attr)})
     if not times or not (math.isfinite(times[0]) and math.isfinite(times[-1])):
-        raise NotFixableError("there are no samples to take the range from")
+        raise NotFixableError("there are no samples to compute the range from")
     held = set(times)
     first, last = float(math.ceil(times[0])), float(math.floor(times[-1]))
     return (
@@ -186,7 +186,7 @@ def whole_frames(target: Target, fault: Fault) -> Edit:
                     target.require_own(spec)
         if any(time != round(time) for time in layer.ListAllTimeSamples()):
             off = f"samples more than {OFF_FRAME} off a whole frame"
-            raise NotFixableError(f"{off} may be intended")
+            raise NotFixableError(f"{off} may be intentional")
         raise NotFixableError("the samples of this layer are on whole frames")
     paths = _moving(layer)
     for path in paths:

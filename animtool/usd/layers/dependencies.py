@@ -79,8 +79,8 @@ class _Walk:
                 return None
             reason = error.faults[0].message.removeprefix("cannot be read: ")
             owner = excerpt(layer.GetDisplayName(), 80)
-            message = f"{owner} brings in {excerpt(name, 80)}, which {reason}"
-            hint = "name a USD file there, or remove what names it"
+            message = f"{owner} refers to {excerpt(name, 80)}, which {reason}"
+            hint = "put a USD file there, or remove the reference"
             fault = Fault("USD155", message, str(self.path), (), hint)
             raise FormatError(fault) from error
 

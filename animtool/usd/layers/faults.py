@@ -116,7 +116,9 @@ def joint_order(where: object, joints: Sequence[str]) -> Iterator[Fault]:
     """Yield what is wrong with joint paths: one twice, or before its parent."""
     twice = duplicates(joints)
     if twice:
-        message = f"{len(twice)} of {len(joints)} joints stand twice: {listed(twice)}"
+        message = (
+            f"{len(twice)} of {len(joints)} joints are duplicates: {listed(twice)}"
+        )
         yield finding("USD220", where, message)
         return
     parents = joint_parents(joints)
@@ -124,7 +126,7 @@ def joint_order(where: object, joints: Sequence[str]) -> Iterator[Fault]:
     if len(early):
         child = int(early[0])
         message = (
-            f"joint {child}, {excerpt(joints[child])}, stands before its parent, "
+            f"joint {child}, {excerpt(joints[child])}, comes before its parent, "
             f"joint {parents[child]}"
         )
         yield finding("USD221", where, message)
@@ -167,7 +169,9 @@ def unknown_joints(attr: Any, joints: Sequence[str], skeleton: Any) -> Iterator[
     own = set(joints)
     unknown = [name for name in tokens(attr) if name not in own]
     if unknown and own:
-        message = f"{len(unknown)} joints that {skeleton} lacks: {listed(unknown)}"
+        message = (
+            f"{len(unknown)} joints that {skeleton} does not have: {listed(unknown)}"
+        )
         yield finding("USD209", attr.GetPath(), message)
 
 
@@ -176,7 +180,7 @@ def names_twice(attr: Any) -> Iterator[Fault]:
     names = tokens(attr)
     twice = duplicates(names)
     if twice:
-        message = f"{len(twice)} of {len(names)} names stand twice: {listed(twice)}"
+        message = f"{len(twice)} of {len(names)} names are duplicates: {listed(twice)}"
         yield finding("USD207", attr.GetPath(), message)
 
 
@@ -194,12 +198,12 @@ def missing_parts(animation: Any, joints: Sequence[str]) -> Iterator[Fault]:
     attributes = transform_attributes(animation)
     missing = [n for n, attr in attributes.items() if not attr.HasAuthoredValue()]
     if len(missing) == len(attributes):
-        message = f"names {counted(len(joints), 'joint')} and moves none"
-        hint = "author all three, or leave joints out"
+        message = f"lists {counted(len(joints), 'joint')} but has no transforms"
+        hint = "author all three, or remove joints"
         where = str(animation.GetPath())
         yield Fault("USD150", message, None, (), hint, Severity.WARNING, where=where)
     elif missing:
-        message = f"no value of {listed(missing)}, for {counted(len(joints), 'joint')}"
+        message = f"no value for {listed(missing)}, but {counted(len(joints), 'joint')}"
         yield finding("USD201", animation.GetPath(), message)
 
 

@@ -159,7 +159,7 @@ def _refuse(
     value = float(values[place])
     rest = place if codes is None else place[1:]
     when = "" if codes is None else f" at frame {codes[place[0]]:.10g}"
-    allowed = f"{_NAMES[letter]} holds finite numbers up to {limit:.6g}"
+    allowed = f"{_NAMES[letter]} can hold finite numbers up to {limit:.6g}"
     raise _error(labels, f"{labels.at(rest)}{when} is {value:.6g}; {allowed}")
 
 

@@ -61,7 +61,7 @@ def output_paths(output: Path, form: Form) -> list[Path]:
 def check_path(path: Path) -> None:
     """Refuse a path that USD cannot open (OUT006)."""
     if not is_text(str(path.absolute())):
-        message = "has bytes in its path that are no UTF-8, which USD cannot open"
+        message = "its path contains bytes that are not UTF-8, which USD cannot open"
         raise OptionError(Fault("OUT006", message, str(path), (), "rename it"))
 
 

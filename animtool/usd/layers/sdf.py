@@ -67,7 +67,7 @@ class StageMetadata:
 
 
 # Why USD opens no file whose path has other bytes.
-NO_TEXT = "its path has bytes that are no UTF-8"
+NO_TEXT = "its path contains bytes that are not UTF-8"
 
 
 def author_metadata(layer: Any, metadata: StageMetadata) -> None:
@@ -143,7 +143,8 @@ def check_prim_path(text: str) -> None:
     path = Sdf.Path(text) if Sdf.Path.IsValidPathString(text) else Sdf.Path()
     if not (path.IsAbsolutePath() and path.IsPrimPath()):
         message = (
-            f"{argument('prim_path')} {excerpt(text)} is no path such as /World/hero"
+            f"{argument('prim_path')} {excerpt(text)} is not a prim path such as "
+            "/World/hero"
         )
         raise OptionError(Fault("CLI003", message))
 
@@ -172,7 +173,7 @@ def find_layer(path: Path) -> Any:
     if FileState.of(path) != state:
         raise changed_error(path)
     if layer is None:
-        raise FormatError(Fault("USD001", "is no USD layer", str(path)))
+        raise FormatError(Fault("USD001", "is not a USD layer", str(path)))
     return layer
 
 
@@ -214,7 +215,7 @@ def usd_errors(path: Path) -> Iterator[None]:
         except UnicodeEncodeError as error:
             raise unreadable(path, NO_TEXT) from error
         except UnicodeDecodeError as error:
-            message = "holds text that is not UTF-8"
+            message = "contains text that is not UTF-8"
             raise FormatError(Fault("USD001", message, str(path))) from error
 
 
@@ -225,7 +226,7 @@ def usd_reason(error: Tf.ErrorException) -> str:
     for marker in ("Error occurred writing file: ", "Failed writing usdc data: "):
         head, _, tail = text.partition(marker)
         text = head + tail.split(marker)[0]
-    return text.strip()[:300] or "is no USD layer"
+    return text.strip()[:300] or "is not a USD layer"
 
 
 def new_layer(path: Path) -> Any:

@@ -53,7 +53,7 @@ def read_joint(
         return None
     kind = JOINTS.get(str(prim.GetTypeName()))
     if kind is None:
-        source.note(prim, f"is a {prim.GetTypeName()}, which is not read")
+        source.note(prim, f"is a {prim.GetTypeName()}, which is not supported")
         return None
     axis = prim.GetAttribute("physics:axis")
     token = str((axis.Get() if axis else None) or "X")
@@ -70,20 +70,20 @@ def read_joint(
         own[3:] = so3.multiply(so3.normalize(own[3:]), lean)
         targets = prim.GetRelationship(f"physics:body{side}").GetTargets()
         if len(targets) > 1:
-            message = f"names {len(targets)} prims as body{side}: {targets[0]} is taken"
+            message = f"has {len(targets)} targets for body{side}: using {targets[0]}"
             source.note(prim, message)
         target = targets[0] if targets else None
         body, frame = _side(source, prim, side, target, own, places)
         bodies.append(body)
         frames.append(frame)
     if bodies[0] < 0 and bodies[1] < 0:
-        source.note(prim, "joins no body that is read")
+        source.note(prim, "joins no supported body")
         return None
     if bodies[0] == bodies[1]:
-        source.note(prim, "joins a body to itself, and is left out")
+        source.note(prim, "joins a body to itself: skipped")
         return None
     if not any(moved[body] for body in bodies if body >= 0):
-        source.note(prim, "joins no body that is moved, and is left out")
+        source.note(prim, "joins no dynamic body: skipped")
         return None
     limits, swing = _limits(source, prim, kind)
     return PhysicsJoint(
@@ -120,9 +120,7 @@ def _side(
         return -1, source.up(own)
     prim = source.stage.GetPrimAtPath(target) if target.IsPrimPath() else None
     if not prim:
-        message = (
-            f"names {excerpt(str(target))} as body{side}, and there is no such prim"
-        )
+        message = f"body{side} refers to {excerpt(str(target))}, which does not exist"
         hint = nearest_prim(source.stage, str(target))
         Spot.of(source.path, joint).fail("SIM051", message, hint)
     pose, scale = source.pose(source.matrix(prim))
@@ -135,8 +133,10 @@ def _side(
         if body is not None:
             return body, within(source.pose(source.matrix(above))[0], placed)
         if is_body(above):
-            message = f"hangs on {excerpt(str(above.GetPath()))}, a body that is not "
-            source.note(joint, f"{message}read: on the world in its place")
+            message = (
+                f"is attached to {excerpt(str(above.GetPath()))}, a body that is not "
+            )
+            source.note(joint, f"{message}supported: attached to the world instead")
             break
     return -1, source.up(placed)
 
@@ -184,11 +184,15 @@ def _apart(
         return None
     low, high = limits
     if low > high:
-        source.note(prim, "has a lower limit above its upper one: it is not limited")
+        source.note(
+            prim, "has a lower limit above its upper limit: the limit is ignored"
+        )
         return None
     if high - low > most * (1 + 1e-6):
-        message = "has limits more than a turn apart: turns are not counted, and it "
-        source.note(prim, f"{message}is not limited")
+        message = (
+            "has a range of more than 360 degrees, but full rotations are not counted: "
+        )
+        source.note(prim, f"{message}the limit is ignored")
         return None
     return low, high
 
@@ -212,7 +216,7 @@ def _drive(source: PhysicsStage, prim: Any, kind: str) -> JointDrive | None:
     rates = [value(drive, "TargetVelocity") for drive in drives]
     ball = kind == "ball"
     if ball and any(rates):
-        source.note(prim, "has a drive with a velocity to reach, which is not read")
+        source.note(prim, "has a drive with a target velocity, which is not supported")
     return JointDrive(
         value(drives[0], "Stiffness", 0.0) * gain,
         value(drives[0], "Damping", 0.0) * gain,

@@ -57,7 +57,7 @@ def read_shapes(
     even = float(np.abs(scale).max()), float(np.abs(scale).min())
     size, kind = even[0] * source.unit, str(prim.GetTypeName())
     if even[0] - even[1] > ALIKE * even[0] and kind in ROUND:
-        source.note(prim, "is scaled unevenly: it is read as large as it is longest")
+        source.note(prim, "has a non-uniform scale: using the largest")
     read = {name: _value(prim, name) for name in ("radius", "height", "size")}
     points, triangles = np.zeros((0, 3)), np.zeros((0, 3), np.int64)
     sizes: tuple[float, ...] = ()
@@ -78,13 +78,13 @@ def read_shapes(
             hull = str(approximation) == "convexHull"
             points, triangles = _mesh(source, prim, scale)
             if not len(triangles):
-                source.note(prim, "is a mesh without faces, and is left out")
+                source.note(prim, "is a mesh without faces: skipped")
                 return
         case other:
-            source.note(prim, f"is a collider of type {other}, which is not read")
+            source.note(prim, f"is a collider of type {other}, which is not supported")
             return
     if not all(0 < one < LARGEST for one in sizes if own != "capsule" or one):
-        source.note(prim, f"has a size of {list(sizes)} m, and is left out")
+        source.note(prim, f"has a size of {list(sizes)} m: skipped")
         return
     lean = so3.between(AXES["Y"], _axis(source, prim)) if kind in LONG else so3.IDENTITY
     pose = np.concatenate([pose[:3], so3.multiply(pose[3:], lean)])
@@ -117,7 +117,7 @@ def _mesh(
     points = points * scale * source.unit
     far = float(np.abs(points).max())
     if far > LARGEST:
-        spot.fail("SIM051", f"has a point at {far:g} m: {LARGEST:g} is the most")
+        spot.fail("SIM051", f"has a point at {far:g} m; the limit is {LARGEST:g}")
     return points, triangulated(counts, corners).astype(np.int64)
 
 
@@ -137,7 +137,7 @@ def _material(source: PhysicsStage, prim: Any) -> tuple[float, float]:
     taken = max(friction, 0.0), min(max(restitution, 0.0), 1.0)
     if taken != (friction, restitution):
         message = f"has friction {friction:g} and restitution {restitution:g}: "
-        message += f"{taken[0]:g} and {taken[1]:g} are taken"
+        message += f"using {taken[0]:g} and {taken[1]:g}"
         source.note(bound.GetPrim(), message)
     return taken
 
@@ -160,7 +160,7 @@ def read_bodies(path: Path, root: str, frame: float | None) -> Physics:
         stage = open_stage(path)
         top = stage.GetPseudoRoot() if root == "/" else find_prim(stage, root)
         if not top:
-            message = f"holds no prim {excerpt(root)}"
+            message = f"has no prim {excerpt(root)}"
             Spot(str(path)).fail("SIM051", message, nearest_prim(stage, root))
         start = stage.GetStartTimeCode() if frame is None else frame
         return _read(PhysicsStage(path, stage, start), top)
@@ -170,20 +170,20 @@ def _read(source: PhysicsStage, root: Any) -> Physics:
     prims = list(Usd.PrimRange(root, Usd.TraverseInstanceProxies()))
     own = [prim for prim in prims if is_body(prim)]
     if not own:
-        message = f"{excerpt(str(root.GetPath()))} holds no rigid body"
+        message = f"{excerpt(str(root.GetPath()))} contains no rigid body"
         Spot(str(source.path)).fail("SIM051", message, "apply PhysicsRigidBodyAPI")
     if len(prims) > MAX_PRIMS:
-        message = f"there are {len(prims)} prims, and {MAX_PRIMS} are read at most"
+        message = f"there are {len(prims)} prims; the limit is {MAX_PRIMS}"
         Spot(str(source.path)).fail("SIM051", message, "name a prim further down")
     names = distinct([str(prim.GetName()) for prim in own])
     bodies = [_body(source, prim, name) for prim, name in zip(own, names, strict=True)]
     kept = [k for k, body in enumerate(bodies) if body.shapes]
     for k in sorted(set(range(len(own))) - set(kept)):
-        source.note(own[k], "has no shape that is read, and is left out")
+        source.note(own[k], "has no supported shape: skipped")
     if not kept:
-        message = f"{counted(len(own), 'rigid body', 'rigid bodies')}, and no shape is "
+        message = f"{counted(len(own), 'rigid body', 'rigid bodies')}, but no shape is "
         message += f"read: {source.notices[0].message}"
-        hint = "bodies are of spheres, capsules, cubes and meshes"
+        hint = "supported shapes are spheres, capsules, cubes and meshes"
         Spot.of(source.path, root).fail("SIM051", message, hint)
     places = {str(own[k].GetPath()): number for number, k in enumerate(kept)}
     moved = [not bodies[k].kinematic for k in kept]
@@ -195,9 +195,9 @@ def _read(source: PhysicsStage, root: Any) -> Physics:
     ]
     for prim in prims:
         if prim.IsA(UsdPhysics.CollisionGroup):
-            source.note(prim, "is a collision group, which is not read")
+            source.note(prim, "is a collision group, which is not supported")
         if prim.HasAPI(UsdPhysics.FilteredPairsAPI):
-            source.note(prim, "names pairs that do not collide, which is not read")
+            source.note(prim, "filters collision pairs, which is not supported")
     colliders = [
         shape
         for prim in prims
@@ -265,7 +265,7 @@ def _moves(source: PhysicsStage, prim: Any) -> tuple[FloatArray, FloatArray | No
     ordered, rows = sorted(codes), []
     if not max(abs(ordered[0]), abs(ordered[-1])) <= LARGEST:
         message = f"moves from time code {ordered[0]:g} to {ordered[-1]:g}"
-        hint = f"{LARGEST:g} is the most"
+        hint = f"the limit is {LARGEST:g}"
         Spot.of(source.path, prim).fail("SIM051", message, hint)
     for code in ordered:
         source.cache.SetTime(Usd.TimeCode(code))

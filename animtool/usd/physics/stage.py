@@ -81,12 +81,12 @@ class PhysicsStage:
             value = (*value.imaginary, value.real)
         row = np.array(value).reshape(-1)
         if row.shape != (count,) or row.dtype.kind not in "fiu":
-            message = f"holds {excerpt(str(value))}, not {counted(count, 'number')}"
+            message = f"has {excerpt(str(value))} instead of {counted(count, 'number')}"
             Spot.of(self.path, attribute).fail("SIM051", message)
         row = row.astype(np.float64)
         outside = row[~((row >= least) & (row <= LARGEST))]
         if len(outside):
-            message = f"holds {outside[0]:g}: it must be {least:g} to {LARGEST:g}"
+            message = f"has {outside[0]:g}: it must be {least:g} to {LARGEST:g}"
             Spot.of(self.path, attribute).fail("SIM051", message)
         return row
 
@@ -108,7 +108,7 @@ class PhysicsStage:
         most = LARGEST / max(self.unit, 1.0)
         outside = matrix[~(np.abs(matrix) <= most)]
         if len(outside):
-            message = f"has {outside[0]:g} in its transform: {most:g} is the most"
+            message = f"has {outside[0]:g} in its transform; the limit is {most:g}"
             Spot.of(self.path, prim).fail("SIM051", message)
         return matrix
 

@@ -87,7 +87,7 @@ def _prim(stage: Any, path: Path, name: str, where: str | None = None) -> Any:
     raise FormatError(
         Fault(
             "USD034",
-            f"holds no prim {excerpt(name)}",
+            f"has no prim {excerpt(name)}",
             str(path),
             hint=nearest_prim(stage, name),
             where=where,

@@ -104,7 +104,7 @@ def open_prop(request: PropRequest, up: UpAxis) -> PropSource:
         stage = open_stage(request.file)
         prim = find_prim(stage, request.prim)
         if prim is None:
-            message = f"{request.file.name} holds no prim {excerpt(request.prim)}"
+            message = f"{request.file.name} has no prim {excerpt(request.prim)}"
             raise OptionError(
                 Fault("SCN048", message, hint=nearest_prim(stage, request.prim))
             )
@@ -115,8 +115,10 @@ def _opened(request: PropRequest, stage: Any, prim: Any, up: UpAxis) -> PropSour
     placed = bool(UsdGeom.Xformable(prim))
     attributes = _attributes(prim, request)
     if not placed and not attributes:
-        message = f"{request.prim} has no place: it is a {prim.GetTypeName() or 'prim'}"
-        hint = "attributes: names what to read of it"
+        message = (
+            f"{request.prim} has no transform: it is a {prim.GetTypeName() or 'prim'}"
+        )
+        hint = "list the attributes to read under attributes:"
         raise OptionError(Fault("SCN048", message, hint=hint))
     sampler = _Sampler(
         stage,
@@ -168,7 +170,7 @@ def _reference(request: PropRequest, stage: Any) -> Reference | None:
         return Reference(str(request.file.resolve()), request.prim, unit)
     other = open_stage(request.reference)
     if not other.GetDefaultPrim():
-        message = f"{request.reference.name} has no default prim to refer to"
+        message = f"{request.reference.name} has no default prim to reference"
         raise OptionError(Fault("SCN048", message))
     unit = UsdGeom.GetStageMetersPerUnit(other)
     return Reference(str(request.reference.resolve()), "", unit)
@@ -187,8 +189,11 @@ def _attributes(prim: Any, request: PropRequest) -> list[Any]:
         if attribute and attribute.GetName() in {a.GetName() for a in attributes}:
             continue
         if name.startswith("xformOp"):
-            message = f"{name} of {request.prim} is of its place, which is read anyway"
-            faults.append(Fault("SCN049", message, hint="leave it out"))
+            message = (
+                f"{name} of {request.prim} is part of its transform, which is always "
+                "read"
+            )
+            faults.append(Fault("SCN049", message, hint="remove it"))
         elif not attribute or not attribute.HasValue():
             names = [a.GetName() for a in prim.GetAttributes() if a.HasValue()]
             near = similar(name, names)
@@ -197,7 +202,7 @@ def _attributes(prim: Any, request: PropRequest) -> list[Any]:
             faults.append(Fault("SCN049", message, hint=hint))
         elif _kind(attribute) not in {*_WIDTHS, *_HELD}:
             message = f"{name} of {request.prim} is a {attribute.GetTypeName()}"
-            hint = "numbers, vectors, bools, tokens and strings are carried"
+            hint = "numbers, vectors, bools, tokens and strings are copied"
             faults.append(Fault("SCN049", message, hint=hint))
         else:
             attributes.append(attribute)

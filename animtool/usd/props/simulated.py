@@ -404,10 +404,8 @@ def _author_way(spec: Any, job: SimulatedJob, way: FloatArray) -> None:
 def _refuse_characters(frames: Sequence[Frame]) -> None:
     """Refuse what is not written frame by frame (SIM151)."""
     if any(isinstance(frame, CharactersFrame) for frame in frames):
-        message = "characters with rigs are written as a whole, not in chunks"
-        raise OptionError(
-            Fault("SIM151", message, hint=f"leave {argument('chunk')} out")
-        )
+        message = "characters with rigs are written in one piece, not in chunks"
+        raise OptionError(Fault("SIM151", message, hint=f"remove {argument('chunk')}"))
 
 
 def _declare(layer: Any, reports: Sequence[CachedMesh], whole: Any) -> None:

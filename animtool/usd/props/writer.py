@@ -85,19 +85,19 @@ def check_props(
     by_path = prop_paths(tracks, model)
     for i, (track, path) in enumerate(zip(tracks, by_path, strict=True)):
         there = None if stage is None else stage.GetPrimAtPath(path)
-        message, hint = "", "name a path of its own, such as Props/box"
+        message, hint = "", "choose another path, such as Props/box"
         if overlap(path, root) or within(model, path):
-            message = f"{path} is of the character at {model}"
+            message = f"{path} is part of the character at {model}"
         elif there and there.IsInstanceProxy():
-            message = f"{path} is inside of an instance, which a layer cannot reach"
+            message = f"{path} is inside an instance, which a layer cannot reach"
         elif library and not within(path, model):
             message = f"{path} is not below {model}, whose variants are the takes"
         if message:
             faults.append(Fault("SCN047", message, hint=hint, where=track.path))
         for other in by_path[:i]:
             if overlap(path, other):
-                message = f"{path} meets {other}, which another thing has"
-                hint = "each has a path of its own, none below another's"
+                message = f"{path} overlaps {other}, which another prop has"
+                hint = "each needs its own path, not below another's"
                 faults.append(Fault("SCN046", message, hint=hint, where=track.path))
     if faults:
         raise OptionError(faults)
@@ -144,9 +144,13 @@ def _held_notice(track: Track, path: str, codes: FloatArray, held: BoolArray) ->
     spans = [
         " to ".join(dict.fromkeys(f"{codes[i]:.10g}" for i in pair)) for pair in ends
     ]
-    message = f"{path} is held at frames {', '.join(spans)}: its file has none there"
+    message = (
+        f"{path} is constant at frames {', '.join(spans)}: its file has none there"
+    )
     hint = (
-        "frame: says which of its frames comes with the first" if held.all() else None
+        "set the frame of its file to match the first with frame:"
+        if held.all()
+        else None
     )
     return track.note("SCN107", message, hint=hint, severity=Severity.WARNING)
 

@@ -134,7 +134,7 @@ def _mesh(
     if len(given) == len(points) and mesh.GetNormalsInterpolation() == "vertex":
         normals = floats(mesh.GetNormalsAttr(), 3, at)
     elif len(given):
-        message = "normals that are not one a vertex are left out"
+        message = "normals that are not one per vertex are skipped"
         notices.append(at.fault("USD116", message, severity=Severity.NOTE))
     return Mesh(
         name,
@@ -161,12 +161,12 @@ def _faces(mesh: Any, points: int, at: Spot) -> FloatArray:
     if not len(counts):
         at.fail("USD017", "the mesh has no faces")
     if (counts < 3).any():
-        at.fail("USD017", f"a face has {counts.min()} vertices, and needs 3")
+        at.fail("USD017", f"a face has {counts.min()} vertices; it needs at least 3")
     if counts.sum() != len(indices):
         message = f"{len(indices)} faceVertexIndices for faces of {counts.sum()} in all"
         at.fail("USD017", message)
     if len(indices) and not 0 <= indices.min() <= indices.max() < points:
-        at.fail("USD018", f"a face has a vertex that is not in 0 to {points - 1}")
+        at.fail("USD018", f"a face refers to a vertex outside 0 to {points - 1}")
     width = int(counts.max(initial=3))
     within = np.arange(width) < counts[:, None]
     faces = np.full(within.shape, -1, np.int64)
@@ -191,7 +191,7 @@ def _skin(query: Any, points: int, rig: SkeletonRig, at: Spot) -> Skin:
         )
         at.fail("USD231", message)
     if not np.isfinite(weights).all():
-        at.fail("USD233", "jointWeights hold a value that is not finite")
+        at.fail("USD233", "jointWeights contain a value that is not finite")
     names = joint_names(query, rig, at)
     if len(indices) and not 0 <= indices.min() <= indices.max() < len(names):
         at.fail("USD230", f"a jointIndex is not in 0 to {len(names) - 1}")

@@ -262,8 +262,8 @@ def _notices(mesh: str, report: InfluenceReport) -> list[Fault]:
     if not report.normalized:
         return []
     message = (
-        f"mesh {mesh!r}: the weights of {report.normalized} vertices were brought to "
-        f"the sum 1; that of vertex {report.sum_vertex} was off by "
+        f"mesh {mesh!r}: the weights of {report.normalized} vertices were normalised "
+        f"to the sum 1; that of vertex {report.sum_vertex} was off by "
         f"{report.sum_error:.3g}"
     )
     return [Fault("SKIN101", message, severity=Severity.NOTE)]

@@ -186,7 +186,7 @@ class _Units:
         elif np.abs(np.abs(scales) - 1.0).max() <= EVEN:
             # Nothing is made of the other unit: the rig's numbers are in its own.
             size = 1.0
-            apart.append(f"in {unit_name(unit)}, its rig in")
+            apart.append(f"in {unit_name(unit)}, but its rig in")
             apart[-1] += f" {unit_name(rig.meters_per_unit)}"
         turn = up_from_up(rig.up, up)
         turned = righted = None if turn is None else np.array(turn)
@@ -194,7 +194,7 @@ class _Units:
             axis = np.array(rig.up.vector)
             if np.abs(so3.rotate(rotation, axis) - axis).max() <= EVEN:
                 righted = None
-                apart.append(f"{up} up, its rig {rig.up}")
+                apart.append(f"{up} up, but its rig {rig.up}")
         return _Units(unit, size, turned, righted, " and ".join(apart))
 
     def placement(self, matrices: FloatArray) -> Placement:
@@ -250,11 +250,8 @@ def refuse_uneven(placement: SkeletonPlacement, where: Spot) -> None:
     """Refuse a placement that joints cannot hold (USD035)."""
     if not placement.uneven:
         return
-    message = f"the character {placement.uneven}, which joints cannot hold"
-    hint = (
-        "scale it evenly, or leave out where it stands: "
-        f"{argument('placement', 'drop')}"
-    )
+    message = f"the character {placement.uneven}, which joints cannot represent"
+    hint = f"scale it uniformly, or drop its placement: {argument('placement', 'drop')}"
     raise FormatError(where.fault("USD035", message, hint))
 
 
@@ -262,9 +259,9 @@ def uneven_notice(placement: SkeletonPlacement, where: Spot) -> list[Fault]:
     """Say with numbers which transform is left out (USD109)."""
     if not placement.uneven:
         return []
-    message = f"the character {placement.uneven}, which joints cannot hold: "
-    message += "the transform is left out"
-    hint = "scale it evenly where it is placed"
+    message = f"the character {placement.uneven}, which joints cannot represent: "
+    message += "the transform is ignored"
+    hint = "scale it uniformly where it is placed"
     return [where.fault("USD109", message, hint, Severity.WARNING)]
 
 
@@ -272,8 +269,10 @@ def apart_notice(placement: SkeletonPlacement, where: str) -> list[Fault]:
     """Say so where a rig is read in its own unit or up axis (USD110)."""
     if not placement.apart:
         return []
-    message = f"the stage is {placement.apart}, and no transform is between them: "
-    message += "the rig's own is read"
+    message = (
+        f"the stage is {placement.apart}, but no transform converts between them: "
+    )
+    message += "using the rig's"
     hint = "the shot's own transform must match them"
     return [Fault("USD110", message, where, (), hint, Severity.NOTE)]
 

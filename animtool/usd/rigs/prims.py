@@ -303,7 +303,7 @@ def _joint_extras(entry: dict[str, Any]) -> dict[str, Any]:
         channels = tuple(channels)
         known = [name for name in CHANNEL_NAMES if name in channels]
         if len(known) != len(channels):
-            raise ValueError(f"channels are some of {', '.join(CHANNEL_NAMES)}")
+            raise ValueError(f"channels must be among {', '.join(CHANNEL_NAMES)}")
     points = [(float(x), float(y), float(z)) for x, y, z in tips]
     if not all(map(math.isfinite, sum(points, ()))):
         raise ValueError("a tip is not finite")
@@ -360,6 +360,6 @@ def others_notice(
         return []
     taken, *others = [str(skeleton.GetPath()) for skeleton in skeletons]
     message = (
-        f"{taken} is taken of {len(skeletons)} skeletons; the others: {listed(others)}"
+        f"reading {taken} of {len(skeletons)} skeletons; the others: {listed(others)}"
     )
     return [Fault("USD107", message, where, (), hint, Severity.WARNING)]

@@ -98,14 +98,16 @@ def _missing(skeleton: Any, joints: Sequence[str], *, animated: bool) -> Fault:
     message = f"no restTransforms for {counted(len(joints), 'joint')}"
     lacking = _lacking(_animation(skeleton), joints) if animated else []
     if lacking:
-        message += f", and the animation lacks {len(lacking)} of them: "
+        message += f", and the animation does not have {len(lacking)} of them: "
         message += f"{listed(lacking, MAX_NAMED)}; UsdSkel poses none"
         return finding("USD239", where, message)
     pose = rest_pose(skeleton, joints)
     if pose is None:
-        message += ", and no bindTransforms or animation of all joints in their place"
+        message += (
+            ", and neither bindTransforms nor an animation of all joints to use instead"
+        )
         return finding("USD239", where, message)
-    return finding("USD229", where, f"{message}; {pose.source} is the rest pose")
+    return finding("USD229", where, f"{message}; using {pose.source} as the rest pose")
 
 
 def readable_rest(

@@ -74,7 +74,7 @@ def unbound_notice(skeleton: Any, where: str) -> list[Fault]:
     if not unbound:
         return []
     message = f"SkelBindingAPI is not applied to {listed(unbound, MAX_NAMED)}"
-    message += ", which no joint or shape moves"
+    message += ", which no joint or shape deforms"
     return [Fault("USD144", message, where, (), BINDING_HINT, Severity.WARNING)]
 
 
@@ -112,7 +112,7 @@ def floats(attr: Any, width: int, at: Spot, code: str = "USD017") -> FloatArray:
     # Points that are sampled only are those of the first sample.
     values = numbers(attr, width, Usd.TimeCode.EarliestTime())
     if not np.isfinite(values).all():
-        message = f"{attr.GetName()} hold a value that is not finite"
+        message = f"{attr.GetName()} contain a value that is not finite"
         at.fail(code, message)
     return values
 
@@ -124,7 +124,7 @@ def joint_names(query: Any, rig: SkeletonRig, at: Spot) -> tuple[str, ...]:
     tokens: Sequence[str] = rig.tokens if order is None else [str(t) for t in order]
     unknown = [token for token in tokens if token not in index]
     if unknown:
-        message = f"{unknown[0]!r} is no joint of the Skeleton"
+        message = f"{unknown[0]!r} is not a joint of the Skeleton"
         at.fail("USD238", message)
     return tuple(rig.rig.names[index[token]] for token in tokens)
 
@@ -191,7 +191,7 @@ def holds_character(stage: Any, prim_path: str, where: str) -> bool:
         return False
     there = listed(characters, MAX_NAMED)
     message = f"has no character at {prim_path}, but at {there}"
-    hint = "only a file of one rig alone may be given a path that it lacks"
+    hint = "only a file with a single rig can be given a new path"
     raise OptionError(Fault("USD033", message, where, (), hint))
 
 

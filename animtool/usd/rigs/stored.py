@@ -145,7 +145,7 @@ def with_attachments(
     rig = replace(joined, attach=attach)
     if not lost:
         return rig, []
-    message = f"attachments whose mesh or curves are gone or edited: {listed(lost)}"
+    message = f"attachments whose mesh or curves were removed or edited: {listed(lost)}"
     return rig, [Fault("USD119", message, str(path), severity=Severity.WARNING)]
 
 
@@ -201,11 +201,11 @@ def _edited(stored: Rig, read: Rig, where: str) -> tuple[Rig, list[Fault]]:
     gone = sorted(set(known) - {joint.name for joint in joints})
     if not changed and not gone and stored.bind == read.bind:
         return stored, []
-    message = "the Skeleton was edited after it was written; what it says now counts"
+    message = "the Skeleton was edited after it was written; using the edited one"
     if changed:
         message += f"; joints that differ: {listed(changed)}"
     if gone:
-        message += f"; gone: {listed(gone)}"
+        message += f"; removed: {listed(gone)}"
     notice = Fault("USD117", message, where, severity=Severity.WARNING)
     return _without(replace(stored, joints=tuple(joints), bind=read.bind), gone), [
         notice
@@ -281,7 +281,7 @@ def read_whole_rig(path: Path, prim_path: str | None = None) -> tuple[Rig, list[
         skeletons = find_skeletons(stage, prim_below(stage, prim_path))
         if not skeletons:
             below = "" if prim_path is None else f" at {prim_path}"
-            message = f"holds no Skeleton{below}"
+            message = f"has no Skeleton{below}"
             raise FormatError(Fault("USD008", message, str(path)))
         of_skeleton = skeleton_rig(skeletons[0], path, animated=False)
         skeleton = skeletons[0]
@@ -290,7 +290,7 @@ def read_whole_rig(path: Path, prim_path: str | None = None) -> tuple[Rig, list[
         check_moves(len(of_skeleton.rig.joints), len(shapes), where)
         notices += of_skeleton.notices
         notices += others_notice(
-            skeletons, str(path), f"{argument('source.prim_path')} names one"
+            skeletons, str(path), f"choose one with {argument('source.prim_path')}"
         )
         notices += composition_notices(stage, str(path))
         bind, bind_scales = _bind_poses(skeleton, of_skeleton)
@@ -353,6 +353,6 @@ def _scale_notice(rig: SkeletonRig, bind: FloatArray, where: str) -> list[Fault]
     names = [rig.rig.names[j] for j in np.flatnonzero(apart > SCALE_TOLERANCE)]
     if not names:
         return []
-    message = f"the scale of rest or bind transforms is left out: {listed(names)}"
-    hint = "a rig has none; a take of the file itself, and its meshes, keep it"
+    message = f"the scale of rest or bind transforms is ignored: {listed(names)}"
+    hint = "a rig cannot store it; a take of the file itself, and its meshes, keep it"
     return [Fault("USD120", message, where, (), hint, Severity.WARNING)]

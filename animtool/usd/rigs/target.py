@@ -115,16 +115,16 @@ def _target(stage: Any, path: Path, prim_path: str | None) -> RigTarget:
     below = prim_below(stage, prim_path)
     skeletons = find_skeletons(stage, below)
     if not skeletons:
-        message = f"holds no Skeleton below {below}"
+        message = f"has no Skeleton below {below}"
         hint = (
-            f"{argument('rig_layer')} names a layer that "
-            f"{argument('form', 'split')} wrote, or a shot that uses one"
+            f"set {argument('rig_layer')} to a layer that "
+            f"{argument('form', 'split')} wrote, or to a shot that uses one"
         )
         raise FormatError(Fault("USD008", message, str(path), (), hint))
     prim = skeletons[0].GetPrim()
     root = UsdSkel.Root.Find(prim)
     if not root:
-        message = f"the Skeleton {prim.GetPath()} is in no SkelRoot"
+        message = f"the Skeleton {prim.GetPath()} is not inside a SkelRoot"
         raise FormatError(Fault("USD009", message, str(path)))
     model = _model(stage, root, prim_path)
     paths = RigPaths(
@@ -142,7 +142,7 @@ def _target(stage: Any, path: Path, prim_path: str | None) -> RigTarget:
     placing, moving = _operations(root)
     notices = composition_notices(stage, str(path))
     notices += others_notice(
-        skeletons, str(path), f"{argument('source.prim_path')} names one"
+        skeletons, str(path), f"choose one with {argument('source.prim_path')}"
     )
     if moved_to is None:
         notices += _bound_in_shot(stage, paths, str(path))
@@ -151,7 +151,7 @@ def _target(stage: Any, path: Path, prim_path: str | None) -> RigTarget:
     notices += unbound_notice(skeletons[0], str(path))
     notices += _unit_notice(stage, skeleton.rig, str(path))
     if moving:
-        message = f"the SkelRoot {root.GetPath()} moves by {', '.join(moving)}"
+        message = f"the SkelRoot {root.GetPath()} is moved by {', '.join(moving)}"
         hint = "the take replaces that motion"
         notices.append(Fault("USD108", message, str(path), (), hint, Severity.NOTE))
     return RigTarget(
@@ -178,8 +178,8 @@ def _unit_notice(stage: Any, rig: Rig, where: str) -> list[Fault]:
     if same_unit and up is rig.up:
         return []
     mine = f"{unit_name(rig.meters_per_unit)}, {rig.up} up"
-    message = f"the stage is in {unit_name(unit)}, {up} up, its rig in {mine}"
-    hint = "the animation is in the rig's; the shot's own transform must match them"
+    message = f"the stage is in {unit_name(unit)}, {up} up, but its rig in {mine}"
+    hint = "the animation uses the rig's; the shot's own transform must match them"
     return [Fault("USD110", message, where, (), hint, Severity.NOTE)]
 
 
@@ -191,8 +191,8 @@ def _bound_in_shot(stage: Any, paths: RigPaths, where: str) -> list[Fault]:
         return []
     if layer.GetPropertyAtPath(f"{paths.binding}.skel:animationSource") is None:
         return []
-    message = f"the shot itself binds an animation at {paths.binding}"
-    hint = "as its sublayer the layer would be weaker: put it above the shot"
+    message = f"the shot already binds an animation at {paths.binding}"
+    hint = "as a sublayer of the shot the layer would be weaker: put it above the shot"
     return [Fault("USD132", message, where, (), hint, Severity.WARNING)]
 
 
@@ -343,7 +343,7 @@ def map_joints(
     notices = []
     if missing:
         message = f"{len(missing)} joints of the take are not in the rig: "
-        hint, kind = "they are left out", Severity.WARNING
+        hint, kind = "they are skipped", Severity.WARNING
         notices.append(naming("USD102", message, missing, where, hint, kind))
     if resting:
         message = f"{len(resting)} joints of the rig are not in the take: "
@@ -384,10 +384,10 @@ def _check_shapes(take: Rig, target: RigTarget) -> None:
         f"{excerpt(one.names[0])} …" if one.joints else "none" for one in (take, rig)
     )
     message = f"no joint of the take ({mine}) is in the rig ({theirs})"
-    hint = f"{argument('strip_namespace')} drops leading 'ns:' parts"
+    hint = f"drop leading 'ns:' parts with {argument('strip_namespace')}"
     if not (take.joints and rig.joints):
-        message += ", and no mesh there has a shape of it"
-        hint = "name the rig that the take is for"
+        message += ", and no mesh there has one of its shapes"
+        hint = "choose the rig of the take"
     raise FormatError(Fault("USD010", message, str(target.path), (), hint))
 
 
@@ -418,11 +418,11 @@ def match_shapes(
     missing = [name for name in matches if name not in known]
     if missing:
         message = f"{len(missing)} shapes of the take are on no mesh of the rig: "
-        hint, kind = "their weights move nothing there", Severity.WARNING
+        hint, kind = "their weights have no effect there", Severity.WARNING
         notices.append(naming("USD114", message, missing, where, hint, kind))
     other = [f"{a} as {b}" for a, b in zip(shapes, matches, strict=True) if a != b]
     if other:
-        message = f"{len(other)} shapes are written as the rig spells them: "
+        message = f"{len(other)} shapes are written with the rig's spelling: "
         notices.append(naming("USD118", message, other, where, None, Severity.NOTE))
     return tuple(matches), notices
 

@@ -42,10 +42,12 @@ def unskinned_notice(
     if not moved:
         return []
     many = counted(len(moved), "mesh", "meshes")
-    message = f"transforms move {many} without skin by up to {max(moved.values()):.4g} "
-    message += f"m, and the cache does not: {listed(list(moved), MAX_NAMED)}"
+    message = (
+        f"transforms move {many} without a skin by up to {max(moved.values()):.4g} "
+    )
+    message += f"m, but the cache does not: {listed(list(moved), MAX_NAMED)}"
     hint = (
-        f"bind them to a joint; over the source as {argument('rig_layer')} too, "
+        f"bind them to a joint; if the source is also {argument('rig_layer')}, "
         "meshes without "
     )
     hint += "shapes keep their transforms"

@@ -118,9 +118,10 @@ def normalised(
         frame, joint = (int(i) for i in np.unravel_index(apart.argmax(), apart.shape))
         count = int((apart > UNIT_TOLERANCE).sum())
         message = (
-            f"{count} of {counted(apart.size, 'quaternion')} have another length than "
-            f"1, joint {excerpt(names[joint])} at frame {frame_label(codes[frame])} "
-            f"the most: |q| = {lengths[frame, joint]:.6g}; they are normalised"
+            f"{count} of {counted(apart.size, 'quaternion')} are not unit length, "
+            f"most of all joint {excerpt(names[joint])} at frame "
+            f"{frame_label(codes[frame])}: |q| = {lengths[frame, joint]:.6g}; they "
+            "are normalised"
         )
         hint = "UsdSkel does not normalise, and scales these joints"
         notices.append(where.fault("USD123", message, hint, Severity.WARNING))
@@ -295,7 +296,7 @@ def _whole_codes(times: list[float], where: Spot) -> SampleGrid:
     first, last = math.floor(exact[0]), math.ceil(exact[-1])
     if last - first > MAX_FRAMES:
         message = f"{len(times)} samples spread over {last - first} time codes"
-        where.fail("USD016", message, "a stray sample?")
+        where.fail("USD016", message, "is one of them a stray sample?")
     between = sum(time.denominator != 1 for time in exact)
     count = last - first + 1
     return SampleGrid(Fraction(first), Fraction(1), count, False, between=between)

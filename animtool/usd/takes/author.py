@@ -304,7 +304,7 @@ def write(
     layer = None if rig_layer is None else Path(rig_layer)
     form = Form.LAYER if layer is not None else Form.SPLIT if split else Form.STAGE
     if layer is not None and (split or bones or unit is not None):
-        message = "split, bones and unit are for stages, and rig_layer makes a layer"
+        message = "split, bones and unit need a stage, but rig_layer writes a layer"
         raise OptionError(Fault("CLI002", message))
     check_suffix(path)
     inputs = [] if layer is None else [layer]

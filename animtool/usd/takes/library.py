@@ -29,8 +29,8 @@ from animtool.usd.rigs.prims import find_skeletons, open_stage, prim_below, upwa
 
 # A layer stack's own opinions are stronger than its variants, whatever their order.
 STRONGER_HINT = (
-    "what a rig binds is stronger than a variant of a layer beside it: let a shot "
-    f"refer to the rig, and say where with {argument('prim_path')}"
+    "a binding in the rig is stronger than a variant in a separate layer: reference "
+    f"the rig from a shot, and name its prim with {argument('prim_path')}"
 )
 
 
@@ -112,14 +112,14 @@ def find_take_set(start: Any) -> TakeSet | None:
 def select_take(takes: TakeSet | None, name: str, where: str) -> TakeSet:
     """Return the takes with one bound, on their stage's session layer alone."""
     if takes is None:
-        message = f"there is no take {excerpt(name)}: the file is no clip library"
+        message = f"unknown take {excerpt(name)}: the file is not a clip library"
         hint = f"a library has a variant set {TAKE_SET!r}"
         raise OptionError(Fault("USD031", message, where, (), hint))
     if name not in takes.names:
         near = similar(name, takes.names)
         hint = f"did you mean {near!r}? " if near else ""
         hint += f"the takes: {listed(takes.names, 40)}"
-        message = f"there is no take {excerpt(name)}"
+        message = f"unknown take {excerpt(name)}"
         raise OptionError(Fault("USD031", message, where, (), hint))
     stage = takes.prim.GetStage()
     with Usd.EditContext(stage, stage.GetSessionLayer()):
@@ -156,19 +156,19 @@ def check_library(
         skeletons = find_skeletons(stage, prim_below(stage, prim_path))
         takes = find_take_set(skeletons[0].GetPrim()) if skeletons else None
     if takes is None:
-        message = "is no clip library, to which a take could be added"
+        message = "is not a clip library that a take can be added to"
         hint = f"a library has a skeleton below a variant set {TAKE_SET!r}"
         raise OptionError(Fault("SCN051", message, str(path), (), hint))
     if name not in takes.names:
         return
     if not overwrite:
-        message = f"has a take {name!r} already, of {listed(takes.names, MAX_NAMED)}"
-        hint = f"{argument('overwrite', True)} replaces it; take: names another"
+        message = f"already has a take {name!r}, of {listed(takes.names, MAX_NAMED)}"
+        hint = f"{argument('overwrite', True)} replaces it; take: chooses another name"
         raise OptionError(Fault("SCN050", message, str(path), (), hint))
     variant = takes.prim.GetPath().AppendVariantSelection(TAKE_SET, name)
     if stage.GetRootLayer().GetPrimAtPath(variant) is None:
         message = f"has the take {name!r} in another layer, which is not written"
-        hint = "name the layer itself"
+        hint = "write to that layer instead"
         raise OptionError(Fault("SCN051", message, str(path), (), hint))
 
 

@@ -151,7 +151,7 @@ def read_character(
     else:
         animation = _first_animation(stage, below)
         if animation is None:
-            message = f"holds no Skeleton and no SkelAnimation below {below}"
+            message = f"has no Skeleton and no SkelAnimation below {below}"
             there = character_paths(stage)
             hint = f"characters: {listed(there, MAX_NAMED)}" if there else None
             raise FormatError(Fault("USD008", message, str(path), (), hint))
@@ -176,7 +176,7 @@ def read_character(
     stream.notices += others_notice(
         skeletons,
         str(path),
-        f"{argument('source.prim_path')} names one",
+        f"choose one with {argument('source.prim_path')}",
     )
     stream.notices += composition_notices(stage, str(path))
     return stream
@@ -320,8 +320,8 @@ def _lost_motion(animation: Any, where: Spot) -> list[Fault]:
     order = parent.GetAttribute("xformOpOrder")
     if not order or not order.HasAuthoredValue():
         return []
-    message = f"{parent.GetPath()} carries the root's motion, which is left out"
-    hint = "read a stage that holds the rig too"
+    message = f"{parent.GetPath()} carries root motion, which is ignored"
+    hint = "read a stage that contains the rig too"
     return [where.fault("USD113", message, hint, Severity.WARNING)]
 
 
@@ -373,7 +373,7 @@ def _resting(
     message = "no animation is bound to the skeleton; it is read at rest"
     hint = None
     if ignored := ignored_binding(prim):
-        message += f": {ignored} binds one, and SkelBindingAPI is not applied to it"
+        message += f": {ignored} binds one, but SkelBindingAPI is not applied to it"
         hint = BINDING_HINT
     warning = Severity.WARNING
     stream.notices.append(Fault("USD103", message, str(path), (), hint, warning))
@@ -496,7 +496,7 @@ def _grid_notices(grid: SampleGrid, samples: int, where: Spot) -> list[Fault]:
     if grid.between:
         message = f"{grid.between} of {samples} samples fall between frames; "
         message += "only the values on frames are read"
-        hint = "resample the animation on whole frames where it is made"
+        hint = "resample the animation to whole frames in the tool that wrote it"
         warning = Severity.WARNING
         notices.append(where.fault("USD122", message, hint, warning))
     return notices

@@ -123,7 +123,7 @@ def author_curve(
     it by.
     """
     if len(curves.pre) != 1 or not len(curves.times):
-        raise ValueError("one curve with a key is needed")
+        raise ValueError("at least one curve needs a key")
     spline, where = Ts.Spline("double"), f"{prim_path}.{name}"
     pieces = [
         piece for i in range(len(curves.times) - 1) for piece in _pieces(curves, i)

@@ -150,19 +150,19 @@ def distinct(checked: CheckedFile, fault: Fault) -> Mend:
         if len(alike) > 1:
             odd = [other for other in alike if legal(other) != other]
             return _renamed(rig, str(key), odd[-1:])
-    raise NotMendedError(f"{entry['name']!r} is told from the others")
+    raise NotMendedError(f"renames {entry['name']!r} to make it unique")
 
 
 def _whole(checked: CheckedFile) -> RigSubject:
     rig: RigSubject = checked.subject
     if "from" in rig.document.value:
-        raise NotMendedError("the names come from another file")
+        raise NotMendedError("the names are in another file")
     return rig
 
 
 def _renamed(rig: RigSubject, key: str, old: list[str]) -> Mend:
     for path, name in naming(rig.document.path, old):
-        raise NotMendedError(f"{path.name} names {name!r} too")
+        raise NotMendedError(f"{path.name} also uses {name!r}")
     new = _fresh(old, names_in(rig, key))
     pairs = [f"{name!r} to {new[name]!r}" for name in old]
     remedy = f"renames {counted(len(old), 'name')} of {key}: {listed(pairs, 3)}"

@@ -128,7 +128,7 @@ def _worse(before: Draft, step: Step) -> str:
     new = Counter(fault.code for fault in step.draft.findings)
     more = sorted(code for code in new if new[code] > old[code])
     if more:
-        return f"{more[0]} would come of it"
+        return f"the fix would cause {more[0]}"
     if any(new[fault.code] >= old[fault.code] for fault, _ in step.done):
-        return "it would still be found"
+        return "the finding would remain"
     return ""

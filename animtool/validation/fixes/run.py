@@ -75,7 +75,7 @@ def fix_files(
         for plan in plans:
             if plan.mended:
                 plan.after.write(plan.path)
-    unpack = "a package is not changed: unpack it, and fix its layers"
+    unpack = "packages are not edited: unpack it, and fix its layers"
     packages = [f"{path}: {unpack}" for path in _with_fixes(report, packed=True)]
     notes = (*_kept(report, kept), *packages)
     if any(plan.mended for plan in plans):

@@ -56,7 +56,7 @@ def left_out(checked: CheckedFile, fault: Fault) -> Mend:
     place = place_of(fault)
     entry = entries[place[1]]
     location = place if len(entries) > 1 else ("ignore",)
-    return Mend(f"leaves out the entry for {entry['code']}", (Remove(location),))
+    return Mend(f"removes the entry for {entry['code']}", (Remove(location),))
 
 
 def from_bind(checked: CheckedFile, fault: Fault) -> Mend:
@@ -67,7 +67,7 @@ def from_bind(checked: CheckedFile, fault: Fault) -> Mend:
     pose = rig.document.value["bind"][entry["name"]]
     keys = [key for key in ("translate", "rotate") if pose.get(key) is not None]
     edits = tuple(Add(place, key, pose[key]) for key in keys)
-    return Mend(f"gives {entry['name']!r} the rest pose that bind has", edits)
+    return Mend(f"sets the rest pose of {entry['name']!r} to its bind pose", edits)
 
 
 def summed(checked: CheckedFile, fault: Fault) -> Mend:
@@ -80,10 +80,10 @@ def summed(checked: CheckedFile, fault: Fault) -> Mend:
     place = place_of(fault)
     skin = rig.rig.meshes[place[1]].skin
     if "from" in rig.document.value or skin is None:
-        raise NotMendedError("the mesh comes from another file")
+        raise NotMendedError("the mesh is in another file")
     weights = skin.weights
     if not isinstance(weights, ArrayRef):
-        raise NotMendedError("the weights are in no npz file")
+        raise NotMendedError("the weights are not in an npz file")
     path = _free(weights.path, weights.key)
     name, _ = split_reference(weights.text, weights.key)
     text = f"{name[: -len(weights.path.name)]}{path.name}#{weights.key}"
@@ -220,12 +220,12 @@ class TextDraft:
         again = replace(self, arrays={})
         if any(fault.code in unread for fault in again.findings):
             path = next(iter(self.arrays))
-            raise output_error(path, "it is read otherwise than written")
+            raise output_error(path, "it would not be read back as written")
 
     def _mend(self, fault: Fault) -> Mend:
         fix = fix_of(fault.code)
         if fix is None:
-            raise NotMendedError("it has no fix")
+            raise NotMendedError("there is no automatic fix")
         return fix(self.checked, fault)
 
 

@@ -129,7 +129,7 @@ def summary(report: Report) -> str:
     ]
     files = counted(len(report.files), "file")
     fixable = (
-        f", {argument('fix', True)} mends {len(report.fixable)}"
+        f", {argument('fix', True)} repairs {len(report.fixable)}"
         if report.fixable
         else ""
     )

@@ -133,12 +133,12 @@ def foot_slide(subject: MotionSubject) -> Iterator[Fault]:
         return
     way, first, last = max(ways)
     foot = int(contacts.feet[int(speeds[first : last + 1].mean(axis=0).argmin())])
-    more = f"; feet slide {len(ways) - 1} times more" if len(ways) > 1 else ""
+    more = f"; feet slide {len(ways) - 1} more times" if len(ways) > 1 else ""
     message = (
-        f"{subject.take.rig.joints[foot].name!r} stands and slides {way:.3g} m from "
-        f"frame {subject.at(first)} to {subject.at(last)}{more}"
+        f"planted foot {subject.take.rig.joints[foot].name!r} slides {way:.3g} m "
+        f"from frame {subject.at(first)} to {subject.at(last)}{more}"
     )
-    hint = "hold it with IK, or let a cycle stay on the spot"
+    hint = "hold it with IK, or make the cycle in place"
     yield subject.fault("MOT208", foot, first, message, hint)
 
 
@@ -223,10 +223,10 @@ def _scaled_travel(subject: MotionSubject, contacts: Contacts) -> Iterator[Fault
     foot = int(contacts.feet[int(contacts.near[frame].argmax())])
     how = "along with" if scale > 1.0 else "back against"
     message = (
-        f"feet slide {how} the body while they stand: it travels {scale:.2g} times as "
-        f"far as they tread, such as {subject.take.rig.joints[foot].name!r}"
+        f"planted feet slide {how} the body: it travels {scale:.2g} times as far as "
+        f"they step, such as {subject.take.rig.joints[foot].name!r}"
     )
-    hint = "scale the root's motion to the legs, or hold feet with IK while they stand"
+    hint = "scale the root motion to the legs, or hold planted feet with IK"
     yield subject.fault("MOT208", foot, frame, message, hint)
 
 

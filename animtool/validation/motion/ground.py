@@ -85,7 +85,7 @@ def _whole_take(subject: MotionSubject, contacts: Contacts) -> Iterator[Fault]:
     frame = int(np.flatnonzero(contacts.still[:, shown].any(axis=1))[0])
     how = "below" if off < 0.0 else "above"
     message = (
-        f"the feet stand {abs(off):.3g} m {how} the ground, 0 of the up axis; "
+        f"the feet are {abs(off):.3g} m {how} the ground, 0 of the up axis; "
         f"{subject.take.rig.joints[foot].name!r} is nearest to it"
     )
     hint = "lift or lower the root, or convert the take's units"
@@ -168,7 +168,7 @@ def _sunk(subject: MotionSubject, contacts: Contacts) -> Iterator[Fault]:
     message = (
         f"{subject.take.rig.joints[foot].name!r} is up to {depth:.3g} m below the "
         f"ground from frame {subject.at(first)} to {subject.at(last)}; the ground is "
-        f"where {who} stands in other frames, {ground[e]:.3g} m"
+        f"at the height of {who} in other frames, {ground[e]:.3g} m"
     )
     hint = "lift the root there, or hold the foot with IK"
     yield subject.fault("MOT209", foot, first, message, hint)
@@ -214,11 +214,11 @@ def _floating(subject: MotionSubject, contacts: Contacts) -> Iterator[Fault]:
         height = float(lowest[first : last + 1].min())
         foot = int(contacts.feet[flat][above[first].argmin()])
         message = (
-            f"no foot is nearer than {height:.3g} m to the ground from frame "
+            f"no foot is closer than {height:.3g} m to the ground from frame "
             f"{subject.at(first)} to {subject.at(last)}, for {seconds:.2g} s; the "
-            f"ground is where they stand in other frames, {ground:.3g} m"
+            f"ground is at their height in other frames, {ground:.3g} m"
         )
-        hint = "lower the root there; a jump does not last so long"
+        hint = "lower the root there; no jump lasts that long"
         yield subject.fault("MOT209", foot, first, message, hint)
         return
 

@@ -58,7 +58,7 @@ class _Pops:
 
 def joint_pops(subject: MotionSubject) -> Iterator[Fault]:
     """Yield the joints below the roots that jump in one frame (MOT202)."""
-    hint = "correct the frames around it; a cut that is meant has interp: step"
+    hint = "correct the frames around it; for an intended cut, write interp: step"
     pops = _pops(subject, MIN_SHIFT, roots=False)
     yield from _reported(subject, "MOT202", pops, hint)
 
@@ -100,11 +100,11 @@ def _reported(
     often = len(np.unique(steps))
     message = (
         f"{name!r} jumps by {pops.much(step, column)} from frame {subject.at(step)} "
-        f"to {subject.at(step + 1)}, against the motion around it"
+        f"to {subject.at(step + 1)}, unlike the motion around it"
     )
     others = [other for other in names if other != name]
     if often > 1:
-        message += f"; there are {often} such steps in all"
+        message += f"; there are {often} such steps in total"
     if others:
         message += f"; also {listed(others)}"
     yield subject.fault(code, joint, step, message, hint)
@@ -143,8 +143,8 @@ def reference_pose(subject: MotionSubject) -> Iterator[Fault]:
         return
     first, second = subject.at(0), subject.at(1)
     message = (
-        f"frame {first} is a pose of its own: {len(pose)} joints jump to that of "
+        f"frame {first} is an isolated pose: {len(pose)} joints jump to that of "
         f"frame {second}"
     )
-    hint = f"the pass trim: {{first: {second}}} leaves it out"
+    hint = f"the pass trim: {{first: {second}}} removes it"
     yield subject.fault("MOT204", int(pose[0]), 0, message, hint)

@@ -42,8 +42,9 @@ def off_frame(subject: MotionSubject) -> Iterator[Fault]:
     if drifting.any():
         worst = int(np.where(drifting, np.abs(off), 0.0).argmax())
         message = (
-            f"{np.count_nonzero(drifting)} of {len(codes)} samples lie off the frame, "
-            f"by up to {abs(off[worst]):.3g} time codes, at {codes[worst]:.10g}"
+            f"{np.count_nonzero(drifting)} of {len(codes)} samples are off the "
+            f"frame, by up to {abs(off[worst]):.3g} time codes, at "
+            f"{codes[worst]:.10g}"
         )
     else:
         steps = np.diff(codes)
@@ -51,8 +52,8 @@ def off_frame(subject: MotionSubject) -> Iterator[Fault]:
         if not whole.all() or abs(off[0]) <= ROUNDING:
             return
         worst = 0
-        message = f"all samples lie {off[0]:+.3g} time codes off the frame"
-    hint = "write them at whole time codes: other tools sample there"
+        message = f"all samples are {off[0]:+.3g} time codes off the frame"
+    hint = "write them at whole time codes, where other tools sample"
     yield subject.fault("MOT216", None, worst, message, hint)
 
 
@@ -72,9 +73,9 @@ def other_range(subject: MotionSubject) -> Iterator[Fault]:
     if start > last or end < first or not (is_early or is_late):
         return
     message = (
-        f"the range is {span_label(start, end)}, and the samples are at "
-        f"{span_label(first, last)}: the pose is held for "
-        f"{max(early, late):g} time codes"
+        f"the range is {span_label(start, end)}, but the samples are at "
+        f"{span_label(first, last)}: the pose is constant for {max(early, late):g} "
+        "time codes"
     )
     hint = "set startTimeCode and endTimeCode to the first and last sample"
     yield subject.fault("MOT217", None, 0, message, hint)
@@ -138,10 +139,11 @@ def lost_frames(subject: MotionSubject) -> Iterator[Fault]:
     count = max(1, round(float(ratios[step])) - 1)
     more = f"; so are {len(frames) - 1} more steps" if len(frames) > 1 else ""
     message = (
-        f"all joints go {ratios[step]:.0f} times as far from frame {subject.at(step)} "
-        f"to {subject.at(step + 1)} as around: {counted(count, 'frame')} lost{more}"
+        f"all joints move {ratios[step]:.0f} times as far from frame "
+        f"{subject.at(step)} to {subject.at(step + 1)} as nearby: "
+        f"{counted(count, 'frame')} lost{more}"
     )
-    hint = "record or export the take again, or put the missing frame in between"
+    hint = "record or export the take again, or insert the missing frame"
     yield subject.fault("MOT205", None, step, message, hint)
 
 
@@ -159,12 +161,13 @@ def _holes(subject: MotionSubject) -> Iterator[Fault]:
         return
     hole = int(holes[0])
     count = max(1, round(float(ratios[hole])) - 1)
-    more = f"; there are {len(holes) - 1} more holes" if len(holes) > 1 else ""
+    more = f"; there are {len(holes) - 1} more gaps" if len(holes) > 1 else ""
     message = (
-        f"no sample between time codes {subject.at(hole)} and {subject.at(hole + 1)}, "
-        f"where one is due every {usual:g}: {counted(count, 'sample')} lost{more}"
+        f"no sample between time codes {subject.at(hole)} and "
+        f"{subject.at(hole + 1)}, though one is due every {usual:g}: "
+        f"{counted(count, 'sample')} lost{more}"
     )
-    hint = "export the take again; USD interpolates across the hole"
+    hint = "export the take again; USD interpolates across the gap"
     yield subject.fault("MOT205", None, hole, message, hint)
 
 
@@ -324,12 +327,12 @@ def frozen_frames(subject: MotionSubject) -> Iterator[Fault]:
         return
     frozen = list(runs(kept))
     first, last = max(frozen, key=lambda run: run[1] - run[0])
-    more = f"; it freezes {len(frozen) - 1} times more" if len(frozen) > 1 else ""
+    more = f"; it freezes {len(frozen) - 1} more times" if len(frozen) > 1 else ""
     message = (
         f"nothing moves from frame {subject.at(first)} to {subject.at(last + 1)}, "
-        f"between frames that do{more}"
+        f"between moving frames{more}"
     )
-    hint = "frames were lost and the last one held; record or export the take again"
+    hint = "frames were lost and the last one repeated; record or export the take again"
     yield subject.fault("MOT206", None, first, message, hint)
 
 
@@ -340,10 +343,11 @@ def repeated_frames(subject: MotionSubject) -> Iterator[Fault]:
         rate = float(subject.take.clock.rate)
         own = rate * (1.0 - float(kept.mean()))
         message = (
-            f"{np.count_nonzero(kept)} of {subject.frames} frames repeat the one "
-            f"before: the motion has about {own:.3g} frames a second, the take {rate:g}"
+            f"{np.count_nonzero(kept)} of {subject.frames} frames repeat the "
+            f"previous one: the motion has about {own:.3g} frames per second, the "
+            f"take {rate:g}"
         )
-        hint = "export it at the rate that it was recorded at"
+        hint = "export it at its recording rate"
         first = int(np.flatnonzero(kept)[0])
         yield subject.fault("MOT207", None, first, message, hint)
         return
@@ -370,17 +374,17 @@ def _off_grid_step(subject: MotionSubject) -> Iterator[Fault]:
     shown = subject.shown_rate
     if shown is not None and not _is_multiple(fps / shown):
         message = (
-            f"the stage shows {shown:g} frames a second, and has {fps:g} time codes a "
+            f"the stage has {shown:g} frames per second, but {fps:g} time codes per "
             "second: most frames fall between samples"
         )
-        hint = "author framesPerSecond and timeCodesPerSecond alike"
+        hint = "author the same framesPerSecond and timeCodesPerSecond"
         yield subject.fault("MOT207", None, 0, message, hint)
         return
     if np.abs(gaps - step).max() > 0.02 * step or _is_multiple(step):
         return
     message = (
-        f"samples lie {step:.6g} time codes apart: {fps / step:.4g} a second in a "
-        f"stage of {fps:g} time codes a second"
+        f"samples are {step:.6g} time codes apart: {fps / step:.4g} per second in a "
+        f"stage of {fps:g} time codes per second"
     )
     hint = "export at the stage's rate; most samples fall between frames"
     yield subject.fault("MOT207", None, 0, message, hint)

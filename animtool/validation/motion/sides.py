@@ -35,7 +35,7 @@ def motionless(subject: MotionSubject) -> Iterator[Fault]:
     if any(channel is not None and len(channel.animated) for channel in channels):
         return
     message = f"nothing moves in {motion.frames} frames"
-    hint = "export the take again; a pose is one frame"
+    hint = "export the take again; a pose needs one frame"
     joint = 0 if subject.take.rig.joints else None
     yield subject.fault("MOT201", joint, None, message, hint)
 
@@ -56,7 +56,7 @@ def zero_scale(subject: MotionSubject) -> Iterator[Fault]:
         f"{listed([repr(name) for name in names])} scaled to 0 in "
         f"{counted(len(frames), 'frame')}, first at {subject.at(int(frames[0]))}"
     )
-    hint = "what hangs from it vanishes; hide meshes by their visibility"
+    hint = "everything below it vanishes; hide meshes with their visibility"
     yield subject.fault("MOT218", int(joints[0]), int(frames[0]), message, hint)
 
 
@@ -80,7 +80,9 @@ def large_weights(subject: MotionSubject) -> Iterator[Fault]:
     )
     message += f"; also {listed(others)}" if others else ""
     percent = float(np.abs(values).max()) > PERCENT
-    hint = "weights are from 0 to 1" + ("; these seem to be percent" if percent else "")
+    hint = "weights must be from 0 to 1" + (
+        "; these look like percentages" if percent else ""
+    )
     yield subject.fault("MOT219", None, int(frame), message, hint)
 
 
@@ -97,22 +99,20 @@ def bind_far_from_rest(subject: MotionSubject) -> Iterator[Fault]:
     bones, own = bones[kept], own[kept]
     ratios = np.linalg.norm(bind[bones] - bind[parents[bones]], axis=1) / own
     other = (ratios > OTHER_LENGTH) | (ratios < 1.0 / OTHER_LENGTH)
-    hint = (
-        "bind transforms are in world space, where the joints stood when it was bound"
-    )
+    hint = "bind transforms are in world space, in the pose in which the mesh was bound"
     if len(bones) and float(other.mean()) > MAX_BONES:
         worst = int(np.abs(np.log(np.maximum(ratios, 1e-12))).argmax())
         joint = int(bones[worst])
         message = (
-            f"{np.count_nonzero(other)} of {len(bones)} bones have another length in "
-            f"the bind pose; that to {rig.joints[joint].name!r} is {ratios[worst]:.3g} "
-            "times as long as at rest"
+            f"{np.count_nonzero(other)} of {len(bones)} bones have a different "
+            f"length in the bind pose; that to {rig.joints[joint].name!r} is "
+            f"{ratios[worst]:.3g} times its rest length"
         )
         yield subject.fault("MOT220", joint, None, message, hint)
         return
     if away > AWAY * subject.size:
         message = (
-            f"the bind pose stands {away:.3g} m from the rest pose, of a skeleton that "
+            f"the bind pose is {away:.3g} m from the rest pose, of a skeleton that "
             f"spans {subject.size:.3g} m"
         )
         yield subject.fault("MOT220", int(rig.roots[0]), None, message, hint)
@@ -121,8 +121,9 @@ def bind_far_from_rest(subject: MotionSubject) -> Iterator[Fault]:
     joint = int(apart.argmax())
     if apart[joint] > AWAY * subject.size:
         message = (
-            f"{rig.joints[joint].name!r} is {apart[joint]:.3g} m from its rest in the "
-            f"bind pose, of a skeleton that spans {subject.size:.3g} m"
+            f"{rig.joints[joint].name!r} is {apart[joint]:.3g} m from its rest "
+            f"position in the bind pose, of a skeleton that spans {subject.size:.3g} "
+            "m"
         )
         yield subject.fault("MOT220", joint, None, message, hint)
 
@@ -137,9 +138,9 @@ def no_influence(subject: MotionSubject) -> Iterator[Fault]:
         return
     message = (
         f"{counted(len(idle), 'joint')} of {len(rig.joints)} "
-        f"{'moves' if len(idle) == 1 else 'move'} no mesh: {listed(idle)}"
+        f"{'deforms' if len(idle) == 1 else 'deform'} no mesh: {listed(idle)}"
     )
-    hint = "paint weights for them, or leave them out of the export"
+    hint = "paint weights for them, or exclude them from the export"
     yield subject.fault("MOT221", rig.index(idle[0]), None, message, hint)
 
 
@@ -210,11 +211,11 @@ def _whole_take(
         return
     names = subject.take.rig.names
     message = (
-        f"{names[left]!r} lies on the right of the body, and {names[right]!r} on the "
-        f"left, in {np.count_nonzero(wrong)} of {subject.frames} frames, as the feet "
-        "point"
+        f"{names[left]!r} is on the right of the body, and {names[right]!r} on the "
+        f"left, in {np.count_nonzero(wrong)} of {subject.frames} frames, by the "
+        "direction of the feet"
     )
-    hint = "the names are swapped, or the motion is mirrored: the pass mirror turns it"
+    hint = "the names are swapped, or the motion is mirrored: the pass mirror swaps it"
     yield subject.fault("MOT210", left, int(np.flatnonzero(wrong)[0]), message, hint)
 
 
@@ -287,8 +288,8 @@ def _exchanged(subject: MotionSubject, pairs: list[tuple[int, int]]) -> Iterator
         for i in np.flatnonzero(swaps[step]).tolist()
     ]
     until = f", until frame {subject.at(int(found[1]))}" if len(found) > 1 else ""
-    message = f"{listed(names)} change places at frame {subject.at(step + 1)}{until}"
-    hint = "swap their channels back there; markers of two sides were exchanged"
+    message = f"{listed(names)} swap at frame {subject.at(step + 1)}{until}"
+    hint = "swap their channels there; markers of the two sides were mixed up"
     joint = pairs[int(np.flatnonzero(swaps[step])[0])][0]
     yield subject.fault("MOT210", joint, step, message, hint)
 
@@ -353,8 +354,8 @@ def dead_side(subject: MotionSubject) -> Iterator[Fault]:
     mine, other = pairs[0]
     more = [names[i] for i, _ in pairs[1:]]
     message = (
-        f"{names[mine]!r} never turns, and {names[other]!r} does, by "
-        f"{math.degrees(spreads[other]):.0f}\N{DEGREE SIGN}"
+        f"{names[mine]!r} never rotates, but {names[other]!r} does, by "
+        f"{math.degrees(spreads[other]):.0f}°"
     )
     message += f"; nor do {listed(more)}" if more else ""
     hint = "its sensor or its channels were lost"

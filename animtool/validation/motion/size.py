@@ -72,10 +72,10 @@ def stretched(subject: MotionSubject) -> Iterator[Fault]:
     _, j, frame, length, rest = worst
     more = f"; {count - 1} more bones change too" if count > 1 else ""
     message = (
-        f"the bone to {subject.take.rig.joints[j].name!r} is {length:.3g} m at frame "
-        f"{subject.at(frame)}, and {rest:.3g} m at rest{more}"
+        f"the bone to {subject.take.rig.joints[j].name!r} is {length:.3g} m long at "
+        f"frame {subject.at(frame)}, but {rest:.3g} m at rest{more}"
     )
-    hint = "translations replace those of the rest pose, and are not added to them"
+    hint = "translations replace those of the rest pose; they are not added"
     yield subject.fault("MOT212", j, frame, message, hint)
 
 
@@ -110,10 +110,10 @@ def other_units(subject: MotionSubject) -> Iterator[Fault]:
     factor = _bone_factor(subject) if subject.has_rest else None
     if factor is not None:
         message = (
-            f"the bones are {_times(factor)} as long as those of the rig at rest: the "
-            "animation is in another unit"
+            f"the bones are {_times(factor)} as long as those of the rig at rest: "
+            "the animation uses another unit"
         )
-        hint = "convert the animation, or author metersPerUnit of the layer it is in"
+        hint = "convert the animation, or set metersPerUnit of its layer"
         yield subject.fault("MOT213", None, 0, message, hint)
         return
     off = _root_factor(subject)
@@ -121,7 +121,7 @@ def other_units(subject: MotionSubject) -> Iterator[Fault]:
         root, factor = off
         message = (
             f"the root {subject.take.rig.joints[root].name!r} is {_times(factor)} as "
-            "high as at rest: its translation is in another unit"
+            "high as at rest: its translation uses another unit"
         )
         hint = "convert the root's translations to the unit of the rig"
         yield subject.fault("MOT213", root, 0, message, hint)
@@ -142,7 +142,7 @@ def other_units(subject: MotionSubject) -> Iterator[Fault]:
         f"span {_length(size * fitting[0])}"
     )
     unit = subject.take.rig.meters_per_unit
-    hint = f"its unit is {unit:g} m; {unit * fitting[0]:g} m seems to be meant"
+    hint = f"its unit is {unit:g} m; probably {unit * fitting[0]:g} m is meant"
     yield subject.fault("MOT213", None, None, message, hint)
 
 
@@ -253,7 +253,7 @@ def strange_size(subject: MotionSubject) -> Iterator[Fault]:
         return
     message = f"the skeleton spans {_length(subject.size)}"
     unit = subject.take.rig.meters_per_unit
-    hint = f"check the unit that it is read in, {unit:g} m"
+    hint = f"check its unit, {unit:g} m"
     yield subject.fault("MOT215", None, None, message, hint)
 
 
@@ -275,10 +275,10 @@ def mismatched_up_axis(subject: MotionSubject) -> Iterator[Fault]:
     where = "upside down" if found.axis is None else f"along {found.axis}"
     share = 100.0 * found.share
     message = f"the body is {where} in {share:.0f}% of the frames; up is {rig.up}"
-    hint = "turn the root"
+    hint = "rotate the root"
     if found.axis is not None:
         hint = (
-            f"author upAxis {found.axis}, or read the file with "
+            f"set upAxis {found.axis}, or read the file with "
             f"{argument('source.up', found.axis)}"
         )
     fault = subject.fault("MOT214", int(rig.roots[0]), 0, message, hint)

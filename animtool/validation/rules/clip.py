@@ -42,7 +42,7 @@ def outside_range(subject: ClipSubject) -> Iterator[Fault]:
             f"{keys} of {channel.target!r} outside the range from {first:g} to "
             f"{last:g}: {frames}"
         )
-        hint = "widen the range, or leave out what is never played"
+        hint = "widen the range, or remove what is never played"
         yield subject.fault("CLIP201", ("channels", i, "keys", k, "t"), message, hint)
 
 
@@ -65,11 +65,14 @@ def half_turns(subject: ClipSubject) -> Iterator[Fault]:
             if channel.interps[k] is Interp.STEP:
                 continue
             message = (
-                f"{channel.target!r} turns {math.degrees(angles[k]):.1f}"
-                f"\N{DEGREE SIGN} from frame {channel.times[k]:g} to "
-                f"{channel.times[k + 1]:g}: it may go either way"
+                f"{channel.target!r} rotates {math.degrees(angles[k]):.1f}° from "
+                f"frame {channel.times[k]:g} to {channel.times[k + 1]:g}: the "
+                "direction is ambiguous"
             )
-            hint = "a key between them says which; euler: XYZ turns as far as it says"
+            hint = (
+                "add a key between them, or use euler: XYZ, which rotates by the "
+                "written angles"
+            )
             at = ("channels", i, "keys", k + 1, "v")
             found = subject.fault("CLIP202", at, message, hint)
             yield replace(found, frame=float(channel.times[k]))
@@ -111,7 +114,7 @@ def overshoot(subject: ClipSubject) -> Iterator[Fault]:
             frames = np.flatnonzero((segments == k) & (over > SLACK))
             if len(frames):
                 message = _beyond(channel, k, times[frames], over[frames])
-                hint = "tangents: auto_clamped, shorter handles, or a key between"
+                hint = "use tangents: auto_clamped, shorter handles, or a key between"
                 at = ("channels", i, "keys", k)
                 found = subject.fault("CLIP205", at, message, hint)
                 yield replace(found, frame=float(times[frames[0]]))
@@ -127,8 +130,8 @@ def _beyond(channel: ClipChannel, k: int, frames: FloatArray, over: FloatArray) 
     if len(frames) > 1:
         where = f"frames {frames[0]:g} to {frames[-1]:g}"
     return (
-        f"{channel.target!r} keeps its limits at the keys of frames {ends}, and is up "
-        f"to {much} beyond them between, in {where}"
+        f"{channel.target!r} is within its limits at the keys of frames {ends}, but "
+        f"exceeds them by up to {much} in between, in {where}"
     )
 
 
@@ -172,7 +175,7 @@ def angle_flips(subject: ClipSubject) -> Iterator[Fault]:
         message = _round(channel, k)
         if len(flips) > 1:
             frames = listed([f"{channel.times[j + 1]:g}" for j in flips[1:].tolist()])
-            message += f"; {len(flips) - 1} times more, up to frames {frames}"
+            message += f"; {len(flips) - 1} more times, up to frames {frames}"
         at = ("channels", i, "keys", k + 1, "v")
         hint = _unwrapping(channel, k, subject.units.angle)
         found = subject.fault("CLIP206", at, message, hint)
@@ -187,10 +190,10 @@ def _round(channel: ClipChannel, k: int) -> str:
     turn = abs(float(two[axis] - one[axis]))
     name = f" {channel.euler[axis].lower()}" if channel.euler else ""
     return (
-        f"{channel.target!r}{name} goes {turn:.4g}{DEG} round, from {one[axis]:.5g}"
-        f"{DEG} at frame {channel.times[k]:g} to {two[axis]:.5g}{DEG} at frame "
-        f"{channel.times[k + 1]:g}, {turn / frames:.3g}{DEG} a frame, where "
-        f"{math.degrees(_shortest(channel, k)):.3g}{DEG} would do"
+        f"{channel.target!r}{name} rotates by {turn:.4g}{DEG}, from "
+        f"{one[axis]:.5g}{DEG} at frame {channel.times[k]:g} to {two[axis]:.5g}{DEG} "
+        f"at frame {channel.times[k + 1]:g}, {turn / frames:.3g}{DEG} per frame; the "
+        f"shortest path is {math.degrees(_shortest(channel, k)):.3g}{DEG}"
     )
 
 
@@ -209,7 +212,7 @@ def _unwrapping(channel: ClipChannel, k: int, unit: float) -> str:
     )
     if channel.euler:
         written, better = f"[{written}]", f"[{better}]"
-    return f"write {written} as {better}, which is the same pose"
+    return f"write {written} as {better}, the same pose"
 
 
 def _far(one: FloatArray, two: FloatArray) -> float:
@@ -322,10 +325,13 @@ def open_cycles(subject: ClipSubject) -> Iterator[Fault]:
                 continue
             first, last = channel.times[0], channel.times[-1]
             message = (
-                f"{channel.target!r} repeats frames {first:g} to {last:g}, and is not "
-                "at the last what it is at the first: it jumps each time"
+                f"{channel.target!r} repeats frames {first:g} to {last:g}, but its "
+                "first and last values differ, so every repeat jumps"
             )
-            hint = "give both the same value; cycle_offset goes on from the last"
+            hint = (
+                "give both the same value, or use cycle_offset to continue from the "
+                "last"
+            )
             yield subject.fault("CLIP207", ("channels", i, key), message, hint)
 
 

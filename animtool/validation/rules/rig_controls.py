@@ -73,7 +73,7 @@ def beyond_limits(rig: RigSubject) -> Iterator[Fault]:
             message = f"{sweep.keys(frame)} drives {joint.name!r} {far} beyond its "
             message += "limits"
             at = _drive(rig, control, f"joint/{joint.name}.")
-            hint = "widen the limits, or drive it less far"
+            hint = "widen the limits, or reduce the drive"
             yield rig.fault("RIG204", at, message, hint)
 
 
@@ -93,7 +93,7 @@ def beyond_range(rig: RigSubject) -> Iterator[Fault]:
                 f"{control.low:g} to {control.high:g}"
             )
             at = _drive(rig, by, f"control/{control.name}")
-            hint = "clamp(…) in the expression, or a wider range"
+            hint = "use clamp(…) in the expression, or a wider range"
             yield rig.fault("RIG206", at, message, hint)
 
 
@@ -118,8 +118,8 @@ def undefined(rig: RigSubject) -> Iterator[Fault]:
             by = sweep.moved[frame]
             value = float(sweep.keyed[by.name][frame])
             text = drive.expression.text if drive.expression else ""
-            message = f"{text!r} has no value where {by.name!r} is {value:g}"
-            hint = "divide by nothing that may be 0; log and sqrt need more than 0"
+            message = f"{text!r} is undefined where {by.name!r} is {value:g}"
+            hint = "avoid division by 0; log and sqrt need more than 0"
             at = (*rig.at("controls", control.name), "drives", k)
             yield rig.fault("RIG207", at, message, hint)
 
@@ -146,11 +146,11 @@ def never_acts(rig: RigSubject) -> Iterator[Fault]:
         own = [name for name in shape.combine if name not in weights]
         at = (*rig.at("shapes", shape.name), "combine")
         if own:
-            message = f"no control drives {own[0]!r}, of which {shape.name!r} is made"
-            yield rig.fault("RIG208", at, message, "drive it, or leave the shape out")
+            message = f"no control drives {own[0]!r}, which {shape.name!r} combines"
+            yield rig.fault("RIG208", at, message, "drive it, or remove the shape")
         elif not _product(shape, weights).any():
             message = f"{shape.name!r} is 0 in every pose of the controls"
-            hint = f"{' and '.join(shape.combine)} are never both more than 0"
+            hint = f"{' and '.join(shape.combine)} are never both above 0"
             yield rig.fault("RIG208", at, message, hint)
 
 
@@ -177,7 +177,7 @@ def idle(rig: RigSubject) -> Iterator[Fault]:
         if not control.drives and control.name not in read:
             message = f"{control.name!r} drives nothing, and nothing reads it"
             at = rig.at("controls", control.name)
-            yield rig.fault("RIG220", at, message, "give it drives, or leave it out")
+            yield rig.fault("RIG220", at, message, "add drives, or remove it")
 
 
 @lru_cache(maxsize=1)

@@ -34,13 +34,13 @@ def driven_beyond(rig: RigSubject) -> Iterator[Fault]:
             continue
         low, high = joint.limits.low, joint.limits.high
         message = (
-            f"the driver of {joint.name!r} comes to "
-            f"{shown(rig, joint, float(values[worst]))} within the limits of what it "
-            f"reads; its limits are {shown(rig, joint, low)} to "
+            f"the driver of {joint.name!r} reaches "
+            f"{shown(rig, joint, float(values[worst]))} within the limits of its "
+            f"inputs; its limits are {shown(rig, joint, low)} to "
             f"{shown(rig, joint, high)}"
         )
         at = (*rig.at("joints", joint.name), "driven")
-        yield rig.fault("RIG223", at, message, "widen the limits, or drive it less far")
+        yield rig.fault("RIG223", at, message, "widen the limits, or reduce the driver")
 
 
 def driven_undefined(rig: RigSubject) -> Iterator[Fault]:
@@ -62,9 +62,9 @@ def driven_undefined(rig: RigSubject) -> Iterator[Fault]:
                 f"{name} is {values[frame] / part.driven.unit_of(name):.4g}"
                 for name, values in read.items()
             ]
-            message = f"the driver of {kind} {part.name!r} has no value where "
-            message += " and ".join(poses) or "it reads nothing"
-            hint = "divide by nothing that may be 0; log and sqrt need more than 0"
+            message = f"the driver of {kind} {part.name!r} is undefined where "
+            message += " and ".join(poses) or "it has no inputs"
+            hint = "avoid division by 0; log and sqrt need more than 0"
             yield rig.fault(
                 "RIG224", (*rig.at(key, part.name), "driven"), message, hint
             )

@@ -29,17 +29,23 @@ def rest_outside(rig: RigSubject) -> Iterator[Fault]:
     """Yield joints whose limits leave their rest pose out (RIG201)."""
     for joint in rig.rig.joints:
         at = (*rig.at("joints", joint.name), "limits")
-        hint = "limits count from the rest pose, which is 0"
+        hint = "limits are relative to the rest pose, which is 0"
         match joint.limits:
             case RangeLimit(low, high):
                 value = 0.0 if joint.mimic is None else joint.mimic.offset
                 if low - SLACK <= value <= high + SLACK:
                     continue
                 ends = f"{shown(rig, joint, low)} to {shown(rig, joint, high)}"
-                message = f"{joint.name!r} may go from {ends}, and rests outside"
+                message = (
+                    f"the limits of {joint.name!r} are {ends}, which exclude its rest "
+                    "pose"
+                )
             case BallLimit(twist=(low, high)) if not low <= SLACK or not high >= -SLACK:
                 ends = f"{shown(rig, joint, low)} to {shown(rig, joint, high)}"
-                message = f"{joint.name!r} may twist from {ends}, and rests outside"
+                message = (
+                    f"the twist limits of {joint.name!r} are {ends}, which exclude "
+                    "its rest pose"
+                )
             case _:
                 continue
         if joint.name in rig.mirrored:
@@ -59,8 +65,8 @@ def motionless(rig: RigSubject) -> Iterator[Fault]:
                 continue
         if still and joint.name not in rig.mirrored:
             at = (*rig.at("joints", joint.name), "limits")
-            message = f"the {joint.type} joint {joint.name!r} can go nowhere"
-            yield rig.fault("RIG202", at, message, "type: fixed says so")
+            message = f"the {joint.type} joint {joint.name!r} cannot move"
+            yield rig.fault("RIG202", at, message, "write type: fixed")
 
 
 def across(rig: RigSubject) -> Iterator[Fault]:
@@ -76,10 +82,10 @@ def across(rig: RigSubject) -> Iterator[Fault]:
             at = (*rig.at("joints", joint.name), "limits", "twist_axis")
             axis = _rounded(np.array(limits.twist_axis))
             message = (
-                f"the twist axis {axis} of {joint.name!r} is at right angles to its "
+                f"the twist axis {axis} of {joint.name!r} is perpendicular to its "
                 f"bone, which points along {_rounded(bone)}"
             )
-            hint = f"twist_axis: {_rounded(bone)} turns the bone about itself"
+            hint = f"twist_axis: {_rounded(bone)} rotates the bone about itself"
             yield rig.fault("RIG203", at, message, hint)
 
 
@@ -97,12 +103,12 @@ def follower(rig: RigSubject) -> Iterator[Fault]:
                 continue
             low, high = joint.limits.low, joint.limits.high
             message = (
-                f"{joint.name!r} goes to {shown(rig, joint, value)} where "
+                f"{joint.name!r} reaches {shown(rig, joint, value)} where "
                 f"{leader.name!r} is at {shown(rig, leader, end)}; its limits are "
                 f"{shown(rig, joint, low)} to {shown(rig, joint, high)}"
             )
             at = (*rig.at("joints", joint.name), "limits")
-            yield rig.fault("RIG205", at, message, "widen them, or lessen gain")
+            yield rig.fault("RIG205", at, message, "widen them, or reduce gain")
             break
 
 
@@ -151,10 +157,10 @@ def nearly_rest(rig: RigSubject) -> Iterator[Fault]:
         plain = pose.stretch is None
         if plain and away <= SLIP * rig.size and turn <= SLIP_ANGLE:
             message = (
-                f"the bind pose of {name!r} is its rest pose but for "
-                f"{length_text(away)} and {math.degrees(turn):.3g}\N{DEGREE SIGN}"
+                f"the bind pose of {name!r} equals its rest pose except for "
+                f"{length_text(away)} and {math.degrees(turn):.3g}°"
             )
-            hint = "leave it out, or write the pose that the skin was made in"
+            hint = "remove it, or write the pose in which the skin was made"
             yield rig.fault("RIG216", ("bind", name), message, hint)
 
 
@@ -168,8 +174,8 @@ def without_rest(rig: RigSubject) -> Iterator[Fault]:
         if any(pose.get("translate") or ()) and not {"translate", "rotate"} & {*entry}:
             name, above = entry["name"], entry.get("parent")
             place = f"where {above!r} is" if above else "at the origin"
-            message = f"{name!r} has a bind pose and none at rest: it rests {place}"
-            hint = f"translate: {pose['translate']} is its place in the bind pose"
+            message = f"{name!r} has a bind pose but no rest pose: it rests {place}"
+            hint = f"translate: {pose['translate']} is its position in the bind pose"
             yield rig.fault("RIG222", ("joints", i), message, hint)
 
 
@@ -186,9 +192,9 @@ def implausible_size(rig: RigSubject) -> Iterator[Fault]:
     ]
     at = ("units", "length") if "units" in rig.document.value else ("joints",)
     message = (
-        f"the rig measures {length_text(rig.size)}, its lengths being {unit_name(own)}"
+        f"the rig measures {length_text(rig.size)}, with lengths in {unit_name(own)}"
     )
-    hint = f"length: {' or '.join(fitting)} fits better" if fitting else None
+    hint = f"length: {' or '.join(fitting)} is more plausible" if fitting else None
     yield rig.fault("RIG217", at, message, hint)
 
 
@@ -206,8 +212,8 @@ def other_place(rig: RigSubject) -> Iterator[Fault]:
     for (left, right), same in zip(pairs, alike.tolist(), strict=True):
         if not same:
             at = (*rig.at("joints", right.name), "translate")
-            message = f"{right.name!r} is no mirror image of {left.name!r} at rest"
-            hint = f"mirror: {right.name} in {left.name!r} writes it"
+            message = f"{right.name!r} is not the mirror image of {left.name!r} at rest"
+            hint = f"mirror: {right.name} in {left.name!r} creates it"
             yield rig.fault("RIG212", at, message, hint)
 
 
@@ -223,10 +229,10 @@ def other_limits(rig: RigSubject) -> Iterator[Fault]:
         elif _same_limits(left, right):
             continue
         at = (*rig.at("joints", right.name), what)
-        message = f"{right.name!r} has another {what} than {left.name!r}"
+        message = f"{right.name!r} has a different {what} than {left.name!r}"
         if what == "limits":
-            message = f"{right.name!r} has other limits than {left.name!r}"
-        hint = f"mirror: {right.name} in {left.name!r} writes it"
+            message = f"{right.name!r} has different limits than {left.name!r}"
+        hint = f"mirror: {right.name} in {left.name!r} creates it"
         yield rig.fault("RIG213", at, message, hint)
 
 

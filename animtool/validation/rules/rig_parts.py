@@ -48,10 +48,11 @@ def not_in_usd(rig: RigSubject) -> Iterator[Fault]:
         if names:
             one = len(names) == 1
             message = (
-                f"{counted(len(names), 'name')} of {key} {'is' if one else 'are'} "
-                f"written otherwise in USD: {names[0]!r} as {legal(names[0])!r}"
+                f"{counted(len(names), 'name')} of {key} "
+                f"{'changes' if one else 'change'} in USD: {names[0]!r} to "
+                f"{legal(names[0])!r}"
             )
-            hint = "letters, digits and underscores stay as they are"
+            hint = "letters, digits and underscores are kept"
             yield rig.fault("RIG221", rig.at(key, names[0]), message, hint)
 
 
@@ -98,7 +99,7 @@ def no_effect(rig: RigSubject) -> Iterator[Fault]:
                 continue
             at = rig.at("shapes", shape.name)
             message = f"{shape.name!r} moves no point of {shape.mesh!r}"
-            yield rig.fault("RIG209", at, message, "give it deltas, or leave it out")
+            yield rig.fault("RIG209", at, message, "give it deltas, or remove it")
 
 
 def _acts(shape: Shape, archives: Archives) -> bool:
@@ -126,8 +127,8 @@ def weight_sums(rig: RigSubject) -> Iterator[Fault]:
             continue
         worst = int(off.argmax())
         message = (
-            f"the weights of {counted(len(wrong), 'point')} of {mesh.name!r} are not "
-            f"summed to 1, most of all those of {worst}: {weights[worst].sum():.4g}"
+            f"the weights of {counted(len(wrong), 'point')} of {mesh.name!r} do not "
+            f"have the sum 1; worst is {worst}: {weights[worst].sum():.4g}"
         )
         hint = "divide them by their sums, as every reader does"
         yield rig.fault("RIG210", at, message, hint)
@@ -162,10 +163,10 @@ def mesh_size(rig: RigSubject) -> Iterator[Fault]:
     if largest and not rig.size / SIZE_RATIO <= largest <= rig.size * SIZE_RATIO:
         name = max(sizes, key=lambda name: sizes[name])
         message = (
-            f"{name!r} measures {largest:.3g} m, and the joints at rest "
+            f"{name!r} measures {largest:.3g} m, but the joints at rest "
             f"{rig.size:.3g} m"
         )
-        hint = "points are in the file's unit, as joints are; or write geom_bind"
+        hint = "points use the file's unit, as joints do; or write geom_bind"
         at = (*rig.at("meshes", name), "points")
         yield rig.fault("RIG218", at, message, hint)
 
@@ -196,7 +197,7 @@ def cannot_bend(rig: RigSubject) -> Iterator[Fault]:
             f"{chain.name!r} cannot bend: no joint between {chain.root!r} and "
             f"{chain.tip!r} moves the tip ({', '.join(reasons)})"
         )
-        hint = "a pin across its bone, a ball joint or a slide bends it"
+        hint = "a pin across its bone, a ball joint or a prismatic joint lets it bend"
         yield rig.fault("RIG214", at, message, hint)
 
 
@@ -218,8 +219,11 @@ def open_bend(rig: RigSubject) -> Iterator[Fault]:
         at = rig.at("ik", chain.name)
         if chain.pole_dir is None:
             if all(j.type in {JointType.BALL, JointType.FREE} for j in moving):
-                message = f"{chain.name!r} is straight at rest and may bend any way"
-                hint = "pole_dir says where its middle points"
+                message = (
+                    f"{chain.name!r} is straight at rest, so its bend direction is "
+                    "undefined"
+                )
+                hint = "set the direction of its middle with pole_dir"
                 yield rig.fault("RIG215", at, message, hint)
             continue
         parent = rig.rig.parents[joints[0]]
@@ -227,7 +231,7 @@ def open_bend(rig: RigSubject) -> Iterator[Fault]:
         pole = so3.rotate(frame, np.array(chain.pole_dir))
         if float(np.linalg.norm(np.cross(pole, reach / length))) < PARALLEL:
             message = f"the pole_dir of {chain.name!r} points along the chain"
-            hint = "it says which way the middle goes: across the chain"
+            hint = "it sets the direction of the middle: across the chain"
             yield rig.fault("RIG215", (*at, "pole_dir"), message, hint)
 
 
@@ -277,7 +281,7 @@ def _reason(joint: Joint) -> str:
     if joint.type is JointType.FIXED:
         return f"{joint.name} is fixed"
     if isinstance(joint.limits, RangeLimit) and not _wide(joint.limits):
-        return f"{joint.name} has limits without width"
+        return f"{joint.name} has limits of zero width"
     if joint.type is JointType.PIN:
-        return f"{joint.name} turns about its own bone"
-    return f"{joint.name} may not swing"
+        return f"{joint.name} rotates about its own bone"
+    return f"{joint.name} cannot swing"

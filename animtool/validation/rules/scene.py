@@ -35,7 +35,7 @@ def over_input(subject: SceneSubject) -> Iterator[Fault]:
         files = outlined(replace(scene, outputs=(output,)), None).files
         over = [repr(path.name) for path in files if path.resolve() in inputs]
         if over:
-            message = f"writes over {' and '.join(over)}, which it reads"
+            message = f"would overwrite {' and '.join(over)}, which it reads"
             yield subject.fault("OUT003", (*at, "file"), message, "name another")
 
 
@@ -57,8 +57,8 @@ def over_other(subject: SceneSubject) -> Iterator[Fault]:
         others = _outputs(path, stat.st_mtime_ns, stat.st_size)
         for at, output in written:
             if output in others:
-                message = f"{path.name!r} writes {output[0].name!r} too"
-                hint = "name another in one of them"
+                message = f"{path.name!r} also writes {output[0].name!r}"
+                hint = "change the name in one of them"
                 yield subject.fault("SCN204", (*at, "file"), message, hint)
 
 
@@ -100,9 +100,9 @@ def homeless(subject: SceneSubject) -> Iterator[Fault]:
         folder = None if output.path is None else output.path.parent
         if folder is None or folder.is_dir():
             continue
-        how = "is no folder" if folder.exists() else "is not there"
-        message = f"is to be written into {str(folder)!r}, which {how}"
-        hint = "bake makes no folders: make it first"
+        how = "is not a folder" if folder.exists() else "does not exist"
+        message = f"would be written to {str(folder)!r}, which {how}"
+        hint = "bake does not make folders: make it first"
         yield subject.fault("SCN212", (*at, "file"), message, hint)
 
 
@@ -123,7 +123,9 @@ def without_curves(subject: SceneSubject) -> Iterator[Fault]:
     for at, output in subject.outputs:
         if output.bake.keep_curves and not subject.curves:
             message = "there is no control whose curve could be kept"
-            hint = "clips have such curves; a pass that changes a control drops them"
+            hint = (
+                "only clips have such curves; a pass that changes a control drops them"
+            )
             yield subject.fault("SCN208", (*at, "keep_curves"), message, hint)
 
 
@@ -143,18 +145,18 @@ def idle(subject: SceneSubject) -> Iterator[Fault]:
         if name in _STATES:
             continue
         message = f"the pass {name} changes nothing"
-        hint = "leave it out, or give it the options that do"
+        hint = "remove it, or set options that have an effect"
         yield subject.fault("SCN201", subject.at_pass(i), message, hint)
 
 
 def outside_take(subject: SceneSubject) -> Iterator[Fault]:
     """Yield a range that reaches beyond what there is to write (SCN202)."""
-    yield from _outside(subject, "SCN202", "reaches beyond the take", wholly=False)
+    yield from _outside(subject, "SCN202", "extends beyond the take", wholly=False)
 
 
 def without_frames(subject: SceneSubject) -> Iterator[Fault]:
     """Yield a range in which there is nothing to write (SCN211)."""
-    yield from _outside(subject, "SCN211", "has no frame of the take", wholly=True)
+    yield from _outside(subject, "SCN211", "contains no frame of the take", wholly=True)
 
 
 def _outside(
@@ -174,10 +176,10 @@ def _outside(
     if scene.bake.shot is not None:
         what, at = "cut with its handles,", ("shot",)
     message = (
-        f"the {what} from {frame_range.first} to {frame_range.last} {how}, "
-        f"which the output numbers {float(start):g} to {float(last):g}"
+        f"the {what} from {frame_range.first} to {frame_range.last} {how}, which has "
+        f"output frames {float(start):g} to {float(last):g}"
     )
-    hint = "frames count as the output does, from its start"
+    hint = "frame numbers are those of the output, counted from its start"
     yield subject.fault(code, at, message, hint)
 
 
@@ -196,8 +198,8 @@ def near_rate(subject: SceneSubject) -> Iterator[Fault]:
     given, own = subject.scene.bake.fps, subject.take.clock.rate
     if given is None or given == own or abs(given - own) > NEAR_RATES * own:
         return
-    message = f"the output has {rate_label(given)}, and the take {rate_label(own)}"
-    hint = "leave fps out; of a BVH that states a wrong rate, source.fps says the true"
+    message = f"the output has {rate_label(given)}, but the take {rate_label(own)}"
+    hint = "remove fps; for a BVH with a wrong rate, set source.fps"
     yield subject.fault("SCN205", ("fps",), message, hint)
 
 
@@ -209,9 +211,9 @@ def undone_goals(subject: SceneSubject) -> Iterator[Fault]:
             solved = entry.place.where
         elif solved and _moves(entry.pass_) and i not in subject.idle:
             message = (
-                f"the pass {entry.pass_.name} moves what {solved} brought to targets"
+                f"the pass {entry.pass_.name} moves what {solved} solved for targets"
             )
-            hint = "put ik behind it"
+            hint = "put ik after it"
             yield subject.fault("SCN210", subject.at_pass(i), message, hint)
 
 
@@ -236,9 +238,9 @@ def out_of_time(subject: SceneSubject) -> Iterator[Fault]:
             continue
         first, last = times[[0, -1], column]
         message = (
-            f"its file has no frame of the take, which asks for {first:g} to {last:g}"
+            f"its file has no frame of the take, which needs {first:g} to {last:g}"
         )
-        hint = "frame: says which of its frames comes with the first"
+        hint = "set the frame of its file to match the first with frame:"
         at = ("props", indices[track.path])
         yield subject.fault("SCN213", at, message, hint)
 
@@ -247,4 +249,4 @@ def idle_variables(subject: SceneSubject) -> Iterator[Fault]:
     """Yield variables that no text uses (SCN209)."""
     for name in sorted(subject.scene.idle_variables):
         message = f"no text of the scene uses ${{{name}}}"
-        yield subject.fault("SCN209", ("variables", name), message, "leave it out")
+        yield subject.fault("SCN209", ("variables", name), message, "remove it")

@@ -45,7 +45,7 @@ class TargetsSubject(DocumentSubject):
     ) -> Fault:
         """Return a fault of what lies outside the file's range (TGT201)."""
         message += f"; the range is {first:g} to {last:g}"
-        hint = "widen the range, or leave it out"
+        hint = "widen the range, or remove it"
         return self.fault("TGT201", ("goals", goal, *key), message, hint)
 
 
@@ -67,7 +67,7 @@ def outside_range(subject: TargetsSubject) -> Iterator[Fault]:
             message = f"{key} of {goal.name!r} from {times[0]:g} to {times[-1]:g} is "
             message += "never met"
             if keyed:
-                message = f"keys of the {key} of {goal.name!r} are never met: "
+                message = f"keys of the {key} of {goal.name!r} are never used: "
                 message += listed([f"{t:g}" for t in times])
             yield subject.outside(i, (key,), message, low, high)
 
@@ -102,12 +102,14 @@ def twice(subject: TargetsSubject) -> Iterator[Fault]:
         if not parts or not _overlap(one.during, two.during):
             continue
         if all(_equal(one.values, two.values, part) for part in parts):
-            message = f"asks the {listed(parts)} of {two.name!r} a second time"
-            hint = "leave one of them out; weight says how much it counts"
+            message = f"targets the {listed(parts)} of {two.name!r} a second time"
+            hint = "remove one of them; weight sets how much it counts"
         else:
-            message = f"asks another {listed(parts)} of {two.name!r} than the goal of "
+            message = (
+                f"targets another {listed(parts)} of {two.name!r} than the goal on "
+            )
             message += f"line {one.place[0]}: both are missed"
-            hint = "leave one out, give it another priority, or other frames: during"
+            hint = "remove one, give it another priority, or other frames: during"
         yield subject.fault("TGT202", ("goals", i, "effector"), message, hint)
 
 
@@ -147,7 +149,7 @@ def weightless(subject: TargetsSubject) -> Iterator[Fault]:
                     continue
             if getattr(goal.goal, part) > 0:
                 message = f"the {part} of {goal.name!r} has the weight 0 throughout"
-                hint = f"leave the {part} out"
+                hint = f"remove the {part}"
                 at = ("goals", i, "weight", part)
                 yield subject.fault("TGT203", at, message, hint)
 
@@ -158,9 +160,9 @@ def idle_holds(subject: TargetsSubject) -> Iterator[Fault]:
         for span in goal.spans:
             if not _overlap([span], goal.during):
                 first, last = span
-                message = f"{goal.name!r} is held from {first:g} to {last:g}, where it "
-                message += "is not asked for"
-                hint = "hold counts inside the spans of during alone"
+                message = f"{goal.name!r} is held from {first:g} to {last:g}, when it "
+                message += "is not active"
+                hint = "hold applies only inside the spans of during"
                 yield subject.fault("TGT204", ("goals", i, "hold"), message, hint)
 
 
@@ -232,8 +234,8 @@ def out_of_reach(subject: SceneSubject) -> Iterator[Fault]:
                 f"{far[worst]:.3g} m away, and the chain is {reach[worst]:.3g} m long"
             )
             if len(frames) > 1:
-                message += f"; so it is in {len(frames)} frames"
-            hint = "bring it nearer, or let joints above move: root, or goals of theirs"
+                message += f"; also in {len(frames)} frames in total"
+            hint = "move it closer, or let joints above move: root, or goals for them"
             found = asked.fault("TGT205", e, "position", message, hint)
             yield replace(found, frame=float(times[worst]))
 
@@ -318,10 +320,10 @@ def mismatched_unit(subject: SceneSubject) -> Iterator[Fault]:
         ]
         if fitting:
             message = (
-                f"the points are {unit_name(own)}, and all farther from the rig than "
-                f"{FAR:g} times its size"
+                f"the points are in {unit_name(own)}, and all are farther from the "
+                f"rig than {FAR:g} times its size"
             )
-            hint = f"units: {{length: {fitting[0]}}} fits better"
+            hint = f"units: {{length: {fitting[0]}}} is more plausible"
             yield asked.fault("TGT206", still[0], "position", message, hint)
 
 
@@ -333,8 +335,8 @@ def beyond_take(subject: SceneSubject) -> Iterator[Fault]:
         for e, track in enumerate(asked.tracks.goals):
             for key, at, keyed in _outside(track, first, last):
                 what = f"from {at[0]:g} to {at[-1]:g} is"
-                what = f"has a key at {at[0]:g}, which counts" if keyed else what
+                what = f"has a key at {at[0]:g}, which is used" if keyed else what
                 message = f"the {key} of {track.name!r} {what} in no frame of the take,"
                 message += f" which has {first:g} to {last:g}"
-                hint = "frames of targets count as the take does"
+                hint = "frame numbers of targets are those of the take"
                 yield asked.fault("TGT207", e, key, message, hint)

@@ -40,7 +40,7 @@ def gaps(subject: MarkersSubject) -> Iterator[Fault]:
     ]
     if often:
         message = (
-            f"{counted(len(often), 'marker')} missing from over "
+            f"{counted(len(often), 'marker')} missing from more than "
             f"{percent(MISSING_SHARE)} of frames: {listed(often, MAX_NAMED)}"
         )
         hint = "animtool mocap fill fills gaps; a solve on a rig needs fewer markers"
@@ -59,7 +59,7 @@ def spikes(subject: MarkersSubject) -> Iterator[Fault]:
             f"{counted(len(found), 'spike')} of {listed(names, MAX_NAMED)}; the "
             f"largest, {1000 * worst.size:.3g} mm, of {worst.marker} at frame {frame}"
         )
-        hint = "animtool mocap fill takes them out"
+        hint = "animtool mocap fill removes them"
         yield replace(subject.fault("MKR202", message, hint), frame=float(frame))
 
 
@@ -82,13 +82,15 @@ def sizes(subject: MarkersSubject) -> Iterator[Fault]:
         return
     usual = float(np.median(extents))
     if usual > LARGEST:
-        message = f"markers of a frame are {usual:.3g} m apart: too far for a stage"
+        message = (
+            f"markers of a frame are {usual:.3g} m apart: too far for a capture volume"
+        )
     elif usual < SMALLEST:
-        message = f"markers of a frame are {1000 * usual:.3g} mm apart: too near"
+        message = f"markers of a frame are {1000 * usual:.3g} mm apart: too close"
     else:
         return
     yield subject.fault(
-        "MKR204", message, f"{argument('source.unit')} says what its lengths are in"
+        "MKR204", message, f"set the unit of its lengths with {argument('source.unit')}"
     )
 
 
@@ -125,8 +127,8 @@ def same_points(subject: MarkersSubject) -> Iterator[Fault]:
     if len(pairs):
         names = [markers.names[i] for i in labelled]
         shown = [f"{names[a]} and {names[b]}" for a, b in pairs.tolist()]
-        message = f"markers that lie in one place: {listed(shown, MAX_NAMED)}"
-        hint = "leave one of them out, or label them again"
+        message = f"markers at the same position: {listed(shown, MAX_NAMED)}"
+        hint = "remove one of them, or label them again"
         yield subject.fault("MKR205", message, hint)
 
 
@@ -141,4 +143,4 @@ def unseen(subject: MarkersSubject) -> Iterator[Fault]:
     ]
     if never:
         message = f"markers that no frame has: {listed(never, MAX_NAMED)}"
-        yield subject.fault("MKR206", message, "leave them out")
+        yield subject.fault("MKR206", message, "remove them")

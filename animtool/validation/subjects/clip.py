@@ -90,7 +90,7 @@ def open_clip_document(document: Document) -> CheckedFile:
     file = clip_of_document(document)
     if file.model.rig is None:
         check_clip(file)
-        message = "names no rig, without which its targets cannot be checked"
+        message = "names no rig, so its targets cannot be checked"
         hint = "write 'rig: hero.rig.yaml' into it"
         fault = document.fault("CLIP011", ("clip",), message, hint)
         return CheckedFile(Kind.CLIP, [replace(fault, severity=Severity.NOTE)])

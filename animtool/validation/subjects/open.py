@@ -177,8 +177,8 @@ def open_file(path: Path, given: SceneValues | None = None) -> CheckedFile:
     if reader is None and path.suffix.lower() in EXPORTS:
         raise OptionError(export_fault(path))
     if reader is None:
-        hint = f"checked are {', '.join(readable_suffixes())}"
-        message = "is of no kind that is checked"
+        hint = f"supported: {', '.join(readable_suffixes())}"
+        message = "is not a kind of file that is checked"
         raise OptionError(Fault("IO002", message, str(path), (), hint))
     return open_document(read_document(path), given)
 

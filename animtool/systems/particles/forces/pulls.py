@@ -100,7 +100,7 @@ class Central(Force):
         """Return which options make no sense, and why."""
         found = super().faults()
         if self.power < 1 and not self.softening > 0:
-            found.append(("softening", "must be above 0 where the power is below 1"))
+            found.append(("softening", "must be above 0 if the power is below 1"))
         return found
 
 

@@ -40,6 +40,6 @@ def find_force(name: str) -> type[Force]:
     if name not in FORCES:
         from animtool.core.names import nearest
 
-        message = f"no force is named {excerpt(name)}"
+        message = f"unknown force {excerpt(name)}"
         raise OptionError(Fault("SIM023", message, hint=nearest(name, list(FORCES))))
     return cast("type[Force]", load_object(FORCES[name]))
