@@ -22,7 +22,10 @@ MEASURED = [
     ("[3/12] done wave3.usdc (new) 0.03 s", "[3/12] done wave3.usdc (new) 1.10 s"),
     ("12 items: 12 done in 0.76 s", "12 items: 12 done in 11.02 s"),
     ("  slowest: a.usdc 0.10 s, b.usdc 0.08 s", "  slowest: b.usdc 0.31 s"),
-    ("  rk4 is as exact in 60% of the time", "  heun is as exact in 9% of the time"),
+    (
+        "  rk4 is as accurate in 60% of the time",
+        "  heun is as accurate in 9% of the time",
+    ),
     ('  "seconds": 0.020284,', '  "seconds": 1e-06,'),
     (
         '{"seconds": {"read": 0.1, "total": 0.2}}',

@@ -135,7 +135,9 @@ def test_a_cluster_that_is_lost_ends_the_run(
         with pytest.raises(OutputError) as error:
             list(outcomes)
     assert error.value.code == "BAT035"
-    assert "resumes with the rest" in str(error.value.faults[0].hint)
+    assert "finished items are recorded; run the same command again to resume" in str(
+        error.value.faults[0].hint
+    )
 
 
 @pytest.mark.slow

@@ -274,7 +274,7 @@ def test_gaps_and_other_tracks_are_said(takes: Path) -> None:
     found = read_cuts(timeline(takes / "a.otio", gap, made, more=(sound,)))
     assert len(found.shots) == 1
     said = [n.message for n in found.notices]
-    assert said == ["A1, of Audio, is left out", "left out gaps: 1"]
+    assert said == ["A1, of type Audio, is skipped", "skipped gaps: 1"]
 
 
 def test_transitions_lengthen_what_is_taken(takes: Path) -> None:
@@ -431,7 +431,7 @@ def test_a_scene_for_each_shot(takes: Path) -> None:
     items = json.loads(done.stdout)["items"]
     assert [item["samples"] for item in items] == [8, 10, 8]
     assert items[0]["shot"]["cut_in"] == 1003
-    said = "shot c: the take lacks handle frames 1001 to 1002; the nearest pose is held"
+    said = "shot c: the take does not have handle frames 1001 to 1002; the nearest pose is held"
     assert f"warning: SCN106 {said}" in done.stderr
     assert set(whole_outputs(takes / "out")) == {"a.usda", "b.usda", "c.usda"}
     again = animtool("batch", *words, cwd=takes)
@@ -511,7 +511,10 @@ def test_one_shot_is_baked_by_its_name(takes: Path) -> None:
         done = animtool("bake", "edit.otio", *words, cwd=takes)
         assert (done.code, said in done.stderr) == (2, True), done.stderr
     done = animtool("bake", "takes/take000.bvh", "--shot", "sh010", cwd=takes)
-    assert (done.code, "is for motion of a timeline" in done.stderr) == (2, True)
+    assert (done.code, "needs a timeline, such as edit.otio." in done.stderr) == (
+        2,
+        True,
+    )
 
 
 def test_a_shot_that_is_disabled_is_named_as_such(takes: Path) -> None:
@@ -568,7 +571,11 @@ def test_a_shot_without_media_and_a_timeline_without_clips(takes: Path) -> None:
     done = animtool("bake", path, "--shot", "sh010", cwd=takes)
     assert (done.code, "BAT042" in done.stderr) == (3, True)
     done = animtool("batch", path, "-o", "out/{shot}.usdc", cwd=takes)
-    assert (done.code, "INPUT of its name" in done.stderr) == (5, True)
+    assert (
+        done.code,
+        "a clip without media uses the INPUT with its name: pass takes too"
+        in done.stderr,
+    ) == (5, True)
     done = animtool("bake", timeline(takes / "b.otio"), cwd=takes)
     assert (done.code, "there is no shot to bake" in done.stderr) == (2, True)
 

@@ -114,7 +114,7 @@ def test_serial_keeps_no_limits(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("serve", "said"), [(serve_nothing, "does not answer"), (serve_and_end, "with 9")]
+    ("serve", "said"), [(serve_nothing, "does not respond"), (serve_and_end, "with 9")]
 )
 def test_processes_that_do_not_begin_end_the_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, serve: object, said: str

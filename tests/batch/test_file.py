@@ -98,7 +98,7 @@ def test_a_batch_is_no_scene(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("text", ["inf", "nan", "1e300", "0", "-1", "", "a", "9" * 99])
 def test_what_is_no_time(text: str) -> None:
-    with pytest.raises(ValueError, match="is no number of seconds"):
+    with pytest.raises(ValueError, match="is not a number of seconds above 0"):
         parse_seconds(text)
 
 
@@ -118,5 +118,5 @@ LARGE = ["9" * 400 + "TB", "9999999999999GB"]
     "text", ["", "2", "2 gigs", "-1GB", "1.GB", "GB", "nanGB", "0.1B", *LARGE]
 )
 def test_what_is_no_size(text: str) -> None:
-    with pytest.raises(ValueError, match="is no size"):
+    with pytest.raises(ValueError, match="is not a size such as 2GB or 512MiB"):
         parse_bytes(text)

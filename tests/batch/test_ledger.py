@@ -84,7 +84,7 @@ def test_an_owner_that_cannot_be_read_is_not_named(tmp_path: Path, data: bytes) 
         error = refusal(tmp_path, "a")
     assert error is not None
     assert error.code == "BAT010"
-    assert "not said which" in str(error)
+    assert "of an unknown process" in str(error)
     # Locks end with their process, whatever the file says.
     assert refusal(tmp_path, "a") is None
 
@@ -100,7 +100,7 @@ def test_whose_run_it_is(tmp_path: Path) -> None:
     names = {
         owned(os.getpid(), here): f"process {os.getpid()} on {here!r}",
         owned(12, "other\x1b[2J"): "process 12 on 'other\\x1b[2J'",
-        owned(ended.pid, here): "a process that has not said which",
+        owned(ended.pid, here): "of an unknown process",
     }
     for text, name in names.items():
         # What an earlier run left is no reason to wait.

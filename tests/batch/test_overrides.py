@@ -71,7 +71,7 @@ def test_names_that_have_another_meaning_are_refused(tmp_path: Path) -> None:
         ("BAT063", "overrides[0].variables.stem", (7,)),
         ("BAT002", "overrides[1].variables.2nd", (8,)),
     ]
-    assert caught.value.faults[1].message == "'2nd' is no name of a variable"
+    assert caught.value.faults[1].message == "'2nd' is not a valid variable name"
     path.write_text(HEAD + "- {inputs: [takes], variables: {frist: 2}}\n", "utf-8")
     with pytest.raises(OptionError) as unused:
         find_batch(load_batch(path))

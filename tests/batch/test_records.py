@@ -202,6 +202,6 @@ def test_lines_that_do_not_fit_are_not_there(
     (refused,) = error.value.faults
     assert (refused.code, refused.hint) == (
         "BAT012",
-        "what was made so far is recorded",
+        "finished items are recorded",
     )
     assert path.read_bytes() == content

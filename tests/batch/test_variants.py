@@ -206,7 +206,7 @@ def test_the_same_values_twice_are_named_as_such(swing: Path) -> None:
     table = variants_of_texts(["k=1,1"])
     with pytest.raises(OptionError) as caught:
         check_places(find_batch(BatchSpec((str(swing),), variants=table)))
-    assert "given twice" in str(caught.value.faults[0].hint)
+    assert "these values appear twice: remove one" in str(caught.value.faults[0].hint)
 
 
 def test_a_table_of_another_separator_is_told_which_to_write(tmp_path: Path) -> None:

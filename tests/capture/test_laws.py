@@ -266,7 +266,7 @@ def test_how_a_camera_went_is_found_from_what_it_sees() -> None:
     few.reshape(-1, 2)[20] = pixels.reshape(-1, 2)[20]
     assert pose_change(was, points, few) is not None
     text = str(PoseChange(np.radians(1.5), 0.0123, 0.5))
-    assert text.startswith("a turn of 1.50 degrees and a shift of 12.3 mm")
+    assert text.startswith("a rotation of 1.50 degrees and a shift of 12.3 mm")
 
 
 def test_noise_is_told_by_the_sums_of_squares_of_points() -> None:

@@ -91,7 +91,7 @@ def test_tallies_become_errors() -> None:
         ({"outside": 2}, ["CAM107"], ["2 pixels of camera 'a'", "image of 640 x 480"]),
         (
             {"moved": (Moved(2, 5, 0.7),), "outliers": 0.5},
-            ["CAM101"], ["frames 3 to 5", "it is left out there"],
+            ["CAM101"], ["frames 3 to 5", "it is excluded there"],
         ),
         (
             {"moved": (Moved(0, 10, 0.7, PoseChange(0.1, 0.2, 0.3)),)},
@@ -99,7 +99,7 @@ def test_tallies_become_errors() -> None:
         ),
         (
             {"moved": (Moved(0, 9, 0.7, None, True),)},
-            ["CAM101"], ["frames 1 to 9", "no better without"],
+            ["CAM101"], ["frames 1 to 9", "it is kept: without it, the others do not agree better"],
         ),
         (
             {"disagrees": (Disagreement(3, 0.2, 1.0), Disagreement(6, 0.8, 1.0))},
@@ -348,7 +348,7 @@ def test_what_is_said_of_landmarks_that_do_not_fit() -> None:
     assert found[0].message.startswith("1 frame with fewer than 4 landmarks")
     assert found[1].message.startswith("2 frames")
     assert "1 landmark are never seen: e" in found[2].message
-    assert "1 landmark do not fit the face in most frames: b" in found[3].message
+    assert "1 landmark do not match the face in most frames: b" in found[3].message
 
 
 @pytest.mark.parametrize(

@@ -40,7 +40,7 @@ def test_summary_in_words(take: Path, tmp_path: Path) -> None:
     done = animtool("bake", take, "-o", tmp_path / "o.usdc")
     assert (done.code, done.stdout) == (0, "")
     for said in (
-        "stage (no rig layer was named)",
+        "stage (no rig layer was set)",
         "30 fps",
         "lengths in cm; the source taken to be in cm",
         "float32",
@@ -56,7 +56,9 @@ def test_errors_leave_out_what_is_beyond_float32(tmp_path: Path, value: str) -> 
     (tmp_path / "far.bvh").write_text("\n".join(text))
     said = animtool("bake", tmp_path / "far.bvh", "-o", tmp_path / "o.usda").stderr
     assert ("float32 (without values beyond it): " in said) is (value == "1e300")
-    assert ("no error in the report counts them" in said) is (value == "1e300")
+    assert (
+        "the largest float32 is written; the reported error does not count them" in said
+    ) is (value == "1e300")
 
 
 def test_a_scene_has_no_size_to_read_by(take: Path, tmp_path: Path) -> None:
@@ -289,7 +291,7 @@ def test_a_folder_is_for_batch(
     (tmp_path / "takes").mkdir()
     done = animtool("bake", source)
     assert done.code == ExitCode.MALFORMED
-    assert "IO001 cannot be read: is a folder, animtool batch" in done.stderr
+    assert "IO001 cannot be read: it is a folder, animtool batch" in done.stderr
 
 
 def test_a_folder_as_the_output_is_named(tmp_path: Path) -> None:

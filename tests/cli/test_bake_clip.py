@@ -200,7 +200,7 @@ def test_a_rig_that_is_missing(shot: Path, tmp_path: Path) -> None:
     [
         ("rig", "animtool validate"),
         ("targets", "animtool ik"),
-        ("scene", "end in .scene.yaml"),
+        ("scene", "end its name in .scene.yaml"),
     ],
 )
 def test_a_file_of_another_kind(tmp_path: Path, kind: str, instead: str) -> None:

@@ -61,7 +61,7 @@ def test_a_dry_run(takes: Path) -> None:
         "make out/take001.usdc (new)",
         "make out/take002.usdc (new)",
     ]
-    assert "2 to be made" in done.stderr
+    assert "2 to build" in done.stderr
     assert done.code == 0
 
 
@@ -188,7 +188,7 @@ def test_variables_of_the_command_line_come_before_those_of_files(takes: Path) -
     ("arguments", "code", "word"),
     [
         (("none*.bvh",), 5, "BAT005"),
-        (("takes", "a.batch.yaml"), 2, "give it alone"),
+        (("takes", "a.batch.yaml"), 2, "is a batch file: pass it alone."),
         (("a.batch.yaml",), 3, "IO001"),
         (("takes", "-o", "one.usdc"), 2, "OUT007"),
         (("takes", "-o", "{stm}.usdc"), 2, "BAT004"),
@@ -198,7 +198,11 @@ def test_variables_of_the_command_line_come_before_those_of_files(takes: Path) -
         (("takes", "--items", "a"), 2, "1-20"),
         (("takes", "--executor", "farms"), 2, "BAT030"),
         (("takes", "--memory-limit", "2"), 2, "2GB"),
-        (("takes", "--fail-fast", "--max-failures", "3"), 2, "give one"),
+        (
+            ("takes", "--fail-fast", "--max-failures", "3"),
+            2,
+            "--plan and --table write nothing: use one of them.",
+        ),
         (("takes", "--scene", "none.scene.yaml"), 3, "IO001"),
         (("takes", "--set", "a=b"), 2, "SCN031"),
     ],

@@ -22,7 +22,7 @@ def test_progress_status_and_failures(takes: Path) -> None:
     done = animtool("batch", "takes", *WORDS, cwd=takes)
     assert done.code == 1
     lines = done.stdout.splitlines()
-    assert lines[:2] == ["openjd_progress: 0.0", "openjd_status: 3 of 3 to be made"]
+    assert lines[:2] == ["openjd_progress: 0.0", "openjd_status: 3 of 3 to build"]
     shares = [line for line in lines if line.startswith("openjd_progress: ")]
     assert shares[-1] == "openjd_progress: 100.0"
     assert [line for line in lines if line.startswith("openjd_fail: 1 failed")]
@@ -43,7 +43,7 @@ def test_what_ends_the_whole(takes: Path) -> None:
 def test_as_many_items_as_there_are(takes: Path) -> None:
     done = animtool("batch", "takes", *WORDS, "--items", "2+20", cwd=takes)
     assert done.code == 0, done.stderr
-    assert "2 of 2 to be made" in done.stdout
+    assert "2 of 2 to build" in done.stdout
     assert sorted(p.name for p in (takes / "out").glob("*.usdc")) == [
         "take001.usdc",
         "take002.usdc",

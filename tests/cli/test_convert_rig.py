@@ -151,7 +151,7 @@ def test_a_joint_that_is_gone_takes_its_parts_along(hero: Path, tmp_path: Path) 
 
 def test_what_was_not_edited_is_not_said(hero: Path, tmp_path: Path) -> None:
     def comment(spec: Sdf.PrimSpec) -> None:
-        spec.comment = "looked at"
+        spec.comment = "cannot be examined"
 
     _, said = edited(hero, tmp_path, comment)
     assert "USD117" not in said
@@ -217,7 +217,13 @@ def test_an_animation_layer_over_a_rig_layer(hero: Path, tmp_path: Path) -> None
     ("source", "output", "options", "code", "said"),
     [
         ("hero.rig.yaml", "x.bvh", [], 2, "OUT004"),
-        ("hero.rig.yaml", "x.usda", ["--reduce", "1mm"], 2, "is for motion"),
+        (
+            "hero.rig.yaml",
+            "x.usda",
+            ["--reduce", "1mm"],
+            2,
+            "needs a timeline, such as edit.otio.",
+        ),
         ("hero.rig.yaml", "x.rig.yaml", ["--physics"], 2, "CLI004"),
         ("none.rig.yaml", "x.usda", [], 3, "IO001"),
         ("hero.rig.yaml", "hero.rig.yaml", [], 2, "OUT003"),

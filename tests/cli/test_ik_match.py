@@ -201,14 +201,14 @@ def test_strict_refuses_joints_that_the_take_lacks(place: Path) -> None:
         (("--match", "--clip", STRIDE, "-o", "-"), "not to stdout"),
         (
             ("--match", "--clip", STRIDE, "-o", OUT, "-t", "a.targets.yaml"),
-            "--targets does nothing for --match.",
+            "--targets has no effect with --match.",
         ),
         (
             ("--match", "--clip", STRIDE, "-o", OUT, "--method", "ccd"),
-            "--method does nothing for --match.",
+            "--method has no effect with --match.",
         ),
-        (("--clip", STRIDE), "Give --targets, or --match"),
-        (("-t", "a.targets.yaml", "--chains", "a"), "--chains is for --match."),
+        (("--clip", STRIDE), "Pass --targets, or --match to write some."),
+        (("-t", "a.targets.yaml", "--chains", "a"), "--chains needs --match."),
     ],
 )
 def test_options_that_do_not_go_together(

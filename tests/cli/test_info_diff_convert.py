@@ -127,8 +127,8 @@ def test_diff_says_in_which_space_it_compares(
     assert animtool("bake", takes[0], "-o", other, *arguments).code == 0
     done = animtool("diff", takes[0], other, "--tol", "0.001mm")
     assert done.code == 0, done.stdout
-    assert "Y up against Z up; compared with Y up" in done.stdout
-    assert "lengths in cm against m; compared in metres" in done.stdout
+    assert "Y up instead of Z up; compared with Y up" in done.stdout
+    assert "lengths in cm instead of m; compared in metres" in done.stdout
     assert "compared with" not in animtool("diff", *takes).stdout
 
 

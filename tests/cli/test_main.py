@@ -50,7 +50,10 @@ def test_a_command_is_supervised_unless_it_reads_no_usd() -> None:
         (["bake", "a.bvh", "--range", "9-1"], "no frame"),
         (["bake", "a.bvh", "--samples", "0,1.5"], "within a frame"),
         (["bake", "a.bvh", "--rest", "bind"], "frame:N"),
-        (["bake", "a.bvh", "-o", "-", "--format", "json"], "both want stdout"),
+        (
+            ["bake", "a.bvh", "-o", "-", "--format", "json"],
+            "-o - and --format json both write to stdout.",
+        ),
         (["bake", "a.bvh", "--split", "--as", "layer"], "--split"),
         (["diff", "a.bvh"], "SECOND"),
         (["info"], "FILES"),

@@ -124,7 +124,7 @@ def test_gaps_are_filled_by_a_skeleton(tmp_path: Path) -> None:
     for option in ("--rig", "--static"):
         done = animtool(*command, option, "take.npz", cwd=tmp_path)
         assert done.code == 2
-        assert "give --template too" in done.stderr
+        assert "needs a skeleton: pass --template too." in done.stderr
 
 
 @pytest.mark.parametrize(

@@ -85,10 +85,14 @@ def without_fingers() -> str:
 
 
 TAKES = {
-    "offsets": (without_offsets, "MAP102", "by their names alone"),
+    "offsets": (without_offsets, "MAP102", "joints are mapped by name only"),
     "two": (twice, "MAP103", "'Hips_2' left out"),
     "short": (of_two_frames, "MAP007", "none is held"),
-    "legs": (without_legs, "MAP101", "scaled as the rest of the body"),
+    "legs": (
+        without_legs,
+        "MAP101",
+        "root motion is scaled like the rest of the body, and no feet are held",
+    ),
 }
 
 
@@ -120,7 +124,9 @@ def test_a_rig_whose_hands_have_no_ends_is_named(tmp_path: Path) -> None:
     assert done.code == 0, done.stderr
     (line,) = [line for line in done.stderr.splitlines() if "MAP104" in line]
     assert line.startswith(str(rig))
-    assert "'wrist_l', 'wrist_r' end, the hand goes on as the forearm does" in line
+    assert (
+        "'wrist_l', 'wrist_r' end, the hand is assumed to continue the forearm" in line
+    )
 
 
 def test_a_take_in_another_unit_is_named() -> None:

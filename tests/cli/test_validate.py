@@ -36,8 +36,8 @@ def test_the_forms_are_those_that_there_are() -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["-o", "a.usda"], "-o is for --fix, which writes."),
-        (["--overwrite", "--fix", "--diff"], "--overwrite is for --fix, which writes."),
+        (["-o", "a.usda"], "-o needs --fix, which writes."),
+        (["--overwrite", "--fix", "--diff"], "--overwrite needs --fix, which writes."),
         (["--diff", "--format", "json"], "--diff writes a diff, not a report"),
         (["--diff", "--output-file", "a"], "--diff writes a diff, not a report"),
     ],
@@ -138,7 +138,7 @@ def test_explain() -> None:
 @pytest.mark.parametrize(
     ("rule", "said"),
     [
-        (Rule("STU001", "a title"), "An error. Readers and commands say it."),
+        (Rule("STU001", "a title"), "An error. Readers and commands report it."),
         (
             Rule("STU001", "a title", Severity.NOTE, Kind.USD),
             "A note. animtool validate looks for it in USD files.",

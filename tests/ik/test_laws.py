@@ -309,8 +309,8 @@ def test_targets_side_by_side() -> None:
 @pytest.mark.parametrize(
     ("given", "code", "text"),
     [
-        ({"aims": 1}, "IK010", "goal 0 asks for positions"),
-        ({"positions": 1}, "IK010", "goal 1 asks for aims"),
+        ({"aims": 1}, "IK010", "goal 0 needs positions"),
+        ({"positions": 1}, "IK010", "goal 1 needs aims"),
         ({"positions": 2, "aims": 3}, "IK010", r"targets of \[2, 3\] problems"),
         (
             {"positions": 1, "aims": 1, "weights": [[[1, 1, -1, 1]] * 2]},
@@ -593,7 +593,7 @@ def test_targets_twenty_sizes_away_are_told_where_they_are_not_missed() -> None:
     assert (found.code, found.lines, found.column, found.where) == (
         "TGT106", (1,), 1, "goals[0]"
     )  # fmt: skip
-    assert "20.1 m from where it starts, and the rig is 1 m large" in found.message
+    assert "20.1 m from its start, but the rig is 1 m large" in found.message
     missed = [replace(fine[0], spans=(span(),))]
     assert away_notices(told(away=[20.1]), missed) == []
     assert [n.code for n in take_notices(told(away=[20.1]), fine)] == ["TGT106"]
@@ -617,7 +617,7 @@ def test_what_is_missed_is_told_in_lengths_and_angles() -> None:
         )
         assert " and " not in found.message.partition(" off ")[0]
     for status, word in (
-        (IkStatus.BUDGET, "steps or time"),
+        (IkStatus.BUDGET, "the step or time limit was reached: raise"),
         (IkStatus.NEAREST, "far bey"),
     ):
         far = 100.0 if status is IkStatus.NEAREST else 0.1

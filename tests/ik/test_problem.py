@@ -117,8 +117,13 @@ def test_why_nothing_moves_a_goal_is_said() -> None:
     hand = Goal(limb().names[-1])
     able = build(limb(), [hand]).joints
     for rig, goal, joints, hint in [
-        (post, Goal("a"), None, "it hangs from fixed joints only"),
-        (pivot, Goal("a"), None, "what turns about its own point moves no position"),
+        (post, Goal("a"), None, "only fixed joints are above it"),
+        (
+            pivot,
+            Goal("a"),
+            None,
+            "a joint cannot move a position at its own origin: set an offset",
+        ),
         (limb(), hand, [], f"of those that would, none may move: {able[0]}"),
     ]:
         with pytest.raises(OptionError) as caught:

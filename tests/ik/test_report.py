@@ -82,7 +82,7 @@ def test_a_conflict_through_free_hips_names_them_and_root(
     found = solve_take(take, tracks_of(tmp_path, goals, take.rig, HEAD))
     hints = [notice.hint for notice in missed_notices(found, goal_reports(found))]
     assert len(hints) == 2
-    named = "the free joint 'hips' moves for 'ankle_l' and carries other goals along: "
+    named = "the free joint 'hips' moves for 'ankle_l' and moves other goals along: "
     named += "'root: hip_l' keeps it still"
     assert hints == ([None] * 2 if root else [named] * 2)
 
@@ -114,7 +114,7 @@ def test_jumps_are_named(solved: TakeIk) -> None:
 def test_a_jump_that_smoothing_cures_names_the_option(solved: TakeIk) -> None:
     jumps, steadier = (Jump(4, "knee_l", 0.5),), Smoothing(0.1, 0.2)
     (notice,) = jump_notices(replace(solved, jumps=jumps, steadier=steadier))
-    assert notice.hint == "smooth=0.1 leaves turns of 11.5° at most"
+    assert notice.hint == "smooth=0.1 leaves rotations of 11.5° at most"
 
 
 @pytest.mark.parametrize(
@@ -148,12 +148,11 @@ def test_a_part_that_is_missed_is_reported_by_its_name(
         ({"CONVERGED": 3, "NEAREST": 2}, f"3 converged, 2 {IkStatus.NEAREST}"),
         (
             {"CONVERGED": 3, "NEAREST": 2, "STEADIER": 4},
-            "3 converged, 6 out of reach "
-            "(4 of them on a steadier path than the nearest poses make)",
+            "3 converged, 6 out of reach (4 of them on a smoother path than the nearest poses give)",
         ),
         (
             {"STEADIER": 1},
-            "1 out of reach (1 of them on a steadier path than the nearest poses make)",
+            "1 out of reach (1 of them on a smoother path than the nearest poses give)",
         ),
     ],
 )

@@ -114,7 +114,7 @@ def test_shots_show_the_seconds_of_the_edit(
     assert done.code == 0, done.stderr
     warned = [line for line in done.stderr.splitlines() if "warning: " in line]
     assert len(warned) == 1
-    assert "SCN106 shot sh030: the take lacks handle frames" in warned[0]
+    assert "SCN106 shot sh030: the take does not have handle frames" in warned[0]
     exact = rate_from_float(fps)
     for name, *_ in SHOTS:
         begin, frames, last = expected(name, fps, own=own)

@@ -184,7 +184,7 @@ def test_points_that_are_not_written_are_named(walker: Path) -> None:
     assert done.code == 0
     assert "SIM134 points of cape, hair are simulated" in done.stderr
     done = animtool("bake", walker, "--plan", "--overwrite")
-    assert "points that are simulated: not asked for (deform)" in done.stdout
+    assert "simulated points: not requested (deform)" in done.stdout
 
 
 def test_workers_write_the_same_bytes(root: Path, beast: Path, tmp_path: Path) -> None:

@@ -277,7 +277,7 @@ def test_what_only_one_has_is_named(baked: Path, tmp_path: Path) -> None:
     assert done.code == 1
     assert "1 prim is not in the second: cord" in done.stdout
     assert "1 prim is not in the first: wire" in done.stdout
-    assert "24 time codes a second against 25" in done.stdout
+    assert "24 time codes per second instead of 25" in done.stdout
 
 
 def test_arrays_that_do_not_fit_are_refused(baked: Path) -> None:

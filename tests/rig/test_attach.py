@@ -131,15 +131,15 @@ def test_the_nearest_kind_is_named(yard: Path) -> None:
     messages = [fault.message for fault in found]
     assert messages == [
         "an attachment of kind 'cloht' has no joints",
-        "an attachment of kind 'cloht' takes no mesh",
-        "an attachment of kind 'cloht' takes no pins",
+        "an attachment of kind 'cloht' does not use mesh",
+        "an attachment of kind 'cloht' does not use pins",
     ]
 
 
 def test_the_place_of_a_strand_without_length_is_said(yard: Path) -> None:
     [fault] = faults(yard, RIG.replace("a.npz#hair", "a.npz#still"))
     assert fault.message == (
-        "'a.npz#still' has points 1 and 2 of strand 2 in one place"
+        "'a.npz#still' has points 1 and 2 of strand 2 at the same position"
     )
 
 

@@ -147,7 +147,7 @@ def test_what_drivers_read(
         ("end.angle", "RIG033", "pins"),
         ("elbow", "RIG012", "elbow.angle"),
         ("grp", "RIG012", "grip"),
-        ("bulge", "RIG012", "drives the shape"),
+        ("bulge", "RIG012", "read the input of the shape's driver instead"),
     ],
 )
 def test_what_cannot_be_read(name: str, code: str, hint: str) -> None:

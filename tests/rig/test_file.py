@@ -289,7 +289,7 @@ def test_a_fault(yard: Path, old: str, new: str, code: str, line: int) -> None:
         ("lambda", "it is a keyword of Python"),
         ("clamp", "it is a function of expressions"),
         ("pi", "it is a constant of expressions"),
-        ("we-ar", "an expression would not read it as one word"),
+        ("we-ar", "an expression would not read it as one name"),
     ],
 )
 def test_a_name_that_no_control_can_have(yard: Path, name: str, reason: str) -> None:
@@ -303,7 +303,7 @@ def test_a_name_that_no_control_can_have(yard: Path, name: str, reason: str) -> 
 
 def test_a_value_of_an_array_is_named_with_its_place(yard: Path) -> None:
     [fault] = faults(yard, CRANE.replace("indices: hull.npz", "indices: hull.npz#far"))
-    assert fault.message == "'hull.npz#far' holds 2 at [0, 1], not 0 to 1"
+    assert fault.message == "'hull.npz#far' contains 2 at [0, 1], not 0 to 1"
 
 
 def test_triangles_among_quadrangles(yard: Path) -> None:

@@ -124,4 +124,4 @@ def test_all_faults_are_told_at_once() -> None:
 
 def test_another_number_of_vertices_is_refused() -> None:
     (fault,) = faults_of([[0], [0]], [[1.0], [1.0]], vertices=3)
-    assert "SKIN001 influences of 2 vertices, and there are 3" in fault
+    assert "SKIN001 influences of 2 vertices, but there are 3" in fault

@@ -51,7 +51,7 @@ def test_floats_and_eighths(tmp_path: Path) -> None:
         ({"uv": np.full((30, 4, 5, 2), np.inf)}, "infinity"),
         ({"marker_names": np.array(["a"])}, "marker_names"),
         ({"camera_names": np.array(["a"])}, "camera_names"),
-        ({"marker_names": np.arange(5)}, "no list of texts"),
+        ({"marker_names": np.arange(5)}, "is not a list of texts"),
         ({"fs": None}, "no number 'fs'"),
         ({"fs": np.array(np.nan)}, "no frame rate"),
         ({"fs": np.array([1.0, 2.0])}, "no frame rate"),
@@ -168,8 +168,8 @@ def test_faults_of_keypoints(tmp_path: Path) -> None:
     ("text", "message", "hint"),
     [
         ('{"people": []}', "a folder of OpenPose keypoints", "mocap triangulate pose/"),
-        ('{"cameras": []}', "holds cameras, not what they see", "npz"),
-        ('[{"K": 1}]', "holds cameras, not what they see", "npz"),
+        ('{"cameras": []}', "holds cameras, not observations; pass it as", "npz"),
+        ('[{"K": 1}]', "holds cameras, not observations; pass it as", "npz"),
         ("{}", "is a JSON file; observations are", "npz"),
     ],
 )

@@ -79,7 +79,7 @@ def test_nothing_written_is_an_error(tmp_path: Path) -> None:
     [
         ("there.usda", OptionError, "OUT001", "exists"),
         ("missing/a.usda", OutputError, "OUT002", "does not exist"),
-        ("there.usda/a.usda", OutputError, "OUT002", "is no folder"),
+        ("there.usda/a.usda", OutputError, "OUT002", "is not a folder"),
         ("folder", OutputError, "OUT002", "folder"),
         ("input.bvh", OptionError, "OUT003", "input"),
         ("../{}/input.bvh", OptionError, "OUT003", "input"),

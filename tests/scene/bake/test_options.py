@@ -40,7 +40,7 @@ RIG = Path("rig.usda")
         ({"reduce": 0.1, "root_motion": True}, "no --root-motion"),
         ({"reduce_at": (("a", 0.1),)}, "goes with --reduce"),
         ({"chunk": 3}, "goes with --deform"),
-        ({"chunk": 0, "deform": True}, "1 sample a file or more"),
+        ({"chunk": 0, "deform": True}, "needs at least 1 sample per file, not"),
         ({"velocities": True}, "--velocities goes with --deform"),
         ({"normals": False}, "--no-normals goes with --deform"),
         ({"deform": True, "form": "split"}, "no --split"),

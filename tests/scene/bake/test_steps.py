@@ -85,7 +85,7 @@ def test_what_is_there_is_marked(shot: Path, walk: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ((), ["deformed points", "curves of controls: not asked"]),
+        ((), ["deformed points", "curves of controls: not requested (keep_curves)"]),
         (("--keep-curves",), ["deformed points"]),
         (("--deform",), ["skeleton and its animation", "velocities"]),
     ],

@@ -59,9 +59,9 @@ def said(report: BakeReport) -> list[str]:
     ("scaled", "hint"),
     [
         ({}, None),
-        ({"from": [0, 0, 0], "to": [0, 1e-12, 0]}, "look at the unit of to: 1e-12"),
-        ({"mass": 1e-12}, "look at the unit of mass: 1e-12"),
-        ({"to": "far"}, "look at the unit of points: 1e-11"),
+        ({"from": [0, 0, 0], "to": [0, 1e-12, 0]}, "check the unit of to: 1e-12"),
+        ({"mass": 1e-12}, "check the unit of mass: 1e-12"),
+        ({"to": "far"}, "check the unit of points: 1e-11"),
     ],
 )
 def test_what_blows_up_by_its_size_gets_a_hint_at_units(
@@ -87,7 +87,7 @@ def test_what_blows_up_by_its_size_gets_a_hint_at_units(
         baked(tmp_path, yaml.safe_dump(systems))
     last = error.value.faults[-1]
     assert (last.code, last.where) == ("SIM102", f"systems[0].{next(iter(systems[0]))}")
-    assert ("look at the unit" in str(last.hint)) is (hint is not None)
+    assert ("check the unit of" in str(last.hint)) is (hint is not None)
     assert str(last.hint).endswith(hint or "")
 
 

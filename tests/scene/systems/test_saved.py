@@ -99,8 +99,9 @@ def test_frames_before_the_state_are_refused(tmp_path: Path) -> None:
     assert bake(tmp_path, "one", "save: half.npz\n    save_at: 7").code == 0
     done = bake(tmp_path, "two", "resume: half.npz")
     assert done.code == 3
-    assert "SIM035 systems[0].flocks: its state is of frame 7, and frame 1 is" in (
-        done.stderr
+    assert (
+        "SIM035 systems[0].flocks: its state is from frame 7, but and frame 1 is"
+        in (done.stderr)
     )
     assert "--range 7-12" in done.stderr
 
@@ -133,7 +134,7 @@ def other(path: Path, **changes: Any) -> None:
 
 
 CHANGES = {
-    "no state": ({"format": None}, "no file of states"),
+    "no state": ({"format": None}, "is not a file of saved states"),
     "another kind": ({"kind": np.array("rope")}, "the state of rope"),
     "another step": ({"clock": np.array([-0.1, 0.02, 9])}, "steps of 0.02 s"),
     "another pre-roll": ({"clock": np.array([0.0, 0.01, 9])}, "begin at 0 s"),

@@ -311,7 +311,9 @@ def test_what_a_library_lacks_is_named() -> None:
     with raises(OptionError, "SIM149", match="none of the clips walks"):
         library("stand")
     stick = Rig("stick", (Joint("a", -1), Joint("b", 0, translation=(0, 1, 0))))
-    with raises(OptionError, "SIM149", match="has no two legs"):
+    with raises(
+        OptionError, "SIM149", match="does not have two legs with thigh, shin and foot"
+    ):
         gaits_of(stick, [])
 
 

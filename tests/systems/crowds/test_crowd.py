@@ -371,7 +371,7 @@ def test_what_is_odd_is_named_and_mended(simulator: Simulator) -> None:
     said = notices(simulator, systems)
     assert said.keys() == {"SIM146", "SIM147", "SIM148"}
     assert "2 agents would begin inside each other" in said["SIM147"]
-    assert "1 agent would begin in an obstacle or off the ground" in said["SIM148"]
+    assert "1 agent would start in an obstacle or off the ground" in said["SIM148"]
     assert "agent 2 of 'p0'" in said["SIM148"]
     assert "'closed'" in said["SIM146"]
     track = tracks(simulator.simulate(systems, times(25))["it"])
@@ -385,16 +385,19 @@ def test_what_is_odd_is_named_and_mended(simulator: Simulator) -> None:
     [
         ({"goals": [goal("g", 0, 0), goal("g", 1, 1)]}, "two goals are named 'g'"),
         ({"doors": [door([1, 0, 0], [3, 1])]}, "from 3 s to 1 s"),
-        ({"doors": [door([0, 0, 0])]}, "are one place"),
-        ({"doors": [door([0, 2, 0])]}, "are one place"),
+        ({"doors": [door([0, 0, 0])]}, "are at the same position on the ground"),
+        ({"doors": [door([0, 2, 0])]}, "are at the same position on the ground"),
         (
             {"ground": {"moves": [[0, 0, 0, 0], [1, 0, 1, 0]]}},
-            "the ground does not move",
+            "the ground cannot move",
         ),
-        ({"ground": {"shape": {"sphere": {"radius": 1}}}}, "the ground is a mesh"),
+        (
+            {"ground": {"shape": {"sphere": {"radius": 1}}}},
+            "the ground must be a mesh, a height_field or, without a shape, a plane",
+        ),
         (
             {"goals": [goal("g", 0, 0, queue={"direction": [0, 1, 0]})]},
-            "the direction of a queue is straight up",
+            "the direction of a queue is vertical",
         ),
     ],
 )

@@ -275,7 +275,7 @@ FAULTS = {
     "no number": (
         flock({**BIRD, "attraction": {"weight": float("nan")}}), "DOC0", "weight"
     ),
-    "no method": (flock(BIRD, method="rk5"), "SIM001", "rk5"),
+    "unknown method": (flock(BIRD, method="rk5"), "SIM001", "rk5"),
     "a method that cannot stop": (flock(BIRD, method="lsoda"), "SIM006", "lsoda"),
     "no file": (
         flock({**BIRD, "shows": {"file": "none.usda", "prim": "/a"}}), "", "none.usda"
@@ -283,7 +283,7 @@ FAULTS = {
     "a mesh of nothing": (
         flock({**BIRD, "shows": {"file": "bird.usda"}}), "SIM053", "prim"
     ),
-    "no such prim": (
+    "which does not exist": (
         flock({**BIRD, "shows": {"file": "bird.usda", "prim": "/brid"}}),
         "SIM051", "/brid",
     ),

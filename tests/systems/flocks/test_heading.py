@@ -138,7 +138,7 @@ def test_who_begins_in_a_collider_is_moved_out_to_its_surface_and_no_more() -> N
     )
     assert notice.code == "SIM124"
     assert notice.message.startswith(
-        "2 members would begin inside a collider, member 1"
+        "2 members would start inside a collider, member 1"
     )
     points, notices = own.outside(Colliders([]))
     assert points is own.points

@@ -90,7 +90,7 @@ def test_who_begins_in_a_collider_is_named_with_it() -> None:
         _check_outside(x, walls, 0.0, "fill 3")
     message = error.value.faults[0].message
     assert message.startswith(
-        "particle 1 of fill 3 begins 0.25 m outside the container"
+        "particle 1 of fill 3 starts 0.25 m outside the container"
     )
     assert "'tank', as 1 other begin" in message
     _check_outside(x[[0, 2]], Colliders([walls[1]]), 0.0, "it")

@@ -273,7 +273,7 @@ def test_what_cannot_be_is_refused_by_name(simulator: Simulator) -> None:
     assert message.startswith("SIM064 particle 0 of 'drop' and particle 1 of 'drop'")
     out = np.array([[0.3, 0.3, 0.3], [0.9, 0.3, 0.3]])
     message = refused(simulator, fills=[{"points": Point(out)}])
-    assert "particle 1 of fill 0 begins 0.3 m outside the container 'tank'" in message
+    assert "particle 1 of fill 0 starts 0.3 m outside the container 'tank'" in message
     bad = np.array([[0.3, np.nan, 0.3]])
     assert "not finite" in refused(simulator, fills=[{"points": Point(bad)}])
     assert "SIM064" in refused(simulator, spacing=1e-6)
@@ -333,8 +333,10 @@ def test_colours_are_those_of_a_quantity(simulator: Simulator) -> None:
         assert_allclose(found[:, 1], np.clip(speed - 1, 0, 1))
     assert found[:, 1].max() > 0
     wrong = {"by": "taste", "range": [0, 2]}
-    assert "no quantity is named" in refused(simulator, colour=wrong)
-    assert "no range" in refused(simulator, colour={"by": "speed"})
+    assert "unknown quantity" in refused(simulator, colour=wrong)
+    assert "is not a range such as (1, 40) or (1, 40, 2)" in refused(
+        simulator, colour={"by": "speed"}
+    )
 
 
 def test_what_is_saved_goes_on_bit_for_bit(simulator: Simulator) -> None:

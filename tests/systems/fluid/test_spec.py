@@ -42,7 +42,10 @@ def test_what_a_fluid_is_where_nothing_is_given() -> None:
         "drains": 0,
         "max_particles": 1_000_000,
     }
-    assert own.reads[:2] == ["1 fill", "1 emitter"]
+    assert own.reads[:2] == [
+        "Array (N, K) of whole numbers: the points of each face; -1 pads faces with fewer than K corners; 3 is the minimum.",
+        "1 emitter",
+    ]
     drained = FluidModel.model_validate(
         {"name": "it", "spacing": 0.1, "fills": [BOX, BOX], "drains": [BOX]}
     )

@@ -64,7 +64,7 @@ def test_a_step_that_is_not_finite_names_a_shorter_one() -> None:
     with pytest.raises(ToleranceError) as caught:
         run.at(0.4)
     (fault,) = caught.value.faults
-    assert (fault.code, fault.hint) == ("SIM102", "step: 0.05, or weaker forces")
+    assert (fault.code, fault.hint) == ("SIM102", "use step: 0.05, or weaker forces")
 
 
 def test_a_number_that_no_file_holds_is_a_blow_up() -> None:

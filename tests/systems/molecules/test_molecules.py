@@ -266,7 +266,7 @@ FARTHER = np.array([[0.9, 0, 0], [0, 0, 0], [0, 0, 0]])
         ({"block": [3, 1, 1]}, "the block is larger than the box"),
         ({"thermostat": {"temperatures": [[1, 9], [0, 9]]}}, "do not ascend"),
         ({"thermostat": {"temperatures": [[0, -9]]}}, "below 0 K"),
-        ({"colour": {"by": "taste"}}, "no quantity is named"),
+        ({"colour": {"by": "taste"}}, "unknown quantity"),
         ({"step": 0.5}, "a step of 0.5 ps is too long"),
         ({"species": [{**ARGON, "charge": 1}]}, r"charges add up to 256 e"),
         ({"species": [{**ARGON, "charge": -1}]}, r"charges add up to -256 e"),
@@ -276,15 +276,15 @@ FARTHER = np.array([[0.9, 0, 0], [0, 0, 0], [0, 0, 0]])
         ),
         (
             {"species": [{**ARGON, "points": 0 * PLACES}]},
-            "atoms 0 and 1 begin 0 nm apart",
+            "atoms 0 and 1 start 0 nm apart",
         ),
         ({"species": [{**ARGON, "points": 0.1 * PLACES}]}, "begin 0.05 nm apart"),
         (
             {"species": [{**ARGON, "points": 0.1 * PLACES[[0, 0, 1]] + FARTHER}]},
-            "atoms 1 and 2 begin 0.05 nm apart",
+            "atoms 1 and 2 start 0.05 nm apart",
         ),
         ({"species": [{**ARGON, "points": PLACES[:, :1]}]}, r"the shape \(2, 1\)"),
-        ({"species": [{**ARGON, "velocities": PLACES}]}, "velocities are of points"),
+        ({"species": [{**ARGON, "velocities": PLACES}]}, "velocities need points"),
     ],
 )
 def test_what_makes_no_sense_is_refused(

@@ -335,7 +335,7 @@ def test_what_stays_on_an_orbit_is_that_of_its_pericentre(
 
 @pytest.mark.parametrize(
     ("softening", "why"),
-    [(0.0, "attraction is infinite"), (0.5, "nothing tells them apart")],
+    [(0.0, "attraction is infinite"), (0.5, "they cannot be told apart")],
 )
 def test_two_at_one_place_are_refused_for_what_they_do(
     softening: float, why: str

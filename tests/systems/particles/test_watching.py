@@ -50,7 +50,7 @@ def test_a_slow_blow_up_is_seen_before_particles_are_removed(
     assert [notice.code for notice in run.notices] == ["SIM101"]
     hint = error.value.faults[-1].hint
     assert hint is not None
-    assert "are stable" in hint
+    assert "stable up to steps of" in hint
 
 
 def test_births_and_removals_are_no_gain() -> None:

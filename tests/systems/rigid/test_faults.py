@@ -166,7 +166,7 @@ REFUSED = {
     "limits of two turns": (
         joint(limits=[-360, 360.1]),
         "joints[1].limits",
-        "more than a turn",
+        "are more than 360 degrees apart",
     ),
     "twist the wrong way": (
         joint(type="ball", twist=[3, 1]),

@@ -226,9 +226,9 @@ def test_a_stage_of_another_tool_falls_to_its_ground(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ('def Xform "Yard" {}', "holds no rigid body"),
+        ('def Xform "Yard" {}', "contains no rigid body"),
         (CRATE.replace("(0, 3, 0)", "(0, nan, 0)"), "has nan"),
-        ('def Xform "Field" {}', "holds no prim"),
+        ('def Xform "Field" {}', "has no prim"),
     ],
 )
 def test_stages_that_make_no_sense_are_refused(

@@ -188,9 +188,9 @@ def test_joints_below_the_last_body_go_on() -> None:
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"start": 99.0}, "start is frame 99, and the take has 1 to 25"),
+        ({"start": 99.0}, "start is frame 99, but the take has 1 to 25"),
         ({"start": 3.5}, "start"),
-        ({"start": 9.0, "end": 9.0}, "not behind start"),
+        ({"start": 9.0, "end": 9.0}, "which is not after start"),
         ({"mass": 0.0}, "mass"),
         ({"density": -1.0}, "density"),
         ({"step": 0.0}, "step must be more than 0 and at most 1, not 0"),

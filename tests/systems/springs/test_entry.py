@@ -113,7 +113,7 @@ def block_of(points: str, cells: str) -> tuple[str, str]:
 CASES = {
     "no mass": ("mass: 0.1", "mass: 0", ["SIM040"]),
     "a mass below nothing": ("mass: 0.2", "mass: -1", ["SIM040"]),
-    "a mass that is no number": ("mass: 0.1", "mass: .nan", ["DOC022"]),
+    "a mass that is not a number": ("mass: 0.1", "mass: .nan", ["DOC022"]),
     "a tip of no mass": ("mass: 0.1", "mass: 0.1\n    tip_mass: 0", ["SIM040"]),
     "one particle": ("count: 11", "count: 1", ["SIM050"]),
     "no length": ("to: [1, 2, 0]", "to: [0, 2, 0]", ["SIM050"]),

@@ -454,7 +454,7 @@ def test_samples_far_off_the_frames_stay_and_the_reason_is_given(
     path = planted(tmp_path / "wrong.usdc", shift)
     fixes = fix_copy(path, tmp_path / "new.usdc", ValidateOptions(select=("MOT216",)))
     assert [(fault.code, why.partition(": ")[2]) for fault, why in fixes.left] == [
-        ("MOT216", "samples more than 0.05 off a whole frame may be intended")
+        ("MOT216", "samples more than 0.05 off a whole frame may be intentional")
     ]
 
 

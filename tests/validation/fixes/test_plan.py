@@ -133,7 +133,7 @@ def test_a_mend_that_makes_it_worse_is_not_kept(
     monkeypatch.setattr("animtool.validation.fixes.texts.fix_of", lambda _: wrong)
     fixes = fix_files([path])
     assert not fixes.report.mended
-    assert [why for _, why in fixes.left] == ["DOC022 would come of it"]
+    assert [why for _, why in fixes.left] == ["the fix would cause DOC022"]
     assert (
         document_of(path.read_text("utf-8"), path).value["joints"][0]["type"] == "free"
     )

@@ -122,7 +122,7 @@ def test_an_eased_hold_is_not_frozen(walking: Take) -> None:
 
 @pytest.mark.parametrize(
     ("starts", "said"),
-    [((20,), "that do"), ((20, 40), "that do; it freezes 1 times more")],
+    [((20,), "that do"), ((20, 40), "that do; it freezes 1 more times")],
 )
 def test_a_freeze_is_said_with_how_many_there_are(
     walking: Take, starts: tuple[int, ...], said: str

@@ -271,7 +271,7 @@ def test_a_unit_is_told_by_the_first_of_several_roots(shot: Path) -> None:
         TARGETS + "- {effector: arm, position: [10, 60, 30]}\n", "utf-8"
     )
     (fault,) = (each for each in validate(shot) if each.code == "TGT206")
-    assert fault.hint == "units: {length: cm} fits better"
+    assert fault.hint == "units: {length: cm} is more plausible"
 
 
 BUILT = """\
