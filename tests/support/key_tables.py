@@ -131,11 +131,11 @@ def _row(key: Key, models: list[str]) -> str:
             name.removesuffix("JointModel").removesuffix("Model").lower()
             for name in key.models
         ]
-        about = f"Of {' and '.join(kinds)}. {about}"
+        about = f"({' and '.join(kinds)}) {about}"
     given = (field_of(key.models[0], key.name).examples or [None])[0]
     # As it stands between braces, where commas want quotes.
     example = _flow({key.name: given})[1:-1]
-    usual = "must be given" if key.required else _usual(key.spec)
+    usual = "required" if key.required else _usual(key.spec)
     cells = [f"`{key.name}`", _value(key.spec), usual, about, f"`{example}`"]
     assert not any("|" in cell for cell in cells), key
     return f"| {' | '.join(cells)} |\n"
