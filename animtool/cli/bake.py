@@ -18,6 +18,7 @@ from animtool.cli.bake_options import (
     until_pass,
 )
 from animtool.cli.console import Console
+from animtool.cli.help import command
 from animtool.cli.options import (
     INPUT,
     OUTPUT,
@@ -43,7 +44,7 @@ if TYPE_CHECKING:
     from animtool.scene.scene import Scene
 
 
-@click.command(
+@command(
     epilog="""\b
 Examples:
   animtool bake walk.bvh -o walk.usdc

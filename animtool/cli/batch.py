@@ -20,6 +20,7 @@ from animtool.cli.batch_options import (
     with_variants,
 )
 from animtool.cli.console import Console
+from animtool.cli.help import command
 from animtool.cli.options import (
     FILE,
     Parsed,
@@ -85,7 +86,7 @@ def _seconds(text: str) -> float:
     return parse_seconds(text)
 
 
-@click.command(
+@command(
     epilog="""\b
 Examples:
   animtool batch nightly.batch.yaml

@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from animtool.cli.console import Console
+from animtool.cli.help import command
 from animtool.cli.options import (
     INPUT,
     LENGTH,
@@ -25,7 +26,7 @@ from animtool.core.record import dataclass
 from animtool.report.text import Template
 
 
-@click.command(
+@command(
     epilog="""\b
 Examples:
   animtool convert walk.usdc walk.bvh

@@ -10,6 +10,7 @@ from typing import Any
 import click
 
 from animtool.cli.console import Console
+from animtool.cli.help import command
 from animtool.cli.options import (
     DISTANCE,
     INPUT,
@@ -93,7 +94,7 @@ def _tolerance(
     )
 
 
-@click.command(
+@command(
     epilog="""\b
 Examples:
   animtool diff walk.bvh walk.usdc

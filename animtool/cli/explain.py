@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from animtool.cli.console import Console
+from animtool.cli.help import command
 from animtool.cli.options import common_options, format_option
 from animtool.core.quantities import escaped_lines
 
@@ -14,7 +15,7 @@ if TYPE_CHECKING:
     from animtool.core.rules import Rule
 
 
-@click.command(
+@command(
     epilog="""\b
 Examples:
   animtool explain RIG201

@@ -14,13 +14,22 @@ class LazyGroup(click.Group):
 
     Attributes:
         table: By command name, its ``module:object`` and its one-line help.
+        sections: Names of the commands below each heading of the help.
+        other_names: What users of other tools type, and the command for it.
     """
 
     def __init__(
-        self, *args: Any, table: Mapping[str, tuple[str, str]], **options: Any
+        self,
+        *args: Any,
+        table: Mapping[str, tuple[str, str]],
+        sections: Mapping[str, tuple[str, ...]] | None = None,
+        other_names: Mapping[str, str] | None = None,
+        **options: Any,
     ) -> None:
         super().__init__(*args, **options)
         self.table = table
+        self.sections = sections or {"Commands": tuple(sorted(table))}
+        self.other_names = other_names or {}
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Return the names of the commands."""
@@ -41,18 +50,31 @@ class LazyGroup(click.Group):
     ) -> None:
         """List the commands from the table, importing none."""
         del ctx
-        with formatter.section("Commands"):
-            rows = [(name, text) for name, (_, text) in sorted(self.table.items())]
-            formatter.write_dl(rows)
+        from animtool.cli.help import write_sections
+
+        write_sections(
+            formatter,
+            {
+                title: [(name, self.table[name][1]) for name in names]
+                for title, names in self.sections.items()
+            },
+        )
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        """Name the nearest command where there is none of that name."""
+        """Resolve ``help COMMAND``; suggest a command for an unknown name."""
+        if args[:1] == ["help"] and "help" not in self.table:
+            args = [*args[1:2], "--help"]
+            if len(args) == 1:
+                click.echo(ctx.get_help(), color=ctx.color)
+                ctx.exit()
         if args and args[0] not in self.table and not args[0].startswith("-"):
             from difflib import get_close_matches
 
             near = get_close_matches(args[0], self.table, 1)
-            hint = f" Did you mean {near[0]!r}?" if near else ""
-            ctx.fail(f"No such command {args[0]!r}.{hint}")
+            meant = self.other_names.get(args[0]) or next(iter(near), "")
+            hint = f"; did you mean {meant!r}?" if meant else ""
+            hint = hint or f"; {ctx.command_path} --help lists the commands"
+            ctx.fail(f"unknown command {args[0]!r}{hint}")
         return super().resolve_command(ctx, args)

@@ -9,6 +9,7 @@ import click
 
 from animtool.cli.bake_options import SHOT_OPTIONS, timeline_shot
 from animtool.cli.console import Console
+from animtool.cli.help import command
 from animtool.cli.options import (
     INPUT,
     LENGTH,
@@ -62,7 +63,7 @@ def _time_code(text: str) -> Any:
     return parse_frame(text)
 
 
-@click.command(
+@command(
     epilog="""\b
 Examples:
   animtool ik hero.rig.yaml --targets reach.targets.yaml

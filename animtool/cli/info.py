@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from animtool.cli.console import Console
+from animtool.cli.help import command
 from animtool.cli.options import (
     INPUT,
     common_options,
@@ -243,7 +244,7 @@ TEMPLATES = {
 }
 
 
-@click.command(
+@command(
     epilog="""\b
 Examples:
   animtool info walk.bvh

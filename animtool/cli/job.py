@@ -10,6 +10,7 @@ import click
 
 from animtool.cli.batch_options import cut_options, cut_words, with_cuts
 from animtool.cli.console import Console
+from animtool.cli.help import command
 from animtool.cli.options import (
     FILE,
     Parsed,
@@ -21,7 +22,7 @@ from animtool.cli.options import (
 from animtool.core.names import is_named
 
 
-@click.command(
+@command(
     epilog="""\b
 Examples:
   animtool job nightly.batch.yaml -o nightly.job

@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from animtool.cli.console import Console
+from animtool.cli.help import command
 from animtool.cli.options import (
     INPUT,
     bake_option,
@@ -23,7 +24,7 @@ from animtool.edit.loop_options import LoopOptions
 from animtool.report.text import Template
 
 
-@click.command(
+@command(
     epilog="""\b
 Examples:
   animtool loop walk.bvh

@@ -176,6 +176,30 @@ COMMANDS = {
     ),
 }
 
+SECTIONS = {
+    "Make": ("bake", "retarget", "ik", "loop", "mocap"),
+    "Look and check": ("preview", "report", "info", "diff", "validate", "explain"),
+    "Files": ("convert", "schema", "migrate"),
+    "Many": ("batch", "job"),
+    "Setup": ("plugins", "completion"),
+}
+# What other tools call the work of a command.
+OTHER_NAMES = {
+    "view": "preview",
+    "render": "preview",
+    "show": "preview",
+    "play": "preview",
+    "import": "convert",
+    "export": "convert",
+    "check": "validate",
+    "lint": "validate",
+    "compare": "diff",
+    "solve": "ik",
+    "simulate": "bake",
+    "farm": "job",
+    "upgrade": "migrate",
+}
+
 
 def _show_version(ctx: click.Context, _: click.Parameter, value: bool) -> None:
     if not value or ctx.resilient_parsing:
@@ -192,10 +216,13 @@ def _show_version(ctx: click.Context, _: click.Parameter, value: bool) -> None:
 @click.group(
     cls=LazyGroup,
     table=COMMANDS,
+    sections=SECTIONS,
+    other_names=OTHER_NAMES,
     context_settings={"help_option_names": ["-h", "--help"]},
     epilog="Start here: animtool bake walk.bvh -o walk.usdc",
 )
 @click.option(
+    "-V",
     "--version",
     is_flag=True,
     is_eager=True,

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from animtool.cli.console import Console
+from animtool.cli.help import command
 from animtool.cli.options import (
     INPUT,
     common_options,
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
     from animtool.documents.migrate import Migration
 
 
-@click.command(
+@command(
     epilog="""\b
 Examples:
   animtool migrate hero.rig.yaml walk.clip.yaml --check

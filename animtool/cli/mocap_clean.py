@@ -10,6 +10,7 @@ import click
 
 from animtool.capture.options import CleanOptions
 from animtool.cli.console import Console
+from animtool.cli.help import command
 from animtool.cli.options import (
     INPUT,
     read_values,
@@ -22,7 +23,7 @@ from animtool.cli.options import (
 from animtool.cli.outputs import all_named, skipped, writing_options
 
 
-@click.command(
+@command(
     epilog="""\b
 Examples:
   animtool mocap clean take.bvh -o clean.usdc

@@ -12,6 +12,7 @@ import click
 
 from animtool.capture.options import FaceOptions
 from animtool.cli.console import Console
+from animtool.cli.help import command
 from animtool.cli.options import (
     INPUT,
     read_values,
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
     from animtool.scene.solves.face import FaceResult
 
 
-@click.command(
+@command(
     epilog="""\b
 Examples:
   animtool mocap face take.npz --rig hero.rig.yaml -o face.usdc

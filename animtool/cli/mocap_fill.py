@@ -10,12 +10,13 @@ import click
 
 from animtool.capture.options import FillOptions
 from animtool.cli.console import Console
+from animtool.cli.help import command
 from animtool.cli.marker_files import marker_options, output_option, run_on_markers
 from animtool.cli.options import INPUT, read_values, record_option
 from animtool.report.text import Each, Template
 
 
-@click.command(
+@command(
     epilog="""\b
 Examples:
   animtool mocap fill take.c3d -o whole.c3d

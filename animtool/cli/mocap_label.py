@@ -8,12 +8,13 @@ from typing import Any
 import click
 
 from animtool.cli.console import Console
+from animtool.cli.help import command
 from animtool.cli.marker_files import marker_options, output_option, run_on_markers
 from animtool.cli.options import INPUT
 from animtool.report.text import Each, Template
 
 
-@click.command(
+@command(
     epilog="""\b
 Examples:
   animtool mocap label cloud.c3d --static static.c3d -o named.c3d

@@ -10,6 +10,7 @@ import click
 
 from animtool.capture.options import SolveOptions
 from animtool.cli.console import Console
+from animtool.cli.help import command
 from animtool.cli.options import (
     INPUT,
     OUTPUT,
@@ -36,7 +37,7 @@ if TYPE_CHECKING:
     from animtool.capture.solve.run import MarkerSolve
 
 
-@click.command(
+@command(
     epilog="""\b
 Examples:
   animtool mocap solve walk.c3d --template ann.markers.yaml -o walk.usdc

@@ -10,6 +10,7 @@ import click
 
 from animtool.capture.options import TriangulateOptions
 from animtool.cli.console import Console
+from animtool.cli.help import command
 from animtool.cli.options import (
     INPUT,
     read_values,
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
     from animtool.capture.cameras.report import CameraReport
 
 
-@click.command(
+@command(
     epilog="""\b
 Examples:
   animtool mocap triangulate take.npz --cameras stage.cameras.yaml -o markers.npz

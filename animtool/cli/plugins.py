@@ -9,10 +9,11 @@ from typing import Any
 import click
 
 from animtool.cli.console import Console
+from animtool.cli.help import command
 from animtool.cli.options import common_options, format_option
 
 
-@click.command(
+@command(
     epilog="""\b
 Examples:
   animtool plugins

@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from animtool.cli.console import Console
+from animtool.cli.help import command
 from animtool.cli.options import (
     INPUT,
     common_options,
@@ -26,7 +27,7 @@ from animtool.preview.options import PictureOptions, PreviewOptions, ShowOptions
 _OF_SOURCES = ("rig", "take", "positions", "remap", "dropped", "template", "cameras")
 
 
-@click.command(
+@command(
     epilog="""\b
 Examples:
   animtool preview walk.bvh

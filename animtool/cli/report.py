@@ -10,6 +10,7 @@ import click
 
 from animtool.cli.bake_options import opened_sources
 from animtool.cli.console import Console
+from animtool.cli.help import command
 from animtool.cli.options import (
     INPUT,
     LENGTH,
@@ -36,7 +37,7 @@ _OF_OUTPUT = ("fps", "reduce", "frame_range")
 _OF_SOURCE = ("rig", "prim_path", "take", "positions", "template", "cameras")
 
 
-@click.command(
+@command(
     epilog="""\b
 Examples:
   animtool report shot.scene.yaml

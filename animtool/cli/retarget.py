@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from animtool.cli.console import Console
+from animtool.cli.help import command
 from animtool.cli.options import (
     INPUT,
     OUTPUT,
@@ -110,7 +111,7 @@ _TEMPLATE = Template(
 OWN_OPTIONS = tuple(name for name in options_of(RetargetOptions) if name != "force_fit")
 
 
-@click.command(
+@command(
     epilog="""\b
 Examples:
   animtool retarget walk.bvh --to hero.rig.yaml -o walk.usdc

@@ -9,6 +9,7 @@ import click
 from click.shell_completion import get_completion_class
 
 from animtool.cli.console import Console
+from animtool.cli.help import command
 from animtool.cli.options import common_options
 from animtool.core.plugins import load_object
 
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
     from pydantic import BaseModel
 
 
-@click.command(
+@command(
     epilog="""\b
 Examples:
   animtool completion bash >> ~/.bashrc
@@ -58,7 +59,7 @@ def model_of(kind: str) -> type[BaseModel]:
     return found if isinstance(found, type) else found()
 
 
-@click.command(
+@command(
     epilog="""\b
 Examples:
   animtool schema rig > rig.schema.json

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from animtool.cli.console import Console
+from animtool.cli.help import command
 from animtool.cli.options import (
     common_options,
     listed_paths,
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
     from animtool.validation.run import Report
 
 
-@click.command(
+@command(
     epilog="""\b
 Examples:
   animtool validate rigs samples

@@ -1,0 +1,214 @@
+"""Help that one can scan: ``-h`` the usual options, ``--help`` all, by group."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any
+
+import click
+
+# Of options that several commands share, and of those of one; headings in this order.
+_GROUPS: dict[str, str] = {
+    "Source": (
+        "take take-a take-b prim-path prim-path-a prim-path-b source-prim units "
+        "up source-fps positions rest strip-namespace clamp rig template "
+        "cameras camera camera-name landmarks subject static remap dropped set "
+        "scene variants vary exclude shot cut handles cut-start first-timecode "
+        "path-mapping base clip targets over suite costs"
+    ),
+    "Solve": (
+        "match chains pose method tolerance angle-tolerance restarts seed "
+        "time-budget joints rest-weight smooth to map by preset target-preset "
+        "feet hands spikes noise cutoff drift head neutral gaps swaps calibrate "
+        "acceleration people gate min-angle moved shortest longest blend "
+        "repeats first last"
+    ),
+    "Picture": (
+        "frames size sheet light caption numbers show turntable findings open watch"
+    ),
+    "Checks": (
+        "select ignore severity profile exit-zero fix diff warn-above tol "
+        "tol-degrees tol-weight"
+    ),
+    "Output": (
+        "output as split rig-layer placement force-fit bones to-units to-up "
+        "root-motion sparse keep-curves reduce reduce-at physics write-map "
+        "write-rig write-template keep-stopped until name overwrite "
+        "skip-existing check"
+    ),
+    "Time": "fps range start samples keep-samples",
+    "Caches": "deform velocities normals chunk",
+    "Run": (
+        "jobs executor items dry-run force verify retry-failed fail-fast "
+        "max-failures time-limit memory-limit task-seconds"
+    ),
+    "Measure": "table plot stats budget",
+    "Report": (
+        "plan strict format lines junit output-file quiet verbose log-format debug help"
+    ),
+}
+_GROUP_OF = {word: name for name, words in _GROUPS.items() for word in words.split()}
+# Where a command means another thing by an option.
+_ELSEWHERE = {
+    "bake": {"prim-path": "Output"},
+    "ik": {"prim-path": "Output", "pose": "Time"},
+    "retarget": {"prim-path": "Output"},
+    "solve": {"prim-path": "Output"},
+    "preview": {"camera": "Picture"},
+    "job": {"chunk": "Run"},
+}
+# The options that most calls of a command need.
+_USUAL = {
+    "bake": "output rig rig-layer fps range plan",
+    "batch": "output scene set jobs dry-run items",
+    "convert": "reduce units up take prim-path overwrite",
+    "diff": "tol tol-degrees take prim-path units format",
+    "ik": "targets clip output pose rig-layer tol",
+    "info": "take prim-path set units up format",
+    "job": "output cut chunk costs fps overwrite",
+    "loop": "output repeats first last blend overwrite",
+    "clean": "output spikes noise cutoff drift feet",
+    "face": "rig output landmarks camera head remap",
+    "fill": "output longest template static gaps format",
+    "label": "output static subject units format overwrite",
+    "solve": "template output rig calibrate static rig-layer",
+    "triangulate": "cameras output units up people overwrite",
+    "preview": "output frames camera sheet watch take",
+    "report": "output budget range rig set format",
+    "retarget": "to output map rest rig-layer feet",
+    "validate": "select ignore profile strict fix format",
+}
+_MAX_SHORT = 40  # lines of the short help
+
+
+class Command(click.Command):
+    """A command with a short help and a whole one, its options by group."""
+
+    def get_params(self, ctx: click.Context) -> list[click.Parameter]:
+        """Return the parameters, with ``-h`` and ``--help`` last."""
+        del ctx
+        return [*self.params, *_help_options()]
+
+    def collect_usage_pieces(self, ctx: click.Context) -> list[str]:
+        """Return the usage, arguments before options."""
+        options, *arguments = super().collect_usage_pieces(ctx)
+        return [*arguments, options]
+
+    def format_options(
+        self, ctx: click.Context, formatter: click.HelpFormatter
+    ) -> None:
+        """Write all options, by group."""
+        groups: dict[str, list[tuple[str, str]]] = {name: [] for name in _GROUPS}
+        for option, record in self._records(ctx):
+            groups[group_of(self.name or "", option)].append(record)
+        for name, records in groups.items():
+            if records:
+                _section(formatter, name, records)
+
+    def short_help_of(self, ctx: click.Context) -> str:
+        """Return the help of ``-h``: usage, the usual options, and examples."""
+        formatter = ctx.make_formatter()
+        self.format_usage(ctx, formatter)
+        about = (self.help or "").strip().split("\n\n")[0]
+        formatter.write_paragraph()
+        with formatter.indentation():
+            formatter.write_text(" ".join(about.split()))
+        usual = usual_options(self.name or "")
+        records = {_word(option): record for option, record in self._records(ctx)}
+        shown = usual or [word for word in records if _GROUP_OF[word] != "Report"]
+        firsts = [(records[w][0], _first(records[w][1])) for w in shown if w in records]
+        if firsts:
+            _section(formatter, "Options", firsts)
+        lines = formatter.getvalue().rstrip().splitlines()
+        last = f"{ctx.command_path} --help shows all {len(records)} options."
+        examples = (self.epilog or "").replace("\b", "").strip().splitlines()
+        room = _MAX_SHORT - len(lines) - 3
+        kept = examples[: max(room, 2)] if examples else []
+        while kept and kept[-1].rstrip().endswith("\\"):
+            kept.pop()
+        return "\n".join([*lines, "", *kept, *([""] if kept else []), last])
+
+    def _records(
+        self, ctx: click.Context
+    ) -> Iterable[tuple[click.Option, tuple[str, str]]]:
+        """Yield the options, and the name and text of each."""
+        for option in self.get_params(ctx):
+            record = option.get_help_record(ctx)
+            if isinstance(option, click.Option) and record is not None:
+                yield option, record
+
+
+def command(*args: Any, **options: Any) -> Callable[[Callable[..., Any]], Command]:
+    """Return a decorator that makes a command with grouped help."""
+    return click.command(*args, cls=Command, **options)
+
+
+def write_sections(
+    formatter: click.HelpFormatter, sections: Mapping[str, list[tuple[str, str]]]
+) -> None:
+    """Write commands, by group, their texts in one column."""
+    width = max(len(name) for rows in sections.values() for name, _ in rows)
+    for title, rows in sections.items():
+        _section(formatter, title, [(name.ljust(width), text) for name, text in rows])
+
+
+def group_of(command: str, option: click.Option) -> str:
+    """Return the heading of an option; KeyError for one that has none."""
+    word = _word(option)
+    return _ELSEWHERE.get(command, {}).get(word) or _GROUP_OF[word]
+
+
+def usual_options(command: str) -> list[str]:
+    """Return the options in the short help of a command; none: all but reports."""
+    return _USUAL.get(command, "").split()
+
+
+def _word(option: click.Option) -> str:
+    return max(option.opts, key=len).removeprefix("--").removeprefix("-")
+
+
+def _first(text: str) -> str:
+    """Return the first sentence of a text, without its default."""
+    text = text.partition("  [")[0].partition(". ")[0]
+    return f"{text.rstrip('.')}."
+
+
+def _section(
+    formatter: click.HelpFormatter, title: str, records: list[tuple[str, str]]
+) -> None:
+    # Click takes colours out where no terminal listens.
+    plain = bool(os.environ.get("NO_COLOR"))
+    with formatter.section(title if plain else click.style(title, bold=True)):
+        formatter.write_dl(records)
+
+
+def _help_options() -> list[click.Parameter]:
+    """Return ``-h`` and ``--help``."""
+
+    def whole(ctx: click.Context, _: click.Parameter, asked: bool) -> None:
+        if asked and not ctx.resilient_parsing:
+            click.echo(ctx.get_help(), color=ctx.color)
+            ctx.exit()
+
+    def short(ctx: click.Context, _: click.Parameter, asked: bool) -> None:
+        if asked and not ctx.resilient_parsing:
+            made = ctx.command
+            text = made.short_help_of(ctx) if isinstance(made, Command) else ""
+            click.echo(text or ctx.get_help(), color=ctx.color)
+            ctx.exit()
+
+    flags: dict[str, Any] = {
+        "is_flag": True,
+        "expose_value": False,
+        "is_eager": True,
+    }
+    return [
+        click.Option(["-h"], callback=short, hidden=True, **flags),
+        click.Option(
+            ["--help"],
+            callback=whole,
+            help="Show this message; -h shows the usual options.",
+            **flags,
+        ),
+    ]

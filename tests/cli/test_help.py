@@ -1,0 +1,55 @@
+"""Help: every option below one heading, the short help on one screen."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import click
+import pytest
+
+from animtool.cli.groups import LazyGroup
+from animtool.cli.help import Command, group_of, usual_options
+from animtool.cli.main import COMMANDS, SECTIONS, cli
+
+
+def _commands(group: LazyGroup = cli, path: str = "animtool") -> Iterator[Command]:
+    """Yield all commands, those of groups too."""
+    context = click.Context(group, info_name=path)
+    for name in group.list_commands(context):
+        command = group.get_command(context, name)
+        if isinstance(command, LazyGroup):
+            yield from _commands(command, f"{path} {name}")
+        else:
+            assert isinstance(command, Command), name
+            yield command
+
+
+ALL = list(_commands())
+
+
+@pytest.mark.parametrize("command", ALL, ids=lambda command: str(command.name))
+def test_every_option_has_a_heading(command: Command) -> None:
+    name = command.name or ""
+    options = [each for each in command.params if isinstance(each, click.Option)]
+    assert all(group_of(name, option) for option in options)
+    words = {max(option.opts, key=len).removeprefix("--") for option in options}
+    assert words >= set(usual_options(name))
+
+
+@pytest.mark.parametrize("command", ALL, ids=lambda command: str(command.name))
+def test_short_help_fits_on_a_screen(command: Command) -> None:
+    context = click.Context(command, info_name=str(command.name))
+    lines = command.short_help_of(context).splitlines()
+    assert len(lines) <= 40
+    assert max(map(len, lines)) <= 90
+    # The whole help has every option of the command.
+    whole = command.get_help(context)
+    flags = [
+        max(p.opts, key=len) for p in command.params if isinstance(p, click.Option)
+    ]
+    assert all(flag in whole for flag in flags)
+
+
+def test_every_command_is_in_one_section() -> None:
+    names = [name for group in SECTIONS.values() for name in group]
+    assert sorted(names) == sorted(COMMANDS)
