@@ -21,6 +21,8 @@ from typing import Any
 
 import numpy as np
 
+from animtool.core.errors import Fault
+
 WRITE = "ANIMTOOL_FIGURES"
 # Numbers of another processor differ by rounding alone.
 RELATIVE, ABSOLUTE = 1e-6, 1e-9
@@ -42,6 +44,8 @@ def figure(values: Any) -> float:
 
 def figures(value: Any, name: str = "") -> dict[str, float | str]:
     """Return the figures of a record, by field; those of a list's entries are one."""
+    if isinstance(value, Fault):
+        return {name: f"{value.code} {value.message}"}
     if value is None:
         return {}
     if isinstance(value, str | Path | Enum):

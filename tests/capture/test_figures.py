@@ -1,0 +1,195 @@
+"""Figures of small spoiled captures: cameras, markers, skeletons, faces and takes."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from capture.cameras.test_openpose import CAMERAS, POINTS, RATE, images
+from capture.face.test_face import made_face, made_weights, placed, spoiled
+from capture.markers.test_fill import made, paths
+from capture.test_clean import spiked
+from support.figures import check_figures
+from support.marked import FIGURE, TEMPLATE, captured, column, moving
+from support.small_takes import small
+from support.stage import changed, observed, ring, walkers
+
+from animtool.capture.cameras import Observations, TriangulateOptions, triangulate
+from animtool.capture.cameras.openpose import follow_people
+from animtool.capture.clean import CleanOptions, clean, cleaned_take, scores_of
+from animtool.capture.face import fit_face, transfer_weights
+from animtool.capture.face.capture import FaceCapture
+from animtool.capture.markers.fill import fill
+from animtool.capture.markers.skeleton import Subject
+from animtool.capture.options import FillOptions
+from animtool.capture.solve import solve_markers
+from animtool.maths import so3
+from animtool.motion.motion import Channel
+
+
+FPS = 100.0
+
+
+def texts(notices: Any) -> list[str]:
+    return [f"{one.code} {one.message}" for one in notices]
+
+
+def seen_by_cameras(count: int, frames: int = 70) -> tuple[Any, Observations]:
+    """Return a ring of cameras, and pixels with outliers, gaps and confidences."""
+    cameras = ring(count)
+    clean_ = observed(cameras, walkers(frames, 6))
+    rng = np.random.default_rng(11)
+    pixels = clean_.stored.copy()
+    wrong = rng.random(pixels.shape[:3]) < 0.03
+    pixels[wrong] += rng.uniform(6, 40, (int(wrong.sum()), 2))
+    pixels[rng.random(pixels.shape[:3]) < 0.05] = np.nan
+    pixels[:20, 1] += [4.0, -3.0]
+    pixels[33, 2] += [0.0, 6.0]
+    return cameras, changed(clean_, pixels)
+
+
+@pytest.mark.parametrize("count", [3, 5])
+def test_points_of_pixels(count: int) -> None:
+    cameras, seen = seen_by_cameras(count)
+    options = TriangulateOptions(gate=3.5, min_angle=0.1)
+    found = triangulate(seen, cameras, options)
+    check_figures(
+        __file__,
+        f"cameras {count}",
+        {
+            "positions": found.markers.positions,
+            "views": found.markers.cameras,
+            "deviations": found.deviations,
+            "error": found.error_px,
+            "found": [found.found, found.seen],
+            "cameras": found.cameras,
+            "notices": texts(found.notices),
+        },
+    )
+
+
+def test_people_of_keypoints() -> None:
+    hidden = {(4, 0): {1}, (5, 1): {0}, (9, 2): {0, 1}, (10, 0): {0}, (10, 2): {0}}
+    rows = images((1, 0), hidden)
+    rng = np.random.default_rng(4)
+    for frame in rows:
+        for people in frame:
+            for one in people:
+                one[:, :2] += rng.normal(0, 0.5, (POINTS, 2))
+                one[:, 2] = rng.uniform(0.3, 1, POINTS)
+                one[rng.integers(POINTS)] = [np.nan, np.nan, 0.0]
+    check_figures(__file__, "people", follow_people(rows, CAMERAS, RATE, POINTS, None))
+
+
+@pytest.mark.parametrize("options", [{}, {"keep_spikes": True, "longest": 0.15}])
+def test_gaps_spikes_and_swaps(options: dict[str, Any]) -> None:
+    positions = paths(3e-4)[:160]
+    positions[40:45, 2] = positions[100:130, 7] = positions[:4, 0] = np.nan
+    positions[156:, 9] = positions[60:90, 5:9] = np.nan
+    positions[20:22, 4] += [0.03, -0.05, 0.02]
+    positions[80, 1] += 0.04
+    positions[135:150, [3, 8]] = positions[135:150, [8, 3]]
+    whole, report = fill(made(positions), options=FillOptions(**options))
+    keys = asdict(report)
+    keys["notices"] = texts(report.notices)
+    check_figures(
+        __file__, f"fill {len(options)}", {"at": whole.positions, "report": keys}
+    )
+
+
+def test_gaps_by_a_skeleton_and_a_solve() -> None:
+    truth = captured(moving(90, FPS, 4), FPS)
+    positions = truth.markers.positions.copy()
+    rng = np.random.default_rng(3)
+    positions[30:55, [column("LWRA"), column("LELB"), column("RUPA")]] = np.nan
+    positions[rng.random(positions.shape[:2]) < 0.02] += 0.03
+    a, b = column("RWRA"), column("RWRB")
+    positions[60:75, [a, b]] = positions[60:75, [b, a]]
+    given = replace(truth.markers, positions=positions)
+    whole, report = fill(given, subject=Subject(FIGURE, TEMPLATE))
+    keys = asdict(report)
+    keys["notices"] = texts(report.notices)
+    check_figures(__file__, "skeleton", {"at": whole.positions, "report": keys})
+    solve = solve_markers(given, FIGURE, TEMPLATE)
+    take = solve.take()
+    check_figures(
+        __file__,
+        "solve",
+        {
+            "motion": list(take.motion.dense()),
+            "score": asdict(solve.score),
+            "notices": texts(solve.notices),
+        },
+    )
+
+
+def test_weights_of_landmarks() -> None:
+    model = made_face(3)
+    seen = spoiled(placed(model.points(made_weights(50))), 4e-4)
+    seen[20:23] = np.nan
+    seen[:, 7] += 0.02
+    fit = fit_face(model, seen, 60, smooth=0.5)
+    other = made_face(4)
+    moved = transfer_weights(
+        fit.weights, model.shapes, other.shapes, faces=(model, other)
+    )
+    actor = model.of_actor(seen[2])
+    camera = np.array([900.0, 880.0, 640.0, 360.0])
+    turned = so3.rotate(np.array([1.0, 0, 0, 0]), model.points(made_weights(14)))
+    away = turned + np.array([0.01, 0.02, 0.35])
+    pixels = away[..., :2] / away[..., 2:] * camera[:2] + camera[2:]
+    flat = fit_face(model, pixels, 60, camera=camera)
+    check_figures(
+        __file__,
+        "face",
+        {
+            **{
+                f"fit {i}": {
+                    "weights": one.weights,
+                    "rotations": one.rotations,
+                    "translations": one.translations,
+                    "residuals": one.residuals,
+                    "shares": one.shares,
+                    "noise": one.noise,
+                    "rms": one.rms,
+                    "status": " ".join(one.status),
+                    "notices": texts(one.notices),
+                }
+                for i, one in enumerate((fit, flat))
+            },
+            "moved": moved.weights,
+            "actor": [actor.neutral, actor.deltas],
+        },
+    )
+
+
+def test_takes_are_cleaned() -> None:
+    take = small(110)
+    t = np.arange(110)[:, None, None] / 30
+    rng = np.random.default_rng(5)
+    swing = 0.4 * np.sin(t * [2.0, 3.0, 0.7]) * np.ones((1, 3, 1))
+    slides = np.array([0.1, 0.2, 0.3]) * np.cos(1.3 * t) + np.zeros((1, 3, 1))
+    noise = rng.normal(0, [0.02, 0.01, 0.004], (2, 110, 3, 3))
+    motion = replace(
+        take.motion,
+        rotations=Channel.from_dense(so3.align_signs(so3.exp(swing + noise[0]))),
+        translations=Channel.from_dense(slides + 0.1 * noise[1]),
+    )
+    dirty, _ = spiked(replace(take, motion=motion), 4)
+    made_, signals = cleaned_take(dirty, CleanOptions())
+    kept, spikes = cleaned_take(dirty, CleanOptions(keep_noise=True))
+    check_figures(
+        __file__,
+        "clean",
+        {
+            "motion": list(made_.motion.dense()),
+            "kept": list(kept.motion.dense()),
+            "signals": signals,
+            "spikes": spikes,
+            "scores": scores_of(110, signals),
+            "notices": texts(clean(dirty).notices),
+        },
+    )
