@@ -1,0 +1,177 @@
+"""Figures of irregular takes on other rigs: maps, motions, scores, and what is noted."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from support.figures import check_figures
+from support.people import named, person
+
+from animtool import Channel, Motion, Rig, Take, open_source
+from animtool.core.units import UpAxis, up_from_up
+from animtool.maths import so3
+from animtool.motion.passes import PassContext, apply_pass, find_pass
+from animtool.motion.take import TakeStream
+from animtool.retarget import map_joints, map_text, retarget_take
+from animtool.retarget.anatomy import anatomy
+from animtool.retarget.facts import capture_facts
+from animtool.retarget.report import scores_of
+from animtool.retarget.standing import body_axes, stance, stands_along
+
+ROOT = Path(__file__).parents[2]
+BIPED = ROOT / "rigs/biped/biped.rig.yaml"
+
+
+@cache
+def taken(name: str, count: int = 36) -> Take:
+    """Return the first frames of a sample."""
+    take = open_source(ROOT / f"samples/retarget/takes/{name}.bvh").collect()
+    motion = take.motion.select(slice(0, count))
+    return replace(take, motion=motion, clock=replace(take.clock, count=motion.frames))
+
+
+def uneven(take: Take, seed: int = 3) -> Take:
+    """Return a take whose joints shake, and that leans, turns and drifts."""
+    rng = np.random.default_rng(seed)
+    places, turns = take.motion.translations.dense(), take.motion.rotations.dense()
+    count = len(places)
+    shakes = np.cumsum(rng.normal(0, 0.01, turns[..., :3].shape), axis=0)
+    turns = so3.multiply(turns, so3.exp(shakes))
+    lean = so3.exp(np.linspace(0, 1, count)[:, None] * [0.05, 0.5, -0.1])
+    turns[:, 0] = so3.multiply(lean, turns[:, 0])
+    places[:, 0] = so3.rotate(lean, places[:, 0])
+    places[:, 0] += np.linspace(0, 1, count)[:, None] * [0.1, 0.01, -0.05]
+    made = Channel.from_dense(places), Channel.from_dense(so3.align_signs(turns))
+    return replace(take, motion=Motion(*made))
+
+
+@cache
+def odd_biped() -> Rig:
+    """Return the biped with longer forearms and shins, one side more than the other."""
+    rig = Rig.load(BIPED)
+    longer = {"hand_l": 1.2, "hand_r": 1.1, "foot_l": 0.9, "foot_r": 0.93}
+    joints = tuple(
+        replace(
+            joint,
+            translation=tuple(
+                longer.get(joint.name, 1.0) * x for x in joint.translation
+            ),
+        )
+        for joint in rig.joints
+    )
+    return replace(rig, joints=joints)
+
+
+def without_paths(report: Any) -> dict[str, Any]:
+    return {key: value for key, value in asdict(report).items() if key != "notices"}
+
+
+@pytest.mark.parametrize("name", ["kick", "jump", "lift"])
+def test_irregular_takes_on_an_uneven_rig(name: str) -> None:
+    take, rig = uneven(taken(name)), odd_biped()
+    found = map_joints(take.rig, rig)
+    made = retarget_take(take, rig, found, hands=name == "lift")
+    scores = scores_of(made.report)
+    check_figures(
+        __file__,
+        name,
+        {
+            "motion": list(made.take.motion.dense())[:2],
+            "report": without_paths(made.report),
+            "scores": [asdict(score) for score in scores.scores],
+            "names": dict(scores.names),
+        },
+    )
+
+
+def passed(take: Take, name: str, **options: Any) -> dict[str, Any]:
+    own, context = find_pass(name), PassContext(open_source, Path())
+    stream = apply_pass(TakeStream.of(take), own, own.options(**options), context)
+    made = stream.collect()
+    codes = [f"{notice.code} {notice.message}" for notice in context.notices]
+    codes += [f"{notice.code} {notice.message}" for notice in stream.notices]
+    return {
+        "motion": list(made.motion.dense())[:2],
+        "codes": codes,
+        "scores": [[asdict(s) for s in one.scores] for one in context.scores],
+    }
+
+
+@pytest.mark.parametrize(
+    ("label", "name", "options"),
+    [
+        ("rest", "retarget", {"rig": BIPED, "rest": 3, "warn_above": 0.0}),
+        ("as rig", "retarget", {"rig": BIPED, "rest": "rig", "free_feet": True}),
+        ("feet", "feet", {}),
+        ("drift", "root_drift", {"heading": True}),
+    ],
+)
+def test_passes_of_persons(label: str, name: str, options: dict[str, Any]) -> None:
+    made = passed(uneven(taken("march")), name, **options)
+    check_figures(__file__, label, made)
+
+
+@pytest.mark.parametrize("preset", ["mixamo", "ue5_manny", "vrm0", "cmu_bvh", "smpl", ""])
+def test_maps_of_conventions(preset: str) -> None:
+    rig, _ = person(named(preset) if preset else str, metacarpals=True)
+    rig = replace(rig, joints=tuple(reversed_children(rig)))
+    target = odd_biped()
+    known = anatomy(rig)
+    found = map_joints(rig, target)
+    check_figures(
+        __file__,
+        f"map {preset}",
+        {
+            "roles": known.roles,
+            "found": known.found,
+            "confidence": known.confidence,
+            "text": map_text(found, rig, target),
+            "back": map_text(map_joints(target, rig), target, rig),
+        },
+    )
+
+
+def reversed_children(rig: Rig) -> list[Any]:
+    """Return joints of a rig, those of each parent the other way round."""
+    order: list[int] = []
+
+    def walk(j: int) -> None:
+        order.append(j)
+        for child in reversed([k for k, p in enumerate(rig.parents) if p == j]):
+            walk(child)
+
+    walk(0)
+    place = {j: i for i, j in enumerate(order)}
+    return [
+        replace(rig.joints[j], parent=place.get(rig.joints[j].parent, -1))
+        for j in order
+    ]
+
+
+@pytest.mark.parametrize("name", ["kick", "run"])
+def test_facts_of_takes(name: str) -> None:
+    take = uneven(taken(name))
+    facts = capture_facts(take)
+    assert facts is not None
+    roles = anatomy(take.rig).roles
+    positions = take.world().positions
+    lying = so3.rotate(np.array(up_from_up(UpAxis.Z, UpAxis.Y)), positions)
+    check_figures(
+        __file__,
+        f"facts {name}",
+        {
+            "facts": asdict(facts),
+            "axes": body_axes(roles, positions),
+            "stands": str(stands_along(take.rig, take.motion, roles)),
+            "stance": [
+                stance(roles, where, UpAxis.Y, rest)
+                for where in (positions, lying, -positions)
+                for rest in (None, positions[0], lying[0])
+            ],
+        },
+    )
