@@ -16,6 +16,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from enum import Enum
 from fractions import Fraction
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +29,8 @@ WRITE = "ANIMTOOL_FIGURES"
 RELATIVE, ABSOLUTE = 1e-6, 1e-9
 # What stands for a value that is missing.
 MISSING = 7.25
+# Longer texts are kept as digests.
+LONG = 300
 
 
 def figure(values: Any) -> float:
@@ -45,11 +48,11 @@ def figure(values: Any) -> float:
 def figures(value: Any, name: str = "") -> dict[str, float | str]:
     """Return the figures of a record, by field; those of a list's entries are one."""
     if isinstance(value, Fault):
-        return {name: f"{value.code} {value.message}"}
+        return {name: _short(f"{value.code} {value.message}")}
     if value is None:
         return {}
     if isinstance(value, str | Path | Enum):
-        return {name: str(value)}
+        return {name: _short(str(value))}
     if isinstance(value, bool | int | float | Fraction | np.ndarray | np.generic):
         return {name: figure(value)}
     if is_dataclass(value) and not isinstance(value, type):
@@ -66,6 +69,11 @@ def figures(value: Any, name: str = "") -> dict[str, float | str]:
     return _folded([figures(part, name) for part in parts]) | {
         f"{name}.count": float(len(parts))
     }
+
+
+def _short(text: str) -> str:
+    """Return a text, one of many lines by its digest."""
+    return text if len(text) < LONG else sha256(text.encode()).hexdigest()[:16]
 
 
 def _folded(parts: Sequence[Mapping[str, float | str]]) -> dict[str, float | str]:
