@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import asdict, replace
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -21,14 +20,12 @@ from animtool.capture.cameras import Observations, TriangulateOptions, triangula
 from animtool.capture.cameras.openpose import follow_people
 from animtool.capture.clean import CleanOptions, clean, cleaned_take, scores_of
 from animtool.capture.face import fit_face, transfer_weights
-from animtool.capture.face.capture import FaceCapture
 from animtool.capture.markers.fill import fill
 from animtool.capture.markers.skeleton import Subject
 from animtool.capture.options import FillOptions
 from animtool.capture.solve import solve_markers
 from animtool.maths import so3
 from animtool.motion.motion import Channel
-
 
 FPS = 100.0
 

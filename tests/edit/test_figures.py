@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from fractions import Fraction
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,7 +24,8 @@ from animtool.edit.root_motion import extract_root, recompose_root
 from animtool.edit.thin import thin_samples
 from animtool.edit.tree import hang
 from animtool.motion.motion import Channel
-from animtool.motion.take import Take
+from animtool.motion.passes import PassContext, apply_pass, find_pass
+from animtool.motion.take import Take, TakeStream
 from animtool.rig.parts import Shape
 from animtool.rig.skeleton import JointType
 
@@ -75,7 +77,7 @@ PASSES: dict[str, Callable[[Take, Take], Take]] = {
     "mirror pairs": lambda take, _: mirror(take, "X", [("arm_l", "arm_r")]),
     "blend": lambda take, other: blend(take, other, weight=CURVE, delay=3.3),
     "blend even": lambda take, other: blend(take, other, weight=0.3, delay=-2.0),
-    "difference": lambda take, other: difference(take, other),
+    "difference": difference,
     "difference frame": lambda take, other: difference(take, other, 9.9),
     "layer": lambda take, other: layer(
         take, other, weight=CURVE, joints="arm*", interpolation="smooth", delay=1.5
@@ -99,6 +101,43 @@ def test_passes(name: str) -> None:
     take = lively()
     other = lively(17, "11", tracks=False)
     check_figures(__file__, name, shown(PASSES[name](take, other)))
+
+
+OTHER = Path("other.bvh")
+OPTIONS: list[tuple[str, dict[str, Any]]] = [
+    ("blend", {"take": OTHER, "weight": CURVE, "delay": 3.3}),
+    ("blend", {"take": OTHER, "weight": CURVE, "interpolation": "smooth"}),
+    ("difference", {"base": OTHER}),
+    ("difference", {"base": OTHER, "frame": 9.9}),
+    ("layer", {"take": OTHER, "weight": CURVE, "interpolation": "smooth"}),
+    ("layer", {"take": OTHER, "weight": 0.4, "joints": ("hips",), "delay": 2.1}),
+    ("layer", {"take": OTHER, "mode": "additive", "joints": ("hips",),
+               "children": True}),
+    ("loop", {"first": 9.9, "last": 20.3, "repeats": 2, "blend": 4}),
+    ("loop", {"find": True, "shortest": 0.4, "longest": 1.2}),
+    ("mirror", {"axis": "Y", "pairs": (("arm_l", "arm_r"),)}),
+    ("resample", {"fps": 9, "lowpass": True}),
+    ("resample", {"fps": "30", "smooth": True}),
+    ("root_motion", {"root": "way", "axes": "xz", "yaw": False}),
+    ("root_motion", {"root": "hips", "mode": "recompose", "keep": True}),
+    ("time_scale", {"speed": 0.6, "pivot": 11.0}),
+    ("time_warp", {"curve": ((5, 9), (22, 20)), "interpolation": "smooth"}),
+    ("trim", {"first": 9.9, "last": 15.5}),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("k", range(len(OPTIONS)))
+def test_options_of_passes(k: int) -> None:
+    name, options = OPTIONS[k]
+    take = lively()
+    if name == "root_motion":
+        take = replace(take, motion=replace(take.motion, scales=None))
+    other = lively(17, "11", tracks=False)
+    own, context = find_pass(name), PassContext(lambda _: other, Path())
+    stream = apply_pass(TakeStream.of(take), own, own.options(**options), context)
+    made = shown(stream.collect())
+    noted = [[one.code for one in notes] for notes in (stream.notices, context.notices)]
+    check_figures(__file__, f"{k} {name}", {**made, "noted": noted})
 
 
 @pytest.mark.parametrize("axes", ["", "xyz", "z"])

@@ -1,4 +1,4 @@
-"""Figures of irregular takes on other rigs: maps, motions, scores, and what is noted."""
+"""Figures of irregular takes on other rigs: maps, motions, scores and notices."""
 
 from __future__ import annotations
 
@@ -116,7 +116,9 @@ def test_passes_of_persons(label: str, name: str, options: dict[str, Any]) -> No
     check_figures(__file__, label, made)
 
 
-@pytest.mark.parametrize("preset", ["mixamo", "ue5_manny", "vrm0", "cmu_bvh", "smpl", ""])
+@pytest.mark.parametrize(
+    "preset", ["mixamo", "ue5_manny", "vrm0", "cmu_bvh", "smpl", ""]
+)
 def test_maps_of_conventions(preset: str) -> None:
     rig, _ = person(named(preset) if preset else str, metacarpals=True)
     rig = replace(rig, joints=tuple(reversed_children(rig)))

@@ -2,9 +2,9 @@
 
 Some laws have no number that could be worked out by hand: how a leg reaches ground that
 slopes below who turns and is pushed. What such a small run gives is kept in
-`figures.json` beside its tests, so that a factor, a sign or an index that is another one
-is noticed there, while tests of laws tell what is right. Where a change is meant, they
-are written anew with ``ANIMTOOL_FIGURES=write``, and what changed is looked at.
+`figures.json` beside its tests, so that another factor, sign or index is noticed there,
+while tests of laws tell what is right. Where a change is meant, they are written anew
+with ``ANIMTOOL_FIGURES=write``, and what changed is looked at.
 """
 
 from __future__ import annotations
@@ -107,9 +107,7 @@ def check_figures(test: str, name: str, value: Any) -> None:
     kept = known[name]
     assert found.keys() == kept.keys()
     other = {
-        key: (kept[key], one)
-        for key, one in found.items()
-        if not _same(one, kept[key])
+        key: (kept[key], one) for key, one in found.items() if not _same(one, kept[key])
     }
     assert not other, f"{name}: {other}"
 

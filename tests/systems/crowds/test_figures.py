@@ -1,4 +1,4 @@
-"""Figures of small irregular crowds: bodies that are pushed on bumpy ground, and runs."""
+"""Figures of small irregular crowds: bodies that are pushed on bumps, and runs."""
 
 from __future__ import annotations
 

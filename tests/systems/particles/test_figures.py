@@ -16,7 +16,14 @@ PLACES: dict[str, Any] = {
 AT = [3.0, -1.0, 2.0]
 MORE = [
     {"uniform": {"push": [0.1, 0.02, -0.05]}},
-    {"central": {"centre": [3, -0.5, 2], "strength": 0.8, "power": 1.5, "softening": 0.2}},
+    {
+        "central": {
+            "centre": [3, -0.5, 2],
+            "strength": 0.8,
+            "power": 1.5,
+            "softening": 0.2,
+        }
+    },
     {"friction": {"deceleration": 0.7}},
     {"turbulence": {"strength": 2.0, "size": 0.6, "change": 1.5}},
     {"electromagnetic": {"electric": [0.1, 0, 0.2], "magnetic": [0.3, 2, 0.1]}},

@@ -1,4 +1,4 @@
-"""Figures of small irregular runs: bodies, joints and forces of every kind, and rigs."""
+"""Figures of small irregular runs: bodies, joints and forces of each kind, rigs."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ from animtool.rig.skeleton import Joint, JointType, Rig
 from animtool.sim.colliders import Sphere
 from animtool.systems.rigid.physics import (
     body_entries,
-    still_colliders,
     stage_joints,
+    still_colliders,
 )
 from animtool.systems.rigid.ragdoll import RagdollOptions, bodies_of_rig
-from animtool.systems.rigid.ragdoll_motion import Targets, ragdoll_speeds
+from animtool.systems.rigid.ragdoll_motion import ragdoll_speeds
 from animtool.systems.rigid.take_pass import ragdoll
 from animtool.systems.rigid.tone import passive
 
@@ -205,7 +205,10 @@ def moving(rig: Rig, frames: int) -> Take:
     [
         ("limp", {"start": 4.0, "tone": 0.0, "mass": 30.0, "gravity": 8.0}),
         ("tone", {"start": 3.0, "end": 11.0, "blend": 3.0, "tone": 2.0}),
-        ("drawn", {"stiffness": 6.0, "damping": 0.2, "friction": 0.3, "density": 800.0}),
+        (
+            "drawn",
+            {"stiffness": 6.0, "damping": 0.2, "friction": 0.3, "density": 800.0},
+        ),
     ],
 )
 def test_rigs_that_fall(name: str, options: dict[str, Any]) -> None:
