@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from retarget.test_balls import with_toes
 from support.figures import check_figures
 from support.people import named, person
 
@@ -85,6 +86,76 @@ def test_irregular_takes_on_an_uneven_rig(name: str) -> None:
             "report": without_paths(made.report),
             "scores": [asdict(score) for score in scores.scores],
             "names": dict(scores.names),
+        },
+    )
+
+
+def turned_about(rig: Rig, turn: np.ndarray, **changes: Any) -> Rig:
+    """Return a rig that is turned as a whole."""
+    first = rig.joints[0]
+    root = replace(
+        first,
+        translation=tuple(so3.rotate(turn, np.array(first.translation)).tolist()),
+        rotation=tuple(so3.multiply(turn, np.array(first.rotation)).tolist()),
+    )
+    return replace(rig, joints=(root, *rig.joints[1:]), **changes)
+
+
+def mitten(role: str) -> str:
+    """Return the name of a joint of who has all fingers in one."""
+    digits = ("index", "middle", "ring", "pinky", "thumb")
+    kept = role[:-2] in {"index_1", "index_2", "thumb_1"}
+    if role.startswith(digits) and not kept:
+        return ""
+    return role.replace("index_1", "fingers").replace("index_2", "fingers2")
+
+
+RIGS: dict[str, Rig] = {
+    "z up": turned_about(
+        person(metacarpals=True)[0],
+        np.array(up_from_up(UpAxis.Z, UpAxis.Y)),
+        up=UpAxis.Z,
+    ),
+    "sideways": turned_about(person(fingers=False)[0], so3.exp([0.0, 1.1, 0.0])),
+    "mitten": person(mitten)[0],
+    "no toes": person(lambda role: "" if role.startswith("toe") else role)[0],
+}
+
+
+@pytest.mark.parametrize(
+    ("rig", "name"),
+    [("z up", "sneak"), ("sideways", "carry"), ("mitten", "wave"), ("no toes", "sit")],
+)
+def test_takes_on_rigs_of_other_kinds(rig: str, name: str) -> None:
+    take, target = uneven(taken(name, 24), 5), RIGS[rig]
+    made = retarget_take(take, target, map_joints(take.rig, target), hands=True)
+    back = retarget_take(made.take, take.rig, map_joints(target, take.rig))
+    check_figures(
+        __file__,
+        rig,
+        {
+            "motion": list(made.take.motion.dense())[:2],
+            "report": without_paths(made.report),
+            "back": list(back.take.motion.dense())[:2],
+        },
+    )
+
+
+@pytest.mark.parametrize(("toes", "bones"), [(0, 1), (2, 3), (3, 1)])
+def test_takes_on_feet_of_other_toes(toes: int, bones: int) -> None:
+    walk = open_source(ROOT / "samples/walk/walk.bvh").collect()
+    motion = walk.motion.select(slice(5, 29))
+    take = replace(walk, motion=motion, clock=replace(walk.clock, count=24))
+    rig = with_toes(take.rig, toes, bones, shin=1.1, tip=0.6)
+    made = retarget_take(take, rig, map_joints(take.rig, rig))
+    balls = [made.transfer.target.balls.get(side) for side in "lr"]
+    check_figures(
+        __file__,
+        f"toes {toes}",
+        {
+            "motion": list(made.take.motion.dense())[:2],
+            "report": without_paths(made.report),
+            "balls": balls,
         },
     )
 
