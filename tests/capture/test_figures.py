@@ -20,12 +20,21 @@ from animtool.capture.cameras import Observations, TriangulateOptions, triangula
 from animtool.capture.cameras.openpose import follow_people
 from animtool.capture.clean import CleanOptions, clean, cleaned_take, scores_of
 from animtool.capture.face import fit_face, transfer_weights
+from animtool.capture.face.model import BentShapes, FaceModel
+from animtool.capture.markers.chains import alike_of, chained, evidence
 from animtool.capture.markers.fill import fill
+from animtool.capture.markers.geometry import Distances
+from animtool.capture.markers.naming import Naming, said_of, searched
+from animtool.capture.markers.runs import RunLabels
 from animtool.capture.markers.skeleton import Subject
+from animtool.capture.markers.tracklets import follow
+from animtool.capture.markers.twins import told_apart
 from animtool.capture.options import FillOptions
 from animtool.capture.solve import solve_markers
 from animtool.maths import so3
 from animtool.motion.motion import Channel
+from animtool.rig.parts import Shape
+from animtool.skin.shapes import InbetweenDeltas, ShapeDeltas, prepare_shapes
 
 FPS = 100.0
 
@@ -189,4 +198,128 @@ def test_takes_are_cleaned() -> None:
             "scores": scores_of(110, signals),
             "notices": texts(clean(dirty).notices),
         },
+    )
+
+
+SHAPE = np.random.default_rng(6).uniform(-0.15, 0.15, (9, 3))
+REST = np.linalg.norm(SHAPE[:, None] - SHAPE, axis=-1)
+
+
+def blurred(seed: int) -> Distances:
+    """Return distances of runs that are these markers, some loose, some not seen."""
+    rng = np.random.default_rng(seed)
+    spread = np.exp(rng.uniform(-9, -3, REST.shape))
+    spread = (spread + spread.T) / 2
+    mean = REST + spread * rng.normal(size=REST.shape) / 3
+    mean = (mean + mean.T) / 2
+    lost = rng.random(REST.shape) < 0.1
+    mean[lost | lost.T] = spread[lost | lost.T] = np.nan
+    np.fill_diagonal(mean, np.nan)
+    return Distances(mean, spread)
+
+
+def test_what_distances_say_of_names() -> None:
+    moving = blurred(4)
+    seen = np.random.default_rng(5).uniform(0, 200, REST.shape)
+    seen = np.floor((seen + seen.T) / 2)
+    own = Naming(moving, seen, REST)
+    found: list[Any] = [own.total()]
+    for point in range(6):
+        own.put(point, [1, 0, 2, 4, 3, 5][point])
+        found.append(own.total())
+    grown = own.copy()
+    grown.grow()
+    found += [grown.given, grown.total(), grown.lacking()]
+    grown.improve()
+    found += [grown.given, grown.total(), grown.doubt(set()) or ()]
+    grown.eject(2, 5, np.arange(9) % 2 == 0)
+    found += [grown.given, grown.total()]
+    best = searched(grown, REST, [{0: 0, 1: 1, 2: 2}, {3: 4, 4: 3, 7: 7}])
+    found += [best.given, best.total()]
+    a, b = np.array([0.3, 0.2, np.nan]), np.array([0.001, 0.02, 0.01])
+    found += [
+        evidence(a, b, REST[0, 1:5]),
+        alike_of(moving, seen),
+        chained(moving, np.where(REST > 0.2, 0.0, seen)),
+        said_of(moving, np.minimum(seen / 60, 1.0), REST),
+    ]
+    check_figures(__file__, "names", found)
+
+
+def test_what_shapes_say_of_twins() -> None:
+    rng = np.random.default_rng(8)
+    shape = SHAPE.copy()
+    shape[3] = shape[2] * [1, 1, -1] + [0, 0, 0.002]
+    turns = so3.exp(np.cumsum(rng.normal(0, 0.2, (60, 3)), axis=0))
+    seen = so3.rotate(turns[:, None], shape[[0, 1, 3, 2, 4, 5, 6, 7, 8]])
+    seen = seen + rng.normal(0, 8e-4, seen.shape)
+    seen[10:25, 4] = np.nan
+    names, doubts, gains = told_apart(seen, shape)
+    check_figures(
+        __file__, "twins", [names, [asdict(doubt) for doubt in doubts], gains]
+    )
+
+
+def test_runs_of_points_and_their_costs() -> None:
+    truth = paths(3e-4)[:120]
+    rng = np.random.default_rng(9)
+    points = np.full((120, 13, 3), np.nan)
+    order = np.arange(13)
+    for frame in range(120):
+        if frame in (30, 75):
+            order = rng.permutation(13)
+        points[frame, order[:10]] = truth[frame]
+    points[40:60, order[11]] = truth[40:60, 2] + 0.05
+    points[rng.random(points.shape[:2]) < 0.02] = np.nan
+    runs = follow(points, 120.0)
+    rest = np.linalg.norm(truth[0][:, None] - truth[0], axis=-1)
+    given = np.full(len(runs.first), -1)
+    given[:10] = np.arange(10)
+    labels = RunLabels(points, runs, 120.0, given, rest)
+    labels._relearn()
+    some = range(0, len(runs.first), 3)
+    costs = [labels._costs(run) for run in some]
+    jumps = [labels._jumps(*_path(labels, run)) for run in some]
+    labels.settle()
+    check_figures(
+        __file__,
+        "runs",
+        [runs.ids, runs.first, runs.last, costs, jumps, labels.given,
+         labels.by_marker()],
+    )  # fmt: skip
+
+
+def _path(labels: RunLabels, run: int) -> tuple[Any, int, int]:
+    begin, end, path = labels._span(run)
+    return path, begin, end
+
+
+def test_weights_of_a_bent_face() -> None:
+    """Two shapes, of which one bends at a quarter, and what both add together."""
+    plain = made_face(5)
+    rng = np.random.default_rng(6)
+    deltas = rng.normal(size=(3, *plain.neutral.shape)) * 0.01
+    shapes = (
+        Shape("a", "face", deltas[0]),
+        Shape("b", "face", deltas[1]),
+        Shape("ab", "face", deltas[2], combine=("a", "b")),
+    )
+    middle = InbetweenDeltas(0.25, deltas[1] * 0.6 + 0.001)
+    bent = [
+        ShapeDeltas("a", deltas[0]),
+        ShapeDeltas("b", deltas[1], inbetweens=(middle,)),
+        ShapeDeltas("ab", deltas[2]),
+    ]
+    prepared = prepare_shapes(bent, plain.neutral)
+    model = FaceModel(
+        plain.names, ("a", "b"), plain.neutral, deltas[:2],
+        BentShapes(shapes, prepared, (0, 1)),
+    )  # fmt: skip
+    weights = made_weights(16, 2)
+    seen = spoiled(placed(model.points(weights)), 3e-4)
+    fit = fit_face(model, seen, 60)
+    check_figures(
+        __file__,
+        "bent",
+        [model.points(weights), model.offsets(weights), fit.weights, fit.rms],
     )
