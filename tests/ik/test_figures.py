@@ -113,7 +113,7 @@ GOALS = """
 
 
 @pytest.mark.parametrize("smooth", [0.0, 0.15])
-def test_a_take_is_brought_to_targets(tmp_path: Path, smooth: float) -> None:
+def test_a_take_at_its_targets(tmp_path: Path, smooth: float) -> None:
     take = walk_of(legs(), count=20)
     tracks = tracks_of(tmp_path, GOALS, take.rig)
     options = TakeOptions(smooth=smooth, rest_weight=0.01, restarts=3)
