@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, replace
 from functools import cache
 from pathlib import Path
@@ -21,8 +22,11 @@ from animtool.motion.take import TakeStream
 from animtool.retarget import map_joints, map_text, retarget_take
 from animtool.retarget.anatomy import anatomy
 from animtool.retarget.facts import capture_facts
+from animtool.retarget.person import Person
 from animtool.retarget.report import scores_of
 from animtool.retarget.standing import body_axes, stance, stands_along
+from animtool.rig.kinematics import rest_world
+from animtool.rig.skeleton import Joint
 
 ROOT = Path(__file__).parents[2]
 BIPED = ROOT / "rigs/biped/biped.rig.yaml"
@@ -66,6 +70,26 @@ def odd_biped() -> Rig:
         for joint in rig.joints
     )
     return replace(rig, joints=joints)
+
+
+def in_order(joints: Sequence[Joint]) -> tuple[Joint, ...]:
+    """Return joints behind their parents, those of each the other way round."""
+    order: list[int] = []
+
+    def walk(j: int) -> None:
+        order.append(j)
+        for child in reversed([k for k, one in enumerate(joints) if one.parent == j]):
+            walk(child)
+
+    walk(0)
+    place = {j: i for i, j in enumerate(order)}
+    return tuple(
+        replace(joints[j], parent=place.get(joints[j].parent, -1)) for j in order
+    )
+
+
+def reordered(rig: Rig) -> Rig:
+    return replace(rig, joints=in_order(rig.joints))
 
 
 def without_paths(report: Any) -> dict[str, Any]:
@@ -192,7 +216,7 @@ def test_passes_of_persons(label: str, name: str, options: dict[str, Any]) -> No
 )
 def test_maps_of_conventions(preset: str) -> None:
     rig, _ = person(named(preset) if preset else str, metacarpals=True)
-    rig = replace(rig, joints=tuple(reversed_children(rig)))
+    rig = reordered(rig)
     target = odd_biped()
     known = anatomy(rig)
     found = map_joints(rig, target)
@@ -209,21 +233,65 @@ def test_maps_of_conventions(preset: str) -> None:
     )
 
 
-def reversed_children(rig: Rig) -> list[Any]:
-    """Return joints of a rig, those of each parent the other way round."""
-    order: list[int] = []
+def without(*parts: str) -> Rig:
+    """Return a person who lacks joints."""
+    return person(lambda role: "" if role.startswith(parts) else role)[0]
 
-    def walk(j: int) -> None:
-        order.append(j)
-        for child in reversed([k for k, p in enumerate(rig.parents) if p == j]):
-            walk(child)
 
-    walk(0)
-    place = {j: i for i, j in enumerate(order)}
-    return [
-        replace(rig.joints[j], parent=place.get(rig.joints[j].parent, -1))
-        for j in order
-    ]
+def hung_elsewhere(joint: str, above: str) -> Rig:
+    """Return a person of whom a joint hangs on another one, in its place."""
+    rig, _ = person()
+    places = rest_world(rig).positions[0]
+    j, parent = rig.index(joint), rig.index(above)
+    off = tuple((places[j] - places[parent]).tolist())
+    joints = list(rig.joints)
+    joints[j] = replace(joints[j], parent=parent, translation=off)
+    return replace(rig, joints=in_order(joints))
+
+
+BODIES: dict[str, Rig] = {
+    "fingers": person()[0],
+    "metacarpals": person(metacarpals=True)[0],
+    "four": without("pinky"),
+    "two": without("pinky", "ring", "middle"),
+    "mitten": person(mitten)[0],
+    "no neck": without("neck", "spine_2", "spine_3"),
+    "no head": without("head", "toe"),
+    "stump": without("hand_l", "thumb_1_l", "index_1_l", "foot_r"),
+    "apart": hung_elsewhere("neck", "hips"),
+}
+
+
+@pytest.mark.parametrize("kind", BODIES)
+@pytest.mark.parametrize("named_", [True, False])
+def test_bodies_of_all_kinds(kind: str, named_: bool) -> None:
+    """By their names, and by where joints are."""
+    rig = reordered(BODIES[kind])
+    if not named_:
+        joints = [replace(one, name=f"j{i}") for i, one in enumerate(rig.joints)]
+        rig = replace(rig, joints=tuple(joints))
+    known = anatomy(rig)
+    body = Person.of(rig, known.roles)
+    facing = body.facing
+    shown = {
+        "roles": known.roles,
+        "found": known.found,
+        "confidence": known.confidence,
+        "notices": known.notices,
+        "facing": None if facing is None else np.asarray(facing),
+        "size": body.size,
+        "legs": [body.leg(side) or () for side in "lr"],
+        "balls": [body.balls.get(side) for side in "lr"],
+    }
+    check_figures(__file__, f"body {kind} {named_}", shown)
+
+
+def test_nobody_stands_nowhere() -> None:
+    none = Rig("none", ())
+    empty = Motion(
+        Channel.from_dense(np.zeros((3, 0, 3))), Channel.from_dense(np.zeros((3, 0, 4)))
+    )
+    assert stands_along(none, empty, ()) is None
 
 
 @pytest.mark.parametrize("name", ["kick", "run"])
