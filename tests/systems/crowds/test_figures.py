@@ -13,10 +13,11 @@ from support.simulated import Simulator
 from systems.crowds.test_bodies import CLIPS, TAKES, bumpy, library
 
 from animtool.maths import so3
-from animtool.scene.systems.run import SystemRun
+from animtool.scene.systems.simulation import open_systems
 from animtool.systems.crowds.agents import Going
 from animtool.systems.crowds.bodies import Bodies
 from animtool.systems.crowds.poses import poses_of
+from animtool.systems.framework.run import SimulationRun
 
 BIPED = Path(__file__).parents[3] / "rigs/biped/biped.rig.yaml"
 STEP = 0.1
@@ -51,7 +52,7 @@ def test_bodies_that_are_pushed_and_turn_on_bumpy_ground() -> None:
             poses.append(poses_of(bodies, state, after))
             feet.append(bodies.feet(state, after))
             state.shoulders[:] = 0.0
-    check_figures(__file__, "bodies", {"states": states[::5], "feet": feet[::4]})
+    check_figures(__file__, "bodies", {"states": states, "feet": feet[::4]})
     check_figures(__file__, "poses", poses)
 
 
@@ -97,8 +98,12 @@ def test_agents_among_walls_doors_and_queues(simulator: Simulator) -> None:
              "moves": [[0, 0, 0, 0], [6, -5, 0, 3]]},
         ],
     }  # fmt: skip
-    rows = simulator.simulate([{"crowds": crowd}], np.arange(0, 6.1, 1.5).tolist())
-    check_figures(__file__, "agents", rows["it"])
+    (run,) = open_systems(simulator.scene([{"crowds": crowd}]).systems, 7.0)
+    assert isinstance(run, SimulationRun)
+    begun = run.simulation.initial()
+    rows = [run.at(t) for t in (0.0, 1.5, 3.0, 4.5, 6.0)]
+    found = [begun, rows, run.state.state, run.notices]
+    check_figures(__file__, "agents", found)
 
 
 def test_people_whom_a_rock_knocks_down(simulator: Simulator) -> None:
@@ -119,10 +124,11 @@ def test_people_whom_a_rock_knocks_down(simulator: Simulator) -> None:
         "goals": [{"name": "g", "at": [1, 0, 5]}],
         "ground": {"at": [0.5, 0.1, 0], "rotate": turned},
     }  # fmt: skip
-    run = SystemRun(simulator.scene([{"crowds": crowd}]).systems, 1.2, None, None)
-    rows: list[Any] = [row for _, (row,) in run.rows(list(range(0, 14, 4)), 0, 12)]
+    (run,) = open_systems(simulator.scene([{"crowds": crowd}]).systems, 2.0)
+    assert isinstance(run, SimulationRun)
+    rows: list[Any] = [run.at(t) for t in (0.0, 0.4, 0.7, 1.1)]
     kept = [
         {name: getattr(row, name) for name in type(row).__slots__ if name != "casts"}
         for row in rows
     ]
-    check_figures(__file__, "knocked", kept)
+    check_figures(__file__, "knocked", [kept, run.state.state])
