@@ -43,6 +43,10 @@ def turned(*vector: float) -> list[float]:
     return [float(so3.exp(np.array(vector))[i]) for i in (3, 0, 1, 2)]
 
 
+WEDGE = np.array(
+    [[-0.2, -0.1, -0.15], [0.3, -0.1, -0.1], [0.1, 0.25, 0.0], [0.0, -0.1, 0.3]]
+)
+SIDES = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])
 HAMMER = {
     "name": "hammer", "at": [0, 1.2, 0.1], "rotate": turned(0.3, 0.2, -0.4),
     "shapes": [
@@ -67,6 +71,8 @@ BODIES: list[dict[str, Any]] = [
      "pushes": [{"force": [2, 0, 1], "at": [0, 0.1, 0.02], "torque": [0.1, 0, 0.2],
                  "start": 0.05, "end": 0.2},
                 {"force": [0, 1, 3], "local": True, "torque": [0, 0.1, 0]}]},
+    {"name": "wedge", "at": [-2, 0.6, 0.4], "rotate": turned(0.2, 0.9, 0.3),
+     "spin": [30, 0, 200], "shape": {"mesh": {"points": WEDGE, "triangles": SIDES}}},
     {"name": "arm", "shape": {"box": {"size": [0.1, 0.5, 0.1]}}, "at": [3, 1.6, 0.2]},
     {"name": "bob", "shape": {"sphere": {"radius": 0.1}}, "at": [3, 1.0, 0.0],
      "mass": 0.7},
@@ -147,7 +153,8 @@ def test_what_is_described_and_read_again(tmp_path: Path) -> None:
          "drive": {"speed": 30, "damping": 2, "most": 4}}
     )  # fmt: skip
     keys |= {"joints": joints, "prims": "xforms", "physics": True}
-    own = Rigid(tmp_path, *YARD["bodies"], **keys).simulation
+    wedge = next(one for one in BODIES if one["name"] == "wedge")
+    own = Rigid(tmp_path, *YARD["bodies"], wedge, **keys).simulation
     physics = own._physics
     assert physics is not None
     check_figures(__file__, "described", physics)
