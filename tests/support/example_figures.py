@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from support.figures import check_figures
 from support.simulated import Simulator
@@ -49,3 +52,29 @@ def shown(frame: Any) -> Any:
         if one.name not in APART and not callable(value):
             found[one.name] = value
     return found
+
+
+def globe(radius: float, at: Sequence[float]) -> dict[str, Any]:
+    """Return a collider that is a coarse ball of triangles, of 50 points."""
+    rings, sides = 6, 8
+    polar = np.pi * np.arange(1, rings + 1) / (rings + 1)
+    around = 2 * np.pi * np.arange(sides) / sides
+    ring = np.stack(
+        [
+            np.sin(polar)[:, None] * np.cos(around),
+            np.repeat(np.cos(polar)[:, None], sides, axis=1),
+            np.sin(polar)[:, None] * np.sin(around),
+        ],
+        axis=-1,
+    ).reshape(-1, 3)
+    points = radius * np.concatenate([ring, [[0.0, 1.1, 0.0], [0.0, -0.9, 0.0]]])
+    faces = []
+    for i in range(sides):
+        j = (i + 1) % sides
+        faces += [[rings * sides, j, i]]
+        faces += [[rings * sides + 1, (rings - 1) * sides + i, (rings - 1) * sides + j]]
+        for k in range(rings - 1):
+            a, b = k * sides + i, k * sides + j
+            faces += [[a, b, a + sides], [b, b + sides, a + sides]]
+    shape = {"mesh": {"points": points, "triangles": np.array(faces)}}
+    return {"shape": shape, "at": list(at), "friction": 0.3}

@@ -6,10 +6,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support.example_figures import example_figures
+from support.example_figures import example_figures, globe
 
 RUNS: dict[str, dict[str, Any]] = {
     "midpoint": {},
+    "globe": {"colliders": [globe(0.3, [3.4, -1.6, 2.4])], "method": "heun"},
     "heun": {"method": "heun", "colliders": []},
     "rk4": {"method": "rk4", "forces": []},
     "euler": {"method": "symplectic_euler"},

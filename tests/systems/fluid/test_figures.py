@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support.example_figures import example_figures
+from support.example_figures import example_figures, globe
 
 RUNS: dict[str, dict[str, Any]] = {
     "drops": {},
@@ -16,6 +16,8 @@ RUNS: dict[str, dict[str, Any]] = {
         "viscosity": 0.1,
         "compression": 0.05,
     },
+    "globe": {"colliders": [globe(0.3, [3.05, -1.3, 2.05])], "tension": 0.5,
+              "drains": []},
     "pool": {
         "spacing": 0.08,
         "fills": [

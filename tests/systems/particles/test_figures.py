@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support.example_figures import example_figures
+from support.example_figures import example_figures, globe
 
 PLACES: dict[str, Any] = {
     "sphere": {"sphere": {"radius": 0.3}},
@@ -32,6 +32,7 @@ MORE = [
 RUNS: dict[str, dict[str, Any]] = {
     "midpoint": {},
     "rk45": {"method": "rk45", "tolerance": 1e-7, "colliders": []},
+    "globe": {"colliders": [{**globe(0.3, [3, -1.3, 2.1]), "restitution": 0.5}]},
     "verlet": {"method": "velocity_verlet"},
     "field": {"velocity": {"x": "-z + 0.2 * t", "y": "0.3 * x", "z": "y"},
               "forces": [], "colliders": [], "method": "rk4"},

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support.example_figures import example_figures
+from support.example_figures import example_figures, globe
 from support.system_examples import EXAMPLES
 
 # A sheet that falls on a ball and folds over itself, and one that tears.
@@ -27,6 +27,7 @@ FOLDED: dict[str, Any] = {
     ],
     "pins": [],
 }  # fmt: skip
+GLOBE = {**globe(0.25, [0.05, 0.05, 0.05]), "moves": [[0, 0, 0, 0], [0.4, 0, 0.1, 0]]}
 TORN = {
     "structural": {"stiffness": 40, "ratio": 0.05, "tear": 0.08},
     "diagonals": {"stiffness": 10, "tear": 0.2},
@@ -53,6 +54,16 @@ RUNS: dict[str, tuple[str, dict[str, Any]]] = {
                          "springs": {"structural": {"stiffness": 60, "ratio": 0.1},
                                      "face_diagonals": {"stiffness": 20},
                                      "body_diagonals": {"stiffness": 9}}}),
+    "on a mesh": ("cloth", {**FOLDED, "solver": "xpbd", "stretch": 0.02,
+                            "colliders": [GLOBE]}),
+    "on a mesh by forces": ("cloth", {**FOLDED, "self_contact": None,
+                                      "solver": "symplectic_euler", "step": 1 / 384,
+                                      "colliders": [GLOBE]}),
+    "rope on a mesh": ("rope", {"from": [-0.3, 0.35, 0.02], "to": [0.4, 0.3, 0.1],
+                                "colliders": [GLOBE], "solver": "xpbd", "count": 9,
+                                "pins": [], "step": 1 / 96}),
+    "strands on a mesh": ("strands", {"solver": "xpbd", "step": 1 / 96,
+                                      "colliders": [{**GLOBE, "at": [3.2, -1.2, 2]}]}),
     "strands xpbd": ("strands", {"solver": "xpbd", "step": 1 / 64}),
 }  # fmt: skip
 
