@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,8 @@ from animtool.capture.markers.chains import alike_of, chained, evidence
 from animtool.capture.markers.fill import fill
 from animtool.capture.markers.geometry import Distances
 from animtool.capture.markers.naming import Naming, said_of, searched
+from animtool.capture.markers.predict import follow as by_skeleton
+from animtool.capture.markers.predict import predict, turned
 from animtool.capture.markers.runs import RunLabels
 from animtool.capture.markers.skeleton import Subject
 from animtool.capture.markers.tracklets import follow
@@ -323,3 +326,40 @@ def test_weights_of_a_bent_face() -> None:
         "bent",
         [model.points(weights), model.offsets(weights), fit.weights, fit.rms],
     )
+
+
+def test_where_markers_are_in_gaps_by_what_moves_with_them() -> None:
+    """By rigid ones about it, by the joint above, turned to a mate, by a skeleton."""
+    frames, count = 150, 7
+    rng = np.random.default_rng(12)
+    t = np.arange(frames) / 100
+    above = so3.exp(np.stack([np.sin(3 * t), 0.4 * t, np.cos(2 * t)], axis=1))
+    hinge = so3.exp(np.stack([0 * t, 0.5 * np.sin(5 * t), 0.2 * t], axis=1))
+    rotations = so3.multiply(above, hinge)
+    origin = np.stack([t, 1 + 0.1 * np.sin(7 * t), 0.2 * t], axis=1)
+    shape = rng.uniform(-0.15, 0.15, (count, 3))
+    true = origin[:, None] + so3.rotate(rotations[:, None], shape)
+    true[:, 4:] = origin[:, None] + so3.rotate(above[:, None], shape[4:])
+    positions = true + rng.normal(0, 3e-4, true.shape)
+    seen = np.ones((frames, count), np.bool_)
+    gap = slice(70, 95)
+    seen[gap, 0] = False
+    seen[20:25, 2] = False
+    spread = np.array([0.0, 1e-3, 2e-3, 1.5e-3, 5e-3, 6e-3, 4e-3])
+    owners = (hinge if k < 4 else 0 * hinge + so3.IDENTITY for k in range(count))
+    own = np.stack([so3.multiply(above, one) for one in owners], axis=1)
+    known = {
+        "origins": np.repeat(origin[:, None], count, axis=1),
+        "parents": np.repeat(so3.to_matrix(above)[:, None], count, axis=1),
+        "rotations": so3.to_matrix(own),
+        "positions": true + 0.01 * np.sin(t)[:, None, None],
+        "above": lambda _: True,
+    }
+    found = [predict(positions, seen, 0, gap, spread, 100.0)]
+    for mates in ([], [1], [1, 3]):
+        bones: Any = SimpleNamespace(**known, mates=lambda *_, m=mates: m)
+        found.append(turned(bones, positions, seen, 0, gap, spread, 100.0))
+        far = np.where(np.arange(count) < 4, np.nan, spread)
+        found.append(turned(bones, positions, seen, 0, gap, far, 100.0))
+    found.append(by_skeleton(bones, positions, seen, 0, gap, 100.0))
+    check_figures(__file__, "predicted", found)
