@@ -75,6 +75,7 @@ _LINES: Mapping[str, tuple[Line, ...]] = {
             "driven", ("  driven    {self}",), MAX_PRIMS, "  driven    and {left} more"
         ),
         "  and       [{others:counts}|nothing else]",
+        "[  mass      {mass:plain 4} kg]",
     ),
     "MarkersDescription": (
         "{path}: {format}",
