@@ -256,6 +256,7 @@ def _referred(rig: Rig) -> set[str]:
     groups.append(tuple(one.name for one in rig.joints if one.driven is not None))
     mimics = [joint.mimic.joint for joint in rig.joints if joint.mimic is not None]
     colliders = [collider.joint for collider in rig.colliders]
+    colliders += [mass.joint for mass in rig.masses]
     return {name for group in groups for name in group}.union(driven, mimics, colliders)
 
 

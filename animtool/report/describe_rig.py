@@ -48,6 +48,7 @@ class RigDescription:
     ik: int  # number of chains that reach for goals
     attach: int  # number of attachments
     colliders: int  # number of colliders
+    mass: float | None  # of all joints that state one [kg]; None where none does
     units: str  # unit of the file
     up: str  # up axis
     notices: list[Fault]  # what is odd
@@ -96,6 +97,7 @@ def describe_rig(path: Path | str, rig: Rig, notices: list[Fault]) -> RigDescrip
         len(rig.ik),
         len(rig.attach),
         len(rig.colliders),
+        sum(mass.mass for mass in rig.masses) if rig.masses else None,
         unit_name(rig.meters_per_unit),
         rig.up.value,
         notices,

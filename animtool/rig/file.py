@@ -147,6 +147,7 @@ def rig_of_document(document: Document, above: tuple[Path, ...] = ()) -> Rig:
         controls = parts.controls([shape.name for shape in shapes], inherited.controls)
         chains = parts.ik(inherited.ik)
         colliders = parts.colliders(inherited.colliders)
+        masses = parts.masses(inherited.masses)
         attached = parts.attach(meshes, inherited.attach)
     rig = Rig(
         model.name,
@@ -161,6 +162,7 @@ def rig_of_document(document: Document, above: tuple[Path, ...] = ()) -> Rig:
         attached,
         colliders,
         units.angle,
+        masses,
         (*inherited.notices, *document.notices),
         stands=inherited.stands,
         rides=inherited.rides,

@@ -24,6 +24,7 @@ from animtool.rig.parts import (
     Attachment,
     Collider,
     IkChain,
+    Mass,
     Mesh,
     Shape,
     Vector,
@@ -131,6 +132,7 @@ class Rig:
         ik: Chains that reach for goals.
         attach: What simulations move.
         colliders: What simulations may not pass through.
+        masses: What joints weigh, where that is stated; each joint once.
         radians_per_unit: Angle unit of the source [rad]; inside they are radians.
         notices: What is odd about the file that it was read from; not compared.
         has_rest: Whether the file states a rest pose, as all do but a SkelAnimation
@@ -157,6 +159,7 @@ class Rig:
     attach: tuple[Attachment, ...] = ()
     colliders: tuple[Collider, ...] = ()
     radians_per_unit: float = math.radians(1.0)
+    masses: tuple[Mass, ...] = ()
     notices: tuple[Fault, ...] = field(default=(), repr=False, compare=False)
     has_rest: bool = field(default=True, repr=False, compare=False)
     stands: Placement | None = field(default=None, repr=False, compare=False)

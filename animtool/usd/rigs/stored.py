@@ -240,6 +240,7 @@ def _without(rig: Rig, gone: list[str]) -> Rig:
         ik=tuple(chain for chain in rig.ik if not {chain.root, chain.tip} & lost),
         attach=tuple(entry for entry in rig.attach if not set(entry.joints) & lost),
         colliders=tuple(one for one in rig.colliders if one.joint not in lost),
+        masses=tuple(one for one in rig.masses if one.joint not in lost),
     )
 
 
