@@ -13,10 +13,10 @@ from animtool.cli.console import Console
 from animtool.cli.options import (
     FILE,
     Parsed,
+    bake_option,
     common_options,
     count_or_auto,
     format_option,
-    overwrites,
 )
 from animtool.core.names import is_named
 from animtool.report.text import Template
@@ -71,7 +71,7 @@ Examples:
     help="What a task is to take on one processor.",
 )
 @cut_options
-@overwrites("a bundle that is there")
+@bake_option("overwrite", about="Replace a bundle that is there.")
 @format_option
 @common_options
 @click.pass_obj

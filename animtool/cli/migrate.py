@@ -10,9 +10,9 @@ import click
 from animtool.cli.console import Console
 from animtool.cli.options import (
     INPUT,
+    bake_option,
     common_options,
     format_option,
-    overwrites,
     strict_option,
 )
 from animtool.report.text import Each, Template
@@ -45,7 +45,7 @@ Examples:
     is_flag=True,
     help="Write nothing; say what would change, and end with 1 where something would.",
 )
-@overwrites("files of older versions")
+@bake_option("overwrite", about="Replace files of older versions.")
 @strict_option
 @format_option
 @common_options
