@@ -71,7 +71,5 @@ class _OldNames:
         sys.modules[module.__name__] = import_module(new)
 
 
-def keep_old_names() -> None:
-    """Let old names be imported; nothing is looked up until one is."""
-    if not any(isinstance(finder, _OldNames) for finder in sys.meta_path):
-        sys.meta_path.append(cast(Any, _OldNames()))
+# Last: nothing is looked up until an old name is imported.
+sys.meta_path.append(cast(Any, _OldNames()))
