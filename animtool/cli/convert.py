@@ -10,11 +10,11 @@ import click
 from animtool.cli.console import Console
 from animtool.cli.options import (
     INPUT,
-    LENGTH,
     bake_option,
     source_option,
     source_options,
     source_options_record,
+    stage_option,
     strict_option,
 )
 from animtool.cli.outputs import all_named, skipped, writing_options
@@ -41,15 +41,11 @@ Examples:
 @click.argument("source", type=INPUT)
 @click.argument("output", type=INPUT)
 @source_options
-@click.option(
-    "--prim-path", metavar="PATH", help="The character, where a stage has several."
-)
+@stage_option
 @source_option("rig", "take", "dropped", "positions")
-@click.option(
-    "--reduce",
-    type=LENGTH,
-    metavar="LENGTH",
-    help="For a clip: how far keys may move a joint, such as 0.5mm.  [default: "
+@bake_option(
+    "reduce",
+    about="For a clip: how far keys may move a joint, such as 0.5mm.  [default: "
     f"{KEY_TOLERANCE}]",
 )
 @bake_option("reduce_at", "placement")

@@ -17,6 +17,7 @@ from animtool.cli.options import (
     source_option,
     source_options,
     source_options_record,
+    stage_option,
 )
 from animtool.core.errors import counted, listed, percent
 from animtool.core.names import check_given, is_named
@@ -255,9 +256,7 @@ Examples:
 )
 @click.argument("files", nargs=-1, required=True, type=INPUT)
 @source_options
-@click.option(
-    "--prim-path", metavar="PATH", help="The character, where a stage has several."
-)
+@stage_option
 @source_option("take", "positions")
 @set_option
 @format_option
