@@ -133,6 +133,10 @@ class Accessors:
         assert found is not None
         return found
 
+    def declares(self, name: str) -> bool:
+        """Return whether the file says that it uses an extension."""
+        return name in self.container.root.values.get("extensionsUsed", ())
+
     def has_data(self, index: int) -> bool:
         """Return whether bytes stand for an accessor, all or some of its elements.
 
@@ -362,7 +366,7 @@ class Accessors:
             count,
             view,
             offset,
-            item.values.get("normalized") is True,
+            item.flag("normalized"),
             self._sparse(item, count),
         )
         self._check_inside(accessor)

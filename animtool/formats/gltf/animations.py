@@ -330,6 +330,11 @@ def _pointed(
         message = f"a channel of {POINTER} without its pointer is left out"
         target.notes.warn("GLT106", target.pointer, message)
         return None
+    if not text.startswith("/"):
+        where = extension.at("pointer") if extension else target.pointer
+        message = f"{excerpt(text)} is no JSON pointer: the channel is left out"
+        target.notes.warn("GLT106", where, message)
+        return None
     if found := _NODE.fullmatch(text):
         node = int(found[1][:9])
         if node >= len(nodes):
@@ -381,6 +386,9 @@ def _track(
     if not ascending:
         given = samplers.accessors.has_data(source)
         times, table = _sorted(times, table, item, given=given)
+    if cubic and len(times) == 1:
+        message = "a cubic spline has two keys at least: its one key is held"
+        notes.warn("GLT107", item.at("interpolation"), message)
     if times[0] < 0:
         message = f"the first key is at {times[0]:.6g} s, before time 0: it is kept"
         notes.warn("GLT107", item.at("input"), message)

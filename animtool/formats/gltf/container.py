@@ -83,7 +83,8 @@ def _chunks(content: memoryview, notes: Notes) -> tuple[memoryview, memoryview |
     at = HEADER
     while at < length:
         if at + CHUNK_HEADER > length:
-            _fail(notes, at, "the file ends in the header of a chunk")
+            end = length if length == len(content) else at
+            _fail(notes, end, "the file ends in the header of a chunk")
         size, kind = struct.unpack_from("<II", content, at)
         if at + CHUNK_HEADER + size > length:
             _fail(notes, at, f"a chunk of {size} bytes ends after the file")
@@ -96,6 +97,9 @@ def _chunks(content: memoryview, notes: Notes) -> tuple[memoryview, memoryview |
             message = f"a chunk has {size} bytes, no multiple of 4"
             notes.warn("GLT101", _offset(at), message)
         start = at + CHUNK_HEADER
+        if kind == BIN_CHUNK and at != HEADER + CHUNK_HEADER + len(found[JSON_CHUNK]):
+            message = "the binary chunk is not the second one: it is read all the same"
+            notes.warn("GLT101", _offset(at), message)
         if kind in {JSON_CHUNK, BIN_CHUNK}:
             found[kind] = content[start : start + size]
         at = start + size
