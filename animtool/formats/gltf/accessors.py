@@ -16,7 +16,7 @@ from animtool.core.errors import FormatError, excerpt
 from animtool.core.files.reading import read_input, why_no_file
 from animtool.core.record import dataclass
 from animtool.formats.gltf.container import Container
-from animtool.formats.gltf.places import Item, Notes
+from animtool.formats.gltf.places import Item, Notes, is_number
 
 COMPONENTS: dict[int, np.dtype[Any]] = {
     5120: np.dtype("i1"),
@@ -369,8 +369,21 @@ class Accessors:
             item.flag("normalized"),
             self._sparse(item, count),
         )
+        _check_bounds_form(accessor)
         self._check_inside(accessor)
         return accessor
+
+    def check_packed(self, index: int, where: str) -> None:
+        """Say where a view has a stride that only vertices take; it is read with it."""
+        accessor = self.entries[index]
+        if accessor is None or accessor.view < 0:
+            return
+        view = self.views[accessor.view]
+        if view is not None and view.stride:
+            message = (
+                f"bufferView {accessor.view} has a byteStride, and holds no vertices"
+            )
+            self.notes.warn("GLT105", where, message)
 
     def _check_inside(self, accessor: Accessor) -> None:
         """Refuse an accessor that reads beyond its view."""
@@ -434,6 +447,19 @@ class Accessors:
             views[1],
             values.size("byteOffset", 0),
         )
+
+
+def _check_bounds_form(accessor: Accessor) -> None:
+    """Say where min and max are no lists of as many numbers as elements have."""
+    item = accessor.item
+    for key in ("min", "max"):
+        stated = item.values.get(key)
+        if stated is None and key not in item.values:
+            continue
+        fits = isinstance(stated, list) and len(stated) == accessor.width
+        if not fits or not all(is_number(one) for one in stated or ()):
+            message = f"{key} is not {accessor.width} numbers: it is left out"
+            item.notes.warn("GLT102", item.at(key), message)
 
 
 def _element_bytes(kind: str, component: np.dtype[Any]) -> int:

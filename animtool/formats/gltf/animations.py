@@ -177,6 +177,7 @@ class _Samplers:
             index = item.index(key, count, "accessor")
             if index < 0:
                 item.missing(key)
+            self.accessors.check_packed(index, item.at(key))
             ends.append(index)
         return ends[0], ends[1]
 

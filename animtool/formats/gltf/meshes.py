@@ -9,7 +9,7 @@ import numpy as np
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.record import dataclass
 from animtool.formats.gltf.accessors import COMPONENTS, FLOAT, Accessor, Accessors
-from animtool.formats.gltf.places import Item, Notes
+from animtool.formats.gltf.places import Item, Notes, is_number
 from animtool.formats.gltf.unused import is_known, is_read
 
 # Component types: signed and unsigned 8 and 16 bits, unsigned 32.
@@ -243,6 +243,7 @@ def _check_packing(attributes: Item, name: str, accessor: Accessor) -> None:
 
 def _check_indices(item: Item, index: int, many: int, accessors: Accessors) -> None:
     _typed(item, "indices", index, accessors, "SCALAR", (U8, U16, U32))
+    accessors.check_packed(index, item.at("indices"))
     if not accessors.has_data(index):
         return
     largest = int(accessors.numbers(index).max())
@@ -265,12 +266,12 @@ def check_bounds(item: Item, values: Any, *, missing: str = "") -> None:
     found = (values.min(axis=0), values.max(axis=0))
     for key, said, own in zip(("min", "max"), stated, found, strict=True):
         size = BOUNDS * max(1.0, float(np.abs(own.astype(np.float64)).max()))
+        if said is None and key not in item.values:
+            item.notes.warn("GLT102", item.at(key), f"{key} is missing")
         if not isinstance(said, list) or len(said) != len(own):
-            item.notes.warn("GLT102", item.at(key), f"{key} is missing or incomplete")
             continue
         for i, (one, real) in enumerate(zip(said, own.tolist(), strict=True)):
-            fits = isinstance(one, int | float) and abs(one - real) <= size
-            if not fits:
+            if is_number(one) and not abs(one - real) <= size:
                 message = f"{key} says {one!r}, the data {real:.9g}: the data counts"
                 item.notes.warn("GLT102", f"{item.at(key)}/{i}", message)
                 break
@@ -296,6 +297,7 @@ def _skin(item: Item, accessors: Accessors, nodes: int) -> SkinEntry:
         accessor = _typed(
             item, "inverseBindMatrices", index, accessors, "MAT4", (FLOAT,)
         )
+        accessors.check_packed(index, where)
         if accessor.count < len(joints):
             message = f"{accessor.count} matrices for {len(joints)} joints"
             item.notes.fail("GLT011", where, message)
@@ -339,19 +341,20 @@ def skin_weights(
     _check_distinct(primitive, indices, weights, notes)
     beyond = indices >= joints
     if beyond.any():
-        if (weights[beyond] > 0).any():
-            number = primitive.joints[int(np.argwhere(beyond)[0, 1]) // 4]
-            at = primitive.joints.index(number)
-            where = f"{primitive.where}/attributes/JOINTS_{at}"
-            message = f"joint {int(indices[beyond].max())} of a skin with {joints}"
+        used = beyond & (weights > 0)
+        place = np.argwhere(used if used.any() else beyond)[0, 1] // 4
+        where = f"{primitive.where}/attributes/JOINTS_{int(place)}"
+        message = f"joint {int(indices[beyond].max())} of a skin with {joints}"
+        if used.any():
             notes.fail("GLT006", where, message)
+        notes.warn("GLT106", where, f"{message}, without weight: left out")
         indices[beyond] = 0
     sums = weights.sum(axis=1)
-    off = float(np.abs(sums - 1.0).max(initial=0.0))
+    worst = float(sums[np.abs(sums - 1.0).argmax()]) if len(sums) else 1.0
     where = f"{primitive.where}/attributes/WEIGHTS_0"
     given = all(accessors.has_data(one) for one in primitive.weights)
-    if given and off > SUM_TOLERANCE:
-        message = f"weights of a vertex have the sum {1 + off:.6g} or {1 - off:.6g}"
+    if given and abs(worst - 1.0) > SUM_TOLERANCE:
+        message = f"weights of a vertex have the sum {worst:.6g}"
         notes.warn("GLT104", where, f"{message}: they are divided by it")
     empty = sums == 0.0
     if empty.any():
