@@ -16,7 +16,7 @@ from animtool.core.errors import FormatError, excerpt
 from animtool.core.files.reading import read_input, why_no_file
 from animtool.core.record import dataclass
 from animtool.formats.gltf.container import Container
-from animtool.formats.gltf.places import Item, Notes, is_number
+from animtool.formats.gltf.places import Item, Notes
 
 COMPONENTS: dict[int, np.dtype[Any]] = {
     5120: np.dtype("i1"),
@@ -453,11 +453,11 @@ def _check_bounds_form(accessor: Accessor) -> None:
     """Say where min and max are no lists of as many numbers as elements have."""
     item = accessor.item
     for key in ("min", "max"):
-        stated = item.values.get(key)
-        if stated is None and key not in item.values:
+        if key not in item.values:
             continue
+        stated = item.values[key]
         fits = isinstance(stated, list) and len(stated) == accessor.width
-        if not fits or not all(is_number(one) for one in stated or ()):
+        if not fits or not {*map(type, stated)} <= {int, float}:
             message = f"{key} is not {accessor.width} numbers: it is left out"
             item.notes.warn("GLT102", item.at(key), message)
 
@@ -490,9 +490,10 @@ def _strided(
 
 def check_finite(values: AnyArray, accessor: Accessor) -> None:
     """Refuse numbers that are none."""
+    flat = values.reshape(-1)
     with np.errstate(over="ignore", invalid="ignore"):
-        # A sum that is finite has no part that is not.
-        if np.isfinite(values.sum(dtype=np.float64)):
+        # A sum of squares that is finite has no part that is not.
+        if np.isfinite(np.dot(flat, flat)):
             return
     bad = np.argwhere(~np.isfinite(values))
     if len(bad):

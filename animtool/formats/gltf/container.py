@@ -27,6 +27,7 @@ class Container:
     binary: memoryview | None  # None of a .gltf, and of a GLB without it
     is_glb: bool
     bytes: int  # size of the file
+    extended: bool  # whether an object may have extensions
 
 
 def read_container(path: Path, notes: Notes) -> Container:
@@ -39,10 +40,14 @@ def read_container(path: Path, notes: Notes) -> Container:
     content = memoryview(read_input(path))
     glb = path.suffix.lower() != ".gltf" or bytes(content[:4]) == MAGIC
     if not glb:
-        root = _parsed(bytes(content), notes)
-        return Container(root, None, False, len(content))
-    text, binary = _chunks(content, notes)
-    return Container(_parsed(bytes(text), notes), binary, True, len(content))
+        text, binary = bytes(content), None
+    else:
+        chunk, binary = _chunks(content, notes)
+        text = bytes(chunk)
+    root = _parsed(text, notes)
+    # A name with escapes is not found, and that of nothing that is read.
+    extended = b'"extensions"' in text
+    return Container(root, binary, glb, len(content), extended)
 
 
 def _offset(where: int) -> str:

@@ -100,7 +100,7 @@ def open_gltf(path: Path | str) -> Gltf:
     container = read_container(path, notes)
     root = container.root
     _check_asset(root, notes)
-    _check_extensions(root, notes, path)
+    _check_extensions(container, notes, path)
     accessors = _accessors(container, path, notes)
     many = [_count(root, key) for key in ("meshes", "skins")]
     nodes = read_nodes(root, notes, *many)
@@ -153,8 +153,9 @@ def _check_asset(root: Item, notes: Notes) -> None:
         notes.fail("GLT003", asset.at("minVersion"), message)
 
 
-def _check_extensions(root: Item, notes: Notes, path: Path) -> None:
+def _check_extensions(container: Container, notes: Notes, path: Path) -> None:
     """Refuse a required extension that matters to motion and is not read."""
+    root = container.root
     used = root.list_of("extensionsUsed")
     for key, names in (
         ("extensionsUsed", used),
@@ -176,7 +177,8 @@ def _check_extensions(root: Item, notes: Notes, path: Path) -> None:
             hint = f"{UNPACKED_BY[name].format(path.name)} unpacks it"
         message = f"the file needs the extension {name}, which is not read"
         notes.fail("GLT004", where, message, hint)
-    for name, where in _extensions(root).items():
+    found = _extensions(root) if container.extended else {}
+    for name, where in found.items():
         if name not in used:
             left = "" if name in READ else ": left out"
             message = f"the extension {excerpt(name)} is not declared{left}"
