@@ -109,7 +109,7 @@ def open_gltf(path: Path | str) -> Gltf:
     skins = read_skins(root, accessors, len(nodes))
     _check_weights(nodes, meshes, notes)
     animations = read_animations(root, accessors, nodes, meshes)
-    left_out = tuple(key for key in _NOT_READ if root.values.get(key))
+    left_out = _left_out(container)
     found = Gltf(
         path,
         nodes,
@@ -199,6 +199,21 @@ def _check_lists(root: Item, used: list[Any], notes: Notes) -> None:
         if isinstance(name, str) and name not in used:
             message = f"{excerpt(name)} is required, but not listed as used"
             notes.warn("GLT106", f"{root.at('extensionsRequired')}/{i}", message)
+
+
+def _left_out(container: Container) -> tuple[str, ...]:
+    """Return what a file has that is not read: parts, and extensions that matter."""
+    root = container.root
+    found = [key for key in _NOT_READ if root.values.get(key)]
+    names = _extensions(root) if container.extended else {}
+    if "KHR_lights_punctual" in names:
+        found.append("lights")
+    found += [
+        name
+        for name in names
+        if not (name in READ or name in LOOKS_ALONE or name.startswith(LOOKS))
+    ]
+    return tuple(found)
 
 
 def _extensions(root: Item) -> dict[str, str]:
