@@ -99,6 +99,8 @@ class Joint:
         mirror: Name of its counterpart on the other side; empty for none.
         driven: What a pin's or prismatic joint's coordinate is, in place of motion of
             its own.
+        humanoid: Which bone of a person its file says it is, as VRM calls that; empty
+            where it does not say; not compared.
     """
 
     name: str
@@ -114,6 +116,7 @@ class Joint:
     mimic: Mimic | None = None
     mirror: str = ""
     driven: Driver | None = None
+    humanoid: str = field(default="", repr=False, compare=False)
 
 
 @dataclass(frozen=True)

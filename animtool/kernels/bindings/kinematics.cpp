@@ -41,6 +41,17 @@ world position in float64 and in the values written, and where it is.)");
 Points ``(J, P, 3)`` are in the joints' frames; origins ``(F, J, 3)`` and linear
 parts ``(F, J, 3, 3)`` are those of `forward_kinematics`.)");
 
+  m.def("squared_lengths", &squared_lengths, Unlocked(), "quaternions"_a,
+        R"(Least and largest squared length of float32 quaternions ``(F, 4)``.
+
+Both are NaN where a number is not finite, or its square beyond float32.)");
+
+  m.def("unpack_rotations", &unpack_rotations, Unlocked(), "tracks"_a, "previous"_a.none(),
+        R"(Turn J tracks of float32 quaternions ``(F, 4)`` into float64 ``(F, J, 4)``.
+
+They have unit length, and signs nearest to the frame before; those of the first
+frame are nearest to ``previous`` ``(J, 4)``, identity unless given.)");
+
   m.def("split_stretch", &split_stretch, Unlocked(), "linear"_a,
         R"(Split linear parts ``(F, J, 3, 3)`` into a rotation after a symmetric stretch.
 

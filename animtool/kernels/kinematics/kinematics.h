@@ -4,6 +4,7 @@
 #include <cstdint>
 #include <optional>
 #include <tuple>
+#include <vector>
 
 #include "base/arrays.h"
 
@@ -33,6 +34,12 @@ RoundedPoints round_points(In<double, 3> points, double unit);
 Out<double, 2> point_errors(In<double, 3> points, In<double, 3> true_positions,
                             In<double, 4> true_linear, In<double, 3> positions,
                             In<double, 4> linear);
+
+// The least and the largest.
+std::tuple<double, double> squared_lengths(In<float, 2> quaternions);
+
+Out<double, 3> unpack_rotations(const std::vector<In<float, 2>>& tracks,
+                                std::optional<In<double, 2>> previous);
 
 // rotations, stretches
 using Stretched = std::tuple<Out<double, 3>, Out<double, 4>>;

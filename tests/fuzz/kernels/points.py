@@ -115,6 +115,18 @@ def _sparse(rng: Rng) -> dict[str, Any]:
     }
 
 
+def _squares(rng: Rng) -> dict[str, Any]:
+    return {"quaternions": rng.normal(size=(int(rng.integers(1, 9)), 4)).astype("f4")}
+
+
+def _unpack(rng: Rng) -> dict[str, Any]:
+    tracks, frames = int(rng.integers(0, 4)), int(rng.integers(0, 200))
+    return {
+        "tracks": [rng.normal(size=(frames, 4)).astype("f4") for _ in range(tracks)],
+        "previous": rng.normal(size=(tracks, 4)) if rng.integers(2) else None,
+    }
+
+
 def _extents(rng: Rng) -> dict[str, Any]:
     frames, vertices = int(rng.integers(0, 6)), int(rng.integers(1, 6))
     return {"points": rng.normal(size=(frames, vertices, 3))}
@@ -139,6 +151,8 @@ CALLS: dict[str, Maker] = {
     "forward_kinematics": _forward,
     "measure_rounding": _rounding,
     "point_errors": _errors,
+    "squared_lengths": _squares,
+    "unpack_rotations": _unpack,
     "skin_linear": _linear,
     "skin_dual_quaternion": _dual,
     "add_sparse": _sparse,
