@@ -20,8 +20,8 @@ from animtool.formats.fbx.models import (
     IGNORE,
     INHERIT,
     Model,
+    has_pivots,
     moving,
-    state,
 )
 from animtool.formats.fbx.scene import FbxScene
 from animtool.formats.fbx.takes import AnimTake
@@ -62,8 +62,7 @@ class State:
     def local(self, i: int) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return translations, rotations and scales of a node, as it has them."""
         if i not in self._locals:
-            model = self.models[i]
-            self._locals[i] = model.local(state(model, self.take, self.ticks))
+            self._locals[i] = self.models[i].local(self.take, self.ticks)
         return self._locals[i]
 
     def own(self, i: int) -> FloatArray:
@@ -125,7 +124,7 @@ class Changes:
 
     def __init__(self, models: Sequence[Model], take: AnimTake | None) -> None:
         """Take the nodes of a file and a take of it."""
-        self.models = models
+        self.models, self.take = models, take
         self.moving = [moving(model, take) for model in models]
 
     def own(self, i: int) -> bool:
@@ -140,7 +139,7 @@ class Changes:
         """Return whether translation, rotation and scale of a joint change."""
         model = self.models[row.model]
         moves, turns, scales = self.moving[row.model]
-        if (turns or scales) and model.pivots.any():
+        if (turns or scales) and has_pivots(model, self.take):
             moves = True
         above = model.parent >= 0 and self.own(model.parent)
         if row.kind is RowKind.OUTER:
