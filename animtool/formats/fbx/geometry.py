@@ -15,6 +15,7 @@ from animtool.formats.fbx.objects import NUMBERED, ROOTS, FbxFile, Id, Object, s
 from animtool.formats.fbx.takes import old_shapes, shape_id
 
 LINEAR, DUAL_QUATERNION = "linear", "dual_quaternion"
+_BLENDER = "blender (stable fbx io)"
 # Cells of a table of faces or weights.
 MAX_CELLS = 100_000_000
 
@@ -290,6 +291,11 @@ def _channel(file: FbxFile, of: Object, points: int) -> ShapeChannel | None:
     if not shapes:
         return None
     full = floats(element, "FullWeights", notes)
+    parts = None
+    if full is not None and _counts_points(file):
+        parts, full = full, None
+        if len(shapes) > 1:
+            full = np.full(len(shapes), 100.0)
     if full is None or len(full) < len(shapes):
         if len(shapes) > 1:
             message = f"{counted(len(shapes), 'shape')} of {of.name!r} lack weights"
@@ -301,12 +307,30 @@ def _channel(file: FbxFile, of: Object, points: int) -> ShapeChannel | None:
         percent = float(stated[0]) if stated is not None and len(stated) else percent
     targets = []
     for shape, at in zip(shapes, full.tolist(), strict=False):
-        targets.append((at, _offsets(file, shape.element, shape.name, points)))
+        offsets = _offsets(file, shape.element, shape.name, points, parts)
+        targets.append((at, offsets))
     targets.sort(key=lambda one: one[0])
     return ShapeChannel(of.id, of.name, percent, targets)
 
 
-def _offsets(file: FbxFile, element: Element, name: str, points: int) -> FloatArray:
+def _counts_points(file: FbxFile) -> bool:
+    """Return whether full weights are of points: Blender's are of a vertex group."""
+    header = file.root.find("FBXHeaderExtension")
+    creators = [one for top in (file.root, header) if top for one in top.all("Creator")]
+    return any(one.text(0).lower().startswith(_BLENDER) for one in creators)
+
+
+def _offsets(
+    file: FbxFile,
+    element: Element,
+    name: str,
+    points: int,
+    parts: FloatArray | None = None,
+) -> FloatArray:
+    """Return the offsets of a shape ``(V, 3)``.
+
+    parts: How much of each offset that it states counts [%].
+    """
     notes = file.notes
     found = np.zeros((points, 3))
     indices = integers(element, "Indexes", notes)
@@ -319,5 +343,8 @@ def _offsets(file: FbxFile, element: Element, name: str, points: int) -> FloatAr
     if (indices < 0).any() or (indices >= points).any():
         message = f"shape {name!r} counts a point that its mesh has not"
         notes.fail("FBX008", element.where, message)
-    found[indices] = flat.reshape(-1, 3)
+    offsets = flat.reshape(-1, 3)
+    if parts is not None and len(parts) == len(offsets):
+        offsets = offsets * (parts[:, None] / 100.0)
+    found[indices] = offsets
     return found

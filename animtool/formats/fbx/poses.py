@@ -24,6 +24,7 @@ from animtool.formats.fbx.models import (
     moving,
 )
 from animtool.formats.fbx.scene import FbxScene
+from animtool.formats.fbx.settings import TICKS
 from animtool.formats.fbx.takes import AnimTake
 from animtool.formats.gltf.rig import SAME_SCALE
 from animtool.maths import so3
@@ -57,12 +58,16 @@ class State:
         self.models, self.take, self.ticks = scene.models, take, ticks
         self.basis = scene.settings.basis
         self._turn = so3.from_matrix(self.basis)
+        self._left = {one.parent for one in self.models if one.inherit != INHERIT}
         self._locals: dict[int, tuple[FloatArray, FloatArray, FloatArray]] = {}
 
     def local(self, i: int) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return translations, rotations and scales of a node, as it has them."""
         if i not in self._locals:
-            self._locals[i] = self.models[i].local(self.take, self.ticks)
+            moved, turned, scales = self.models[i].local(self.take, self.ticks)
+            # What a child leaves out is divided by.
+            scales = _no_zeros(scales) if i in self._left else scales
+            self._locals[i] = moved, turned, scales
         return self._locals[i]
 
     def own(self, i: int) -> FloatArray:
@@ -115,8 +120,12 @@ class State:
 
 
 def _inverse(scales: FloatArray) -> FloatArray:
+    return np.asarray(1.0 / _no_zeros(scales))
+
+
+def _no_zeros(scales: FloatArray) -> FloatArray:
     least = np.where(scales < 0, -LEAST_SCALE, LEAST_SCALE)
-    return np.asarray(1.0 / np.where(np.abs(scales) < LEAST_SCALE, least, scales))
+    return np.asarray(np.where(np.abs(scales) < LEAST_SCALE, least, scales))
 
 
 class Changes:
@@ -181,8 +190,12 @@ def _is_uneven(scene: FbxScene, i: int) -> bool:
                 continue
             curves = [c for t in tracks for v in t.layers for c in v.curves if c]
             times = np.unique(np.concatenate([_REST, *(c.times for c in curves)]))
-            # Between keys curves of the same keys may differ by their tangents.
+            # Between keys curves of the same keys may differ by their tangents, and
+            # before and after them by how they go on.
             ticks = np.unique(np.concatenate([times, (times[1:] + times[:-1]) // 2]))
+            if any({c.pre.mode, c.post.mode} != {"C"} for c in curves):
+                span = int(times[-1] - times[0]) or TICKS
+                ticks = np.concatenate([ticks - span, ticks, ticks + span])
         own = State(scene, take, ticks).own(chain[0])
         spread = own.max(axis=1) - own.min(axis=1)
         if (spread > SAME_SCALE * np.abs(own).max(axis=1)).any():

@@ -203,14 +203,15 @@ class _Stacks:
         if mode not in {0, 1, 2}:
             message = f"layer {of.name!r}: blend mode {mode} is not read"
             notes.fail("FBX004", of.element.where, message)
-        curve = None
+        curve, weight = None, scalar(of, "Weight", 100.0, notes)
         for source, name in self.file.below.get(of.id, ()):
             node = self.file.objects.get(source)
             if name == "Weight" and node is not None:
                 curve = next(iter(self._of_node(node).values()), None)
+                weight = scalar(node, "d|Weight", weight, notes)
         return Layer(
             of.name,
-            min(max(scalar(of, "Weight", 100.0, notes) / 100.0, 0.0), 1.0),
+            min(max(weight / 100.0, 0.0), 1.0),
             curve,
             mode,
             int(scalar(of, "RotationAccumulationMode", 0, notes)) == 0,
