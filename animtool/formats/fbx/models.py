@@ -50,6 +50,8 @@ class Model:
         geometric: What its own mesh is transformed by ``(4, 4)``.
         active: Whether order and the rotations before and after count.
         turns: Angles of these two ``(2, 3)`` [deg].
+        scale_from: Node whose scale, and what that has of others, it takes along its
+            own axes; -1 for none.
     """
 
     object: Object
@@ -63,6 +65,7 @@ class Model:
     geometric: FloatArray
     active: bool
     turns: FloatArray
+    scale_from: int = -1
 
     @property
     def name(self) -> str:
@@ -112,8 +115,12 @@ def read_models(file: FbxFile) -> list[Model]:
     stack = [(one, -1) for one in reversed(below.get(None, []))]
     while stack:
         one, parent = stack.pop()
-        found.append(_model(file, one, parent))
-        own = len(found) - 1
+        made, own = _model(file, one, parent), len(found)
+        if parent >= 0 and made.inherit == COMPONENTWISE:
+            made.scale_from = parent
+        elif parent >= 0 and made.inherit == IGNORE:
+            made.scale_from = found[parent].scale_from
+        found.append(made)
         stack += [(child, own) for child in reversed(below.get(one.id, []))]
     if len(found) < len(objects):
         done = {model.object.id for model in found}

@@ -71,10 +71,12 @@ class State:
         return self._locals[i]
 
     def own(self, i: int) -> FloatArray:
-        """Return the scale of a node that its children may leave out ``(F, 3)``."""
+        """Return the scale of a node along its own axes, inherited parts included.
+
+        It is what its children may leave out ``(F, 3)``.
+        """
         scale = self.local(i)[2]
-        while self.models[i].inherit == COMPONENTWISE and self.models[i].parent >= 0:
-            i = self.models[i].parent
+        while (i := self.models[i].scale_from) >= 0:
             scale = scale * self.local(i)[2]
         return scale
 
@@ -107,16 +109,14 @@ class State:
             return translations, rotations, scales
         if row.kind is RowKind.WHOLE:
             if model.inherit == IGNORE:
-                scales = scales * _inverse(self.own(model.parent))
+                scales = self.own(row.model) * _inverse(self.own(model.parent))
             return translations, rotations, scales
         above = self.own(model.parent)
         if row.kind is RowKind.OUTER:
             still = np.zeros_like(rotations)
             still[:, 3] = 1.0
             return translations, still, _inverse(above)
-        if model.inherit == COMPONENTWISE:
-            scales = scales * above
-        return np.zeros_like(translations), rotations, scales
+        return np.zeros_like(translations), rotations, self.own(row.model)
 
 
 def _inverse(scales: FloatArray) -> FloatArray:
@@ -138,11 +138,7 @@ class Changes:
 
     def own(self, i: int) -> bool:
         """Return whether the scale changes that children of a node may leave out."""
-        while not self.moving[i][2]:
-            if self.models[i].inherit != COMPONENTWISE or self.models[i].parent < 0:
-                return False
-            i = self.models[i].parent
-        return True
+        return any(self.moving[one][2] for one in scale_chain(self.models, i))
 
     def row(self, row: Row) -> tuple[bool, bool, bool]:
         """Return whether translation, rotation and scale of a joint change."""
@@ -154,8 +150,9 @@ class Changes:
         if row.kind is RowKind.OUTER:
             return moves, False, above
         if row.kind is RowKind.INNER:
-            return False, turns, scales or (above and model.inherit == COMPONENTWISE)
-        return moves, turns, scales or (above and model.inherit == IGNORE)
+            return False, turns, self.own(row.model)
+        leaves = model.inherit == IGNORE and (above or self.own(row.model))
+        return moves, turns, scales or leaves
 
 
 def rows_of(scene: FbxScene, kept: Sequence[int]) -> list[Row]:
@@ -177,10 +174,7 @@ def rows_of(scene: FbxScene, kept: Sequence[int]) -> list[Row]:
 
 def _is_uneven(scene: FbxScene, i: int) -> bool:
     """Return whether the scale of a node ever differs between its axes."""
-    chain = [i]
-    while scene.models[i].inherit == COMPONENTWISE and scene.models[i].parent >= 0:
-        i = scene.models[i].parent
-        chain.append(i)
+    chain = scale_chain(scene.models, i)
     keys = [(scene.models[one].object.id, SCALING) for one in chain]
     for take in (None, *scene.takes):
         ticks = _REST
@@ -222,11 +216,15 @@ def even_rows(scene: FbxScene, rows: Sequence[Row]) -> tuple[FloatArray, BoolArr
 
 def _is_touched(models: Sequence[Model], row: Row, take: AnimTake) -> bool:
     """Return whether a take says something of a scale of a joint."""
-    i = row.model
-    while i >= 0:
-        if (models[i].object.id, SCALING) in take.tracks:
-            return True
-        if models[i].inherit not in {IGNORE, COMPONENTWISE} and i != row.model:
-            return False
-        i = models[i].parent
-    return False
+    chain, model = scale_chain(models, row.model), models[row.model]
+    if model.parent >= 0 and model.inherit != INHERIT:
+        chain += scale_chain(models, model.parent)
+    return any((models[i].object.id, SCALING) in take.tracks for i in chain)
+
+
+def scale_chain(models: Sequence[Model], i: int) -> list[int]:
+    """Return a node and all whose scales it takes along its own axes."""
+    chain = [i]
+    while (i := models[i].scale_from) >= 0:
+        chain.append(i)
+    return chain
