@@ -153,6 +153,20 @@ def log(q: ArrayLike) -> FloatArray:
     return np.asarray(q[..., :3] * factor + 0.0)
 
 
+def steps(q: FloatArray) -> FloatArray:
+    """Return the shortest rotation vectors ``(F - 1, A, 3)`` [rad] from frame to frame.
+
+    They are about the body's own axes: ``q[f + 1]`` is ``q[f]`` times their rotation.
+
+    >>> turns = from_axis_angle([0, 0, 1], [[0.0], [0.5], [0.25]])
+    >>> steps(turns)[:, 0, 2].round(12).tolist()
+    [0.5, -0.25]
+    """
+    from animtool import _kernels
+
+    return _kernels.turn_steps(np.ascontiguousarray(q))
+
+
 def angle_between(a: ArrayLike, b: ArrayLike) -> FloatArray:
     """Return the angle ``(...)`` [rad] of the rotation between unit quaternions.
 

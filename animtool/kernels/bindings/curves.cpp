@@ -27,6 +27,9 @@ top. Ascending times are the quickest. Numbers are finite, keys no zeros.
 
 Returns quaternions ``(F, C, 4)``, signs those nearest to the frame before.)");
 
+  m.def("turn_steps", &turn_steps, Unlocked(), "rotations"_a,
+        R"(Shortest rotation vectors ``(F - 1, C, 3)`` from frame to frame, in body space.)");
+
   m.def("slerp", &slerp, Unlocked(), "from"_a, "to"_a, "share"_a,
         R"(Shortest arcs between quaternions ``(N or 1, 4)`` at shares ``(N,)``.)");
 

@@ -16,6 +16,9 @@ Out<double, 3> evaluate_rotations(In<double, 1> times, In<double, 3> keys,
                                   In<std::int64_t, 1> kinds, In<double, 1> at,
                                   In<double, 1> beyond, In<double, 1> cycles);
 
+// Of F frames, from each to the next.
+Out<double, 3> turn_steps(In<double, 3> rotations);
+
 Out<double, 2> slerp(In<double, 2> from, In<double, 2> to, In<double, 1> share);
 
 // frames, ins, outs

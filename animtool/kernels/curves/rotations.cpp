@@ -407,6 +407,23 @@ Out<double, 3> evaluate_rotations(In<double, 1> times, In<double, 3> keys,
   return out;
 }
 
+Out<double, 3> turn_steps(In<double, 3> rotations) {
+  const std::size_t frames = rotations.shape(0), curves = rotations.shape(1);
+  check::shape("rotations", rotations, {check::ANY, check::ANY, 4});
+  const std::size_t steps = frames ? frames - 1 : 0;
+  Out<double, 3> out(steps, curves, 3);
+  for (std::size_t i = 0; i < steps * curves; ++i) {
+    const double* one = rotations.data() + 4 * i;
+    const double back[4] = {-one[0], -one[1], -one[2], one[3]};
+    double step[4];
+    product(back, one + 4 * curves, step);
+    if (step[3] < 0)
+      for (double& part : step) part = -part;
+    logarithm_of_cover(step, out.get() + 3 * i);
+  }
+  return out;
+}
+
 Out<double, 2> slerp(In<double, 2> from, In<double, 2> to, In<double, 1> share) {
   const std::size_t rows = share.shape(0);
   check::shape("from", from, {from.shape(0) == 1 ? 1 : rows, 4});

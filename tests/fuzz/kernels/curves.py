@@ -107,6 +107,11 @@ def _rotations(rng: Rng) -> dict[str, Any]:
     }
 
 
+def _steps(rng: Rng) -> dict[str, Any]:
+    frames, curves = (int(n) for n in rng.integers(0, 6, 2))
+    return {"rotations": rotations(rng, frames, curves)}
+
+
 def _slerp(rng: Rng) -> dict[str, Any]:
     rows = int(rng.integers(0, 6))
     return {
@@ -119,6 +124,7 @@ def _slerp(rng: Rng) -> dict[str, Any]:
 CALLS: dict[str, Maker] = {
     "evaluate_rotations": _rotations,
     "slerp": _slerp,
+    "turn_steps": _steps,
     "parse_bvh_rows": _parse,
     "format_bvh_rows": _format,
     "evaluate_curves": _evaluate,
