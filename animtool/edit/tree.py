@@ -238,7 +238,7 @@ def _bind(rig: Rig, joint: int) -> dict[str, Pose]:
 def _referred(rig: Rig) -> set[str]:
     """Return the names of joints that the rest of a rig speaks of."""
     skins = [mesh.skin.joints for mesh in rig.meshes if mesh.skin is not None]
-    chains = [(chain.root, chain.tip) for chain in rig.ik]
+    chains = [(chain.root, chain.tip) for chain in rig.chains]
     groups = [*skins, *chains, *(one.joints for one in rig.attach)]
     drives = [drive.target for control in rig.controls for drive in control.drives]
     driven = [

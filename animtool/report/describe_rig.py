@@ -94,7 +94,7 @@ def describe_rig(path: Path | str, rig: Rig, notices: list[Fault]) -> RigDescrip
         len({arkit_name(shape.name) for shape in rig.shapes} - {None}),
         len(rig.controls),
         _driven(rig),
-        len(rig.ik),
+        len(rig.chains),
         len(rig.attach),
         len(rig.colliders),
         sum(mass.mass for mass in rig.masses) if rig.masses else None,

@@ -62,7 +62,7 @@ def placed_rig(rig: Rig, placement: Placement, up: UpAxis | None = None) -> Rig:
         meshes=tuple(
             _mesh(mesh, placement, rig.meters_per_unit) for mesh in rig.meshes
         ),
-        ik=tuple(_chain(chain, placement, roots) for chain in rig.ik),
+        chains=tuple(_chain(chain, placement, roots) for chain in rig.chains),
         attach=tuple(
             _strands(entry, placement, rig.meters_per_unit) for entry in rig.attach
         ),

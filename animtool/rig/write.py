@@ -71,7 +71,7 @@ def rig_text(rig: Rig) -> str:
         "meshes": map(_mesh, rig.meshes),
         "shapes": map(units.shape, rig.shapes),
         "controls": map(units.control, rig.controls),
-        "ik": map(_chain, rig.ik),
+        "ik": map(_chain, rig.chains),
         "attach": map(_attachment, rig.attach),
         "colliders": map(units.collider, rig.colliders),
         "masses": map(units.mass, rig.masses),

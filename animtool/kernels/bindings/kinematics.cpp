@@ -20,6 +20,13 @@ the frame before, the first frame's nearest to ``previous`` ``(R, 4)``.)");
 ``axes`` ``(R, 3)`` names X, Y and Z once each. Of the equal solutions, each frame
 takes the one nearest to the frame before; the first, the one nearest to zero.)");
 
+  m.def("coordinates_to_local", &coordinates_to_local, Unlocked(), "types"_a, "columns"_a,
+        "axes"_a, "rest_translations"_a, "rest_rotations"_a, "coordinates"_a,
+        R"(Local translations ``(F, J, 3)`` and rotations ``(F, J, 4)`` of coordinates ``(F, Q)``.
+
+``types`` ``(J,)``: 0 fixed, 1 pin, 2 prismatic, 3 ball, 4 free; ``columns`` ``(J,)``: the
+first coordinate of each. Quaternions are brought to length 1.)");
+
   m.def("forward_kinematics", &forward_kinematics, Unlocked(), "parents"_a, "translations"_a,
         "rotations"_a, "scales"_a.none(), "positions"_a.noconvert(), "linear"_a.noconvert(),
         R"(Fill in the world origin ``(F, J, 3)`` and linear part ``(F, J, 3, 3)`` of joints.

@@ -15,6 +15,12 @@ Out<double, 3> euler_to_quaternion(In<double, 2> values, In<std::int32_t, 2> col
 
 Out<double, 3> quaternion_to_euler(In<double, 3> quaternions, In<std::int32_t, 2> axes);
 
+// translations, rotations
+using LocalTransforms = std::tuple<Out<double, 3>, Out<double, 3>>;
+LocalTransforms coordinates_to_local(In<std::int64_t, 1> types, In<std::int64_t, 1> columns,
+                                     In<double, 2> axes, In<double, 2> rest_translations,
+                                     In<double, 2> rest_rotations, In<double, 2> coordinates);
+
 void forward_kinematics(In<std::int64_t, 1> parents, In<double, 3> translations,
                         In<double, 3> rotations, std::optional<In<double, 3>> scales,
                         Filled<double, 3> positions, Filled<double, 4> linear);
