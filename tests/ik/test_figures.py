@@ -134,7 +134,7 @@ def test_a_take_at_its_targets(tmp_path: Path, smooth: float) -> None:
 
 def test_targets_of_a_take() -> None:
     take = walk_of(legs(), count=12)
-    tracks = match_take(take, take.rig.ik, Path("walk.targets.yaml"))
+    tracks = match_take(take, take.rig.chains, Path("walk.targets.yaml"))
     text = targets_text(tracks, ClipUnits(0.01, np.pi / 180))
     sampled = tracks.sample(take.rig, take.clock, take.world())
     check_figures(
