@@ -24,12 +24,11 @@ from animtool.cli.help import command
 from animtool.cli.options import (
     FILE,
     Parsed,
+    bake_option,
     common_options,
     count_or_auto,
     listed_paths,
-    overwrites,
     set_option,
-    strict_because,
 )
 from animtool.core.errors import Fault, Severity, listed
 from animtool.core.names import is_named
@@ -187,8 +186,8 @@ Examples:
     metavar="SIZE",
     help="Memory limit of the process that builds an item, such as 2GB.",
 )
-@strict_because("Treat warnings as errors.")
-@overwrites("files that no run of the batch made")
+@bake_option("strict", about="Take warnings for errors.")
+@bake_option("overwrite", about="Replace files that no run of the batch made.")
 @click.option(
     "--format",
     "report_format",

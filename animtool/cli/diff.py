@@ -69,8 +69,8 @@ _POINTS = Template(
 def _choices(command: Command) -> Command:
     """Add what to read of the files: options of both, and of either alone."""
     for name, metavar, what in (
-        ("take", "NAME", "The take to read from clip libraries in USD"),
-        ("prim-path", "PATH", "The character, if a stage has several"),
+        ("take", "NAME", "The take to read of clip libraries in USD"),
+        ("prim-path", "PATH", "The character, where a file has several"),
     ):
         for side, file in (("-b", "SECOND"), ("-a", "FIRST")):
             text = f"The same, for {file} only."

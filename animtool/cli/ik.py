@@ -26,7 +26,6 @@ from animtool.cli.options import (
     source_options,
     source_options_record,
     stacked,
-    strict_because,
 )
 from animtool.cli.outputs import (
     all_named,
@@ -151,8 +150,9 @@ Examples:
     help="Report an orientation, aim or pole as missed if it is farther off than "
     f"this.  [default: {MISSED_DEGREES}, or --angle-tolerance]",
 )
-@strict_because(
-    "Write nothing if a goal is missed (exit code 4) or there are warnings."
+@bake_option(
+    "strict",
+    about="Write nothing where a goal is missed (exit code 4), or there are warnings.",
 )
 @split_option
 @rig_layer_options
@@ -163,17 +163,11 @@ Examples:
     metavar="FRAME",
     help="Time code of the first frame in USD.  [default: as in the targets or START]",
 )
-@click.option(
-    "--sparse",
-    is_flag=True,
-    help="Write only the joints of a USD output that leave their rest pose.",
-)
-@click.option(
-    "--reduce",
-    type=LENGTH,
-    metavar="LENGTH",
-    help="Largest error of joints from leaving out keys of a clip or samples of USD; "
-    "with --match, from sparse keys.",
+@bake_option("sparse", about="USD with only the joints that leave their rest.")
+@bake_option(
+    "reduce",
+    about="How far keys of a clip, or samples left out of USD, may move a joint; with "
+    "--match, how far sparse keys may be off.",
 )
 @source_options
 @source_option("prim_path", "take", "positions")

@@ -143,9 +143,10 @@ COMMANDS = {
     ),
     "convert": ("animtool.cli.convert:convert", "Convert a take to another format."),
     "diff": ("animtool.cli.diff:diff", "Compare two takes or layers."),
-    "explain": ("animtool.cli.explain:explain", "Explain a code."),
-    "ik": ("animtool.cli.ik:ik", "Solve the joints of a rig for targets."),
-    "job": ("animtool.cli.job:job", "Write a batch as a render farm job."),
+    "docs": ("animtool.cli.docs:docs", "Open or print a page of the documentation."),
+    "explain": ("animtool.cli.explain:explain", "Say what a code means."),
+    "ik": ("animtool.cli.ik:ik", "Bring the joints of a rig to targets."),
+    "job": ("animtool.cli.job:job", "Write a batch as a job for a render farm."),
     "migrate": (
         "animtool.cli.migrate:migrate",
         "Update files of older versions.",
@@ -240,7 +241,7 @@ def cli() -> None:
 
 
 # A child does the work of a command, in case USD crashes; these read none.
-WITHOUT_USD = {"completion", "explain", "migrate", "plugins", "schema"}
+WITHOUT_USD = {"completion", "docs", "explain", "migrate", "plugins", "schema"}
 SUPERVISED = COMMANDS.keys() - WITHOUT_USD
 HELP = {"-h", "--help"}
 

@@ -11,9 +11,9 @@ from animtool.cli.console import Console
 from animtool.cli.help import command
 from animtool.cli.options import (
     INPUT,
+    bake_option,
     common_options,
     format_option,
-    overwrites,
     read_values,
     record_option,
     set_option,
@@ -55,7 +55,7 @@ Examples:
 @record_option(PictureOptions)
 @source_option(*_OF_SOURCES)
 @set_option
-@overwrites("an existing page or picture")
+@bake_option("overwrite", about="Replace a page or picture that exists.")
 @format_option
 @common_options
 @click.pass_obj

@@ -15,9 +15,9 @@ from animtool.cli.options import (
     INPUT,
     LENGTH,
     OUTPUT,
+    bake_option,
     common_options,
     format_option,
-    overwrites,
     read_values,
     record_option,
     set_option,
@@ -70,7 +70,7 @@ Examples:
 @set_option
 @source_options
 @source_option(*_OF_SOURCE)
-@overwrites("an existing page")
+@bake_option("overwrite", about="Replace a page that exists.")
 @format_option
 @common_options
 @click.pass_obj
