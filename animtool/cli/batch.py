@@ -186,7 +186,7 @@ Examples:
     metavar="SIZE",
     help="Memory limit of the process that builds an item, such as 2GB.",
 )
-@bake_option("strict", about="Take warnings for errors.")
+@bake_option("strict", about="Treat warnings as errors.")
 @bake_option("overwrite", about="Replace files that no run of the batch made.")
 @click.option(
     "--format",

@@ -46,8 +46,8 @@ Examples:
 @source_option("rig", "take", "dropped", "positions")
 @bake_option(
     "reduce",
-    about="For a clip: how far keys may move a joint, such as 0.5mm.  [default: "
-    f"{KEY_TOLERANCE}]",
+    about="For a clip: largest error of joints from leaving out keys, such as 0.5mm. "
+    f" [default: {KEY_TOLERANCE}]",
 )
 @bake_option("reduce_at", "placement")
 @click.option(

@@ -152,7 +152,7 @@ Examples:
 )
 @bake_option(
     "strict",
-    about="Write nothing where a goal is missed (exit code 4), or there are warnings.",
+    about="Write nothing if a goal is missed (exit code 4) or there are warnings.",
 )
 @split_option
 @rig_layer_options
@@ -163,11 +163,13 @@ Examples:
     metavar="FRAME",
     help="Time code of the first frame in USD.  [default: as in the targets or START]",
 )
-@bake_option("sparse", about="USD with only the joints that leave their rest.")
+@bake_option(
+    "sparse", about="Write only the joints of a USD output that leave their rest pose."
+)
 @bake_option(
     "reduce",
-    about="How far keys of a clip, or samples left out of USD, may move a joint; with "
-    "--match, how far sparse keys may be off.",
+    about="Largest error of joints from leaving out keys of a clip or samples of "
+    "USD; with --match, from sparse keys.",
 )
 @source_options
 @source_option("prim_path", "take", "positions")

@@ -144,9 +144,9 @@ COMMANDS = {
     "convert": ("animtool.cli.convert:convert", "Convert a take to another format."),
     "diff": ("animtool.cli.diff:diff", "Compare two takes or layers."),
     "docs": ("animtool.cli.docs:docs", "Open or print a page of the documentation."),
-    "explain": ("animtool.cli.explain:explain", "Say what a code means."),
-    "ik": ("animtool.cli.ik:ik", "Bring the joints of a rig to targets."),
-    "job": ("animtool.cli.job:job", "Write a batch as a job for a render farm."),
+    "explain": ("animtool.cli.explain:explain", "Explain a code."),
+    "ik": ("animtool.cli.ik:ik", "Solve the joints of a rig for targets."),
+    "job": ("animtool.cli.job:job", "Write a batch as a render farm job."),
     "migrate": (
         "animtool.cli.migrate:migrate",
         "Update files of older versions.",

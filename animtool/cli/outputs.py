@@ -53,7 +53,8 @@ written_options = stacked(
     rig_layer_options,
     bake_option(
         "reduce",
-        about="How far keys of a clip, or samples left out of USD, may move a joint.",
+        about="Largest error of joints from leaving out keys of a clip or samples of "
+        "USD.",
     ),
     strict_option,
 )

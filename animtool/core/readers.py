@@ -328,7 +328,7 @@ def find_reader(path: Path) -> Reader:
     message = f"{suffix_text(path)} is not a format that animtool reads"
     hint = f"allowed: {', '.join(readable_suffixes())}"
     if is_timeline(path):
-        message = "is a timeline, and no take is read from it"
+        message = "is a timeline, not a take"
         hint = (
             f"animtool bake {flag('shot', 'NAME')} bakes one of its shots, animtool "
             "batch all of them"

@@ -185,7 +185,7 @@ class _Reader:
             return name, None
         if not self.document.doubtful(at):
             known = [*(chain.name for chain in self.rig.chains), *self.rig.names]
-            message = f"{name!r} is no chain and no joint of {self.rig.name!r}"
+            message = f"{name!r} is neither a chain nor a joint of {self.rig.name!r}"
             self.document.add("TGT001", at, message, nearest(name, known))
         return None, None
 

@@ -61,7 +61,7 @@ def chains_of(rig: Rig, patterns: Sequence[str] = ()) -> tuple[IkChain, ...]:
     """
     if not rig.chains:
         message = f"rig {rig.name!r} has no chains to match"
-        raise OptionError(Fault("TGT019", message, hint="describe some in its ik"))
+        raise OptionError(Fault("TGT019", message, hint="add some under its ik"))
     names = [chain.name for chain in rig.chains]
     faults = [
         Fault("TGT001", f"no chain of {rig.name!r} matches {pattern!r}", hint=hint)

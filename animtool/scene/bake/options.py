@@ -342,7 +342,7 @@ class BakeOptions:
     strict: bool = option(
         False,
         "switch",
-        batch=Key("Take warnings for errors.", True),
+        batch=Key("Treat warnings as errors.", True),
         help="Take warnings for errors and write nothing.",
     )
     overwrite: bool = option(False, "switch", help="Replace outputs that exist.")
