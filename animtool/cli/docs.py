@@ -8,6 +8,7 @@ from pathlib import Path
 import click
 
 from animtool.cli.console import Console
+from animtool.cli.help import command
 from animtool.cli.options import common_options, format_option
 from animtool.core.pages import KINDS, PageEntry, all_pages, find_page, page_markdown
 
@@ -18,7 +19,7 @@ _CODE = re.compile(r"[A-Za-z]{2,8}[0-9]{3}")
 SITE = Path(__file__).parents[2] / "build/site"
 
 
-@click.command(
+@command(
     epilog="""\b
 Examples:
   animtool docs

@@ -45,7 +45,8 @@ _GROUPS: dict[str, str] = {
     ),
     "Measure": "table plot stats budget",
     "Report": (
-        "plan strict format lines junit output-file quiet verbose log-format debug help"
+        "list print plan strict format lines junit output-file quiet verbose "
+        "log-format debug help"
     ),
 }
 _GROUP_OF = {word: name for name, words in _GROUPS.items() for word in words.split()}

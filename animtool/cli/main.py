@@ -182,7 +182,7 @@ SECTIONS = {
     "Look and check": ("preview", "report", "info", "diff", "validate", "explain"),
     "Files": ("convert", "schema", "migrate"),
     "Many": ("batch", "job"),
-    "Setup": ("plugins", "completion"),
+    "Setup": ("docs", "plugins", "completion"),
 }
 # What other tools call the work of a command.
 OTHER_NAMES = {

@@ -22,7 +22,7 @@ _HEAD: tuple[Line, ...] = (
     "[{?reference.error.rms}  error of the reference: {reference.error.rms:milli} mm "
     "(rms)[, observed order {reference.order:.1f}]"
     "[{?reference.sensitive}; not small: the motion is sensitive]]",
-    "  skipped: {value:list}: {key}",
+    "  work: number of {unit}",
 )
 _ROWS = Table(
     "tried",
@@ -56,7 +56,7 @@ _ROWS = Table(
     indent="  ",
 )  # fmt: skip
 _ADVICE: tuple[Line, ...] = (
-    Each("self:left_out", ("  left out: {value:list}: {key}",)),
+    Each("self:left_out", ("  skipped: {value:list}: {key}",)),
     "[  {self:advice}]",
 )
 

@@ -42,7 +42,7 @@ def test_summary_in_words(take: Path, tmp_path: Path) -> None:
     for said in (
         "stage (no rig layer was set)",
         "30 fps",
-        "lengths in cm; the source taken to be in cm",
+        "lengths in cm; the source is assumed to be in cm",
         "float32",
         "B/s of source",
     ):
@@ -228,7 +228,10 @@ def test_a_size_that_fits_another_unit(walk: Path, tmp_path: Path) -> None:
     for command in (["info", walk], ["bake", walk, "-o", tmp_path / "m.usda"]):
         done = animtool(*command, "--units", "m")
         assert done.code == 0
-        assert "which in m is no character, --units cm would make it" in done.stderr
+        assert (
+            "is not plausible for a character in m, with --units cm it would be"
+            in done.stderr
+        )
     text = walk.read_text().splitlines()
     for i, line in enumerate(text):
         if line.strip().startswith("OFFSET"):

@@ -51,7 +51,7 @@ def test_the_summary_says_what_became_of_each(
         "(take '",
     ):
         assert said in done.stderr
-    assert done.stderr.count("per frame, largest float32 error") == 3
+    assert done.stderr.count("error of float32") == 3
 
 
 def test_the_report_in_json_too(takes: list[Path], tmp_path: Path) -> None:

@@ -169,7 +169,7 @@ def test_a_joint_is_reduced_less(walk: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "code", "said"),
     [
-        (["--reduce", "0"], 2, "is no length"),
+        (["--reduce", "0"], 2, "is not a length"),
         (["--reduce", "1"], 2, "write 1mm or 1m"),
         (["--reduce", "1cm", "--reduce-at", "Hips=1"], 2, "write 1mm or 1m"),
         (["--reduce", "1cm", "--samples", "0,.5"], 2, "CLI002"),

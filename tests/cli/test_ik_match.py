@@ -73,7 +73,7 @@ def test_the_report(place: Path) -> None:
     done = run(place)
     assert done.code == 0, done.stderr
     assert (
-        "stride.clip.yaml: note: TGT103 targets say nothing of hips, spine_1"
+        "stride.clip.yaml: note: TGT103 the targets do not mention hips, spine_1"
         in done.stderr
     )
     assert "4 chains matched, frames 1 to 24 at 24 fps" in done.stderr
@@ -196,8 +196,8 @@ def test_strict_refuses_joints_that_the_take_lacks(place: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("--match", "-o", OUT), "--match wants --clip."),
-        (("--match", "--clip", STRIDE), "--match wants -o."),
+        (("--match", "-o", OUT), "--match needs --clip."),
+        (("--match", "--clip", STRIDE), "--match needs -o."),
         (("--match", "--clip", STRIDE, "-o", "-"), "not to stdout"),
         (
             ("--match", "--clip", STRIDE, "-o", OUT, "-t", "a.targets.yaml"),

@@ -69,7 +69,7 @@ def test_diff_names_what_one_has_not(takes: tuple[Path, Path], tmp_path: Path) -
     said = " ".join(found["mismatches"])
     assert not found["same"]
     assert "Spine" in said
-    assert "6 frames against 5" in said
+    assert "6 frames instead of 5" in said
 
 
 def test_bvh_to_usd_to_bvh_to_usd(takes: tuple[Path, Path], tmp_path: Path) -> None:
@@ -177,7 +177,7 @@ def test_diff_compares_shape_weights(faces: tuple[Path, Path], tmp_path: Path) -
 
 def test_info_names_the_shapes_that_move(faces: tuple[Path, Path]) -> None:
     done = animtool("info", faces[0])
-    assert "joints of 4, 3 shapes of 3; the rest never move" in done.stdout
+    assert "joints of 4, 3 shapes of 3; the rest are static" in done.stdout
     assert "shapes    smile, bulge, both\n" in done.stdout
     found = json.loads(animtool("info", faces[0], "--format", "json").stdout)
     (described,) = found["files"]
@@ -197,7 +197,7 @@ def test_diff_of_takes_that_start_elsewhere(
         animtool("bake", takes[0], "-o", output, "--start", start)
     done = animtool("diff", one, two)
     assert done.code == 0
-    assert "note: first time code 1 against 1001" in done.stdout
+    assert "note: first time code 1 instead of 1001" in done.stdout
     assert done.stdout.endswith("same\n")
 
 

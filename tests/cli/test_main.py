@@ -43,7 +43,7 @@ def test_a_command_is_supervised_unless_it_reads_no_usd() -> None:
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["bak"], "Did you mean 'bake'"),
+        (["bak"], "did you mean 'bake'"),
         (["bake"], "Missing argument"),
         (["bake", "a.bvh", "--ovrwrite"], "--overwrite"),
         (["bake", "a.bvh", "--fps", "fast"], "24000/1001"),

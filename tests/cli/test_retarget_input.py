@@ -86,7 +86,7 @@ def without_fingers() -> str:
 
 TAKES = {
     "offsets": (without_offsets, "MAP102", "joints are mapped by name only"),
-    "two": (twice, "MAP103", "'Hips_2' left out"),
+    "two": (twice, "MAP103", "'Hips_2' are skipped"),
     "short": (of_two_frames, "MAP007", "none is held"),
     "legs": (
         without_legs,
@@ -132,7 +132,7 @@ def test_a_rig_whose_hands_have_no_ends_is_named(tmp_path: Path) -> None:
 def test_a_take_in_another_unit_is_named() -> None:
     source, rig = SAMPLE / "takes/walk.bvh", SAMPLE / "rigs/child.rig.yaml"
     done = animtool("retarget", source, "--to", rig, "--units", "m")
-    assert "MAP106 the rig is 0.00544 times as large" in done.stderr
+    assert "MAP106 the rig is 0.00544 times the size" in done.stderr
     assert "MAP106" not in animtool("retarget", source, "--to", rig).stderr
 
 

@@ -310,7 +310,7 @@ def test_a_table_of_samples_is_drawn_too(root: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "code", "said"),
     [
-        (("--plot", "a.png"), 2, "give both"),
+        (("--plot", "a.png"), 2, "pass both"),
         (("--table", "-o", "a.usda"), 2, "--table writes no file"),
         (("--table", "--plot", "a.txt"), 2, "SCN072"),
         (("--table", "--plot", "none/a.png"), 3, "OUT002"),

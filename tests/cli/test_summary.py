@@ -66,10 +66,10 @@ def test_characters_have_lines_of_their_own() -> None:
     assert group["meshes"] == [mesh]
     assert render(take, lines, BAKED.printers) == [
         "  1 system of square.scene.yaml, simulated",
-        "    people: 3 agents, 10 frames, 10 ms a frame",
-        "      2 with an animation of their own, 25% of poses written: "
-        "joints within 2 mm, standing feet 0 mm",
-        "      1 with a part in an animation of who stands",
+        "    people: 3 agents, 10 frames, 10 ms per frame",
+        "      2 with their own animation, 25% of poses written: "
+        "joints within 2 mm, planted feet 0 mm",
+        "      1 with a part in an animation of standing characters",
     ]
 
 

@@ -200,7 +200,7 @@ def test_a_difference_is_shown_and_nothing_written(mendable: Path) -> None:
 def test_files_are_mended(mendable: Path) -> None:
     done = animtool("validate", mendable, "--fix")
     assert done.code == 0
-    assert "RIG221 mended: renames 1 name of joints: 'k.l' to 'k_l'" in done.stderr
+    assert "RIG221 fixed: renames 1 name of joints: 'k.l' to 'k_l'" in done.stderr
     assert done.stdout.endswith("1 file: 1 warning\n")
     assert mendable.read_text("utf-8") == MENDABLE.replace("k.l", "k_l")
     again = animtool("validate", mendable, "--fix")
@@ -228,7 +228,7 @@ def test_a_mended_file_may_still_have_faults(mendable: Path) -> None:
 def test_why_a_finding_stays(mendable: Path) -> None:
     mendable.with_name("walk.clip.yaml").write_text("# k.l\n", "utf-8")
     done = animtool("validate", mendable, "--fix")
-    assert "RIG221 not mended: walk.clip.yaml names 'k.l' too" in done.stderr
+    assert "RIG221 not fixed: walk.clip.yaml also uses 'k.l'" in done.stderr
     assert mendable.read_text("utf-8") == MENDABLE
 
 

@@ -84,11 +84,11 @@ class Bread:
         (Bread(), []),
         (Bread(width=1.0, sliced=True, crust=False), []),
         (Bread(crust=True), []),
-        (Bread(crust=False), ["crust=False goes with sliced=True"]),
+        (Bread(crust=False), ["crust=False needs sliced=True"]),
         (Bread(whole=True, sliced=True), ["sliced: no whole"]),
         (
             Bread(whole=True, width=1.0),
-            ["whole=True and width exclude each other", "width goes with sliced=True"],
+            ["whole=True and width exclude each other", "width needs sliced=True"],
         ),
     ],
 )

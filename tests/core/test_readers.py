@@ -108,7 +108,9 @@ def test_a_reader_of_a_plugin(
     assert [fault.code for fault in validate(path)] == ["IO001"]
     path = tmp_path / "walk.none"
     path.write_text("")
-    with raises(OptionError, "IO002", match=r"of no kind that is checked.*\.marks"):
+    with raises(
+        OptionError, "IO002", match=r"not a kind of file that is checked.*\.marks"
+    ):
         validate(path)
 
 

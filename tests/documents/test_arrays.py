@@ -64,7 +64,7 @@ def test_references_that_lead_nowhere(tmp_path: Path) -> None:
 
 def test_what_is_not_there(tmp_path: Path) -> None:
     path = saved(tmp_path)
-    with pytest.raises(ValueError, match="holds points, faces"):
+    with pytest.raises(ValueError, match="its arrays are points, faces"):
         array_header(path, "normals")
     for none in (tmp_path / "none.npz", tmp_path):
         with pytest.raises(ValueError, match="cannot be read"):

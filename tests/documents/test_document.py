@@ -219,7 +219,7 @@ def test_an_empty_file_is_told_the_first_line_of_its_kind(
     with pytest.raises(FormatError) as caught:
         read_document(path)
     hint = caught.value.faults[0].hint
-    assert hint == f"begin with a line such as '{kind}: animtool/1'"
+    assert hint == f"start it with a line such as '{kind}: animtool/1'"
 
 
 def test_block_depth_by_indents(tmp_path: Path) -> None:

@@ -72,9 +72,9 @@ def test_a_stated_pair_whose_parents_are_no_partners_is_named() -> None:
     with pytest.raises(OptionError) as caught:
         mirror(take, pairs=[("foot_l", "arm_r"), ("hips", "arm_l")])
     first, second = (fault.message for fault in caught.value.faults)
-    assert "'foot_l' and 'arm_r' cannot change places" in first
+    assert "'foot_l' and 'arm_r' cannot be swapped" in first
     assert "'leg_l' and 'hips'" in first
-    assert "'hips' hangs from no joint" in second
+    assert "'hips' has no parent" in second
 
 
 # Names of the Acclaim skeletons of CMU: letters in front of words.

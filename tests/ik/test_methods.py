@@ -208,7 +208,7 @@ def test_fabrik_names_the_joints_that_travel() -> None:
     rig = balls()
     root = replace(rig.joints[0], type=JointType.FREE)
     problem = build(replace(rig, joints=(root, *rig.joints[1:])), [TIP])
-    with raises(OptionError, "IK015", match=f"{root.name} may travel") as caught:
+    with raises(OptionError, "IK015", match=f"{root.name} may translate") as caught:
         solve(problem, None, Targets([[[1.0, 0.2, 0.0]]]), IkOptions(IkMethod.FABRIK))
     (fault,) = caught.value.faults
     assert fault.code == "IK015"

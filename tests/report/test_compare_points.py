@@ -250,7 +250,7 @@ def test_large_ids_are_told_apart(tmp_path: Path) -> None:
     found = compare_points(one, two)
     assert found is not None
     assert found.mismatches == [
-        f"birds at time code 0: the second has no point with the id {2**60 + 1}"
+        f"birds at time code 0: the second file has no point with the id {2**60 + 1}"
     ]
 
 

@@ -203,7 +203,7 @@ def test_stretch_is_watched() -> None:
         Chain(), np.arange(100.0), IntegrateOptions("euler", step=1.0, stretch=2.5)
     )
     assert found.stats.status is Status.UNSTABLE
-    assert "times as long" in found.stats.reason
+    assert "times its rest length" in found.stats.reason
 
 
 @pytest.mark.parametrize("name", OURS)

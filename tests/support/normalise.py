@@ -27,7 +27,7 @@ _MEASURED = [
     (rf"(?m)^(\[\d+/\d+\] .*\)) {_NUMBER} s$", r"\1 #"),
     (rf"(?m)^(\d+ items?: .* in ){_NUMBER} s$", r"\1#"),
     (r"(?m)^  slowest: .*$", "  slowest: #"),
-    (r"(?m)^  .* is as exact in \d+% of the time$", "  # of the time"),
+    (r"(?m)^  .* is as accurate in \d+% of the time$", "  # of the time"),
     (r"(?m)^  nothing tried is as exact and much faster .*$", "  # of the time"),
     (rf'("(?:{_KEYS})": )(?:-?{_NUMBER}(?:e[-+]\d+)?|null)', r"\1#"),
     (r'("seconds": )\{[^{}]*\}', r"\1#"),

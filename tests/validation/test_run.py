@@ -307,7 +307,7 @@ def test_the_kit_for_rules(leg: Path) -> None:
     with pytest.raises(AssertionError, match="finds nothing"):
         check_rule(rule, good, good)
     other = Rule("STU001", "another", kind=rule.kind, check=rule.check)
-    with pytest.raises(AssertionError, match="speaks of RIG201"):
+    with pytest.raises(AssertionError, match="reports RIG201"):
         check_rule(other, leg, good)
 
 

@@ -101,7 +101,7 @@ def test_opencv(tmp_path: Path) -> None:
     assert load_all_cameras(paths, up=UpAxis.Z).up == UpAxis.Z
     lying = cameras_text(Cameras(STAGE.cameras[2:])).replace("views", "up: Z\nviews")
     paths[2] = written(tmp_path / "z.cameras.yaml", lying)
-    with pytest.raises(FormatError, match="Z points up, and Y does") as refused:
+    with pytest.raises(FormatError, match="its up axis is Z, but that of") as refused:
         load_all_cameras(paths)
     assert [fault.code for fault in refused.value.faults] == ["CAM003"]
     camera = STAGE.cameras[0]

@@ -272,13 +272,13 @@ def test_a_leaf_without_an_end_site(write, tmp_path: Path) -> None:  # type: ign
     ("text", "code", "said"),
     [
         ("0.033333", None, ""),
-        ("0.017", "BVH107", "58, 59 fps would read the same; 60 fps is taken"),
+        ("0.017", "BVH107", "58, 59 fps would be printed the same; using 60 fps"),
         (
             "0.0035",
             "BVH107",
-            "so that 282, 283, 284, 285, 287, 288 … fps would read",
+            "rounded: 282, 283, 284, 285, 287, 288 … fps would be",
         ),
-        ("0.033343", "BVH106", "no usual rate; 29.9913 fps is taken"),
+        ("0.033343", "BVH106", "not a standard rate; using 29.9913 fps"),
         ("0.25", None, ""),
         ("0.2501", "BVH105", "implausible"),
         ("0.001", None, ""),
@@ -300,7 +300,7 @@ def test_what_is_said_of_a_frame_time(  # type: ignore[no-untyped-def]
 @pytest.mark.parametrize("text", ["4", "30", "1000"])
 def test_a_rate_in_place_of_a_frame_time_is_taken_for_one(write, text: str) -> None:  # type: ignore[no-untyped-def]
     (notice,) = read_bvh(write(small_bvh(random_rows(2), frame_time=text))).notices
-    assert notice.hint == f"a rate in place of a time? then fps={text}"
+    assert notice.hint == f"is it a rate instead of a time? then set fps={text}"
 
 
 def test_byte_order_mark_and_no_final_newline(write) -> None:  # type: ignore[no-untyped-def]

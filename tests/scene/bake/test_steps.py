@@ -98,7 +98,7 @@ def test_curves_and_meshes(
     assert done.code == 0, done.stderr
     _, _, output = done.stdout.partition("output ")
     for word in words:
-        assert f"leaves out {word}" in output
+        assert f"skips {word}" in output
     assert ("keep_curves" in output) == (words[-1].startswith("curves"))
 
 

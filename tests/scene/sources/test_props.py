@@ -263,12 +263,12 @@ def test_frames_that_they_lack_are_named(folder: Path) -> None:
     assert done.code == 0
     line = notices(done)["SCN107"]
     assert "4:3" in line
-    assert "/walk/Props/box is held at frames 51 to 64" in line
+    assert "/walk/Props/box is constant at frames 51 to 64" in line
     done = bake(folder, "output: {file: out.usda}\n", "--strict", "--overwrite")
     assert done.code == 1
     write_props(folder / "props.usda", first=1001)
     done = bake(folder, "output: {file: other.usda}\n", props=BOX)
-    assert "held at frames 1 to 64" in notices(done)["SCN107"]
+    assert "constant at frames 1 to 64" in notices(done)["SCN107"]
     assert "frame:" in done.stderr
 
 
@@ -347,7 +347,7 @@ def test_every_fault_is_said_at_once(folder: Path) -> None:
 def test_the_plan_and_the_costs(folder: Path) -> None:
     done = bake(folder, "passes:\n- mirror: {}\noutput: {file: out.usda}\n", "--plan")
     assert "beside /Set/box of" in done.stdout
-    assert "2 things beside it" in done.stdout
+    assert "2 props with it" in done.stdout
     path = folder / "shot.scene.yaml"
     steps = json.loads(animtool("bake", path, "--plan", "--format", "json").stdout)
     kinds = [step["kind"] for step in steps["steps"]]
@@ -393,7 +393,7 @@ def test_a_camera_of_the_shot_is_not_retimed(folder: Path) -> None:
     box_times = {t: 1001 + 10 / 30 * 12 + (t - 1001) / 2 for t in frames}
     same(folder, "out.usda", box_times, {"/Set/box": "/walk/Props/box"})
     plan = animtool("bake", folder / "shot.scene.yaml", "--plan").stdout
-    assert "leaves out changes of time by passes" in plan
+    assert "skips changes of time by passes" in plan
 
 
 @pytest.mark.parametrize("flags", [(), ("--chunk", "4")])

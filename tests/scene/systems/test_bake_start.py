@@ -47,4 +47,4 @@ def test_start_is_the_time_code_of_0_s(tmp_path: Path) -> None:
     assert one[9.0]
     assert {code + 11: row for code, row in one.items()} == two
     text = " ".join(animtool("bake", "--help").stdout.split())
-    assert "that of 0 s, where the simulation begins" in text
+    assert "that of 0 s, when the simulation starts" in text

@@ -370,7 +370,7 @@ def test_what_is_odd_is_named_and_mended(simulator: Simulator) -> None:
     )  # fmt: skip
     said = notices(simulator, systems)
     assert said.keys() == {"SIM146", "SIM147", "SIM148"}
-    assert "2 agents would begin inside each other" in said["SIM147"]
+    assert "2 agents would start inside each other" in said["SIM147"]
     assert "1 agent would start in an obstacle or off the ground" in said["SIM148"]
     assert "agent 2 of 'p0'" in said["SIM148"]
     assert "'closed'" in said["SIM146"]

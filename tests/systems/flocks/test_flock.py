@@ -154,7 +154,7 @@ def test_who_finds_no_way_out_of_colliders_is_named(simulator: Simulator) -> Non
         simulator.simulate(flock(bird, colliders=boxes), FRAMES[:2])
     (fault,) = error.value.faults
     assert fault.code == "SIM060"
-    assert "member 1 of 'bird' begins inside" in fault.message
+    assert "member 1 of 'bird' starts inside" in fault.message
 
 
 def test_a_domain_that_wraps_keeps_all_and_shows_no_seam(simulator: Simulator) -> None:

@@ -92,7 +92,7 @@ def test_who_begins_in_a_collider_is_named_with_it() -> None:
     assert message.startswith(
         "particle 1 of fill 3 starts 0.25 m outside the container"
     )
-    assert "'tank', as 1 other begin" in message
+    assert "'tank', and 1 other start" in message
     _check_outside(x[[0, 2]], Colliders([walls[1]]), 0.0, "it")
     _check_outside(np.array([[0, 1.0, 0]]), Colliders([walls[1]]), 0.0, "it")
     _check_outside(x[:0], walls, 0.0, "it")
@@ -109,7 +109,7 @@ def test_two_nearer_than_a_quarter_of_the_spacing_are_named_by_their_fills() -> 
         _check_apart(own, x, np.array([2, 3, 5]))
     message = error.value.faults[0].message
     assert message.startswith("particle 0 of fill 1 and particle 1 of fill 2 begin")
-    assert "begin 0.024 m apart, where the spacing is 0.1 m" in message
+    assert "start 0.024 m apart, but the spacing is 0.1 m" in message
     x[4] = [0.02, 0, 0]
     with pytest.raises(AnimtoolError, match="particle 0 of 'a' and particle 1 of fil"):
         _check_apart(own, x, np.array([2, 3, 5]))

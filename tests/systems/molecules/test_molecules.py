@@ -261,15 +261,15 @@ FARTHER = np.array([[0.9, 0, 0], [0, 0, 0], [0, 0, 0]])
 @pytest.mark.parametrize(
     ("keys", "text"),
     [
-        ({"cutoff": 1.2}, "box is 2.1844 nm wide, and twice the cut-off is 2.4 nm"),
-        ({"switch": 0.9}, "the switch begins at 0.9 nm, beyond the cut-off"),
+        ({"cutoff": 1.2}, "box is 2.1844 nm wide, but twice the cut-off is 2.4 nm"),
+        ({"switch": 0.9}, "the switch starts at 0.9 nm, beyond the cut-off"),
         ({"block": [3, 1, 1]}, "the block is larger than the box"),
         ({"thermostat": {"temperatures": [[1, 9], [0, 9]]}}, "do not ascend"),
         ({"thermostat": {"temperatures": [[0, -9]]}}, "below 0 K"),
         ({"colour": {"by": "taste"}}, "unknown quantity"),
         ({"step": 0.5}, "a step of 0.5 ps is too long"),
-        ({"species": [{**ARGON, "charge": 1}]}, r"charges add up to 256 e"),
-        ({"species": [{**ARGON, "charge": -1}]}, r"charges add up to -256 e"),
+        ({"species": [{**ARGON, "charge": 1}]}, r"charges have a sum of 256 e"),
+        ({"species": [{**ARGON, "charge": -1}]}, r"charges have a sum of -256 e"),
         (
             {"species": [{**ARGON, "points": 9 + PLACES}]},
             "atom 0 of 'argon' is outside",
@@ -412,7 +412,7 @@ def test_lattices_have_as_long_cells_along_each_side() -> None:
     assert_allclose(low, [1.125, 1.625, 1.625])
     assert_allclose(high - low, [1.75, 0.75, 0.75])
     flat = {"box": [1000, 0.1, 0.1], "species": [{**ARGON, "count": 8}]}
-    with raises(AnimtoolError, "SIM071", match="8 atoms fill no lattice"):
+    with raises(AnimtoolError, "SIM071", match="8 atoms do not fill a lattice"):
         molecules(**flat)
 
 

@@ -167,7 +167,7 @@ TWO = np.array([[0.0, 0, 0], [1, 0, 0]])
         ({"galaxies": [{"name": "void"}]}, "galaxy 'void' has no bodies"),
         (
             {"bodies": [{"points": np.ones((2, 3))}]},
-            "bodies 0 and 1 begin at one place",
+            "bodies 0 and 1 start at the same position",
         ),
         ({"bodies": [{"points": TWO[:, :2]}]}, r"points have the shape \(2, 2\)"),
         (
@@ -176,7 +176,7 @@ TWO = np.array([[0.0, 0, 0], [1, 0, 0]])
         ),
         (
             {"galaxies": [SPIRAL], "encounter": {"separation": 3, "pericentre": 1}},
-            "of two galaxies, and there are 1",
+            "needs two galaxies, but there are 1",
         ),
         (
             {

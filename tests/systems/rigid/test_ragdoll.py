@@ -403,7 +403,7 @@ def test_the_largest_break_of_a_limit_is_told() -> None:
     found = fallen(take)
     note, warning = found.notices
     assert (note.code, warning.code) == ("SIM128", "SIM129")
-    assert "'link 0' goes 5.7° beyond its limits" in note.message
+    assert "'link 0' exceeds its limits by 5.7°" in note.message
 
 
 def test_a_collider_without_a_size_is_refused() -> None:

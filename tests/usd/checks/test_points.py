@@ -43,7 +43,7 @@ def test_blocked_samples_are_no_copies(tmp_path: Path) -> None:
     path.write_text(BLOCKED, "utf-8")
     done = animtool("validate", path)
     assert done.code == 1
-    assert "5 names none of 1" in done.stdout
+    assert "5 is outside the 1" in done.stdout
     assert "at time code 3" in done.stdout
 
 

@@ -80,7 +80,9 @@ def test_the_largest_overhang_is_reported_and_mended(
     layer.Save()
     (found,) = [fault for fault in check_layer(pair) if fault.where == f"{ROOT}.extent"]
     assert found.code == "USD251"
-    number, when = re.findall(r"leave it by (\S+) at time code (\d+)", found.message)[0]
+    number, when = re.findall(r"exceed it by (\S+) at time code (\d+)", found.message)[
+        0
+    ]
     assert float(number) == pytest.approx(4.0, rel=1e-3)
     assert when == "7"
     fixed = tmp_path / "fixed.usda"
