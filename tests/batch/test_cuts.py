@@ -431,7 +431,8 @@ def test_a_scene_for_each_shot(takes: Path) -> None:
     items = json.loads(done.stdout)["items"]
     assert [item["samples"] for item in items] == [8, 10, 8]
     assert items[0]["shot"]["cut_in"] == 1003
-    said = "shot c: the take does not have handle frames 1001 to 1002; the nearest pose is held"
+    said = "shot c: the take does not have handle frames 1001 to 1002; the nearest "
+    said += "pose is held"
     assert f"warning: SCN106 {said}" in done.stderr
     assert set(whole_outputs(takes / "out")) == {"a.usda", "b.usda", "c.usda"}
     again = animtool("batch", *words, cwd=takes)

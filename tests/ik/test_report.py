@@ -148,7 +148,8 @@ def test_a_part_that_is_missed_is_reported_by_its_name(
         ({"CONVERGED": 3, "NEAREST": 2}, f"3 converged, 2 {IkStatus.NEAREST}"),
         (
             {"CONVERGED": 3, "NEAREST": 2, "STEADIER": 4},
-            "3 converged, 6 out of reach (4 of them on a smoother path than the nearest poses give)",
+            "3 converged, 6 out of reach "
+            "(4 of them on a smoother path than the nearest poses give)",
         ),
         (
             {"STEADIER": 1},

@@ -43,7 +43,7 @@ def test_what_a_fluid_is_where_nothing_is_given() -> None:
         "max_particles": 1_000_000,
     }
     assert own.reads[:2] == [
-        "Array (N, K) of whole numbers: the points of each face; -1 pads faces with fewer than K corners; 3 is the minimum.",
+        "1 fill",
         "1 emitter",
     ]
     drained = FluidModel.model_validate(
