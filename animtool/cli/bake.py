@@ -111,14 +111,14 @@ def bake(
 ) -> None:
     """Bake SOURCE, a scene, clip, BVH, glTF, FBX or USD file, to a USD animation.
 
-    Several make a clip library: one skeleton, an animation for each, and a variant
-    set `take` that binds one of them. Then -o names the file.
+    Several sources make a clip library, named by -o: one skeleton, an animation for
+    each, and a variant set `take` that binds one of them.
 
-    Of a timeline (.otio and others), --shot names the clip: its shot is baked from the
-    media that it shows. animtool batch bakes all of them.
+    For a timeline (.otio and others), --shot names the clip: its shot is baked from
+    the media it shows. animtool batch bakes all shots.
 
-    The summary says what was written and the error made: the largest distance
-    between a joint's position in float64 and in the float32 values of the file.
+    The summary reports what was written and the error: the largest distance between
+    a joint's position in float64 and in the float32 values of the file.
     """
     to_stdout = goes_to_stdout(output, params)
     _check_usage(params)

@@ -221,22 +221,22 @@ Examples:
 @common_options
 @click.pass_obj
 def batch(console: Console, /, inputs: tuple[str, ...], **params: Any) -> None:
-    """Bake many files, on every core, and only what is not done yet.
+    """Bake many files on every core, skipping what is up to date.
 
-    JOB is a batch file; INPUT is a file, a folder, a glob ("**" is any folders), or -
-    for a list on stdin, a path a line. What was made stands in .animtool below the
-    folder of the outputs, with what it was made of: the same command goes on where it
-    was stopped, and makes again what changed since.
+    JOB is a batch file; INPUT is a file, a folder, a glob ("**" matches any folders),
+    or - for a list on stdin, one path per line. Results and their inputs are recorded
+    in .animtool in the output folder. Run the same command again to resume; items
+    whose inputs changed are rebuilt.
 
     With --variants or --vary, each row of a table is an item: ${k} in the scene and
-    {k} in -o stand for its values. Without INPUT, the scene alone is made in variants.
+    {k} in -o are replaced by its values. Without INPUT, the scene itself is varied.
 
-    Where an INPUT is a timeline, each of its clips is an item, and shows the seconds
-    of its media that the edit shows, in frames of the shot. Its scene has ${shot},
-    ${first} and ${last} of the cut, ${begin} and ${end} with the handles, ${head},
-    ${tail}, ${handles}, ${fps} and others, all in frames of the shot.
+    If an INPUT is a timeline, each of its clips is an item, with the part of its media
+    that the edit shows, in frames of the shot. Its scene can use ${shot}, ${first} and
+    ${last} of the cut, ${begin} and ${end} with the handles, ${head}, ${tail},
+    ${handles}, ${fps} and others, all in frames of the shot.
 
-    Ends with 1 where items failed, 5 where there is no input.
+    Exit code 1: items failed; 5: no input.
     """
     from animtool.batch.discover import find_batch
     from animtool.batch.run import RunOptions, run_batch

@@ -66,13 +66,13 @@ Examples:
 def convert(console: Console, /, source: Path, output: Path, **params: Any) -> None:
     """Convert SOURCE to OUTPUT: BVH, USD, CSV, MOT or a clip to one of these.
 
-    Of a glTF with several clips, OUTPUT may be a folder: a USD file a clip.
+    For a glTF with several clips, OUTPUT may be a folder: one USD file per clip.
 
-    A clip (.clip.yaml) gets sparse keys that can be edited, and its rig file beside
-    it. Joints that came from a BVH get their channel order and names back.
+    A clip (.clip.yaml) gets sparse, editable keys, and its rig file next to it.
+    Joints that came from a BVH get their channel order and names back.
 
-    A rig (.rig.yaml) becomes a USD layer that animations can be put over, and comes
-    back equal, its arrays in a npz file beside it.
+    A rig (.rig.yaml) becomes a USD layer for animation layers to go over, and
+    converts back unchanged, with its arrays in an npz file next to it.
 
     Markers are converted between C3D, TRC and npz.
     """

@@ -123,10 +123,9 @@ def diff(console: Console, /, first: Path, second: Path, **params: Any) -> None:
     """Compare the takes of FIRST and SECOND, joints by name, in metres.
 
     Weights of blend shapes are compared too, and every skeleton of USD files unless
-    --prim-path names one. Of USD files without a character the points, curves, meshes
-    and copies are compared, by their ids. Exit code 1 where they differ by more than
-    the tolerances, or one has joints, moving shapes, prims, frames or a rate that the
-    other has not.
+    --prim-path names one. In USD files without a character, points, curves, meshes
+    and instances are compared, by their ids. Exit code 1: they differ by more than
+    the tolerances, or in their joints, moving shapes, prims, frames or rates.
     """
     from animtool.report.compare import compare
     from animtool.scene.sources.open import is_usd

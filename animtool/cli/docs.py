@@ -42,9 +42,9 @@ def docs(
 ) -> None:
     """Open the page of a TOPIC in the browser, or print it.
 
-    A TOPIC is the name of a page, a command or a code. Where the site was built
-    (mkdocs build, in a checkout) and a browser can be opened, it shows the page there;
-    else the page is printed. Without a TOPIC it opens the site, or lists the pages.
+    A TOPIC is the name of a page, a command or a code. If the site was built (mkdocs
+    build, in a checkout) and a browser is available, the page opens there; otherwise
+    it is printed. Without a TOPIC the site opens, or the pages are listed.
     """
     import sys
 

@@ -71,9 +71,9 @@ Examples:
 @common_options
 @click.pass_obj
 def explain(console: Console, /, codes: tuple[str, ...], report_format: str) -> None:
-    """Say what a CODE means, why it matters and how to mend it.
+    """Explain a CODE: what it means, why it matters and how to fix it.
 
-    Without a code all are listed.
+    Without a code, all codes are listed.
     """
     from animtool.core.rules import all_rules, find_rule
 

@@ -263,13 +263,13 @@ Examples:
 @common_options
 @click.pass_obj
 def info(console: Console, /, files: tuple[Path, ...], **params: Any) -> None:
-    """Say what is in BVH and USD files: joints, frames, rate, bounds, what is odd.
+    """Show what is in files: joints, frames, rate, bounds and warnings.
 
-    Of a USD file without a character: its meshes, curves and particles. Of a rig file
-    (.rig.yaml) or a robot (.urdf, MJCF in .xml): joints, meshes, shapes and controls.
-    Of a targets file (.targets.yaml): its goals. Of C3D, TRC and npz files: markers,
-    gaps, spikes. Of a scene (.scene.yaml): its sources, passes and systems, and what
-    would be baked.
+    For a USD file without a character: its meshes, curves and particles. For a rig
+    file (.rig.yaml) or a robot (.urdf, MJCF in .xml): joints, meshes, shapes and
+    controls. For a targets file (.targets.yaml): its goals. For C3D, TRC and npz
+    files: markers, gaps, spikes. For a scene (.scene.yaml): its sources, passes and
+    systems, and what would be baked.
     """
     from animtool.core.errors import AnimtoolError
 

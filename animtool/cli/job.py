@@ -79,8 +79,8 @@ Examples:
 def job(console: Console, /, batch_file: Path, **params: Any) -> None:
     """Write a batch as an Open Job Description bundle, for a render farm.
 
-    JOB is a batch file. Its items are found and its outputs checked now; a task of the
-    job makes a chunk of them, as animtool batch JOB --items does, and ends like it.
+    JOB is a batch file. Its items are found and its outputs checked now; each task of
+    the job builds a chunk of them like animtool batch JOB --items, with its exit code.
     """
     from animtool.batch.bundle import (
         Cuts,

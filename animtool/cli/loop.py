@@ -46,10 +46,10 @@ Examples:
 @strict_option
 @writing_options
 def loop(console: Console, /, source: Path, output: Path | None, **params: Any) -> None:
-    """Find the cycle of the take of SOURCE, and repeat it without a seam.
+    """Find the cycle in the take of SOURCE, and repeat it without a seam.
 
-    The best cycle between --first and --last is taken; where both are given, they are
-    the cycle. With -o it is written, repeated as often as is said.
+    The best cycle is searched for, or set by --first and --last. With -o it is
+    written, repeated --repeats times.
     """
     from animtool.core.writers import take_writer
     from animtool.scene.solves.cycle import loop_source

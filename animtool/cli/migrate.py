@@ -52,12 +52,11 @@ Examples:
 @common_options
 @click.pass_obj
 def migrate(console: Console, /, files: tuple[Path, ...], **params: Any) -> None:
-    """Rewrite rig, clip and scene FILES of older versions as the newest, in place.
+    """Update rig, clip and scene FILES to the newest version, in place.
 
-    Files of the newest version are left alone, but for keys that have a new name. Where
-    more than the version's name changes, a YAML file is written anew: its comments are
-    not kept, and a warning says in which lines they were. All files are checked before
-    the first is written.
+    In files of the newest version only renamed keys change. If more than the version
+    changes, a YAML file is rewritten: its comments are lost, and a warning lists their
+    lines. All files are checked before the first is written.
     """
     from animtool.core.errors import ExitCode
     from animtool.documents.migrate import Migrations

@@ -60,7 +60,7 @@ Examples:
 def clean(console: Console, /, source: Path, output: Path, **params: Any) -> None:
     """Remove spikes and noise from the take of SOURCE, a BVH, USD or clip file.
 
-    Filters have no lag. What was removed, and at which frequencies, is said.
+    Filters have no lag. The report lists what was removed, and the frequencies.
     """
     from animtool.core.writers import take_writer
     from animtool.motion.passes import find_pass

@@ -77,11 +77,11 @@ Examples:
 @strict_option
 @writing_options
 def face(console: Console, /, landmarks: Path, **params: Any) -> None:
-    """Turn landmarks of a face into weights of a rig's blend shapes.
+    """Solve the blend-shape weights of a rig from face landmarks.
 
     LANDMARKS is an npz of positions or pixels, or a file of markers. Weights stay
-    between 0 and 1, outliers count little, gaps are bridged, and the head's own motion
-    is kept apart. Without -o the report is all.
+    between 0 and 1, outliers have little weight, gaps are bridged, and head motion
+    is solved separately. Without -o, only the report is made.
     """
     from animtool.scene.bake.options import BakeOptions
     from animtool.scene.solves.face import FaceJob, run_face

@@ -62,9 +62,9 @@ def fill(
     """Repair swapped names and spikes of MARKERS, and fill gaps.
 
     MARKERS is a C3D, TRC or npz file with named markers. With a template, gaps are
-    filled by the skeleton, whose bones and poses are fitted to the take. Without, those
-    up to 50 ms are filled by a curve, longer ones by the other markers. A last position
-    is never held. What was filled is marked in C3D and npz files.
+    filled from the skeleton, whose bones and poses are fitted to the take. Without one,
+    gaps up to 50 ms are filled by a curve, longer ones from the other markers. The last
+    position is never just held. Filled positions are flagged in C3D and npz files.
     """
     for option, path in (("--rig", rig), ("--static", static)):
         if path is not None and template is None:

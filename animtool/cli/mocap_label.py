@@ -33,11 +33,11 @@ Examples:
 def label(
     console: Console, /, cloud: Path, output: Path, static: Path, **params: Any
 ) -> None:
-    """Give the points of CLOUD the names of the markers of a trial at rest.
+    """Label the points of CLOUD with the marker names of a static trial.
 
-    Points are followed over time, matched by the distances that stay the same as the
-    subject moves, and named again after every gap. Points at no marker's place, such
-    as reflections, are left out.
+    Points are tracked over time, matched by the distances that stay constant as the
+    subject moves, and labelled again after every gap. Points that match no marker,
+    such as reflections, are removed.
     """
 
     def work(points: Any, trial: Any) -> tuple[Any, Any]:

@@ -93,8 +93,8 @@ def solve(
 ) -> None:
     """Solve the motion of a rig from MARKERS: a C3D, TRC or npz file with labels.
 
-    Markers that are missing, far off or mixed up are told from those that fit; limits
-    are kept. Without -o the report is all.
+    Missing, misplaced and swapped markers are detected; joint limits are respected.
+    Without -o, only the report is made.
     """
     to_stdout = goes_to_stdout(output, params)
     if params["static"] is not None and not params["calibrate"]:

@@ -68,11 +68,11 @@ def triangulate(
     output: Path,
     **params: Any,
 ) -> None:
-    """Find markers in space from OBSERVATIONS, what calibrated cameras see of them.
+    """Triangulate markers from OBSERVATIONS of calibrated cameras.
 
     OBSERVATIONS is an npz file of pixels, or a folder of OpenPose keypoints with a
-    folder for each camera. Observations that are wrong are left out, and cameras that
-    moved after calibration are named.
+    folder for each camera. Wrong observations are excluded, and cameras that moved
+    after calibration are reported.
     """
     if skipped(console, "mocap triangulate", params, output, lambda: [output]):
         return

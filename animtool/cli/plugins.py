@@ -63,12 +63,12 @@ Examples:
 @common_options
 @click.pass_obj
 def plugins(console: Console, /, report_format: str) -> None:
-    """List the passes that scenes may name, the files read and written, and more.
+    """List the passes, readers, writers, executors and rules, with plug-ins.
 
-    animtool's own come first, then those installed: a package adds some through the
-    entry point groups animtool.passes, animtool.readers, animtool.writers,
-    animtool.executors and animtool.rules. One that does not load is listed with the
-    reason, and ends nothing. animtool explain lists the rules of animtool's own.
+    Those of animtool come first, then those of installed packages, which use the entry
+    point groups animtool.passes, animtool.readers, animtool.writers,
+    animtool.executors and animtool.rules. A plug-in that does not load is listed with
+    the reason. animtool explain lists the rules of animtool.
     """
     from animtool.batch.executors import listed_executors
     from animtool.core.readers import listed_readers

@@ -62,9 +62,9 @@ Examples:
 def preview(console: Console, /, files: tuple[Path, ...], **params: Any) -> None:
     """Show FILES on a page that plays, in a browser, or in a picture or film.
 
-    BVH, USD, clips, rigs, scenes, targets, markers and motion files; several takes are
-    compared. The page is one file that needs no network, and can be mailed. A scene is
-    baked for it. Pictures need the extra `pictures`, and no graphics card.
+    Shows BVH, USD, clips, rigs, scenes, targets, markers and motion files; several
+    takes are compared. The page is one file that needs no network. A scene is baked
+    first. Pictures need the extra `pictures`, but no graphics card.
     """
     from animtool.cli import preview_page, preview_picture
     from animtool.preview.pictures.kinds import picture_kind

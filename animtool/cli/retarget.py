@@ -147,11 +147,11 @@ Examples:
 def retarget(
     console: Console, /, source: Path, output: Path | None, **params: Any
 ) -> None:
-    """Bring the take of SOURCE, a BVH, USD or clip file, onto another rig.
+    """Transfer the take of SOURCE, a BVH, USD, glTF, FBX or clip file, to another rig.
 
-    Joints are paired by their names, by where they are in the body, or by a map file.
-    Rest poses are aligned, legs scale the way, limits are kept, and feet stay where
-    they stand. Without -o the report is all.
+    Joints are paired by name, by position in the body, or by a map file. Rest poses
+    are aligned, root motion is scaled by leg length, joint limits are respected, and
+    planted feet are held. Without -o, only the report is made.
     """
     to_stdout = goes_to_stdout(output, params)
     from animtool.scene.solves.retarget import (

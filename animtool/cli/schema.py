@@ -71,8 +71,8 @@ Examples:
 def schema(console: Console, /, kind: str) -> None:
     """Print the JSON Schema of a KIND of file, for editors, or of a JSON report.
 
-    An editor that knows it completes keys and marks faults while one writes. In VS
-    Code, with the YAML extension, it goes under "yaml.schemas".
+    Editors use it to complete keys and mark errors while you type. In VS Code, with
+    the YAML extension, add it under "yaml.schemas".
     """
     described = model_of(kind).model_json_schema(by_alias=True)
     if kind == "scene":

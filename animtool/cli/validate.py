@@ -46,14 +46,13 @@ Examples:
 @common_options
 @click.pass_obj
 def validate(console: Console, /, paths: tuple[str, ...], **params: Any) -> None:
-    """Check rigs, clips, scenes, BVH and USD files, and say what to do.
+    """Check rigs, clips, scenes, captures, BVH, glTF, FBX and USD files.
 
-    PATHS are files, folders, globs ("**" is any folders) or - for a list on stdin,
-    a path a line. animtool explain says more of a code. A finding that is meant is
-    named in the file, with the reason: ignore: [{code, where, why}].
+    PATHS are files, folders, globs ("**" matches any folders) or - for a list on
+    stdin, one path per line. animtool explain describes a code. To accept a finding,
+    list it in the file, with the reason: ignore: [{code, where, why}].
 
-    Ends with 1 where there are errors, 3 where a file cannot be read, 5 where there
-    is none to check.
+    Exit code 1: errors were found; 3: a file cannot be read; 5: nothing to check.
     """
     from animtool.validation.run import match_files
 
