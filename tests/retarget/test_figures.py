@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, replace
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,7 @@ from animtool.motion.take import TakeStream
 from animtool.retarget import map_joints, map_text, retarget_take
 from animtool.retarget.anatomy import anatomy
 from animtool.retarget.facts import capture_facts
+from animtool.retarget.fingers import _digits_by_place
 from animtool.retarget.person import Person
 from animtool.retarget.report import scores_of
 from animtool.retarget.standing import body_axes, stance, stands_along
@@ -284,6 +286,24 @@ def test_bodies_of_all_kinds(kind: str, named_: bool) -> None:
         "balls": [body.balls.get(side) for side in "lr"],
     }
     check_figures(__file__, f"body {kind} {named_}", shown)
+
+
+def test_digits_of_hands_that_are_shaped_at_random() -> None:
+    found = []
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        count = 1 + seed % 5
+        positions, ways = [np.zeros(3)], []
+        for _ in range(count):
+            at = rng.uniform([0.02, -0.04, -0.01], [0.1, 0.04, 0.01])
+            bone, way = rng.uniform([0.0, -0.03, -0.01], [0.03, 0.03, 0.01]), []
+            for k in range(int(rng.integers(1, 5))):
+                way.append(len(positions))
+                positions.append(at + k * bone)
+            ways.append(way)
+        body: Any = SimpleNamespace(positions=np.array(positions))
+        found.append(" ".join(_digits_by_place(body, ways, 0)))
+    check_figures(__file__, "digits", found)
 
 
 def test_nobody_stands_nowhere() -> None:

@@ -124,7 +124,20 @@ def run(folder: Path, times: list[float], **keys: Any) -> dict[str, Any]:
         for frame in frames
     ]
     simulation, state = own.simulation, own.state
+    forces, motion = simulation._forces, state.motion
+    x, v = motion[:, :3], motion[:, 7:10]
+    pulls: list[Any] = [forces.potential(motion)]
+    for t in (0.0, 0.04, 0.19, 0.3):
+        pulls += [
+            forces.over(t, 1 / 60, motion),
+            forces.pushes_over(t, 1 / 60, motion),
+            forces.turning(t, 1 / 60, motion),
+            forces.accelerations(t, x, v),
+            forces.slopes(t, x, v),
+        ]
     return {
+        "begun": simulation.initial(),
+        "pulls": pulls,
         "seen": seen,
         "state": state,
         "energy": simulation.energy(state),
