@@ -103,6 +103,23 @@ def test_a_clip_is_followed(smooth: float) -> None:
     check_figures(__file__, f"follow {smooth}", shown(result))
 
 
+@pytest.mark.parametrize("kind", ["pins", "balls"])
+def test_a_clip_is_evened_out_along_limits(kind: str) -> None:
+    """What limits hold is left out of what may be evened out."""
+    t = np.linspace(0, 1, 24)
+    if kind == "pins":
+        problem = build(arm(5, 0.7), [Goal("b4", (0.4, 0.0, 0.0))])
+        way = [1.6 - 0.15 * t, 0.45 * np.sin(5 * t), 0.4 * np.cos(4 * t)]
+    else:
+        problem = build(mixed_rig(), [Goal("hand", (0.1, 0.0, 0.0), root="spine")])
+        way = [0.5 + 0.2 * np.sin(6 * t), 1.2 + 0.2 * t, 0.4 * np.cos(5 * t)]
+    targets = Targets(np.stack(way, axis=1)[:, None])
+    options = FollowOptions(smooth=0.3, fps=24.0, branches=2, back=0.3)
+    start = random_pose(problem, 3)[0]
+    result = follow(problem, start, targets, options)
+    check_figures(__file__, f"evened {kind}", shown(result))
+
+
 GOALS = """
 - {effector: leg_l, hold: [[4, 9], [14, 18]], ease: 3, soft: 0.1, stretch: 0.1}
 - {effector: leg_r, offset: [0, 0, 0.05], during: [[3, 16]], ease: 4,
