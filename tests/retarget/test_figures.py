@@ -24,9 +24,11 @@ from animtool.retarget import map_joints, map_text, retarget_take
 from animtool.retarget.anatomy import anatomy
 from animtool.retarget.facts import capture_facts
 from animtool.retarget.fingers import _digits_by_place
+from animtool.retarget.options import RetargetOptions
 from animtool.retarget.person import Person
 from animtool.retarget.report import scores_of
 from animtool.retarget.standing import body_axes, stance, stands_along
+from animtool.retarget.take_pass import onto_rig
 from animtool.rig.kinematics import rest_world
 from animtool.rig.skeleton import Joint
 
@@ -114,6 +116,19 @@ def test_irregular_takes_on_an_uneven_rig(name: str) -> None:
             "names": dict(scores.names),
         },
     )
+
+
+def test_what_is_said_of_a_take_frame_by_frame() -> None:
+    take = uneven(taken("turn", 40), 7)
+    made, _, notices = onto_rig(TakeStream.of(take), odd_biped(), RetargetOptions())
+    blocks = list(made.blocks())
+    assert sum(block.frames for block in blocks) == 40
+    found = {
+        "verdict": asdict(made.verdict()),
+        "report": without_paths(made.report()),
+        "notices": notices,
+    }
+    check_figures(__file__, "verdict", found)
 
 
 def turned_about(rig: Rig, turn: np.ndarray, **changes: Any) -> Rig:

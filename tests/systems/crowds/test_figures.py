@@ -52,7 +52,7 @@ def test_bodies_that_are_pushed_and_turn_on_bumpy_ground() -> None:
             poses.append(poses_of(bodies, state, after))
             feet.append(bodies.feet(state, after))
             state.shoulders[:] = 0.0
-    check_figures(__file__, "bodies", {"states": states, "feet": feet[::4]})
+    check_figures(__file__, "bodies", {"states": states, "feet": feet})
     check_figures(__file__, "poses", poses)
 
 
