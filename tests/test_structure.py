@@ -162,6 +162,7 @@ OPENED = {
     "animtool.retarget.names": "a table that is part of animtool",
     "animtool.core.files.spool": "what it has written itself",
     "animtool.core.plugins": "what packages say that they have",
+    "animtool.core.pages": "pages that are part of animtool",
     "animtool.core.rules": "pages that are part of animtool",
 }
 READS = {

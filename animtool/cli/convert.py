@@ -86,10 +86,12 @@ def convert(console: Console, /, source: Path, output: Path, **params: Any) -> N
         and _every_take(source, output, params)
     ):
         return
-    from animtool.core.writers import take_writer
+    from animtool.core.readers import is_still
+    from animtool.core.writers import holds_rig, take_writer
     from animtool.scene.convert.takes import convert as run_convert
 
     of_rig = is_named(source, "rig") or is_named(output, "rig") or params["physics"]
+    of_rig = of_rig or (is_still(source) and holds_rig(output))
     outputs = [output] if of_rig else take_writer(output).files(output)
     if of_rig:
         from animtool.scene.convert.rigs import rig_outputs

@@ -140,6 +140,7 @@ COMMANDS = {
     "completion": ("animtool.cli.schema:completion", "Print a completion script."),
     "convert": ("animtool.cli.convert:convert", "Convert a take to another format."),
     "diff": ("animtool.cli.diff:diff", "Compare two takes or layers."),
+    "docs": ("animtool.cli.docs:docs", "Open or print a page of the documentation."),
     "explain": ("animtool.cli.explain:explain", "Say what a code means."),
     "ik": ("animtool.cli.ik:ik", "Bring the joints of a rig to targets."),
     "job": ("animtool.cli.job:job", "Write a batch as a job for a render farm."),
@@ -210,7 +211,7 @@ def cli() -> None:
 
 
 # A child does the work of a command, in case USD crashes; these read none.
-WITHOUT_USD = {"completion", "explain", "migrate", "plugins", "schema"}
+WITHOUT_USD = {"completion", "docs", "explain", "migrate", "plugins", "schema"}
 SUPERVISED = COMMANDS.keys() - WITHOUT_USD
 HELP = {"-h", "--help"}
 

@@ -49,6 +49,8 @@ class Kind(StrEnum):
     USD = "usd"
     GLTF = "gltf"
     FBX = "fbx"
+    URDF = "urdf"
+    MJCF = "mjcf"
 
 
 @dataclass(frozen=True, slots=True)

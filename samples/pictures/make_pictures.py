@@ -1,7 +1,8 @@
 """Make the pictures of README, rigs and samples: the commands that bake and show them.
 
 Usage: ``make_pictures.py [NAME ...] [--size WxH] [--out DIR]``; without names all
-of them, into the folders that they belong to. Needs the extra ``pictures``.
+of them, into the folders that they belong to. Needs the extra ``pictures``. The name of
+a tutorial follows it, and keeps the pictures that its own commands draw.
 """
 
 from __future__ import annotations
@@ -246,10 +247,25 @@ def make(
         )
 
 
+def tutorials() -> dict[str, Path]:
+    """Return the pages of tutorials, by name."""
+    return {path.stem: path for path in (ROOT / "animtool/docs/tutorials").glob("*.md")}
+
+
+def follow_tutorial(page: Path, work: Path) -> None:
+    """Follow a tutorial; what its commands draw becomes the pictures of the page."""
+    sys.path.insert(0, str(ROOT / "tests"))
+    from support.tutorials import make_pictures
+
+    make_pictures(page, work)
+
+
 def main() -> None:
     """Make the pictures named on the command line."""
+    pages = tutorials()
+    names = [*(made.name for made in PICTURES), *sorted(pages)]
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("names", nargs="*", choices=[[], *(m.name for m in PICTURES)])
+    parser.add_argument("names", nargs="*", choices=[[], *names])
     parser.add_argument("--size", help="of each part of a picture, such as 96x72")
     parser.add_argument("--out", type=Path, help="a folder for all of them")
     options = parser.parse_args()
@@ -259,6 +275,9 @@ def main() -> None:
                 own = ROOT / made.path
                 out = own if options.out is None else options.out / own.name
                 make(made, out.resolve(), Path(work), options.size)
+        for name, page in sorted(pages.items()):
+            if not options.names or name in options.names:
+                follow_tutorial(page, Path(work))
 
 
 if __name__ == "__main__":

@@ -12,7 +12,9 @@ import animtool
 
 
 @pytest.mark.slow(0.5)
-@pytest.mark.parametrize("name", ["README.md", "animtool/docs/python.md"])
+@pytest.mark.parametrize(
+    "name", ["README.md", "animtool/docs/python.md", "animtool/docs/howto/arrays.md"]
+)
 def test_the_examples(
     root: Path, workplace: Path, monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:

@@ -26,10 +26,14 @@ def commands_in(text: str) -> list[str]:
 # Whose commands run here.
 DOCUMENTS = [
     "README.md",
-    "animtool/docs/guide.md",
+    # Tutorials are followed by a test of their own.
     *sorted(
         path.relative_to(ROOT).as_posix()
-        for path in ROOT.glob("samples/*/README.md")
+        for folder in ("animtool/docs", "samples")
+        for path in (ROOT / folder).rglob("*.md")
+        if path.name not in {"changelog.md", "python.md"}
+        if {"rules", "tutorials"}.isdisjoint(path.parts)
+        if folder != "samples" or path.parent.parent.name == "samples"
         if commands_in(path.read_text("utf-8"))
     ),
 ]

@@ -1,0 +1,143 @@
+"""``animtool docs``."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import click
+
+from animtool.cli.console import Console
+from animtool.cli.options import common_options, format_option
+from animtool.core.pages import KINDS, PageEntry, all_pages, find_page, page_markdown
+
+# Pages that are made of the records of commands and codes.
+COMMANDS_PAGE = PageEntry("reference/commands", "Commands")
+CODES_PAGE = PageEntry("reference/codes", "Codes")
+_CODE = re.compile(r"[A-Za-z]{2,8}[0-9]{3}")
+SITE = Path(__file__).parents[2] / "build/site"
+
+
+@click.command(
+    epilog="""\b
+Examples:
+  animtool docs
+  animtool docs desk-lamp
+  animtool docs --list"""
+)
+@click.argument("topic", required=False)
+@click.option("--list", "listed", is_flag=True, help="List the pages.")
+@click.option("--print", "printed", is_flag=True, help="Print, and open no browser.")
+@format_option
+@common_options
+@click.pass_obj
+def docs(
+    console: Console,
+    /,
+    topic: str | None,
+    listed: bool,
+    printed: bool,
+    report_format: str,
+) -> None:
+    """Open the page of a TOPIC in the browser, or print it.
+
+    A TOPIC is the name of a page, a command or a code. Where the site was built
+    (mkdocs build, in a checkout) and a browser can be opened, it shows the page there;
+    else the page is printed. Without a TOPIC it opens the site, or lists the pages.
+    """
+    import sys
+
+    if report_format == "json":
+        console.result_json(_json(None if listed or not topic else topic))
+        return
+    if listed:
+        _list(console)
+        return
+    page = COMMANDS_PAGE if topic is None else _page_of(topic)
+    opened = not printed and sys.stdout.isatty()
+    if opened and _open(console, "index" if topic is None else page.name):
+        return
+    if topic is None:
+        _list(console)
+        return
+    console.document(_text(page))
+
+
+def _page_of(topic: str) -> PageEntry:
+    """Return the page of a topic, which may be a code or a command."""
+    from animtool.cli.main import COMMANDS
+    from animtool.core.rules import find_rule
+
+    for made in (COMMANDS_PAGE, CODES_PAGE):
+        if topic.lower() in {made.name, made.name.split("/")[-1]}:
+            return made
+    if _CODE.fullmatch(topic):
+        rule = find_rule(topic)
+        return PageEntry(f"rules/{rule.code}", rule.title)
+    pages = {page.name.split("/")[-1] for page in all_pages()}
+    if topic in COMMANDS and topic not in pages:
+        return PageEntry(f"{COMMANDS_PAGE.name}#animtool-{topic}", topic)
+    return find_page(topic)
+
+
+def _text(page: PageEntry) -> str:
+    """Return the Markdown of a page, of one that is made too."""
+    from animtool.cli.docs_reference import codes_markdown, commands_markdown
+    from animtool.core.rules import page_text
+
+    if page == CODES_PAGE:
+        return codes_markdown()
+    name, _, anchor = page.name.partition("#animtool-")
+    if name == COMMANDS_PAGE.name:
+        return commands_markdown(anchor or None)
+    if name.startswith("rules/"):
+        return page_text(name.removeprefix("rules/")) or f"# {page.title}\n"
+    return page_markdown(page)
+
+
+def _open(console: Console, name: str) -> bool:
+    """Open a page of the local build in the browser; return whether it did."""
+    from animtool.preview.show import has_browser, open_browser
+
+    file, _, anchor = name.partition("#")
+    path = SITE / f"{file}.html"
+    if not path.is_file() or not has_browser():
+        return False
+    address = path.as_uri() + (f"#{anchor}" if anchor else "")
+    if not open_browser(address):
+        return False
+    console.say(f"opened {path}")
+    return True
+
+
+def _entries() -> list[PageEntry]:
+    """Return all pages in the order of their kinds."""
+    order = list(KINDS.values())
+    pages = [*all_pages(), COMMANDS_PAGE, CODES_PAGE]
+    return sorted(pages, key=lambda page: (order.index(page.kind), page.name))
+
+
+def _list(console: Console) -> None:
+    pages = _entries()
+    width = max(len(page.name) for page in pages)
+    kind = ""
+    for page in pages:
+        if page.kind != kind:
+            kind = page.kind
+            console.result(kind)
+        console.result(f"  {page.name:{width}}  {page.title}")
+
+
+def _json(topic: str | None) -> dict[str, object]:
+    pages = _entries() if topic is None else [_page_of(topic)]
+    entries: list[dict[str, object]] = []
+    for page in pages:
+        entry: dict[str, object] = {
+            "name": page.name,
+            "title": page.title,
+            "kind": page.kind,
+        }
+        if topic is not None:
+            entry["page"] = _text(page)
+        entries.append(entry)
+    return {"docs": "animtool/1", "pages": entries}

@@ -1,0 +1,114 @@
+"""The pages of the documentation: Markdown that is part of animtool."""
+
+from __future__ import annotations
+
+import re
+from functools import cache
+from importlib import resources
+from pathlib import Path
+from typing import cast
+
+from animtool.core.arguments import argument
+from animtool.core.errors import Fault, OptionError
+from animtool.core.names import nearest
+from animtool.core.record import dataclass
+
+_DOCS = resources.files("animtool") / "docs"
+# Folders of pages, and what the pages in them are.
+KINDS = {
+    "tutorials": "Tutorials",
+    "howto": "How-to guides",
+    "reference": "Reference",
+    "explanation": "Explanation",
+    "": "More",
+}
+# Pages that mention a topic, listed in a hint.
+MAX_MENTIONED = 5
+
+
+@dataclass(frozen=True, slots=True)
+class PageEntry:
+    """A page of the documentation.
+
+    Attributes:
+        name: Its path below ``docs``, without suffix, such as ``howto/ci``.
+        title: Its first heading.
+    """
+
+    name: str
+    title: str
+
+    @property
+    def kind(self) -> str:
+        """What it is: one of the values of `KINDS`."""
+        folder = self.name.partition("/")[0] if "/" in self.name else ""
+        return KINDS.get(folder, KINDS[""])
+
+
+@cache
+def all_pages() -> tuple[PageEntry, ...]:
+    """Return every page but those of codes, by kind and name."""
+    docs = cast(Path, _DOCS)
+    order = list(KINDS.values())
+    entries = [
+        PageEntry(path.relative_to(docs).with_suffix("").as_posix(), _title(path))
+        for path in docs.rglob("*.md")
+        if path.relative_to(docs).parts[0] != "rules"
+    ]
+    return tuple(sorted(entries, key=lambda page: (order.index(page.kind), page.name)))
+
+
+def page_markdown(page: PageEntry) -> str:
+    """Return the text of a page."""
+    return (_DOCS / f"{page.name}.md").read_text("utf-8")
+
+
+def find_page(topic: str) -> PageEntry:
+    """Return the page of a topic: its name, or the last part of its name.
+
+    Args:
+        topic: Such as ``desk-lamp`` or ``tutorials/desk-lamp``, in any case.
+
+    Raises:
+        OptionError: No page has that name, or several have (CLI009).
+
+    >>> find_page("Desk-Lamp").name
+    'tutorials/desk-lamp'
+    """
+    wanted = topic.lower().removesuffix(".md").strip("/")
+    pages = all_pages()
+    found = [page for page in pages if page.name == wanted]
+    found = found or [page for page in pages if page.name.split("/")[-1] == wanted]
+    if len(found) == 1:
+        return found[0]
+    if found:
+        message = f"several pages are called {topic!r}"
+        hint = f"write one of {', '.join(page.name for page in found)}"
+    else:
+        message, hint = f"no page is called {topic!r}", _hint(wanted)
+    raise OptionError(Fault("CLI009", message, hint=hint))
+
+
+def _hint(wanted: str) -> str:
+    """Return which page was meant, by its name or by what its headings mention."""
+    stems = [page.name.split("/")[-1] for page in all_pages()]
+    hint = nearest(wanted, stems)
+    if not hint.startswith("allowed"):
+        return hint
+    mentioned = [
+        page.name
+        for page in all_pages()
+        if wanted and any(wanted in line.lower() for line in _headings(page))
+    ]
+    if mentioned:
+        return f"headings of {', '.join(mentioned[:MAX_MENTIONED])} mention it"
+    return f"{argument('list')} lists the pages"
+
+
+def _headings(page: PageEntry) -> list[str]:
+    return re.findall(r"^#+ (.+)$", page_markdown(page), re.MULTILINE)
+
+
+def _title(path: Path) -> str:
+    with path.open("rb") as file:
+        return file.readline().decode("utf-8").lstrip("# ").strip()
