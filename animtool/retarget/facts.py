@@ -10,7 +10,8 @@ from animtool.core.array_types import FloatArray
 from animtool.core.record import dataclass
 from animtool.core.units import UpAxis
 from animtool.maths.filters import noise_of_turns
-from animtool.motion.contacts import find_contacts, intervals, smoothed
+from animtool.maths.runs import runs
+from animtool.motion.contacts import find_contacts, smoothed
 from animtool.motion.take import Take
 from animtool.retarget.anatomy import anatomy
 from animtool.retarget.person import Person
@@ -69,7 +70,7 @@ def capture_facts(take: Take) -> CaptureFacts | None:
         toe = places.get(leg[3])
         length = person.leg_length(side)
         stands = find_contacts(places[leg[2]], toe, fps, length, up).any
-        steps = sum(start > 0 for start, _ in intervals(stands))
+        steps = sum(start > 0 for start, _ in runs(stands))
         name = "left" if side == "l" else "right"
         feet[name] = FootFacts(float(stands.mean()), steps)
     speeds = ground_speeds(take, hips)

@@ -12,6 +12,7 @@ from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, Severity, listed
 from animtool.core.record import dataclass
 from animtool.formats.gltf.glb import ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER, GlbBuilder
+from animtool.maths.faces import triangulated
 from animtool.rig.kinematics import bind_matrices
 from animtool.rig.skeleton import Rig
 from animtool.rig.surfaces import Surface, SurfaceSkin, surfaces_of
@@ -258,23 +259,6 @@ def _targets(
     names = [shape.name for shape in surface.shapes]
     mesh["weights"] = [weights.get(name, 0.0) for name in names]
     mesh["extras"] = {"targetNames": names}
-
-
-def triangulated(counts: IntArray, indices: IntArray) -> IntArray:
-    """Return faces as triangles ``(N, 3)``, each a fan about its first vertex.
-
-    >>> triangulated(np.array([4]), np.array([0, 1, 2, 3])).tolist()
-    [[0, 1, 2], [0, 2, 3]]
-    """
-    first = np.cumsum(counts) - counts
-    fans = np.maximum(counts - 2, 0)
-    face = np.repeat(np.arange(len(counts)), fans)
-    step = np.arange(len(face)) - np.repeat(np.cumsum(fans) - fans, fans)
-    corner = first[face]
-    return np.stack(
-        [indices[corner], indices[corner + step + 1], indices[corner + step + 2]],
-        axis=1,
-    ).reshape(-1, 3)
 
 
 def influences(skin: SurfaceSkin) -> tuple[IntArray, FloatArray]:

@@ -14,6 +14,7 @@ from animtool.core.files.output import check_outputs, write_arrays, write_parts
 from animtool.core.plugins import load_object
 from animtool.core.record import dataclass
 from animtool.core.shot import Shot
+from animtool.core.values import VERSION
 from animtool.core.writers import Writer, take_writer
 from animtool.motion.scores import PassScores
 from animtool.motion.take import Take, TakeStream
@@ -48,11 +49,16 @@ class ConvertReport:
     scores: list[PassScores] = field(default_factory=list)
     command: str = "convert"  # what it is the report of
     json_keys: ClassVar[str] = (
-        "@command output frames start=span.first end=span.last fps=span.fps "
+        "*head output frames start=span.first end=span.last fps=span.fps "
         "rate=span.fps# joints shot? scores+ reduction?{samples keys "
         "error=.{meters=error joint} weight_error held} "
         "channels? notices"
     )
+
+    @property
+    def head(self) -> dict[str, str]:
+        """The name of the report, that of the command."""
+        return {self.command: VERSION}
 
     @property
     def named(self) -> list[Path]:
