@@ -100,7 +100,7 @@ def write_take(take: Take, path: Path) -> None:
 
 
 def peak_of(work: Callable[[], object], size: int) -> float:
-    """Return the peak of resident memory in a process of its own, by the size of a file.
+    """Return the peak of resident memory in its own process, by the size of a file.
 
     What kernels take counts, which Python does not see.
     """
