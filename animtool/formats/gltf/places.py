@@ -58,6 +58,13 @@ def escaped(key: str) -> str:
     return key.replace("~", "~0").replace("/", "~1")
 
 
+def by_animtool(item: Item) -> dict[str, Any]:
+    """Return what animtool wrote beside an object; empty for nothing."""
+    extras = item.values.get("extras")
+    own = extras.get("animtool") if isinstance(extras, dict) else None
+    return own if isinstance(own, dict) else {}
+
+
 def is_number(value: Any) -> bool:
     """Return whether a JSON value is a number; true and false are none."""
     return isinstance(value, int | float) and not isinstance(value, bool)
