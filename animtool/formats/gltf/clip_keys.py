@@ -12,6 +12,7 @@ from animtool.core.array_types import FloatArray
 from animtool.core.record import dataclass
 from animtool.formats.gltf.animations import Path as Moved
 from animtool.formats.gltf.sampling import NativeKeys
+from animtool.maths import so3
 from animtool.maths.curves import Extrapolation, Interp
 from animtool.maths.tangents import Tangent
 from animtool.motion.take import Take
@@ -86,6 +87,8 @@ _NATIVE = {
 def native_keys(native: NativeKeys, start: Fraction) -> dict[tuple[int, str], Keys]:
     """Return the keys of a glTF that was read, as it has them.
 
+    Rotations have unit length, but for those of cubic splines, which would be others.
+
     start: time code of time 0.
     """
     frames = native.frames
@@ -106,6 +109,8 @@ def native_keys(native: NativeKeys, start: Fraction) -> dict[tuple[int, str], Ke
             if one.factor != 1.0:
                 values = values * one.factor
             how = str(track.interpolation)
+            if path is Moved.ROTATION and slopes[0] is None:
+                values = so3.normalize(values)
             found[one.row, _NATIVE[path]] = Keys(own, values, how, *slopes)
     return found
 

@@ -66,10 +66,29 @@ def write_rig(
         at = _surface(made, rig, surface, bind, weights, written, left)
         if at >= len(rig.joints):
             roots.append(at)
+    roots = _under_one(made, rig, roots)
     made.json["scene"] = 0
     made.json["scenes"] = [{"name": rig.name, "nodes": roots}]
     written.notices += _left_out(rig, left, written)
     return written
+
+
+def _under_one(made: GlbBuilder, rig: Rig, roots: list[int]) -> list[int]:
+    """Return the roots of the scene; joints of a skin must have one above them.
+
+    Where they have several, a node that is none of the rig is put above those.
+    """
+    tops = np.array([rig.upwards(j)[-1] for j in range(len(rig.joints))], np.int64)
+    skins = [skin["joints"] for skin in made.json.get("skins", ())]
+    if all(len(np.unique(tops[joints])) == 1 for joints in skins):
+        return roots
+    node = {
+        "name": rig.name,
+        "children": list(rig.roots),
+        "extras": {"animtool": {"above": True}},
+    }
+    above = made.add("nodes", node)
+    return [above, *(root for root in roots if root >= len(rig.joints))]
 
 
 def _placed(move: FloatArray, turn: FloatArray, scale: FloatArray) -> dict[str, Any]:
@@ -111,6 +130,8 @@ def _surface(
         left["faces of more than three points, as triangles"].append(surface.name)
     mesh: dict[str, Any] = {"name": surface.name, "primitives": [primitive]}
     _targets(made, surface, primitive, mesh, weights, left)
+    if carrier >= 0 and made.json["nodes"][carrier]["name"] != surface.name:
+        mesh.setdefault("extras", {})["animtool"] = {"name": surface.name}
     index = made.add("meshes", mesh)
     return _node_of(made, rig, surface, index, carrier, bind, written)
 
