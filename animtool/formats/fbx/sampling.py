@@ -74,20 +74,21 @@ class Sampler:
         moves, turns, scales = (len(one) for one in self.moving)
         return 3 * moves + 4 * turns + 3 * scales + len(self.shapes)
 
-    def _track(self, row: int) -> Track | None:
+    def track(self, row: int) -> Track | None:
+        """Return what moves a shape; None where nothing does."""
         channel = self.made.shapes[row][0]
         take = self.take
         return None if take is None else take.tracks.get((channel.id, PERCENT))
 
     def _moves(self, row: int) -> bool:
-        track = self._track(row)
+        track = self.track(row)
         base = np.array([self.made.shapes[row][0].percent])
         return track is not None and track.constant(base) is None
 
-    def _weight(self, row: int, ticks: IntArray) -> FloatArray:
+    def weight(self, row: int, ticks: IntArray) -> FloatArray:
         """Return the weight of a shape at times ``(F,)`` [1]."""
         channel, full = self.made.shapes[row]
-        base, track = np.array([channel.percent]), self._track(row)
+        base, track = np.array([channel.percent]), self.track(row)
         if track is None:
             return np.full(len(ticks), channel.percent / full)
         return np.asarray(track.at(base, ticks)[:, 0] / full)
@@ -102,7 +103,7 @@ class Sampler:
             own = state.row(row)
             moved[j], turned[j] = own[0][0] * made.factors[j], own[1][0]
             scaled[j] = 1.0 if made.even[j] else own[2][0]
-        weights = [self._weight(row, ticks)[0] for row in range(len(made.shapes))]
+        weights = [self.weight(row, ticks)[0] for row in range(len(made.shapes))]
         return [moved, turned, scaled, np.array(weights).reshape(-1, 1)]
 
     def at(self, ticks: IntArray) -> Motion:
@@ -127,7 +128,7 @@ class Sampler:
         ]
         weights = None
         if made.shapes:
-            rows = [self._weight(row, ticks) for row in self.shapes.tolist()]
+            rows = [self.weight(row, ticks) for row in self.shapes.tolist()]
             shown = np.stack(rows, axis=1) if rows else np.zeros((len(ticks), 0))
             weights = Channel(self.rest[3], self.shapes, shown[:, :, None])
         scales = channels[2] if self.is_scaled else None
