@@ -95,7 +95,11 @@ def _outside(
         first = curves[0].times
         if any(not np.array_equal(first, one.times) for one in curves):
             return None
-    return (ways[0], ways[1]) if ways else None
+    # Where a repeat jumps a clip has the other one of the two values.
+    jumps = any(one.values[0] != one.values[-1] for one in curves)
+    if not ways or (jumps and Extrapolation.CYCLE in ways):
+        return None
+    return ways[0], ways[1]
 
 
 def _way(curve: Curve, outside: Outside) -> Extrapolation | None:
