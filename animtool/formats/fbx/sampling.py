@@ -28,6 +28,8 @@ from animtool.rig.kinematics import forward
 BLOCK = 1024
 # What a take is held with: numbers that change, of all frames.
 MAX_VALUES = 60_000_000
+# A frame takes time however few of its numbers change.
+LEAST_VALUES = 40
 MAX_TICKS = 2.0**61
 # A key is on a frame that is nearer than this [frame].
 ON_FRAME = 1e-3
@@ -163,7 +165,7 @@ def frames_of(
     last += _is_off(end, rate) and last * TICKS < end * rate
     last = max(first, last)
     count = last - first + 1
-    if count > MAX_FRAMES or count * max(width, 1) > MAX_VALUES:
+    if count > MAX_FRAMES or count * max(width, LEAST_VALUES) > MAX_VALUES:
         message = f"take {take.name!r}: {(end - begin) / TICKS:.6g} s at "
         message += f"{rate_label(rate)} are {count} frames of {width} numbers, more "
         message += "than are read"
@@ -232,9 +234,9 @@ def take_stream(made: FbxRig, moving: Sampler, frames: Frames) -> TakeStream:
 
 def _blocks(moving: Sampler, frames: Frames) -> Iterator[Motion]:
     clock = Clock(frames.fps, Fraction(frames.first), Fraction(1), frames.count)
-    previous: FloatArray | None = None
+    times, previous = clock.times, None
     for at in range(0, frames.count, BLOCK):
-        block = moving.at(frames.ticks(clock.times[at : at + BLOCK]))
+        block = moving.at(frames.ticks(times[at : at + BLOCK]))
         turns = block.rotations
         if previous is not None and len(turns.animated):
             signs = np.sign(np.einsum("jc,jc->j", turns.values[0], previous))
