@@ -25,6 +25,13 @@ _PATHS = {
     "local_rotation": "rotation",
     "scale": "scale",
 }
+# Parts that add to what another holds as a whole.
+_ADDED = {
+    "translation": "translation",
+    "slide": "translation",
+    "rotation": "rotation",
+    "angle": "rotation",
+}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,6 +65,7 @@ def keys_of_clip(
         start: Time code of time 0.
     """
     found: dict[tuple[int, str], Keys] = {}
+    added: set[tuple[int, str]] = set()
     shapes = [shape.name for shape in take.rig.shapes]
     for channel in clip.channels:
         group, _, name = channel.target.partition("/")
@@ -65,6 +73,8 @@ def keys_of_clip(
             at = (shapes.index(name), "weight")
         elif group == "joint":
             joint, part = split_part(name, KEYED_PARTS)
+            if part in _ADDED:
+                added.add((take.rig.index(joint), _ADDED[part]))
             if part not in _PATHS:
                 continue
             at = (take.rig.index(joint), _PATHS[part])
@@ -73,7 +83,7 @@ def keys_of_clip(
         keys = _held(channel, clip, start)
         if keys is not None:
             found[at] = keys
-    return found
+    return {at: keys for at, keys in found.items() if at not in added}
 
 
 _NATIVE = {
