@@ -1,7 +1,9 @@
 """The rig of a robot: every link and every joint that moves is a joint of its name.
 
 A joint that moves a link of the same name, in the same frame, is one with it; otherwise
-the link is a fixed joint below. Joints that cannot move are named by their link alone.
+the link is a fixed joint below. What hangs from the link hangs from the joint that
+moves it, so that chains of IK are those of moving joints. Joints that cannot move are
+named by their link alone.
 """
 
 from __future__ import annotations
@@ -54,7 +56,6 @@ def build_rig(robot: Robot, notes: Notes, codes: RobotCodes) -> Rig:
     names = _names(robot, notes, codes)
     joints: list[Joint] = []
     frames: list[int] = []
-    carriers: list[int] = []
     colliders: list[Collider] = []
     masses: list[Mass] = []
     known = names.of_file
@@ -64,26 +65,26 @@ def build_rig(robot: Robot, notes: Notes, codes: RobotCodes) -> Rig:
         for move, name in zip(link.moves, names.moves[i], strict=True):
             joints.append(_joint(move, name, parent, known))
             parent = len(joints) - 1
-        carriers.append(parent)
+        carrier = parent
         if not names.merged[i]:
             name = names.links[i]
             joints.append(Joint(name, parent, JointType.FIXED, link.after))
-            if not link.moves:
-                carriers[-1] = len(joints) - 1
-        frames.append(len(joints) - 1)
+            if not link.moves or np.any(link.after):
+                parent = len(joints) - 1
+        frames.append(parent)
         for site, position, rotation in link.sites:
             own = names.sites.get((i, site))
             if own is not None:
                 fixed = JointType.FIXED
                 joints.append(Joint(own, frames[i], fixed, position, rotation))
-        carrier = joints[carriers[i]].name
+        own_joint = joints[carrier if link.moves else parent].name
         shift = link.after if link.moves else ORIGIN
         for solid in link.solids:
             capsule, far = capsule_of(solid, shift)
             off = max(off, far)
-            colliders.append(Collider(carrier, capsule))
+            colliders.append(Collider(own_joint, capsule))
         if link.weight is not None:
-            masses.append(masses_of(carrier, link.weight, shift))
+            masses.append(masses_of(own_joint, link.weight, shift))
     if off:
         _note_approximate(robot, notes, codes, off)
     if notes.left_out:
