@@ -182,6 +182,8 @@ def _attributes(element: Element, section: str, notes: Notes) -> str:
             continue
         if name not in _TEXTS:
             _check_numbers(element, name, value, notes)
+        if name == "range" and element.tag == "joint":
+            _check_range(element, value, notes)
         parts.append(f" {name}={quoteattr(value)}")
     return "".join(parts)
 
@@ -195,6 +197,18 @@ def _check_numbers(element: Element, name: str, value: str, notes: Notes) -> Non
             message += f"{excerpt(word)} is not finite"
             notes.add("MJC007", element, message, where=place(element))
             return
+
+
+def _check_range(element: Element, value: str, notes: Notes) -> None:
+    """Note a range that is reversed: without ``limited`` MuJoCo would drop it."""
+    ends = [to_number(word) for word in value.split()]
+    low, high = (*ends, None, None)[:2]
+    if low is None or high is None or not low > high:
+        return
+    if element.attributes.get("limited") != "false":
+        message = f"range {excerpt(value)} is reversed: {low:g} is above {high:g}"
+        hint = f'write range="{high:g} {low:g}" if they are swapped'
+        notes.add("MJC011", element, message, hint, where=place(element))
 
 
 def place(element: Element) -> str | None:

@@ -295,7 +295,7 @@ def _add_joint(element: Element, joints: dict[str, UrdfJoint], notes: Notes) -> 
     if text not in list(Kind):
         if text:
             message = f"unknown joint type {excerpt(text)}"
-            hint = nearest(text, list(Kind))
+            hint = nearest(text, [kind.value for kind in Kind])
             notes.add("URD008", element, message, hint, where=where, joint=name)
         text = Kind.FIXED
     ends = []
