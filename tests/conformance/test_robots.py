@@ -16,7 +16,7 @@ from animtool.core.errors import FormatError
 from animtool.maths import so3
 from animtool.rig.file import load_rig
 from animtool.rig.skeleton import JointType, Rig
-from animtool.rig.write import rig_text
+from animtool.scene.convert.rigs import convert_rig
 
 # Of 1 and the largest position.
 TOLERANCE = 1e-12
@@ -103,7 +103,7 @@ def test_a_rig_file_of_it_says_the_same(
 ) -> None:
     rig = opened(path)
     written = tmp_path / "again.rig.yaml"
-    written.write_text(rig_text(rig), "utf-8")
+    convert_rig(path, written)
     again = load_rig(written)
     assert again.names == rig.names
     assert [joint.limits for joint in again.joints] == [

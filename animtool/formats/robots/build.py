@@ -21,7 +21,9 @@ from animtool.core.units import UpAxis
 from animtool.formats.robots.notes import Notes
 from animtool.formats.robots.parts import ORIGIN, Link, Move, Robot
 from animtool.formats.robots.solids import capsule_of, masses_of
-from animtool.rig.parts import Collider, Mass
+from animtool.formats.robots.triangles import joined
+from animtool.rig.kinematics import rest_world
+from animtool.rig.parts import Collider, HeldArray, Mass, Mesh, Skin, Subdivision
 from animtool.rig.skeleton import Joint, JointType, Rig
 
 MAX_NAMED = 8
@@ -87,6 +89,7 @@ def build_rig(robot: Robot, notes: Notes, codes: RobotCodes) -> Rig:
             masses.append(masses_of(own_joint, link.weight, shift))
     if off:
         _note_approximate(robot, notes, codes, off)
+    meshes = _meshes(robot, names, joints)
     if notes.left_out:
         message = f"not read: {listed(list(notes.left_out), 20)}"
         notes.add(codes.left_out, None, message, severity=Severity.NOTE)
@@ -94,11 +97,45 @@ def build_rig(robot: Robot, notes: Notes, codes: RobotCodes) -> Rig:
         legal_name(robot.name) or notes.path.stem,
         tuple(joints),
         up=UpAxis.Z,
+        meshes=meshes,
         colliders=tuple(colliders),
         masses=tuple(masses),
         radians_per_unit=1.0,
         notices=tuple(notes.notices),
     )
+
+
+def _meshes(robot: Robot, names: _Names, joints: list[Joint]) -> tuple[Mesh, ...]:
+    """Return a mesh for each link that looks like something, stiff on its joint."""
+    if not any(link.shown for link in robot.links):
+        return ()
+    rest = Rig("", tuple(joints))
+    world = rest_world(rest)
+    meshes = []
+    for link, name in zip(robot.links, names.links, strict=True):
+        if not link.shown:
+            continue
+        whole, j = joined(link.shown), rest.index(name)
+        bind = np.eye(4)
+        bind[:3, :3], bind[:3, 3] = world.linear[0, j], world.positions[0, j]
+        count = len(whole.points)
+        skin = Skin(
+            "linear",
+            (name,),
+            HeldArray(np.zeros((count, 1))),
+            HeldArray(np.ones((count, 1))),
+        )
+        meshes.append(
+            Mesh(
+                name,
+                HeldArray(whole.points),
+                HeldArray(whole.faces.astype(np.float64)),
+                geom_bind=tuple(bind.ravel().tolist()),
+                skin=skin,
+                subdivision=Subdivision.NONE,
+            )
+        )
+    return tuple(meshes)
 
 
 def _joint(move: Move, name: str, parent: int, known: Mapping[str, str]) -> Joint:

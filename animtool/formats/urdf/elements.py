@@ -67,6 +67,15 @@ class UrdfJoint:
         return named("joint", self.name)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Visual:
+    """A mesh that a link looks like, or a simple shape."""
+
+    mesh: Element | None
+    solid: Solid  # of a mesh, where it is
+    scale: Vector = (1.0, 1.0, 1.0)
+
+
 @dataclass(slots=True, eq=False)
 class UrdfLink:
     """A link as it is written."""
@@ -76,6 +85,7 @@ class UrdfLink:
     weight: Weight | None = None
     solids: list[Solid] = field(default_factory=list)
     meshes: list[Element] = field(default_factory=list)
+    visuals: list[Visual] = field(default_factory=list)
 
 
 @dataclass(slots=True, eq=False)
@@ -213,6 +223,28 @@ def _add_link(element: Element, links: dict[str, UrdfLink], notes: Notes) -> Non
         solid = _solid(part, where, notes)
         if solid is not None:
             link.solids.append(solid)
+    for part in element.all("visual"):
+        link.visuals += _visual(part, where, notes)
+
+
+def _visual(part: Element, where: str, notes: Notes) -> Iterator[Visual]:
+    """Yield what a visual shows; what is wrong with it is left out with a note."""
+    own = Notes(notes.path, notes.number_code)
+    meshes = [mesh for one in part.all("geometry") for mesh in one.all("mesh")]
+    found: Visual | None = None
+    if meshes and meshes[0].attributes.get("filename"):
+        position, rotation = _pose(part, where, own)
+        x, y, z = own.numbers(meshes[0], "scale", 3, (1.0, 1.0, 1.0), where)
+        found = Visual(meshes[0], Solid("mesh", (), position, rotation), (x, y, z))
+    elif not meshes:
+        solid = _solid(part, where, own)
+        found = None if solid is None else Visual(None, solid)
+    if own.faults:
+        notes.leave_out(["visuals with faults"])
+    elif found is not None:
+        yield found
+    else:
+        notes.leave_out(["visuals without a shape"])
 
 
 def _weight(inertial: Element, where: str, notes: Notes) -> Weight | None:
@@ -405,8 +437,6 @@ def _not_read(root: Element) -> Iterator[str]:
             elif element.tag == "joint" and child.tag == "limit":
                 names = {"effort", "velocity"} & set(child.attributes)
                 yield from ("limits of effort and velocity",) if names else ()
-            elif element.tag == "link" and child.tag == "visual":
-                yield "visuals"
 
 
 def _driven(root: Element) -> tuple[frozenset[str], bool]:
