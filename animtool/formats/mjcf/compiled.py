@@ -55,10 +55,15 @@ def compiled(reduced: Reduced, notes: Notes) -> Any:
         message = "MJCF is read by MuJoCo's own parser, which is not installed"
         fault = Fault("MJC005", message, str(notes.path), (), _EXTRA)
         raise OptionError(fault) from error
+    # Its warnings are of simulations; it would print them, and write them to a file.
+    before = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(lambda _: None)
     try:
         return mujoco.MjModel.from_xml_string(reduced.text)
     except (ValueError, RuntimeError, mujoco.FatalError) as error:
         _refused(str(error), reduced, notes)
+    finally:
+        mujoco.set_mju_user_warning(before)
     notes.check()
     raise AssertionError
 

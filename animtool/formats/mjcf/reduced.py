@@ -102,7 +102,7 @@ def reduced_model(root: Element, places: Places, notes: Notes) -> Reduced:
         if tag in {"body", "frame", "replicate"}:
             classes = element.attributes.get("childclass", classes)
         if tag == "body":
-            body = element.attributes["name"]
+            body = element.attributes.get("name", "")
         put(element, f"<{tag}{_attributes(element, inside, notes)}>")
         for child in kept:
             write(child, inside or child.tag, classes, body)
@@ -120,7 +120,7 @@ def reduced_model(root: Element, places: Places, notes: Notes) -> Reduced:
             write(section, section.tag, "", "")
     put(root, "</mujoco>")
     weighed = {
-        body.attributes["name"]
+        body.attributes.get("name", "")
         for body in root.walk()
         if body.tag == "body" and body.all("inertial")
     }

@@ -19,7 +19,7 @@ from fuzz.mutations import pick, spoil
 
 ABOUT = "URDF, read; what is outside of the project is never opened"
 
-_CODES = XmlCodes("X", "X", "X")
+CODES = XmlCodes("X", "X", "X")
 _SECRET = "secret.obj"
 _VALUES = (
     *(
@@ -37,6 +37,7 @@ _VALUES = (
     ),
     *("1e308 1e308 1e308", "-1e9", "0x10", "1_0", "1,5 0 0", "a", "j1", "base", "tool"),
     *("revolute", "continuous", "prismatic", "fixed", "floating", "planar", "ball"),
+    *("part.obj", "part.stl", "package://inside/part.stl", "part.dae", "0.1 -1 1"),
     *("package://robot/../../secret.obj", "../secret.obj", "../../secret.obj"),
     *("file:///etc/passwd", "/etc/passwd", "http://localhost/a.obj", "package://"),
     *("package://../secret.obj", "\x7f", "é", "${x}", "$(find x)", "&amp;", "a" * 5000),
@@ -61,6 +62,13 @@ _DTDS = (
     '<!DOCTYPE robot [<!ENTITY x SYSTEM "../secret.obj">]>',
     '<!DOCTYPE robot [<!ENTITY % p SYSTEM "../secret.obj"> %p;]>',
 )
+_CORNERS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], "<f4")
+_MESHES = {
+    "part.obj": b"v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\nf 1/1/1 2 4 -2\nf 1 2 3\n",
+    "part.stl": bytes(80)
+    + (2).to_bytes(4, "little")
+    + 2 * (bytes(12) + _CORNERS.tobytes() + bytes(2)),
+}
 _opened: list[str] = []
 
 
@@ -74,16 +82,25 @@ def _watch(event: str, arguments: tuple[Any, ...]) -> None:
         _opened.append(event)
 
 
+def watch(folder: Path) -> list[str]:
+    """Put a secret into a folder; return what of it, and of others, will be opened."""
+    (folder / _SECRET).write_text("v 0 0 0\n")
+    sys.addaudithook(_watch)
+    return _opened
+
+
 def make(folder: Path) -> Callable[[np.random.Generator], str]:
     """Return what runs a case in a folder."""
     inside = folder / "inside"
     inside.mkdir(exist_ok=True)
-    (folder / _SECRET).write_text("v 0 0 0\n")
-    sys.addaudithook(_watch)
+    watch(folder)
 
     def run(rng: np.random.Generator) -> str:
         path = inside / "robot.urdf"
         path.write_bytes(_spoiled(rng))
+        for name, content in _MESHES.items():
+            whole = rng.random() < 0.5
+            (inside / name).write_bytes(content if whole else spoil(rng, content))
         found = outcome(rng, path, read_urdf)
         assert not _opened, _opened
         return found
@@ -93,15 +110,17 @@ def make(folder: Path) -> Callable[[np.random.Generator], str]:
 
 def _spoiled(rng: np.random.Generator) -> bytes:
     """Return a robot that is spoiled in its elements, its bytes, or both."""
-    text = ARM
+    shown = '<visual><geometry><mesh filename="{}" scale="1 2 3"/></geometry></visual>'
+    meshes = "".join(map(shown.format, _MESHES))
+    text = ARM.replace('<link name="tool"/>', f'<link name="tool">{meshes}</link>')
     if rng.random() < 0.7:
         text = random_robot(rng, int(rng.integers(1, 12))).text
     how = rng.random()
     if how < 0.75:
-        root = parse_xml(text.encode(), Path("robot"), _CODES)
+        root = parse_xml(text.encode(), Path("robot"), CODES)
         for _ in range(int(rng.geometric(0.5))):
             _spoil(rng, list(root.walk()))
-        text = _text(root)
+        text = text_of(root)
     if rng.random() < 0.05:
         text = pick(rng, list(_DTDS)) + text.partition("?>")[2].replace("é", "&b;")
     content = text.encode()
@@ -141,8 +160,8 @@ def _spoil(rng: np.random.Generator, elements: list[Element]) -> None:
                 one.attributes[name] = pick(rng, list(_VALUES))
 
 
-def _text(root: Element) -> str:
+def text_of(root: Element) -> str:
     """Return a tree as XML."""
-    inner = "".join(_text(child) for child in root.children)
+    inner = "".join(text_of(child) for child in root.children)
     given = "".join(f" {k}={quoteattr(v)}" for k, v in root.attributes.items())
     return f"<{root.tag}{given}>{inner}</{root.tag}>\n"
