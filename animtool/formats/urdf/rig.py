@@ -15,8 +15,8 @@ from animtool.formats.urdf.elements import (
     Kind,
     UrdfFile,
     UrdfJoint,
-    read_file,
 )
+from animtool.formats.urdf.file import read_file
 from animtool.formats.urdf.meshes import found_meshes, looks_of
 from animtool.formats.urdf.tree import check_tree, resolved_mimics
 from animtool.maths import so3
