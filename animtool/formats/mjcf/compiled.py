@@ -71,13 +71,16 @@ def compiled(reduced: Reduced, notes: Notes) -> Any:
 def _refused(text: str, reduced: Reduced, notes: Notes) -> None:
     """Note what MuJoCo says, at the line of the file and not of the reduced text."""
     found = _LINE.search(text)
-    element = None
+    element, body = None, ""
     if found is not None and 0 < int(found[1]) <= len(reduced.elements):
         element = reduced.elements[int(found[1]) - 1]
+        body = reduced.bodies[int(found[1]) - 1]
     message = _LINE.sub("", _START.sub("", text)).strip()
     message = re.sub(r"\s*\n\s*", ", ", message)
     message = re.sub(r",? *Element (name )?'[^']*'(, id \d+)?,?", "", message)
     where = None if element is None else place(element)
+    if where is None and element is not None and body:
+        where = f"{element.tag} of body {excerpt(body)}"
     notes.add("MJC008", element, f"MuJoCo refuses it: {message}", where=where)
 
 

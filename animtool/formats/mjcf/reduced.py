@@ -62,6 +62,7 @@ class Reduced:
     Attributes:
         text: The XML.
         elements: What each line of it is of.
+        bodies: In which body each line is; empty outside of all.
         unweighed: Bodies whose meshes, which are not read, have their mass.
         idle: Whether every actuator acts on a joint, and there is one.
         driven: Joints that actuators act on.
@@ -69,6 +70,7 @@ class Reduced:
 
     text: str
     elements: list[Element]
+    bodies: list[str]
     unweighed: frozenset[str]
     idle: bool
     driven: frozenset[str]
@@ -81,11 +83,13 @@ def reduced_model(root: Element, places: Places, notes: Notes) -> Reduced:
     meshes = _MeshClasses(root)
     lines: list[str] = []
     elements: list[Element] = []
+    bodies: list[str] = []
     unweighed: set[str] = set()
 
-    def put(element: Element, text: str) -> None:
+    def put(element: Element, text: str, body: str = "") -> None:
         lines.append(text)
         elements.append(element)
+        bodies.append(body)
 
     def write(element: Element, inside: str, classes: str, body: str) -> None:
         tag = element.tag
@@ -103,10 +107,10 @@ def reduced_model(root: Element, places: Places, notes: Notes) -> Reduced:
             classes = element.attributes.get("childclass", classes)
         if tag == "body":
             body = element.attributes.get("name", "")
-        put(element, f"<{tag}{_attributes(element, inside, notes)}>")
+        put(element, f"<{tag}{_attributes(element, inside, notes)}>", body)
         for child in kept:
             write(child, inside or child.tag, classes, body)
-        put(element, f"</{tag}>")
+        put(element, f"</{tag}>", body)
 
     bound = Element("compiler", {}, root.path, root.line, root.column)
     model = root.attributes.get("model")
@@ -134,6 +138,7 @@ def reduced_model(root: Element, places: Places, notes: Notes) -> Reduced:
     return Reduced(
         "\n".join(lines),
         elements,
+        bodies,
         frozenset(unweighed - weighed),
         bool(acts) and "" not in driven,
         driven,
