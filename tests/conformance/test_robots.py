@@ -86,6 +86,11 @@ def values_of(rig: Rig, entry: dict[str, Any], q: dict[str, Any]) -> dict[str, A
                 place = so3.rotate(back, place - np.array(joint.translation))
                 turn = so3.multiply(back, turn)
             values[name] = np.concatenate([place, turn])
+    for joint in rig.joints:
+        if joint.mimic is not None:
+            # In place of the value that is stated: it is to follow.
+            led = values[joint.mimic.joint]
+            values[joint.name] = joint.mimic.gain * led + joint.mimic.offset
     return values
 
 
