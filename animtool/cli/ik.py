@@ -174,9 +174,10 @@ Examples:
 def ik(console: Console, /, **params: Any) -> None:
     """Bring joints of RIG to targets: a pose, a clip, or a fix on top of one.
 
-    RIG is a rig file, USD file or BVH. The targets file says which effectors are to be
-    where, frame by frame; limits of joints are kept. What is not reached is named, with
-    how far it is off; without -o that is all. --match writes such a file from poses.
+    RIG is a rig file, URDF, MJCF, USD file or BVH. The targets file says which
+    effectors are to be where, frame by frame; limits of joints are kept. What is not
+    reached is named, with how far it is off; without -o that is all. --match writes
+    such a file from poses.
     """
     if params["match"]:
         if params["plot"] is not None:

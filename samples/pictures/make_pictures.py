@@ -204,6 +204,12 @@ PICTURES = (
         "--show meshes,grid,shadows --sheet 6x1 --size 250x300 --camera 40,8",
     ),
     Made(
+        "samples/robot/reach.png",
+        "ik samples/robot/arm.urdf --targets samples/robot/reach.targets.yaml",
+        "--show meshes,grid,shadows --frames 1,13,25,37 --sheet 4x1 --size 320x300 "
+        "--camera 0.9,0.25,2.0,0.25,0.5,0",
+    ),
+    Made(
         "samples/dance/dance.png",
         scene("dance"),
         "--show meshes,shadows --frames 5,13,21,29,37,45 --sheet 6x1 --size 250x330 "
