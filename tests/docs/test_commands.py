@@ -6,6 +6,7 @@ import re
 import shlex
 from collections import Counter
 from dataclasses import fields
+from fnmatch import fnmatch
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -213,3 +214,18 @@ def test_every_pass_and_option_is_in_the_guide(root: Path) -> None:
         for name in listed
     }
     assert set(listed) == set(PASSES)
+
+
+def test_what_the_readme_writes_is_ignored(root: Path) -> None:
+    lines = (root / ".gitignore").read_text("utf-8").splitlines()
+    patterns = [line[1:] for line in lines if re.fullmatch(r"/\*\.\w+", line)]
+    text = TEXTS["README.md"]
+    commands = commands_in(text) + [
+        "animtool" + one.rpartition("/animtool")[2]
+        for one in fenced(text, "sh")
+        if "/animtool " in one
+    ]
+    outputs = {output for one in commands if (output := output_of(one))}
+    assert "walk.usdc" in outputs
+    ignored = {name for name in outputs for one in patterns if fnmatch(name, one)}
+    assert ignored == outputs
