@@ -15,7 +15,7 @@ if _signal.getsignal(_signal.SIGINT) is _signal.default_int_handler and (
 
 from typing import TYPE_CHECKING
 
-from animtool.core.old_names import keep_old_names
+from animtool.core import old_names as _old_names  # noqa: F401
 from animtool.core.plugins import lazy_names
 
 if TYPE_CHECKING:
@@ -102,8 +102,6 @@ _PUBLIC = {
 
 __all__ = sorted(_PUBLIC)  # noqa: PLE0605 - the table above is the list
 
-
-keep_old_names()
 
 if not TYPE_CHECKING:  # type checkers know the names that are imported, and no others
     _lazy, __dir__ = lazy_names(__name__, _PUBLIC)

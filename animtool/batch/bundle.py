@@ -13,7 +13,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from animtool.batch.discover import Batch
 from animtool.batch.records import (
@@ -73,6 +73,26 @@ class Bundle:
     def tasks(self) -> int:
         """How many tasks make the items."""
         return -(-self.items // self.chunk)
+
+
+@dataclass(frozen=True, slots=True)
+class WrittenBundle:
+    """A bundle that is written."""
+
+    folder: Path
+    files: list[Path]  # the template first
+    bundle: Bundle
+    json_keys: ClassVar[str] = (
+        "'job' files items=bundle.items chunk=bundle.chunk tasks=bundle.tasks run"
+    )
+
+    @property
+    def run(self) -> list[str]:
+        """The command that runs it here."""
+        values = self.bundle.values.items()
+        parts = [part for name, value in values for part in ("-p", f"{name}={value}")]
+        command = ["openjd", "run", str(self.files[0]), "--step", "Settle"]
+        return [*command, "--run-dependencies", *parts]
 
 
 def mean_seconds(path: Path) -> float:
@@ -209,8 +229,8 @@ def _script(*chosen: str) -> dict[str, Any]:
 
 def write_bundle(
     bundle: Bundle, folder: Path, *, overwrite: bool = False
-) -> list[Path]:
-    """Write a bundle, and return its files; refuse those that exist (OUT001)."""
+) -> WrittenBundle:
+    """Write a bundle; refuse files that exist (OUT001)."""
     given = [{"name": name, "value": value} for name, value in bundle.values.items()]
     texts = {
         folder / TEMPLATE: yaml_text(dict(bundle.template)),
@@ -224,4 +244,4 @@ def write_bundle(
     with together():
         for path, text in texts.items():
             write_parts(path, [text.encode()])
-    return list(texts)
+    return WrittenBundle(folder, list(texts), bundle)

@@ -38,10 +38,18 @@ from animtool.core.files.output import inside
 from animtool.core.files.reading import MatchedFile, Places, files_meant, nearest_file
 from animtool.core.names import check_given, is_named
 from animtool.core.rates import rate_label
-from animtool.core.readers import BVH, DOCUMENT, FBX, GLTF, READERS
+from animtool.core.readers import (
+    BVH,
+    DOCUMENT,
+    FBX,
+    GLTF,
+    READERS,
+    URDF,
+    is_timeline,
+)
 from animtool.core.record import dataclass
 from animtool.core.writers import take_writer
-from animtool.scene.sources.open import is_timeline, source_stem
+from animtool.scene.sources.open import source_stem
 
 if TYPE_CHECKING:
     from animtool.documents.variables import SceneValues
@@ -52,7 +60,7 @@ if TYPE_CHECKING:
 # How names end of the files that a folder is searched for. USD is left out: outputs
 # are of that kind, and would be inputs of the next run.
 SUFFIXES = (
-    *(suffix for suffix, reader in READERS.items() if reader in (BVH, GLTF, FBX)),
+    *(suffix for suffix, reader in READERS.items() if reader in (BVH, GLTF, FBX, URDF)),
     *(f".clip{suffix}" for suffix, reader in READERS.items() if reader is DOCUMENT),
 )
 SCENES = tuple(
@@ -438,7 +446,7 @@ def _with_rate(spec: BatchSpec) -> BatchSpec:
 
 def _with_timeline(spec: BatchSpec) -> BatchSpec:
     """Return a batch whose timeline is its cut list, where it is one of the inputs."""
-    named = [text for text in spec.inputs if is_timeline(Path(text))]
+    named = [text for text in spec.inputs if is_timeline(spec.folder / text)]
     if not named:
         return spec
     cuts = [*([] if spec.cuts is None else [str(spec.cuts)]), *named]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TypeAlias, cast
+from typing import ClassVar, TypeAlias, cast
 
 from animtool.batch.item import Item, ItemTask
 from animtool.batch.pool import run_processes
@@ -144,6 +144,7 @@ class ListedExecutor:
     source: str  # ``animtool``, or the object that an entry point names
     loads: bool  # whether it can be loaded
     about: str  # how it makes items, or why it cannot be loaded
+    json_keys: ClassVar[str] = "executor=name source loads about"
 
 
 def listed_executors() -> list[ListedExecutor]:

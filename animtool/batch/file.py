@@ -29,6 +29,7 @@ from animtool.batch.variants import (
 from animtool.core.config import project_roots
 from animtool.core.errors import excerpt
 from animtool.core.names import is_variable_name
+from animtool.core.readers import is_timeline
 from animtool.core.timecode import is_timecode
 from animtool.documents.check import FileModel, check_version, validated
 from animtool.documents.document import Document, Location, read_document
@@ -44,7 +45,7 @@ from animtool.documents.fields import (
 from animtool.documents.references import referred_input
 from animtool.scene.bake.options import BakeOptions
 from animtool.scene.file.output_fields import KeyReader, option_keys
-from animtool.scene.sources.open import SourceOptions, is_timeline
+from animtool.scene.sources.open import SourceOptions
 
 Value = str | Real | bool
 
@@ -347,7 +348,9 @@ class _BatchReader:
         self, document: Document, model: BatchModel, *, of_shots: bool
     ) -> None:
         self.document, self.model = document, model
-        timeline = any(is_timeline(Path(text)) for text in model.inputs)
+        timeline = any(
+            is_timeline(document.path.parent / text) for text in model.inputs
+        )
         self.of_shots = of_shots or timeline or model.cut is not None
         self.keys = KeyReader(document, project_roots(document.path), "BAT002")
 

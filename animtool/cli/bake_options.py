@@ -146,7 +146,7 @@ def timeline_shot(
     fps: Fraction | None = None,
 ) -> Cut | None:
     """Return the shot and its media where a path is that of a timeline, else None."""
-    from animtool.scene.sources.open import is_timeline
+    from animtool.core.readers import is_timeline
 
     if path is None or not is_timeline(path):
         for name in ("shot", "handles", "cut_start", "first_timecode"):
@@ -189,7 +189,7 @@ def bake_shot(
 
     ``shot`` of the given options becomes the shot's record; ``start`` is part of it.
     """
-    from animtool.scene.sources.open import is_timeline
+    from animtool.core.readers import is_timeline
 
     path = next(filter(is_timeline, sources), None)
     if path is not None and len(sources) > 1:

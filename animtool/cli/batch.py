@@ -23,12 +23,11 @@ from animtool.cli.console import Console
 from animtool.cli.options import (
     FILE,
     Parsed,
+    bake_option,
     common_options,
     count_or_auto,
     listed_paths,
-    overwrites,
     set_option,
-    strict_because,
 )
 from animtool.core.errors import Fault, Severity, listed
 from animtool.core.names import is_named
@@ -181,8 +180,8 @@ Examples:
     metavar="SIZE",
     help="How much memory the process that makes it may have, such as 2GB.",
 )
-@strict_because("Take warnings for errors.")
-@overwrites("files that no run of the batch made")
+@bake_option("strict", about="Take warnings for errors.")
+@bake_option("overwrite", about="Replace files that no run of the batch made.")
 @click.option(
     "--format",
     "report_format",

@@ -10,11 +10,11 @@ import click
 from animtool.cli.console import Console
 from animtool.cli.options import (
     INPUT,
-    LENGTH,
     bake_option,
     source_option,
     source_options,
     source_options_record,
+    stage_option,
     strict_option,
 )
 from animtool.cli.outputs import all_named, skipped, writing_options
@@ -41,15 +41,11 @@ Examples:
 @click.argument("source", type=INPUT)
 @click.argument("output", type=INPUT)
 @source_options
-@click.option(
-    "--prim-path", metavar="PATH", help="The character, where a stage has several."
-)
+@stage_option
 @source_option("rig", "take", "dropped", "positions")
-@click.option(
-    "--reduce",
-    type=LENGTH,
-    metavar="LENGTH",
-    help="For a clip: how far keys may move a joint, such as 0.5mm.  [default: "
+@bake_option(
+    "reduce",
+    about="For a clip: how far keys may move a joint, such as 0.5mm.  [default: "
     f"{KEY_TOLERANCE}]",
 )
 @bake_option("reduce_at", "placement")
@@ -90,10 +86,12 @@ def convert(console: Console, /, source: Path, output: Path, **params: Any) -> N
         and _every_take(source, output, params)
     ):
         return
-    from animtool.core.writers import take_writer
+    from animtool.core.readers import is_still
+    from animtool.core.writers import holds_rig, take_writer
     from animtool.scene.convert.takes import convert as run_convert
 
     of_rig = is_named(source, "rig") or is_named(output, "rig") or params["physics"]
+    of_rig = of_rig or (is_still(source) and holds_rig(output))
     outputs = [output] if of_rig else take_writer(output).files(output)
     if of_rig:
         from animtool.scene.convert.rigs import rig_outputs

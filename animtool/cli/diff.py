@@ -69,7 +69,7 @@ def _choices(command: Command) -> Command:
     """Add what to read of the files: options of both, and of either alone."""
     for name, metavar, what in (
         ("take", "NAME", "The take to read of clip libraries in USD"),
-        ("prim-path", "PATH", "The character, where a stage has several"),
+        ("prim-path", "PATH", "The character, where a file has several"),
     ):
         for side, file in (("-b", "SECOND"), ("-a", "FIRST")):
             text = f"The same, of {file} alone."

@@ -2,16 +2,60 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, ClassVar
 
 import click
 
 from animtool.cli.console import Console
 from animtool.cli.options import common_options, format_option
 from animtool.core.quantities import escaped_lines
+from animtool.core.record import dataclass
+from animtool.report.text import Each, Template
 
 if TYPE_CHECKING:
-    from animtool.core.rules import Rule
+    from animtool.core.rules import Kind, Rule
+
+
+@dataclass(frozen=True, slots=True)
+class Page:
+    """A code, and what its page says."""
+
+    rule: Rule
+    json_keys: ClassVar[str] = (
+        "code=rule.code title=rule.title severity=rule.severity kind kinds page"
+    )
+
+    @property
+    def page(self) -> str | None:
+        """The text of its page, Markdown; None where it has none."""
+        from animtool.core.rules import page_text
+
+        return page_text(self.rule.code)
+
+    @property
+    def kind(self) -> Kind | None:
+        """The kind of file that it looks at, where that is one."""
+        return next(iter(self.kinds)) if len(self.kinds) == 1 else None
+
+    @property
+    def kinds(self) -> list[Kind]:
+        """The kinds of files that it looks at."""
+        return sorted(self.rule.kinds)
+
+
+@dataclass(frozen=True, slots=True)
+class Pages:
+    """The codes that were asked for, or all."""
+
+    rules: list[Page]
+    json_keys: ClassVar[str] = "'explain' rules"
+
+
+PAGES = Template(
+    "animtool.cli.explain:Pages",
+    (Each("rules", ("{rule.code:<8} {rule.severity:<8} {rule.title}",)),),
+    is_result=True,
+)
 
 
 @click.command(
@@ -30,22 +74,19 @@ def explain(console: Console, /, codes: tuple[str, ...], report_format: str) -> 
 
     Without a code all are listed.
     """
-    from animtool.core.rules import all_rules, find_rule, page_text
+    from animtool.core.rules import all_rules, find_rule
 
     rules = [find_rule(code) for code in codes]
     if not codes:
         known, broken = all_rules()
         console.faults(broken)
         rules = [known[code] for code in sorted(known)]
-    if report_format == "json":
-        entries = [_entry(rule, page_text(rule.code)) for rule in rules]
-        console.result_json({"explain": "animtool/1", "rules": entries})
+    if codes and report_format != "json":
+        for rule in rules:
+            console.document(Page(rule).page or escaped_lines(_bare_page(rule)))
         return
-    for rule in rules:
-        if codes:
-            console.document(page_text(rule.code) or escaped_lines(_bare_page(rule)))
-        else:
-            console.result(f"{rule.code:8} {rule.severity:8} {rule.title}")
+    pages = Pages([Page(rule) for rule in rules])
+    console.report(report_format, pages, PAGES)
 
 
 def _bare_page(rule: Rule) -> str:
@@ -60,14 +101,3 @@ def _bare_page(rule: Rule) -> str:
         f"# {rule.code}: {rule.title}\n\n## What\n\n"
         f"{article} {rule.severity}. {where}\n"
     )
-
-
-def _entry(rule: Rule, text: str | None) -> dict[str, Any]:
-    return {
-        "code": rule.code,
-        "title": rule.title,
-        "severity": str(rule.severity),
-        "kind": str(next(iter(rule.kinds))) if len(rule.kinds) == 1 else None,
-        "kinds": sorted(map(str, rule.kinds)),
-        "page": text,
-    }

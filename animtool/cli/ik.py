@@ -25,7 +25,6 @@ from animtool.cli.options import (
     source_options,
     source_options_record,
     stacked,
-    strict_because,
 )
 from animtool.cli.outputs import (
     all_named,
@@ -149,8 +148,9 @@ Examples:
     help="An orientation, aim or pole that is off by more is missed, likewise.  "
     f"[default: {MISSED_DEGREES}, or --angle-tolerance]",
 )
-@strict_because(
-    "Write nothing where a goal is missed (exit code 4), or there are warnings."
+@bake_option(
+    "strict",
+    about="Write nothing where a goal is missed (exit code 4), or there are warnings.",
 )
 @split_option
 @rig_layer_options
@@ -161,14 +161,10 @@ Examples:
     metavar="FRAME",
     help="Time code of the first frame in USD.  [default: as the targets or START]",
 )
-@click.option(
-    "--sparse", is_flag=True, help="USD with only the joints that leave their rest."
-)
-@click.option(
-    "--reduce",
-    type=LENGTH,
-    metavar="LENGTH",
-    help="How far keys of a clip, or samples left out of USD, may move a joint; with "
+@bake_option("sparse", about="USD with only the joints that leave their rest.")
+@bake_option(
+    "reduce",
+    about="How far keys of a clip, or samples left out of USD, may move a joint; with "
     "--match, how far sparse keys may be off.",
 )
 @source_options

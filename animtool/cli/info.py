@@ -17,6 +17,7 @@ from animtool.cli.options import (
     source_option,
     source_options,
     source_options_record,
+    stage_option,
 )
 from animtool.core.errors import counted, listed, percent
 from animtool.core.names import check_given, is_named
@@ -75,6 +76,7 @@ _LINES: Mapping[str, tuple[Line, ...]] = {
             "driven", ("  driven    {self}",), MAX_PRIMS, "  driven    and {left} more"
         ),
         "  and       [{others:counts}|nothing else]",
+        "[  mass      {mass:plain 4} kg]",
     ),
     "MarkersDescription": (
         "{path}: {format}",
@@ -254,9 +256,7 @@ Examples:
 )
 @click.argument("files", nargs=-1, required=True, type=INPUT)
 @source_options
-@click.option(
-    "--prim-path", metavar="PATH", help="The character, where a stage has several."
-)
+@stage_option
 @source_option("take", "positions")
 @set_option
 @format_option
@@ -266,9 +266,10 @@ def info(console: Console, /, files: tuple[Path, ...], **params: Any) -> None:
     """Say what is in BVH and USD files: joints, frames, rate, bounds, what is odd.
 
     Of a USD file without a character: its meshes, curves and particles. Of a rig file
-    (.rig.yaml): its joints, meshes, shapes and controls. Of a targets file
-    (.targets.yaml): its goals. Of C3D, TRC and npz files: markers, gaps, spikes. Of a
-    scene (.scene.yaml): its sources, passes and systems, and what would be baked.
+    (.rig.yaml) or a robot (.urdf, MJCF in .xml): joints, meshes, shapes and controls.
+    Of a targets file (.targets.yaml): its goals. Of C3D, TRC and npz files: markers,
+    gaps, spikes. Of a scene (.scene.yaml): its sources, passes and systems, and what
+    would be baked.
     """
     from animtool.core.errors import AnimtoolError
 
@@ -298,6 +299,7 @@ def info(console: Console, /, files: tuple[Path, ...], **params: Any) -> None:
 
 def _described(path: Path, params: dict[str, Any], used: set[str]) -> Any:
     """Return what a file holds."""
+    from animtool.core.readers import is_still
     from animtool.formats.marker_files import is_marker_file
     from animtool.scene.sources.open import is_usd
 
@@ -308,7 +310,7 @@ def _described(path: Path, params: dict[str, Any], used: set[str]) -> Any:
         return describe_markers(path, read_marker_file(path, params))
     if is_named(path, "scene"):
         return _scene(path, params, used)
-    if is_named(path, "rig"):
+    if is_named(path, "rig") or is_still(path):
         return _rig(path)
     if is_named(path, "targets"):
         from animtool.report.describe_rig import describe_targets

@@ -13,12 +13,22 @@ from animtool.cli.console import Console
 from animtool.cli.options import (
     FILE,
     Parsed,
+    bake_option,
     common_options,
     count_or_auto,
     format_option,
-    overwrites,
 )
 from animtool.core.names import is_named
+from animtool.report.text import Template
+
+WRITTEN = Template(
+    "animtool.batch.bundle:WrittenBundle",
+    (
+        "{folder}: {bundle.items} items, {bundle.chunk} a task, {bundle.tasks} tasks",
+        "  here: {run:command}",
+    ),
+    {"command": shlex.join},
+)
 
 
 @click.command(
@@ -61,7 +71,7 @@ Examples:
     help="What a task is to take on one processor.",
 )
 @cut_options
-@overwrites("a bundle that is there")
+@bake_option("overwrite", about="Replace a bundle that is there.")
 @format_option
 @common_options
 @click.pass_obj
@@ -94,24 +104,5 @@ def job(console: Console, /, batch_file: Path, **params: Any) -> None:
     chunk = params["chunk"] or chunk_size(count, seconds, params["task_seconds"])
     cuts = Cuts(params["cuts"], tuple(cut_words(params)))
     bundle = batch_bundle(found_batch, batch_file, min(chunk, count), cuts)
-    files = write_bundle(bundle, params["output"], overwrite=params["overwrite"])
-    values = [f"{name}={value}" for name, value in bundle.values.items()]
-    command = ["openjd", "run", str(files[0]), "--step", "Settle"]
-    command += ["--run-dependencies", *(part for v in values for part in ("-p", v))]
-    if params["report_format"] == "json":
-        console.result_json(
-            {
-                "job": "animtool/1",
-                "files": [str(path) for path in files],
-                "items": bundle.items,
-                "chunk": bundle.chunk,
-                "tasks": bundle.tasks,
-                "run": command,
-            }
-        )
-        return
-    console.say(
-        f"{params['output']}: {bundle.items} items, {bundle.chunk} a task, "
-        f"{bundle.tasks} tasks"
-    )
-    console.say(f"  here: {shlex.join(command)}")
+    written = write_bundle(bundle, params["output"], overwrite=params["overwrite"])
+    console.report(params["report_format"], written, WRITTEN)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import click
 
@@ -17,8 +17,12 @@ from animtool.cli.options import (
     strict_option,
 )
 from animtool.cli.outputs import all_named, writing_options
-from animtool.core.values import VERSION, plain_value
+from animtool.core.errors import Fault
+from animtool.core.record import dataclass
 from animtool.report.text import Template
+
+if TYPE_CHECKING:
+    from animtool.motion.markers import Markers
 
 marker_options = stacked(
     source_options,
@@ -37,6 +41,25 @@ output_option = click.option(
     type=INPUT,
     required=True,
     help="What to write: .c3d, .trc or .npz.",
+)
+
+
+@dataclass(frozen=True, slots=True)
+class WrittenMarkers:
+    """A file of markers that a command wrote."""
+
+    command: str
+    output: Path
+    markers: Markers
+    report: object  # what was done to them
+    notices: list[Fault]
+    json_keys: ClassVar[str] = "@command output *report notices"
+
+
+WRITTEN = Template(
+    "animtool.cli.marker_files:WrittenMarkers",
+    ("{output}: {markers:counts_of}",),
+    {"counts_of": lambda markers: f"{markers!r}"[1:-1].removeprefix("Markers: ")},
 )
 
 
@@ -86,10 +109,7 @@ def run_on_markers(
         refuse_warnings(notices, strict=params["strict"])
         notices += write_markers(made, output, overwrite=params["overwrite"])
     console.faults(notices)
-    found = {"output": output, **plain_value(report), "notices": notices}
-    if params["report_format"] == "json":
-        console.result_json({command: VERSION, **found})
-        return
-    console.say(f"{output}: {made!r}".replace("<Markers: ", "").rstrip(">"))
-    if template is not None:
+    written = WrittenMarkers(command, output, made, report, notices)
+    console.report(params["report_format"], written, WRITTEN)
+    if template is not None and params["report_format"] != "json":
         console.lines(template.text(report))

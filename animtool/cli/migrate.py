@@ -3,22 +3,34 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
 from animtool.cli.console import Console
 from animtool.cli.options import (
     INPUT,
+    bake_option,
     common_options,
     format_option,
-    overwrites,
     strict_option,
 )
-from animtool.core.values import VERSION, picked
+from animtool.report.text import Each, Template
 
-if TYPE_CHECKING:
-    from animtool.documents.migrate import Migration
+MIGRATED = Template(
+    "animtool.documents.migrate:Migrations",
+    (
+        Each(
+            "files",
+            (
+                "{path}: {kind}, [{!needed}animtool/{version}, is the newest"
+                "|{?renames}keys [{?written}are|would be] renamed"
+                "|from animtool/{version} [{?written}is now|would become] "
+                "animtool/{newest}]",
+            ),
+        ),
+    ),
+)
 
 
 @click.command(
@@ -33,7 +45,7 @@ Examples:
     is_flag=True,
     help="Write nothing; say what would change, and end with 1 where something would.",
 )
-@overwrites("files of older versions")
+@bake_option("overwrite", about="Replace files of older versions.")
 @strict_option
 @format_option
 @common_options
@@ -47,6 +59,7 @@ def migrate(console: Console, /, files: tuple[Path, ...], **params: Any) -> None
     the first is written.
     """
     from animtool.core.errors import ExitCode
+    from animtool.documents.migrate import Migrations
     from animtool.documents.migrate import migrate as run_migrate
 
     check = params["check"]
@@ -55,31 +68,10 @@ def migrate(console: Console, /, files: tuple[Path, ...], **params: Any) -> None
     )
     for plan in plans:
         console.faults(plan.notices)
-    if params["report_format"] == "json":
-        entries = [
-            {
-                **picked(plan, "path kind from=version to=newest needed"),
-                "written": plan.needed and not check,
-                **picked(plan, "difference notices"),
-            }
-            for plan in plans
-        ]
-        console.result_json({"migrate": VERSION, "files": entries})
-    else:
-        for plan in plans:
-            _say(console, plan, check=check)
-    if check and any(plan.needed for plan in plans):
-        click.get_current_context().exit(int(ExitCode.FINDINGS))
-
-
-def _say(console: Console, plan: Migration, *, check: bool) -> None:
-    if not plan.needed:
-        console.say(f"{plan.path}: {plan.kind}, animtool/{plan.version}, is the newest")
+    console.report(params["report_format"], Migrations(plans), MIGRATED)
+    if not check:
         return
-    done = "would become" if check else "is now"
-    steps = f"from animtool/{plan.version} {done} animtool/{plan.newest}"
-    if plan.version == plan.newest:
-        steps = f"keys {'would be' if check else 'are'} renamed"
-    console.say(f"{plan.path}: {plan.kind}, {steps}")
-    if check:
-        console.result(*plan.difference)
+    if params["report_format"] != "json":
+        console.result(*(line for plan in plans for line in plan.difference))
+    if any(plan.needed for plan in plans):
+        click.get_current_context().exit(int(ExitCode.FINDINGS))

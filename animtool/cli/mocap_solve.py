@@ -116,11 +116,7 @@ def solve(
         params["write_template"],
         written_options_record(params, strict=params["strict"]),
     )
-    if (
-        output is not None
-        and not to_stdout
-        and skipped(console, "mocap solve", params, output, lambda: job.target.files)
-    ):
+    if skipped(console, "mocap solve", params, output, lambda: job.target.files):
         return
     with console.progress(f"solve {source.name}", stdout=to_stdout) as progress:
         report = run_solve(job, progress=progress)

@@ -260,14 +260,23 @@ class _OneOf(click.ParamType[Any]):
 
 
 def declared(
-    option: Option, name: str, default: Any = None, called: str | None = None
+    option: Option,
+    name: str,
+    default: Any = None,
+    called: str | None = None,
+    about: str | None = None,
 ) -> Callable[[Command], Command]:
     """Return what adds an option that a record declares to a command.
 
-    called: What the command calls it, if not as the record does.
+    Args:
+        option: The option.
+        name: Of its field.
+        default: Of its field.
+        called: What the command calls it, if not as the record does.
+        about: Its help, where that of the record is not what the command does.
     """
     word, shown = option.flag or name.replace("_", "-"), option.metavar
-    flag, text = f"--{word}", worded(option.help, as_flag)
+    flag, text = f"--{word}", worded(about or option.help, as_flag)
     param = called or name
     if option.kind == "answer":
         return click.option(f"{flag}/--no-{word}", param, default=None, help=text)
@@ -308,11 +317,15 @@ def declared(
 
 
 def record_option(
-    record: type, *names: str, called: Mapping[str, str] | None = None
+    record: type,
+    *names: str,
+    called: Mapping[str, str] | None = None,
+    about: str | None = None,
 ) -> Callable[[Command], Command]:
     """Return what adds options of a record, in this order; none named, all of them.
 
     called: What the command calls some of them.
+    about: Help, where that of the record is not what the command does.
     """
     options = options_of(record)
     defaults = {
@@ -322,7 +335,9 @@ def record_option(
 
     return stacked(
         *(
-            declared(options[name], name, defaults[name], (called or {}).get(name))
+            declared(
+                options[name], name, defaults[name], (called or {}).get(name), about
+            )
             for name in names or options
         )
     )
@@ -361,13 +376,20 @@ def source_option(*names: str) -> Callable[[Command], Command]:
     return record_option(SourceOptions, *names, called=SOURCE_NAMES)
 
 
-def bake_option(*names: str) -> Callable[[Command], Command]:
-    """Return what adds some options of `BakeOptions`, in this order."""
-    return record_option(BakeOptions, *names)
+def bake_option(*names: str, about: str | None = None) -> Callable[[Command], Command]:
+    """Return what adds some options of `BakeOptions`, in this order.
+
+    about: Help of the one, where that of the record is not what the command does.
+    """
+    return record_option(BakeOptions, *names, about=about)
 
 
 rig_layer_options = bake_option("rig_layer", "prim_path", "force_fit")
 source_options = source_option("unit", "up", "fps")
+# Of commands that write no character elsewhere.
+stage_option = click.option(
+    "--prim-path", metavar="PATH", help="The character, where a stage has several."
+)
 
 
 set_option = click.option(
@@ -381,17 +403,7 @@ set_option = click.option(
 )
 
 
-def strict_because(what: str) -> Callable[[Command], Command]:
-    """Return the option of a command that takes warnings for errors."""
-    return click.option("--strict", is_flag=True, help=what)
-
-
-def overwrites(what: str) -> Callable[[Command], Command]:
-    """Return the option of a command that may replace what there is."""
-    return click.option("--overwrite", is_flag=True, help=f"Replace {what}.")
-
-
-strict_option = strict_because("Take warnings for errors and write nothing.")
+strict_option = bake_option("strict")
 format_option = click.option(
     "--format",
     "report_format",

@@ -11,11 +11,10 @@ import click
 
 from animtool.cli.console import Console
 from animtool.cli.options import (
-    LENGTH,
     OUTPUT,
+    bake_option,
     common_options,
     format_option,
-    overwrites,
     rig_layer_options,
     stacked,
     strict_option,
@@ -30,7 +29,7 @@ if TYPE_CHECKING:
 
 # Of every command that writes files; the last ones, with the console.
 writing_options = stacked(
-    overwrites("outputs that exist"),
+    bake_option("overwrite"),
     click.option(
         "--skip-existing", is_flag=True, help="Do nothing where all outputs exist."
     ),
@@ -52,11 +51,9 @@ split_option = click.option(
 written_options = stacked(
     split_option,
     rig_layer_options,
-    click.option(
-        "--reduce",
-        type=LENGTH,
-        metavar="LENGTH",
-        help="How far keys of a clip, or samples left out of USD, may move a joint.",
+    bake_option(
+        "reduce",
+        about="How far keys of a clip, or samples left out of USD, may move a joint.",
     ),
     strict_option,
 )

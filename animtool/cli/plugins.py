@@ -2,14 +2,54 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import asdict, fields
-from typing import Any
+from typing import TYPE_CHECKING, ClassVar
 
 import click
 
 from animtool.cli.console import Console
 from animtool.cli.options import common_options, format_option
+from animtool.core.record import dataclass
+from animtool.report.text import Each, Template
+
+if TYPE_CHECKING:
+    from animtool.batch.executors import ListedExecutor
+    from animtool.core.format_table import ListedFormat
+    from animtool.core.rules import ListedRule
+    from animtool.motion.passes import ListedPass
+
+
+@dataclass(frozen=True, slots=True)
+class Plugins:
+    """What each table of plug-ins has."""
+
+    passes: list[ListedPass]
+    readers: list[ListedFormat]
+    writers: list[ListedFormat]
+    executors: list[ListedExecutor]
+    rules: list[ListedRule]
+    json_keys: ClassVar[str] = (
+        "'plugins' passes readers{suffix source opens=can about} "
+        "writers{suffix source writes=can about} executors rules"
+    )
+
+
+def _lines(table: str, name: str, kind: str) -> Each:
+    """Return the lines of a table; kind: what an entry is called that loads."""
+    head = f"{{{name}:<14}} [{kind}|broken     ]"
+    return Each(table, (head + " {about} ({source})",))
+
+
+PLUGINS = Template(
+    "animtool.cli.plugins:Plugins",
+    (
+        _lines("passes", "name", "{scope:<11}"),
+        _lines("readers", "suffix", "{can:join <11}"),
+        _lines("writers", "suffix", "{can:join <11}"),
+        _lines("executors", "name", "{?loads}executor   "),
+        _lines("rules", "code", "{kind:<11}"),
+    ),
+    is_result=True,
+)
 
 
 @click.command(
@@ -35,33 +75,11 @@ def plugins(console: Console, /, report_format: str) -> None:
     from animtool.core.writers import listed_writers
     from animtool.motion.passes import listed_passes
 
-    # Of each list the keys in JSON of what has another in its record, and what a line
-    # calls what it has.
-    listed: dict[str, tuple[dict[str, str], Any, Callable[[Any], str | None]]] = {
-        "passes": ({"name": "pass"}, listed_passes(), lambda e: e.scope),
-        "readers": ({"can": "opens"}, listed_readers(), lambda e: ", ".join(e.can)),
-        "writers": ({"can": "writes"}, listed_writers(), lambda e: ", ".join(e.can)),
-        "executors": (
-            {"name": "executor"},
-            listed_executors(),
-            lambda e: "executor" if e.loads else None,
-        ),
-        "rules": ({"code": "rule"}, listed_rules(), lambda e: e.kind),
-    }
-    if report_format == "json":
-        plugins_by_point = {
-            name: [_renamed(entry, keys) for entry in entries]
-            for name, (keys, entries, _) in listed.items()
-        }
-        console.result_json({"plugins": "animtool/1", **plugins_by_point})
-        return
-    for _, entries, kind in listed.values():
-        for entry in entries:
-            name, source, _, about = (getattr(entry, f.name) for f in fields(entry))
-            shown = f"{name:14} {kind(entry) or 'broken':11} {about} ({source})"
-            console.result(shown)
-
-
-def _renamed(entry: Any, keys: dict[str, str]) -> dict[str, object]:
-    """Return a record as plain values, some with another key."""
-    return {keys.get(name, name): value for name, value in asdict(entry).items()}
+    listed = Plugins(
+        listed_passes(),
+        listed_readers(),
+        listed_writers(),
+        listed_executors(),
+        listed_rules(),
+    )
+    console.report(report_format, listed, PLUGINS)

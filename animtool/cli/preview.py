@@ -10,9 +10,9 @@ import click
 from animtool.cli.console import Console
 from animtool.cli.options import (
     INPUT,
+    bake_option,
     common_options,
     format_option,
-    overwrites,
     read_values,
     record_option,
     set_option,
@@ -54,7 +54,7 @@ Examples:
 @record_option(PictureOptions)
 @source_option(*_OF_SOURCES)
 @set_option
-@overwrites("a page or picture that exists")
+@bake_option("overwrite", about="Replace a page or picture that exists.")
 @format_option
 @common_options
 @click.pass_obj

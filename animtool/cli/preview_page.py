@@ -8,15 +8,15 @@ from pathlib import Path
 
 from animtool.cli.console import Console
 from animtool.cli.summary import PLAN
-from animtool.core.errors import AnimtoolError, counted
+from animtool.core.errors import AnimtoolError
 from animtool.core.files.output import check_outputs
-from animtool.core.quantities import size_text
 from animtool.preview.build import Page, check_page_output, make_page, write_page
 from animtool.preview.options import PreviewOptions, ShowOptions
 from animtool.preview.pictures.kinds import picture_kind
 from animtool.preview.plan import page_steps
 from animtool.preview.serve import PageServer, Watched, follow
 from animtool.preview.show import has_browser, open_browser, temporary_page
+from animtool.report.text import Each, Template
 from animtool.scene.bake.steps import Steps
 
 
@@ -34,6 +34,25 @@ def plan(
         check_outputs([output], files, overwrite=True)
     steps = page_steps(files, output, options)
     console.report("json" if as_json else "text", Steps(steps), PLAN)
+
+
+# What a page shows, how exactly, and what it does not show.
+PAGE = Template(
+    "animtool.preview.build:PageReport",
+    (
+        "{page.manifest.time.count:n frame}[, {page.manifest.takes:n take}]"
+        "[, {page.manifest.meshes:n mesh/meshes}]"
+        "[, {page.manifest.curves3d:n set of curves/sets of curves}]"
+        "[, {page.manifest.points:n set of points/sets of points}]"
+        "[, {page.manifest.instances:n set of copies/sets of copies}]"
+        "[, {page.manifest.cameras:n camera}][, {page.manifest.channels:n curve}]"
+        "[, {page.manifest.findings:n finding}]",
+        "  exact within {page.manifest.errors.position_mm:g} mm and "
+        "{page.manifest.errors.rotation_deg:g} degrees",
+        Each("page.manifest.notices", ("  {self}",)),
+        "{path}: {size:size}",
+    ),
+)
 
 
 def write(
@@ -56,11 +75,7 @@ def write(
     with console.progress(f"preview {files[0].name}"):
         report = write_page(files, target, options, overwrite=overwrite)
     console.faults(report.page.notices)
-    if as_json:
-        console.result_json(report.as_dict())
-    else:
-        _say(console, report.page)
-        console.say(f"{target}: {size_text(report.size)}")
+    console.report("json" if as_json else "text", report, PAGE)
     if opens and not open_browser(target.resolve().as_uri()):
         console.say("no browser was found")
         opens = False
@@ -98,32 +113,3 @@ def watch(
             follow(watched, failed, made, threading.Event().wait)
         finally:
             server.shutdown()
-
-
-def _say(console: Console, page: Page) -> None:
-    """Say what a page shows, how exactly, and what it does not show."""
-    manifest = page.manifest
-    nouns = (
-        ("takes", "take", ""),
-        ("meshes", "mesh", "meshes"),
-        ("curves3d", "set of curves", "sets of curves"),
-        ("points", "set of points", "sets of points"),
-        ("instances", "set of copies", "sets of copies"),
-        ("cameras", "camera", ""),
-        ("channels", "curve", ""),
-        ("findings", "finding", ""),
-    )
-    parts = [counted(manifest["time"]["count"], "frame")]
-    parts += [
-        counted(len(manifest[key]), *filter(None, words))
-        for key, *words in nouns
-        if manifest[key]
-    ]
-    console.say(", ".join(parts))
-    errors = manifest["errors"]
-    console.say(
-        f"  exact within {errors['position_mm']:g} mm and "
-        f"{errors['rotation_deg']:g} degrees"
-    )
-    for notice in manifest["notices"]:
-        console.say(f"  {notice}")

@@ -5,10 +5,19 @@ from __future__ import annotations
 from pathlib import Path
 
 from animtool.cli.console import Console
-from animtool.core.errors import counted
-from animtool.core.quantities import size_text
 from animtool.preview.options import PictureOptions, PreviewOptions
-from animtool.preview.pictures.build import PictureReport, write_pictures
+from animtool.preview.pictures.build import write_pictures
+from animtool.report.text import Each, Template
+
+PICTURE = Template(
+    "animtool.preview.pictures.build:PictureReport",
+    (
+        Each("page.manifest.notices", ("  {self}",)),
+        "{path}: {frames:n frame}[{?rate} at {rate:g} a second"
+        "[, every {every}. of the motion]], {width}x{height} pixels, {about}, "
+        "{size:size}",
+    ),
+)
 
 
 def write(
@@ -27,23 +36,4 @@ def write(
             files, output, options, pictures, overwrite=overwrite, progress=progress
         )
     console.faults(report.page.notices)
-    if as_json:
-        console.result_json(report.as_dict())
-        return
-    for notice in report.page.manifest["notices"]:
-        console.say(f"  {notice}")
-    console.say(_told(report))
-
-
-def _told(report: PictureReport) -> str:
-    """Return what was written, in a line."""
-    wide, high = report.pixels
-    frames = counted(len(report.frames), "frame")
-    if report.rate:
-        frames += f" at {float(report.rate):.6g} a second"
-        step = report.page.manifest["time"]["step"]
-        if len(set(report.frames)) > 1:
-            every = round((report.frames[1] - report.frames[0]) / step)
-            frames += f", every {every}. of the motion" if every > 1 else ""
-    size = size_text(report.size)
-    return f"{report.path}: {frames}, {wide}x{high} pixels, {report.about}, {size}"
+    console.report("json" if as_json else "text", report, PICTURE)

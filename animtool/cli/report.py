@@ -14,9 +14,9 @@ from animtool.cli.options import (
     INPUT,
     LENGTH,
     OUTPUT,
+    bake_option,
     common_options,
     format_option,
-    overwrites,
     read_values,
     record_option,
     set_option,
@@ -69,7 +69,7 @@ Examples:
 @set_option
 @source_options
 @source_option(*_OF_SOURCE)
-@overwrites("a page that exists")
+@bake_option("overwrite", about="Replace a page that exists.")
 @format_option
 @common_options
 @click.pass_obj

@@ -171,11 +171,7 @@ def retarget(
             strict=params["strict"],
         ),
     )
-    if (
-        output is not None
-        and not to_stdout
-        and skipped(console, "retarget", params, output, lambda: job.target.files)
-    ):
+    if skipped(console, "retarget", params, output, lambda: job.target.files):
         return
     with console.progress(f"retarget {source.name}", stdout=to_stdout) as progress:
         report = run_retarget(job, progress=progress)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter
 from typing import TYPE_CHECKING, Any
 
-from animtool.core.clock import FrameSpan
 from animtool.core.errors import counted, excerpt
 from animtool.core.quantities import duration_text, plain, size_text
 from animtool.report.text import Each, Line, Table, Template
@@ -19,7 +18,6 @@ if TYPE_CHECKING:
     from animtool.scene.bake.files import ConvertReport
     from animtool.scene.bake.prims import BakeReport, MeshReport, TakeReport
     from animtool.scene.bake.steps import Step
-    from animtool.usd.layers.jobs import WrittenTake
     from animtool.usd.takes.splines import CurveReport
 
 # Errors of channels that are not worth a line, in their units.
@@ -130,10 +128,6 @@ _MESHES = Each(
 _PROPS = "  beside: {props:list}]"
 
 
-def _ends(take: WrittenTake) -> str:
-    return FrameSpan(take.first, take.last, take.last).ends
-
-
 def _speed(report: BakeReport) -> str:
     return size_text(report.source_bytes / report.seconds["total"])
 
@@ -213,7 +207,7 @@ BAKED = Template(
     (
         "{files:files}: {form}",
         "  [{?only}{only.written.samples:n sample}, [{?only.written.name}"
-        f"{{only.written:ends}} at {{fps:rate}}|{{span}}]{_from('only.')}"
+        f"{{only.written.span.ends}} at {{fps:rate}}|{{span}}]{_from('only.')}"
         "|{takes:n take}, {span}]",
         SHOT,
         "[{?posed}  {result.joints:n joint}, [{result.sampled:and}|nothing] animated]",
@@ -232,8 +226,8 @@ BAKED = Template(
         Each(
             "library",
             (
-                "  take {written.name}: {written.samples:n sample}, {written:ends} at "
-                f"{{fps:rate}}{_from('')}",
+                "  take {written.name}: {written.samples:n sample}, "
+                f"{{written.span.ends}} at {{fps:rate}}{_from('')}",
                 "    error of {self:rounded}: {written.rounding.error:length 2}"
                 f"[{{?written.rounding.error}} ({_WHERE.replace('@', '')})]",
                 *_thinned("    "),
@@ -249,7 +243,6 @@ BAKED = Template(
         "points": _points,
         "worst_point": _worst_point,
         "kept": _kept,
-        "ends": _ends,
         "speed": _speed,
         "rounded": _rounded,
         "beyond": _beyond,

@@ -55,7 +55,12 @@ class _OldNames:
         self, name: str, _path: Sequence[str] | None, _: ModuleType | None = None
     ) -> ModuleSpec | None:
         """Return the spec of an old name; None for any other."""
-        return ModuleSpec(name, cast(Any, self)) if new_name(name) else None
+        if not new_name(name):
+            return None
+        # From now on before others, which would find what is below the new name.
+        sys.meta_path.remove(cast(Any, self))
+        sys.meta_path.insert(0, cast(Any, self))
+        return ModuleSpec(name, cast(Any, self))
 
     def exec_module(self, module: ModuleType) -> None:
         """Put the module of the new name in the place of one of the old name."""
@@ -66,7 +71,5 @@ class _OldNames:
         sys.modules[module.__name__] = import_module(new)
 
 
-def keep_old_names() -> None:
-    """Let old names be imported, before others: what is below them would be found."""
-    if not any(isinstance(finder, _OldNames) for finder in sys.meta_path):
-        sys.meta_path.insert(0, cast(Any, _OldNames()))
+# Last: nothing is looked up until an old name is imported.
+sys.meta_path.append(cast(Any, _OldNames()))

@@ -5,13 +5,14 @@ The table holds the readers; what they open a file with is imported when used.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, cast
 
 from animtool.core.arguments import flag
-from animtool.core.errors import Fault, OptionError
-from animtool.core.files.reading import unreadable, why_no_file
+from animtool.core.errors import Fault, FormatError, OptionError
+from animtool.core.files.reading import open_input, unreadable, why_no_file
 from animtool.core.format_table import FormatTable, ListedFormat, suffix_text
 from animtool.core.plugins import load_object
 from animtool.core.record import dataclass
@@ -40,6 +41,7 @@ class Reader:
             holds markers; empty where its suffix says it.
         takes: ``module:object`` of a function from a path to the names of the takes
             that the option ``take`` reads; empty where a file holds one.
+        still: Whether such files hold a rig and no motion: their take is one frame.
     """
 
     about: str
@@ -50,6 +52,7 @@ class Reader:
     markers: str = ""
     has_markers: str = ""
     takes: str = ""
+    still: bool = False
 
     def rig_opener(self, path: Path) -> Callable[[Path], Any]:
         """Return what opens a file as a rig; see `source_opener`."""
@@ -103,6 +106,18 @@ FBX = Reader(
     "animtool.formats.fbx.read:read_fbx",
     ("unit", "up", "fps", "prim_path", "take"),
     takes="animtool.formats.fbx.read:take_names",
+)
+URDF = Reader(
+    "URDF robots",
+    "animtool.formats.urdf.read:read_urdf_rig",
+    "animtool.formats.urdf.read:read_urdf",
+    still=True,
+)
+MJCF = Reader(
+    "MJCF models of MuJoCo",
+    "animtool.formats.mjcf.read:read_mjcf_rig",
+    "animtool.formats.mjcf.read:read_mjcf",
+    still=True,
 )
 DOCUMENT = Reader(
     "rig and clip files",
@@ -165,6 +180,9 @@ READERS: dict[str, Reader] = {
     ".gltf": GLTF,
     ".vrm": GLTF,
     ".fbx": FBX,
+    ".urdf": URDF,
+    ".mjcf": MJCF,
+    ".xml": MJCF,
     ".yaml": DOCUMENT,
     ".yml": DOCUMENT,
     ".json": DOCUMENT,
@@ -213,6 +231,14 @@ EXPORTS: dict[str, tuple[str, str]] = {
         "Alembic, which holds points and no joints",
         "export FBX, glTF or USD of the skeleton from the tool that wrote it",
     ),
+    ".xacro": (
+        "macros that a URDF is made from",
+        "expand it by xacro, of ROS: xacro robot.urdf.xacro -o robot.urdf",
+    ),
+    ".sdf": (
+        "SDF, a world or robot of Gazebo",
+        "use the URDF or MJCF that it was made from",
+    ),
     ".dae": (
         "COLLADA",
         "import it into Blender or Maya and export glTF or FBX, then use that file",
@@ -220,10 +246,41 @@ EXPORTS: dict[str, tuple[str, str]] = {
 }
 
 _TABLE = FormatTable(READERS, PLUGIN_GROUP, Reader)
+# Of a file named .xml: as much as its root element is looked for in, and the roots of
+# timelines, which OpenTimelineIO reads.
+HEAD_BYTES = 65_536
+_ROOT = re.compile(rb"<(?![?!])\s*([^\s/>]{1,100})")
+_COMMENTS = re.compile(rb"<!--.*?(?:-->|\Z)", re.DOTALL)
+_TIMELINE_ROOTS = frozenset({"xmeml", "fcpxml"})
+
+
+def xml_root(path: Path) -> str:
+    """Return the root element of an XML file; empty where it has none, or is none."""
+    try:
+        with open_input(path, None, recorded=False) as file:
+            head = file.read(HEAD_BYTES)
+    except FormatError:
+        return ""
+    found = _ROOT.search(_COMMENTS.sub(b"", head.replace(b"\0", b"")))
+    return found[1].decode("utf-8", "replace") if found else ""
+
+
+def is_timeline(path: Path) -> bool:
+    """Return whether a path is that of a timeline; one named .xml by its root element.
+
+    >>> is_timeline(Path("edit.otio")), is_timeline(Path("walk.bvh"))
+    (True, False)
+    """
+    suffix = path.suffix.lower()
+    if suffix in READERS:
+        return suffix in TIMELINE_SUFFIXES and xml_root(path) in _TIMELINE_ROOTS
+    return suffix in TIMELINE_SUFFIXES
 
 
 def reader_of(path: Path) -> Reader | None:
     """Return the reader of a file by its suffix; None where none has it.
+
+    A timeline named .xml has none.
 
     Raises:
         OptionError: The plug-in that has it cannot be loaded (IO003).
@@ -231,7 +288,17 @@ def reader_of(path: Path) -> Reader | None:
     >>> reader_of(Path("walk.txt")) is None
     True
     """
-    return _TABLE.find(path)
+    return None if is_timeline(path) else _TABLE.find(path)
+
+
+def is_still(path: Path) -> bool:
+    """Return whether files of a path's suffix hold a rig and no motion.
+
+    >>> is_still(Path("arm.urdf")), is_still(Path("walk.bvh"))
+    (True, False)
+    """
+    reader = reader_of(path)
+    return reader is not None and reader.still
 
 
 def readable_suffixes() -> list[str]:
@@ -260,7 +327,7 @@ def find_reader(path: Path) -> Reader:
         raise OptionError(export_fault(path))
     message = f"{suffix_text(path)} is no format that animtool reads"
     hint = f"allowed: {', '.join(readable_suffixes())}"
-    if path.suffix.lower() in TIMELINE_SUFFIXES:
+    if is_timeline(path):
         message = "is a timeline, and no take is read from it"
         hint = (
             f"animtool bake {flag('shot', 'NAME')} bakes one of its shots, animtool "

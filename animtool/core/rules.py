@@ -12,7 +12,7 @@ from enum import StrEnum
 from functools import cache
 from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, ClassVar, cast
 
 from animtool.core.errors import Fault, OptionError, Severity
 from animtool.core.names import nearest
@@ -49,6 +49,8 @@ class Kind(StrEnum):
     USD = "usd"
     GLTF = "gltf"
     FBX = "fbx"
+    URDF = "urdf"
+    MJCF = "mjcf"
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,6 +100,7 @@ class ListedRule:
     source: str  # the object that it names
     kind: str  # of the files that it looks at; empty where it cannot be loaded
     about: str  # its title, or why it cannot be loaded
+    json_keys: ClassVar[str] = "rule=code source kind about"
 
 
 def read_page(code: str) -> tuple[Rule, str] | None:

@@ -196,8 +196,8 @@ def take_writer(path: Path, *, folders: bool = False) -> Writer:
     else:
         message = f"{suffix_text(path)} is no format that animtool writes"
     hint = f"allowed: {', '.join(_motion_suffixes())}"
-    if writer is None and path.suffix.lower() == ".fbx":
-        message, hint = "FBX is read, and not written", _IN_PLACE_OF_FBX
+    if writer is None and path.suffix.lower() in _READ_ONLY:
+        message, hint = _read_only(path)
     if not path.suffix and path.name and is_there(path) and path.is_dir():
         message = "is a folder, not a file"
         hint = f"name a file in it, such as {path / 'shot.usdc'}"
@@ -206,11 +206,36 @@ def take_writer(path: Path, *, folders: bool = False) -> Writer:
     raise OptionError(Fault("OUT004", message, str(path), (), hint))
 
 
-# Which tools read what is written.
-_IN_PLACE_OF_FBX = (
-    "write .usdc for Maya, Houdini, Unreal and Blender, .glb for Blender, Unity and "
-    "Unreal, .bvh for MotionBuilder and 3ds Max"
+_OF_ROBOTS = (
+    "write .rig.yaml or USD of the robot, and USD, .mot or .clip.yaml of its motion"
 )
+# Formats that are read, and what is written in place of them, by suffix.
+_READ_ONLY = {
+    ".fbx": (
+        "FBX",
+        "write .usdc for Maya, Houdini, Unreal and Blender, .glb for Blender, Unity "
+        "and Unreal, .bvh for MotionBuilder and 3ds Max",
+    ),
+    ".urdf": ("URDF", _OF_ROBOTS),
+    ".mjcf": ("MJCF", _OF_ROBOTS),
+    ".xml": ("MJCF", _OF_ROBOTS),
+}
+
+
+def _read_only(path: Path) -> tuple[str, str]:
+    """Return the message and hint of a format that is read only."""
+    name, hint = _READ_ONLY[path.suffix.lower()]
+    return f"{name} is read, and not written", hint
+
+
+def holds_rig(path: Path) -> bool:
+    """Return whether a file of a path's name can hold a rig alone.
+
+    >>> holds_rig(Path("arm.usda")), holds_rig(Path("arm.bvh"))
+    (True, False)
+    """
+    writer = RIG if is_named(path, "rig") else writer_of(path)
+    return writer is not None and bool(writer.rig)
 
 
 def marker_writer(path: Path) -> Callable[..., list[Fault]]:
@@ -231,8 +256,8 @@ def rig_writer(path: Path) -> Callable[..., Any]:
         message = f"suffix {path.suffix!r} holds no rig"
         own = [suffix for suffix, one in WRITERS.items() if one.rig]
         hint = f"allowed: {', '.join(sorted(own))}"
-        if path.suffix.lower() == ".fbx":
-            message, hint = "FBX is read, and not written", _IN_PLACE_OF_FBX
+        if path.suffix.lower() in _READ_ONLY:
+            message, hint = _read_only(path)
         raise OptionError(Fault("OUT004", message, str(path), (), hint))
     return cast(Callable[..., Any], load_object(writer.rig))
 

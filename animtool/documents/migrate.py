@@ -7,7 +7,7 @@ import difflib
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from animtool.core.arguments import argument
 from animtool.core.errors import (
@@ -50,6 +50,15 @@ class Migration:
     before: str  # its text
     after: str  # its new text; the same where it is of the newest version
     notices: tuple[Fault, ...] = ()  # comments that are not kept
+    written: bool = False  # whether the file is replaced
+    json_keys: ClassVar[str] = (
+        "path kind from=version to=newest needed written difference notices"
+    )
+
+    @property
+    def renames(self) -> bool:
+        """Whether keys alone are of old names."""
+        return self.needed and self.version == self.newest
 
     @property
     def needed(self) -> bool:
@@ -67,6 +76,14 @@ class Migration:
             lineterm="",
         )
         return list(lines)
+
+
+@dataclass(frozen=True, slots=True)
+class Migrations:
+    """What became of files, or would become of them."""
+
+    files: Sequence[Migration]
+    json_keys: ClassVar[str] = "'migrate' files"
 
 
 def plan_migration(path: Path | str, table: Mapping[str, Steps] = STEPS) -> Migration:
@@ -167,7 +184,7 @@ def migrate(
     with together():
         for plan in needed:
             write_parts(plan.path, [plan.after.encode()])
-    return plans
+    return [replace(plan, written=plan.needed) for plan in plans]
 
 
 def _plans(paths: Sequence[Path | str], table: Mapping[str, Steps]) -> list[Migration]:

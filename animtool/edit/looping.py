@@ -69,6 +69,12 @@ class SeamBlend:
         pose, speed = pose[:, None, None], speed[:, None, None]
         return SeamBlend(length, before, behind, pose, speed)
 
+    @property
+    def late(self) -> slice:
+        """The frames that are blended: the last of the cycle."""
+        (frames,) = np.nonzero(self.pose[:, 0, 0])
+        return slice(int(frames[0]) if len(frames) else self.length, self.length)
+
     def cycle(self, values: npt.NDArray[_Value]) -> npt.NDArray[_Value]:
         """Return the frames of the cycle and the one behind it ``(L + 1, ...)``."""
         return values[self.before : self.before + self.length + 1]
@@ -93,11 +99,13 @@ def closed_lines(values: FloatArray, blend: SeamBlend, onward: Onward) -> FloatA
     missing = _missing_speed(
         np.diff(onward(start), axis=0),
         np.diff(end, axis=0),
-        np.diff(cycle, axis=0),
+        lambda: np.diff(cycle, axis=0),
         blend,
     )
     gap = onward(cycle[:1])[0] - cycle[-1]
-    return np.asarray(cycle[:-1] + blend.pose * gap + blend.speed * missing)
+    closed, late = cycle[:-1].copy(), blend.late
+    closed[late] += blend.pose[late] * gap + blend.speed[late] * missing
+    return closed
 
 
 def closed_turns(values: FloatArray, blend: SeamBlend, onward: Onward) -> FloatArray:
@@ -106,28 +114,31 @@ def closed_turns(values: FloatArray, blend: SeamBlend, onward: Onward) -> FloatA
     start, end = blend.ends(values)
     gap = so3.multiply(so3.conjugate(cycle[-1]), onward(cycle[:1])[0])
     # Speeds are about the joint's own axes, which the gap turns.
-    ending = so3.rotate(so3.conjugate(gap), _turning(end))
-    missing = _missing_speed(_turning(onward(start)), ending, _turning(cycle), blend)
-    part = so3.slerp(so3.IDENTITY, gap, blend.pose[..., 0])
-    turned = so3.multiply(cycle[:-1], part)
-    return so3.multiply(turned, so3.exp(blend.speed * missing))
-
-
-def _turning(values: FloatArray) -> FloatArray:
-    """Return the rotation vectors from frame to frame."""
-    return so3.log(so3.multiply(so3.conjugate(values[:-1]), values[1:]))
+    ending = so3.rotate(so3.conjugate(gap), so3.steps(end))
+    missing = _missing_speed(
+        so3.steps(onward(start)), ending, lambda: so3.steps(cycle), blend
+    )
+    closed, late = cycle[:-1].copy(), blend.late
+    part = so3.slerp(so3.IDENTITY, gap, blend.pose[late, :, 0])
+    turned = so3.multiply(closed[late], part)
+    closed[late] = so3.multiply(turned, so3.exp(blend.speed[late] * missing))
+    return closed
 
 
 def _missing_speed(
-    starting: FloatArray, ending: FloatArray, steps: FloatArray, blend: SeamBlend
+    starting: FloatArray,
+    ending: FloatArray,
+    measure: Callable[[], FloatArray],
+    blend: SeamBlend,
 ) -> FloatArray:
     """Return the speed ``(A, K)`` [a frame] that the end of a cycle lacks.
 
-    ``steps`` ``(L, A, K)``.
+    ``measure`` returns the steps from frame to frame ``(L, A, K)``.
     """
     around = blend.before + blend.behind
     if around:
         return np.asarray((starting[0] - ending[0]) / around)
+    steps = measure()
     if len(steps) < 2:
         return np.zeros(steps.shape[1:])
     mean_rate = (ending[1] - ending[0] + starting[1] - starting[0]) / 2

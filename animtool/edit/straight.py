@@ -135,6 +135,5 @@ def _blocks(indices: IntArray) -> Iterator[IntArray]:
 def _bends(values: FloatArray) -> FloatArray:
     """Return the sizes of second differences of values ``(F, A, K)``, ``(F-2, A)``."""
     if values.shape[-1] == 4:
-        turns = so3.log(so3.multiply(so3.conjugate(values[:-1]), values[1:]))
-        return np.asarray(np.linalg.norm(np.diff(turns, axis=0), axis=-1))
+        return np.asarray(np.linalg.norm(np.diff(so3.steps(values), axis=0), axis=-1))
     return np.asarray(np.linalg.norm(np.diff(values, 2, axis=0), axis=-1))

@@ -238,7 +238,7 @@ def _bind(rig: Rig, joint: int) -> dict[str, Pose]:
 def _referred(rig: Rig) -> set[str]:
     """Return the names of joints that the rest of a rig speaks of."""
     skins = [mesh.skin.joints for mesh in rig.meshes if mesh.skin is not None]
-    chains = [(chain.root, chain.tip) for chain in rig.ik]
+    chains = [(chain.root, chain.tip) for chain in rig.chains]
     groups = [*skins, *chains, *(one.joints for one in rig.attach)]
     drives = [drive.target for control in rig.controls for drive in control.drives]
     driven = [
@@ -256,6 +256,7 @@ def _referred(rig: Rig) -> set[str]:
     groups.append(tuple(one.name for one in rig.joints if one.driven is not None))
     mimics = [joint.mimic.joint for joint in rig.joints if joint.mimic is not None]
     colliders = [collider.joint for collider in rig.colliders]
+    colliders += [mass.joint for mass in rig.masses]
     return {name for group in groups for name in group}.union(driven, mimics, colliders)
 
 

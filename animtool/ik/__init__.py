@@ -17,13 +17,14 @@ if TYPE_CHECKING:
     from animtool.ik.matching import match as match
     from animtool.ik.on_take import solve_take as solve_take
     from animtool.ik.options import IkMethod as IkMethod
+    from animtool.ik.options import IkOptions as IkOptions
     from animtool.ik.options import TakeOptions as TakeOptions
     from animtool.ik.path import smooth as smooth
     from animtool.ik.problem import Problem as Problem
     from animtool.ik.problem import build as build
     from animtool.ik.result import IkResult as IkResult
     from animtool.ik.result import IkStatus as IkStatus
-    from animtool.ik.solving import IkOptions as IkOptions
+    from animtool.ik.session import Session as Session
     from animtool.ik.solving import solve as solve
     from animtool.ik.take_run import TakeIk as TakeIk
     from animtool.ik.tracks import TargetTracks as TargetTracks
@@ -32,12 +33,13 @@ _PUBLIC = {
     "FollowOptions": "animtool.ik.clip_path",
     "Goal": "animtool.ik.goals",
     "IkMethod": "animtool.ik.options",
-    "IkOptions": "animtool.ik.solving",
+    "IkOptions": "animtool.ik.options",
     "IkResult": "animtool.ik.result",
     "IkStatus": "animtool.ik.result",
     "Jump": "animtool.ik.jumps",
     "Matched": "animtool.ik.matching",
     "Problem": "animtool.ik.problem",
+    "Session": "animtool.ik.session",
     "TakeIk": "animtool.ik.take_run",
     "TakeOptions": "animtool.ik.options",
     "TargetTracks": "animtool.ik.tracks",

@@ -12,9 +12,10 @@ from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.record import dataclass
 from animtool.ik.chain import BALL, Chain, difference, moved, unwound, with_periods
 from animtool.ik.goals import Targets, by_unit, rows_of
+from animtool.ik.options import IkOptions
 from animtool.ik.problem import Problem
 from animtool.ik.result import IkResult
-from animtool.ik.solving import IkOptions, solve
+from animtool.ik.solving import solve
 
 # What a frame that misses its goals costs, in squared radians: more than any jump.
 MISSED = 1e4

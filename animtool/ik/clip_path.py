@@ -21,11 +21,11 @@ from animtool.ik.branches import (
 from animtool.ik.chain import difference
 from animtool.ik.goals import Targets, by_unit, rows_of
 from animtool.ik.jumps import largest_step
-from animtool.ik.options import IkMethod
+from animtool.ik.options import IkMethod, IkOptions
 from animtool.ik.path import at_poses, jumping_frames, path_of
 from animtool.ik.problem import Problem
 from animtool.ik.result import IkResult, IkStatus
-from animtool.ik.solving import IkOptions, pose_rows, solve
+from animtool.ik.solving import pose_rows, solve
 
 # A step of this share of the largest that is no jump is smooth: no steadier one is
 # looked for.

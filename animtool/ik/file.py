@@ -178,13 +178,13 @@ class _Reader:
         """Return the joint that is meant, and the chain whose tip it is."""
         if self.rig is None:
             return name, None
-        for chain in self.rig.ik:
+        for chain in self.rig.chains:
             if chain.name == name:
                 return chain.tip, chain
         if name in self.rig.names:
             return name, None
         if not self.document.doubtful(at):
-            known = [*(chain.name for chain in self.rig.ik), *self.rig.names]
+            known = [*(chain.name for chain in self.rig.chains), *self.rig.names]
             message = f"{name!r} is no chain and no joint of {self.rig.name!r}"
             self.document.add("TGT001", at, message, nearest(name, known))
         return None, None

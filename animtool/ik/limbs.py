@@ -6,11 +6,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from animtool import _kernels
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.errors import Fault
 from animtool.core.record import dataclass
 from animtool.ik.chain import SLIDE, Chain
-from animtool.ik.goals import WEIGHT, Goal
+from animtool.ik.goals import Goal
 from animtool.rig.skeleton import Rig
 
 # Joints nearer than this share of the rig's size have one origin.
@@ -167,27 +168,6 @@ def _path(chain: Chain, e: int) -> list[int]:
     return path[::-1]
 
 
-def soft_distance(distance: FloatArray, reach: float, soft: float) -> FloatArray:
-    """Return how far a limb extends towards a target at a distance.
-
-    Up to ``(1 - soft) reach`` as far as the target; beyond, ever closer to its full
-    reach without a kink in speed, so that it never snaps straight.
-
-    References:
-        A. Nicholas, Soft IK, 2009 (the exponential ease).
-
-    >>> soft_distance(np.array([0.5, 1.0]), 1.0, 0.2).round(3).tolist()
-    [0.5, 0.926]
-    """
-    if soft <= 0:
-        return np.minimum(distance, reach)
-    start, width = (1 - soft) * reach, soft * reach
-    beyond = np.maximum(distance - start, 0.0)
-    return np.where(
-        distance > start, start + width * -np.expm1(-beyond / width), distance
-    )
-
-
 @dataclass(frozen=True, slots=True)
 class Extension:
     """How far the limbs of B problems go."""
@@ -207,34 +187,26 @@ def extend(limbs: Sequence[Limb], targets: FloatArray) -> Extension:
     The bones grow by what the eased extension lacks of the distance, and no more than
     they may; the target sought is as far as the limb then extends.
 
+    Up to ``(1 - soft) reach`` a limb extends as far as its target, and beyond ever
+    closer to its full reach without a kink in speed, so that it never snaps straight.
+
+    References:
+        A. Nicholas, Soft IK, 2009 (the exponential ease).
+
     Limits of the method: the reach is that of the straight limb, or where a pin joins
     two bones of as straight a one as its limits let be; whatever other limits keep it
     from that.
 
     ``targets`` ``(B, E, W)`` are packed, in shares of the problem's length.
     """
-    scales: FloatArray = np.ones((len(targets), targets.shape[1]))
-    eased: BoolArray = np.zeros((len(targets), targets.shape[1]), np.bool_)
-    if not limbs:
-        return Extension(targets, scales, eased)
-    sought = targets.copy()
-    for limb in limbs:
-        e = limb.goal
-        asked = targets[:, e, WEIGHT["position"]] > 0
-        towards = targets[:, e, :3] - limb.origin
-        distance = np.where(asked, np.linalg.norm(towards, axis=1), 0.0)
-        extent = soft_distance(distance, limb.reach, limb.soft)
-        if limb.stretch > 0:
-            grown = np.clip((distance - extent) / limb.bones, 0.0, limb.stretch)
-            scales[:, e] += grown
-            extent = np.minimum(extent + grown * limb.bones, distance)
-        short = distance > extent
-        if limb.soft > 0:
-            most = limb.reach + limb.stretch * limb.bones
-            eased[:, e] = short & (distance <= most)
-        elif limb.stretch <= 0:
-            continue
-        share = np.where(short, extent / np.where(short, distance, 1.0), 1.0)
-        moved = limb.origin + towards * share[:, None]
-        sought[:, e, :3] = np.where(short[:, None], moved, targets[:, e, :3])
-    return Extension(sought, scales, eased)
+    return Extension(*_kernels.extend_ik_limbs(*limb_arrays(limbs), targets))
+
+
+def limb_arrays(limbs: Sequence[Limb]) -> tuple[IntArray, FloatArray]:
+    """Return goals of limbs ``(L,)`` and their numbers ``(L, 7)`` for kernels."""
+    rows = [
+        [*limb.origin, limb.reach, limb.bones, limb.soft, limb.stretch]
+        for limb in limbs
+    ]
+    goals = np.array([limb.goal for limb in limbs], np.int64)
+    return goals, np.array(rows, np.float64).reshape(-1, 7)

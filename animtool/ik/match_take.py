@@ -55,14 +55,14 @@ def chains_of(rig: Rig, patterns: Sequence[str] = ()) -> tuple[IkChain, ...]:
         OptionError: It has none (TGT019), or none of a name (TGT001), with a fault for
             each such name.
 
-    >>> rig = Rig("a", (Joint("a", -1),), ik=(IkChain("arm", "a", "a"),))
+    >>> rig = Rig("a", (Joint("a", -1),), chains=(IkChain("arm", "a", "a"),))
     >>> [chain.name for chain in chains_of(rig, ["a*"])]
     ['arm']
     """
-    if not rig.ik:
+    if not rig.chains:
         message = f"rig {rig.name!r} has no chains to match"
         raise OptionError(Fault("TGT019", message, hint="describe some in its ik"))
-    names = [chain.name for chain in rig.ik]
+    names = [chain.name for chain in rig.chains]
     faults = [
         Fault("TGT001", f"no chain of {rig.name!r} is {pattern!r}", hint=hint)
         for pattern in patterns
@@ -73,7 +73,7 @@ def chains_of(rig: Rig, patterns: Sequence[str] = ()) -> tuple[IkChain, ...]:
         raise OptionError(faults)
     return tuple(
         chain
-        for chain in rig.ik
+        for chain in rig.chains
         if not patterns or any(fnmatchcase(chain.name, p) for p in patterns)
     )
 

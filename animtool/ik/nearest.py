@@ -12,10 +12,10 @@ from animtool.core.array_types import ArrayLike, FloatArray, IntArray
 from animtool.ik.branches import price, random_poses, weighed
 from animtool.ik.chain import BALL, Chain, with_periods
 from animtool.ik.goals import Targets, rows_of
-from animtool.ik.options import IkMethod
+from animtool.ik.options import IkMethod, IkOptions
 from animtool.ik.problem import Problem
 from animtool.ik.result import IkResult, IkStatus
-from animtool.ik.solving import IkOptions, solve
+from animtool.ik.solving import solve
 
 # Starts: so many combinations of limits, and as many random poses; chains of more
 # degrees of freedom have a ninth of them.

@@ -19,7 +19,8 @@ class IkMethod(StrEnum):
     """Which solver.
 
     Attributes:
-        AUTO: The closed form where a limb of two bones fits it, else damped steps.
+        AUTO: The closed form of a limb of two bones, or of an arm of six pins whose
+            last three meet or whose middle ones are parallel; else damped steps.
         DAMPED: Damped least squares with restarts: for every problem, and the only one
             that heeds priorities.
         TWO_BONE: The closed form of a limb of two bones; damped steps where the elbow's
@@ -42,6 +43,39 @@ class IkMethod(StrEnum):
     NEWTON = "newton"
     CCD = "ccd"
     FABRIK = "fabrik"
+
+
+@dataclass(frozen=True, slots=True)
+class IkOptions:
+    """How to solve.
+
+    Attributes:
+        method: ``auto`` takes a closed form where the problem has one, else damped
+            least squares; see `IkMethod`.
+        tolerance: A position is reached within this share of the problem's length.
+        angle_tolerance: An orientation, aim or pole is reached within this [rad].
+        iterations: Most steps for one problem, restarts included.
+        restarts: Most new starts where damped steps end short of the goals.
+        seed: Of the new starts; the same seed gives the same poses.
+        seconds: Most time for one problem [s]; 0 is no bound. With a bound, what is
+            found depends on the machine.
+        ordered: The problems are frames of a clip. One that ends as far from its goals
+            as the one before it is not searched all over again.
+        warm: They also start where the one before ended, but for the first.
+        near: Poses that came of new starts are then drawn to those preferred, while
+            goals stay met; that takes longer than finding them.
+    """
+
+    method: IkMethod = IkMethod.AUTO
+    tolerance: float = 1e-6
+    angle_tolerance: float = 1e-6
+    iterations: int = 5000
+    restarts: int = 200
+    seed: int = 0
+    seconds: float = 0.0
+    ordered: bool = False
+    warm: bool = False
+    near: bool = False
 
 
 @described

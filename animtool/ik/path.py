@@ -14,9 +14,11 @@ from animtool.ik.chain import HAIR, difference, unwound
 from animtool.ik.goals import COLUMNS, KINDS, WEIGHTS, Targets, TargetValue, by_unit
 from animtool.ik.jumps import Jump, find_jumps
 from animtool.ik.limbs import Extension, extend
+from animtool.ik.options import IkOptions
 from animtool.ik.problem import Problem
 from animtool.ik.result import IkResult, IkStatus
-from animtool.ik.solving import WARM_DAMPING, IkOptions, chain_targets, pose_rows
+from animtool.ik.rig_solver import WARM_DAMPING
+from animtool.ik.solving import chain_targets, pose_rows
 from animtool.ik.sub_rig import following
 from animtool.maths import so3
 from animtool.rig.joints import coordinate_slices, local_from_coordinates

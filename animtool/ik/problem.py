@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from dataclasses import field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -38,6 +39,7 @@ class Problem:
         rest_weight: Of the preference for a pose, in the sum of squares.
         chain: The joints as the solver takes them.
         limbs: Those that ease out or stretch.
+        kept: What solvers have made of it, by name.
     """
 
     rig: Rig
@@ -49,6 +51,9 @@ class Problem:
     rest_weight: float
     chain: Chain = field(repr=False)
     limbs: tuple[Limb, ...] = field(default=(), repr=False)
+    kept: dict[str, Any] = field(
+        default_factory=dict, init=False, repr=False, compare=False
+    )
 
     def __repr__(self) -> str:
         """Return whose it is, and how much there is of what."""
@@ -62,8 +67,7 @@ class Problem:
     @cached_property
     def coordinates(self) -> int:
         """Width Q of a row of joint coordinates of the whole rig."""
-        slices = coordinate_slices(self.rig)
-        return slices[-1].stop if slices else 0
+        return self.rig.coordinates
 
     @property
     def limits(self) -> dict[str, RangeLimit | BallLimit]:
@@ -115,7 +119,7 @@ def build(
     faults = _faults(rig, goals, joints, rest_weight)
     if faults:
         raise OptionError(faults)
-    width = sum(place.stop - place.start for place in coordinate_slices(rig))
+    width = rig.coordinates
     at = np.zeros(width) if pose is None else as_floats(pose, (width,), "pose")
     moving = moving_joints(rig, goals, joints)
     faults = _still_faults(rig, goals, moving)

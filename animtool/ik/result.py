@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from enum import StrEnum
 from fractions import Fraction
+from typing import ClassVar
 
 import numpy as np
 
@@ -20,6 +21,7 @@ from animtool.motion.driving import driven_take
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.take import Take
 from animtool.rig.joints import coordinate_slices, local_from_coordinates
+from animtool.rig.kinematics import WorldTransforms, forward
 from animtool.rig.limits import BallLimit, RangeLimit
 
 # A coordinate this near to its limit is on it [rad] or [m]: farther than what counts as
@@ -85,6 +87,21 @@ class IkResult:
     reached: BoolArray
     stretches: FloatArray
     jumps: tuple[Jump, ...] = ()
+    # Of a result of a session: no field, so that one with other coordinates has none.
+    _placed: ClassVar[WorldTransforms | None] = None
+
+    def world(self) -> WorldTransforms:
+        """Return where every joint of the rig is in the poses, bones stretched."""
+        if self._placed is not None:
+            return self._placed
+        rig = self.problem.rig
+        rotations = local_from_coordinates(rig, self.coordinates).rotations
+        return forward(rig, self.local_translations(), rotations)
+
+    def with_world(self, world: WorldTransforms) -> IkResult:
+        """Return itself, knowing where the joints are."""
+        object.__setattr__(self, "_placed", world)
+        return self
 
     @property
     def positions(self) -> FloatArray:

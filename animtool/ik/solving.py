@@ -2,34 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numpy as np
 
 from animtool import _kernels
-from animtool.core.array_types import ArrayLike, BoolArray, FloatArray, IntArray
+from animtool.core.array_types import ArrayLike, FloatArray
 from animtool.core.errors import Fault, OptionError, listed
-from animtool.core.record import dataclass
 from animtool.ik.chain import difference
-from animtool.ik.goals import Targets, by_unit, pack
-from animtool.ik.limbs import Extension, extend
-from animtool.ik.options import IkMethod
+from animtool.ik.goals import Targets, pack
+from animtool.ik.options import IkMethod, IkOptions
 from animtool.ik.problem import Problem, rest_pose
 from animtool.ik.result import IkResult, IkStatus
+from animtool.ik.rig_solver import CLOSED, RigSolved, make_solver
 from animtool.ik.sub_rig import following
-from animtool.ik.two_bone import active_goals, fits, misfit, solve_limb
+from animtool.ik.two_bone import misfit
+from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.skeleton import JointType
 
-# Numbers of the methods in the kernel.
-KERNEL_METHODS = {
-    IkMethod.AUTO: 0,
-    IkMethod.DAMPED: 0,
-    IkMethod.TWO_BONE: 0,
-    IkMethod.GRADIENT: 1,
-    IkMethod.NEWTON: 2,
-    IkMethod.CCD: 3,
-    IkMethod.FABRIK: 4,
-}
 _STATUSES = (
     IkStatus.CONVERGED,
     IkStatus.NEAREST,
@@ -39,51 +29,14 @@ _STATUSES = (
     IkStatus.CONFLICT,
     IkStatus.STALLED,
 )
-# Methods that may take the closed form.
-_CLOSED = {IkMethod.AUTO, IkMethod.TWO_BONE}
 # How much the start draws poses that came of new ones, one after the other.
 DRAWN = (1e-2, 1e-3, 1e-4, 0.0)
-# Damping of the first step: far from the goals, and beside them.
-COLD_DAMPING, WARM_DAMPING = 1e-3, 1e-6
 # The least and the most of each, as the kernel has room for.
 COUNTS = {
     "iterations": (1, 2**31 - 1),
     "restarts": (0, 2**31 - 1),
     "seed": (0, 2**64 - 1),
 }
-
-
-@dataclass(frozen=True, slots=True)
-class IkOptions:
-    """How to solve.
-
-    Attributes:
-        method: ``auto`` takes the closed form where a limb of two bones fits it, else
-            damped least squares; see `IkMethod`.
-        tolerance: A position is reached within this share of the problem's length.
-        angle_tolerance: An orientation, aim or pole is reached within this [rad].
-        iterations: Most steps for one problem, restarts included.
-        restarts: Most new starts where damped steps end short of the goals.
-        seed: Of the new starts; the same seed gives the same poses.
-        seconds: Most time for one problem [s]; 0 is no bound. With a bound, what is
-            found depends on the machine.
-        ordered: The problems are frames of a clip. One that ends as far from its goals
-            as the one before it is not searched all over again.
-        warm: They also start where the one before ended, but for the first.
-        near: Poses that came of new starts are then drawn to those preferred, while
-            goals stay met; that takes longer than finding them.
-    """
-
-    method: IkMethod = IkMethod.AUTO
-    tolerance: float = 1e-6
-    angle_tolerance: float = 1e-6
-    iterations: int = 5000
-    restarts: int = 200
-    seed: int = 0
-    seconds: float = 0.0
-    ordered: bool = False
-    warm: bool = False
-    near: bool = False
 
 
 def solve(
@@ -128,36 +81,40 @@ def solve(
     (<IkStatus.CONVERGED: 'converged'>, True)
     """
     options = options or IkOptions()
-    _check(options)
+    check_options(options)
     check_method(problem, options.method)
-    packed = chain_targets(problem, targets)
-    chain = problem.chain
+    packed = pack(targets, problem.goals)
     starts = pose_rows(problem, start, len(packed), "start")
-    own = wished = chain.from_rig(starts)
     if prefer is not None:
-        wished = chain.from_rig(pose_rows(problem, prefer, len(packed), "prefer"))
-    asked = _Asked(packed, extend(problem.limbs, packed), own, wished)
-    if options.method in _CLOSED and fits(problem):
-        found = _limbs(problem, asked, options)
-    else:
-        found = _damped(problem, asked, options)
-    if options.near and options.method in _CLOSED | {IkMethod.DAMPED}:
-        _settle(problem, asked, options, found)
-    reached = _reached(found, options)
-    _explain(found, asked, reached)
-    return IkResult(
+        prefer = pose_rows(problem, prefer, len(packed), "prefer")
+    solver = make_solver(problem, options)
+    result = result_of(problem, solver.solve(starts, packed, prefer, placed=False))
+    if options.near and options.method in CLOSED | {IkMethod.DAMPED}:
+        wished = starts if prefer is None else prefer
+        return _settled(problem, packed, wished, options, result)
+    return result
+
+
+def result_of(problem: Problem, found: RigSolved) -> IkResult:
+    """Return what a solver found as a result."""
+    rows, misses, reports, seconds, reached, scales, positions, linear = found
+    if problem.rig.is_driven:
+        rows = following(problem.rig, rows, problem.joints)
+        positions = positions[:0]
+    result = IkResult(
         problem,
-        following(
-            problem.rig, chain.into_rig(found.coordinates, starts), problem.joints
-        ),
-        tuple(_STATUSES[status] for status in found.reports[:, 0].tolist()),
-        found.reports[:, 1],
-        found.reports[:, 2],
-        found.seconds,
-        found.misses * by_unit(chain.length, 1.0),
+        rows,
+        tuple([_STATUSES[status] for status in reports[:, 0].tolist()]),
+        reports[:, 1],
+        reports[:, 2],
+        seconds,
+        misses,
         reached,
-        asked.limbs.scales,
+        scales,
     )
+    if not len(positions):
+        return result
+    return result.with_world(WorldTransforms(positions, linear))
 
 
 def chain_targets(problem: Problem, targets: Targets) -> FloatArray:
@@ -168,122 +125,37 @@ def chain_targets(problem: Problem, targets: Targets) -> FloatArray:
     return packed
 
 
-@dataclass(frozen=True, slots=True)
-class _Solved:
-    """What a solver found: chain coordinates, misses, reports, seconds."""
-
-    coordinates: FloatArray
-    misses: FloatArray
-    reports: IntArray
-    seconds: FloatArray
-
-
-@dataclass(frozen=True, slots=True)
-class _Asked:
-    """What B problems ask of the chain, as the solvers take it."""
-
-    targets: FloatArray
-    limbs: Extension
-    starts: FloatArray
-    wished: FloatArray
-
-    def __getitem__(self, rows: IntArray) -> _Asked:
-        """Return some of the problems."""
-        targets, limbs = self.targets[rows], self.limbs[rows]
-        return _Asked(targets, limbs, self.starts[rows], self.wished[rows])
-
-
-def _explain(solved: _Solved, asked: _Asked, reached: BoolArray) -> None:
-    """Say of targets that were brought into reach whether they were out of it."""
-    status = solved.reports[:, 0]
-    short = (status == _STATUSES.index(IkStatus.CONVERGED)) & ~reached.all(axis=1)
-    only_eased = (reached | asked.limbs.eased).all(axis=1)
-    status[short] = _STATUSES.index(IkStatus.NEAREST)
-    status[short & only_eased] = _STATUSES.index(IkStatus.YIELDED)
-
-
-def _damped(problem: Problem, asked: _Asked, options: IkOptions) -> _Solved:
-    chain = problem.chain
-    solved = _kernels.solve_ik(
-        *chain.arrays,
-        starts=asked.starts,
-        targets=asked.targets,
-        sought=asked.limbs.sought,
-        stretches=asked.limbs.scales,
-        rests=asked.wished,
-        rest_weight=problem.rest_weight,
-        length_tolerance=options.tolerance,
-        angle_tolerance=options.angle_tolerance,
-        damping=WARM_DAMPING if options.warm else COLD_DAMPING,
-        iterations=options.iterations,
-        restarts=options.restarts,
-        seed=options.seed,
-        seconds=options.seconds,
-        ordered=options.ordered,
-        warm=options.warm,
-        method=KERNEL_METHODS[options.method],
-    )
-    return _Solved(*solved)
-
-
-def _reached(solved: _Solved, options: IkOptions) -> BoolArray:
-    """Return which goals are reached ``(B, E)``."""
-    tolerances = by_unit(options.tolerance, options.angle_tolerance)
-    return np.asarray((solved.misses <= tolerances).all(axis=2), np.bool_)
-
-
-def _settle(
-    problem: Problem, asked: _Asked, options: IkOptions, solved: _Solved
-) -> None:
+def _settled(
+    problem: Problem,
+    packed: FloatArray,
+    wished: FloatArray,
+    options: IkOptions,
+    result: IkResult,
+) -> IkResult:
     """Draw poses that came of new starts to those preferred, while goals stay met.
 
     What the goals leave free would else stay as random as the starts were.
     """
     redundant = problem.degrees > problem.rows
-    again = (solved.reports[:, 2] > 1) & _reached(solved, options).all(axis=1)
-    rows = np.flatnonzero(again)
+    rows = np.flatnonzero((result.descents > 1) & result.reached.all(axis=1))
     if not redundant or problem.rest_weight > 0 or options.seconds > 0 or not len(rows):
-        return
+        return result
     near = replace(options, method=IkMethod.DAMPED, restarts=0)
-    drawn = _Solved(*(getattr(solved, field.name)[rows] for field in fields(_Solved)))
+    poses, drawn = result.coordinates[rows], result
     for weight in DRAWN:
-        here = replace(asked[rows], starts=drawn.coordinates)
-        drawn = _damped(replace(problem, rest_weight=weight), here, near)
-    wished = asked.wished[rows]
+        solver = make_solver(replace(problem, rest_weight=weight), near)
+        found = solver.solve(poses, packed[rows], wished[rows], placed=False)
+        drawn = result_of(problem, found)
+        poses = drawn.coordinates
+    chain = problem.chain
     before, after = (
-        np.linalg.norm(difference(problem.chain, wished, poses), axis=1)
-        for poses in (solved.coordinates[rows], drawn.coordinates)
+        np.linalg.norm(difference(chain, chain.from_rig(wished[rows]), q), axis=1)
+        for q in (chain.from_rig(result.coordinates[rows]), chain.from_rig(poses))
     )
-    kept = _reached(drawn, options).all(axis=1) & (after < before)
-    solved.coordinates[rows[kept]] = drawn.coordinates[kept]
-    solved.misses[rows[kept]] = drawn.misses[kept]
-
-
-def _limbs(problem: Problem, asked: _Asked, options: IkOptions) -> _Solved:
-    """Solve limbs in closed form, and those that their limits stop by descent."""
-    limbs = solve_limb(
-        problem, asked.starts, asked.targets, asked.limbs.sought, asked.limbs.scales
-    )
-    reports = np.zeros((len(asked.starts), 3), np.int64)
-    seconds = np.zeros(len(reports))
-    closed_form = _Solved(limbs.coordinates, limbs.misses, reports, seconds)
-    rest = np.flatnonzero(~limbs.valid)
-    if len(rest):
-        other = _damped(problem, asked[rest], options)
-        closed_form.coordinates[rest] = other.coordinates
-        closed_form.misses[rest] = other.misses
-        closed_form.reports[rest] = other.reports
-        closed_form.seconds[rest] = other.seconds
-    if options.warm:
-        _stay(closed_form, ~np.logical_or(*active_goals(problem, asked.targets)))
-    return closed_form
-
-
-def _stay(solved: _Solved, idle: BoolArray) -> None:
-    """Leave limbs of which a frame asks nothing where the last frame left them."""
-    rows = np.arange(len(idle))
-    last = np.maximum.accumulate(np.where(idle, -1, rows))
-    solved.coordinates[last >= 0] = solved.coordinates[last[last >= 0]]
+    kept = drawn.reached.all(axis=1) & (after < before)
+    result.coordinates[rows[kept]] = poses[kept]
+    result.misses[rows[kept]] = drawn.misses[kept]
+    return result
 
 
 def option_faults(options: IkOptions) -> dict[str, list[Fault]]:
@@ -308,7 +180,8 @@ def _unless(good: bool, name: str, rule: str, value: float) -> list[Fault]:
     return [] if good else [Fault("IK014", message)]
 
 
-def _check(options: IkOptions) -> None:
+def check_options(options: IkOptions) -> None:
+    """Raise where options make no sense."""
     faults = [
         fault for of_option in option_faults(options).values() for fault in of_option
     ]

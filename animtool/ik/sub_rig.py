@@ -105,7 +105,7 @@ def sub_rig(rig: Rig, names: Iterable[str]) -> tuple[Rig, IntArray]:
     joints = tuple(
         replace(rig.joints[j], parent=place[rig.joints[j].parent]) for j in own
     )
-    part = Rig(rig.name, joints, rig.meters_per_unit, rig.up, ik=rig.ik)
+    part = Rig(rig.name, joints, rig.meters_per_unit, rig.up, chains=rig.chains)
     if linked:
         part = replace(part, controls=_read_controls(rig, part.names))
     return part, np.array(own, np.int64)
@@ -190,8 +190,8 @@ def dressed(rig: Rig, other: Rig) -> Rig:
                 driven=own.driven if _readable(own, names, rig) else None,
             )
         )
-    chains = tuple(chain for chain in other.ik if {chain.root, chain.tip} <= names)
-    return replace(rig, joints=tuple(joints), ik=chains)
+    chains = tuple(chain for chain in other.chains if {chain.root, chain.tip} <= names)
+    return replace(rig, joints=tuple(joints), chains=chains)
 
 
 def _readable(joint: Joint, names: Collection[str], rig: Rig) -> bool:

@@ -17,11 +17,11 @@ from animtool.ik.chain_frame import Part
 from animtool.ik.goals import PARTS, Goal, Targets, rows_of
 from animtool.ik.jumps import Jump, find_jumps
 from animtool.ik.nearest import settled
-from animtool.ik.options import IkMethod, TakeOptions
+from animtool.ik.options import IkMethod, IkOptions, TakeOptions
 from animtool.ik.path import goal_moves, jumps_of, rate_faults, smooth, windings
 from animtool.ik.problem import Problem, build, rest_faults
 from animtool.ik.result import IkResult, IkStatus, frames_on_limits
-from animtool.ik.solving import IkOptions, chain_targets, option_faults, serving, solve
+from animtool.ik.solving import chain_targets, option_faults, serving, solve
 from animtool.ik.sub_rig import mimics
 from animtool.ik.tracks import GoalTrack, TargetTracks
 from animtool.maths import so3

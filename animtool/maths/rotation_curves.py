@@ -13,8 +13,8 @@ from enum import IntEnum
 
 import numpy as np
 
-from animtool.core.array_types import ArrayLike, FloatArray, IntArray, as_floats
-from animtool.core.record import dataclass
+from animtool import _kernels
+from animtool.core.array_types import ArrayLike, FloatArray, as_floats
 from animtool.maths import so3
 from animtool.maths.curves import Extrapolation, fold
 
@@ -201,12 +201,6 @@ def _cumulate(
     return so3.normalize(q)
 
 
-# A velocity at a key turns by no more than this over either segment [rad]. Slerps
-# stay below half of it; more would wind the curve around between keys, and past two
-# turns squad's inner points no longer tell how far to go.
-LARGEST_TURN = 2 * np.pi
-
-
 class RotationKind(IntEnum):
     """How rotations run from a key to the next.
 
@@ -287,115 +281,31 @@ def evaluate_rotations(
     >>> np.allclose(half, [[0, 0, 0.5**0.5, 0.5**0.5]])
     True
     """
-    curve = _checked(times, keys, kinds)
-    at = _finite(at, ("F",), "at")
-    if not len(at):
-        return np.zeros((0, *curve.keys.shape[1:]))
-    folded = fold(at, curve.times[0], curve.times[-1], pre, post)
-    velocities = np.zeros((*curve.keys.shape[:-1], 3))
-    if curve.bends or Extrapolation.LINEAR in {pre, post}:
-        velocities = curve.velocities()
-    q = curve.evaluate(folded.times, velocities)
-    for mode, side, edge in (
-        (pre, folded.beyond < 0, 0),
-        (post, folded.beyond > 0, -1),
-    ):
-        if mode is Extrapolation.LINEAR and side.any():
-            turn = curve.column(folded.beyond[side]) * velocities[edge]
-            q[side] = so3.normalize(so3.multiply(q[side], so3.exp(turn)))
-    around = folded.cycles != 0
-    if around.any():
-        rise = so3.multiply(curve.keys[-1], so3.conjugate(curve.keys[0]))
-        turn = curve.column(folded.cycles[around]) * so3.log(rise)
-        q[around] = so3.normalize(so3.multiply(so3.exp(turn), q[around]))
-    return so3.align_signs(q, q[0])
-
-
-@dataclass(frozen=True, slots=True)
-class _Curve:
-    """Checked keys: ascending times, aligned unit quaternions ``(K, …, 4)``, kinds."""
-
-    times: FloatArray
-    keys: FloatArray
-    kinds: IntArray
-
-    @property
-    def bends(self) -> bool:
-        """Whether any segment asks for the velocities at its ends."""
-        return bool((self.kinds >= RotationKind.SQUAD).any())
-
-    def column(self, values: FloatArray) -> FloatArray:
-        """Return values ``(N,)`` such that they multiply rows ``(N, …, D)``."""
-        return values.reshape(len(values), *[1] * (self.keys.ndim - 1))
-
-    def velocities(self) -> FloatArray:
-        """Return the angular velocity in body space [rad per time] ``(K, …, 3)``."""
-        spans = self.column(np.diff(self.times))
-        secants = rotation_between(self.keys[:-1], self.keys[1:]) / spans
-        before, after = _sides(secants)
-        # The weight of the secant before is the span after; at ends neither counts.
-        span_before, span_after = _sides(spans, 1.0)
-        share = span_after / (span_before + span_after)
-        blend = share * before + (1 - share) * after
-        # Which side has its say: a slerp above all, a step or none at all last.
-        ranks = np.array([0.0, 2.0, 1.0, 1.0])[self.kinds[:-1]]
-        first, second = _sides(self.column(ranks))
-        chosen = np.where(
-            first > second, before, np.where(first < second, after, blend)
-        )
-        silent = (first == 0) & (second == 0)
-        return _limited(np.where(silent, 0.0, chosen), *_sides(spans))
-
-    def evaluate(self, times: FloatArray, velocities: FloatArray) -> FloatArray:
-        """Return rotations at times within those of the keys ``(F, …, 4)``."""
-        index = np.searchsorted(self.times, times, side="right") - 1
-        q = self.keys[index]
-        # At a key the key stands; the rest lies strictly within a segment.
-        within = self.times[index] != times
-        for kind in (RotationKind.SLERP, RotationKind.SQUAD, RotationKind.SPLINE):
-            chosen = within & (self.kinds[index] == kind)
-            if not chosen.any():
-                continue
-            low = index[chosen]
-            span = self.times[low + 1] - self.times[low]
-            u = self.column((times[chosen] - self.times[low]) / span)[..., 0]
-            ends = self.keys[[low, low + 1]]
-            if kind is RotationKind.SLERP:
-                q[chosen] = so3.slerp(ends[0], ends[1], u)
-                continue
-            segment = squad_by_velocities if kind is RotationKind.SQUAD else hermite
-            turns = self.column(span) * velocities[[low, low + 1]]
-            q[chosen] = segment(ends, turns, u)
-        return q
-
-
-def _sides(values: FloatArray, end: float = 0.0) -> tuple[FloatArray, FloatArray]:
-    """Return values ``(K - 1, …)`` before and behind each key, or what ends have."""
-    none = np.full((1, *values.shape[1:]), end)
-    return np.concatenate([none, values]), np.concatenate([values, none])
-
-
-def _limited(velocities: FloatArray, *spans: FloatArray) -> FloatArray:
-    """Return velocities that turn by at most `LARGEST_TURN` over the spans."""
-    turns = np.linalg.norm(velocities, axis=-1, keepdims=True) * np.maximum(*spans)
-    return np.asarray(velocities * (LARGEST_TURN / np.maximum(turns, LARGEST_TURN)))
-
-
-def _checked(times: ArrayLike, keys: ArrayLike, kinds: ArrayLike) -> _Curve:
-    """Return keys that can be evaluated."""
     times = _finite(times, ("K",), "times")
     if not len(times):
         raise ValueError("a curve has at least one key")
     if (np.diff(times) <= 0).any():
         late = int((np.diff(times) <= 0).argmax()) + 1
         raise ValueError(f"times must ascend; that of key {late} is {times[late]}")
+    several = np.ndim(keys) == 3
+    shape = (len(times), "C", 4) if several else (len(times), 4)
+    rows = as_floats(keys, shape, "keys")
     kinds = np.asarray(kinds)
     if kinds.shape not in {(), times.shape}:
         raise ValueError(f"kinds must have shape {times.shape}, not {kinds.shape}")
     if not np.isin(kinds, list(RotationKind)).all():
         raise ValueError(f"kinds must be of {[int(kind) for kind in RotationKind]}")
-    every = np.broadcast_to(kinds, times.shape).astype(np.int64)
-    return _Curve(times, aligned_keys(keys, len(times)), every)
+    at = _finite(at, ("F",), "at")
+    folded = fold(at, times[0], times[-1], pre, post)
+    found = _kernels.evaluate_rotations(
+        times,
+        rows if several else rows[:, None],
+        np.broadcast_to(kinds, times.shape).astype(np.int64),
+        folded.times,
+        folded.beyond,
+        folded.cycles,
+    )
+    return found if several else found[:, 0]
 
 
 def _finite(values: ArrayLike, shape: tuple[int | str, ...], name: str) -> FloatArray:

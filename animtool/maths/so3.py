@@ -153,6 +153,20 @@ def log(q: ArrayLike) -> FloatArray:
     return np.asarray(q[..., :3] * factor + 0.0)
 
 
+def steps(q: FloatArray) -> FloatArray:
+    """Return the shortest rotation vectors ``(F - 1, A, 3)`` [rad] from frame to frame.
+
+    They are about the body's own axes: ``q[f + 1]`` is ``q[f]`` times their rotation.
+
+    >>> turns = from_axis_angle([0, 0, 1], [[0.0], [0.5], [0.25]])
+    >>> steps(turns)[:, 0, 2].round(12).tolist()
+    [0.5, -0.25]
+    """
+    from animtool import _kernels
+
+    return _kernels.turn_steps(np.ascontiguousarray(q))
+
+
 def angle_between(a: ArrayLike, b: ArrayLike) -> FloatArray:
     """Return the angle ``(...)`` [rad] of the rotation between unit quaternions.
 
@@ -182,16 +196,19 @@ def slerp(a: ArrayLike, b: ArrayLike, t: ArrayLike) -> FloatArray:
     >>> np.allclose(half, [0, 0, 0.5**0.5, 0.5**0.5])
     True
     """
+    # Rigs are also read by what needs no kernels.
+    from animtool import _kernels
+
     a, b = np.asarray(a, np.float64), np.asarray(b, np.float64)
-    t = np.asarray(t, np.float64)[..., None]
-    b = np.where(np.sum(a * b, axis=-1, keepdims=True) < 0, -b, b)
-    half = angle_between(a, b)[..., None] / 2
-    sine = np.sin(half)
-    small = half < SMALL_ANGLE
-    divisor = np.where(small, 1.0, sine)
-    weight_a = np.where(small, 1 - t, np.sin((1 - t) * half) / divisor)
-    weight_b = np.where(small, t, np.sin(t * half) / divisor)
-    return normalize(weight_a * a + weight_b * b)
+    t = np.asarray(t, np.float64)
+    shape = np.broadcast_shapes(a.shape[:-1], b.shape[:-1], t.shape)
+    begin, end = (
+        np.ascontiguousarray(q if q.size == 4 else np.broadcast_to(q, (*shape, 4)))
+        for q in (a, b)
+    )
+    share = np.broadcast_to(t, shape).ravel()
+    mixed = _kernels.slerp(begin.reshape(-1, 4), end.reshape(-1, 4), share)
+    return mixed.reshape(*shape, 4)
 
 
 def align_signs(q: ArrayLike, previous: ArrayLike | None = None) -> FloatArray:

@@ -12,7 +12,7 @@ from dataclasses import field, replace
 from enum import StrEnum
 from fractions import Fraction
 from pathlib import Path
-from typing import Any, TypeAlias, cast
+from typing import Any, ClassVar, TypeAlias, cast
 
 from animtool.core.array_types import FloatArray
 from animtool.core.clock import Clock
@@ -291,6 +291,7 @@ class ListedPass:
     source: str  # ``animtool``, or the object that an entry point names
     scope: Scope | None  # none where it cannot be loaded
     about: str  # what it does, or why it cannot be loaded
+    json_keys: ClassVar[str] = "pass=name source scope about"
 
 
 def listed_passes() -> list[ListedPass]:

@@ -7,7 +7,7 @@ from contextlib import ExitStack
 from dataclasses import field
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -78,29 +78,22 @@ class PageReport:
     size: int  # of it [bytes]
     page: Page
 
-    def as_dict(self) -> dict[str, Any]:
-        """Return it as plain values for a JSON report."""
+    json_keys: ClassVar[str] = (
+        "'preview' output=path bytes=size frames=page.manifest.time.count "
+        "first=page.manifest.time.first step=page.manifest.time.step "
+        "fps=page.manifest.time.label *counts "
+        "rotation_error_deg=page.manifest.errors.rotation_deg "
+        "position_error_mm=page.manifest.errors.position_mm "
+        "not_shown=page.manifest.notices notices=page.notices"
+    )
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """How many of each kind the page shows."""
         manifest = self.page.manifest
-        time, errors = manifest["time"], manifest["errors"]
-        return {
-            "preview": "animtool/1",
-            "output": str(self.path),
-            "bytes": self.size,
-            "frames": time["count"],
-            "first": time["first"],
-            "step": time["step"],
-            "fps": time["label"],
-            **{
-                name: len(manifest[name])
-                for name in ("takes", "meshes", "curves3d", "points", "instances")
-            },
-            **{name: len(manifest[name]) for name in ("cameras", "channels")},
-            "findings": len(manifest["findings"]),
-            "rotation_error_deg": errors["rotation_deg"],
-            "position_error_mm": errors["position_mm"],
-            "not_shown": manifest["notices"],
-            "notices": [notice.as_dict() for notice in self.page.notices],
-        }
+        shapes = ("takes", "meshes", "curves3d", "points", "instances")
+        kinds = (*shapes, "cameras", "channels", "findings")
+        return {name: len(manifest[name]) for name in kinds}
 
 
 def write_page(

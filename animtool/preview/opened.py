@@ -43,6 +43,7 @@ from animtool.scene.sources.open import (
     open_characters,
     open_source,
     source_stem,
+    takes_option,
 )
 
 if TYPE_CHECKING:
@@ -152,7 +153,7 @@ def open_file(
     source = replace(
         fitting_options(options.source, path, others), prim_path=options.prim_path
     )
-    if not is_usd(path):
+    if not takes_option(path, "prim_path"):
         source = replace(source, prim_path=None)
     if is_marker_file(path) and source.template is None:
         return _open_markers(path, source)

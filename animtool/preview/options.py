@@ -27,7 +27,8 @@ class PreviewOptions:
         None,
         "text",
         metavar="PATH",
-        help="What to show of a USD file.  [default: all]",
+        help="What to show of a USD file, or the character of a glTF or FBX with "
+        "several.  [default: all of a USD file, the first character of others]",
     )
     over: tuple[str, ...] = option(
         (),

@@ -48,6 +48,7 @@ class RigDescription:
     ik: int  # number of chains that reach for goals
     attach: int  # number of attachments
     colliders: int  # number of colliders
+    mass: float | None  # of all joints that state one [kg]; None where none does
     units: str  # unit of the file
     up: str  # up axis
     notices: list[Fault]  # what is odd
@@ -93,9 +94,10 @@ def describe_rig(path: Path | str, rig: Rig, notices: list[Fault]) -> RigDescrip
         len({arkit_name(shape.name) for shape in rig.shapes} - {None}),
         len(rig.controls),
         _driven(rig),
-        len(rig.ik),
+        len(rig.chains),
         len(rig.attach),
         len(rig.colliders),
+        sum(mass.mass for mass in rig.masses) if rig.masses else None,
         unit_name(rig.meters_per_unit),
         rig.up.value,
         notices,

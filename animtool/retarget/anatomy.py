@@ -102,6 +102,10 @@ def anatomy(
         OptionError: There is no preset of that name (MAP003).
     """
     names = [joint.source_name or joint.name for joint in rig.joints]
+    if preset is None:
+        # What the file says goes before what a name may mean.
+        own = zip(rig.joints, names, strict=True)
+        names = [joint.humanoid or name for joint, name in own]
     read = read_names(names, rig.parents)
     chosen: Preset | None = None
     if preset is not None:

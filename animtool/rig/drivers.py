@@ -22,7 +22,6 @@ Points = tuple[tuple[float, float], ...]
 # angle of the swing, and its rotation vector about an axis of the joint's rest frame.
 ANGLE, SLIDE, TWIST, SWING = "angle", "slide", "twist", "swing"
 SWINGS = ("swing_x", "swing_y", "swing_z")
-READ_PARTS = (ANGLE, SLIDE, TWIST, SWING, *SWINGS)
 
 
 @dataclass(frozen=True, slots=True)

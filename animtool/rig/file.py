@@ -145,8 +145,9 @@ def rig_of_document(document: Document, above: tuple[Path, ...] = ()) -> Rig:
         bind = bind_of(document, model.bind, joints, units, inherited.bind)
         shapes = _with_shapes(inherited.shapes, shapes)
         controls = parts.controls([shape.name for shape in shapes], inherited.controls)
-        chains = parts.ik(inherited.ik)
+        chains = parts.ik(inherited.chains)
         colliders = parts.colliders(inherited.colliders)
+        masses = parts.masses(inherited.masses)
         attached = parts.attach(meshes, inherited.attach)
     rig = Rig(
         model.name,
@@ -161,6 +162,7 @@ def rig_of_document(document: Document, above: tuple[Path, ...] = ()) -> Rig:
         attached,
         colliders,
         units.angle,
+        masses,
         (*inherited.notices, *document.notices),
         stands=inherited.stands,
         rides=inherited.rides,

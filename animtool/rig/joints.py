@@ -23,15 +23,7 @@ from animtool.core.array_types import ArrayLike, FloatArray, as_floats
 from animtool.core.record import dataclass
 from animtool.core.similar import LONGEST, similar
 from animtool.maths import so3
-from animtool.rig.skeleton import JointType, Rig
-
-_WIDTH = {
-    JointType.FREE: 7,
-    JointType.BALL: 4,
-    JointType.PIN: 1,
-    JointType.PRISMATIC: 1,
-    JointType.FIXED: 0,
-}
+from animtool.rig.skeleton import WIDTHS, JointType, Rig
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,10 +36,10 @@ class LocalTransforms:
 
 def coordinate_slices(rig: Rig) -> list[slice]:
     """Return where each joint's coordinates stand in a row of q."""
-    ends = np.cumsum([_WIDTH[joint.type] for joint in rig.joints])
+    firsts = rig.joint_arrays.columns.tolist()
     return [
-        slice(int(end) - _WIDTH[joint.type], int(end))
-        for joint, end in zip(rig.joints, ends, strict=True)
+        slice(first, first + WIDTHS[joint.type])
+        for joint, first in zip(rig.joints, firsts, strict=True)
     ]
 
 
@@ -65,27 +57,14 @@ def local_from_coordinates(rig: Rig, coordinates: ArrayLike) -> LocalTransforms:
     >>> local.rotations[0, 0].round(12).tolist()
     [0.0, 1.0, 0.0, 0.0]
     """
-    slices = coordinate_slices(rig)
-    q = as_floats(coordinates, ("F", slices[-1].stop if slices else 0), "coordinates")
-    frames = len(q)
-    translations = np.repeat(rig.rest_translations[None], frames, axis=0)
-    rotations = np.repeat(rig.rest_rotations[None], frames, axis=0)
-    for j, (joint, place) in enumerate(zip(rig.joints, slices, strict=True)):
-        rest, own = rig.rest_rotations[j], q[:, place]
-        match joint.type:
-            case JointType.FREE:
-                translations[:, j] += so3.rotate(rest, own[:, :3])
-                rotations[:, j] = so3.multiply(rest, so3.normalize(own[:, 3:]))
-            case JointType.BALL:
-                rotations[:, j] = so3.multiply(rest, so3.normalize(own))
-            case JointType.PIN:
-                turn = so3.from_axis_angle(joint.axis, own[:, 0])
-                rotations[:, j] = so3.multiply(rest, turn)
-            case JointType.PRISMATIC:
-                translations[:, j] += so3.rotate(rest, own * np.asarray(joint.axis))
-            case JointType.FIXED:
-                continue
-    return LocalTransforms(translations, rotations)
+    # Rigs are also read by what needs no kernels.
+    from animtool import _kernels
+
+    q = as_floats(coordinates, ("F", rig.coordinates), "coordinates")
+    local = _kernels.coordinates_to_local(
+        *rig.joint_arrays, rig.rest_translations, rig.rest_rotations, q
+    )
+    return LocalTransforms(*local)
 
 
 def coordinates_from_local(rig: Rig, local: LocalTransforms) -> FloatArray:

@@ -27,6 +27,7 @@ from animtool.rig.expressions import FUNCTIONS, Expression, parse_expression
 from animtool.rig.joint_entries import FileJoints, FileUnits, unit_vector
 from animtool.rig.joint_schema import DrivenModel, MeshModel, SkinModel
 from animtool.rig.joints import DRIVEN_PARTS, nearest_part, split_part
+from animtool.rig.mass_entries import read_masses
 from animtool.rig.parts import (
     ArraySource,
     Attachment,
@@ -34,6 +35,7 @@ from animtool.rig.parts import (
     Collider,
     IkChain,
     Inbetween,
+    Mass,
     Mesh,
     Shape,
     Skin,
@@ -245,6 +247,15 @@ class PartReader:
             )
             colliders.append(Collider(entry.joint, capsule))
         return tuple(colliders)
+
+    def masses(self, inherited: Sequence[Mass] = ()) -> tuple[Mass, ...]:
+        """Return what joints weigh."""
+
+        def known(at: Location, name: str) -> bool:
+            return self._known(at, name, self.joints, "joint")
+
+        entries, length = self.model.masses, self.units.length
+        return read_masses(self.document, entries, inherited, length, known)
 
     def _mesh(self, at: Location, mesh: MeshModel) -> Mesh:
         points = self.arrays.array((*at, "points"), mesh.points, "points", (None, 3))

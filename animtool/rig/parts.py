@@ -205,3 +205,23 @@ class Collider:
 
     joint: str
     capsule: Capsule
+
+
+@dataclass(frozen=True, slots=True)
+class Mass:
+    """What a joint and all that is stiff with it weighs, in the frame of the joint.
+
+    Attributes:
+        joint: Name of the joint.
+        mass: Above 0 [kg].
+        centre: Centre of mass, from the joint's origin [m].
+        inertia: Moments about its principal axes, through the centre [kg m²]; None is
+            those of the colliders.
+        axes: How those are turned in the joint's frame, a quaternion (x, y, z, w).
+    """
+
+    joint: str
+    mass: float
+    centre: Vector = (0.0, 0.0, 0.0)
+    inertia: Vector | None = None
+    axes: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)

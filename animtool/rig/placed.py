@@ -14,7 +14,14 @@ from animtool.maths import so3
 from animtool.rig.controls import Control
 from animtool.rig.drivers import Driver
 from animtool.rig.limits import RangeLimit
-from animtool.rig.parts import Attachment, Collider, HeldArray, IkChain, Mesh
+from animtool.rig.parts import (
+    Attachment,
+    Collider,
+    HeldArray,
+    IkChain,
+    Mass,
+    Mesh,
+)
 from animtool.rig.placement import Placement, placement_matrix
 from animtool.rig.skeleton import Joint, JointType, Pose, Rig
 
@@ -55,11 +62,12 @@ def placed_rig(rig: Rig, placement: Placement, up: UpAxis | None = None) -> Rig:
         meshes=tuple(
             _mesh(mesh, placement, rig.meters_per_unit) for mesh in rig.meshes
         ),
-        ik=tuple(_chain(chain, placement, roots) for chain in rig.ik),
+        chains=tuple(_chain(chain, placement, roots) for chain in rig.chains),
         attach=tuple(
             _strands(entry, placement, rig.meters_per_unit) for entry in rig.attach
         ),
         colliders=tuple(_collider(one, size) for one in rig.colliders),
+        masses=tuple(_mass(one, size) for one in rig.masses),
         stands=stands,
     )
 
@@ -154,6 +162,18 @@ def _strands(entry: Attachment, placement: Placement, unit: float) -> Attachment
     except ValueError as error:
         raise FormatError(Fault("RIG018", f"{entry.name!r}: {error}")) from error
     return replace(entry, points=HeldArray(points))
+
+
+def _mass(mass: Mass, size: float) -> Mass:
+    """Return a mass whose lengths are scaled, and which stays the same."""
+    if size == 1.0:
+        return mass
+    x, y, z = (value * size for value in mass.centre)
+    inertia = mass.inertia
+    if inertia is not None:
+        a, b, c = (value * size**2 for value in inertia)
+        inertia = (a, b, c)
+    return replace(mass, centre=(x, y, z), inertia=inertia)
 
 
 def _collider(one: Collider, size: float) -> Collider:

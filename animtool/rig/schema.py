@@ -11,7 +11,15 @@ from annotated_types import Len
 from pydantic import Field
 
 from animtool.documents.check import FileModel
-from animtool.documents.fields import IgnoreModel, Name, Pair, Real, Vector, key
+from animtool.documents.fields import (
+    IgnoreModel,
+    Name,
+    Pair,
+    Quaternion,
+    Real,
+    Vector,
+    key,
+)
 from animtool.rig.joint_schema import (
     JOINED,
     DrivenModel,
@@ -80,6 +88,30 @@ class ColliderModel(FileModel):
 
     joint: Name = key("The joint that carries it.", "head")
     capsule: CapsuleModel = key("Its form.", {"radius": 0.08, "length": 0.3})
+
+
+class MassModel(FileModel):
+    """What a joint weighs."""
+
+    joint: Name = key("The joint, with all that moves with it and has no own.", "thigh")
+    mass: Annotated[Real, Field(gt=0)] = key("Its mass [kg].", 8.5)
+    centre: Vector = key(
+        "Its centre of mass, from the joint's origin, in its frame and the file's "
+        "length.",
+        [0.0, 0.2, 0.0],
+        default=[0.0, 0.0, 0.0],
+    )
+    inertia: Annotated[list[Annotated[Real, Field(ge=0)]], Len(3, 3)] | None = key(
+        "Moments of inertia about the axes of `axes`, through the centre [kg m²]. Not "
+        "given: those of the colliders.",
+        [0.12, 0.02, 0.12],
+        default=None,
+    )
+    axes: Quaternion = key(
+        "How these axes are turned in the joint's frame: a quaternion [w, x, y, z].",
+        [0.7071, 0.7071, 0.0, 0.0],
+        default=[1.0, 0.0, 0.0, 0.0],
+    )
 
 
 class DriveModel(FileModel):
@@ -190,7 +222,8 @@ class RigModel(FileModel):
     source: str | None = Field(
         default=None,
         alias="from",
-        description="A rig file, USD file, glTF or BVH that this file adds to.",
+        description="A rig file, USD file, glTF, BVH, URDF or MJCF that this file "
+        "adds to.",
         examples=["hero.usda"],
     )
     joints: list[JointModel] = key(
@@ -233,6 +266,12 @@ class RigModel(FileModel):
     colliders: list[ColliderModel] = key(
         "What simulations may not pass through.",
         [{"joint": "head", "capsule": {"radius": 0.08}}],
+        default=[],
+    )
+    masses: list[MassModel] = key(
+        "What joints weigh, as bodies of a ragdoll. Not given: by the density of their "
+        "colliders.",
+        [{"joint": "thigh", "mass": 8.5}],
         default=[],
     )
     ignore: list[IgnoreModel] = key(

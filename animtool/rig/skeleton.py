@@ -8,12 +8,13 @@ from dataclasses import field
 from enum import StrEnum
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, TypeAlias, cast, get_args
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias, cast, get_args
 
 import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, FormatError, OptionError, counted, excerpt
+from animtool.core.plugins import load_object
 from animtool.core.readers import find_reader
 from animtool.core.record import dataclass
 from animtool.core.similar import similar
@@ -24,6 +25,7 @@ from animtool.rig.parts import (
     Attachment,
     Collider,
     IkChain,
+    Mass,
     Mesh,
     Shape,
     Vector,
@@ -53,6 +55,24 @@ class JointType(StrEnum):
     PIN = "pin"
     PRISMATIC = "prismatic"
     FIXED = "fixed"
+
+
+# Coordinates of a joint of each type; kernels number the types in this order.
+WIDTHS = {
+    JointType.FIXED: 0,
+    JointType.PIN: 1,
+    JointType.PRISMATIC: 1,
+    JointType.BALL: 4,
+    JointType.FREE: 7,
+}
+
+
+class JointArrays(NamedTuple):
+    """What the joints of a rig can do, as kernels take it."""
+
+    types: IntArray  # numbers of the types ``(J,)``
+    columns: IntArray  # of each joint's first coordinate ``(J,)``
+    axes: FloatArray  # ``(J, 3)``
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,6 +118,8 @@ class Joint:
         mirror: Name of its counterpart on the other side; empty for none.
         driven: What a pin's or prismatic joint's coordinate is, in place of motion of
             its own.
+        humanoid: Which bone of a person its file says it is, as VRM calls that; empty
+            where it does not say; not compared.
     """
 
     name: str
@@ -113,6 +135,7 @@ class Joint:
     mimic: Mimic | None = None
     mirror: str = ""
     driven: Driver | None = None
+    humanoid: str = field(default="", repr=False, compare=False)
 
 
 @dataclass(frozen=True)
@@ -128,9 +151,10 @@ class Rig:
         meshes: Surfaces.
         shapes: Blend shapes.
         controls: What an animator holds.
-        ik: Chains that reach for goals.
+        chains: Chains that reach for goals.
         attach: What simulations move.
         colliders: What simulations may not pass through.
+        masses: What joints weigh, where that is stated; each joint once.
         radians_per_unit: Angle unit of the source [rad]; inside they are radians.
         notices: What is odd about the file that it was read from; not compared.
         has_rest: Whether the file states a rest pose, as all do but a SkelAnimation
@@ -153,10 +177,11 @@ class Rig:
     meshes: tuple[Mesh, ...] = ()
     shapes: tuple[Shape, ...] = ()
     controls: tuple[Control, ...] = ()
-    ik: tuple[IkChain, ...] = ()
+    chains: tuple[IkChain, ...] = ()
     attach: tuple[Attachment, ...] = ()
     colliders: tuple[Collider, ...] = ()
     radians_per_unit: float = math.radians(1.0)
+    masses: tuple[Mass, ...] = ()
     notices: tuple[Fault, ...] = field(default=(), repr=False, compare=False)
     has_rest: bool = field(default=True, repr=False, compare=False)
     stands: Placement | None = field(default=None, repr=False, compare=False)
@@ -222,6 +247,20 @@ class Rig:
             raise OptionError(Fault("RIG008", message, hint=hint))
         return self._index[name]
 
+    def ik(self, *goals: Any, **options: Any) -> Any:
+        """Return an `animtool.ik.Session`: goals solved again and again, a pose a call.
+
+        Args:
+            goals: Names of joints, or `animtool.ik.Goal` for more than position and
+                rotation.
+            options: As of `animtool.ik.Session`.
+
+        Raises:
+            OptionError: As of `animtool.ik.Session`.
+        """
+        session: Any = load_object("animtool.ik.session:Session")
+        return session(self, *goals, **options)
+
     def upwards(self, joint: int) -> list[int]:
         """Return the indices of a joint and of all above it, upwards.
 
@@ -262,6 +301,22 @@ class Rig:
     def rest_rotations(self) -> FloatArray:
         """Rest rotations ``(J, 4)``, parent space."""
         return np.array([j.rotation for j in self.joints], np.float64).reshape(-1, 4)
+
+    @cached_property
+    def joint_arrays(self) -> JointArrays:
+        """Types, columns of coordinates and axes of the joints."""
+        numbers = {kind: number for number, kind in enumerate(WIDTHS)}
+        widths = np.array([WIDTHS[joint.type] for joint in self.joints], np.int64)
+        return JointArrays(
+            np.array([numbers[joint.type] for joint in self.joints], np.int64),
+            np.cumsum(widths) - widths,
+            np.array([j.axis for j in self.joints], np.float64).reshape(-1, 3),
+        )
+
+    @cached_property
+    def coordinates(self) -> int:
+        """Width Q of a row of joint coordinates."""
+        return sum(WIDTHS[joint.type] for joint in self.joints)
 
     @property
     def roots(self) -> list[int]:

@@ -18,6 +18,7 @@ from animtool.rig.parts import (
     Collider,
     HeldArray,
     IkChain,
+    Mass,
     Mesh,
     Shape,
 )
@@ -70,9 +71,10 @@ def rig_text(rig: Rig) -> str:
         "meshes": map(_mesh, rig.meshes),
         "shapes": map(units.shape, rig.shapes),
         "controls": map(units.control, rig.controls),
-        "ik": map(_chain, rig.ik),
+        "ik": map(_chain, rig.chains),
         "attach": map(_attachment, rig.attach),
         "colliders": map(units.collider, rig.colliders),
+        "masses": map(units.mass, rig.masses),
     }
     for name, section in sections.items():
         entries = [f"- {entry}" for entry in section]
@@ -137,6 +139,18 @@ class _Units:
         ]
         return _mapping(
             [("joint", text(collider.joint)), ("capsule", _mapping(capsule))]
+        )
+
+    def mass(self, mass: Mass) -> str:
+        turned = mass.axes != (0.0, 0.0, 0.0, 1.0)
+        return _mapping(
+            [
+                ("joint", text(mass.joint)),
+                ("mass", number(mass.mass)),
+                ("centre", self.lengths(mass.centre) if any(mass.centre) else None),
+                ("inertia", _numbers(mass.inertia)),
+                ("axes", _quaternion(mass.axes) if turned else None),
+            ]
         )
 
     def limits(self, joint: Joint) -> str | None:

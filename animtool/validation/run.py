@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from animtool.core.arguments import Calling
 from animtool.core.errors import (
@@ -164,6 +164,15 @@ CHUNK = 10
 
 
 @dataclass(frozen=True, slots=True)
+class Entry:
+    """A finding as reports list it."""
+
+    fault: Fault
+    fixable: bool = False  # whether `--fix` can mend it
+    done: str = ""  # how it was mended
+
+
+@dataclass(frozen=True, slots=True)
 class Report:
     """What was found."""
 
@@ -174,6 +183,25 @@ class Report:
     fixable: frozenset[Fault] = frozenset()
     # Findings that were mended before, and what was done.
     mended: tuple[tuple[Fault, str], ...] = ()
+    json_keys: ClassVar[str] = (
+        "'validate' files findings=entries{*fault fixable} "
+        "mended=repairs{*fault done} summary"
+    )
+
+    @property
+    def entries(self) -> list[Entry]:
+        """The findings, and which can be mended."""
+        return [Entry(fault, fault in self.fixable) for fault in self.findings]
+
+    @property
+    def repairs(self) -> list[Entry]:
+        """Findings that were mended, and how."""
+        return [Entry(fault, done=done) for fault, done in self.mended]
+
+    @property
+    def summary(self) -> dict[str, int]:
+        """How many findings are of each severity."""
+        return {str(kind): self.count(kind) for kind in Severity}
 
     def worded(self, calling: Calling) -> Report:
         """Return it with arguments called as an interface calls them."""

@@ -53,7 +53,7 @@ def test_every_shipped_rig_comes_back_equal(path: Path, tmp_path: Path) -> None:
     rig, found = Rig.load(path), Rig.load(back)
     assert found.joints == rig.joints
     assert found.controls == rig.controls
-    assert found.ik == rig.ik
+    assert found.chains == rig.chains
     for one, other in zip(rig.attach, found.attach, strict=True):
         bare = {"pins": None, "points": None}
         assert replace(one, **bare) == replace(other, **bare)
@@ -144,7 +144,7 @@ def test_a_joint_that_is_gone_takes_its_parts_along(hero: Path, tmp_path: Path) 
     assert "USD117" in said
     assert "gone: hand" in said
     assert rig.names == ["root", "arm.l"]
-    assert rig.ik == rig.attach == ()
+    assert rig.chains == rig.attach == ()
     assert [len(control.drives) for control in rig.controls] == [1, 0]
     assert len(rig.colliders) == 1
 

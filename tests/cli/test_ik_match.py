@@ -111,7 +111,7 @@ def test_takes_of_other_files_are_matched(place: Path, suffix: str) -> None:
     take = Clip.load(place / STRIDE).sample(rig)
     tracks = load_targets(place / OUT, rig)
     found = np.asarray(tracks.sample(rig, take.clock, take.world()).positions)
-    tips = [rig.index(chain.tip) for chain in rig.ik]
+    tips = [rig.index(chain.tip) for chain in rig.chains]
     assert np.abs(found - take.world().positions[:, tips]).max() < 1e-5
 
 

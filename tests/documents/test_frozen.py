@@ -64,7 +64,7 @@ def test_rig_1() -> None:
     }
     assert set(rig.bind) == {"arm_l", "arm_r"}
     assert [len(part) for part in (rig.meshes, rig.shapes, rig.controls)] == [1, 3, 2]
-    assert [len(part) for part in (rig.ik, rig.attach, rig.colliders)] == [1, 1, 1]
+    assert [len(part) for part in (rig.chains, rig.attach, rig.colliders)] == [1, 1, 1]
 
 
 def test_clip_1() -> None:

@@ -147,7 +147,7 @@ def sunken() -> Take:
 
 def test_what_cannot_be_a_root() -> None:
     take = upright(UpAxis.Y)
-    chain = replace(take.rig, ik=(IkChain("leg", "hips", "chest"),))
+    chain = replace(take.rig, chains=(IkChain("leg", "hips", "chest"),))
     cases = [
         (lambda: extract_root(take, axes="w"), "SCN020"),
         (lambda: extract_root(take, hips="knee"), "SCN012"),

@@ -418,7 +418,7 @@ def test_joints_that_leave_their_rest_in_any_frame_and_along_any_axis() -> None:
 
 def test_chains_are_named_or_all() -> None:
     chains = tuple(IkChain(n, "b0", "b1") for n in ("arm_l", "arm_r", "leg_l"))
-    rig = replace(arm(2), ik=chains)
+    rig = replace(arm(2), chains=chains)
     assert chains_of(rig) == chains
     assert [c.name for c in chains_of(rig, ["*_l", "arm_r"])] == [
         "arm_l",

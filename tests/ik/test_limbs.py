@@ -22,7 +22,7 @@ from animtool.ik import (
     solve,
 )
 from animtool.ik.goals import WEIGHT, WEIGHTS
-from animtool.ik.limbs import Limb, extend, soft_distance
+from animtool.ik.limbs import Limb, extend
 from animtool.maths import so3
 from animtool.rig.joints import local_from_coordinates
 from animtool.rig.kinematics import forward
@@ -54,9 +54,20 @@ def pulled(distances: FloatArray, origin: FloatArray = SHOULDER) -> Targets:
     return Targets((origin + distances[:, None] * direction)[:, None])
 
 
+def soft_distance(distances: FloatArray, reach: float, soft: float) -> FloatArray:
+    """The exponential ease as it is published."""
+    start, width = (1 - soft) * reach, soft * reach
+    eased = reach - width * np.exp((start - distances) / width)
+    return np.where(distances > start, eased, distances)
+
+
 def test_soft_extension_never_snaps_straight() -> None:
     distances = np.linspace(0.0, 2.0, 2001)
-    eased = soft_distance(distances, 1.0, 0.1)
+    own = Limb(0, (1, 2), np.zeros(3), 1.0, 1.0, soft=0.1, stretch=0.0)
+    targets = np.zeros((len(distances), 1, WEIGHTS.stop))
+    targets[:, 0, 0], targets[:, 0, WEIGHTS] = distances, 1.0
+    eased = extend((own,), targets).sought[:, 0, 0]
+    np.testing.assert_allclose(eased, soft_distance(distances, 1.0, 0.1), atol=1e-15)
     speed = np.diff(eased) / np.diff(distances)
     assert eased.max() < 1.0
     assert (np.diff(eased) > 0).all()

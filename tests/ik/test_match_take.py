@@ -43,13 +43,13 @@ def sampled(take: Take, tracks: TargetTracks) -> Targets:
 
 def test_a_walk_comes_back_from_its_targets() -> None:
     take = walk_of(legs())
-    tracks = match_take(take, take.rig.ik, OUT)
+    tracks = match_take(take, take.rig.chains, OUT)
     options = TakeOptions(tolerance=1e-9, angle_tolerance=1e-9)
     back = solve_take(at_rest(take), tracks, options).take
     assert_allclose(back.world().positions, take.world().positions, atol=1e-8)
     ours, theirs = (one.motion.rotations.dense() for one in (back, take))
     assert so3.angle_between(ours, theirs).max() < 1e-6
-    again = sampled(back, match_take(back, back.rig.ik, OUT))
+    again = sampled(back, match_take(back, back.rig.chains, OUT))
     once = sampled(take, tracks)
     for part in ("positions", "rotations", "poles"):
         assert_allclose(getattr(again, part), getattr(once, part), atol=1e-6)
@@ -61,12 +61,12 @@ def test_a_walk_comes_back_from_its_targets() -> None:
 )
 def test_frames_that_are_no_whole_ones_are_keyed(step: Fraction, count: int) -> None:
     take = walk_of(legs(), count, step)
-    tracks = match_take(take, take.rig.ik, OUT)
+    tracks = match_take(take, take.rig.chains, OUT)
     kinds = {type(v) for goal in tracks.goals for v in goal.values.values() if v}
     assert kinds == ({Still} if count == 1 else {Keyed})
     exact = sampled(take, tracks)
     world = take.world()
-    for e, chain in enumerate(take.rig.ik):
+    for e, chain in enumerate(take.rig.chains):
         tip = take.rig.index(chain.tip)
         assert_allclose(
             np.asarray(exact.positions)[:, e], world.positions[:, tip], atol=1e-12
@@ -75,19 +75,19 @@ def test_frames_that_are_no_whole_ones_are_keyed(step: Fraction, count: int) -> 
 
 def test_many_frames_are_arrays_and_few_are_keys() -> None:
     rig = legs()
-    many = match_take(walk_of(rig, 40), rig.ik, OUT).goals[0].values["position"]
+    many = match_take(walk_of(rig, 40), rig.chains, OUT).goals[0].values["position"]
     assert isinstance(many, Rows)
     assert (many.name, len(many.values)) == ("walk.targets.npz#leg_l_position", 40)
-    few = match_take(walk_of(rig, 12), rig.ik, OUT).goals[0].values
+    few = match_take(walk_of(rig, 12), rig.chains, OUT).goals[0].values
     assert isinstance(few["orientation"], Keyed)
     # A name with the mark that parts file and array cannot be referred to.
-    odd = match_take(walk_of(rig, 40), rig.ik, Path("a#b.targets.yaml")).goals[0]
+    odd = match_take(walk_of(rig, 40), rig.chains, Path("a#b.targets.yaml")).goals[0]
     assert isinstance(odd.values["pole"], Keyed)
 
 
 def test_names_of_arrays_are_kept_apart() -> None:
     rig = legs()
-    chains = [replace(chain, name=n) for chain, n in zip(rig.ik, "+-", strict=True)]
+    chains = [replace(chain, name=n) for chain, n in zip(rig.chains, "+-", strict=True)]
     tracks = match_take(walk_of(rig), chains, OUT)
     names = [v.name for g in tracks.goals for v in g.values.values() if v]
     assert len(set(names)) == 6
@@ -102,7 +102,7 @@ def test_what_does_not_move_is_a_constant() -> None:
         held,
         motion=replace(held.motion, translations=_still(held.motion.translations)),
     )
-    values = match_take(held, held.rig.ik, OUT).goals[1].values
+    values = match_take(held, held.rig.chains, OUT).goals[1].values
     assert {type(v) for v in values.values() if v} == {Still}
 
 
@@ -113,13 +113,13 @@ def _still(channel: Channel) -> Channel:
 @pytest.mark.parametrize("tolerance", [1e-2, 1e-4])
 def test_sparse_keys_keep_their_tolerance(tmp_path: Path, tolerance: float) -> None:
     take = walk_of(legs(), 120)
-    tracks = match_take(take, take.rig.ik, OUT, reduce=tolerance)
+    tracks = match_take(take, take.rig.chains, OUT, reduce=tolerance)
     path = tmp_path / OUT.name
     made = targets_text(tracks, ClipUnits.of_rig(take.rig))
     assert not made.arrays
     path.write_text(made.text)
     sparse = sampled(take, load_targets(path, take.rig))
-    exact = sampled(take, match_take(take, take.rig.ik, OUT))
+    exact = sampled(take, match_take(take, take.rig.chains, OUT))
     for part in ("positions", "poles"):
         apart = np.asarray(getattr(sparse, part)) - np.asarray(getattr(exact, part))
         assert np.linalg.norm(apart, axis=-1).max() <= tolerance * (1 + 1e-6)
@@ -134,14 +134,14 @@ def test_sparse_keys_keep_their_tolerance(tmp_path: Path, tolerance: float) -> N
 
 def test_chains_are_named_by_patterns() -> None:
     rig = legs()
-    assert chains_of(rig) == rig.ik
+    assert chains_of(rig) == rig.chains
     assert [chain.name for chain in chains_of(rig, ["*_r", "leg_r"])] == ["leg_r"]
     with pytest.raises(OptionError) as caught:
         chains_of(rig, ["log_l", "leg_*", "arm"])
     assert [fault.code for fault in caught.value.faults] == ["TGT001", "TGT001"]
     assert caught.value.faults[0].hint == "did you mean 'leg_l'?"
     with pytest.raises(OptionError) as caught:
-        chains_of(replace(rig, ik=()))
+        chains_of(replace(rig, chains=()))
     assert caught.value.faults[0].code == "TGT019"
 
 
@@ -152,13 +152,13 @@ def test_scales_above_a_tip_are_refused() -> None:
     channel = Channel.from_dense(np.repeat(scales, 40, axis=0))
     scaled = replace(take, motion=replace(take.motion, scales=channel))
     with pytest.raises(OptionError) as caught:
-        match_take(scaled, take.rig.ik, OUT)
+        match_take(scaled, take.rig.chains, OUT)
     assert [fault.code for fault in caught.value.faults] == ["TGT016"]
 
 
 def test_what_the_targets_do_not_say_is_noted() -> None:
     take = walk_of(legs())
-    (note,) = left_out(take, take.rig.ik)
+    (note,) = left_out(take, take.rig.chains)
     assert (note.code, note.severity) == ("TGT103", Severity.NOTE)
     assert "of hips, which" in note.message
     still = walk_of(legs(), 1)
@@ -167,15 +167,15 @@ def test_what_the_targets_do_not_say_is_noted() -> None:
     turns = Channel.from_dense(still.rig.rest_rotations[None])
     assert not left_out(
         replace(still, motion=replace(motion, translations=rest, rotations=turns)),
-        still.rig.ik,
+        still.rig.chains,
     )
     # Bones that are longer than those of the rig, and may not be.
     longer = still.rig.rest_translations[None].copy()
     longer[0, still.rig.index("ankle_l")] *= 1.1
     motion = replace(motion, translations=Channel.from_dense(longer), rotations=turns)
-    (note,) = left_out(replace(still, motion=motion), still.rig.ik)
+    (note,) = left_out(replace(still, motion=motion), still.rig.chains)
     assert "of ankle_l, which" in note.message
-    stretching = [replace(chain, stretch=0.2) for chain in still.rig.ik]
+    stretching = [replace(chain, stretch=0.2) for chain in still.rig.chains]
     assert not left_out(replace(still, motion=motion), stretching)
 
 

@@ -81,8 +81,8 @@ def solved(
 
 def biped() -> tuple[Rig, tuple[IkChain, ...]]:
     whole = Rig.load(Path(__file__).parents[2] / "rigs/biped/biped.rig.yaml")
-    rig, _ = sub_rig(whole, [chain.tip for chain in whole.ik])
-    return rig, rig.ik
+    rig, _ = sub_rig(whole, [chain.tip for chain in whole.chains])
+    return rig, rig.chains
 
 
 BIPED, CHAINS = biped()
@@ -152,13 +152,13 @@ def test_the_limb_of_the_problem_set_comes_back(path: Path, number: int) -> None
     rig = replace(
         arm,
         joints=(*arm.joints, Joint("hand", 1, JointType.FIXED, translation=offset)),
-        ik=(IkChain("arm", "shoulder", "hand", "position"),),
+        chains=(IkChain("arm", "shoulder", "hand", "position"),),
     )
     solution = solve(group.problem, group.starts, group.targets)
     q = solution.coordinates[number % len(solution.coordinates)]
     local, world = posed(rig, q)
-    found = match(rig, rig.ik, world)
-    ours, back = solved(rig, rig.ik, found, 0, q)
+    found = match(rig, rig.chains, world)
+    ours, back = solved(rig, rig.chains, found, 0, q)
     assert_allclose(back.positions, world.positions, atol=1e-9)
     assert so3.angle_between(ours.rotations, local.rotations).max() < 1e-7
 
@@ -170,7 +170,7 @@ def tentacle(goal: str) -> Rig:
         )
         for i in range(6)
     ]
-    return Rig("tentacle", tuple(joints), ik=(IkChain("t", "b0", "b5", goal),))
+    return Rig("tentacle", tuple(joints), chains=(IkChain("t", "b0", "b5", goal),))
 
 
 @pytest.mark.parametrize("goal", ["pose", "position"])
@@ -182,9 +182,9 @@ def test_long_limbs_reach_with_their_middle_towards_its_pole(
     rig = tentacle(goal)
     q = random_pose(build(rig, [Goal("b5", orientation=1.0)]), seed)[0]
     _, world = posed(rig, q)
-    found = match(rig, rig.ik, world)
-    _, back = solved(rig, rig.ik, found, 0, q)
-    again = match(rig, rig.ik, back)
+    found = match(rig, rig.chains, world)
+    _, back = solved(rig, rig.chains, found, 0, q)
+    again = match(rig, rig.chains, back)
     assert_allclose(back.positions[0, 5], world.positions[0, 5], atol=1e-6)
     root = world.positions[0, 0]
     line = world.positions[0, 5] - root
@@ -222,7 +222,7 @@ def leg(pole: tuple[float, float, float] | None = (0.0, 0.0, 1.0)) -> Rig:
             ),
             Joint("foot", 1, JointType.BALL, translation=(0.0, -0.4, 0.0)),
         ),
-        ik=(IkChain("leg", "hip", "foot", "pose", pole),),
+        chains=(IkChain("leg", "hip", "foot", "pose", pole),),
     )
 
 
@@ -236,7 +236,7 @@ def poles_of(
     if turns is not None:
         q[:, :4] = turns
     _, world = posed(rig, q)
-    poles = np.asarray(match(rig, rig.ik, world).targets.poles)[:, 0]
+    poles = np.asarray(match(rig, rig.chains, world).targets.poles)[:, 0]
     return np.asarray(poles - world.positions[:, 0])
 
 
@@ -288,9 +288,9 @@ def test_a_folded_limb_has_a_pole() -> None:
 
 def test_what_a_chain_does_not_ask_for_has_no_goal() -> None:
     rig = leg()
-    turned = replace(rig.ik[0], goal="orientation")
-    placed = replace(rig.ik[0], goal="position")
-    short = replace(rig.ik[0], root="foot")
+    turned = replace(rig.chains[0], goal="orientation")
+    placed = replace(rig.chains[0], goal="position")
+    short = replace(rig.chains[0], root="foot")
     _, world = posed(rig, np.array([0.0, 0, 0, 1, 0.5, 0, 0, 0, 1]))
     found = match(rig, [turned, placed, short], world)
     weights = [goal.weights[:4] for goal in found.goals]
@@ -300,12 +300,12 @@ def test_what_a_chain_does_not_ask_for_has_no_goal() -> None:
 
 def test_stretched_bones_come_back() -> None:
     rig = leg()
-    chain = replace(rig.ik[0], goal="position", stretch=0.2)
-    rig = replace(rig, ik=(chain,))
+    chain = replace(rig.chains[0], goal="position", stretch=0.2)
+    rig = replace(rig, chains=(chain,))
     q = np.array([0.0, 0, 0, 1, 0.0, 0, 0, 0, 1])
     local = local_from_coordinates(rig, q[None])
     local.translations[0, 1:] *= 1.1
     world = forward(rig, local.translations, local.rotations)
-    found = match(rig, rig.ik, world)
+    found = match(rig, rig.chains, world)
     result = solve(build(rig, found.goals, pose=q), q[None], found.targets, EXACT)
     assert_allclose(result.local_translations()[0], local.translations[0], atol=1e-9)

@@ -296,8 +296,8 @@ def loose_legs(way: float) -> Rig:
         else joint
         for joint in rig.joints
     )
-    chain = replace(rig.ik[0], pole_dir=(0.0, 0.0, way))
-    return replace(rig, joints=balls, ik=(chain,))
+    chain = replace(rig.chains[0], pole_dir=(0.0, 0.0, way))
+    return replace(rig, joints=balls, chains=(chain,))
 
 
 def resting(rig: Rig, count: int) -> Take:
@@ -388,7 +388,9 @@ def test_joints_that_follow_are_taken_along(tmp_path: Path) -> None:
 def test_joints_without_types_turn_about_their_parents(tmp_path: Path) -> None:
     rig = legs()
     plain = replace(
-        rig, joints=tuple(replace(j, type=JointType.FREE) for j in rig.joints), ik=()
+        rig,
+        joints=tuple(replace(j, type=JointType.FREE) for j in rig.joints),
+        chains=(),
     )
     take = replace(walk_of(rig), rig=plain)
     goals = "- {effector: ankle_l, root: hip_l, hold: [[8, 20]]}"
@@ -400,7 +402,7 @@ def test_joints_without_types_turn_about_their_parents(tmp_path: Path) -> None:
     # What another rig says of them is used where it is given.
     typed = dressed(plain, rig)
     assert [joint.type for joint in typed.joints] == [j.type for j in rig.joints]
-    assert typed.ik == rig.ik
+    assert typed.chains == rig.chains
 
 
 def test_a_take_of_another_rate_is_refused(tmp_path: Path) -> None:

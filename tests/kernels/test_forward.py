@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -62,3 +64,28 @@ def test_rounding_report_finds_the_joint() -> None:
     assert (error, frame, joint) == (0.25, 1, 2)
     assert_allclose(extents[0], [[0, 0, 0], [0, 2, 0]])
     assert_allclose(extents[1], [[0, 0, 0], [0.25, 2, 0]])
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("types", np.array([5])),
+        ("types", np.array([-1])),
+        ("columns", np.array([1])),
+        ("axes", np.zeros((2, 3))),
+        ("rest_rotations", np.zeros((1, 3))),
+        ("coordinates", np.zeros((3, 2))),
+    ],
+)
+def test_joints_have_types_and_coordinates(name: str, value: Any) -> None:
+    given = {
+        "types": np.array([1]),
+        "columns": np.array([0]),
+        "axes": np.array([[0.0, 0.0, 1.0]]),
+        "rest_translations": np.zeros((1, 3)),
+        "rest_rotations": np.array([[0.0, 0.0, 0.0, 1.0]]),
+        "coordinates": np.zeros((3, 1)),
+    }
+    assert _kernels.coordinates_to_local(**given)[0].shape == (3, 1, 3)
+    with pytest.raises(ValueError, match=rf"^{name}: "):
+        _kernels.coordinates_to_local(**{**given, name: value})

@@ -51,18 +51,18 @@ def test_pole_directions_in_the_world_are_turned() -> None:
     rig = Rig(
         "hero",
         (Joint("a", -1), Joint("b", 0, translation=(0, 1, 0)), Joint("c", 1)),
-        ik=(
+        chains=(
             IkChain("whole", "a", "c", pole_dir=(0.0, 0.6, 0.8)),
             IkChain("upper", "b", "c", pole_dir=(0.0, 0.6, 0.8)),
             IkChain("free", "a", "c"),
         ),
     )
     stream = TakeStream(rig, Fraction(24), None, Fraction(1), iter(()))
-    whole, upper, free = reorient(stream, UpAxis.Z).rig.ik
+    whole, upper, free = reorient(stream, UpAxis.Z).rig.chains
     assert_allclose(whole.pole_dir, [0, -0.8, 0.6], atol=1e-15)
     # The parent of its root turns with the rig.
-    assert upper == rig.ik[1]
-    assert free == rig.ik[2]
+    assert upper == rig.chains[1]
+    assert free == rig.chains[2]
 
 
 def test_colliders_go_with_their_joints() -> None:

@@ -80,7 +80,7 @@ def test_it_loads_whole(rig: Rig) -> None:
     assert follower.mimic is not None
     assert follower.mimic.gain * np.radians(150) == pytest.approx(0.09)
     assert [c.name for c in rig.controls] == ["grin", "curl"]
-    assert [len(part) for part in (rig.ik, rig.attach, rig.colliders)] == [1, 1, 1]
+    assert [len(part) for part in (rig.chains, rig.attach, rig.colliders)] == [1, 1, 1]
 
 
 def test_it_comes_back_from_what_is_written(folder: Path, rig: Rig) -> None:

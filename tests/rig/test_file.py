@@ -128,7 +128,7 @@ def test_the_crane(yard: Path) -> None:
     assert [shape.combine for shape in rig.shapes] == [(), (), ("dent", "bulge")]
     assert rig.controls[0].drives[0].unit == math.radians(1)
     assert rig.controls[1].default == 0.25
-    assert rig.ik[0].pole_dir == (0, 1, 0)
+    assert rig.chains[0].pole_dir == (0, 1, 0)
     assert rig.attach[0].joints == ("hook",)
     assert rig.colliders[0].capsule.radius == pytest.approx(0.2)
 
@@ -785,7 +785,7 @@ def test_a_sidecar_keeps_what_it_does_not_replace(tmp_path: Path) -> None:
     assert [control.name for control in rig.controls] == ["bend", "both", "grin"]
     assert rig.controls[0] == base.controls[0]
     assert rig.controls[2] != base.controls[1]
-    assert [(chain.name, chain.tip) for chain in rig.ik] == [
+    assert [(chain.name, chain.tip) for chain in rig.chains] == [
         ("leg", "foot"),
         ("shin", "knee"),
     ]
@@ -796,7 +796,7 @@ def test_a_sidecar_keeps_what_it_does_not_replace(tmp_path: Path) -> None:
     found = [(one.joint, round(one.capsule.radius, 9)) for one in rig.colliders]
     assert found == [("foot", 3), ("hips", 4)]
     bare = more(tmp_path, ADDS[: ADDS.index("controls:")])
-    for name in ("controls", "ik", "attach", "colliders"):
+    for name in ("controls", "chains", "attach", "colliders"):
         assert getattr(bare, name) == getattr(base, name)
 
 

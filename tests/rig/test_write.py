@@ -25,7 +25,7 @@ def test_shipped_rigs_come_back(path: Path, tmp_path: Path) -> None:
     back = load_rig(again)
     assert back.names == rig.names
     assert back.controls == rig.controls
-    assert (back.ik, back.colliders) == (rig.ik, rig.colliders)
+    assert (back.chains, back.colliders) == (rig.chains, rig.colliders)
     assert [replace(a, pins=None, points=None) for a in back.attach] == [
         replace(a, pins=None, points=None) for a in rig.attach
     ]

@@ -100,7 +100,7 @@ def test_a_sidecar_serves_any_source(folder: Path, kind: str) -> None:
     rig = take.rig
     assert [entry.name for entry in rig.attach] == ["tail"]
     assert [control.name for control in rig.controls] == ["puff", "other"]
-    assert [chain.name for chain in rig.ik] == ["spine"]
+    assert [chain.name for chain in rig.chains] == ["spine"]
     assert [collider.joint for collider in rig.colliders] == ["chest"]
     places, wanted = take.world().positions, same.world().positions
     np.testing.assert_allclose(places, wanted, atol=2e-6)

@@ -55,7 +55,7 @@ def edited(
         controls=None,
         scales=None,
     )
-    rig = replace(take.rig, controls=(), ik=())
+    rig = replace(take.rig, controls=(), chains=())
     return replace(
         take, rig=rig, motion=motion, clock=replace(take.clock, count=len(turns))
     )

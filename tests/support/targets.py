@@ -46,7 +46,7 @@ def legs() -> Rig:
         )
         chains.append(chain)
     joints.append(Joint("tail", 0, JointType.BALL, translation=(0.0, 0.0, -0.1)))
-    return Rig("legs", tuple(joints), ik=tuple(chains))
+    return Rig("legs", tuple(joints), chains=tuple(chains))
 
 
 def walk_of(rig: Rig, count: int = 40, step: Fraction = Fraction(1)) -> Take:

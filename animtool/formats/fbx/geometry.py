@@ -12,8 +12,10 @@ from animtool.core.record import dataclass
 from animtool.formats.fbx.elements import Element, floats, integers
 from animtool.formats.fbx.layers import PERCENT
 from animtool.formats.fbx.objects import NUMBERED, ROOTS, FbxFile, Id, Object, scalar
+from animtool.formats.fbx.takes import old_shapes, shape_id
 
 LINEAR, DUAL_QUATERNION = "linear", "dual_quaternion"
+_BLENDER = "blender (stable fbx io)"
 # Cells of a table of faces or weights.
 MAX_CELLS = 100_000_000
 
@@ -97,15 +99,15 @@ def read_geometry(file: FbxFile) -> dict[Id, Geometry]:
     found: dict[Id, Geometry] = {}
     for holder, model in shown:
         if holder.id not in read:
-            read[holder.id] = _geometry(file, holder, model.name)
+            read[holder.id] = _geometry(file, holder, model)
         mesh = read[holder.id]
         if mesh is not None:
             found.setdefault(model.id, mesh)
     return found
 
 
-def _geometry(file: FbxFile, of: Object, name: str) -> Geometry | None:
-    notes, element = file.notes, of.element
+def _geometry(file: FbxFile, of: Object, model: Object) -> Geometry | None:
+    notes, element, name = file.notes, of.element, model.name
     flat = floats(element, "Vertices", notes)
     corners = integers(element, "PolygonVertexIndex", notes)
     if flat is None or not len(flat):
@@ -117,7 +119,7 @@ def _geometry(file: FbxFile, of: Object, name: str) -> Geometry | None:
     faces = _faces(file, of, corners, len(points), name)
     found = Geometry(of.name, points, faces)
     _put_skin(file, of, found, name)
-    _put_shapes(file, of, found, name)
+    _put_shapes(file, of, found, model)
     return found
 
 
@@ -156,6 +158,9 @@ def _put_skin(file: FbxFile, of: Object, mesh: Geometry, name: str) -> None:
             notes.warn("FBX107", one.element.where, message, hint)
     skins = [one for one in deformers if one.subtype == "Skin"]
     if len(skins) > 1:
+        # One that moves no point is none.
+        skins = [one for one in skins if _has_weights(file, one)]
+    if len(skins) > 1:
         message = f"{name!r} has {len(skins)} skins, one over the other"
         notes.fail("FBX004", of.element.where, message, "export it with one")
     for skin in skins:
@@ -171,6 +176,12 @@ def _put_skin(file: FbxFile, of: Object, mesh: Geometry, name: str) -> None:
             message = f"skin of {name!r}: {method.lower()} of linear and dual "
             message += "quaternion, read as linear"
             notes.warn("FBX108", skin.element.where, message)
+
+
+def _has_weights(file: FbxFile, skin: Object) -> bool:
+    clusters = file.sources(skin.id, "Deformer", "Cluster")
+    found = [integers(one.element, "Indexes", file.notes) for one in clusters]
+    return any(one is not None and len(one) for one in found)
 
 
 def _cluster(file: FbxFile, of: Object, points: int, name: str) -> Cluster | None:
@@ -258,13 +269,15 @@ def has_free_points(mesh: Geometry) -> bool:
     return bool((sums <= 0).any())
 
 
-def _put_shapes(file: FbxFile, of: Object, mesh: Geometry, name: str) -> None:
+def _put_shapes(file: FbxFile, of: Object, mesh: Geometry, model: Object) -> None:
     notes = file.notes
-    for shape in of.element.all("Shape"):
-        message = f"shape {shape.text(0)!r} of {name!r}: shapes of files before 7000 "
-        message += "are not read"
-        hint = "Autodesk's FBX Converter writes FBX 2013 or later of it"
-        notes.fail("FBX004", shape.where, message, hint)
+    for shape in old_shapes(file, model) if file.version < NUMBERED else ():
+        offsets = _offsets(file, shape, shape.text(0), len(mesh.points))
+        percent = scalar(model, shape.text(0), 0.0, notes)
+        own = shape_id(model.id, shape.text(0))
+        mesh.shapes.append(
+            ShapeChannel(own, shape.text(0), percent, [(100.0, offsets)])
+        )
     for group in file.sources(of.id, "Deformer", "BlendShape"):
         for channel in file.sources(group.id, "Deformer", "BlendShapeChannel"):
             found = _channel(file, channel, len(mesh.points))
@@ -278,6 +291,11 @@ def _channel(file: FbxFile, of: Object, points: int) -> ShapeChannel | None:
     if not shapes:
         return None
     full = floats(element, "FullWeights", notes)
+    parts = None
+    if full is not None and _counts_points(file):
+        parts, full = full, None
+        if len(shapes) > 1:
+            full = np.full(len(shapes), 100.0)
     if full is None or len(full) < len(shapes):
         if len(shapes) > 1:
             message = f"{counted(len(shapes), 'shape')} of {of.name!r} lack weights"
@@ -289,25 +307,44 @@ def _channel(file: FbxFile, of: Object, points: int) -> ShapeChannel | None:
         percent = float(stated[0]) if stated is not None and len(stated) else percent
     targets = []
     for shape, at in zip(shapes, full.tolist(), strict=False):
-        targets.append((at, _offsets(file, shape, points)))
+        offsets = _offsets(file, shape.element, shape.name, points, parts)
+        targets.append((at, offsets))
     targets.sort(key=lambda one: one[0])
     return ShapeChannel(of.id, of.name, percent, targets)
 
 
-def _offsets(file: FbxFile, of: Object, points: int) -> FloatArray:
-    notes, element = file.notes, of.element
+def _counts_points(file: FbxFile) -> bool:
+    """Return whether full weights are of points: Blender's are of a vertex group."""
+    header = file.root.find("FBXHeaderExtension")
+    creators = [one for top in (file.root, header) if top for one in top.all("Creator")]
+    return any(one.text(0).lower().startswith(_BLENDER) for one in creators)
+
+
+def _offsets(
+    file: FbxFile,
+    element: Element,
+    name: str,
+    points: int,
+    parts: FloatArray | None = None,
+) -> FloatArray:
+    """Return the offsets of a shape ``(V, 3)``.
+
+    parts: How much of each offset that it states counts [%].
+    """
+    notes = file.notes
     found = np.zeros((points, 3))
     indices = integers(element, "Indexes", notes)
     flat = floats(element, "Vertices", notes)
     if indices is None or flat is None or not len(indices):
         return found
     if len(flat) != 3 * len(indices):
-        message = (
-            f"{len(indices)} indices of shape {of.name!r} have {len(flat)} numbers"
-        )
+        message = f"{len(indices)} indices of shape {name!r} have {len(flat)} numbers"
         notes.fail("FBX008", element.where, message)
     if (indices < 0).any() or (indices >= points).any():
-        message = f"shape {of.name!r} counts a point that its mesh has not"
+        message = f"shape {name!r} counts a point that its mesh has not"
         notes.fail("FBX008", element.where, message)
-    found[indices] = flat.reshape(-1, 3)
+    offsets = flat.reshape(-1, 3)
+    if parts is not None and len(parts) == len(offsets):
+        offsets = offsets * (parts[:, None] / 100.0)
+    found[indices] = offsets
     return found

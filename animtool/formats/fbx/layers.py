@@ -20,6 +20,12 @@ from animtool.maths import so3
 ADDITIVE, OVERRIDE, PASSTHROUGH = range(3)
 TRANSLATION, ROTATION, SCALING = "Lcl Translation", "Lcl Rotation", "Lcl Scaling"
 PERCENT = "DeformPercent"
+# What else of a transform moves: offset and pivot of rotations, then of scales, and
+# the rotations before and after.
+PIVOTS = ("RotationOffset", "RotationPivot", "ScalingOffset", "ScalingPivot")
+TURNS = ("PreRotation", "PostRotation")
+# From here on a weight is whole [1].
+WHOLE = 0.99999
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -30,7 +36,7 @@ class Layer:
         name: As in the file.
         weight: 1 is whole [1].
         curve: Its weight over time [%]; None is the one above.
-        mode: Additive, override or passthrough.
+        mode: Additive; override, whatever its weight; passthrough, which mixes by it.
         by_layer: Whether rotations accumulate as quaternions.
         by_product: Whether scales accumulate as products.
     """
@@ -45,8 +51,9 @@ class Layer:
     def weights(self, ticks: IntArray) -> FloatArray:
         """Return its weight at times ``(F,)`` [1]."""
         if self.curve is None:
-            return np.full(len(ticks), self.weight)
-        return np.clip(self.curve.at(ticks) / 100.0, 0.0, 1.0)
+            return np.full(len(ticks), 1.0 if self.weight > WHOLE else self.weight)
+        weights = np.clip(self.curve.at(ticks) / 100.0, 0.0, 1.0)
+        return np.where(weights > WHOLE, 1.0, weights)
 
 
 @dataclass(slots=True, eq=False)
@@ -90,7 +97,8 @@ class Track:
     def constant(self, base: FloatArray) -> FloatArray | None:
         """Return its values if they never change, else None."""
         for one in self.layers:
-            if one.constant() is None or one.layer.curve is not None:
+            weighted = one.layer.mode != OVERRIDE and not one.is_first
+            if one.constant() is None or (weighted and one.layer.curve is not None):
                 return None
         return np.asarray(self.at(base, np.zeros(1, np.int64))[0])
 
@@ -102,7 +110,7 @@ class Track:
         found = np.tile(base, (len(ticks), 1))
         for one in self.layers:
             values = one.at(ticks)
-            if one.is_first:
+            if one.is_first or one.layer.mode == OVERRIDE:
                 found = values
             else:
                 weights = one.layer.weights(ticks)[:, None]
@@ -122,10 +130,14 @@ class Track:
                 whole = so3.slerp(a, b, weights[:, 0])
             return principal_angles(whole)
         if self.name == SCALING and layer.by_product:
-            size = np.abs(high) ** weights * np.where(high < 0, -1.0, 1.0)
-            if additive:
-                return low * size
-            return np.abs(low) ** (1.0 - weights) * size
+            size = _power(high, weights)
+            return size * (low if additive else _power(low, 1.0 - weights))
         if additive:
             return low + weights * high
         return low + weights * (high - low)
+
+
+def _power(scales: FloatArray, weights: FloatArray) -> FloatArray:
+    """Return a part of scales as a factor, their signs kept; no part of them is 1."""
+    sign = np.where((scales < 0) & (weights > 0), -1.0, 1.0)
+    return np.asarray(np.abs(scales) ** weights * sign)

@@ -11,12 +11,14 @@ from animtool.formats.fbx.elements import Element, number
 from animtool.formats.gltf.places import Notes
 
 _PROPERTIES = {"T": "Lcl Translation", "R": "Lcl Rotation", "S": "Lcl Scaling"}
-_KEPT = ("Vertices", "PolygonVertexIndex")
+# How the channel of a shape is called.
+SHAPE_SUFFIX = " (Shape)"
+_KEPT = ("Vertices", "PolygonVertexIndex", "Shape")
 # What would change the pose, and is not read of such files.
 _UNREAD = (
     *("PreRotation", "PostRotation", "RotationOrder", "RotationPivot", "ScalingPivot"),
     *("RotationOffset", "ScalingOffset", "GeometricTranslation", "GeometricRotation"),
-    *("GeometricScaling", "InheritType", "Shape"),
+    *("GeometricScaling", "InheritType"),
 )
 
 
@@ -68,6 +70,11 @@ def _properties(model: Element, notes: Notes) -> Element:
     found = Element("Properties60", [], model.where)
     for channel in model.all("Channel"):
         if channel.text(0) != "Transform":
+            default = channel.find("Default")
+            if default is not None:
+                own = [channel.text(0).removesuffix(SHAPE_SUFFIX), "", ""]
+                row = [*own, number(default, 0, notes)]
+                found.children.append(Element("Property", row, channel.where))
             continue
         for inner in channel.all("Channel"):
             name = _PROPERTIES.get(inner.text(0))

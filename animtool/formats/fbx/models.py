@@ -14,7 +14,14 @@ import numpy as np
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.record import dataclass
 from animtool.formats.fbx.angles import XYZ, rotations_of
-from animtool.formats.fbx.layers import ROTATION, SCALING, TRANSLATION
+from animtool.formats.fbx.layers import (
+    PIVOTS,
+    ROTATION,
+    SCALING,
+    TRANSLATION,
+    TURNS,
+    Track,
+)
 from animtool.formats.fbx.objects import ROOTS, FbxFile, Id, Object, scalar, vector
 from animtool.formats.fbx.takes import AnimTake
 from animtool.maths import so3
@@ -41,6 +48,10 @@ class Model:
         pivots: Offset and pivot of rotations, then of scales ``(4, 3)``.
         inherit: How it takes the scale of its parent.
         geometric: What its own mesh is transformed by ``(4, 4)``.
+        active: Whether order and the rotations before and after count.
+        turns: Angles of these two ``(2, 3)`` [deg].
+        scale_from: Node whose scale, and what that has of others, it takes along its
+            own axes; -1 for none.
     """
 
     object: Object
@@ -52,21 +63,31 @@ class Model:
     pivots: FloatArray
     inherit: int
     geometric: FloatArray
+    active: bool
+    turns: FloatArray
+    scale_from: int = -1
 
     @property
     def name(self) -> str:
         """Its name, namespace kept."""
         return self.object.name
 
-    def local(self, values: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return translations, rotations and scales of a state of its properties.
-
-        values: translation, rotation [deg] and scale ``(F, 3, 3)``.
-        """
+    def local(
+        self, take: AnimTake | None, ticks: IntArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return translations, rotations and scales at times ``(F,)`` [ticks]."""
+        values = _state(self, take, ticks)
+        pre, post = self.pre, self.post
+        if take is not None and self.active:
+            first, last = (_track(self, take, name) for name in TURNS)
+            if first is not None:
+                pre = rotations_of(first.at(self.turns[0], ticks), XYZ)
+            if last is not None:
+                post = so3.conjugate(rotations_of(last.at(self.turns[1], ticks), XYZ))
         rotations = rotations_of(values[:, 1], self.order)
-        rotations = so3.multiply(so3.multiply(self.pre, rotations), self.post)
+        rotations = so3.multiply(so3.multiply(pre, rotations), post)
         scales = values[:, 2]
-        offset, pivot, stretch, centre = self.pivots
+        offset, pivot, stretch, centre = _pivots(self, take, ticks)
         inner = stretch + centre - pivot - scales * centre
         moved = values[:, 0] + offset + pivot
         if inner.any():
@@ -94,8 +115,12 @@ def read_models(file: FbxFile) -> list[Model]:
     stack = [(one, -1) for one in reversed(below.get(None, []))]
     while stack:
         one, parent = stack.pop()
-        found.append(_model(file, one, parent))
-        own = len(found) - 1
+        made, own = _model(file, one, parent), len(found)
+        if parent >= 0 and made.inherit == COMPONENTWISE:
+            made.scale_from = parent
+        elif parent >= 0 and made.inherit == IGNORE:
+            made.scale_from = found[parent].scale_from
+        found.append(made)
         stack += [(child, own) for child in reversed(below.get(one.id, []))]
     if len(found) < len(objects):
         done = {model.object.id for model in found}
@@ -137,7 +162,8 @@ def _model(file: FbxFile, one: Object, parent: int) -> Model:
         message = f"the node {one.name!r} has rotation order {order}, which is not read"
         hint = "spherical XYZ is MotionBuilder's; export with an order of Euler angles"
         notes.fail("FBX004", one.element.where, message, hint)
-    turns = rotations_of(np.array([pre, post]), XYZ)
+    angles = np.array([pre, post])
+    turns = rotations_of(angles, XYZ)
     inherit = int(scalar(one, "InheritType", INHERIT, notes))
     if inherit not in {COMPONENTWISE, INHERIT, IGNORE}:
         message = f"the node {one.name!r} has inherit type {inherit}, which is not read"
@@ -146,7 +172,6 @@ def _model(file: FbxFile, one: Object, parent: int) -> Model:
     turn = rotations_of(triple("GeometricRotation")[None], XYZ)[0]
     geometric[:3, :3] = so3.to_matrix(turn) * triple("GeometricScaling", (1.0,) * 3)
     geometric[:3, 3] = triple("GeometricTranslation")
-    names = ("RotationOffset", "RotationPivot", "ScalingOffset", "ScalingPivot")
     return Model(
         one,
         parent,
@@ -154,26 +179,54 @@ def _model(file: FbxFile, one: Object, parent: int) -> Model:
         _ORDERS[order],
         turns[0],
         so3.conjugate(turns[1]),
-        np.stack([triple(name) for name in names]),
+        np.stack([triple(name) for name in PIVOTS]),
         inherit,
         geometric,
+        active,
+        angles,
     )
 
 
-def state(model: Model, take: AnimTake | None, ticks: IntArray) -> FloatArray:
+def _track(model: Model, take: AnimTake | None, name: str) -> Track | None:
+    return None if take is None else take.tracks.get((model.object.id, name))
+
+
+def _state(model: Model, take: AnimTake | None, ticks: IntArray) -> FloatArray:
     """Return translation, rotation [deg] and scale at times ``(F, 3, 3)``."""
     found = np.repeat(model.base[None], len(ticks), axis=0)
     for k, name in enumerate(_PROPERTIES):
-        track = None if take is None else take.tracks.get((model.object.id, name))
+        track = _track(model, take, name)
         if track is not None:
             found[:, k] = track.at(model.base[k], ticks)
     return found
 
 
+def _pivots(model: Model, take: AnimTake | None, ticks: IntArray) -> list[FloatArray]:
+    """Return offset and pivot of rotations, then of scales ``(3,)`` or ``(F, 3)``."""
+    found = list(model.pivots)
+    for k, name in enumerate(PIVOTS):
+        track = _track(model, take, name)
+        if track is not None:
+            found[k] = track.at(model.pivots[k], ticks)
+    return found
+
+
+def has_pivots(model: Model, take: AnimTake | None) -> bool:
+    """Return whether a node has an offset or a pivot, saved or in a take."""
+    if model.pivots.any():
+        return True
+    return any(_track(model, take, name) is not None for name in PIVOTS)
+
+
 def moving(model: Model, take: AnimTake | None) -> tuple[bool, bool, bool]:
     """Return which of translation, rotation and scale change in a take."""
-    found = []
-    for k, name in enumerate(_PROPERTIES):
-        track = None if take is None else take.tracks.get((model.object.id, name))
-        found.append(track is not None and track.constant(model.base[k]) is None)
-    return found[0], found[1], found[2]
+
+    def moves(name: str, base: FloatArray) -> bool:
+        track = _track(model, take, name)
+        return track is not None and track.constant(base) is None
+
+    own = [moves(name, model.base[k]) for k, name in enumerate(_PROPERTIES)]
+    own[0] |= any(moves(name, model.pivots[k]) for k, name in enumerate(PIVOTS))
+    if model.active:
+        own[1] |= any(moves(name, model.turns[k]) for k, name in enumerate(TURNS))
+    return own[0], own[1], own[2]

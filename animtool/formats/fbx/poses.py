@@ -20,10 +20,11 @@ from animtool.formats.fbx.models import (
     IGNORE,
     INHERIT,
     Model,
+    has_pivots,
     moving,
-    state,
 )
 from animtool.formats.fbx.scene import FbxScene
+from animtool.formats.fbx.settings import TICKS
 from animtool.formats.fbx.takes import AnimTake
 from animtool.formats.gltf.rig import SAME_SCALE
 from animtool.maths import so3
@@ -57,20 +58,25 @@ class State:
         self.models, self.take, self.ticks = scene.models, take, ticks
         self.basis = scene.settings.basis
         self._turn = so3.from_matrix(self.basis)
+        self._left = {one.parent for one in self.models if one.inherit != INHERIT}
         self._locals: dict[int, tuple[FloatArray, FloatArray, FloatArray]] = {}
 
     def local(self, i: int) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return translations, rotations and scales of a node, as it has them."""
         if i not in self._locals:
-            model = self.models[i]
-            self._locals[i] = model.local(state(model, self.take, self.ticks))
+            moved, turned, scales = self.models[i].local(self.take, self.ticks)
+            # What a child leaves out is divided by.
+            scales = _no_zeros(scales) if i in self._left else scales
+            self._locals[i] = moved, turned, scales
         return self._locals[i]
 
     def own(self, i: int) -> FloatArray:
-        """Return the scale of a node that its children may leave out ``(F, 3)``."""
+        """Return the scale of a node along its own axes, inherited parts included.
+
+        It is what its children may leave out ``(F, 3)``.
+        """
         scale = self.local(i)[2]
-        while self.models[i].inherit == COMPONENTWISE and self.models[i].parent >= 0:
-            i = self.models[i].parent
+        while (i := self.models[i].scale_from) >= 0:
             scale = scale * self.local(i)[2]
         return scale
 
@@ -103,21 +109,23 @@ class State:
             return translations, rotations, scales
         if row.kind is RowKind.WHOLE:
             if model.inherit == IGNORE:
-                scales = scales * _inverse(self.own(model.parent))
+                scales = self.own(row.model) * _inverse(self.own(model.parent))
             return translations, rotations, scales
         above = self.own(model.parent)
         if row.kind is RowKind.OUTER:
             still = np.zeros_like(rotations)
             still[:, 3] = 1.0
             return translations, still, _inverse(above)
-        if model.inherit == COMPONENTWISE:
-            scales = scales * above
-        return np.zeros_like(translations), rotations, scales
+        return np.zeros_like(translations), rotations, self.own(row.model)
 
 
 def _inverse(scales: FloatArray) -> FloatArray:
+    return np.asarray(1.0 / _no_zeros(scales))
+
+
+def _no_zeros(scales: FloatArray) -> FloatArray:
     least = np.where(scales < 0, -LEAST_SCALE, LEAST_SCALE)
-    return np.asarray(1.0 / np.where(np.abs(scales) < LEAST_SCALE, least, scales))
+    return np.asarray(np.where(np.abs(scales) < LEAST_SCALE, least, scales))
 
 
 class Changes:
@@ -125,29 +133,26 @@ class Changes:
 
     def __init__(self, models: Sequence[Model], take: AnimTake | None) -> None:
         """Take the nodes of a file and a take of it."""
-        self.models = models
+        self.models, self.take = models, take
         self.moving = [moving(model, take) for model in models]
 
     def own(self, i: int) -> bool:
         """Return whether the scale changes that children of a node may leave out."""
-        while not self.moving[i][2]:
-            if self.models[i].inherit != COMPONENTWISE or self.models[i].parent < 0:
-                return False
-            i = self.models[i].parent
-        return True
+        return any(self.moving[one][2] for one in scale_chain(self.models, i))
 
     def row(self, row: Row) -> tuple[bool, bool, bool]:
         """Return whether translation, rotation and scale of a joint change."""
         model = self.models[row.model]
         moves, turns, scales = self.moving[row.model]
-        if (turns or scales) and model.pivots.any():
+        if (turns or scales) and has_pivots(model, self.take):
             moves = True
         above = model.parent >= 0 and self.own(model.parent)
         if row.kind is RowKind.OUTER:
             return moves, False, above
         if row.kind is RowKind.INNER:
-            return False, turns, scales or (above and model.inherit == COMPONENTWISE)
-        return moves, turns, scales or (above and model.inherit == IGNORE)
+            return False, turns, self.own(row.model)
+        leaves = model.inherit == IGNORE and (above or self.own(row.model))
+        return moves, turns, scales or leaves
 
 
 def rows_of(scene: FbxScene, kept: Sequence[int]) -> list[Row]:
@@ -169,10 +174,7 @@ def rows_of(scene: FbxScene, kept: Sequence[int]) -> list[Row]:
 
 def _is_uneven(scene: FbxScene, i: int) -> bool:
     """Return whether the scale of a node ever differs between its axes."""
-    chain = [i]
-    while scene.models[i].inherit == COMPONENTWISE and scene.models[i].parent >= 0:
-        i = scene.models[i].parent
-        chain.append(i)
+    chain = scale_chain(scene.models, i)
     keys = [(scene.models[one].object.id, SCALING) for one in chain]
     for take in (None, *scene.takes):
         ticks = _REST
@@ -182,8 +184,12 @@ def _is_uneven(scene: FbxScene, i: int) -> bool:
                 continue
             curves = [c for t in tracks for v in t.layers for c in v.curves if c]
             times = np.unique(np.concatenate([_REST, *(c.times for c in curves)]))
-            # Between keys curves of the same keys may differ by their tangents.
+            # Between keys curves of the same keys may differ by their tangents, and
+            # before and after them by how they go on.
             ticks = np.unique(np.concatenate([times, (times[1:] + times[:-1]) // 2]))
+            if any({c.pre.mode, c.post.mode} != {"C"} for c in curves):
+                span = int(times[-1] - times[0]) or TICKS
+                ticks = np.concatenate([ticks - span, ticks, ticks + span])
         own = State(scene, take, ticks).own(chain[0])
         spread = own.max(axis=1) - own.min(axis=1)
         if (spread > SAME_SCALE * np.abs(own).max(axis=1)).any():
@@ -210,11 +216,15 @@ def even_rows(scene: FbxScene, rows: Sequence[Row]) -> tuple[FloatArray, BoolArr
 
 def _is_touched(models: Sequence[Model], row: Row, take: AnimTake) -> bool:
     """Return whether a take says something of a scale of a joint."""
-    i = row.model
-    while i >= 0:
-        if (models[i].object.id, SCALING) in take.tracks:
-            return True
-        if models[i].inherit not in {IGNORE, COMPONENTWISE} and i != row.model:
-            return False
-        i = models[i].parent
-    return False
+    chain, model = scale_chain(models, row.model), models[row.model]
+    if model.parent >= 0 and model.inherit != INHERIT:
+        chain += scale_chain(models, model.parent)
+    return any((models[i].object.id, SCALING) in take.tracks for i in chain)
+
+
+def scale_chain(models: Sequence[Model], i: int) -> list[int]:
+    """Return a node and all whose scales it takes along its own axes."""
+    chain = [i]
+    while (i := models[i].scale_from) >= 0:
+        chain.append(i)
+    return chain

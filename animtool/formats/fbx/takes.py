@@ -9,40 +9,42 @@ import numpy as np
 from animtool.core.array_types import IntArray
 from animtool.core.errors import excerpt
 from animtool.core.record import dataclass
-from animtool.formats.fbx.curves import (
-    MAX_TICKS,
-    Curve,
-    curve_of_channel,
-    curve_of_object,
-)
+from animtool.formats.fbx.curves import MAX_TICKS, Curve
 from animtool.formats.fbx.elements import Element, number
+from animtool.formats.fbx.keys import curve_of_object
 from animtool.formats.fbx.layers import (
     PERCENT,
+    PIVOTS,
     ROTATION,
     SCALING,
     TRANSLATION,
+    TURNS,
     Layer,
     LayerValues,
     Track,
 )
+from animtool.formats.fbx.legacy import SHAPE_SUFFIX
 from animtool.formats.fbx.objects import (
     NUMBERED,
+    WITH_OBJECTS,
     FbxFile,
     Id,
     Object,
     plain_name,
     scalar,
 )
+from animtool.formats.fbx.old_keys import LAYOUT, LAYOUT_OF_5000, curve_of_channel
 
 # Parts of each property that moves something, as curve nodes call them.
-PARTS = {
-    TRANSLATION: ("d|X", "d|Y", "d|Z"),
-    ROTATION: ("d|X", "d|Y", "d|Z"),
-    SCALING: ("d|X", "d|Y", "d|Z"),
-    PERCENT: ("d|DeformPercent",),
-}
+_TRIPLES = (TRANSLATION, ROTATION, SCALING, *PIVOTS, *TURNS)
+PARTS: dict[str, tuple[str, ...]] = dict.fromkeys(_TRIPLES, ("d|X", "d|Y", "d|Z"))
+PARTS[PERCENT] = ("d|DeformPercent",)
 _CHANNELS = {"T": TRANSLATION, "R": ROTATION, "S": SCALING}
-_USUAL = {TRANSLATION: 0.0, ROTATION: 0.0, SCALING: 1.0, PERCENT: 0.0}
+_CHANNELS |= {name: name for name in (*PIVOTS, *TURNS)}
+_USUAL = dict.fromkeys(PARTS, 0.0) | {SCALING: 1.0}
+# What no take is expected to change, and would change the pose.
+_FIXED = {"RotationOrder", "RotationActive", "InheritType", "GeometricTranslation"}
+_FIXED |= {"GeometricRotation", "GeometricScaling"}
 MAX_LAYERS = 1000
 
 
@@ -150,11 +152,22 @@ class _Stacks:
             for target, property_name in file.above.get(source, ()):
                 if property_name == "Visibility":
                     take.visible = True
+                if property_name in _FIXED:
+                    self._check_fixed(node, property_name, take)
                 if property_name not in PARTS or target not in file.objects:
                     continue
                 key = (target, property_name)
                 track = take.tracks.setdefault(key, Track(target, property_name))
+                if track.layers and track.layers[-1].layer is layer:
+                    continue  # a layer has one say of a property
                 track.layers.append(self._values(node, property_name, layer, is_first))
+
+    def _check_fixed(self, node: Object, name: str, take: AnimTake) -> None:
+        if all(one is None or one.is_static() for one in self._of_node(node).values()):
+            return
+        message = f"take {take.name!r}: {name} over time is not read"
+        hint = "bake the animation before exporting"
+        self.file.notes.fail("FBX004", node.element.where, message, hint)
 
     def _values(
         self, node: Object, name: str, layer: Layer, is_first: bool
@@ -190,14 +203,15 @@ class _Stacks:
         if mode not in {0, 1, 2}:
             message = f"layer {of.name!r}: blend mode {mode} is not read"
             notes.fail("FBX004", of.element.where, message)
-        curve = None
+        curve, weight = None, scalar(of, "Weight", 100.0, notes)
         for source, name in self.file.below.get(of.id, ()):
             node = self.file.objects.get(source)
             if name == "Weight" and node is not None:
                 curve = next(iter(self._of_node(node).values()), None)
+                weight = scalar(node, "d|Weight", weight, notes)
         return Layer(
             of.name,
-            min(max(scalar(of, "Weight", 100.0, notes) / 100.0, 0.0), 1.0),
+            min(max(weight / 100.0, 0.0), 1.0),
             curve,
             mode,
             int(scalar(of, "RotationAccumulationMode", 0, notes)) == 0,
@@ -237,31 +251,56 @@ def _old_model(file: FbxFile, take: AnimTake, model: Element) -> None:
     of: Id = f"{kind or 'Model'}::{name}"
     if of not in file.objects:
         return
+    shapes = {shape.text(0) for shape in old_shapes(file, file.objects[of])}
     for channel in model.all("Channel"):
-        if channel.text(0) == "Visibility":
+        called = channel.text(0)
+        if called == "Visibility":
             take.visible = take.visible or channel.find("Key") is not None
         if channel.find("Layer") is not None:
             message = f"take {take.name!r}: layers of {name!r} are not read"
             file.notes.fail("FBX004", channel.where, excerpt(message))
-        if channel.text(0) != "Transform":
-            continue
-        for inner in channel.all("Channel"):
-            if inner.text(0) in _CHANNELS:
-                _old_track(file, take, of, inner)
+        if file.version < WITH_OBJECTS:
+            called = called.removesuffix(SHAPE_SUFFIX)
+        if called in shapes:
+            _old_track(file, take, shape_id(of, called), PERCENT, [channel])
+        inner = channel.all("Channel") if called == "Transform" else (channel,)
+        for one in inner:
+            property_name = _CHANNELS.get(one.text(0))
+            if property_name is not None:
+                parts = _axes(one)
+                _old_track(file, take, of, property_name, parts)
 
 
-def _old_track(file: FbxFile, take: AnimTake, of: Id, channel: Element) -> None:
-    name = _CHANNELS[channel.text(0)]
-    usual = _USUAL[name]
-    defaults: list[float] = [usual] * 3
-    curves: list[Curve | None] = [None] * 3
+def old_shapes(file: FbxFile, model: Object) -> list[Element]:
+    """Return the shapes of a model's mesh, as files before 7000 have them."""
+    holders = [model, *file.sources(model.id, "Geometry", "Mesh")]
+    return [shape for one in holders for shape in one.element.all("Shape")]
+
+
+def shape_id(of: Id, name: str) -> Id:
+    """Return what the channel of a shape of a model is known by in such files."""
+    return f"Shape::{of}::{name}"
+
+
+def _axes(channel: Element) -> list[Element | None]:
+    found: list[Element | None] = [None] * 3
     for part in channel.all("Channel"):
         axis = "XYZ".find(part.text(0)) if part.text(0) else -1
-        if axis < 0:
-            continue
-        default = part.find("Default")
+        if axis >= 0:
+            found[axis] = part
+    return found
+
+
+def _old_track(
+    file: FbxFile, take: AnimTake, of: Id, name: str, parts: list[Element | None]
+) -> None:
+    defaults, curves = [_USUAL[name]] * len(parts), []
+    layout = LAYOUT if file.version >= WITH_OBJECTS else LAYOUT_OF_5000
+    for k, part in enumerate(parts):
+        default = None if part is None else part.find("Default")
         if default is not None:
-            defaults[axis] = number(default, 0, file.notes)
-        curves[axis] = curve_of_channel(part, file.notes)
+            defaults[k] = number(default, 0, file.notes)
+        curve = None if part is None else curve_of_channel(part, file.notes, layout)
+        curves.append(curve)
     values = LayerValues(Layer("BaseLayer"), True, defaults, curves)
     take.tracks.setdefault((of, name), Track(of, name, [values]))

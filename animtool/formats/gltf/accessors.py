@@ -133,6 +133,10 @@ class Accessors:
         assert found is not None
         return found
 
+    def declares(self, name: str) -> bool:
+        """Return whether the file says that it uses an extension."""
+        return name in self.container.root.values.get("extensionsUsed", ())
+
     def has_data(self, index: int) -> bool:
         """Return whether bytes stand for an accessor, all or some of its elements.
 
@@ -362,11 +366,24 @@ class Accessors:
             count,
             view,
             offset,
-            item.values.get("normalized") is True,
+            item.flag("normalized"),
             self._sparse(item, count),
         )
+        _check_bounds_form(accessor)
         self._check_inside(accessor)
         return accessor
+
+    def check_packed(self, index: int, where: str) -> None:
+        """Say where a view has a stride that only vertices take; it is read with it."""
+        accessor = self.entries[index]
+        if accessor is None or accessor.view < 0:
+            return
+        view = self.views[accessor.view]
+        if view is not None and view.stride:
+            message = (
+                f"bufferView {accessor.view} has a byteStride, and holds no vertices"
+            )
+            self.notes.warn("GLT105", where, message)
 
     def _check_inside(self, accessor: Accessor) -> None:
         """Refuse an accessor that reads beyond its view."""
@@ -432,6 +449,19 @@ class Accessors:
         )
 
 
+def _check_bounds_form(accessor: Accessor) -> None:
+    """Say where min and max are no lists of as many numbers as elements have."""
+    item = accessor.item
+    for key in ("min", "max"):
+        if key not in item.values:
+            continue
+        stated = item.values[key]
+        fits = isinstance(stated, list) and len(stated) == accessor.width
+        if not fits or not {*map(type, stated)} <= {int, float}:
+            message = f"{key} is not {accessor.width} numbers: it is left out"
+            item.notes.warn("GLT102", item.at(key), message)
+
+
 def _element_bytes(kind: str, component: np.dtype[Any]) -> int:
     width = WIDTHS[kind]
     if not kind.startswith("MAT"):
@@ -460,9 +490,10 @@ def _strided(
 
 def check_finite(values: AnyArray, accessor: Accessor) -> None:
     """Refuse numbers that are none."""
+    flat = values.reshape(-1)
     with np.errstate(over="ignore", invalid="ignore"):
-        # A sum that is finite has no part that is not.
-        if np.isfinite(values.sum(dtype=np.float64)):
+        # A sum of squares that is finite has no part that is not.
+        if np.isfinite(np.dot(flat, flat)):
             return
     bad = np.argwhere(~np.isfinite(values))
     if len(bad):

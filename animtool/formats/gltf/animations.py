@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Sequence
 from enum import StrEnum
@@ -9,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from animtool import _kernels
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Severity, excerpt
 from animtool.core.record import dataclass
@@ -93,22 +95,31 @@ class Track:
 
     def between(self, low: IntArray, times: FloatArray) -> FloatArray:
         """Return the values at times in segments from a key ``low`` to the next."""
-        t0, t1 = self.times[low], self.times[low + 1]
-        length = t1 - t0
-        share = np.clip((times - t0) / length, 0.0, 1.0)[:, None]
-        a, b = self.values[low], self.values[low + 1]
-        if self.interpolation is Interpolation.STEP:
-            return _unit(np.where(share < 1.0, a, b), self.path)
-        if self.interpolation is Interpolation.CUBIC:
-            assert self.ins is not None
-            assert self.outs is not None
-            found = _hermite(
-                a, self.outs[low], self.ins[low + 1], b, share, length[:, None]
-            )
-            return _unit(found, self.path)
-        if self.path is Path.ROTATION:
-            return so3.slerp(_unit(a, self.path), _unit(b, self.path), share[:, 0])
-        return np.asarray(a + (b.astype(np.float64) - a) * share)
+        return between([self], low, times)[:, 0]
+
+
+def between(tracks: Sequence[Track], low: IntArray, times: FloatArray) -> FloatArray:
+    """Return values ``(F, N, W)`` of N tracks at times in segments of their keys.
+
+    tracks: of one path, with the same key times and interpolation.
+    low: the key before each time.
+    """
+    first, path = tracks[0], tracks[0].path
+    t0, t1 = first.times[low], first.times[low + 1]
+    length = (t1 - t0)[:, None, None]
+    share = np.clip((times - t0)[:, None, None] / length, 0.0, 1.0)
+    a = np.stack([track.values[low] for track in tracks], axis=1)
+    b = np.stack([track.values[low + 1] for track in tracks], axis=1)
+    if first.interpolation is Interpolation.STEP:
+        return _unit(np.where(share < 1.0, a, b), path)
+    if first.interpolation is Interpolation.CUBIC:
+        outs = [track.outs[low] for track in tracks if track.outs is not None]
+        ins = [track.ins[low + 1] for track in tracks if track.ins is not None]
+        out, into = np.stack(outs, axis=1), np.stack(ins, axis=1)
+        return _unit(_hermite(a, out, into, b, share, length), path)
+    if path is Path.ROTATION:
+        return so3.slerp(_unit(a, path), _unit(b, path), share[:, :, 0])
+    return np.asarray(a + (b.astype(np.float64) - a) * share)
 
 
 def _hermite(
@@ -135,12 +146,12 @@ def _unit(values: FloatArray, path: Path) -> FloatArray:
     found = np.asarray(values, np.float64)
     if path is not Path.ROTATION:
         return found
-    length = np.linalg.norm(found, axis=1)
+    length = np.linalg.norm(found, axis=-1, keepdims=True)
     if not length.all():
         # Between opposite cubic keys it may vanish: the rotation there is anything.
-        found = np.where(length[:, None] == 0.0, so3.IDENTITY, found)
+        found = np.where(length == 0.0, so3.IDENTITY, found)
         length = np.where(length == 0.0, 1.0, length)
-    return np.asarray(found / length[:, None])
+    return np.asarray(found / length)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -177,6 +188,7 @@ class _Samplers:
             index = item.index(key, count, "accessor")
             if index < 0:
                 item.missing(key)
+            self.accessors.check_packed(index, item.at(key))
             ends.append(index)
         return ends[0], ends[1]
 
@@ -330,6 +342,11 @@ def _pointed(
         message = f"a channel of {POINTER} without its pointer is left out"
         target.notes.warn("GLT106", target.pointer, message)
         return None
+    if not text.startswith("/"):
+        where = extension.at("pointer") if extension else target.pointer
+        message = f"{excerpt(text)} is no JSON pointer: the channel is left out"
+        target.notes.warn("GLT106", where, message)
+        return None
     if found := _NODE.fullmatch(text):
         node = int(found[1][:9])
         if node >= len(nodes):
@@ -381,6 +398,9 @@ def _track(
     if not ascending:
         given = samplers.accessors.has_data(source)
         times, table = _sorted(times, table, item, given=given)
+    if cubic and len(times) == 1:
+        message = "a cubic spline has two keys at least: its one key is held"
+        notes.warn("GLT107", item.at("interpolation"), message)
     if times[0] < 0:
         message = f"the first key is at {times[0]:.6g} s, before time 0: it is kept"
         notes.warn("GLT107", item.at("input"), message)
@@ -458,9 +478,12 @@ def _check_unit(keys: Any, channel: Item, samplers: _Samplers, index: int) -> No
     """Say where keys are no unit quaternions; refuse those without a length."""
     accessor = samplers.ends[index][1]
     entry = samplers.accessors.get(accessor)
-    squares = np.einsum("kc,kc->k", keys, keys)
     tolerance = COARSE_UNIT.get(entry.component, UNIT)
-    low, high = float(squares.min()), float(squares.max())
+    low, high = _kernels.squared_lengths(np.require(keys, np.float32, ["C", "A"]))
+    if math.isnan(high):
+        # Squares that float32 does not hold.
+        squares = np.square(keys, dtype=np.float64).sum(axis=1)
+        low, high = float(squares.min()), float(squares.max())
     if low <= 0.0:
         message = "a rotation key has length 0"
         samplers.items[index].notes.fail("GLT010", entry.where, message)

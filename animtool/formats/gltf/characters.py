@@ -10,7 +10,7 @@ from animtool.core.errors import Fault, FormatError, Severity, counted, listed
 from animtool.core.names import nearest
 from animtool.core.record import dataclass
 from animtool.formats.gltf.meshes import SkinEntry
-from animtool.formats.gltf.nodes import Node, parents_first
+from animtool.formats.gltf.nodes import Node, parents_first, roots
 
 # The path that means the whole file.
 WHOLE = "/"
@@ -55,11 +55,7 @@ def characters(file: NodeTree) -> tuple[Character, ...]:
     Trees of nodes belong together where a skin names joints of one for a mesh of
     another.
     """
-    order = parents_first(file.nodes)
-    tree = list(range(len(file.nodes)))  # the root of each node
-    for node in order:
-        parent = file.nodes[node].parent
-        tree[node] = node if parent < 0 else tree[parent]
+    order, tree = parents_first(file.nodes), roots(file.nodes)
     group = {root: root for root in set(tree)}
 
     def found(root: int) -> int:

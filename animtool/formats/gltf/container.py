@@ -27,6 +27,7 @@ class Container:
     binary: memoryview | None  # None of a .gltf, and of a GLB without it
     is_glb: bool
     bytes: int  # size of the file
+    extended: bool  # whether an object may have extensions
 
 
 def read_container(path: Path, notes: Notes) -> Container:
@@ -39,10 +40,14 @@ def read_container(path: Path, notes: Notes) -> Container:
     content = memoryview(read_input(path))
     glb = path.suffix.lower() != ".gltf" or bytes(content[:4]) == MAGIC
     if not glb:
-        root = _parsed(bytes(content), notes)
-        return Container(root, None, False, len(content))
-    text, binary = _chunks(content, notes)
-    return Container(_parsed(bytes(text), notes), binary, True, len(content))
+        text, binary = bytes(content), None
+    else:
+        chunk, binary = _chunks(content, notes)
+        text = bytes(chunk)
+    root = _parsed(text, notes)
+    # A name with escapes is not found, and that of nothing that is read.
+    extended = b'"extensions"' in text
+    return Container(root, binary, glb, len(content), extended)
 
 
 def _offset(where: int) -> str:
@@ -83,7 +88,8 @@ def _chunks(content: memoryview, notes: Notes) -> tuple[memoryview, memoryview |
     at = HEADER
     while at < length:
         if at + CHUNK_HEADER > length:
-            _fail(notes, at, "the file ends in the header of a chunk")
+            end = length if length == len(content) else at
+            _fail(notes, end, "the file ends in the header of a chunk")
         size, kind = struct.unpack_from("<II", content, at)
         if at + CHUNK_HEADER + size > length:
             _fail(notes, at, f"a chunk of {size} bytes ends after the file")
@@ -96,6 +102,9 @@ def _chunks(content: memoryview, notes: Notes) -> tuple[memoryview, memoryview |
             message = f"a chunk has {size} bytes, no multiple of 4"
             notes.warn("GLT101", _offset(at), message)
         start = at + CHUNK_HEADER
+        if kind == BIN_CHUNK and at != HEADER + CHUNK_HEADER + len(found[JSON_CHUNK]):
+            message = "the binary chunk is not the second one: it is read all the same"
+            notes.warn("GLT101", _offset(at), message)
         if kind in {JSON_CHUNK, BIN_CHUNK}:
             found[kind] = content[start : start + size]
         at = start + size

@@ -11,6 +11,7 @@ from animtool.formats.gltf.accessors import Accessors
 from animtool.formats.gltf.animations import POINTER, Animation, read_animations
 from animtool.formats.gltf.container import Container, read_container
 from animtool.formats.gltf.meshes import (
+    QUANTIZATION,
     MeshEntry,
     Primitive,
     SkinEntry,
@@ -18,12 +19,20 @@ from animtool.formats.gltf.meshes import (
     read_skins,
     skin_weights,
 )
-from animtool.formats.gltf.nodes import VISIBILITY, Node, read_nodes, read_scenes
-from animtool.formats.gltf.places import Item, Notes
+from animtool.formats.gltf.nodes import (
+    VISIBILITY,
+    Node,
+    read_nodes,
+    read_scenes,
+    roots,
+)
+from animtool.formats.gltf.places import Item, Notes, escaped
 from animtool.formats.gltf.unused import unused_parts
 
 # Extensions that a file may require.
-READ = frozenset({"KHR_mesh_quantization", POINTER, VISIBILITY})
+READ = frozenset({QUANTIZATION, POINTER, VISIBILITY})
+# Whose files have no meaning without it.
+MUST_BE_REQUIRED = frozenset({QUANTIZATION})
 # Of looks alone: what moves is whole without them.
 LOOKS = ("KHR_materials_", "KHR_texture_", "EXT_texture_", "MSFT_texture_", "ADOBE_mat")
 LOOKS_ALONE = frozenset(
@@ -91,7 +100,7 @@ def open_gltf(path: Path | str) -> Gltf:
     container = read_container(path, notes)
     root = container.root
     _check_asset(root, notes)
-    _check_extensions(root, notes, path)
+    _check_extensions(container, notes, path)
     accessors = _accessors(container, path, notes)
     many = [_count(root, key) for key in ("meshes", "skins")]
     nodes = read_nodes(root, notes, *many)
@@ -100,7 +109,7 @@ def open_gltf(path: Path | str) -> Gltf:
     skins = read_skins(root, accessors, len(nodes))
     _check_weights(nodes, meshes, notes)
     animations = read_animations(root, accessors, nodes, meshes)
-    left_out = tuple(key for key in _NOT_READ if root.values.get(key))
+    left_out = _left_out(container)
     found = Gltf(
         path,
         nodes,
@@ -144,8 +153,9 @@ def _check_asset(root: Item, notes: Notes) -> None:
         notes.fail("GLT003", asset.at("minVersion"), message)
 
 
-def _check_extensions(root: Item, notes: Notes, path: Path) -> None:
+def _check_extensions(container: Container, notes: Notes, path: Path) -> None:
     """Refuse a required extension that matters to motion and is not read."""
+    root = container.root
     used = root.list_of("extensionsUsed")
     for key, names in (
         ("extensionsUsed", used),
@@ -155,6 +165,7 @@ def _check_extensions(root: Item, notes: Notes, path: Path) -> None:
             if name in names[:i]:
                 message = f"{excerpt(str(name))} is listed twice"
                 notes.warn("GLT106", f"{root.at(key)}/{i}", message)
+    _check_lists(root, used, notes)
     for i, name in enumerate(root.list_of("extensionsRequired")):
         where = f"{root.at('extensionsRequired')}/{i}"
         if not isinstance(name, str):
@@ -166,11 +177,64 @@ def _check_extensions(root: Item, notes: Notes, path: Path) -> None:
             hint = f"{UNPACKED_BY[name].format(path.name)} unpacks it"
         message = f"the file needs the extension {name}, which is not read"
         notes.fail("GLT004", where, message, hint)
-    extensions = root.values.get("extensions")
-    for name in extensions if isinstance(extensions, dict) else ():
+    found = _extensions(root) if container.extended else {}
+    for name, where in found.items():
         if name not in used:
-            message = f"the extension {excerpt(name)} is not declared: left out"
-            notes.warn("GLT106", f"{root.at('extensions')}/{name}", message)
+            left = "" if name in READ else ": left out"
+            message = f"the extension {excerpt(name)} is not declared{left}"
+            notes.warn("GLT106", where, message)
+
+
+def _check_lists(root: Item, used: list[Any], notes: Notes) -> None:
+    """Say where the lists of extensions do not go together."""
+    required = root.list_of("extensionsRequired")
+    for i, name in enumerate(used):
+        where = f"{root.at('extensionsUsed')}/{i}"
+        if not isinstance(name, str):
+            message = f"{excerpt(repr(name))} is no name of an extension: left out"
+            notes.warn("GLT106", where, message)
+        elif name in MUST_BE_REQUIRED and name not in required:
+            notes.warn("GLT106", where, f"{name} is used, but not required")
+    for i, name in enumerate(required):
+        if isinstance(name, str) and name not in used:
+            message = f"{excerpt(name)} is required, but not listed as used"
+            notes.warn("GLT106", f"{root.at('extensionsRequired')}/{i}", message)
+
+
+def _left_out(container: Container) -> tuple[str, ...]:
+    """Return what a file has that is not read: parts, and extensions that matter."""
+    root = container.root
+    found = [key for key in _NOT_READ if root.values.get(key)]
+    names = _extensions(root) if container.extended else {}
+    if "KHR_lights_punctual" in names:
+        found.append("lights")
+    found += [
+        name
+        for name in names
+        if not (name in READ or name in LOOKS_ALONE or name.startswith(LOOKS))
+    ]
+    return tuple(found)
+
+
+def _extensions(root: Item) -> dict[str, str]:
+    """Return the extensions that objects of a file have, and where each is first."""
+    found: dict[str, str] = {}
+    stack: list[tuple[Any, str]] = [(root.values, "")]
+    while stack:
+        value, where = stack.pop()
+        if isinstance(value, dict):
+            own = value.get("extensions")
+            for name in own if isinstance(own, dict) else ():
+                found.setdefault(name, f"{where}/extensions/{escaped(name)}")
+            stack += [
+                (value[key], f"{where}/{escaped(key)}")
+                for key in reversed(value)
+                if key not in {"extras", "extensions"}
+                and isinstance(value[key], dict | list)
+            ]
+        elif isinstance(value, list) and value and isinstance(value[0], dict | list):
+            stack += [(value[i], f"{where}/{i}") for i in range(len(value) - 1, -1, -1)]
+    return found
 
 
 def _check_weights(
@@ -196,14 +260,31 @@ def _check_skins(gltf: Gltf) -> None:
             if primitive.joints and node.skin >= 0:
                 joints = len(gltf.skins[node.skin].joints)
                 skin_weights(primitive, joints, gltf.accessors, gltf.notes)
+    tree = roots(gltf.nodes)
+    _check_scenes(gltf, tree)
     for skin in gltf.skins:
         if skin.skeleton >= 0 and not _is_above(gltf, skin.skeleton, skin.joints[0]):
             message = f"node {skin.skeleton} is not above the joints: left out"
             gltf.notes.warn("GLT106", f"{skin.where}/skeleton", message)
-        if len({_root(gltf, joint) for joint in skin.joints}) > 1:
+        if len({tree[joint] for joint in skin.joints}) > 1:
             message = "the joints have no common root: each chain counts"
             note = Severity.WARNING
             gltf.notes.warn("GLT106", f"{skin.where}/joints", message, severity=note)
+
+
+def _check_scenes(gltf: Gltf, tree: list[int]) -> None:
+    """Say where a scene shows a skinned mesh without its joints.
+
+    tree: the root of each node.
+    """
+    scenes = [set(one) for one in gltf.scenes]
+    above = [{tree[joint] for joint in skin.joints} for skin in gltf.skins]
+    for i, node in enumerate(gltf.nodes):
+        if node.skin < 0:
+            continue
+        if any(tree[i] in one and not above[node.skin] & one for one in scenes):
+            message = "a scene shows the mesh without the joints of its skin"
+            gltf.notes.warn("GLT106", f"/nodes/{i}", f"{message}: they count too")
 
 
 def _require(accessors: Accessors, primitive: Primitive) -> None:
@@ -219,12 +300,6 @@ def _is_above(gltf: Gltf, upper: int, lower: int) -> bool:
     while lower >= 0 and lower != upper:
         lower = gltf.nodes[lower].parent
     return lower == upper
-
-
-def _root(gltf: Gltf, node: int) -> int:
-    while gltf.nodes[node].parent >= 0:
-        node = gltf.nodes[node].parent
-    return node
 
 
 def left_out_text(gltf: Gltf) -> str:

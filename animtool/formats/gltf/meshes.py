@@ -9,15 +9,16 @@ import numpy as np
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.record import dataclass
 from animtool.formats.gltf.accessors import COMPONENTS, FLOAT, Accessor, Accessors
-from animtool.formats.gltf.places import Item, Notes
+from animtool.formats.gltf.places import Item, Notes, is_number
 from animtool.formats.gltf.unused import is_known, is_read
 
 # Component types: signed and unsigned 8 and 16 bits, unsigned 32.
 I8, U8, I16, U16, U32 = 5120, 5121, 5122, 5123, 5125
+QUANTIZATION = "KHR_mesh_quantization"
 QUANTIZED = (FLOAT, I8, U8, I16, U16)
 TRIANGLES, STRIP, FAN = 4, 5, 6
-# Of the sum of a vertex' weights: of floats and 16 bits, and of 8 bits [1].
-SUM_TOLERANCE, COARSE_SUM = 2e-3, 2e-2
+# Of the sum of a vertex' weights [1]: float32 rounds less, integers have it exactly.
+SUM_TOLERANCE = 1e-5
 # Of a unit normal's length, and of min and max by the size of the data [1].
 BOUNDS = 1e-6
 
@@ -132,6 +133,7 @@ def _primitive(item: Item, accessors: Accessors) -> Primitive:
         item.notes.fail("GLT011", attributes.pointer, message)
     targets = []
     for target in item.children("targets"):
+        _check_target(target)
         own = {
             name: target.index(name, count, "accessor")
             for name in ("POSITION", "NORMAL")
@@ -146,6 +148,9 @@ def _primitive(item: Item, accessors: Accessors) -> Primitive:
                 check_bounds(accessor.item, accessors.numbers(index))
         targets.append(Target(own.get("POSITION", -1), own.get("NORMAL", -1)))
     mode = item.number("mode")
+    if mode is not None and not 0 <= mode <= FAN:
+        message = f"mode {mode} is unknown: the primitive has no faces"
+        item.notes.warn("GLT106", item.at("mode"), message)
     indices = item.index("indices", count, "accessor")
     primitive = Primitive(
         position,
@@ -160,6 +165,17 @@ def _primitive(item: Item, accessors: Accessors) -> Primitive:
     if indices >= 0:
         _check_indices(item, indices, many, accessors)
     return primitive
+
+
+def _check_target(target: Item) -> None:
+    """Say what of a morph target is not read."""
+    if not target.values:
+        message = "a morph target without attributes moves nothing"
+        target.notes.warn("GLT106", target.pointer, message)
+    for name in target.values:
+        if not is_known(name):
+            message = f"the attribute {name!r} is unknown: left out"
+            target.notes.warn("GLT106", target.at(name), message)
 
 
 def _typed(
@@ -177,6 +193,10 @@ def _typed(
         if accessor is not None:
             held = f"{accessor.kind} of {COMPONENTS[accessor.component].name}"
         item.notes.fail("GLT011", item.at(key), f"{key} cannot be {held}")
+    quantized = components is QUANTIZED and accessor.component != FLOAT
+    if quantized and not accessors.declares(QUANTIZATION):
+        message = f"{key} are integers, and {QUANTIZATION} is not declared"
+        item.notes.warn("GLT106", item.at(key), message)
     if accessors.has_data(index):
         accessors.numbers(index)
     return accessor
@@ -195,6 +215,7 @@ def _check_vertices(
         elif name.startswith("WEIGHTS_"):
             components = (FLOAT, U8, U16)
         accessor = _typed(attributes, name, index, accessors, kind, components)
+        _check_packing(attributes, name, accessor)
         if many < 0:
             many = accessor.count
         elif accessor.count != many:
@@ -211,8 +232,18 @@ def _check_vertices(
     return many
 
 
+def _check_packing(attributes: Item, name: str, accessor: Accessor) -> None:
+    """Say where weights are integers that are not said to be fractions."""
+    if not name.startswith("WEIGHTS_") or accessor.component == FLOAT:
+        return
+    if not accessor.normalized:
+        message = f"{name} are integers that are not normalized: divided by their sum"
+        attributes.notes.warn("GLT104", attributes.at(name), message)
+
+
 def _check_indices(item: Item, index: int, many: int, accessors: Accessors) -> None:
     _typed(item, "indices", index, accessors, "SCALAR", (U8, U16, U32))
+    accessors.check_packed(index, item.at("indices"))
     if not accessors.has_data(index):
         return
     largest = int(accessors.numbers(index).max())
@@ -235,12 +266,12 @@ def check_bounds(item: Item, values: Any, *, missing: str = "") -> None:
     found = (values.min(axis=0), values.max(axis=0))
     for key, said, own in zip(("min", "max"), stated, found, strict=True):
         size = BOUNDS * max(1.0, float(np.abs(own.astype(np.float64)).max()))
+        if said is None and key not in item.values:
+            item.notes.warn("GLT102", item.at(key), f"{key} is missing")
         if not isinstance(said, list) or len(said) != len(own):
-            item.notes.warn("GLT102", item.at(key), f"{key} is missing or incomplete")
             continue
         for i, (one, real) in enumerate(zip(said, own.tolist(), strict=True)):
-            fits = isinstance(one, int | float) and abs(one - real) <= size
-            if not fits:
+            if is_number(one) and not abs(one - real) <= size:
                 message = f"{key} says {one!r}, the data {real:.9g}: the data counts"
                 item.notes.warn("GLT102", f"{item.at(key)}/{i}", message)
                 break
@@ -266,6 +297,7 @@ def _skin(item: Item, accessors: Accessors, nodes: int) -> SkinEntry:
         accessor = _typed(
             item, "inverseBindMatrices", index, accessors, "MAT4", (FLOAT,)
         )
+        accessors.check_packed(index, where)
         if accessor.count < len(joints):
             message = f"{accessor.count} matrices for {len(joints)} joints"
             item.notes.fail("GLT011", where, message)
@@ -306,22 +338,23 @@ def skin_weights(
     weights = np.concatenate(
         [accessors.floats(one) for one in primitive.weights], axis=1
     )
+    _check_distinct(primitive, indices, weights, notes)
     beyond = indices >= joints
     if beyond.any():
-        if (weights[beyond] > 0).any():
-            number = primitive.joints[int(np.argwhere(beyond)[0, 1]) // 4]
-            at = primitive.joints.index(number)
-            where = f"{primitive.where}/attributes/JOINTS_{at}"
-            message = f"joint {int(indices[beyond].max())} of a skin with {joints}"
+        used = beyond & (weights > 0)
+        place = np.argwhere(used if used.any() else beyond)[0, 1] // 4
+        where = f"{primitive.where}/attributes/JOINTS_{int(place)}"
+        message = f"joint {int(indices[beyond].max())} of a skin with {joints}"
+        if used.any():
             notes.fail("GLT006", where, message)
+        notes.warn("GLT106", where, f"{message}, without weight: left out")
         indices[beyond] = 0
     sums = weights.sum(axis=1)
-    coarse = any(accessors.get(one).component == U8 for one in primitive.weights)
-    off = float(np.abs(sums - 1.0).max(initial=0.0))
+    worst = float(sums[np.abs(sums - 1.0).argmax()]) if len(sums) else 1.0
     where = f"{primitive.where}/attributes/WEIGHTS_0"
     given = all(accessors.has_data(one) for one in primitive.weights)
-    if given and off > (COARSE_SUM if coarse else SUM_TOLERANCE):
-        message = f"weights of a vertex have the sum {1 + off:.6g} or {1 - off:.6g}"
+    if given and abs(worst - 1.0) > SUM_TOLERANCE:
+        message = f"weights of a vertex have the sum {worst:.6g}"
         notes.warn("GLT104", where, f"{message}: they are divided by it")
     empty = sums == 0.0
     if empty.any():
@@ -331,6 +364,20 @@ def skin_weights(
         weights[empty, 0], indices[empty, 0] = 1.0, 0
         sums = np.where(empty, 1.0, sums)
     return indices, weights / sums[:, None]
+
+
+def _check_distinct(
+    primitive: Primitive, indices: IntArray, weights: FloatArray, notes: Notes
+) -> None:
+    """Say where a joint has two weights of one vertex, which are added."""
+    # Those of no weight are told apart by numbers that no joint has.
+    idle = -1 - np.arange(indices.shape[1])
+    order = np.sort(np.where(weights > 0, indices, idle), axis=1)
+    twice = (order[:, 1:] == order[:, :-1]).any(axis=1)
+    if twice.any():
+        message = f"{int(twice.sum())} vertices have two weights of one joint"
+        where = f"{primitive.where}/attributes/JOINTS_0"
+        notes.warn("GLT104", where, f"{message}: they are added")
 
 
 def triangles(primitive: Primitive, many: int, accessors: Accessors) -> IntArray:

@@ -203,9 +203,21 @@ def read_scenes(
             if nodes[node].parent >= 0:
                 message = f"node {node} has a parent; it is in the tree once"
                 notes.warn("GLT106", f"{item.at('nodes')}/{k}", message)
+            if node in listed[:k]:
+                message = f"node {node} is listed twice; it is in the tree once"
+                notes.warn("GLT106", f"{item.at('nodes')}/{k}", message)
         scenes.append(listed)
     shown = root.index("scene", len(scenes), "scene")
     return scenes, (0 if shown < 0 and scenes else shown)
+
+
+def roots(nodes: tuple[Node, ...]) -> list[int]:
+    """Return the root above each node; that of a root is itself."""
+    tree = list(range(len(nodes)))
+    for node in parents_first(nodes):
+        parent = nodes[node].parent
+        tree[node] = node if parent < 0 else tree[parent]
+    return tree
 
 
 def parents_first(nodes: tuple[Node, ...]) -> list[int]:

@@ -144,8 +144,17 @@ class Item:
     def text(self, key: str) -> str | None:
         """Return a text; None where it is missing."""
         value = self.values.get(key)
-        if value is not None and not isinstance(value, str):
+        if value is None and key == "name" and key in self.values:
+            self.notes.warn("GLT106", self.at(key), "a name of null is left out")
+        elif not isinstance(value, str) and key in self.values:
             self.fail(key, f"{key} must be text, not {excerpt(repr(value))}")
+        return value
+
+    def flag(self, key: str) -> bool:
+        """Return a truth value; false where it is missing."""
+        value = self.values.get(key, False)
+        if not isinstance(value, bool):
+            self.fail(key, f"{key} must be true or false, not {excerpt(repr(value))}")
         return value
 
     def list_of(self, key: str) -> list[Any]:

@@ -146,7 +146,7 @@ def _clip(gltf: Gltf, made: GltfRig, take: str | None) -> tuple[int, list[Fault]
         return index, []
     message = f"clip {names[index]!r} is read of {counted(len(names), 'clip')}"
     hint = f"{argument('source.take')} reads another: {listed(names, MAX_NAMED)}"
-    return index, [Fault("GLT109", message, path, (), hint, Severity.NOTE)]
+    return index, [Fault("GLT121", message, path, (), hint, Severity.NOTE)]
 
 
 def _left_out(gltf: Gltf, animation: Animation | None) -> list[Fault]:
@@ -155,6 +155,10 @@ def _left_out(gltf: Gltf, animation: Animation | None) -> list[Fault]:
     tracks = () if animation is None else animation.tracks
     if any(track.path is Moved.VISIBLE for track in tracks):
         names.append("visibility over time")
+    nodes = enumerate(gltf.nodes)
+    hidden = [node.name or f"node_{i}" for i, node in nodes if not node.visible]
+    if hidden:
+        names.append(f"that nodes are hidden: {listed(hidden, MAX_NAMED)}")
     if not names:
         return []
     message = f"not read: {', '.join(names)}"

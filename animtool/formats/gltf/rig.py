@@ -19,6 +19,7 @@ from animtool.formats.gltf.characters import Character
 from animtool.formats.gltf.document import Gltf
 from animtool.formats.gltf.nodes import Node
 from animtool.formats.gltf.surfaces import mesh_parts
+from animtool.formats.gltf.vrm import humanoid_bones
 from animtool.rig.parts import Mesh, Shape
 from animtool.rig.skeleton import Joint, Rig
 
@@ -76,6 +77,7 @@ def build_rig(
     folded = _folded(gltf, character)
     names, renamed = joint_names([gltf.nodes[node] for node in kept], kept)
     made = []
+    bones = {node: bone for bone, node in reversed(humanoid_bones(gltf))}
     for node, called in zip(kept, names, strict=True):
         own = gltf.nodes[node]
         above = 1.0 if own.parent < 0 else float(folded[own.parent])
@@ -88,6 +90,7 @@ def build_rig(
                 translation=(x, y, z),
                 rotation=own.rotation,
                 source_name="" if original == called else original,
+                humanoid=bones.get(node, ""),
             )
         )
     scales = np.array([gltf.nodes[node].scale for node in kept], np.float64)

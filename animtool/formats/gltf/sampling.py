@@ -7,11 +7,13 @@ from dataclasses import field
 from fractions import Fraction
 
 import numpy as np
+import numpy.typing as npt
 
+from animtool import _kernels
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.clock import Clock
 from animtool.core.record import dataclass
-from animtool.formats.gltf.animations import Animation, Track
+from animtool.formats.gltf.animations import Animation, Track, between
 from animtool.formats.gltf.animations import Path as Moved
 from animtool.formats.gltf.document import Gltf
 from animtool.formats.gltf.rig import GltfRig, folded_nodes
@@ -64,36 +66,75 @@ class Sampler:
 
     def _channel(self, path: Moved, times: FloatArray) -> Channel:
         rest, moving = self.rest[path], self.moving[path]
+        rows = np.array([one.row for one in moving], np.int64)
+        if path is Moved.ROTATION and moving:
+            keys = [self._keys(one.track, times) for one in moving]
+            own = [found for found in keys if found is not None]
+            if len(own) == len(keys):
+                return Channel(rest, rows, _kernels.unpack_rotations(own, None))
         values = np.empty((len(times), len(moving), rest.shape[1]))
+        groups = _groups(moving)
+        factors = np.array([one.factor for one in moving])[:, None]
+        scaled = bool((factors != 1.0).any())
         # A piece stays in the cache of the processor.
         for at in range(0, len(times) if moving else 0, PIECE):
             part = slice(at, min(at + PIECE, len(times)))
-            for k, one in enumerate(moving):
-                values[part, k] = self._values(one.track, times, part)
-                if one.factor != 1.0:
-                    values[part, k] *= one.factor
+            for columns in groups:
+                tracks = [moving[k].track for k in columns]
+                values[part, columns] = self._values(tracks, times, part)
+            if scaled:
+                values[part] *= factors
             if path is Moved.ROTATION:
                 _unit(values[part])
                 _continue(values[part], values[at - 1] if at else None)
-        rows = np.array([one.row for one in moving], np.int64)
         return Channel(rest, rows, values)
 
-    def _values(self, track: Track, times: FloatArray, part: slice) -> FloatArray:
-        """Return the values of a track at a part of the times, of any length.
+    def _grid(
+        self, keys: FloatArray, times: FloatArray
+    ) -> tuple[IntArray | slice, FloatArray]:
+        """Return `segments`; tracks with the same keys look once."""
+        if id(keys) not in self._grids:
+            self._grids[id(keys)] = segments(keys, times)
+        return self._grids[id(keys)]
 
-        Tracks with the same keys look once.
+    def _keys(self, track: Track, times: FloatArray) -> npt.NDArray[np.float32] | None:
+        """Return the keys that a track has at times that are successive keys.
+
+        None where the times are others, or the file does not have floats.
         """
-        if len(track.times) == 1:
-            return track.at(times[part])
-        key = id(track.times)
-        if key not in self._grids:
-            self._grids[key] = segments(track.times, times)
-        low, own = self._grids[key]
+        if track.values.dtype != np.float32 or len(track.times) == 1:
+            return None
+        low, _ = self._grid(track.times, times)
+        if not isinstance(low, slice):
+            return None
+        return np.require(track.values[low], "f4", ["C", "A"])
+
+    def _values(
+        self, tracks: list[Track], times: FloatArray, part: slice
+    ) -> FloatArray:
+        """Return the values ``(F, N, W)`` of tracks of a group at a part of the times.
+
+        Rotations may have any length.
+        """
+        keys = tracks[0].times
+        if len(keys) == 1:
+            return np.stack([track.at(times[part]) for track in tracks], axis=1)
+        low, own = self._grid(keys, times)
         if isinstance(low, slice):
-            return track.values[low.start + part.start : low.start + part.stop]
+            at = slice(low.start + part.start, low.start + part.stop)
+            return np.stack([track.values[at] for track in tracks], axis=1)
         if own is _ON_KEYS:
-            return track.values[low[part]]
-        return track.between(low[part], own[part])
+            return np.stack([track.values[low[part]] for track in tracks], axis=1)
+        return between(tracks, low[part], own[part])
+
+
+def _groups(moving: list[Moving]) -> list[list[int]]:
+    """Return the columns of tracks that share key times and interpolation."""
+    groups: dict[tuple[int, str], list[int]] = {}
+    for k, one in enumerate(moving):
+        key = id(one.track.times), str(one.track.interpolation)
+        groups.setdefault(key, []).append(k)
+    return list(groups.values())
 
 
 @dataclass(frozen=True, slots=True, eq=False)

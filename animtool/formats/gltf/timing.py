@@ -61,7 +61,7 @@ def frames_of(
     if animation is None or not animation.tracks:
         return Frames(fps or RATES[0], Fraction(0), Fraction(0), 1)
     stated, start = _stated(animation.extras)
-    times = _times(animation)
+    times = key_times(animation)
     rate = fps or stated or next((one for one in RATES if _fits(times, one)), USUAL)
     first, last = animation.span
     low = math.floor(first * float(rate) + _room(first, rate)) if first < 0 else 0
@@ -78,8 +78,8 @@ def frames_of(
     return Frames(rate, start, start + low, count, notices)
 
 
-def _times(animation: Animation) -> FloatArray:
-    """Return the times of all keys, each once."""
+def key_times(animation: Animation) -> FloatArray:
+    """Return the times of all keys, each once [s]."""
     distinct: dict[int, FloatArray] = {id(t.times): t.times for t in animation.tracks}
     return np.unique(np.concatenate(list(distinct.values())))
 

@@ -49,9 +49,32 @@ inline void product(const double* a, const double* b, double* c) {
   c[0] = x, c[1] = y, c[2] = z, c[3] = w;
 }
 
+// A vector turned by a unit quaternion (a, w): v + w c + a x c, c being 2 a x v.
+inline void turn(const double* q, const double* v, double* out) {
+  double across[3], again[3];
+  cross(q, v, across);
+  for (double& c : across) c *= 2;
+  cross(q, across, again);
+  for (int i = 0; i < 3; ++i) out[i] = v[i] + q[3] * across[i] + again[i];
+}
+
 inline void normalize(double* q) {
   const double n = std::sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]);
   for (int i = 0; i < 4; ++i) q[i] /= n;
+}
+
+// Scaled first, so that neither tiny nor huge numbers leave the range; one without length, or
+// of no numbers, is none.
+inline void make_unit(double* q) {
+  double most = 0;
+  for (int i = 0; i < 4; ++i)
+    if (!(std::fabs(q[i]) <= most)) most = std::fabs(q[i]);
+  if (most > 0) {
+    for (int i = 0; i < 4; ++i) q[i] /= most;
+    normalize(q);
+  } else {
+    q[0] = q[1] = q[2] = 0, q[3] = 1;
+  }
 }
 
 inline void exponential(const double* v, double* q) {

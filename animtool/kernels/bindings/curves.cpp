@@ -16,6 +16,23 @@ and value from the key. ``at`` is ``(1, F)``, or ``(C, F)`` with times of each c
 own; ascending times are the quickest. Times of keys are finite and no handle's time is
 NaN; values may be anything.)");
 
+  m.def("evaluate_rotations", &evaluate_rotations, Unlocked(), "times"_a, "keys"_a, "kinds"_a,
+        "at"_a, "beyond"_a, "cycles"_a,
+        R"(Evaluate C rotation curves with keys ``(K, C, 4)`` at the same times ``(K,)``.
+
+``kinds`` of the segment behind each key: 0 step, 1 slerp, 2 squad, 3 spline. ``at`` ``(F,)``
+are within the keys; ``beyond`` ``(F,)`` is time before (negative) or behind them, over which
+the curve turns on, ``cycles`` ``(F,)`` how many rises from the first key to the last come on
+top. Ascending times are the quickest. Numbers are finite, keys no zeros.
+
+Returns quaternions ``(F, C, 4)``, signs those nearest to the frame before.)");
+
+  m.def("turn_steps", &turn_steps, Unlocked(), "rotations"_a,
+        R"(Shortest rotation vectors ``(F - 1, C, 3)`` from frame to frame, in body space.)");
+
+  m.def("slerp", &slerp, Unlocked(), "begin"_a, "end"_a, "share"_a,
+        R"(Shortest arcs between quaternions ``(N or 1, 4)`` at shares ``(N,)``.)");
+
   m.def("fit_cubics", &fit_cubics, Unlocked(), "values"_a, "bounds"_a, "anchors"_a, "low"_a,
         "high"_a, "straight"_a,
         R"(Keys of cubic segments through samples ``(F, D)``, as few as a greedy search finds.

@@ -1,6 +1,7 @@
 // Python bindings of inverse kinematics.
 #include "bindings/arrays.h"
 #include "bindings/subjects.h"
+#include "ik/rig_solver.h"
 #include "ik/solve.h"
 
 namespace animtool {
@@ -48,6 +49,65 @@ iterations and descents ``(B, 3)``; time of each ``(B,)``.)",
          Field{"iterations", &P::iterations}, Field{"restarts", &P::restarts},
          Field{"seed", &P::seed}, Field{"seconds", &P::seconds}, Field{"ordered", &P::ordered},
          Field{"warm", &P::warm}, Field{"method", &P::method});
+
+  m.def("extend_ik_limbs", &extend_ik_limbs, Unlocked(), "limbs"_a, "limb_numbers"_a,
+        "targets"_a,
+        R"(Targets ``(B, E, W)`` as far as limbs extend, arrays as for `solve_ik`.
+
+``limbs`` ``(L,)`` are their goals; ``limb_numbers`` ``(L, 7)``: root, reach, growth of that
+with the bones, share of the reach over which it eases out, most that the bones grow by.
+
+Returns ``(sought, scales, eased)``: such targets; what the bones are multiplied by
+``(B, E)``; where ease alone keeps one from its target ``(B, E)``.)");
+
+  m.def("arm_kind", &arm_kind, Unlocked(), "nodes"_a, "numbers"_a, "goals"_a, "goal_numbers"_a,
+        "rest_weight"_a,
+        R"(Which closed form a chain has, arrays as for `solve_ik`.
+
+0 none, 1 six pins of which the last three meet, 2 six of which the middle ones are parallel.)");
+
+  using R = RigSolverArrays;
+  nb::class_<RigSolver> rig_solver(m, "RigSolver",
+                                   R"(Problems of one rig, arrays as for `solve_ik`.
+
+``goal_frames`` ``(E, 4)`` and ``length`` are those of `place_ik_targets`. The chain's
+coordinates are ``columns`` ``(C,)`` of the rig's over ``scales``; those that turn all the way
+round stay in ``periods`` ``(C, 2)``; from ``balls`` ``(T,)`` on they are quaternions in
+``ball_frames``. ``mimics`` ``(M, 2)`` are columns and those of their leaders,
+``mimic_numbers`` gain and offset. ``limbs`` and ``limb_numbers`` as of `extend_ik_limbs`,
+``limb_joints``: a joint of one's bones, and its goal. The rest as of `coordinates_to_local`.
+``closed``: 0 none, 1 a limb of two bones, 2 an arm of six pins.)");
+  define_made(rig_solver, Field{"nodes", &R::nodes}, Field{"numbers", &R::numbers},
+              Field{"goals", &R::goals}, Field{"goal_numbers", &R::goal_numbers},
+              Field{"rest_weight", &R::rest_weight}, Field{"goal_frames", &R::goal_frames},
+              Field{"length", &R::length}, Field{"columns", &R::columns},
+              Field{"scales", &R::scales}, Field{"periods", &R::periods},
+              Field{"balls", &R::balls}, Field{"ball_frames", &R::ball_frames},
+              Field{"mimics", &R::mimics}, Field{"mimic_numbers", &R::mimic_numbers},
+              Field{"limbs", &R::limbs}, Field{"limb_numbers", &R::limb_numbers},
+              Field{"limb_joints", &R::limb_joints}, Field{"parents", &R::parents},
+              Field{"types", &R::types}, Field{"joint_columns", &R::joint_columns},
+              Field{"axes", &R::axes}, Field{"rest_translations", &R::rest_translations},
+              Field{"rest_rotations", &R::rest_rotations}, Field{"closed", &R::closed},
+              Field{"length_tolerance", &R::length_tolerance},
+              Field{"angle_tolerance", &R::angle_tolerance}, Field{"damping", &R::damping},
+              Field{"iterations", &R::iterations}, Field{"restarts", &R::restarts},
+              Field{"seed", &R::seed}, Field{"seconds", &R::seconds},
+              Field{"ordered", &R::ordered}, Field{"warm", &R::warm},
+              Field{"method", &R::method});
+  rig_solver
+      .def("solve", &RigSolver::solve, Unlocked(), "starts"_a, "targets"_a,
+           "preferred"_a.none(), "placed"_a,
+           R"(Solve problems from poses ``(B, Q)`` and targets in the world ``(B, E, W)``.
+
+``preferred`` ``(B, Q)``; None is the starts.
+
+Returns ``(coordinates, misses, reports, seconds, reached, scales, positions, linear)``, the
+first four as of `solve_ik` in the rig's terms; which goals are reached ``(B, E)``; what bones
+are multiplied by ``(B, E)``; if ``placed`` where the joints are ``(B, J, 3)``, with linear
+parts ``(B, J, 3, 3)``, else none.)")
+      .def("branches", &RigSolver::branches, Unlocked(), "start"_a, "targets"_a,
+           R"(All poses of an arm ``(N, Q)`` that reach the targets ``(E, W)``, nearest first.)");
 
   m.def("linearize_ik", &linearize_ik, Unlocked(), "nodes"_a, "numbers"_a, "goals"_a,
         "goal_numbers"_a, "starts"_a, "targets"_a, "steps"_a,

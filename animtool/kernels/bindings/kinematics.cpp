@@ -20,6 +20,13 @@ the frame before, the first frame's nearest to ``previous`` ``(R, 4)``.)");
 ``axes`` ``(R, 3)`` names X, Y and Z once each. Of the equal solutions, each frame
 takes the one nearest to the frame before; the first, the one nearest to zero.)");
 
+  m.def("coordinates_to_local", &coordinates_to_local, Unlocked(), "types"_a, "columns"_a,
+        "axes"_a, "rest_translations"_a, "rest_rotations"_a, "coordinates"_a,
+        R"(Local translations ``(F, J, 3)`` and rotations ``(F, J, 4)`` of coordinates ``(F, Q)``.
+
+``types`` ``(J,)``: 0 fixed, 1 pin, 2 prismatic, 3 ball, 4 free; ``columns`` ``(J,)``: the
+first coordinate of each. Quaternions are brought to length 1.)");
+
   m.def("forward_kinematics", &forward_kinematics, Unlocked(), "parents"_a, "translations"_a,
         "rotations"_a, "scales"_a.none(), "positions"_a.noconvert(), "linear"_a.noconvert(),
         R"(Fill in the world origin ``(F, J, 3)`` and linear part ``(F, J, 3, 3)`` of joints.
@@ -40,6 +47,17 @@ world position in float64 and in the values written, and where it is.)");
 
 Points ``(J, P, 3)`` are in the joints' frames; origins ``(F, J, 3)`` and linear
 parts ``(F, J, 3, 3)`` are those of `forward_kinematics`.)");
+
+  m.def("squared_lengths", &squared_lengths, Unlocked(), "quaternions"_a,
+        R"(Least and largest squared length of float32 quaternions ``(F, 4)``.
+
+Both are NaN where a number is not finite, or its square beyond float32.)");
+
+  m.def("unpack_rotations", &unpack_rotations, Unlocked(), "tracks"_a, "previous"_a.none(),
+        R"(Turn J tracks of float32 quaternions ``(F, 4)`` into float64 ``(F, J, 4)``.
+
+They have unit length, and signs nearest to the frame before; those of the first
+frame are nearest to ``previous`` ``(J, 4)``, identity unless given.)");
 
   m.def("split_stretch", &split_stretch, Unlocked(), "linear"_a,
         R"(Split linear parts ``(F, J, 3, 3)`` into a rotation after a symmetric stretch.

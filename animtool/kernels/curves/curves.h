@@ -12,6 +12,15 @@ Out<double, 2> evaluate_curves(In<std::int64_t, 1> first, In<double, 1> times,
                                In<double, 1> values, In<std::int64_t, 1> kinds,
                                In<double, 2> ins, In<double, 2> outs, In<double, 2> at);
 
+Out<double, 3> evaluate_rotations(In<double, 1> times, In<double, 3> keys,
+                                  In<std::int64_t, 1> kinds, In<double, 1> at,
+                                  In<double, 1> beyond, In<double, 1> cycles);
+
+// Of F frames, from each to the next.
+Out<double, 3> turn_steps(In<double, 3> rotations);
+
+Out<double, 2> slerp(In<double, 2> from, In<double, 2> to, In<double, 1> share);
+
 // frames, ins, outs
 using FittedCubics = std::tuple<Out<std::int64_t, 1>, Out<double, 2>, Out<double, 2>>;
 FittedCubics fit_cubics(In<double, 2> values, In<double, 1> bounds,

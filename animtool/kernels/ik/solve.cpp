@@ -8,24 +8,18 @@
 #include "ik/levels.h"
 #include "ik/methods.h"
 #include "ik/read.h"
+#include "ik/run.h"
 
 namespace animtool {
 
-using namespace ik;
-
-namespace {
-
-void check_method(int method, const Chain& chain) {
-  check::between("method", method, 0, 4);
-  if (method != 4) return;
-  for (const Node& node : chain.nodes)
-    if (node.kind == Kind::SLIDE) check::refuse("method", "FABRIK turns joints, and one slides");
-}
+namespace ik {
 
 std::unique_ptr<Solver> make_solver(int method, Task& task, const Settings& settings) {
+  check::between("method", method, 0, 4);
+  for (const Node& node : task.chain.nodes)
+    if (method == 4 && node.kind == Kind::SLIDE)
+      check::refuse("method", "FABRIK turns joints, and one slides");
   switch (method) {
-    case 0:
-      return std::make_unique<Levels>(task, settings);
     case 1:
       return std::make_unique<Gradient>(task, settings);
     case 2:
@@ -35,10 +29,33 @@ std::unique_ptr<Solver> make_solver(int method, Task& task, const Settings& sett
     case 4:
       return std::make_unique<Fabrik>(task, settings);
   }
-  check::refuse("method", check::text(method) + " is not between 0 and 4");
+  return std::make_unique<Levels>(task, settings);
 }
 
-}  // namespace
+Settings checked_settings(const Settings& settings) {
+  check_tolerances(settings.length_tolerance, settings.angle_tolerance, settings.damping);
+  constexpr int most = std::numeric_limits<int>::max();
+  check::between("iterations", settings.iterations, 0, most);
+  check::between("restarts", settings.restarts, 0, most);
+  check::between("seconds", settings.seconds, 0, HUGE_VAL);
+  return settings;
+}
+
+Ran run_one(Solver& solver, const Chain& plain, Task& task, const double* start,
+            const double* targets, const double* sought, const double* stretches,
+            const double* rest, bool next) {
+  const auto began = std::chrono::steady_clock::now();
+  const std::size_t width = task.goals.size() * TARGET_WIDTH;
+  stretch(plain, stretches, task);
+  const Outcome outcome = solver.run(start, sought, rest, next);
+  if (!std::equal(targets, targets + width, sought)) solver.review(targets);
+  const std::chrono::duration<double> spent = std::chrono::steady_clock::now() - began;
+  return {outcome, spent.count()};
+}
+
+}  // namespace ik
+
+using namespace ik;
 
 void place_ik_targets(Filled<double, 3> targets, In<double, 2> frames, double length) {
   const std::size_t goals = targets.shape(1);
@@ -72,32 +89,22 @@ IkSolved solve_ik(const IkProblems& given) {
   check_targets("targets", task, batch, targets);
   check_targets("sought", task, batch, sought);
   check::shape("stretches", stretches, {batch, e});
-  check_tolerances(length_tolerance, angle_tolerance, damping);
-  constexpr int most = std::numeric_limits<int>::max();
-  check::between("iterations", iterations, 0, most);
-  check::between("restarts", restarts, 0, most);
-  check::between("seconds", seconds, 0, HUGE_VAL);
-  check_method(method, plain);
-  const Settings settings{length_tolerance, angle_tolerance, damping, iterations,
-                          restarts,         seed,            seconds,
-                          ordered && !warm};
+  const Settings settings = checked_settings({length_tolerance, angle_tolerance, damping,
+                                              iterations, restarts, seed, seconds,
+                                              ordered && !warm});
   Out<double, 2> solved(batch, width);
   Out<double, 3> misses(batch, e, PARTS);
   Out<double, 1> taken(batch);
   Out<std::int64_t, 2> reports(batch, 3);
   const std::unique_ptr<Solver> solver = make_solver(method, task, settings);
   for (std::size_t b = 0; b < batch; ++b) {
-    const auto began = std::chrono::steady_clock::now();
     const std::size_t at = b * e * TARGET_WIDTH;
     const bool next = (ordered || warm) && b > 0;
     const double* start = warm && b > 0 ? solved.get() + (b - 1) * width : starts.data() + b * width;
-    const double* own = targets.data() + at;
-    stretch(plain, stretches.data() + b * e, task);
-    const Outcome outcome =
-        solver->run(start, sought.data() + at, rests.data() + b * width, next);
-    if (!std::equal(own, own + e * TARGET_WIDTH, sought.data() + at)) solver->review(own);
-    const std::chrono::duration<double> spent = std::chrono::steady_clock::now() - began;
-    taken.get()[b] = spent.count();
+    const auto [outcome, spent] =
+        run_one(*solver, plain, task, start, targets.data() + at, sought.data() + at,
+                stretches.data() + b * e, rests.data() + b * width, next);
+    taken.get()[b] = spent;
     const State& best = solver->best();
     const double* q = outcome.status == Status::BROKEN ? start : best.q.data();
     std::copy(q, q + width, solved.get() + b * width);

@@ -33,6 +33,11 @@ struct IkProblems {
 };
 IkSolved solve_ik(const IkProblems& given);
 
+// sought, scales, eased
+using IkExtended = std::tuple<Out<double, 3>, Out<double, 2>, Out<bool, 2>>;
+IkExtended extend_ik_limbs(In<std::int64_t, 1> limbs, In<double, 2> limb_numbers,
+                           In<double, 3> targets);
+
 // coordinates, residuals, Jacobians, curvatures
 using IkLinearized = std::tuple<Out<double, 2>, Out<double, 2>, Out<double, 3>, Out<double, 2>>;
 IkLinearized linearize_ik(In<std::int64_t, 2> nodes, In<double, 2> numbers,

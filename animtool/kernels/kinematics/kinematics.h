@@ -4,6 +4,7 @@
 #include <cstdint>
 #include <optional>
 #include <tuple>
+#include <vector>
 
 #include "base/arrays.h"
 
@@ -13,6 +14,12 @@ Out<double, 3> euler_to_quaternion(In<double, 2> values, In<std::int32_t, 2> col
                                    In<std::int32_t, 2> axes, In<double, 2> previous);
 
 Out<double, 3> quaternion_to_euler(In<double, 3> quaternions, In<std::int32_t, 2> axes);
+
+// translations, rotations
+using LocalTransforms = std::tuple<Out<double, 3>, Out<double, 3>>;
+LocalTransforms coordinates_to_local(In<std::int64_t, 1> types, In<std::int64_t, 1> columns,
+                                     In<double, 2> axes, In<double, 2> rest_translations,
+                                     In<double, 2> rest_rotations, In<double, 2> coordinates);
 
 void forward_kinematics(In<std::int64_t, 1> parents, In<double, 3> translations,
                         In<double, 3> rotations, std::optional<In<double, 3>> scales,
@@ -33,6 +40,12 @@ RoundedPoints round_points(In<double, 3> points, double unit);
 Out<double, 2> point_errors(In<double, 3> points, In<double, 3> true_positions,
                             In<double, 4> true_linear, In<double, 3> positions,
                             In<double, 4> linear);
+
+// The least and the largest.
+std::tuple<double, double> squared_lengths(In<float, 2> quaternions);
+
+Out<double, 3> unpack_rotations(const std::vector<In<float, 2>>& tracks,
+                                std::optional<In<double, 2>> previous);
 
 // rotations, stretches
 using Stretched = std::tuple<Out<double, 3>, Out<double, 4>>;

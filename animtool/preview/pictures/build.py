@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
+from typing import ClassVar
 
 import numpy as np
 
@@ -76,22 +76,44 @@ class PictureReport:
     about: str
     page: Page
 
-    def as_dict(self) -> dict[str, Any]:
-        """Return it as plain values for a JSON report."""
-        return {
-            "preview": "animtool/1",
-            "output": str(self.path),
-            "bytes": self.size,
-            "format": self.about,
-            "width": self.pixels[0],
-            "height": self.pixels[1],
-            "frames": len(self.frames),
-            "first": self.frames[0],
-            "last": self.frames[-1],
-            "fps": float(self.rate),
-            "not_shown": self.page.manifest["notices"],
-            "notices": [notice.as_dict() for notice in self.page.notices],
-        }
+    json_keys: ClassVar[str] = (
+        "'preview' output=path bytes=size format=about width height frames=count "
+        "first last fps=rate not_shown=page.manifest.notices notices=page.notices"
+    )
+
+    @property
+    def width(self) -> int:
+        """Width [pixels]."""
+        return self.pixels[0]
+
+    @property
+    def height(self) -> int:
+        """Height [pixels]."""
+        return self.pixels[1]
+
+    @property
+    def count(self) -> int:
+        """How many frames are shown."""
+        return len(self.frames)
+
+    @property
+    def first(self) -> float:
+        """Time code of the first frame shown."""
+        return self.frames[0]
+
+    @property
+    def last(self) -> float:
+        """Time code of the last frame shown."""
+        return self.frames[-1]
+
+    @property
+    def every(self) -> int | None:
+        """Every how many frames of the motion a film shows one; None where all."""
+        if not self.rate or len(set(self.frames)) < 2:
+            return None
+        step = self.page.manifest["time"]["step"]
+        every = round((self.frames[1] - self.frames[0]) / step)
+        return every if every > 1 else None
 
 
 def write_pictures(

@@ -14,7 +14,7 @@ from animtool.motion.take import TakeStream
 from animtool.scene.bake.files import ConvertReport
 from animtool.scene.bake.frames import TakeRun
 from animtool.scene.bake.options import BakeOptions
-from animtool.scene.bake.outline import STDOUT, Outline, outlined
+from animtool.scene.bake.outline import Outline, outlined
 from animtool.scene.bake.plan import OutputPlan, plan_outputs
 from animtool.scene.bake.prims import BakePlan, BakeReport, Draft
 from animtool.scene.bake.progress import Progress, share_of
@@ -120,18 +120,6 @@ def bake_take(
     outline = replace(outline, reading=reading)
     (report,) = bake_outline(outline, progress=progress)
     return report
-
-
-def bake_stage(
-    source: Source | Sequence[Source],
-    output: Path | None,
-    options: BakeOptions | None = None,
-    *,
-    progress: Progress = None,
-) -> BakeReport:
-    """Bake to one USD file, None for stdout; see `animtool.bake`."""
-    output = STDOUT if output is None else output
-    return bake(source, output, options, progress=progress)
 
 
 def run_outputs(

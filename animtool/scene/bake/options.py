@@ -34,7 +34,6 @@ class BakeOptions:
         shot: The shot that is written: its frames, where there is no range, at its
             rate. The pose of frames that the take lacks is held.
         root_motion: Let the SkelRoot carry the first root joint's motion.
-        overwrite: Replace outputs that exist.
 
     Raises:
         OptionError: fps is no rate (SCN022), or start no frame (SCN033).
@@ -346,8 +345,13 @@ class BakeOptions:
         help="Where a scene's system blows up, write the frames before that too; the "
         "exit code stays 4.",
     )
-    strict: bool = option(False, "switch", batch=Key("Take warnings for errors.", True))
-    overwrite: bool = option(False, "switch")
+    strict: bool = option(
+        False,
+        "switch",
+        batch=Key("Take warnings for errors.", True),
+        help="Take warnings for errors and write nothing.",
+    )
+    overwrite: bool = option(False, "switch", help="Replace outputs that exist.")
 
     def __post_init__(self) -> None:
         """Take the rate and the start as they are written."""

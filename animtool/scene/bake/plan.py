@@ -249,8 +249,8 @@ def _planned_systems(entry: OutputEntry, notices: list[Fault]) -> BakePlan:
         Form.STAGE,
         "it is simulated",
         None,
-        systems.job.metadata.fps,
-        systems.job.metadata.first,
+        systems.job.metadata.span.fps,
+        systems.job.metadata.span.first,
         list(notices),
         (systems,),
     )

@@ -463,9 +463,8 @@ def _result(layer: Any, meshes: Sequence[CachedMesh], run: TakeRun) -> UsdResult
     sampled = [name for mesh in meshes for name in mesh.sampled]
     take = WrittenTake(
         "",
+        span,
         samples=run.samples,
-        first=span.first,
-        last=span.last,
         sampled=list(dict.fromkeys(sampled)),
         rounding=Rounding(worst.error, worst.error_code),
     )

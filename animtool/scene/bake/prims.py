@@ -91,8 +91,8 @@ class TakeReport:
     json_keys: ClassVar[str] = (
         "take=written.name+ source source_frames source_rate=source_fps# "
         "between_frames=between animation=written.animation props=written.props+ "
-        "fit=details.fit? *in_library{samples=written.samples start=written.first "
-        "end=written.last joints_written=written.joints animated=written.sampled "
+        "fit=details.fit? *in_library{samples=written.samples start=written.span.first "
+        "end=written.span.last joints_written=written.joints animated=written.sampled "
         f"error=.{_ERROR}}} meshes+ simulated+ scores+ "
         "reduction=if_thinned?{samples=thinned.samples kept=thinned.count "
         "error=.{meters=thinned.error joint=thinned_joint frame=thinned.code} "

@@ -13,7 +13,7 @@ from animtool.core.files.reading import FileState, note_input
 from animtool.core.names import is_named
 from animtool.core.options import Key, called, described, option, options_of
 from animtool.core.rates import OptionalFraction, rate_option
-from animtool.core.readers import DOCUMENT, READERS, TIMELINE_SUFFIXES, USD, find_reader
+from animtool.core.readers import DOCUMENT, READERS, USD, find_reader
 from animtool.core.record import dataclass
 from animtool.core.shot import Shot
 from animtool.core.units import LengthUnit, UpAxis, unit_name
@@ -250,15 +250,6 @@ def motion_bytes(path: Path) -> int:
     # That it is gone since is said by those who look at what was read.
     state = None if is_named(path, "scene") else FileState.of(path)
     return 0 if state is None else state.size
-
-
-def is_timeline(path: Path) -> bool:
-    """Return whether a path is that of a timeline.
-
-    >>> is_timeline(Path("edit.otio")), is_timeline(Path("walk.bvh"))
-    (True, False)
-    """
-    return path.suffix.lower() in TIMELINE_SUFFIXES
 
 
 def source_stem(path: Path) -> str:

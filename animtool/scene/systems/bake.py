@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from animtool.core.array_types import FloatArray
-from animtool.core.clock import MAX_FRAMES
+from animtool.core.clock import MAX_FRAMES, FrameSpan
 from animtool.core.errors import Fault, FormatError, OptionError, refuse_warnings
 from animtool.core.files.output import size_of
 from animtool.core.options import refused_options
@@ -63,7 +63,7 @@ class SystemPrims:
 
     def seconds(self, code: Fraction) -> float:
         """Return when a time code is, on the clock of the systems [s]."""
-        return float((code - self.start) / self.job.metadata.fps)
+        return float((code - self.start) / self.job.metadata.span.fps)
 
     def author(self, draft: Draft) -> None:
         """Simulate; without chunks, as soon as the layer is saved."""
@@ -72,14 +72,14 @@ class SystemPrims:
         codes, job = prims.codes, prims.job
         own = None if self.watch is None else self.watch.motion(self.scene.path)
         if own is not None and prims.start < self.start:
-            held = float((self.start - prims.start) / job.metadata.fps)
+            held = float((self.start - prims.start) / job.metadata.span.fps)
             own = replace(own, times=own.times + held)
         systems = self.scene.systems
         main_rig = None if self.watch is None else plan.takes[0].stream.rig
         last = prims.seconds(codes[-1])
         run = SystemRun(systems, last, own, draft.progress, main_rig)
         keep = plan.options.keep_stopped
-        rows = run.rows(codes, prims.start, job.metadata.fps, keep_stopped=keep)
+        rows = run.rows(codes, prims.start, job.metadata.span.fps, keep_stopped=keep)
         if draft.report is None:
             self._begin(draft)
         frames = SystemFrames(self, job, run, rows, plan.options.strict)
@@ -90,7 +90,9 @@ class SystemPrims:
     def _on_take(self, watch: CharacterWatch) -> SystemPrims:
         """Return these with the time codes of the take."""
         codes = [Fraction(code) for code in watch.codes.tolist()]
-        metadata = replace(self.job.metadata, first=codes[0], last=codes[-1])
+        stated = self.job.metadata
+        span = FrameSpan(codes[0], codes[-1], stated.span.fps)
+        metadata = replace(stated, span=span)
         # Where a shot begins before its take, the take's first pose is held.
         start = min(self.start, Fraction(ceil(codes[0])))
         way = None if self.way is None else self.way(watch.codes)
@@ -101,7 +103,7 @@ class SystemPrims:
         """Begin a layer of systems alone, and its report."""
         plan, metadata = draft.plan, self.job.metadata
         layer = simulated_layer(self.job, plan.output)
-        take = WrittenTake("", "", len(self.codes), metadata.first, metadata.last)
+        take = WrittenTake("", metadata.span, samples=len(self.codes))
         result = UsdResult(layer_span(layer), takes=[take])
 
         draft.layer, draft.files = layer, OneFile(layer, plan.output, result)
@@ -109,7 +111,7 @@ class SystemPrims:
             self.scene.path,
             take,
             len(self.codes),
-            metadata.fps,
+            metadata.span.fps,
             "",
         )
         draft.report = plan.report(
@@ -158,8 +160,9 @@ class SystemFrames:
         """End with the last frame that was reached; keep states that are asked for."""
         run, prims = self.run, self.prims
         if run.stopped is not None and prims.watch is None:
-            last = prims.codes[run.done - 1]
-            author_metadata(layer, replace(prims.job.metadata, last=last))
+            metadata = prims.job.metadata
+            span = replace(metadata.span, last=prims.codes[run.done - 1])
+            author_metadata(layer, replace(metadata, span=span))
             self.ended = layer
         run.note(self.written)
         refuse_warnings(run.notices, strict=self.strict)
@@ -182,7 +185,7 @@ class SystemFrames:
             report.result.span = layer_span(self.ended)
             stopped = report.takes[0]
             stopped.source_frames = stopped.written.samples = run.done
-            stopped.written.last = report.result.span.last
+            stopped.written.span = report.result.span
         worst = max(written, key=lambda found: found.error)
         (take,) = report.takes
         take.written.sampled = list(worst.sampled)
@@ -207,8 +210,8 @@ def plan_systems(scene: Scene, options: BakeOptions) -> SystemPrims:
     model = model_path(options.prim_path, source_stem(scene.path))
     unit = 1.0 if options.to_units is None else options.to_units.meters
     up = options.to_up or UpAxis.Y
-    span = Fraction(frames.first), Fraction(frames.last)
-    metadata = StageMetadata(model.split("/")[1], fps, *span, unit, up, options.shot)
+    span = FrameSpan(Fraction(frames.first), Fraction(frames.last), fps)
+    metadata = StageMetadata(model.split("/")[1], span, unit, up, options.shot)
     job = system_job(scene.systems, model, metadata, unit, up)
     return SystemPrims(scene, job, first, codes)
 
@@ -247,8 +250,8 @@ def plan_with_take(scene: Scene, plan: BakePlan) -> SystemPrims:
     unit, up = plan.meters_per_unit, plan.rig.up
     stage = (unit, up) if plan.target is None else (plan.target.unit, plan.target.up)
     model = plan.paths.model
-    nothing = Fraction(0)
-    metadata = StageMetadata(model.split("/")[1], plan.fps, nothing, nothing, *stage)
+    unknown = FrameSpan(Fraction(0), Fraction(0), plan.fps)
+    metadata = StageMetadata(model.split("/")[1], unknown, *stage)
     job = system_job(scene.systems, model, metadata, unit, up)
     _check_places(scene, job, plan)
     watch = CharacterWatch(

@@ -335,8 +335,6 @@ def _weights(points: FloatArray, known: FloatArray) -> FloatArray:
     squares = (off * off).sum(axis=2)
     squares[squares == 0] = np.inf
     along = np.einsum("nik,ijk->nij", points[:, None] - known[None], off) / squares
+    # The band of the nearest one is half or more: they never add up to 0.
     bands = np.clip(1 - along, 0.0, 1.0).min(axis=2)
-    total = bands.sum(axis=1, keepdims=True)
-    nearest = np.argmin(((points[:, None] - known) ** 2).sum(axis=2), axis=1)
-    bands = np.where(total > 1e-9, bands, np.eye(len(known))[nearest])
     return np.asarray(bands / bands.sum(axis=1, keepdims=True))

@@ -155,12 +155,6 @@ def _joints(bodies: Bodies, joints: Joints) -> Iterator[PhysicsJoint]:
         )
 
 
-def _placed(pose: FloatArray, frame: FloatArray) -> FloatArray:
-    """Return a frame in another one, as what has that sees it ``(7,)``."""
-    at = pose[:3] + so3.rotate(pose[3:], frame[:3])
-    return np.concatenate([at, so3.multiply(pose[3:], frame[3:])])
-
-
 def body_entries(
     physics: Physics, entry: str
 ) -> tuple[list[BodyModel], list[dict[str, Any]]]:

@@ -28,6 +28,7 @@ from animtool.systems.framework.fields import ColliderEntries
 from animtool.systems.rigid.bodies import Bodies
 from animtool.systems.rigid.joints import NUMBERS, SWING, Joints, seen_by
 from animtool.systems.rigid.kind import Kind, kind_of
+from animtool.systems.rigid.masses import weighed
 from animtool.systems.rigid.spec import BodyModel
 from animtool.systems.rigid.tone import passive, with_digits
 
@@ -45,9 +46,9 @@ class RagdollOptions:
     end: float | None = None  # frame from which the take comes back; None is never
     # Frames over which it takes over, and the take behind `end` [frames].
     blend: Annotated[float, within(0.0, "SIM062", 1e6)] = 4.0
-    # Of all [kg].
+    # Of all [kg], in the shares that the rig states.
     mass: Annotated[float | None, within(0.0, "SIM062", reached=False)] = None
-    # Where no mass is given [kg/m³].
+    # Where neither this nor the rig gives a mass [kg/m³].
     density: Annotated[float, within(0.0, "SIM062", reached=False)] = 1000.0
     # How strongly joints are drawn to the pose of the take [N m/rad].
     stiffness: Annotated[float, within(0.0, "SIM062")] = 0.0
@@ -142,6 +143,8 @@ def _kinds(
             }
         )
         kinds.append(kind_of(model, {"shapes": [{"shape": one} for one in shapes]}))
+    if rig.masses:
+        kinds = weighed(rig, world, joints, kinds)
     if options.mass is None:
         return kinds
     share = options.mass / sum(kind.mass for kind in kinds)

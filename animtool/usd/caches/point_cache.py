@@ -12,6 +12,7 @@ import numpy as np
 from pxr import Sdf
 
 from animtool.core.array_types import Float32Array, FloatArray
+from animtool.core.clock import FrameSpan
 from animtool.core.files.output import replacing
 from animtool.core.record import dataclass
 from animtool.core.shot import Shot
@@ -171,7 +172,7 @@ def cache_metadata(job: CacheJob, first: float, last: float) -> StageMetadata:
     unit, up = job.meters_per_unit, job.up
     if job.target is not None:
         unit, up = job.target.unit, job.target.up
-    return StageMetadata(default, job.fps, *frames, unit, up, job.shot)
+    return StageMetadata(default, FrameSpan(*frames, job.fps), unit, up, job.shot)
 
 
 @dataclass(frozen=True, slots=True)

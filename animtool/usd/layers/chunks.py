@@ -18,6 +18,7 @@ import numpy as np
 from pxr import Sdf, Tf, Vt
 
 from animtool.core.array_types import FloatArray
+from animtool.core.clock import FrameSpan
 from animtool.core.files.output import once_named, replacing
 from animtool.core.files.placing import output_error
 from animtool.core.record import dataclass
@@ -329,8 +330,8 @@ class Chunks:
 def author_span(layer: Any, metadata: StageMetadata) -> None:
     """State of a layer what another does, and the range of its own samples."""
     codes = layer.ListAllTimeSamples()
-    first, last = Fraction(codes[0]), Fraction(codes[-1])
-    author_metadata(layer, replace(metadata, first=first, last=last))
+    span = FrameSpan(Fraction(codes[0]), Fraction(codes[-1]), metadata.span.fps)
+    author_metadata(layer, replace(metadata, span=span))
 
 
 def author_clips(

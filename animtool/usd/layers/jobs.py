@@ -174,10 +174,9 @@ class WrittenTake:
     """What was written of one take."""
 
     animation: str  # path of its SkelAnimation
+    span: FrameSpan  # first and last frame, and time codes a second
     name: str = ""  # of a library's take; empty where it is the only one
     samples: int = 0  # number of time samples
-    first: Fraction = Fraction(0)  # time code of the first frame
-    last: Fraction = Fraction(0)  # time code of the last frame
     # Attributes of the SkelAnimation that change.
     sampled: list[str] = field(default_factory=list)
     joints: int = 0  # joints in the SkelAnimation

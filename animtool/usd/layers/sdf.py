@@ -7,7 +7,6 @@ import re
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -58,9 +57,7 @@ class StageMetadata:
     """What every layer states about itself."""
 
     default_prim: str  # name of the root prim; empty states none
-    fps: Fraction  # frames and time codes a second
-    first: Fraction  # time code of the first frame
-    last: Fraction  # time code of the last frame
+    span: FrameSpan  # first and last frame, and the rate of frames and time codes
     meters_per_unit: float  # length unit [m]
     up: UpAxis
     shot: Shot | None = None  # the shot that the layer is of; None is no shot
@@ -74,9 +71,9 @@ def author_metadata(layer: Any, metadata: StageMetadata) -> None:
     """State the rate, the range, the units, the up axis, the default prim, the shot."""
     root = layer.pseudoRoot
     numbers = {
-        "timeCodesPerSecond": float(metadata.fps),
-        "startTimeCode": float(metadata.first),
-        "endTimeCode": float(metadata.last),
+        "timeCodesPerSecond": float(metadata.span.fps),
+        "startTimeCode": float(metadata.span.first),
+        "endTimeCode": float(metadata.span.last),
         "metersPerUnit": metadata.meters_per_unit,
     }
     check_data(numbers, "metadata")

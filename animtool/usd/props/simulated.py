@@ -286,7 +286,7 @@ class SimulatedJob:
     def prims(self) -> list[SimulatedPrim]:
         """Return the prims, nothing of them written."""
         unit, turn = self.meters_per_unit, self.turn
-        fps = float(self.metadata.fps)
+        fps = float(self.metadata.span.fps)
         return [SimulatedPrim(path, unit, turn, fps) for path in self.paths]
 
 

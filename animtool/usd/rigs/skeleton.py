@@ -146,7 +146,7 @@ def says_more(rig: Rig) -> bool:
 
     The type of a joint with channels follows from these, which stand apart.
     """
-    parts = (rig.controls, rig.ik, rig.attach, rig.colliders)
+    parts = (rig.controls, rig.chains, rig.attach, rig.colliders, rig.masses)
     return any(map(bool, parts)) or any(
         (joint.type is not JointType.FREE and joint.channels is None)
         or joint.limits is not None

@@ -237,9 +237,12 @@ def _without(rig: Rig, gone: list[str]) -> Rig:
             replace(shape, driven=_driver(shape.driven, lost)) for shape in rig.shapes
         ),
         controls=tuple(_control(control, lost) for control in rig.controls),
-        ik=tuple(chain for chain in rig.ik if not {chain.root, chain.tip} & lost),
+        chains=tuple(
+            chain for chain in rig.chains if not {chain.root, chain.tip} & lost
+        ),
         attach=tuple(entry for entry in rig.attach if not set(entry.joints) & lost),
         colliders=tuple(one for one in rig.colliders if one.joint not in lost),
+        masses=tuple(one for one in rig.masses if one.joint not in lost),
     )
 
 

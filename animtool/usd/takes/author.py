@@ -11,6 +11,7 @@ from typing import Any
 from pxr import Sdf
 
 from animtool.core.array_types import FloatArray
+from animtool.core.clock import FrameSpan
 from animtool.core.errors import Fault, OptionError
 from animtool.core.files.output import check_outputs, together
 from animtool.core.record import dataclass
@@ -163,8 +164,8 @@ def _author_take(
             layer,
             paths.animation,
             plain_text(take.source_name),
-            written.first,
-            written.last,
+            written.span.first,
+            written.span.last,
         )
     if job.form is Form.LAYER and job.names.originals:
         # For a reader that has no rig: names of joints in their source.
@@ -189,10 +190,9 @@ def _written(job: UsdJob, take: UsdTake, writer: AnimationWriter) -> WrittenTake
     first, last = take.frames or (take.start, take.start + take.step * (samples - 1))
     return WrittenTake(
         writer.paths.animation,
+        FrameSpan(first, last, job.fps),
         take.name,
         samples,
-        first,
-        last,
         joints=len(job.joints) if take.chosen is None else int(take.chosen.sum()),
         rounding=writer.rounding,
     )
@@ -257,8 +257,10 @@ def _metadata(job: UsdJob, takes: Sequence[WrittenTake]) -> StageMetadata:
     unit, up = job.meters_per_unit, job.rig.up
     if job.target is not None:
         unit, up = job.target.unit, job.target.up
-    first, last = min(t.first for t in takes), max(t.last for t in takes)
-    return StageMetadata(default, job.fps, first, last, unit, up, job.shot)
+    spans = [take.span for take in takes]
+    first, last = min(own.first for own in spans), max(own.last for own in spans)
+    span = FrameSpan(first, last, job.fps)
+    return StageMetadata(default, span, unit, up, job.shot)
 
 
 def write(

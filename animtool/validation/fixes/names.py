@@ -112,7 +112,7 @@ USES = {
         *("joints/*/name", "joints/*/parent", "joints/*/mirror"),
         *("joints/*/mimic/joint", "bind/{}", "meshes/*/skin/joints/*"),
         *("controls/*/drives/*/joint", "ik/*/root", "ik/*/tip", "attach/*/joints/*"),
-        *("attach/*/joint", "colliders/*/joint"),
+        *("attach/*/joint", "colliders/*/joint", "masses/*/joint"),
         *("joints/*/driven/by", "shapes/*/driven/by", "controls/*/driven/by"),
     ),
     "meshes": ("meshes/*/name", "shapes/*/mesh", "attach/*/mesh"),
@@ -122,7 +122,7 @@ USES = {
 FORMULAS = ("joints/*/driven/expr", "shapes/*/driven/expr", "controls/*/driven/expr")
 # What a list's names are called by in the places of `ignore`.
 _PLACES = {
-    "joints": ("joints", "colliders"),
+    "joints": ("joints", "colliders", "masses"),
     "meshes": ("meshes",),
     "shapes": ("shapes",),
 }

@@ -8,7 +8,7 @@ from dataclasses import field, replace
 from pathlib import Path
 
 from animtool.core.errors import Fault
-from animtool.core.readers import READERS, USD
+from animtool.core.readers import FBX, GLTF, READERS, USD
 from animtool.core.record import dataclass
 from animtool.validation.fixes.draft import Draft, Step, has_fix
 from animtool.validation.options import ValidateOptions
@@ -65,6 +65,8 @@ def with_fixable(report: Report) -> Report:
     for fault in report.findings:
         if fault.path is None or is_package(Path(fault.path)):
             continue
+        if not has_fixes(Path(fault.path)):
+            continue
         if has_fix(fault.code):
             cases.setdefault(fault.path, []).append(fault)
     fixable = (
@@ -91,6 +93,15 @@ def is_package(path: Path) -> bool:
     (True, False)
     """
     return path.suffix.lower() == ".usdz"
+
+
+def has_fixes(path: Path) -> bool:
+    """Return whether files of a kind are fixed: texts and USD.
+
+    >>> has_fixes(Path("walk.bvh")), has_fixes(Path("fox.glb"))
+    (True, False)
+    """
+    return READERS.get(path.suffix.lower()) not in {GLTF, FBX}
 
 
 def _open_draft(path: Path) -> Draft:

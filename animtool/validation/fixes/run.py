@@ -13,6 +13,7 @@ from animtool.core.record import dataclass
 from animtool.validation.fixes.draft import has_fix
 from animtool.validation.fixes.plan import (
     FileMend,
+    has_fixes,
     is_layer,
     is_package,
     plan_file,
@@ -127,7 +128,7 @@ def _with_fixes(report: Report, *, packed: bool = False) -> list[Path]:
     """Return files, or packages, with findings that a fix is known for."""
     named = {fault.path for fault in report.findings if has_fix(fault.code)}
     fixable = (path for path in report.files if str(path) in named)
-    return [path for path in fixable if is_package(path) is packed]
+    return [path for path in fixable if has_fixes(path) and is_package(path) is packed]
 
 
 def _kept(report: Report, paths: Sequence[Path]) -> Iterator[str]:

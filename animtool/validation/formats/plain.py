@@ -30,6 +30,7 @@ from animtool.core.junit import JunitCase, junit_xml
 from animtool.core.quantities import escaped, json_printed
 from animtool.core.record import dataclass
 from animtool.core.values import plain_value
+from animtool.report.text import Each, Template
 from animtool.validation.run import Report
 
 # What YAML takes for the end of a line.
@@ -86,7 +87,45 @@ def cut(line: str, column: int) -> Iterator[str]:
 _Kind: TypeAlias = tuple[str | None, str, Severity]
 
 
+@dataclass(frozen=True, slots=True)
+class Shown:
+    """A finding as text has it."""
+
+    fault: Fault
+    more: int = 0  # others of its file that say the same
+    excerpt: tuple[str, ...] = ()  # its line, and what points into that
+
+
+@dataclass(frozen=True, slots=True)
+class Findings:
+    """The findings that text has."""
+
+    shown: list[Shown]
+
+
 _SEE = clause(f", see {argument('command.verbose')}")
+FINDINGS = Template(
+    "animtool.validation.formats.plain:Findings",
+    (
+        Each(
+            "shown",
+            (
+                f"{{fault}}[{{?more}} ({{more}} more like it{_SEE})]",
+                Each("excerpt", ("{self}",)),
+            ),
+        ),
+    ),
+)
+SUMMARY = Template(
+    "animtool.validation.run:Report",
+    ("[{files:n file}|0 files]: [{summary:found}|nothing found][, {fixable:mends}]",),
+    {
+        "found": lambda counts: ", ".join(
+            counted(count, kind) for kind, count in counts.items() if count
+        ),
+        "mends": lambda fixable: f"{argument('fix', True)} mends {len(fixable)}",
+    },
+)
 
 
 def text_report(
@@ -94,21 +133,23 @@ def text_report(
 ) -> str:
     """Return the findings, each with the line it is in, and a last line that counts."""
     report = report.worded(calling)
+    lines = [*FINDINGS.text(Findings(_shown(report, whole=whole))), summary(report)]
+    return "".join(f"{escaped(worded(line, calling))}\n" for line in lines)
+
+
+def _shown(report: Report, *, whole: bool) -> list[Shown]:
+    """Return the findings to print: of those of no line, the first of a kind."""
     sources = Sources()
     counts = Counter(map(_kind, report.findings))
-    printed: set[_Kind] = set()
-    lines: list[str] = []
+    first: dict[_Kind, Fault] = {}
+    shown = []
     for fault in report.findings:
         kind = _kind(fault)
         if whole or fault.lines:
-            lines += _finding(fault, sources)
-        elif kind not in printed:
-            printed.add(kind)
-            more = counts[kind] - 1
-            others = f" ({more} more like it{_SEE})"
-            lines.append(f"{fault}{others if more else ''}")
-    lines.append(summary(report))
-    return "".join(f"{escaped(worded(line, calling))}\n" for line in lines)
+            shown.append(Shown(fault, excerpt=_excerpt(fault, sources)))
+        elif first.setdefault(kind, fault) is fault:
+            shown.append(Shown(fault, counts[kind] - 1))
+    return shown
 
 
 def _kind(fault: Fault) -> _Kind:
@@ -122,32 +163,20 @@ def summary(report: Report) -> str:
     >>> summary(Report((), ()))
     '0 files: nothing found'
     """
-    parts = [
-        counted(count, str(severity))
-        for severity in Severity
-        if (count := report.count(severity))
-    ]
-    files = counted(len(report.files), "file")
-    fixable = (
-        f", {argument('fix', True)} mends {len(report.fixable)}"
-        if report.fixable
-        else ""
-    )
-    return marked(f"{files}: {', '.join(parts) or 'nothing found'}{fixable}")
+    return marked(SUMMARY.text(report)[0])
 
 
-def _finding(fault: Fault, sources: Sources) -> Iterator[str]:
-    yield str(fault)
+def _excerpt(fault: Fault, sources: Sources) -> tuple[str, ...]:
+    """Return the line of a finding, and one that points into it."""
     if fault.path is None or not fault.lines:
-        return
+        return ()
     number = fault.lines[0]
     line = sources.line(fault.path, number)
     if line is None or not line.strip():
-        return
+        return ()
     text, caret = cut(line, fault.column or len(line) - len(line.lstrip()) + 1)
     margin = f"{number:>5} | "
-    yield margin + text
-    yield " " * (len(margin) - 2) + "| " + caret
+    return margin + text, " " * (len(margin) - 2) + "| " + caret
 
 
 _LEVELS = {
@@ -187,19 +216,7 @@ def _data(text: str) -> str:
 
 def json_report(report: Report) -> str:
     """Return every file that was looked at, and every finding."""
-    value = {
-        "validate": "animtool/1",
-        "files": plain_value(report.files),
-        "findings": [
-            {**plain_value(fault), "fixable": fault in report.fixable}
-            for fault in report.findings
-        ],
-        "mended": [
-            {**plain_value(fault), "done": done} for fault, done in report.mended
-        ],
-        "summary": {str(kind): report.count(kind) for kind in Severity},
-    }
-    return json_printed(value, indent=2) + "\n"
+    return json_printed(plain_value(report), indent=2) + "\n"
 
 
 def junit_report(report: Report) -> str:

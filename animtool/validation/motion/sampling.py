@@ -76,7 +76,7 @@ def other_range(subject: MotionSubject) -> Iterator[Fault]:
         f"{span_label(first, last)}: the pose is held for "
         f"{max(early, late):g} time codes"
     )
-    hint = "set startTimeCode and endTimeCode to the first and last sample"
+    hint = "let the range be that of the samples, and a glTF begin at time 0"
     yield subject.fault("MOT217", None, 0, message, hint)
 
 

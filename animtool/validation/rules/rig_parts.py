@@ -185,7 +185,7 @@ PARALLEL = 0.01
 
 def cannot_bend(rig: RigSubject) -> Iterator[Fault]:
     """Yield chains of which only the root can move the tip (RIG214)."""
-    for chain in rig.rig.ik:
+    for chain in rig.rig.chains:
         joints = _joints(rig, chain)
         inner = joints[1:-1]
         if not inner or any(_bends(rig, i, joints[-1]) for i in inner):
@@ -203,7 +203,7 @@ def cannot_bend(rig: RigSubject) -> Iterator[Fault]:
 def open_bend(rig: RigSubject) -> Iterator[Fault]:
     """Yield chains that are straight at rest and may bend any way (RIG215)."""
     positions, rotations = rig.rest
-    for chain in rig.rig.ik:
+    for chain in rig.rig.chains:
         joints = _joints(rig, chain)
         inner = [rig.rig.joints[i] for i in joints[1:-1]]
         reach = positions[joints[-1]] - positions[joints[0]]

@@ -2,22 +2,34 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
+from fractions import Fraction
 from pathlib import Path
 
+import numpy as np
+
+from animtool.core.array_types import FloatArray
 from animtool.core.errors import AnimtoolError, Fault
 from animtool.core.files.reading import note_input
 from animtool.core.rules import Kind
+from animtool.formats.gltf.animations import Animation
 from animtool.formats.gltf.characters import Character, characters
 from animtool.formats.gltf.document import Gltf
 from animtool.formats.gltf.document import open_gltf as open_document
+from animtool.formats.gltf.keys import key_frames
 from animtool.formats.gltf.rig import GltfRig, build_rig
-from animtool.formats.gltf.sampling import clip_stream, moves, sampler
-from animtool.formats.gltf.timing import frames_of
+from animtool.formats.gltf.sampling import Sampler, clip_stream, moves, sampler
+from animtool.formats.gltf.timing import ON_FRAME, Frames, frames_of, key_times
 from animtool.motion.take import Take
+from animtool.rig.kinematics import bind_matrices, rest_world
+from animtool.rig.parts import Skin
 from animtool.rig.skeleton import Rig
 from animtool.validation.motion.subject import MotionSubject
 from animtool.validation.subjects.subject import CheckedFile
+
+# A clip has samples where its keys are a frame apart, nearly [frame].
+SAMPLED = 0.25
 
 
 def open_gltf(path: Path) -> CheckedFile:
@@ -51,8 +63,37 @@ def _takes(gltf: Gltf, made: GltfRig, faults: list[Fault]) -> list[MotionSubject
             faults += error.faults
             continue
         take = clip_stream(made, moving, frames).collect()
-        found.append(clip_subject(gltf.path, made.rig, take, animation.where))
+        subject = clip_subject(gltf.path, made.rig, take, animation.where)
+        found.append(_at_keys(subject, moving, animation, frames))
     return found
+
+
+def _at_keys(
+    subject: MotionSubject, moving: Sampler, animation: Animation, frames: Frames
+) -> MotionSubject:
+    """Return a clip without the frames before its first key.
+
+    One with a key about every frame is looked at where its keys are.
+    """
+    take, clock = subject.take, subject.take.clock
+    seconds = key_times(animation)
+    codes = key_frames(seconds, frames)
+    whole = np.round(codes)
+    codes = np.where(np.abs(codes - whole) <= ON_FRAME, whole, codes)
+    last = float(clock.times[-1])
+    range_ = (float(min(clock.start, frames.start)), last)
+    if len(codes) > 1 and abs(float(np.median(np.diff(codes))) - 1.0) <= SAMPLED:
+        if len(codes) == len(clock.times) and (codes == clock.times).all():
+            return subject
+        motion = moving.at(frames.seconds(codes))
+    else:
+        after = int(np.searchsorted(clock.times, codes[0]))
+        if not 0 < after < clock.count:
+            return subject
+        codes, motion = clock.times[after:], take.motion.select(slice(after, None))
+    clock = replace(clock, start=Fraction(codes[0]), count=len(codes))
+    take = replace(take, motion=motion, clock=clock, curve=None)
+    return replace(subject, take=take, codes=codes, frame_range=range_)
 
 
 def clip_subject(path: Path, rig: Rig, take: Take, where: str) -> MotionSubject:
@@ -64,12 +105,47 @@ def clip_subject(path: Path, rig: Rig, take: Take, where: str) -> MotionSubject:
         del joint, frame
         return Fault(code, message, str(path), (), hint, where=where)
 
-    skinned = {name for mesh in rig.meshes if mesh.skin for name in mesh.skin.joints}
-    influencing: set[str] = set()
-    for name in skinned:
-        influencing.update(rig.names[j] for j in rig.upwards(rig.index(name)))
+    skins = [
+        mesh.skin for mesh in rig.meshes if mesh.skin and len(mesh.skin.joints) > 1
+    ]
     return MotionSubject(
         replace(take, curve=None),
         fault_at,
-        influencing=frozenset(influencing) if skinned else None,
+        influencing=_influencing(rig, skins) if skins else None,
+        bind=_bound(rig, skins),
     )
+
+
+def _influencing(rig: Rig, skins: Sequence[Skin]) -> frozenset[str]:
+    """Return the joints that move points, and those of no skin, which are to move none.
+
+    Joints above one that moves points move them too.
+    """
+    found = set(rig.names) - {name for skin in skins for name in skin.joints}
+    for skin in skins:
+        used = np.unique(skin.indices.load()[skin.weights.load() > 0]).astype(int)
+        for name in (skin.joints[k] for k in used.tolist()):
+            found.update(rig.names[j] for j in rig.upwards(rig.index(name)))
+    return frozenset(found)
+
+
+def _bound(rig: Rig, skins: Sequence[Skin]) -> FloatArray | None:
+    """Return where the joints were when they were bound ``(J, 3)`` [m].
+
+    A glTF does not say where the mesh was then: the topmost joint that is bound is
+    where it is at rest. Joints that are not bound are at rest; None without any bound.
+    """
+    joints = sorted({rig.index(name) for skin in skins for name in skin.joints})
+    if not joints:
+        return None
+    rest, bind = rest_world(rig), bind_matrices(rig)
+    first = np.eye(4)
+    first[:3, :3] = rest.linear[0, joints[0]]
+    first[:3, 3] = rest.positions[0, joints[0]]
+    placed = first @ np.linalg.inv(bind[joints[0]]) @ bind[joints]
+    if np.ptp(placed[:, :3, 3], axis=0).max() == 0.0:
+        # A skin without bind matrices.
+        return None
+    positions = rest.positions[0].copy()
+    positions[joints] = placed[:, :3, 3]
+    return np.asarray(positions)

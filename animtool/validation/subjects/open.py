@@ -19,10 +19,12 @@ from animtool.core.readers import (
     FBX,
     GLTF,
     LIVELINK,
+    MJCF,
     MOT,
     READERS,
     STO,
     TRC,
+    URDF,
     USD,
     export_fault,
     readable_suffixes,
@@ -121,9 +123,9 @@ DOCUMENT_SUFFIXES = tuple(
     for suffix, reader in READERS.items()
     if reader is DOCUMENT
 )
-_SEARCHED = (BVH, USD, GLTF, FBX, C3D, TRC)
+_SEARCHED = (BVH, USD, GLTF, FBX, URDF, C3D, TRC)
 SUFFIXES = (
-    # An npz or a CSV may be anything.
+    # An npz, a CSV or an XML file may be anything.
     *(suffix for suffix, reader in READERS.items() if reader in _SEARCHED),
     *DOCUMENT_SUFFIXES,
 )
@@ -144,6 +146,8 @@ _OPENERS = {
     Kind.USD: "animtool.validation.subjects.capture:open_usd",
     Kind.GLTF: "animtool.validation.subjects.gltf:open_gltf",
     Kind.FBX: "animtool.validation.subjects.fbx:open_fbx",
+    Kind.URDF: "animtool.validation.subjects.robots:open_urdf",
+    Kind.MJCF: "animtool.validation.subjects.robots:open_mjcf",
     Kind.TRAJECTORIES: "animtool.validation.subjects.trajectories:open_trajectories",
     Kind.COORDINATES: "animtool.validation.subjects.trajectories:open_coordinates",
 }
@@ -153,6 +157,8 @@ _READ_AS = {
     USD: Kind.USD,
     GLTF: Kind.GLTF,
     FBX: Kind.FBX,
+    URDF: Kind.URDF,
+    MJCF: Kind.MJCF,
     LIVELINK: Kind.LIVELINK,
     C3D: Kind.TRAJECTORIES,
     TRC: Kind.TRAJECTORIES,

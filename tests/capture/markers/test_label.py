@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 from support.clouds import MARKER_SETS, cloud
 from support.faults import raises
+from support.figures import check_figures
 from support.named import scores_of
 from support.suite import is_full
 
@@ -50,8 +51,14 @@ MADE = [
 def test_points_of_made_people_get_their_names(seed: int) -> None:
     made = cloud(seed)
     points = made.markers("unlabelled_mm")
-    named, _ = label(points, made.markers("static_mm"))
+    named, report = label(points, made.markers("static_mm"))
     assert min(scores_of(named, points, made.truth["perm"])) >= NAMED
+    if seed == SEEDS[0]:
+        check_figures(
+            __file__,
+            "label",
+            {"at": named.positions, "names": named.names, "report": asdict(report)},
+        )
 
 
 @pytest.mark.slow

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from support.clouds import cloud, template
+from support.figures import check_figures
 from support.marked import FIGURE, TEMPLATE, Captured, captured, moving
 from support.mocap_skeleton import rig_of, template_of
 
@@ -61,6 +62,21 @@ def test_bones_are_those_of_the_subject() -> None:
     assert np.sqrt((away[:, 1:] ** 2).mean()) < 0.002
     assert found.noise.max() < 0.001
     assert 0.005 < np.median(found.shifts) < 0.05
+    check_figures(
+        __file__,
+        "subject",
+        {
+            "scales": found.scales,
+            "shifts": found.shifts,
+            "noise": found.noise,
+            "offsets": [marker.offset for marker in found.template.markers],
+            "rest": found.rig.rest_translations,
+            "notices": [notice.message for notice in found.notices],
+            "bones": found.bones,
+            "moved": found.moved,
+            "rounds": found.rounds,
+        },
+    )
 
 
 def test_gaps_spikes_and_skin_do_not_matter_much() -> None:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
+from support.figures import check_figures
 from support.marked import FIGURE, TEMPLATE, Captured, captured, column, moving
 
 from animtool.capture.solve import SolveOptions, solve_markers
@@ -52,6 +53,11 @@ def test_joints_are_found_and_labels_mended() -> None:
     assert abs(swap[-1].last - 139) < 3
     assert 0.0003 < solve.score.total < 0.001
     assert not solve.notices
+    check_figures(
+        __file__,
+        "solve",
+        {"motion": list(take.motion.dense()), "score": asdict(solve.score)},
+    )
 
 
 def test_limits_are_kept() -> None:

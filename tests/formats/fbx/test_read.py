@@ -164,7 +164,7 @@ def instead(
 SPOILED: dict[str, tuple[str, Callable[[list[Tree]], None]]] = {
     "times": (
         "FBX006",
-        instead("AnimationCurve", 16, "KeyTime", [5, 5], "<i8"),
+        instead("AnimationCurve", 16, "KeyTime", [5, 4], "<i8"),
     ),
     "counts": (
         "FBX006",
@@ -172,11 +172,16 @@ SPOILED: dict[str, tuple[str, Callable[[list[Tree]], None]]] = {
             part(t, "AnimationCurve", 16), "KeyAttrRefCount", array([9], "<i4")
         ),
     ),
-    "tangents": (
-        "FBX004",
-        lambda t: put(
-            part(t, "AnimationCurve", 17), "KeyAttrFlags", array([520], "<i4")
-        ),
+    "slopes": (
+        "FBX006",
+        lambda t: (
+            put(part(t, "AnimationCurve", 17), "KeyAttrFlags", array([520], "<i4")),
+            put(
+                part(t, "AnimationCurve", 17),
+                "KeyAttrDataFloat",
+                array([np.nan, 0.0, 0.0, 0.0], "<f4").view("<i4"),
+            ),
+        )[0],
     ),
     "faces": (
         "FBX008",

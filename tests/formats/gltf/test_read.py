@@ -3,20 +3,31 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from support.cli import animtool
 from support.faults import raises
-from support.gltf import Maker, as_glb, chain, small_gltf, turned, write_small
+from support.gltf import (
+    Maker,
+    as_glb,
+    chain,
+    skinned,
+    small_gltf,
+    turned,
+    write_small,
+)
 
 from animtool.core.errors import FormatError
 from animtool.core.units import LengthUnit, UpAxis
 from animtool.edit.resample import resampled
 from animtool.formats.gltf.document import open_gltf
 from animtool.formats.gltf.read import read_gltf, read_gltf_rig
+from animtool.retarget.anatomy import anatomy
 from animtool.rig.kinematics import rest_world
 from animtool.scene.sources.onto_rig import open_rig
 from animtool.scene.sources.open import SourceOptions, open_source
@@ -56,7 +67,7 @@ def test_a_character_with_a_skin_and_shapes(tmp_path: Path, suffix: str) -> None
 
 
 def test_the_clip_is_chosen(plain: Path) -> None:
-    assert codes(read_gltf(plain)) >= {"GLT109"}
+    assert codes(read_gltf(plain)) >= {"GLT121"}
     stream = read_gltf(plain, take="nod")
     assert stream.details["take"] == "nod"
     assert stream.details["takes"] == ["wave", "nod"]
@@ -241,3 +252,155 @@ def test_rules_look_at_every_clip(plain: Path) -> None:
     path.write_bytes(as_glb(document, binary[:at] + rows + binary[at + len(rows) :]))
     done = animtool("validate", path)
     assert "MOT201 /animations/1" in done.stdout
+
+
+def _first_weights(document: dict[str, Any]) -> dict[str, Any]:
+    attributes = document["meshes"][0]["primitives"][0]["attributes"]
+    return document["accessors"][attributes["WEIGHTS_0"]]
+
+
+def _undeclared(document: dict[str, Any]) -> None:
+    document["nodes"][0]["extensions"] = {"X_own": {}}
+
+
+def _not_second(document: dict[str, Any]) -> None:
+    attributes = document["meshes"][0]["primitives"][0]["attributes"]
+    attributes["WEIGHTS_0"] = attributes["JOINTS_0"]
+
+
+def _stride(document: dict[str, Any]) -> None:
+    output = document["animations"][0]["samplers"][0]["output"]
+    view = document["accessors"][output]["bufferView"]
+    document["bufferViews"][view]["byteStride"] = 12
+
+
+@pytest.mark.parametrize(
+    ("change", "code", "where"),
+    [
+        (_undeclared, "GLT106", "/nodes/0/extensions/X_own"),
+        (
+            lambda d: d.update(extensionsUsed=["KHR_mesh_quantization"]),
+            "GLT106",
+            "/extensionsUsed/0",
+        ),
+        (
+            lambda d: d.update(extensionsRequired=["KHR_materials_unlit"]),
+            "GLT106",
+            "/extensionsRequired/0",
+        ),
+        (lambda d: d["nodes"][0].update(name=None), "GLT106", "/nodes/0/name"),
+        (
+            lambda d: d["scenes"][0]["nodes"].append(0),
+            "GLT106",
+            "/scenes/0/nodes/2",
+        ),
+        (lambda d: d.update(scenes=[{"nodes": [3]}]), "GLT106", "/nodes/3"),
+        (
+            lambda d: d["meshes"][0]["primitives"][0]["targets"][1].clear(),
+            "GLT106",
+            "/meshes/0/primitives/0/targets/1",
+        ),
+        (
+            lambda d: d["meshes"][0]["primitives"][0].update(mode=7),
+            "GLT106",
+            "/meshes/0/primitives/0/mode",
+        ),
+        (
+            _not_second,
+            "GLT104",
+            "/meshes/0/primitives/0/attributes/WEIGHTS_0",
+        ),
+        (_stride, "GLT105", "/animations/0/samplers/0/output"),
+        (lambda d: d["accessors"][0].update(min=[0]), "GLT102", "/accessors/0/min"),
+    ],
+)
+def test_what_is_harmless_is_put_right_and_said(
+    tmp_path: Path, change: Callable[[dict[str, Any]], object], code: str, where: str
+) -> None:
+    document, binary = small_gltf()
+    change(document)
+    path = tmp_path / "odd.glb"
+    path.write_bytes(as_glb(document, binary))
+    faults = open_gltf(path).notes.notices
+    assert (code, where) in {(fault.code, fault.where) for fault in faults}
+
+
+def test_a_chunk_header_that_ends_with_the_file_is_placed_there(tmp_path: Path) -> None:
+    content = as_glb(*small_gltf()) + bytes(4)
+    path = tmp_path / "cut.glb"
+    path.write_bytes(content[:8] + len(content).to_bytes(4, "little") + content[12:])
+    with raises(FormatError, "GLT002") as caught:
+        open_gltf(path)
+    assert caught.value.faults[0].where == f"byte {len(content)}"
+
+
+def test_what_is_not_read_is_named_once(tmp_path: Path) -> None:
+    document, binary = small_gltf()
+    instances = {"attributes": {"TRANSLATION": 0}}
+    document["nodes"][3]["extensions"] = {
+        "EXT_mesh_gpu_instancing": instances,
+        "KHR_node_visibility": {"visible": False},
+    }
+    document["extensionsUsed"] = ["EXT_mesh_gpu_instancing", "KHR_node_visibility"]
+    path = tmp_path / "forest.glb"
+    path.write_bytes(as_glb(document, binary))
+    (note,) = [n for n in read_gltf(path).notices if n.code == "GLT108"]
+    assert "EXT_mesh_gpu_instancing" in note.message
+    assert "'body'" in note.message or "body" in note.message
+
+
+def test_keys_off_the_frame_late_keys_and_idle_joints_are_found(
+    tmp_path: Path, plain: Path
+) -> None:
+    made = Maker()
+    joints = chain(made, ["hips", "chest", "head", "prop"])
+    skinned(made, joints[:3], "body")
+    made.json["skins"][0]["joints"].append(joints[3])
+    inverse = np.tile(np.eye(4), (4, 1, 1))
+    inverse[:3, 3, 1] = -9.0 * np.arange(3)
+    inverse[3, 3, 1] = -3.0
+    matrices = made.accessor(inverse.reshape(-1, 16))
+    made.json["skins"][0]["inverseBindMatrices"] = matrices
+    times = (60 + np.arange(40.0)) / 24
+    times[7] += 0.01
+    turns = turned(2, *np.linspace(0, 60, 40))
+    made.animation("late", (joints[1], "rotation", "LINEAR", times, turns))
+    made.json["animations"][0]["extras"] = {"animtool": {"fps": "24"}}
+    made.json["scenes"], made.json["scene"] = [{"nodes": [joints[0], 4]}], 0
+    path = tmp_path / "late.glb"
+    path.write_bytes(as_glb(*made.done()))
+    found = animtool("validate", path).stdout
+    for code in ("MOT216", "MOT217", "MOT220", "MOT221"):
+        assert f"{code} /animations/0" in found
+    assert "prop" in found
+    assert "MOT2" not in animtool("validate", plain).stdout
+
+
+def test_one_of_several_characters_is_shown_and_compared(tmp_path: Path) -> None:
+    path = write_small(tmp_path / "two.glb", "skins")
+    page = tmp_path / "page.html"
+    done = animtool("preview", path, "--prim-path", "/hips_2", "-o", page)
+    assert done.code == 0
+    assert "GLT109" not in done.stderr
+    done = animtool(
+        "diff", path, path, "--prim-path-a", "/hips_2", "--prim-path-b", "/hips"
+    )
+    assert done.code == 1
+
+
+def test_humanoid_bones_say_which_joint_is_which(tmp_path: Path) -> None:
+    bones = ["hips", "spine", "chest", "upperChest", "neck", "head", "jaw"]
+    made = Maker()
+    nodes = chain(made, [f"bone_{k}" for k in range(len(bones))])
+    entries = {bone: {"node": node} for bone, node in zip(bones, nodes, strict=True)}
+    made.json["extensionsUsed"] = ["VRMC_vrm"]
+    made.json["extensions"] = {
+        "VRMC_vrm": {"specVersion": "1.0", "humanoid": {"humanBones": entries}}
+    }
+    path = tmp_path / "hero.vrm"
+    path.write_bytes(as_glb(*made.done()))
+    rig = read_gltf_rig(path)
+    assert [joint.humanoid for joint in rig.joints] == bones
+    found = anatomy(rig)
+    assert found.preset == "vrm1"
+    assert [found.roles[k] for k in (0, 4, 5)] == ["hips", "neck", "head"]

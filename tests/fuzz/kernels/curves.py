@@ -94,7 +94,37 @@ def _split(rng: Rng) -> dict[str, Any]:
     return {"linear": rng.normal(size=(frames, joints, 3, 3))}
 
 
+def _rotations(rng: Rng) -> dict[str, Any]:
+    keys, curves, frames = (int(n) for n in rng.integers([1, 0, 0], [7, 4, 9]))
+    times = np.cumsum(rng.uniform(0.1, 2, keys))
+    return {
+        "times": times,
+        "keys": rotations(rng, keys, curves),
+        "kinds": rng.integers(0, 4, keys),
+        "at": rng.uniform(times[0], times[-1], frames),
+        "beyond": rng.choice([0.0, -1.0, 2.0], frames),
+        "cycles": rng.choice([0.0, -1.0, 2.0], frames),
+    }
+
+
+def _steps(rng: Rng) -> dict[str, Any]:
+    frames, curves = (int(n) for n in rng.integers(0, 6, 2))
+    return {"rotations": rotations(rng, frames, curves)}
+
+
+def _slerp(rng: Rng) -> dict[str, Any]:
+    rows = int(rng.integers(0, 6))
+    return {
+        "from": rotations(rng, 1 if rng.integers(2) else rows),
+        "to": rotations(rng, 1 if rng.integers(2) else rows),
+        "share": rng.uniform(-1, 2, rows),
+    }
+
+
 CALLS: dict[str, Maker] = {
+    "evaluate_rotations": _rotations,
+    "slerp": _slerp,
+    "turn_steps": _steps,
     "parse_bvh_rows": _parse,
     "format_bvh_rows": _format,
     "evaluate_curves": _evaluate,

@@ -6,10 +6,11 @@ from typing import Any
 
 import numpy as np
 
+from animtool import _kernels
 from animtool.ik.goals import KINDS, WEIGHTS
 from fuzz.kernels import Maker
 from fuzz.kernels.curves import rotations
-from fuzz.kernels.points import parents
+from fuzz.kernels.points import WIDTHS, joint_arrays, parents
 
 Rng = np.random.Generator
 
@@ -191,9 +192,129 @@ def _cheapest(rng: Rng) -> dict[str, Any]:
     }
 
 
+def _extend(rng: Rng) -> dict[str, Any]:
+    problem, batch = Problem(rng), int(rng.integers(0, 4))
+    return {**_limbs(rng, problem), "targets": problem.targets(rng, batch)}
+
+
+def _limbs(rng: Rng, problem: Problem) -> dict[str, Any]:
+    count = int(rng.integers(0, 3)) if len(problem.goals) else 0
+    numbers = rng.uniform(0.1, 1.0, (count, 7))
+    numbers[:, 5:] *= rng.choice([0.0, 0.5], (count, 2))
+    return {
+        "limbs": rng.integers(0, max(len(problem.goals), 1), count),
+        "limb_numbers": numbers,
+    }
+
+
+def _arm(rng: Rng) -> dict[str, Any]:
+    problem = Problem(rng)
+    return {**problem.arrays, "rest_weight": float(rng.choice([0.0, 1e-4]))}
+
+
+def _six_pins(problem: Problem) -> None:
+    """Make a problem one of an arm with parallel axes."""
+    out, across = np.eye(3).reshape(-1), [1.0, 0, 0, 0, 0, 1, 0, -1, 0]
+    back = [1.0, 0, 0, 0, 0, -1, 0, 1, 0]
+    problem.nodes = np.array([[0, n - 1, n, 0] for n in range(6)], np.int64)
+    problem.numbers = np.zeros((6, 18))
+    problem.numbers[:, :9] = [out, across, out, out, back, across]
+    problem.numbers[1:, 9] = [0.1, 0.4, 0.4, 0.1, 0.0]
+    problem.numbers[:, 12] = 1
+    problem.numbers[:, 14:16] = [-np.inf, np.inf]
+    problem.kinds = np.zeros(6, np.int64)
+    problem.coordinates = problem.dofs = 6
+    problem.goals = np.array([[5, -1, -1, 0]])
+    numbers = np.array([[0.1, 0.1, 0, 0, 0, 0.1, 0, 0, 1, 1, 1, 0, 0]])
+    problem.chain = {"nodes": problem.nodes, "numbers": problem.numbers}
+    problem.arrays = {**problem.chain, "goals": problem.goals, "goal_numbers": numbers}
+
+
+def _rig_solver(rng: Rng, *, arm: bool = False) -> dict[str, Any]:
+    problem = Problem(rng)
+    if arm:
+        _six_pins(problem)
+    joints = joint_arrays(rng, int(rng.integers(2, 6)))
+    # At least as many columns as coordinates: the last joints are free.
+    width = sum(WIDTHS[kind] for kind in joints["types"].tolist())
+    while width < problem.coordinates:
+        more = joint_arrays(rng, 1) | {"types": np.array([4]), "columns": [width]}
+        joints = {
+            key: np.concatenate([joints[key], np.asarray(more[key])]) for key in joints
+        }
+        width += 7
+    balls = [at for n, at in enumerate(problem.begins) if problem.kinds[n] == _BALL]
+    balls = [] if arm else balls
+    count = len(joints["types"])
+    periods = np.tile([-np.inf, np.inf], (problem.coordinates, 1))
+    return {
+        **problem.arrays,
+        "rest_weight": 0.0,
+        "goal_frames": rotations(rng, len(problem.goals)),
+        "length": 1.5,
+        "columns": rng.permutation(width)[: problem.coordinates],
+        "scales": np.ones(problem.coordinates),
+        "periods": periods,
+        "balls": np.array(balls, np.int64),
+        "ball_frames": rotations(rng, len(balls)),
+        "mimics": rng.integers(0, max(width, 1), (1 if width else 0, 2)),
+        "mimic_numbers": rng.normal(size=(1 if width else 0, 2)),
+        **_limbs(rng, problem),
+        "limb_joints": np.zeros((1, 2), np.int64)[: len(problem.goals)],
+        "parents": parents(rng, count),
+        "joint_columns": joints.pop("columns"),
+        **joints,
+        "closed": 2 if arm else 0,
+        "length_tolerance": 1e-6,
+        "angle_tolerance": 1e-6,
+        "damping": 1e-3,
+        "iterations": 60,
+        "restarts": 3,
+        "seed": int(rng.integers(2**63)),
+        "seconds": 0.0,
+        "ordered": bool(rng.integers(2)),
+        "warm": bool(rng.integers(2)),
+        "method": 0,
+    }
+
+
+def _asked(rng: Rng, *, arm: bool) -> tuple[Any, int, Any]:
+    """Return a solver, how wide its rows are, and targets of a problem."""
+    made = _rig_solver(rng, arm=arm)
+    width = sum(WIDTHS[kind] for kind in made["types"].tolist())
+    shape = (1, len(made["goals"]), WEIGHTS.stop)
+    targets = rng.normal(scale=0.3, size=shape)
+    targets[..., 3:7] = rotations(rng, *shape[:2])
+    targets[..., WEIGHTS] = 1.0
+    return _kernels.RigSolver(**made), width, targets
+
+
+def _rig_solve(rng: Rng) -> dict[str, Any]:
+    solver, width, targets = _asked(rng, arm=bool(rng.integers(2)))
+    batch = int(rng.integers(0, 4))
+    starts = rng.normal(size=(batch, width))
+    return {
+        "self": solver,
+        "starts": starts,
+        "targets": np.repeat(targets, batch, axis=0),
+        "preferred": starts if rng.integers(2) else None,
+        "placed": bool(rng.integers(2)),
+    }
+
+
+def _branches(rng: Rng) -> dict[str, Any]:
+    solver, width, targets = _asked(rng, arm=True)
+    return {"self": solver, "start": rng.normal(size=width), "targets": targets[0]}
+
+
 CALLS: dict[str, Maker] = {
     "place_ik_targets": _place,
     "solve_ik": _solve,
+    "extend_ik_limbs": _extend,
+    "arm_kind": _arm,
+    "RigSolver": _rig_solver,
+    "RigSolver.solve": _rig_solve,
+    "RigSolver.branches": _branches,
     "linearize_ik": _linearize,
     "smooth_ik": _smooth,
     "fit_ik": _fit,

@@ -34,6 +34,31 @@ def _forward(rng: Rng) -> dict[str, Any]:
     }
 
 
+# Coordinates of the types of joints: fixed, pin, prismatic, ball, free.
+WIDTHS = (0, 1, 1, 4, 7)
+
+
+def joint_arrays(rng: Rng, joints: int) -> dict[str, Any]:
+    """Return joints of any types, as kernels take them."""
+    types = rng.integers(0, len(WIDTHS), joints)
+    widths = np.array(WIDTHS)[types]
+    axes = rng.normal(size=(joints, 3))
+    return {
+        "types": types,
+        "columns": np.cumsum(widths) - widths,
+        "axes": axes / np.linalg.norm(axes, axis=1, keepdims=True),
+        "rest_translations": rng.normal(size=(joints, 3)),
+        "rest_rotations": rotations(rng, joints),
+    }
+
+
+def _coordinates(rng: Rng) -> dict[str, Any]:
+    frames, joints = (int(n) for n in rng.integers(0, 6, 2))
+    arrays = joint_arrays(rng, joints)
+    width = sum(WIDTHS[kind] for kind in arrays["types"].tolist())
+    return {**arrays, "coordinates": rng.normal(size=(frames, width))}
+
+
 def _rounding(rng: Rng) -> dict[str, Any]:
     frames, joints = int(rng.integers(0, 6)), int(rng.integers(1, 6))
     made = {
@@ -115,6 +140,18 @@ def _sparse(rng: Rng) -> dict[str, Any]:
     }
 
 
+def _squares(rng: Rng) -> dict[str, Any]:
+    return {"quaternions": rng.normal(size=(int(rng.integers(1, 9)), 4)).astype("f4")}
+
+
+def _unpack(rng: Rng) -> dict[str, Any]:
+    tracks, frames = int(rng.integers(0, 4)), int(rng.integers(0, 200))
+    return {
+        "tracks": [rng.normal(size=(frames, 4)).astype("f4") for _ in range(tracks)],
+        "previous": rng.normal(size=(tracks, 4)) if rng.integers(2) else None,
+    }
+
+
 def _extents(rng: Rng) -> dict[str, Any]:
     frames, vertices = int(rng.integers(0, 6)), int(rng.integers(1, 6))
     return {"points": rng.normal(size=(frames, vertices, 3))}
@@ -136,9 +173,12 @@ def _noise(rng: Rng) -> dict[str, Any]:
 
 
 CALLS: dict[str, Maker] = {
+    "coordinates_to_local": _coordinates,
     "forward_kinematics": _forward,
     "measure_rounding": _rounding,
     "point_errors": _errors,
+    "squared_lengths": _squares,
+    "unpack_rotations": _unpack,
     "skin_linear": _linear,
     "skin_dual_quaternion": _dual,
     "add_sparse": _sparse,

@@ -24,14 +24,14 @@ from animtool.motion.take import Take
 from animtool.rig.joints import LocalTransforms, coordinates_from_local
 from animtool.rig.kinematics import forward
 from animtool.rig.limits import RangeLimit
-from animtool.rig.parts import Capsule, Collider
+from animtool.rig.parts import Capsule, Collider, Mass
 from animtool.rig.skeleton import Joint, JointType, Rig
 from animtool.scene.file.read import load_scene
 from animtool.sim.colliders import Box, Plane, Poses, Shape
 from animtool.sim.colliders import Capsule as Shaft
 from animtool.sim.colliders import Collider as Obstacle
 from animtool.systems.rigid.cores import core_of, solid_of
-from animtool.systems.rigid.ragdoll import RagdollOptions, _frames
+from animtool.systems.rigid.ragdoll import RagdollOptions, _frames, bodies_of_rig
 from animtool.systems.rigid.shared import RigidState
 from animtool.systems.rigid.simulation import RigidSimulation
 from animtool.systems.rigid.take_pass import ragdoll
@@ -281,6 +281,39 @@ def hung() -> Rig:
 
 
 SHELF = Obstacle(Box((4, 1, 2.2)), friction=1.0)
+
+
+def test_bodies_weigh_what_the_rig_says() -> None:
+    rig = chain(2)
+    turn = tuple(so3.exp(np.array([0.0, 0.0, 0.5])).tolist())
+    masses = (
+        Mass("hip", 3.0),
+        Mass("link 0", 2.0, (0.0, -0.1, 0.0), (0.2, 0.1, 0.2), turn),
+        # Stiff with the last link, half a length below its joint.
+        Mass("link 1", 1.0, (0.0, 0.0, 0.0), (0.3, 0.1, 0.3)),
+        Mass("end", 1.0, (0.0, 0.0, 0.0), (0.2, 0.1, 0.2)),
+    )
+    world = forward(rig, rig.rest_translations[None], rig.rest_rotations[None])
+    plain = bodies_of_rig(rig, world, RagdollOptions()).bodies.kinds
+    hip, first, last = bodies_of_rig(
+        replace(rig, masses=masses), world, RagdollOptions()
+    ).bodies.kinds
+    assert [hip.mass, first.mass, last.mass] == [3.0, 2.0, 2.0]
+    assert_allclose(hip.moments / plain[0].moments, 3.0 / plain[0].mass)
+    assert_allclose(first.centre, [0.0, -0.1, 0.0])
+    matrix = so3.to_matrix(first.axes)
+    own = so3.to_matrix(np.array(turn))
+    assert_allclose(
+        matrix @ np.diag(first.moments) @ matrix.T,
+        own @ np.diag([0.2, 0.1, 0.2]) @ own.T,
+        atol=1e-12,
+    )
+    assert_allclose(last.centre, [0.0, -LENGTH / 2, 0.0])
+    # Steiner: two masses of 1 kg, a quarter of a metre to each side.
+    assert_allclose(sorted(last.moments), [0.2, 0.625, 0.625])
+    heavy = RagdollOptions(mass=14.0)
+    kinds = bodies_of_rig(replace(rig, masses=masses), world, heavy).bodies.kinds
+    assert_allclose([kind.mass for kind in kinds], [6.0, 4.0, 4.0])
 
 
 def test_limp_pins_fall_as_a_double_pendulum_of_the_same_masses() -> None:

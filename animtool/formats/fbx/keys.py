@@ -1,0 +1,141 @@
+"""Curves of files from version 7000 on, and what every curve is checked for."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from animtool.core.array_types import IntArray
+from animtool.formats.fbx.curves import (
+    CONSTANT,
+    CUBIC,
+    LINEAR,
+    MAX_KEYS,
+    MAX_TICKS,
+    NEXT,
+    THIRD,
+    Curve,
+    Outside,
+)
+from animtool.formats.fbx.elements import Element, floats, integers, number
+from animtool.formats.fbx.settings import TICKS
+from animtool.formats.fbx.tangents import CURVED, HELD, NEXT_VALUE, TCB, key_slopes
+from animtool.formats.gltf.places import Notes
+
+# What handles are counted in: 4 decimals, of which two fill 32 bits.
+WEIGHT = 1e-4
+
+
+def curve_of_object(element: Element, notes: Notes) -> Curve | None:
+    """Return the curve of an object, as files from 7000 on have it.
+
+    Raises:
+        FormatError: Its arrays do not fit together, or times descend (FBX006).
+    """
+    times = integers(element, "KeyTime", notes)
+    if times is None or not len(times):
+        return None
+    count = len(times)
+    values = floats(element, "KeyValueFloat", notes, count)
+    flags = integers(element, "KeyAttrFlags", notes)
+    data = element.find("KeyAttrDataFloat")
+    counts = integers(element, "KeyAttrRefCount", notes)
+    check_times(times, element, notes)
+    if values is None or flags is None or counts is None or data is None:
+        return notes.fail("FBX006", element.where, "a curve lacks an array of its keys")
+    raw = _bits(data, notes)
+    fits = len(flags) == len(counts) and raw.size == 4 * len(flags)
+    fits = fits and bool((counts >= 0).all() and (counts <= count).all())
+    if not fits or int(counts.sum()) != count:
+        message = f"the attributes of {count} keys do not fit them"
+        notes.fail("FBX006", element.where, message)
+    flags = np.repeat(flags, counts)
+    rows = np.repeat(raw.reshape(-1, 4), counts, axis=0)
+    held = flags & HELD != 0
+    cubic = ~held & (flags & CURVED != 0)
+    tcb = cubic & (flags & TCB != 0)
+    stated = rows[:, :3].copy().view(np.float32).astype(np.float64)
+    # The third is a bias of such tangents alone, and two weights of others.
+    if not np.isfinite(stated[cubic, :2]).all() or not np.isfinite(stated[tcb]).all():
+        notes.fail("FBX006", element.where, "a slope of a key is not finite")
+    packed = rows[:, 2].astype(np.int64) & 0xFFFFFFFF
+    weights = np.full((count, 2), THIRD)
+    for side, (flag, own) in enumerate(
+        ((0x1000000, packed & 0xFFFF), (0x2000000, packed >> 16))
+    ):
+        given = cubic & ~tcb & (flags & flag != 0)
+        weights[given, side] = np.minimum(own[given] * WEIGHT, 1.0)
+    modes = np.where(cubic, CUBIC, np.where(held, CONSTANT, LINEAR))
+    modes[held & (flags & NEXT_VALUE != 0)] = NEXT
+    right, left = key_slopes(times / TICKS, values, flags, stated, weights)
+    return checked(Curve(times, values, modes, right, left, weights), element, notes)
+
+
+def _bits(data: Element, notes: Notes) -> Any:
+    """Return attributes as the bits of float32; text writes them as integers."""
+    values = data.values[0] if len(data.values) == 1 else np.array(data.values)
+    found = np.asarray(values)
+    if found.dtype.kind == "f":
+        with np.errstate(all="ignore"):
+            return found.astype(np.float32).view(np.int32)
+    if found.dtype.kind != "i" or (np.abs(found) >= 2**32).any():
+        notes.fail("FBX006", data.where, "the attributes of keys must be numbers")
+    return found.astype(np.int64).astype(np.uint32).view(np.int32)
+
+
+def checked(curve: Curve, element: Element, notes: Notes) -> Curve:
+    """Return a curve with what is outside of its keys, its numbers checked."""
+    times = curve.times
+    check_times(times, element, notes)
+    for slopes in (curve.right, curve.left):
+        if not np.isfinite(slopes).all():
+            notes.fail("FBX006", element.where, "a slope of a key is not finite")
+    pre, post = (_outside(element, f"{name}-Extrapolation", notes) for name in _SIDES)
+    return Curve(
+        times,
+        curve.values,
+        _held_once(curve.modes),
+        _held_once(curve.right),
+        _held_once(curve.left),
+        _held_once(curve.weights),
+        pre,
+        post,
+    )
+
+
+def _held_once(rows: Any) -> Any:
+    """Return an array whose rows are all the same without a copy of each."""
+    if len(rows) > 1 and (rows == rows[:1]).all():
+        return np.broadcast_to(rows[0].copy(), rows.shape)
+    return rows
+
+
+def check_times(times: IntArray, element: Element, notes: Notes) -> None:
+    """Refuse times of keys that descend or are out of range."""
+    if len(times) > MAX_KEYS:
+        notes.fail("FBX013", element.where, f"{len(times)} keys in one curve")
+    # The least integer has no opposite.
+    if (times > MAX_TICKS).any() or (times < -MAX_TICKS).any():
+        notes.fail("FBX006", element.where, "the time of a key is out of range")
+    if (np.diff(times) < 0).any():
+        notes.fail("FBX006", element.where, "the times of keys must not descend")
+
+
+_SIDES = ("Pre", "Post")
+
+
+def _outside(element: Element, name: str, notes: Notes) -> Outside:
+    found = element.find(name)
+    kind = None if found is None else found.find("Type")
+    if found is None or kind is None or not kind.values:
+        return Outside()
+    mode = kind.values[0]
+    if isinstance(mode, int) and 0 <= mode < 256:
+        mode = chr(mode)
+    if mode not in tuple("CRAMK"):
+        message = f"{name} {mode!r} is not known"
+        notes.fail("FBX006", kind.where, message)
+    repeats = found.find("Repetition")
+    count = -1.0 if repeats is None else number(repeats, 0, notes)
+    return Outside(str(mode), int(max(-1.0, min(count, 1e9))))

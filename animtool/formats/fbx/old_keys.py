@@ -1,0 +1,167 @@
+"""Curves of takes before version 7000: keys as one list of numbers and letters."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from animtool.core.errors import listed
+from animtool.formats.fbx.curves import (
+    CONSTANT,
+    CUBIC,
+    LINEAR,
+    MAX_TICKS,
+    NEXT,
+    THIRD,
+    Curve,
+)
+from animtool.formats.fbx.elements import Element
+from animtool.formats.fbx.keys import check_times, checked
+from animtool.formats.fbx.settings import TICKS
+from animtool.formats.fbx.tangents import (
+    CURVED,
+    HELD,
+    NEXT_VALUE,
+    PROGRESSIVE,
+    STRAIGHT,
+    TIME_INDEPENDENT,
+    USER,
+    key_slopes,
+)
+from animtool.formats.gltf.places import Notes
+
+# Layouts of keys: that of 6100, the first whose constant keys say which value holds,
+# and one whose tangents have no weights.
+LAYOUT, HELD_BY, UNWEIGHTED = 4005, 4004, 4003
+# By version of the file, where the channel states none.
+LAYOUT_OF_5000 = 4004
+
+
+def curve_of_channel(
+    element: Element, notes: Notes, layout: int = LAYOUT
+) -> Curve | None:
+    """Return the curve of a channel of a take, as files before 7000 have it.
+
+    layout: Of its keys, where it states none.
+
+    Raises:
+        FormatError: Its keys do not parse, or their times descend (FBX006).
+    """
+    key = element.find("Key")
+    if key is None or not key.values:
+        return None
+    version = element.find("KeyVer")
+    stated = None if version is None or not version.values else version.values[0]
+    keys = _Keys(key, notes, stated if isinstance(stated, int) else layout)
+    rows = []
+    while keys.left():
+        rows.append(_key(keys))
+    if keys.guessed:
+        message = f"tangents of kind {listed(sorted(map(repr, keys.guessed)))} are "
+        message += "read as automatic ones, between the keys"
+        hint = "bake the curves before exporting, or export FBX 2011 or later"
+        notes.warn("FBX120", element.where, message, hint)
+    columns = list(zip(*rows, strict=True))
+    times, values = np.array(columns[0], np.int64), np.array(columns[1])
+    flags = np.array(columns[2], np.int64)
+    slopes = np.stack([np.array(one) for one in (*columns[3:5], columns[4])], axis=1)
+    weights = np.stack([np.array(one) for one in columns[5:7]], axis=1)
+    check_times(times, element, notes)
+    right, left = key_slopes(times / TICKS, values, flags, slopes, weights)
+    held = np.where(flags & NEXT_VALUE != 0, NEXT, CONSTANT)
+    modes = np.where(flags & HELD != 0, held, LINEAR)
+    modes[flags & CURVED != 0] = CUBIC
+    return checked(Curve(times, values, modes, right, left, weights), element, notes)
+
+
+class _Keys:
+    """The values of the keys of a channel, one after the other."""
+
+    def __init__(self, element: Element, notes: Notes, layout: int) -> None:
+        values = element.values
+        whole = len(values) == 1 and isinstance(values[0], np.ndarray)
+        self.values = values[0].tolist() if whole else values
+        self.element, self.notes, self.at = element, notes, 0
+        self.layout = layout
+        self.guessed: set[str] = set()
+
+    def left(self) -> bool:
+        return self.at < len(self.values)
+
+    def value(self) -> Any:
+        if not self.left():
+            self.fail("the last key of a channel is cut off")
+        self.at += 1
+        return self.values[self.at - 1]
+
+    def number(self) -> float:
+        value = self.value()
+        if not isinstance(value, int | float) or not abs(value) < 1e300:
+            self.fail(f"{value!r} is no number of a key")
+        return float(value)
+
+    def time(self) -> int:
+        value = self.value()
+        if not isinstance(value, int) or abs(value) > MAX_TICKS:
+            self.fail(f"{value!r} is no time of a key")
+        return int(value)
+
+    def letter(self) -> str:
+        value = self.value()
+        if isinstance(value, int) and 0 <= value < 256:
+            value = chr(value)
+        return value if isinstance(value, str) else self.fail(f"{value!r} in a key")
+
+    def fail(self, message: str) -> Any:
+        return self.notes.fail("FBX006", self.element.where, message)
+
+
+def _key(keys: _Keys) -> tuple[int, float, int, float, float, float, float]:
+    """Return time, value, flags, two slopes and two weights of the next key."""
+    time, value, mode = keys.time(), keys.number(), keys.letter()
+    if mode == "L":
+        return time, value, STRAIGHT, 0.0, 0.0, THIRD, THIRD
+    if mode == "C":
+        after = keys.letter() if keys.layout >= HELD_BY else ""
+        flags = HELD | (NEXT_VALUE if after == "n" else 0)
+        return time, value, flags, 0.0, 0.0, THIRD, THIRD
+    if mode != "U":
+        keys.fail(f"interpolation {mode!r} of a key is not read")
+    flags, right, left, lists = _tangent(keys)
+    weights = [THIRD, THIRD]
+    for _ in range(lists):
+        _put_weights(keys, weights)
+    return time, value, flags, right, left, weights[0], weights[1]
+
+
+# Kinds of tangents that no document explains: how many numbers follow, and how many
+# lists of weights, in older layouts and in that of 6100.
+_GUESSED = {"p": (2, 1, 2), "q": (2, 1, 2), "t": (3, 0, 0), "d": (1, 1, 1)}
+
+
+def _tangent(keys: _Keys) -> tuple[int, float, float, int]:
+    """Return flags and slopes of a cubic key, and how many lists of weights follow."""
+    kind = keys.letter()
+    if kind in {"s", "b"}:
+        right, left = keys.number(), keys.number()
+        return CURVED | USER, right, left, 0 if keys.layout == UNWEIGHTED else 1
+    automatic = CURVED | PROGRESSIVE | TIME_INDEPENDENT
+    late = keys.layout >= LAYOUT
+    if kind == "a":
+        return automatic, 0.0, 0.0, 1 if late else 0
+    if kind not in _GUESSED:
+        keys.fail(f"tangents {kind!r} of a key are not read")
+    numbers, early, now = _GUESSED[kind]
+    for _ in range(numbers):
+        keys.number()
+    keys.guessed.add(kind)
+    return automatic, 0.0, 0.0, now if late else early
+
+
+def _put_weights(keys: _Keys, weights: list[float]) -> None:
+    kind = keys.letter()
+    if kind not in {"a", "r", "l", "n", "c"}:
+        keys.fail(f"weights {kind!r} of a key are not read")
+    for side in {"a": (0, 1), "r": (0,), "l": (1,)}.get(kind, ()):
+        weights[side] = min(max(keys.number(), 0.0), 1.0)

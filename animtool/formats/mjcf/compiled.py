@@ -1,0 +1,226 @@
+"""A compiled MJCF as a robot: bodies as links, with their joints in order."""
+
+from __future__ import annotations
+
+import math
+import re
+from typing import Any
+
+import numpy as np
+
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault, OptionError, Severity, counted, excerpt, listed
+from animtool.formats.mjcf.equality import Ties
+from animtool.formats.mjcf.reduced import LEAST_MASS, Reduced, place
+from animtool.formats.robots.notes import Notes
+from animtool.formats.robots.parts import (
+    UNTURNED,
+    Link,
+    Move,
+    Robot,
+    Solid,
+    Weight,
+    quaternion,
+    vector,
+)
+from animtool.maths import so3
+from animtool.rig.limits import RangeLimit
+from animtool.rig.parts import Vector
+from animtool.rig.skeleton import JointType, Quaternion
+
+MAX_NAMED = 8
+_LINE = re.compile(r",? line (\d+)")
+_START = re.compile(r"^(?:XML )?Error:\s*(?:Error:\s*)?")
+_EXTRA = "pip install 'animtool[mjcf]'"
+# As MuJoCo counts kinds of joints and geoms.
+_TYPES = (JointType.FREE, JointType.BALL, JointType.PRISMATIC, JointType.PIN)
+_FREE, _BALL, _SLIDE, _HINGE = range(4)
+_SOLIDS = {2: "sphere", 3: "capsule", 5: "cylinder", 6: "box"}
+
+
+def compiled(reduced: Reduced, notes: Notes) -> Any:
+    """Return MuJoCo's model of a reduced MJCF.
+
+    Raises:
+        OptionError: MuJoCo is not installed (MJC005).
+        FormatError: It refuses the model (MJC008).
+    """
+    try:
+        import mujoco
+    except ImportError as error:
+        message = "MJCF is read by MuJoCo's own parser, which is not installed"
+        fault = Fault("MJC005", message, str(notes.path), (), _EXTRA)
+        raise OptionError(fault) from error
+    try:
+        return mujoco.MjModel.from_xml_string(reduced.text)
+    except (ValueError, RuntimeError, mujoco.FatalError) as error:
+        _refused(str(error), reduced, notes)
+    notes.check()
+    raise AssertionError
+
+
+def _refused(text: str, reduced: Reduced, notes: Notes) -> None:
+    """Note what MuJoCo says, at the line of the file and not of the reduced text."""
+    found = _LINE.search(text)
+    element = None
+    if found is not None and 0 < int(found[1]) <= len(reduced.elements):
+        element = reduced.elements[int(found[1]) - 1]
+    message = _LINE.sub("", _START.sub("", text)).strip()
+    message = re.sub(r"\s*\n\s*", ", ", message)
+    message = re.sub(r",? *Element (name )?'[^']*'(, id \d+)?,?", "", message)
+    where = None if element is None else place(element)
+    notes.add("MJC008", element, f"MuJoCo refuses it: {message}", where=where)
+
+
+def robot_of(model: Any, reduced: Reduced, notes: Notes) -> Robot:
+    """Return the robot of a compiled model; what a rig holds otherwise is noted."""
+    ties = Ties.of(model, notes)
+    notes.check()
+    links = [_link(model, body, ties, reduced) for body in range(1, model.nbody)]
+    for site in range(model.nsite):
+        body, name = int(model.site_bodyid[site]), model.site(site).name
+        if name and body > 0:
+            pose = vector(model.site_pos[site]), turn_of(model.site_quat[site])
+            links[body - 1].sites.append((name, *pose))
+    _note(model, reduced, ties, notes)
+    return Robot(str(model.names[: model.names.index(b"\0")], "utf-8"), links)
+
+
+def turn_of(wxyz: FloatArray) -> Quaternion:
+    """Return a rotation (x, y, z, w) of MuJoCo's (w, x, y, z)."""
+    w, x, y, z = np.asarray(wxyz, np.float64)
+    return quaternion(np.array([x, y, z, w]))
+
+
+def _link(model: Any, body: int, ties: Ties, reduced: Reduced) -> Link:
+    """Return a body: each joint turns about its own place in the body's frame."""
+    position = np.array(model.body_pos[body])
+    rotation = np.array(turn_of(model.body_quat[body]))
+    name = model.body(body).name
+    link = Link(name, int(model.body_parentid[body]) - 1)
+    before = np.zeros(3)
+    first = int(model.body_jntadr[body])
+    for joint in range(first, first + int(model.body_jntnum[body])):
+        at = np.array(model.jnt_pos[joint])
+        if model.jnt_type[joint] in {_FREE, _SLIDE}:
+            at = before  # where it is makes no difference
+        translation = position + so3.rotate(rotation, at - before)
+        link.moves.append(_move(model, joint, translation, rotation, ties))
+        position, rotation, before = np.zeros(3), np.array(UNTURNED), at
+    if link.moves:
+        link.after = vector(-before)
+    else:
+        still = Move("", JointType.FIXED, vector(position), quaternion(rotation))
+        link.moves.append(still)
+    link.solids = _solids(model, body)
+    mass = float(model.body_mass[body])
+    if mass > 2 * LEAST_MASS and name not in reduced.unweighed:
+        link.weight = _weight(model, body, mass)
+    return link
+
+
+def _move(
+    model: Any, joint: int, translation: FloatArray, rotation: FloatArray, ties: Ties
+) -> Move:
+    """Return a joint, whose coordinate is MuJoCo's qpos, but for that of a free one.
+
+    A hinge or slide is at 0 where qpos is 0, and so not at ``ref``, where the file has
+    it. A free joint is at rest where the file has it.
+    """
+    kind = int(model.jnt_type[joint])
+    axis = vector(model.jnt_axis[joint])
+    limits = None
+    if kind in {_SLIDE, _HINGE}:
+        ref = float(model.qpos0[model.jnt_qposadr[joint]])
+        if kind == _HINGE and ref:
+            back = so3.from_axis_angle(np.array(axis), np.array(-ref))
+            rotation = so3.multiply(rotation, back)
+        elif ref:
+            translation = translation - so3.rotate(rotation, np.array(axis) * ref)
+        if model.jnt_limited[joint]:
+            low, high = np.array(model.jnt_range[joint]).tolist()
+            limits = RangeLimit(low, high)
+    else:
+        axis = (0.0, 0.0, 1.0)
+    name = model.joint(joint).name
+    return Move(
+        name,
+        _TYPES[kind],
+        vector(translation),
+        quaternion(rotation),
+        axis,
+        limits,
+        ties.mimics.get(joint),
+        ties.drivers.get(joint),
+    )
+
+
+def _solids(model: Any, body: int) -> list[Solid]:
+    """Return the simple geoms of a body that collide."""
+    found = []
+    first = int(model.body_geomadr[body])
+    for geom in range(first, first + int(model.body_geomnum[body])):
+        kind = _SOLIDS.get(int(model.geom_type[geom]))
+        collides = model.geom_contype[geom] or model.geom_conaffinity[geom]
+        if kind is None or not collides:
+            continue
+        half = np.array(model.geom_size[geom]).tolist()
+        size = {
+            "sphere": half[:1],
+            "capsule": [half[0], 2 * half[1]],
+            "cylinder": [half[0], 2 * half[1]],
+            "box": [2 * side for side in half],
+        }[kind]
+        place_: Vector = vector(model.geom_pos[geom])
+        found.append(Solid(kind, tuple(size), place_, turn_of(model.geom_quat[geom])))
+    return found
+
+
+def _weight(model: Any, body: int, mass: float) -> Weight:
+    turn = so3.to_matrix(np.array(turn_of(model.body_iquat[body])))
+    moments = np.array(model.body_inertia[body])
+    return Weight(mass, vector(model.body_ipos[body]), turn @ np.diag(moments) @ turn.T)
+
+
+def _note(model: Any, reduced: Reduced, ties: Ties, notes: Notes) -> None:
+    """Note what a rig holds otherwise, and joints that nothing drives."""
+    names = [model.joint(joint).name for joint in range(model.njnt)]
+
+    def add(code: str, found: list[int], message: str, hint: str) -> None:
+        if found:
+            shown = [excerpt(names[j]) if names[j] else "one unnamed" for j in found]
+            message = message.format(counted(len(found), "joint"))
+            message += f": {listed(shown, MAX_NAMED)}"
+            notes.add(code, None, message, hint, severity=Severity.NOTE)
+
+    scalar = [j for j in range(model.njnt) if model.jnt_type[j] in {_SLIDE, _HINGE}]
+    refs = [j for j in scalar if model.qpos0[model.jnt_qposadr[j]] != 0]
+    hint = "coordinates are MuJoCo's qpos, and the rest pose has them at 0"
+    add("MJC109", refs, "the file draws {} at another value (ref) than 0", hint)
+    off = [
+        j
+        for j in scalar
+        if model.jnt_limited[j]
+        and j not in refs
+        and not model.jnt_range[j, 0] <= 0 <= model.jnt_range[j, 1]
+    ]
+    hint = "the rest pose is at 0 all the same; a take stands at the nearest limit"
+    add("MJC109", off, "0 is outside the limits of {}", hint)
+    balls = [
+        j
+        for j in range(model.njnt)
+        if model.jnt_type[j] == _BALL and model.jnt_limited[j]
+    ]
+    widest = max((math.degrees(model.jnt_range[j, 1]) for j in balls), default=0.0)
+    message = "the limits of {} are left out, " + f"up to {widest:.4g}° each way"
+    hint = "a rig limits swing and twist; a rig file over this one may state them"
+    add("MJC104", balls, message, hint)
+    if reduced.idle:
+        tied = {*ties.mimics, *ties.drivers}
+        idle = [j for j in scalar if names[j] not in reduced.driven and j not in tied]
+        add("MJC105", idle, "no actuator drives {}", "in a rig they move as others do")
+    if reduced.unweighed:
+        bodies = sorted(reduced.unweighed)
+        message = "masses that follow from meshes are left out: "
+        message += listed([excerpt(name) for name in bodies], MAX_NAMED)
+        notes.add("MJC107", None, message, severity=Severity.NOTE)

@@ -1,0 +1,125 @@
+"""Equality of joints: one is a polynomial of another, a mimic where that is linear."""
+
+from __future__ import annotations
+
+from dataclasses import field
+from typing import Any
+
+import numpy as np
+
+from animtool.core.errors import circle, excerpt
+from animtool.core.record import dataclass
+from animtool.formats.robots.notes import Notes
+from animtool.rig.drivers import ANGLE, SLIDE, Driver
+from animtool.rig.expressions import parse_expression
+from animtool.rig.skeleton import Mimic
+
+_EQ_JOINT = 2
+_SLIDE = 2
+
+
+@dataclass(slots=True, eq=False)
+class Ties:
+    """What joints are tied to, by index of the joint."""
+
+    mimics: dict[int, Mimic] = field(default_factory=dict)
+    drivers: dict[int, Driver] = field(default_factory=dict)
+
+    @staticmethod
+    def of(model: Any, notes: Notes) -> Ties:
+        """Return the active ties of a model; those that no rig holds are noted."""
+        rows: dict[int, tuple[int, list[float]]] = {}
+        for tie in range(model.neq):
+            if model.eq_type[tie] != _EQ_JOINT:
+                continue
+            if not model.eq_active0[tie]:
+                notes.leave_out(["equality that is not active"])
+                continue
+            one, other = int(model.eq_obj1id[tie]), int(model.eq_obj2id[tie])
+            name = model.joint(one).name
+            if one in rows:
+                message = f"joint {excerpt(name)} is tied to two others by equality"
+                hint = "keep the one that moves it"
+                notes.add("MJC010", None, message, hint, joint=name)
+                continue
+            rows[one] = (other, np.array(model.eq_data[tie][:5]).tolist())
+        ties = Ties()
+        if not _rings(model, rows, notes):
+            for one in rows:
+                ties._add(model, one, rows)
+        return ties
+
+    def _add(
+        self, model: Any, one: int, rows: dict[int, tuple[int, list[float]]]
+    ) -> None:
+        """Add what moves a joint: by a linear tie, whatever moves that one in turn."""
+        other, polynomial = rows[one]
+        offset, gain = _linear(model, one, other, polynomial)
+        curved = other >= 0 and any(polynomial[2:])
+        while not curved and other in rows:
+            further, inner = rows[other]
+            if further < 0 or any(inner[2:]):
+                break
+            own, factor = _linear(model, other, further, inner)
+            offset, gain, other = offset + gain * own, gain * factor, further
+        if other < 0:
+            text = repr(offset)
+            self.drivers[one] = Driver(parse_expression(text, coordinates=True))
+        elif curved:
+            self.drivers[one] = _driver(model, one, other, polynomial)
+        elif other in rows:
+            # Linear of what is not: a driver of a driver.
+            polynomial = [polynomial[0], polynomial[1], 0.0, 0.0, 0.0]
+            self.drivers[one] = _driver(model, one, rows[one][0], polynomial)
+        else:
+            self.mimics[one] = Mimic(model.joint(other).name, gain, offset)
+
+
+def _ref(model: Any, joint: int) -> float:
+    return float(model.qpos0[model.jnt_qposadr[joint]])
+
+
+def _linear(
+    model: Any, one: int, other: int, polynomial: list[float]
+) -> tuple[float, float]:
+    """Return offset and gain of the linear part; MuJoCo counts from ``ref``."""
+    offset = _ref(model, one) + polynomial[0]
+    if other < 0:
+        return offset, 0.0
+    return offset - polynomial[1] * _ref(model, other), polynomial[1]
+
+
+def _driver(model: Any, one: int, other: int, polynomial: list[float]) -> Driver:
+    """Return a tie as a driver, by Horner's scheme."""
+    part = SLIDE if model.jnt_type[other] == _SLIDE else ANGLE
+    read = repr(f"{model.joint(other).name}.{part}")
+    x = f"({read} - {_ref(model, other)!r})"
+    terms = polynomial
+    while terms[-1] == 0.0 and len(terms) > 1:
+        terms = terms[:-1]
+    text = repr(terms[-1])
+    for coefficient in reversed(terms[:-1]):
+        text = f"({coefficient!r} + {x} * {text})"
+    text = f"{_ref(model, one)!r} + {text}"
+    return Driver(parse_expression(text, coordinates=True))
+
+
+def _rings(model: Any, rows: dict[int, tuple[int, list[float]]], notes: Notes) -> bool:
+    """Note joints that are tied in a ring, and return whether there are any."""
+    done: set[int] = set()
+    found = False
+    for start in rows:
+        path: list[int] = []
+        one = start
+        while one in rows and one not in done:
+            if one in path:
+                names = [model.joint(j).name for j in path[path.index(one) :]]
+                message = f"joints are tied in a ring: {circle([*names, names[0]])}"
+                hint = "remove one of these equalities"
+                notes.add("MJC010", None, message, hint, joint=names[0])
+                found = True
+                break
+            path.append(one)
+            one = rows[one][0]
+        done.update(path)
+    return found

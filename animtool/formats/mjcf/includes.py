@@ -1,0 +1,112 @@
+"""An MJCF and the files that it includes, as one tree: read here, and not by MuJoCo."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from animtool.core.errors import excerpt
+from animtool.core.files.reading import is_there, nearest_file
+from animtool.formats.robots.notes import Notes
+from animtool.formats.robots.packages import OutsideError, Places
+from animtool.formats.robots.xml import MAX_ELEMENTS, Element, XmlCodes, read_xml
+
+CODES = XmlCodes("MJC001", "MJC002", "MJC003")
+ROOT = "mujoco"
+MAX_INCLUDES = 1000
+
+
+def read_model(path: Path, notes: Notes) -> tuple[Element, Places]:
+    """Return the root of a model, with what it includes in place of each include.
+
+    Raises:
+        FormatError: A file is no MJCF in XML, or an include leads out of the project,
+            to no file, or to one that is included already (MJC001 to MJC006).
+    """
+    root = read_xml(path, CODES)
+    if root.tag != ROOT:
+        hints = {
+            "robot": "it is a URDF: name it .urdf",
+            "mujocoinclude": "it is a part that a model includes: give the model",
+            "sdf": "it is SDF: use the URDF or MJCF that it was made from",
+        }
+        hint = hints.get(root.tag, f"the root element of MJCF is <{ROOT}>")
+        message = f"no MJCF: its root element is <{root.tag[:60]}>"
+        notes.add("MJC004", root, message, hint)
+        notes.check()
+    places = Places.of(path, CODES)
+    _Including(path, places, notes).run(root)
+    notes.check()
+    return root, places
+
+
+class _Including:
+    """Puts the content of files in the place of elements that include them."""
+
+    def __init__(self, path: Path, places: Places, notes: Notes) -> None:
+        self._places, self._notes = places, notes
+        self._known = {path.resolve()}
+        self._count = 0
+
+    def run(self, root: Element) -> None:
+        """Include all that is included below an element."""
+        waiting = [root]
+        while waiting and not self._notes.faults:
+            element = waiting.pop()
+            self._count += 1
+            if self._count > MAX_ELEMENTS:
+                message = f"more than {MAX_ELEMENTS:,} elements with all includes"
+                self._notes.add("MJC003", element, message)
+                return
+            children: list[Element] = []
+            left = list(reversed(element.children))
+            while left and not self._notes.faults:
+                child = left.pop()
+                if child.tag == "include":
+                    left += reversed(self._included(child))
+                else:
+                    children.append(child)
+            element.children = children
+            waiting += reversed(children)
+
+    def _included(self, element: Element) -> list[Element]:
+        """Return what an include stands for."""
+        name = element.attributes.get("file", "")
+        path = self._found(element, name)
+        if path is None:
+            return []
+        if path in self._known:
+            message = f"{excerpt(name, 100)} is included already"
+            if path == element.path.resolve():
+                message = f"{excerpt(name, 100)} includes itself"
+            hint = "a file may be included once; attach makes several copies"
+            self._notes.add("MJC006", element, message, hint)
+            return []
+        if len(self._known) > MAX_INCLUDES:
+            message = f"more than {MAX_INCLUDES} files are included"
+            self._notes.add("MJC003", element, message)
+            return []
+        self._known.add(path)
+        return read_xml(path, CODES).children
+
+    def _found(self, element: Element, name: str) -> Path | None:
+        """Return the file of an include, seen from the model, else from its file."""
+        if not name:
+            message = "an include without file"
+            self._notes.add("MJC006", element, message, 'write file="parts/legs.xml"')
+            return None
+        try:
+            path = self._places.find(name)
+            if path is None:
+                inner = element.path.resolve().parent / name
+                path = self._places.find(str(inner))
+        except OutsideError as error:
+            message = f"{excerpt(name, 100)} is not included: {error}"
+            hint = "copy it into the project, or name its folder in animtool.toml: "
+            self._notes.add("MJC006", element, message, f"{hint}roots = [...]")
+            return None
+        if path is None or not is_there(path):
+            message = f"{excerpt(name, 100)} does not exist"
+            near = nearest_file(Path(name), self._places.folder)
+            self._notes.add("MJC006", element, message, near)
+            return None
+        return path

@@ -1,0 +1,59 @@
+"""An MJCF as a rig, and as a take of one frame."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from animtool.formats.mjcf.compiled import compiled, robot_of
+from animtool.formats.mjcf.includes import read_model
+from animtool.formats.mjcf.reduced import reduced_model
+from animtool.formats.robots.build import RobotCodes, build_rig
+from animtool.formats.robots.notes import Notes
+from animtool.formats.robots.standing import standing
+from animtool.motion.take import TakeStream
+from animtool.rig.skeleton import Rig
+
+_CODES = RobotCodes("MJC102", "MJC106", "MJC101")
+
+
+def read_mjcf_rig(path: Path | str) -> Rig:
+    """Return the rig of an MJCF: metres, radians, Z up.
+
+    Bodies are joints of their names, and so are their joints and sites. Coordinates are
+    MuJoCo's qpos; only a free joint counts from where the file has its body. Simple
+    geoms that collide are capsules, and inertias masses. MuJoCo compiles the model, but
+    opens no file.
+
+    Args:
+        path: A .xml or .mjcf file.
+
+    Raises:
+        FormatError: With the faults of the file (MJC001 to MJC016).
+        OptionError: MuJoCo is not installed (MJC005).
+    """
+    path = Path(path)
+    notes = Notes(path, "MJC007")
+    root, places = read_model(path, notes)
+    reduced = reduced_model(root, places, notes)
+    notes.check()
+    model = compiled(reduced, notes)
+    robot = robot_of(model, reduced, notes)
+    if not robot.links:
+        notes.add("MJC004", root, "the model has no body", "bodies are what moves")
+        notes.check()
+    if not root.attributes.get("model"):
+        robot.name = path.stem
+    return build_rig(robot, notes, _CODES)
+
+
+def read_mjcf(path: Path | str) -> TakeStream:
+    """Open an MJCF as a take of one frame: its joints at 0, or their nearest limit.
+
+    Args:
+        path: A .xml or .mjcf file.
+
+    Raises:
+        FormatError: As `read_mjcf_rig` does.
+        OptionError: MuJoCo is not installed (MJC005).
+    """
+    return standing(read_mjcf_rig(path), "MJCF")

@@ -1,0 +1,290 @@
+"""What of an MJCF moves, as a text that MuJoCo compiles without opening a file."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from xml.sax.saxutils import quoteattr
+
+from animtool.core.errors import Severity, counted, excerpt
+from animtool.core.record import dataclass
+from animtool.formats.robots.notes import Notes, to_number
+from animtool.formats.robots.packages import OutsideError, Places
+from animtool.formats.robots.xml import Element
+
+# Sections that a rig has no place for, and what they are called.
+_SECTIONS = {
+    "actuator": "actuators",
+    "asset": "assets",
+    "contact": "contacts",
+    "custom": "custom data",
+    "deformable": "deformables",
+    "extension": "extensions",
+    "keyframe": "keyframes",
+    "option": "options",
+    "sensor": "sensors",
+    "size": "",
+    "statistic": "",
+    "tendon": "tendons",
+    "visual": "visuals",
+}
+_IN_BODIES = {"camera": "cameras", "light": "lights", "plugin": "plugins"}
+_IN_DEFAULTS = frozenset({"default", "joint", "geom", "site"})
+# Parts that MuJoCo makes from others, with files of their own or by plug-ins.
+_MADE = frozenset({"attach", "composite", "flexcomp"})
+# Attributes that name what is left out, or change which bodies there are.
+_DROPPED = {
+    "geom": ("material", "mesh", "hfield", "user"),
+    "site": ("material", "user"),
+    "body": ("user",),
+    "joint": ("user",),
+    "compiler": (
+        *("assetdir", "meshdir", "texturedir", "strippath", "fusestatic"),
+        *("discardvisual", "exactmeshinertia", "alignfree"),
+    ),
+}
+_MESHES = frozenset({"mesh", "hfield", "sdf"})
+# Texts, which may be "nan" as numbers may not.
+_TEXTS = frozenset(
+    {
+        *("name", "class", "childclass", "joint", "joint1", "joint2", "site", "type"),
+        *("angle", "eulerseq", "model", "prefix"),
+    }
+)
+# A body of less mass has none of its own [kg], [kg m²].
+LEAST_MASS, LEAST_INERTIA = 1e-9, 1e-13
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reduced:
+    """A model of bodies, joints and simple shapes alone.
+
+    Attributes:
+        text: The XML.
+        elements: What each line of it is of.
+        unweighed: Bodies whose meshes, which are not read, have their mass.
+        idle: Whether every actuator acts on a joint, and there is one.
+        driven: Joints that actuators act on.
+    """
+
+    text: str
+    elements: list[Element]
+    unweighed: frozenset[str]
+    idle: bool
+    driven: frozenset[str]
+
+
+def reduced_model(root: Element, places: Places, notes: Notes) -> Reduced:
+    """Return what of a model moves; what is left out and what is wrong is noted."""
+    _check_files(root, places, notes)
+    _name_bodies(root)
+    meshes = _MeshClasses(root)
+    lines: list[str] = []
+    elements: list[Element] = []
+    unweighed: set[str] = set()
+
+    def put(element: Element, text: str) -> None:
+        lines.append(text)
+        elements.append(element)
+
+    def write(element: Element, inside: str, classes: str, body: str) -> None:
+        tag = element.tag
+        kept = [
+            child
+            for child in element.children
+            if _is_kept(element, child, inside, notes)
+        ]
+        of_body = tag == "geom" and inside == "worldbody"
+        if of_body and meshes.is_mesh(element, classes):
+            notes.leave_out(["geoms of meshes"])
+            unweighed.add(body)
+            return
+        if tag in {"body", "frame", "replicate"}:
+            classes = element.attributes.get("childclass", classes)
+        if tag == "body":
+            body = element.attributes["name"]
+        put(element, f"<{tag}{_attributes(element, inside, notes)}>")
+        for child in kept:
+            write(child, inside or child.tag, classes, body)
+        put(element, f"</{tag}>")
+
+    bound = Element("compiler", {}, root.path, root.line, root.column)
+    model = root.attributes.get("model")
+    put(root, "<mujoco>" if model is None else f"<mujoco model={quoteattr(model)}>")
+    # Before the file's own, which may say more.
+    put(bound, f'<compiler boundmass="{LEAST_MASS}" boundinertia="{LEAST_INERTIA}"/>')
+    for section in root.children:
+        if section.tag in _SECTIONS:
+            notes.leave_out(filter(None, [_SECTIONS[section.tag]]))
+        else:
+            write(section, section.tag, "", "")
+    put(root, "</mujoco>")
+    weighed = {
+        body.attributes["name"]
+        for body in root.walk()
+        if body.tag == "body" and body.all("inertial")
+    }
+    acts = [
+        actuator
+        for section in root.all("actuator")
+        for actuator in section.children
+        if actuator.tag != "plugin"
+    ]
+    driven = frozenset(one.attributes.get("joint", "") for one in acts)
+    return Reduced(
+        "\n".join(lines),
+        elements,
+        frozenset(unweighed - weighed),
+        bool(acts) and "" not in driven,
+        driven,
+    )
+
+
+def _is_kept(parent: Element, child: Element, section: str, notes: Notes) -> bool:
+    """Return whether a part of a section moves; what does not is noted."""
+    tag = child.tag
+    match section:
+        case "worldbody":
+            return _is_of_body(parent, child, notes)
+        case "equality":
+            if tag != "joint":
+                notes.leave_out([f"equality of <{tag[:40]}>"])
+            return tag == "joint"
+        case "default":
+            return tag in _IN_DEFAULTS
+    return section != "compiler"
+
+
+def _is_of_body(parent: Element, child: Element, notes: Notes) -> bool:
+    """Return whether a part of a body moves; what does not is noted."""
+    tag, left_out = child.tag, _IN_BODIES.get(child.tag)
+    if tag in _MADE:
+        message = f"<{tag}> makes bodies from other parts, which is not read"
+        hint = "compile the model, and save it by mujoco.mj_saveLastXML"
+        notes.add("MJC009", child, message, hint)
+        return False
+    if parent.tag == "worldbody" and tag in {"geom", "site"}:
+        left_out = "geoms and sites of the world"
+    if left_out is not None:
+        notes.leave_out([left_out])
+        return False
+    return parent.tag not in {"geom", "joint", "site", "inertial"}
+
+
+def _attributes(element: Element, section: str, notes: Notes) -> str:
+    """Return the attributes of an element that are kept, as XML."""
+    dropped: tuple[str, ...] = _DROPPED.get(element.tag, ())
+    if section == "default" and element.attributes.get("type") in _MESHES:
+        dropped = (*dropped, "type")
+    parts = []
+    for name, value in element.attributes.items():
+        if name in dropped:
+            continue
+        if name not in _TEXTS:
+            _check_numbers(element, name, value, notes)
+        parts.append(f" {name}={quoteattr(value)}")
+    return "".join(parts)
+
+
+def _check_numbers(element: Element, name: str, value: str, notes: Notes) -> None:
+    """Note a number that is not finite: MuJoCo would take it."""
+    for word in value.split():
+        number = to_number(word)
+        if number is not None and not math.isfinite(number):
+            message = f"{name} of <{element.tag}> is {excerpt(value)}: "
+            message += f"{excerpt(word)} is not finite"
+            notes.add("MJC007", element, message, where=place(element))
+            return
+
+
+def place(element: Element) -> str | None:
+    """Return what a fault calls an element; None where it has no name."""
+    name = element.attributes.get("name")
+    return None if name is None else f"{element.tag} {excerpt(name)}"
+
+
+def _name_bodies(root: Element) -> None:
+    """Give bodies without a name one that no other has."""
+    bodies = [
+        element
+        for section in root.all("worldbody")
+        for element in section.walk()
+        if element.tag == "body"
+    ]
+    taken = {body.attributes.get("name") for body in bodies}
+    number = 0
+    for body in bodies:
+        if not body.attributes.get("name"):
+            number += 1
+            while f"body_{number}" in taken:
+                number += 1
+            body.attributes["name"] = f"body_{number}"
+
+
+class _MeshClasses:
+    """Which geoms are of meshes, by themselves or by their default class."""
+
+    def __init__(self, root: Element) -> None:
+        self._classes: dict[str, bool] = {}
+        for default in root.all("default"):
+            own = default.attributes.get("class", "main")
+            self._add(default, own, inherited=self._classes.get("main", False))
+        self._main = self._classes.get("main", False)
+
+    def _add(self, default: Element, name: str, *, inherited: bool) -> None:
+        waiting = [(default, name, inherited)]
+        while waiting:
+            element, own, mesh = waiting.pop()
+            for geom in element.all("geom"):
+                mesh = _mesh_or(geom, mesh)
+            self._classes[own] = mesh
+            waiting += [
+                (child, child.attributes.get("class", ""), mesh)
+                for child in element.all("default")
+            ]
+
+    def is_mesh(self, geom: Element, childclass: str) -> bool:
+        """Return whether a geom of a body is of a mesh."""
+        name = geom.attributes.get("class", childclass)
+        return _mesh_or(geom, self._classes.get(name, self._main))
+
+
+def _mesh_or(geom: Element, inherited: bool) -> bool:
+    """Return whether a geom is of a mesh; what it inherits where it does not say."""
+    if geom.attributes.get("type") in _MESHES or "mesh" in geom.attributes:
+        return True
+    return inherited and "type" not in geom.attributes
+
+
+def _check_files(root: Element, places: Places, notes: Notes) -> None:
+    """Note files outside of the project; none of them is opened."""
+    folders = {
+        name: value
+        for compiler in root.all("compiler")
+        for name, value in compiler.attributes.items()
+        if name in {"assetdir", "meshdir", "texturedir"}
+    }
+    missing = 0
+    for element, name in _files(root):
+        folder = folders.get("assetdir", "")
+        key = "texturedir" if element.tag == "texture" else "meshdir"
+        folder = folders.get(key, folder)
+        try:
+            if places.find(f"{folder}/{name}" if folder else name) is None:
+                missing += 1
+        except OutsideError as error:
+            message = f"file {excerpt(name, 100)} is refused: {error}"
+            hint = "copy it into the project, or name its folder in animtool.toml: "
+            hint += "roots = [...]"
+            notes.add("MJC016", element, message, hint, where=place(element))
+    if missing:
+        message = f"{counted(missing, 'file')} of its assets not found"
+        hint = "motion needs none of them"
+        notes.add("MJC103", None, message, hint, severity=Severity.NOTE)
+
+
+def _files(root: Element) -> Iterator[tuple[Element, str]]:
+    for element in root.walk():
+        for name, value in element.attributes.items():
+            if name.startswith("file") and value and element.tag != "include":
+                yield element, value

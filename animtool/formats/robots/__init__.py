@@ -1,0 +1,1 @@
+"""What URDF and MJCF share: XML, names, mass, colliders, and the rig of a robot."""

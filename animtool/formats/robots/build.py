@@ -1,0 +1,198 @@
+"""The rig of a robot: every link and every joint that moves is a joint of its name.
+
+A joint that moves a link of the same name, in the same frame, is one with it; otherwise
+the link is a fixed joint below. Joints that cannot move are named by their link alone.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from animtool.core.errors import Severity, counted, listed
+from animtool.core.quantities import CONTROL, length_text
+from animtool.core.record import dataclass
+from animtool.core.units import UpAxis
+from animtool.formats.robots.notes import Notes
+from animtool.formats.robots.parts import ORIGIN, Link, Move, Robot
+from animtool.formats.robots.solids import capsule_of, masses_of
+from animtool.rig.parts import Collider, Mass
+from animtool.rig.skeleton import Joint, JointType, Rig
+
+MAX_NAMED = 8
+# As long as names of rig files are.
+MAX_NAME = 4000
+_CONTROL = re.compile(f"[{CONTROL}]")
+
+
+@dataclass(frozen=True, slots=True)
+class RobotCodes:
+    """The codes of what a rig holds otherwise than the file."""
+
+    renamed: str
+    approximate: str  # colliders
+    left_out: str
+
+
+def legal_name(name: str) -> str:
+    r"""Return a name without what no text of a file may hold.
+
+    >>> legal_name("a\x1bb"), legal_name("elbow flex")
+    ('a_b', 'elbow flex')
+    """
+    return _CONTROL.sub("_", name)[:MAX_NAME]
+
+
+def build_rig(robot: Robot, notes: Notes, codes: RobotCodes) -> Rig:
+    """Return the rig of a robot in metres and radians, Z up, at rest at its zeros.
+
+    Notices of ``notes`` are the rig's, and what is not read is added to them.
+    """
+    names = _names(robot, notes, codes)
+    joints: list[Joint] = []
+    frames: list[int] = []
+    carriers: list[int] = []
+    colliders: list[Collider] = []
+    masses: list[Mass] = []
+    known = names.of_file
+    off = 0.0
+    for i, link in enumerate(robot.links):
+        parent = frames[link.parent] if link.parent >= 0 else -1
+        for move, name in zip(link.moves, names.moves[i], strict=True):
+            joints.append(_joint(move, name, parent, known))
+            parent = len(joints) - 1
+        carriers.append(parent)
+        if not names.merged[i]:
+            name = names.links[i]
+            joints.append(Joint(name, parent, JointType.FIXED, link.after))
+            if not link.moves:
+                carriers[-1] = len(joints) - 1
+        frames.append(len(joints) - 1)
+        for site, position, rotation in link.sites:
+            own = names.sites.get((i, site))
+            if own is not None:
+                fixed = JointType.FIXED
+                joints.append(Joint(own, frames[i], fixed, position, rotation))
+        carrier = joints[carriers[i]].name
+        shift = link.after if link.moves else ORIGIN
+        for solid in link.solids:
+            capsule, far = capsule_of(solid, shift)
+            off = max(off, far)
+            colliders.append(Collider(carrier, capsule))
+        if link.weight is not None:
+            masses.append(masses_of(carrier, link.weight, shift))
+    if off:
+        _note_approximate(robot, notes, codes, off)
+    if notes.left_out:
+        message = f"not read: {listed(list(notes.left_out), 20)}"
+        notes.add(codes.left_out, None, message, severity=Severity.NOTE)
+    return Rig(
+        legal_name(robot.name) or notes.path.stem,
+        tuple(joints),
+        up=UpAxis.Z,
+        colliders=tuple(colliders),
+        masses=tuple(masses),
+        radians_per_unit=1.0,
+        notices=tuple(notes.notices),
+    )
+
+
+def _joint(move: Move, name: str, parent: int, known: Mapping[str, str]) -> Joint:
+    mimic, driven = move.mimic, move.driven
+    if mimic is not None:
+        mimic = replace(mimic, joint=known[mimic.joint])
+    return Joint(
+        name,
+        parent,
+        move.type,
+        move.translation,
+        move.rotation,
+        move.axis,
+        limits=move.limits,
+        mimic=mimic,
+        driven=None if driven is None else driven.renamed(known),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Names:
+    """What joints of the rig are called."""
+
+    links: list[str]  # by link
+    moves: list[list[str]]  # by link, of its moves
+    merged: list[bool]  # by link, whether its last move is it
+    sites: dict[tuple[int, str], str]  # by link and site
+    of_file: dict[str, str]  # by the file's name of a joint
+
+
+def _names(robot: Robot, notes: Notes, codes: RobotCodes) -> _Names:
+    taken: set[str] = set()
+    numbers: dict[str, int] = {}
+    changed: list[str] = []
+
+    def own(name: str, given: str, ending: str = "") -> str:
+        """Return a name that is not taken; one that differs is noted."""
+        unique = name
+        if unique in taken and ending:
+            unique = f"{name}{ending}"
+        stem = unique
+        while unique in taken:
+            numbers[stem] = numbers.get(stem, 1) + 1
+            unique = f"{stem}_{numbers[stem]}"
+        taken.add(unique)
+        if given and unique != given:
+            changed.append(f"{given!r} is {unique!r}")
+        return unique
+
+    links = [own(legal_name(link.name), link.name) for link in robot.links]
+    made: list[list[str]] = []
+    merged: list[bool] = []
+    of_file: dict[str, str] = {}
+    for link, name in zip(robot.links, links, strict=True):
+        last = link.moves[-1] if link.moves else None
+        one = last is not None and _is_link(link, last)
+        merged.append(one)
+        row = []
+        for k, move in enumerate(link.moves):
+            if one and move is last:
+                new = name
+            elif move.name:
+                new = own(legal_name(move.name), move.name, "_joint")
+            else:
+                new = own(f"{name}_joint_{k + 1}", "")
+            row.append(new)
+            if move.name:
+                of_file[move.name] = new
+        made.append(row)
+    sites = {
+        (i, site): own(legal_name(site), site, "_site")
+        for i, link in enumerate(robot.links)
+        for site, _, _ in link.sites
+    }
+    if changed:
+        message = f"{counted(len(changed), 'name')} changed, as links and joints "
+        message += f"of a rig share their names: {listed(changed, MAX_NAMED)}"
+        notes.add(codes.renamed, None, message, severity=Severity.NOTE)
+    return _Names(links, made, merged, sites, of_file)
+
+
+def _is_link(link: Link, last: Move) -> bool:
+    """Return whether a link's last joint has its name and its frame."""
+    return last.name in {"", link.name} and not np.any(link.after)
+
+
+def _note_approximate(
+    robot: Robot, notes: Notes, codes: RobotCodes, off: float
+) -> None:
+    count = sum(
+        solid.kind in {"box", "cylinder"}
+        for link in robot.links
+        for solid in link.solids
+    )
+    message = f"{counted(count, 'box or cylinder', 'boxes and cylinders')} collide as "
+    message += f"capsules, whose surfaces are up to {length_text(off)} off"
+    hint = "colliders of a rig are capsules; a rig file over this one may have others"
+    notes.add(codes.approximate, None, message, hint, severity=Severity.NOTE)

@@ -1,0 +1,141 @@
+"""What is wrong with a robot file and what is odd, gathered with lines and names."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable
+from dataclasses import field
+from pathlib import Path
+
+from animtool.core.errors import Fault, FormatError, Severity, counted, excerpt
+from animtool.core.record import dataclass
+from animtool.formats.robots.xml import Element
+
+# More are of one cause.
+MAX_FAULTS = 50
+# No robot is larger [m], and no angle or weight says more.
+LARGEST = 1e9
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
+
+
+@dataclass(slots=True, eq=False)
+class Notes:
+    """Faults and notices of a file.
+
+    Attributes:
+        path: The file.
+        number_code: Of an attribute that is no number.
+        faults: Errors, in the order found.
+        notices: Warnings and notes.
+        left_out: What is not read, in words, each once.
+    """
+
+    path: Path
+    number_code: str
+    faults: list[Fault] = field(default_factory=list)
+    notices: list[Fault] = field(default_factory=list)
+    left_out: dict[str, None] = field(default_factory=dict)
+
+    def add(
+        self,
+        code: str,
+        element: Element | None,
+        message: str,
+        hint: str | None = None,
+        *,
+        where: str | None = None,
+        joint: str | None = None,
+        severity: Severity = Severity.ERROR,
+    ) -> None:
+        """Note what is wrong at an element; None is the whole file."""
+        path = self.path if element is None else element.path
+        lines = () if element is None else (element.line,)
+        column = None if element is None else element.column
+        fault = Fault(
+            code, message, str(path), lines, hint, severity, column, where, joint=joint
+        )
+        (self.faults if severity is Severity.ERROR else self.notices).append(fault)
+
+    def check(self) -> None:
+        """Raise `FormatError` with every fault, where there are any."""
+        if not self.faults:
+            return
+        shown = self.faults[:MAX_FAULTS]
+        more = len(self.faults) - len(shown)
+        if more:
+            last = shown[-1]
+            message = f"and {counted(more, 'more fault')} of this kind or another"
+            shown.append(Fault(last.code, message, str(self.path)))
+        raise FormatError(shown)
+
+    def numbers(
+        self,
+        element: Element,
+        name: str,
+        count: int,
+        default: tuple[float, ...],
+        where: str,
+        most: float = LARGEST,
+    ) -> tuple[float, ...]:
+        """Return the numbers of an attribute; its default where it is left out.
+
+        Those beyond ``most`` are noted, and all that are not finite.
+        """
+        text = element.attributes.get(name)
+        if text is None:
+            return default
+        values = text.split()
+        problem, hint = "", f"write {'a number' if count == 1 else f'{count} numbers'}"
+        if len(values) != count:
+            problem = f"{counted(len(values), 'value')}, not {count}"
+            if "," in text:
+                hint = "separate numbers by blanks, and write decimals with a point"
+        found = []
+        for value in values:
+            number = to_number(value)
+            if number is None:
+                problem = problem or f"{excerpt(value)} is no number"
+                if "," in value:
+                    hint = "separate numbers by blanks, and write decimals with a point"
+            elif not math.isfinite(number):
+                problem = problem or f"{excerpt(value)} is not finite"
+            elif abs(number) > most:
+                problem = problem or f"{excerpt(value)} is beyond {most:g}"
+            else:
+                found.append(number)
+        if problem:
+            message = f"{name} of <{element.tag}> is {excerpt(text)}: {problem}"
+            self.add(self.number_code, element, message, hint, where=where)
+            return default
+        return tuple(found)
+
+    def number(self, element: Element, name: str, default: float, where: str) -> float:
+        """Return the number of an attribute; see `numbers`."""
+        return self.numbers(element, name, 1, (default,), where)[0]
+
+    def leave_out(self, names: Iterable[str]) -> None:
+        """Note what is not read."""
+        self.left_out.update(dict.fromkeys(names))
+
+
+def to_number(text: str) -> float | None:
+    """Return a decimal number, infinite or not a number too; None for other text.
+
+    >>> to_number("1e-3"), to_number("1_0"), to_number("0x1p3")
+    (0.001, None, None)
+    """
+    if _NUMBER.fullmatch(text):
+        return float(text)
+    if text.lower().lstrip("+-") in {"nan", "inf", "infinity"}:
+        return math.nan
+    return None
+
+
+def named(kind: str, name: str) -> str:
+    """Return what a fault calls a joint or link.
+
+    >>> named("joint", "elbow flex")
+    "joint 'elbow flex'"
+    """
+    return f"{kind} {excerpt(name)}"

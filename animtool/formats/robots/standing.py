@@ -1,0 +1,46 @@
+"""A robot that stands: a take of one frame, for files that hold no motion."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+
+import numpy as np
+
+from animtool.core.array_types import FloatArray
+from animtool.ik.sub_rig import following
+from animtool.motion.motion import Channel, Motion
+from animtool.motion.take import TakeStream
+from animtool.rig.joints import coordinate_slices, local_from_coordinates
+from animtool.rig.limits import RangeLimit
+from animtool.rig.skeleton import JointType, Rig
+
+# Any: a frame alone has none.
+RATE = Fraction(24)
+
+
+def zero_coordinates(rig: Rig) -> FloatArray:
+    """Return coordinates ``(1, Q)`` at 0, or at the limit nearest to it.
+
+    Joints that follow others are where those put them.
+    """
+    slices = coordinate_slices(rig)
+    q = np.zeros((1, slices[-1].stop if slices else 0))
+    for joint, place in zip(rig.joints, slices, strict=True):
+        if joint.type in {JointType.FREE, JointType.BALL}:
+            q[0, place.stop - 1] = 1.0
+        elif isinstance(joint.limits, RangeLimit):
+            q[0, place] = joint.limits.clamped(q[0, place])
+    return following(rig, q, rig.names)
+
+
+def standing(rig: Rig, format_name: str) -> TakeStream:
+    """Return a take of one frame of a robot at its zeros."""
+    local = local_from_coordinates(rig, zero_coordinates(rig))
+    motion = Motion(
+        Channel.from_dense(local.translations), Channel.from_dense(local.rotations)
+    )
+    one = Fraction(1)
+    stream = TakeStream(rig, RATE, one, one, iter([motion]))
+    stream.notices += rig.notices
+    stream.details = {"format": format_name}
+    return stream

@@ -1,0 +1,201 @@
+"""XML as a tree of elements with their lines: no entities, nothing from outside."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import field
+from pathlib import Path
+from typing import NoReturn
+from xml.parsers import expat
+
+from animtool.core.errors import Fault, FormatError, excerpt
+from animtool.core.files.reading import MAX_TEXT_BYTES, read_input
+from animtool.core.record import dataclass
+
+# A robot of thousands of links has some ten thousand elements.
+MAX_ELEMENTS = 300_000
+MAX_DEPTH = 500
+MAX_ATTRIBUTES = 100
+MAX_VALUE = 100_000  # letters of an attribute
+# Text of an element that is kept, such as the name of a package.
+MAX_TEXT = 1000
+
+
+@dataclass(slots=True, eq=False)
+class Element:
+    """An element of a file.
+
+    Attributes:
+        tag: Its name, as written.
+        attributes: By name.
+        path: The file.
+        line: Its line, from 1 on.
+        column: Its column, likewise.
+        children: In the order of the file.
+        text: What is written in it, beside elements.
+    """
+
+    tag: str
+    attributes: dict[str, str]
+    path: Path
+    line: int
+    column: int
+    children: list[Element] = field(default_factory=list)
+    text: str = ""
+
+    def all(self, tag: str) -> list[Element]:
+        """Return the children of a name."""
+        return [child for child in self.children if child.tag == tag]
+
+    def walk(self) -> Iterator[Element]:
+        """Yield it and all below it, in the order of the file."""
+        waiting = [self]
+        while waiting:
+            element = waiting.pop()
+            yield element
+            waiting += reversed(element.children)
+
+
+@dataclass(frozen=True, slots=True)
+class XmlCodes:
+    """The codes of what is wrong with a file as XML."""
+
+    malformed: str
+    entities: str  # of a DTD, and so of entities
+    limits: str
+
+
+class _Refused(Exception):  # noqa: N818  # control flow inside this module
+    """What a handler refuses: a code, a message and a hint."""
+
+    def __init__(self, code: str, message: str, hint: str) -> None:
+        self.code, self.message, self.hint = code, message, hint
+        super().__init__(message)
+
+
+def read_xml(path: Path, codes: XmlCodes) -> Element:
+    """Return the root element of an XML file.
+
+    Raises:
+        FormatError: It cannot be read (IO001, IO010), or is malformed, has a DTD, or
+            is larger or deeper than any robot, by ``codes``.
+    """
+    return parse_xml(read_input(path, MAX_TEXT_BYTES), path, codes)
+
+
+def parse_xml(content: bytes, path: Path, codes: XmlCodes) -> Element:
+    """Return the root element of the content of a file; see `read_xml`."""
+    return _Parsing(path, codes).root_of(content)
+
+
+class _Parsing:
+    """Handlers of expat, which build the tree."""
+
+    def __init__(self, path: Path, codes: XmlCodes) -> None:
+        self._path, self._codes = path, codes
+        self._open: list[Element] = []
+        self._root: Element | None = None
+        self._count = 0
+        self._before = 0  # lines that the parser is not given
+        parser = expat.ParserCreate()
+        parser.buffer_text = True
+        parser.SetParamEntityParsing(expat.XML_PARAM_ENTITY_PARSING_NEVER)
+        parser.StartElementHandler = self._start
+        parser.EndElementHandler = self._end
+        parser.CharacterDataHandler = self._text
+        parser.StartDoctypeDeclHandler = self._doctype
+        parser.EntityDeclHandler = self._doctype
+        parser.ExternalEntityRefHandler = self._doctype
+        self._parser = parser
+
+    def root_of(self, content: bytes) -> Element:
+        # A declaration behind blank lines is no XML, and many tools write it.
+        declared = content.lstrip(b" \t\r\n")
+        if declared.startswith(b"<?xml"):
+            self._before = content[: len(content) - len(declared)].count(b"\n")
+            content = declared
+        try:
+            self._parser.Parse(content, True)
+        except _Refused as error:
+            self._fail(error.code, error.message, error.hint)
+        except expat.ExpatError as error:
+            self._malformed(error)
+        except (LookupError, ValueError, UnicodeError) as error:
+            # Of an encoding that Python does not know, or that is no encoding of text.
+            message = f"cannot be decoded: {error}"
+            self._fail(self._codes.malformed, message, "save it as UTF-8")
+        assert self._root is not None
+        return self._root
+
+    def _malformed(self, error: expat.ExpatError) -> NoReturn:
+        """Raise what expat says, in words that name the element."""
+        reason = expat.ErrorString(error.code) or "malformed"
+        hint = "export or copy the file again"
+        errors = expat.errors
+        if reason in {errors.XML_ERROR_UNCLOSED_TOKEN, errors.XML_ERROR_NO_ELEMENTS}:
+            reason = "the file holds no element"
+            if self._open:
+                reason = f"the file ends inside <{self._inner()}>"
+        elif reason == errors.XML_ERROR_TAG_MISMATCH and self._open:
+            reason = f"<{self._inner()}> is closed by another name"
+            hint = f"it begins in line {self._open[-1].line}"
+        elif reason == errors.XML_ERROR_UNDEFINED_ENTITY:
+            reason = "an entity that XML does not define"
+            hint = "write the text itself; & is &amp;"
+        self._fail(
+            self._codes.malformed,
+            f"invalid XML: {reason}",
+            hint,
+            (error.lineno, error.offset + 1),
+        )
+
+    def _inner(self) -> str:
+        return self._open[-1].tag[:60] if self._open else "?"
+
+    def _fail(
+        self, code: str, message: str, hint: str, at: tuple[int, int] | None = None
+    ) -> NoReturn:
+        parser = self._parser
+        line, column = at or (
+            parser.CurrentLineNumber,
+            parser.CurrentColumnNumber + 1,
+        )
+        line += self._before
+        fault = Fault(code, message, str(self._path), (line,), hint, column=column)
+        raise FormatError(fault)
+
+    def _start(self, tag: str, attributes: dict[str, str]) -> None:
+        self._count += 1
+        over = "no robot is that large: is it the right file?"
+        if self._count > MAX_ELEMENTS:
+            message = f"more than {MAX_ELEMENTS:,} elements"
+            raise _Refused(self._codes.limits, message, over)
+        if len(self._open) >= MAX_DEPTH:
+            message = f"elements are nested deeper than {MAX_DEPTH}"
+            raise _Refused(self._codes.limits, message, over)
+        longest = max(map(len, attributes.values()), default=0)
+        if len(attributes) > MAX_ATTRIBUTES or longest > MAX_VALUE:
+            message = f"<{excerpt(tag)[1:-1]}> has more than {MAX_ATTRIBUTES} "
+            message += f"attributes, or one of more than {MAX_VALUE:,} letters"
+            raise _Refused(self._codes.limits, message, over)
+        line = self._parser.CurrentLineNumber + self._before
+        column = self._parser.CurrentColumnNumber + 1
+        element = Element(tag, attributes, self._path, line, column)
+        if self._open:
+            self._open[-1].children.append(element)
+        else:
+            self._root = element
+        self._open.append(element)
+
+    def _end(self, _tag: str) -> None:
+        self._open.pop()
+
+    def _text(self, text: str) -> None:
+        inner = self._open[-1]
+        if len(inner.text) < MAX_TEXT:
+            inner.text += text[:MAX_TEXT]
+
+    def _doctype(self, *_given: object) -> int:
+        message = "it has a DTD, and so may have entities: these are not read"
+        hint = "delete the DOCTYPE, and write out what its entities stand for"
+        raise _Refused(self._codes.entities, message, hint)

@@ -1,0 +1,37 @@
+"""A URDF as a rig, and as a take of one frame."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from animtool.formats.robots.standing import standing
+from animtool.formats.urdf.rig import rig_of_urdf
+from animtool.motion.take import TakeStream
+from animtool.rig.skeleton import Rig
+
+
+def read_urdf_rig(path: Path | str) -> Rig:
+    """Return the rig of a URDF: metres, radians, Z up, at rest with its joints at 0.
+
+    Links are joints of their names, and so are the joints that move them. Simple
+    shapes that collide are capsules, and inertias masses. Its meshes are not opened.
+
+    Args:
+        path: A .urdf file.
+
+    Raises:
+        FormatError: With every fault of the file (URD001 to URD016).
+    """
+    return rig_of_urdf(Path(path))
+
+
+def read_urdf(path: Path | str) -> TakeStream:
+    """Open a URDF as a take of one frame: its joints at 0, or their nearest limit.
+
+    Args:
+        path: A .urdf file.
+
+    Raises:
+        FormatError: As `read_urdf_rig` does.
+    """
+    return standing(read_urdf_rig(path), "URDF")

@@ -1,0 +1,195 @@
+"""A URDF as a robot: links in order, joints as what a rig has in their place."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from animtool.core.errors import Severity, counted, excerpt, listed
+from animtool.formats.robots.build import RobotCodes, build_rig
+from animtool.formats.robots.notes import Notes, named
+from animtool.formats.robots.packages import OutsideError, Places
+from animtool.formats.robots.parts import Link, Move, Robot, vector
+from animtool.formats.urdf.elements import (
+    CODES,
+    SCALAR,
+    Kind,
+    UrdfFile,
+    UrdfJoint,
+    read_file,
+)
+from animtool.formats.urdf.tree import check_tree, resolved_mimics
+from animtool.maths import so3
+from animtool.rig.skeleton import JointType, Mimic, Rig
+
+MAX_NAMED = 8
+_CODES = RobotCodes("URD102", "URD106", "URD101")
+_TYPES = {
+    Kind.REVOLUTE: JointType.PIN,
+    Kind.CONTINUOUS: JointType.PIN,
+    Kind.PRISMATIC: JointType.PRISMATIC,
+    Kind.FLOATING: JointType.FREE,
+    Kind.FIXED: JointType.FIXED,
+}
+# Limits of a mimic that are exceeded by less are rounding [rad], [m].
+ROUNDING = 1e-9
+
+
+def rig_of_urdf(path: Path) -> Rig:
+    """Return the rig of a URDF.
+
+    Raises:
+        FormatError: With every fault of the file (URD001 to URD016).
+    """
+    notes = Notes(path, "URD007")
+    file = read_file(path, notes)
+    check_tree(file, notes)
+    mimics = resolved_mimics(file, notes)
+    _check_meshes(file, path, notes)
+    notes.check()
+    _note_idle(file, notes)
+    _note_ranges(file, mimics, notes)
+    robot = Robot(file.name or path.stem, _links(file, mimics))
+    return build_rig(robot, notes, _CODES)
+
+
+def _links(file: UrdfFile, mimics: dict[str, Mimic]) -> list[Link]:
+    """Return the links, parents before children, each branch down to its end."""
+    below: dict[str, list[UrdfJoint]] = {name: [] for name in file.links}
+    children = set()
+    for one in file.joints.values():
+        below[one.parent].append(one)
+        children.add(one.child)
+    root = next(name for name in file.links if name not in children)
+    links: list[Link] = []
+    waiting: list[tuple[str, int, UrdfJoint | None]] = [(root, -1, None)]
+    while waiting:
+        name, parent, joint = waiting.pop()
+        given = file.links[name]
+        moves = [] if joint is None else _moves(joint, mimics.get(joint.name))
+        link = Link(name, parent, moves, solids=given.solids, weight=given.weight)
+        links.append(link)
+        index = len(links) - 1
+        waiting += [(own.child, index, own) for own in reversed(below[name])]
+    return links
+
+
+def _moves(joint: UrdfJoint, mimic: Mimic | None) -> list[Move]:
+    """Return what of a rig a joint is."""
+    if joint.kind is Kind.PLANAR:
+        return _planar(joint)
+    fixed = joint.kind is Kind.FIXED
+    return [
+        Move(
+            "" if fixed else joint.name,
+            _TYPES[joint.kind],
+            joint.position,
+            joint.rotation,
+            joint.axis if joint.kind in SCALAR else (0.0, 0.0, 1.0),
+            joint.limits,
+            mimic,
+        )
+    ]
+
+
+def _planar(joint: UrdfJoint) -> list[Move]:
+    """Return two slides and a pin: x and y are turned as the axis is from z."""
+    turn = so3.between(np.array([0.0, 0.0, 1.0]), np.array(joint.axis))
+    x, y = (vector(so3.rotate(turn, np.eye(3)[k])) for k in (0, 1))
+    slide = JointType.PRISMATIC
+    first = Move(f"{joint.name}_x", slide, joint.position, joint.rotation, x)
+    second = Move(f"{joint.name}_y", slide, axis=y)
+    return [first, second, Move(joint.name, JointType.PIN, axis=joint.axis)]
+
+
+def _check_meshes(file: UrdfFile, path: Path, notes: Notes) -> None:
+    """Note meshes outside of the project, which are refused, and missing ones."""
+    meshes = [(link, mesh) for link in file.links.values() for mesh in link.meshes]
+    if not meshes:
+        return
+    places = Places.of(path, CODES)
+    missing: dict[str, None] = {}
+    refused: set[tuple[str, str]] = set()
+    for link, mesh in meshes:
+        name = mesh.attributes["filename"]
+        try:
+            found = places.find(name)
+        except OutsideError as error:
+            if (link.name, name) in refused:
+                continue
+            refused.add((link.name, name))
+            message = f"its mesh {excerpt(name, 100)} is refused: {error}"
+            hint = "copy it into the project, or name its folder in animtool.toml: "
+            hint += "roots = [...]"
+            notes.add("URD016", mesh, message, hint, where=named("link", link.name))
+            continue
+        if found is None:
+            missing[name] = None
+    if missing:
+        message = f"{counted(len(missing), 'mesh', 'meshes')} not found: "
+        message += listed([excerpt(name, 80) for name in missing], MAX_NAMED)
+        hint = "motion needs none of them; package:// means a folder of that name in "
+        hint += "the project, or the package that the file is in"
+        notes.add("URD103", None, message, hint, severity=Severity.NOTE)
+
+
+def _note_idle(file: UrdfFile, notes: Notes) -> None:
+    """Note joints that nothing drives, where transmissions drive others."""
+    if not file.has_drives:
+        return
+    idle = [
+        joint.name
+        for joint in file.joints.values()
+        if joint.kind in SCALAR
+        and joint.mimic is None
+        and joint.name not in file.driven
+    ]
+    if idle:
+        message = f"no transmission drives {counted(len(idle), 'joint')}: "
+        message += listed([excerpt(name) for name in idle], MAX_NAMED)
+        hint = "in a rig they move as all others do"
+        notes.add("URD105", None, message, hint, severity=Severity.NOTE)
+
+
+def _note_ranges(file: UrdfFile, mimics: dict[str, Mimic], notes: Notes) -> None:
+    """Note zeros that limits exclude, and mimics that go beyond their limits."""
+    off = [
+        joint.name
+        for joint in file.joints.values()
+        if joint.limits is not None
+        and joint.name not in mimics
+        and not joint.limits.low <= 0.0 <= joint.limits.high
+    ]
+    if off:
+        message = f"0 is outside the limits of {counted(len(off), 'joint')}: "
+        message += listed([excerpt(name) for name in off], MAX_NAMED)
+        hint = "the rest pose is at 0 all the same; a take stands at the nearest limit"
+        notes.add("URD109", None, message, hint, severity=Severity.NOTE)
+    for name, mimic in mimics.items():
+        own, leader = file.joints[name], file.joints[mimic.joint]
+        if own.limits is None or leader.limits is None:
+            continue
+        ends = [
+            mimic.gain * end + mimic.offset
+            for end in (leader.limits.low, leader.limits.high)
+        ]
+        low, high = own.limits.low - ROUNDING, own.limits.high + ROUNDING
+        if min(ends) < low or max(ends) > high:
+            message = (
+                f"where it mimics {leader.where}, it goes from {min(ends):.4g} to "
+            )
+            message += f"{max(ends):.4g}, beyond its limits {own.limits.low:.4g} to "
+            message += f"{own.limits.high:.4g}"
+            hint = (
+                "make its limits wider, or those of the joint that it mimics narrower"
+            )
+            notes.add(
+                "URD108",
+                own.element,
+                message,
+                hint,
+                where=own.where,
+                joint=name,
+                severity=Severity.WARNING,
+            )

@@ -1,0 +1,140 @@
+"""The tree of a URDF: one root, a joint above each other link, mimics without loops."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from animtool.core.errors import circle, excerpt, listed
+from animtool.core.names import nearest
+from animtool.formats.robots.notes import Notes
+from animtool.formats.urdf.elements import SCALAR, UrdfFile, UrdfJoint
+from animtool.rig.skeleton import Mimic
+
+
+def check_tree(file: UrdfFile, notes: Notes) -> None:
+    """Note links that are missing, have two parents or none, and rings of joints."""
+    above: dict[str, UrdfJoint] = {}
+    missing = False
+    for joint in file.joints.values():
+        for tag, name in (("parent", joint.parent), ("child", joint.child)):
+            if name and name not in file.links:
+                missing = True
+                message = f"its {tag} link {excerpt(name)} does not exist"
+                hint = nearest(name, file.links)
+                _add(notes, "URD010", joint, message, hint)
+        if joint.child in above:
+            other = above[joint.child]
+            message = f"link {excerpt(joint.child)} has two parents, "
+            message += f"{excerpt(other.parent)} by joint {excerpt(other.name)} and "
+            message += f"{excerpt(joint.parent)} by joint {excerpt(joint.name)}"
+            ring = _ring(joint, above)
+            hint = "a robot is a tree: remove one of the two joints"
+            if ring:
+                message += f"; {circle(ring)} go round"
+            _add(notes, "URD011", joint, message, hint)
+        elif joint.child:
+            above[joint.child] = joint
+    if missing or notes.faults:
+        return
+    _check_roots(file, above, notes)
+
+
+def _ring(joint: UrdfJoint, above: dict[str, UrdfJoint]) -> list[str]:
+    """Return the joints that lead from a joint's child back to it; empty for none."""
+    names, link = [joint.name], joint.parent
+    seen: set[str] = set()
+    while link in above and link not in seen:
+        if link == joint.child:
+            return [*reversed(names), names[-1]]
+        seen.add(link)
+        names.append(above[link].name)
+        link = above[link].parent
+    return [*reversed(names), names[-1]] if link == joint.child else []
+
+
+def _check_roots(file: UrdfFile, above: dict[str, UrdfJoint], notes: Notes) -> None:
+    roots = [name for name in file.links if name not in above]
+    if len(roots) > 1:
+        message = f"{len(roots)} links have no parent: {listed(_quoted(roots))}"
+        hint = "a robot has one root: join the others to it by joints"
+        second = file.links[roots[1]].element
+        notes.add("URD012", second, message, hint)
+    reached = set(roots)
+    below: dict[str, list[str]] = {}
+    for joint in file.joints.values():
+        below.setdefault(joint.parent, []).append(joint.child)
+    waiting = list(roots)
+    while waiting:
+        for child in below.get(waiting.pop(), ()):
+            if child not in reached:
+                reached.add(child)
+                waiting.append(child)
+    lost = [name for name in file.links if name not in reached]
+    if lost:
+        names = [above[lost[0]].name]
+        link = above[lost[0]].parent
+        seen = [lost[0]]
+        while link not in seen:
+            seen.append(link)
+            names.append(above[link].name)
+            link = above[link].parent
+        names = names[seen.index(link) :]
+        first = file.joints[names[0]]
+        message = f"joints go round: {circle([*reversed(names), names[-1]])}"
+        if not roots:
+            message += "; every link has a parent, so there is no root"
+        _add(notes, "URD011", first, message, "remove one of these joints")
+
+
+def _quoted(names: Iterable[str]) -> list[str]:
+    return [excerpt(name) for name in names]
+
+
+def resolved_mimics(file: UrdfFile, notes: Notes) -> dict[str, Mimic]:
+    """Return of each joint that mimics another which one moves it in the end.
+
+    A mimic of a mimic is one of the first, by both multipliers and offsets.
+    """
+    for joint in file.joints.values():
+        if joint.mimic is None:
+            continue
+        leader = file.joints.get(joint.mimic.joint)
+        if leader is None:
+            message = f"it mimics joint {excerpt(joint.mimic.joint)}, which does not "
+            hint = nearest(joint.mimic.joint, file.joints)
+            _add(notes, "URD015", joint, f"{message}exist", hint)
+        elif leader.kind not in SCALAR:
+            message = f"it mimics {leader.where}, which is {leader.kind}"
+            hint = "a mimic follows a revolute, continuous or prismatic joint"
+            _add(notes, "URD015", joint, message, hint)
+    if notes.faults:
+        return {}
+    found: dict[str, Mimic] = {}
+    told: set[str] = set()
+    for joint in file.joints.values():
+        mimic, names = joint.mimic, [joint.name]
+        if mimic is None:
+            continue
+        while (further := file.joints[mimic.joint].mimic) is not None:
+            names.append(mimic.joint)
+            if mimic.joint in names[:-1] or further.joint == mimic.joint:
+                break
+            gain = mimic.gain * further.gain
+            offset = mimic.gain * further.offset + mimic.offset
+            mimic = Mimic(further.joint, gain, offset)
+        else:
+            found[joint.name] = mimic
+            continue
+        ring = names[names.index(mimic.joint) :]
+        ring = ring if len(ring) > 1 else [mimic.joint, mimic.joint]
+        if not told.intersection(ring):
+            message = f"joints mimic each other: {circle(ring)}"
+            _add(notes, "URD015", file.joints[ring[0]], message, "one must move itself")
+        told.update(ring)
+    return found
+
+
+def _add(
+    notes: Notes, code: str, joint: UrdfJoint, message: str, hint: str | None
+) -> None:
+    notes.add(code, joint.element, message, hint, where=joint.where, joint=joint.name)

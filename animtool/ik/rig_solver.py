@@ -1,0 +1,155 @@
+"""A problem and how to solve it, as the kernel takes both."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from animtool import _kernels
+from animtool.core.array_types import BoolArray, FloatArray, IntArray
+from animtool.ik.limbs import limb_arrays
+from animtool.ik.options import IkMethod, IkOptions
+from animtool.ik.problem import Problem
+from animtool.ik.sub_rig import mimics
+from animtool.ik.two_bone import fits
+from animtool.rig.joints import coordinate_slices
+from animtool.rig.skeleton import Rig
+
+# Coordinates, misses, reports, seconds, which goals are reached, what bones are
+# multiplied by, positions and linear parts of the joints.
+RigSolved: TypeAlias = tuple[
+    FloatArray,
+    FloatArray,
+    IntArray,
+    FloatArray,
+    BoolArray,
+    FloatArray,
+    FloatArray,
+    FloatArray,
+]
+
+# Numbers of the methods in the kernel.
+KERNEL_METHODS = {
+    IkMethod.AUTO: 0,
+    IkMethod.DAMPED: 0,
+    IkMethod.TWO_BONE: 0,
+    IkMethod.GRADIENT: 1,
+    IkMethod.NEWTON: 2,
+    IkMethod.CCD: 3,
+    IkMethod.FABRIK: 4,
+}
+# Methods that may take the closed form.
+CLOSED = {IkMethod.AUTO, IkMethod.TWO_BONE}
+# Damping of the first step: far from the goals, and beside them.
+COLD_DAMPING, WARM_DAMPING = 1e-3, 1e-6
+
+
+class ClosedForm(IntEnum):
+    """How a problem can be solved without steps, as kernels number it."""
+
+    NONE = 0
+    LIMB = 1  # two bones and a position
+    ARM = 2  # six pins and a pose
+
+
+def closed_form(problem: Problem) -> ClosedForm:
+    """Return the closed form of a problem, or that it has none."""
+    if "closed" not in problem.kept:
+        problem.kept["closed"] = _closed_form(problem)
+    return ClosedForm(problem.kept["closed"])
+
+
+def _closed_form(problem: Problem) -> ClosedForm:
+    if fits(problem):
+        return ClosedForm.LIMB
+    arm = _kernels.arm_kind(*problem.chain.arrays, problem.rest_weight)
+    return ClosedForm.ARM if arm else ClosedForm.NONE
+
+
+def make_solver(problem: Problem, options: IkOptions) -> _kernels.RigSolver:
+    """Return a solver of a problem, which remembers the last frame it solved."""
+    closed = closed_form(problem) if options.method in CLOSED else ClosedForm.NONE
+    if "arrays" not in problem.kept:
+        problem.kept["arrays"] = _kernel_arrays(problem)
+    return _kernels.RigSolver(
+        **problem.kept["arrays"],
+        rest_weight=problem.rest_weight,
+        closed=int(closed),
+        **option_numbers(options),
+    )
+
+
+def option_numbers(options: IkOptions) -> dict[str, Any]:
+    """Return options as the solvers of the kernel take them."""
+    return {
+        "length_tolerance": options.tolerance,
+        "angle_tolerance": options.angle_tolerance,
+        "damping": WARM_DAMPING if options.warm else COLD_DAMPING,
+        "iterations": options.iterations,
+        "restarts": options.restarts,
+        "seed": options.seed,
+        "seconds": options.seconds,
+        "ordered": options.ordered,
+        "warm": options.warm,
+        "method": KERNEL_METHODS[options.method],
+    }
+
+
+def _kernel_arrays(problem: Problem) -> dict[str, Any]:
+    """Return the chain, the goals, the limbs and the rig of a problem."""
+    chain, rig = problem.chain, problem.rig
+    limbs, limb_numbers = limb_arrays(problem.limbs)
+    bones = [[j, limb.goal] for limb in problem.limbs for j in limb.joints]
+    pairs, numbers = _mimic_columns(rig, problem.joints)
+    types, columns, axes = rig.joint_arrays
+    return {
+        "nodes": chain.nodes,
+        "numbers": chain.numbers,
+        "goals": chain.goals,
+        "goal_numbers": chain.goal_numbers,
+        "goal_frames": chain.goal_frames,
+        "length": chain.length,
+        "columns": chain.columns,
+        "scales": chain.scales,
+        "periods": chain.periods,
+        "balls": np.array([first for first, _ in chain.turns], np.int64),
+        "ball_frames": np.array([turn for _, turn in chain.turns]).reshape(-1, 4),
+        "mimics": pairs,
+        "mimic_numbers": numbers,
+        "limbs": limbs,
+        "limb_numbers": limb_numbers,
+        "limb_joints": np.array(bones, np.int64).reshape(-1, 2),
+        "parents": rig.parents,
+        "types": types,
+        "joint_columns": columns,
+        "axes": axes,
+        "rest_translations": rig.rest_translations,
+        "rest_rotations": rig.rest_rotations,
+    }
+
+
+def _mimic_columns(rig: Rig, moved: tuple[str, ...]) -> tuple[IntArray, FloatArray]:
+    """Return columns of followers and leaders ``(M, 2)``, and gains and offsets.
+
+    Leaders come before what follows them. Of a rig with drivers there are none: what
+    follows is the drivers' affair.
+    """
+    names = [] if rig.is_driven else mimics(rig, moved)
+    slices = coordinate_slices(rig)
+    pairs, numbers = [], []
+    known = set(rig.names) - set(names)
+    led = {joint.name: joint.mimic for joint in rig.joints if joint.mimic is not None}
+    while names:
+        ready = [name for name in names if led[name].joint in known] or names
+        for name in ready:
+            ends = rig.index(name), rig.index(led[name].joint)
+            pairs.append([slices[end].start for end in ends])
+            numbers.append([led[name].gain, led[name].offset])
+        known.update(ready)
+        names = [name for name in names if name not in known]
+    return (
+        np.array(pairs, np.int64).reshape(-1, 2),
+        np.array(numbers, np.float64).reshape(-1, 2),
+    )

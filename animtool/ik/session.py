@@ -1,0 +1,285 @@
+"""One pose after the other to the same goals: a viewer's loop, a script's."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import numpy as np
+
+from animtool.core.array_types import ArrayLike, FloatArray
+from animtool.core.errors import Fault, OptionError, excerpt, listed
+from animtool.core.record import dataclass
+from animtool.core.similar import similar
+from animtool.ik.goals import COLUMNS, KINDS, WEIGHTS, Goal, GoalKind, Targets, pack
+from animtool.ik.options import IkOptions
+from animtool.ik.problem import Problem, build, rest_pose
+from animtool.ik.result import IkResult
+from animtool.ik.rig_solver import ClosedForm, closed_form, make_solver
+from animtool.ik.solving import check_options, pose_rows, result_of, solve
+
+if TYPE_CHECKING:
+    from animtool import _kernels
+    from animtool.rig.skeleton import Rig
+
+# Of a joint: a position, or a position and a rotation, one of them None.
+PLAIN = (KINDS[0], KINDS[1])
+# Which kinds of targets a call has for which goal, in their order.
+Asked: TypeAlias = tuple[tuple[str, tuple[bool, ...]], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class _Packed:
+    """A problem, its solver, and where its targets are written."""
+
+    problem: Problem
+    solver: _kernels.RigSolver
+    targets: FloatArray  # ``(1, E, W)``
+    views: tuple[FloatArray, ...]  # of each part that is asked for, in order
+
+
+class Session:
+    """Goals of a rig that are solved for again and again, one pose a call.
+
+    What a call asks for is made a problem when it is first asked; later calls fill in
+    its targets. Poses, statuses and misses are those of `solve`, to the last bit.
+
+    Not with drivers of joints or ``near`` in the options are calls as quick: each is
+    then one of `solve`.
+
+    Args:
+        rig: J joints, Q coordinates.
+        goals: Names of joints, whose position is asked for, rotation, or both; or a
+            `Goal` for all else.
+        joints: Names of those that may move; None is every one that moves a goal.
+        pose: Coordinates ``(Q,)`` of the joints that do not move; None is rest.
+        options: Tolerances, budget, seed.
+        rest_weight: How strongly the preferred pose is kept, see `build`.
+
+    Raises:
+        OptionError: No goals (IK006), a goal stands twice (IK006), a joint that the rig
+            lacks (TGT001), or an option makes no sense (IK014).
+
+    >>> from animtool.rig.skeleton import Joint, JointType, Rig
+    >>> upper = Joint("upper", -1, JointType.PIN)
+    >>> lower = Joint("lower", 0, JointType.PIN, translation=(1, 0, 0))
+    >>> rig = Rig("arm", (upper, lower, Joint("tip", 1, translation=(1, 0, 0))))
+    >>> session = Session(rig, "tip", joints=["upper", "lower"])
+    >>> result = session.solve(tip=[1, 1, 0])
+    >>> result.world().positions[0, 2].round(6).tolist()
+    [1.0, 1.0, 0.0]
+    >>> str(session.solve(tip=[1, 1.1, 0], start=result.coordinates[0]).statuses[0])
+    'converged'
+    """
+
+    def __init__(
+        self,
+        rig: Rig,
+        *goals: str | Goal,
+        joints: Collection[str] | None = None,
+        pose: ArrayLike | None = None,
+        options: IkOptions | None = None,
+        rest_weight: float = 0.0,
+    ) -> None:
+        """Take what stays from call to call."""
+        self.rig = rig
+        self.options = options or IkOptions()
+        check_options(self.options)
+        self._joints = None if joints is None else tuple(joints)
+        self._pose, self._rest_weight = pose, rest_weight
+        self._goals = _named(rig, goals, self._joints or ())
+        self._packed: dict[Asked, _Packed] = {}
+
+    def __repr__(self) -> str:
+        """Return whose goals they are."""
+        return f"<Session of {self.rig.name!r}: {listed(list(self._goals))}>"
+
+    def solve(
+        self,
+        targets: Mapping[str, Any] | None = None,
+        /,
+        *,
+        start: ArrayLike | None = None,
+        prefer: ArrayLike | None = None,
+        **named: Any,
+    ) -> IkResult:
+        """Return a pose that comes as near to the goals as joints and limits let it.
+
+        Args:
+            targets: By the name of a goal, for names that are no words of Python.
+            start: Pose ``(Q,)``; None is the rest pose.
+            prefer: Pose ``(Q,)`` that ``rest_weight`` draws to; None is the start.
+            named: The same by keyword. Of a joint a point of the world ``(3,)`` [m], or
+                a pair of that and a quaternion x y z w, either of them None; of a
+                `Goal` the values of what it asks for in the order of its kinds, or the
+                value if it is one. A goal that a call leaves out is not asked for.
+
+        Raises:
+            OptionError: As of `build` and `solve`.
+        """
+        given = named if targets is None else {**targets, **named}
+        packed, values = self._filled(given)
+        if self.options.near or self.rig.is_driven:
+            return solve(
+                packed.problem, start, _targets(values), self.options, prefer=prefer
+            )
+        poses = [
+            None if rows is None else np.asarray(rows, np.float64)[None]
+            for rows in (start, prefer)
+        ]
+        first = rest_pose(packed.problem)[None] if poses[0] is None else poses[0]
+        try:
+            found = packed.solver.solve(first, values, poses[1], placed=True)
+        except ValueError:
+            # Numbers that are none, or not as many: `solve` says of what.
+            pack_again = pack(_targets(values), packed.problem.goals)
+            problem = packed.problem
+            rows = pose_rows(problem, start, 1, "start")
+            wished = None if prefer is None else pose_rows(problem, prefer, 1, "prefer")
+            found = packed.solver.solve(rows, pack_again, wished, placed=True)
+        return result_of(packed.problem, found)
+
+    def branches(
+        self,
+        targets: Mapping[str, Any] | None = None,
+        /,
+        *,
+        start: ArrayLike | None = None,
+        **named: Any,
+    ) -> FloatArray:
+        """Return all poses ``(N, Q)`` of an arm that reach a pose of its end.
+
+        Within the limits, the nearest to ``start`` first; angles that are open, where
+        axes are in line, are the start's.
+
+        Raises:
+            OptionError: The arm has no closed form (IK015): six pins in a row, of which
+                the last three meet, or the middle ones are parallel; and as of `solve`.
+        """
+        given = named if targets is None else {**targets, **named}
+        packed, values = self._filled(given)
+        problem = packed.problem
+        if closed_form(problem) is not ClosedForm.ARM:
+            message = f"{', '.join(given)} ends no arm whose poses have a closed form"
+            hint = "six pins in a row, the last three meeting in a point or the second "
+            hint += "to fourth parallel, with a position and a rotation to reach"
+            raise OptionError(Fault("IK015", message, hint=hint))
+        values = pack(_targets(values), problem.goals)
+        row = pose_rows(problem, start, 1, "start")[0]
+        return packed.solver.branches(row, values[0])
+
+    def _filled(self, given: Mapping[str, Any]) -> tuple[_Packed, FloatArray]:
+        """Return the problem of a call, with its targets filled in."""
+        asked: list[tuple[str, tuple[bool, ...]]] = []
+        parts: list[Any] = []
+        for name, value in given.items():
+            if name not in self._goals:
+                raise self._unknown(name)
+            own, which = _parts(name, self._goals[name], value)
+            asked.append((name, which))
+            parts += own
+        packed = self._packed.get(key := tuple(asked))
+        if packed is None:
+            packed = self._packed[key] = self._pack(key)
+        try:
+            for view, part in zip(packed.views, parts, strict=True):
+                if len(part) != len(view):
+                    raise ValueError  # noqa: TRY301 - of the same kind as numpy's
+                view[:] = part
+        except (TypeError, ValueError) as error:
+            raise _misshapen(given) from error
+        return packed, packed.targets
+
+    def _unknown(self, name: str) -> OptionError:
+        near = similar(name, self._goals)
+        hint = f"did you mean {near}?" if near else None
+        message = f"the session has no goal {excerpt(name)}"
+        return OptionError(Fault("TGT001", message, hint=hint))
+
+    def _pack(self, asked: Asked) -> _Packed:
+        """Return the problem of some goals, targets at rest."""
+        goals = [_asked_goal(self._goals[name], name, which) for name, which in asked]
+        problem = build(
+            self.rig,
+            goals,
+            joints=self._joints,
+            pose=self._pose,
+            rest_weight=self._rest_weight,
+        )
+        targets = np.zeros((1, len(goals), WEIGHTS.stop))
+        targets[:, :, COLUMNS["orientation"].stop - 1] = 1.0
+        targets[:, :, WEIGHTS] = 1.0
+        views = [
+            targets[0, e, COLUMNS[kind.name]]
+            for e, goal in enumerate(goals)
+            for kind in goal.kinds
+        ]
+        return _Packed(
+            problem, make_solver(problem, self.options), targets, tuple(views)
+        )
+
+
+def _named(
+    rig: Rig, goals: Sequence[str | Goal], joints: Sequence[str]
+) -> dict[str, Goal | None]:
+    """Return goals by the names of their joints; None is what a call makes of it."""
+    if not goals:
+        raise OptionError(Fault("IK006", "there are no goals"))
+    named: dict[str, Goal | None] = {}
+    faults = []
+    for each in goals:
+        name = each if isinstance(each, str) else each.joint
+        if name in named:
+            faults.append(Fault("IK006", f"{name!r} has two goals"))
+        named[name] = None if isinstance(each, str) else each
+    for name in (*named, *joints):
+        if name not in rig.names:
+            near = similar(name, rig.names)
+            hint = f"did you mean {near}?" if near else None
+            message = f"no joint of {rig.name!r} is {excerpt(name)}"
+            faults.append(Fault("TGT001", message, hint=hint))
+    if faults:
+        raise OptionError(faults)
+    return named
+
+
+def _kinds(goal: Goal | None) -> tuple[GoalKind, ...]:
+    return PLAIN if goal is None else goal.kinds
+
+
+def _parts(
+    name: str, goal: Goal | None, value: Any
+) -> tuple[Sequence[Any], tuple[bool, ...]]:
+    """Return the targets that a value of a goal has, and of which kinds they are."""
+    kinds = _kinds(goal)
+    if goal is None and (not isinstance(value, tuple) or len(value) == 3):
+        return (value,), (True, False)
+    if goal is not None and len(kinds) == 1:
+        return (value,), (True,)
+    if not isinstance(value, (tuple, list)) or len(value) != len(kinds):
+        raise _misshapen({name: value})
+    which = tuple([part is not None for part in value])
+    if goal is not None and not all(which):
+        raise _misshapen({name: value})
+    return [part for part in value if part is not None], which
+
+
+def _asked_goal(goal: Goal | None, name: str, which: tuple[bool, ...]) -> Goal:
+    if goal is not None:
+        return goal
+    return Goal(name, position=float(which[0]), orientation=float(which[1]))
+
+
+def _misshapen(given: Mapping[str, Any]) -> OptionError:
+    message = f"targets of {', '.join(given)} are not what their goals ask for"
+    hint = "of a joint a point (3,), or the pair of that and a quaternion (4,); of a "
+    hint += "Goal a value for each of its kinds"
+    return OptionError(Fault("IK010", message, hint=hint))
+
+
+def _targets(values: FloatArray) -> Targets:
+    """Return targets from their places side by side."""
+    return Targets(
+        **{kind.targets: values[:, :, COLUMNS[kind.name]] for kind in KINDS},
+        weights=values[:, :, WEIGHTS],
+    )

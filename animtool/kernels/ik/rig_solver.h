@@ -1,0 +1,76 @@
+// Problems of one rig, from its coordinates and targets in the world to poses of it.
+#pragma once
+
+#include <cstdint>
+#include <memory>
+#include <mutex>
+#include <optional>
+#include <tuple>
+#include <vector>
+
+#include "base/arrays.h"
+
+namespace animtool {
+
+// What the solver is made of: arrays of a problem, and how to solve it.
+struct RigSolverArrays {
+  // The chain and its goals, as for `solve_ik`.
+  In<std::int64_t, 2> nodes;
+  In<double, 2> numbers;
+  In<std::int64_t, 2> goals;
+  In<double, 2> goal_numbers;
+  double rest_weight;
+  // What targets are brought to.
+  In<double, 2> goal_frames;
+  double length;
+  // See `RigMapArrays`.
+  In<std::int64_t, 1> columns;
+  In<double, 1> scales;
+  In<double, 2> periods;
+  In<std::int64_t, 1> balls;
+  In<double, 2> ball_frames;
+  In<std::int64_t, 2> mimics;
+  In<double, 2> mimic_numbers;
+  // Limbs that ease out or stretch: goal, numbers; joints of their bones, and whose they are.
+  In<std::int64_t, 1> limbs;
+  In<double, 2> limb_numbers;
+  In<std::int64_t, 2> limb_joints;
+  // The joints of the rig.
+  In<std::int64_t, 1> parents, types, joint_columns;
+  In<double, 2> axes, rest_translations, rest_rotations;
+  int closed;
+  double length_tolerance, angle_tolerance, damping;
+  int iterations, restarts;
+  std::uint64_t seed;
+  double seconds;
+  bool ordered, warm;
+  int method;
+};
+
+// coordinates, misses, reports, seconds, reached, scales, positions, linear
+using RigSolved =
+    std::tuple<Out<double, 2>, Out<double, 3>, Out<std::int64_t, 2>, Out<double, 1>, Out<bool, 2>,
+               Out<double, 2>, Out<double, 3>, Out<double, 4>>;
+
+class RigSolver {
+ public:
+  explicit RigSolver(const RigSolverArrays& given);
+  ~RigSolver();
+
+  RigSolved solve(In<double, 2> starts, In<double, 3> targets,
+                  std::optional<In<double, 2>> preferred, bool placed);
+
+  Out<double, 2> branches(In<double, 1> start, In<double, 2> targets);
+
+ private:
+  struct Parts;
+
+  std::unique_ptr<Parts> parts_;
+  std::mutex busy_;
+};
+
+// Which closed form an arm of six pins has: 0 none, 1 a wrist, 2 parallel axes.
+int arm_kind(In<std::int64_t, 2> nodes, In<double, 2> numbers, In<std::int64_t, 2> goals,
+             In<double, 2> goal_numbers, double rest_weight);
+
+}  // namespace animtool

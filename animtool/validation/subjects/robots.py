@@ -1,0 +1,25 @@
+"""Robot files as their rules see them: what their readers find."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from animtool.core.files.reading import note_input
+from animtool.core.rules import Kind
+from animtool.rig.skeleton import Rig
+from animtool.validation.subjects.subject import CheckedFile
+
+
+def open_urdf(path: Path) -> CheckedFile:
+    """Return what is wrong with a URDF."""
+    return _open(Kind.URDF, path)
+
+
+def open_mjcf(path: Path) -> CheckedFile:
+    """Return what is wrong with an MJCF."""
+    return _open(Kind.MJCF, path)
+
+
+def _open(kind: Kind, path: Path) -> CheckedFile:
+    note_input(path)
+    return CheckedFile(kind, list(Rig.load(path).notices))

@@ -1,0 +1,185 @@
+"""One pose a call: the same as the batch, to the last bit."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from support.ik import arm, every_goal, limb, mixed_rig, random_pose, reached_by
+
+from animtool.core.errors import OptionError
+from animtool.ik import Goal, IkOptions, Session, Targets, build, solve
+from animtool.maths import so3
+from animtool.rig.joints import local_from_coordinates
+from animtool.rig.kinematics import forward
+from animtool.rig.skeleton import JointType, Mimic, Rig
+
+NAN = float("nan")
+
+
+def assert_same(one: Any, many: Any, row: int) -> None:
+    """Compare a result of a session with a row of a batch."""
+    np.testing.assert_array_equal(one.coordinates[0], many.coordinates[row])
+    np.testing.assert_array_equal(one.misses[0], many.misses[row])
+    assert one.statuses == many.statuses[row : row + 1]
+    assert one.iterations[0] == many.iterations[row]
+    assert one.stretches.tolist() == many.stretches[row : row + 1].tolist()
+
+
+@pytest.mark.parametrize("options", [IkOptions(), IkOptions(restarts=3, seed=5)])
+def test_a_session_has_the_answers_of_the_batch(options: IkOptions) -> None:
+    rig, goals = mixed_rig(), every_goal()
+    problem = build(rig, goals)
+    targets = reached_by(problem, random_pose(problem, 1, frames=6))
+    starts = random_pose(problem, 2, frames=6)
+    many = solve(problem, starts, targets, options)
+    session = Session(rig, *goals, options=options)
+    for row, start in enumerate(starts):
+        values = {
+            goal.joint: tuple(
+                np.asarray(getattr(targets, kind.targets))[row, e]
+                for kind in goal.kinds
+            )
+            for e, goal in enumerate(goals)
+        }
+        values["piston"] = values["piston"][0]
+        assert_same(session.solve(values, start=start), many, row)
+
+
+def test_a_joint_is_asked_for_what_a_call_has_of_it() -> None:
+    rig = mixed_rig()
+    session = rig.ik("hand", "other")
+    place, turn = np.array([0.4, 1.3, 0.3]), so3.exp([0.2, 0.1, -0.4])
+    wishes: list[tuple[dict[str, Any], list[Goal], Targets]] = [
+        (
+            {"hand": (place, turn)},
+            [Goal("hand", orientation=1.0)],
+            Targets([[place]], [[turn]]),
+        ),
+        ({"hand": place}, [Goal("hand")], Targets([[place]])),
+        (
+            {"hand": (None, turn)},
+            [Goal("hand", position=0.0, orientation=1.0)],
+            Targets(rotations=[[turn]]),
+        ),
+        (
+            {"other": [0.0, 1.4, 0.2], "hand": tuple(place)},
+            [Goal("other"), Goal("hand")],
+            Targets([[[0.0, 1.4, 0.2], place]]),
+        ),
+    ]
+    for _ in range(2):
+        for given, goals, targets in wishes:
+            many = solve(build(rig, goals), None, targets)
+            assert_same(session.solve(given), many, 0)
+
+
+def test_joints_are_where_forward_kinematics_has_them() -> None:
+    rig = mixed_rig()
+    session = rig.ik("hand")
+    result = session.solve(hand=[0.4, 1.3, 0.3])
+    local = local_from_coordinates(rig, result.coordinates)
+    world = forward(rig, local.translations, local.rotations)
+    np.testing.assert_array_equal(result.world().positions, world.positions)
+    np.testing.assert_array_equal(result.world().linear, world.linear)
+    assert result.world() is result.world()
+    moved = replace(result, coordinates=session.solve(hand=[0, 1, 0]).coordinates)
+    assert not np.array_equal(moved.world().positions, world.positions)
+
+
+def test_bones_of_a_session_stretch() -> None:
+    rig = limb()
+    stretching = Goal("elbow", (0.27, 0.0, 0.0), stretch=0.5)
+    found = Session(rig, stretching).solve(elbow=[0.8, 1.2, 0.0])
+    assert found.stretches[0, 0] > 1.1
+    placed = found.world().positions
+    rows = forward(
+        rig,
+        found.local_translations(),
+        local_from_coordinates(rig, found.coordinates).rotations,
+    )
+    np.testing.assert_allclose(placed, rows.positions, atol=1e-15)
+
+
+def test_joints_that_mimic_others_come_along() -> None:
+    joints = list(arm(3).joints)
+    joints.append(replace(joints[0], name="far", mimic=Mimic("near", 2.0, 0.1)))
+    joints.append(replace(joints[0], name="near", mimic=Mimic("b1", -0.5)))
+    rig = Rig("led", tuple(joints))
+    q = rig.ik("b2").solve(b2=[0.5, 0.3, 0.1]).coordinates[0]
+    assert q[4] == -0.5 * q[1]
+    assert q[3] == 2.0 * q[4] + 0.1
+
+
+def test_the_last_call_leaves_no_traces() -> None:
+    session = mixed_rig().ik("hand")
+    first = session.solve(hand=[0.4, 1.3, 0.3])
+    kept = first.coordinates.copy()
+    session.solve(hand=[9.0, 9.0, 9.0])
+    np.testing.assert_array_equal(first.coordinates, kept)
+    assert_same(session.solve(hand=[0.4, 1.3, 0.3]), first, 0)
+
+
+def test_options_that_take_longer_are_heeded() -> None:
+    rig = mixed_rig()
+    near = IkOptions(near=True)
+    problem = build(rig, [Goal("hand")])
+    targets = Targets([[[0.2, 1.2, 0.5]]])
+    start = random_pose(problem, 7)[0]
+    many = solve(problem, start, targets, near)
+    assert_same(
+        Session(rig, "hand", options=near).solve(hand=[0.2, 1.2, 0.5], start=start),
+        many,
+        0,
+    )
+
+
+@pytest.mark.parametrize(
+    ("call", "code"),
+    [
+        ({"hnad": [0, 0, 0]}, "TGT001"),
+        ({"hand": [0, 0]}, "IK010"),
+        ({"hand": 3.0}, "IK010"),
+        ({"hand": np.zeros((3, 3))}, "IK010"),
+        ({"hand": "abc"}, "IK010"),
+        ({"hand": ([0, 0, 0], [0, 0, 0, 1], [0, 0, 0])}, "IK010"),
+        ({"hand": [0, NAN, 0]}, "TGT007"),
+        ({"hand": ([0, 0, 0], [0, 0, 0, 0])}, "TGT007"),
+        ({"hand": (None, None)}, "TGT002"),
+        ({}, "IK006"),
+        ({"hand": [0, 0, 0], "start": np.zeros(3)}, "IK012"),
+        ({"hand": [0, 0, 0], "start": np.full(15, NAN)}, "IK013"),
+    ],
+)
+def test_what_makes_no_sense_is_refused(call: dict[str, Any], code: str) -> None:
+    rig = mixed_rig()
+    if "start" in call and len(call["start"]) == 15:
+        call = {**call, "start": np.full(rig.coordinates, NAN)}
+    session = rig.ik("hand")
+    with pytest.raises(OptionError) as caught:
+        session.solve(**call)
+    assert caught.value.faults[0].code == code
+
+
+@pytest.mark.parametrize(
+    ("goals", "code"), [((), "IK006"), (("a", "a"), "IK006"), (("b",), "TGT001")]
+)
+def test_sessions_have_goals(goals: tuple[str, ...], code: str) -> None:
+    rig = Rig("one", (replace(arm(1).joints[0], name="a", type=JointType.BALL),))
+    with pytest.raises(OptionError) as caught:
+        rig.ik(*goals)
+    assert code in {fault.code for fault in caught.value.faults}
+
+
+def test_far_directions_count_as_directions() -> None:
+    rig = mixed_rig()
+    own = Goal("hand", position=0.0, aim=1.0)
+    far = Session(rig, own).solve(hand=[0.0, 0.0, 1e150])
+    many = solve(build(rig, [own]), None, Targets(aims=[[[0.0, 0.0, 1e150]]]))
+    assert_same(far, many, 0)
+
+
+def test_a_session_is_told_apart() -> None:
+    assert "mixed" in repr(mixed_rig().ik("hand"))
