@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import shlex
 from collections import Counter
+from collections.abc import Iterable
 from dataclasses import fields
 from fnmatch import fnmatch
 from importlib.util import find_spec
@@ -108,30 +109,56 @@ def needed(document: str, title: str) -> list[str]:
     """Return the commands of earlier sections that a section needs, and what they need.
 
     A file is written by the command that names it as its output, or else, as a rig
-    layer is, by those that write one of the same stem.
+    layer is, by those that write one of the same stem: of the same page, or else of any
+    page in the folder of documents.
     """
-    titles = list(SECTIONS[document])
-    earlier = [
+    titles, own = list(SECTIONS[document]), SECTIONS[document][title]
+    earlier = unique(
         command
         for each in titles[: titles.index(title)]
         for command in SECTIONS[document][each]
-    ]
+    )
+    others = unique(
+        command
+        for page in DOCUMENTS
+        if page != document and page.startswith("animtool/docs/")
+        for commands in SECTIONS[page].values()
+        for command in commands
+    )
+    order = unique([*others, *earlier])
     commands: list[str] = []
-    pending = list(SECTIONS[document][title])
+    pending = list(own)
     while pending:
         command = pending.pop()
         read = {word for word in shlex.split(command)[2:] if "." in word}
         for name in read - {output_of(command)}:
             if (ROOT / name).exists():
                 continue
-            writers = [each for each in earlier if output_of(each) == name] or [
-                each
-                for each in earlier
-                if (output_of(each) or "").split(".")[0] == name.split(".")[0]
-            ]
+            writers: list[str] = []
+            for stem in (False, True):
+                if written_by(name, own, stem=stem):
+                    break
+                writers = written_by(name, earlier, stem=stem)
+                writers = writers or written_by(name, others, stem=stem)[:1]
+                if writers:
+                    break
             pending += [each for each in writers if each not in commands]
             commands += [each for each in writers if each not in commands]
-    return sorted(commands, key=earlier.index)
+    return sorted(commands, key=order.index)
+
+
+def unique(commands: Iterable[str]) -> list[str]:
+    """Return commands in their order, each once."""
+    return list(dict.fromkeys(commands))
+
+
+def written_by(name: str, commands: list[str], *, stem: bool = False) -> list[str]:
+    """Return those of some commands that write a file, or one of the same stem."""
+
+    def key(file: str) -> str:
+        return file.split(".", maxsplit=1)[0] if stem else file
+
+    return [each for each in commands if key(output_of(each) or "") == key(name)]
 
 
 def is_shared(command: str, workplace: Path) -> bool:
@@ -202,9 +229,9 @@ def test_setup_commands_are_run_by_ci(root: Path) -> None:
     assert "slow=${tests/not slow/slow}" in script
 
 
-def test_every_pass_and_option_is_in_the_guide(root: Path) -> None:
-    guide = (root / "animtool/docs/guide.md").read_text("utf-8")
-    table = guide.split("| pass | options | |")[1].split("\n\n")[0]
+def test_every_pass_and_option_is_in_the_reference(root: Path) -> None:
+    page = (root / "animtool/docs/reference/passes.md").read_text("utf-8")
+    table = page.split("| pass | options | |")[1].split("\n\n")[0]
     rows = [line.split("|")[1:3] for line in table.splitlines()[2:]]
     listed = {
         name.strip(" `"): re.findall(r"`(\w+)`", options) for name, options in rows
