@@ -202,12 +202,13 @@ def slerp(a: ArrayLike, b: ArrayLike, t: ArrayLike) -> FloatArray:
     a, b = np.asarray(a, np.float64), np.asarray(b, np.float64)
     t = np.asarray(t, np.float64)
     shape = np.broadcast_shapes(a.shape[:-1], b.shape[:-1], t.shape)
-    rows = [
+    starts, ends = (
         np.ascontiguousarray(q if q.size == 4 else np.broadcast_to(q, (*shape, 4)))
         for q in (a, b)
-    ]
-    share = np.broadcast_to(t, shape).ravel()
-    found = _kernels.slerp(*[q.reshape(-1, 4) for q in rows], share)
+    )
+    found = _kernels.slerp(
+        starts.reshape(-1, 4), ends.reshape(-1, 4), np.broadcast_to(t, shape).ravel()
+    )
     return found.reshape(*shape, 4)
 
 
