@@ -16,7 +16,6 @@ from animtool.motion.take import Take
 from animtool.retarget.anatomy import anatomy
 from animtool.retarget.person import Person
 from animtool.retarget.transfer import middle_of_hips
-from animtool.rig.kinematics import forward
 
 # Speeds are those of the hips smoothed over this time [s]: a step sways them.
 SPEED_TIME = 0.25
@@ -88,7 +87,7 @@ def hips_and_joints(
     hips, places = [], []
     for begin in range(0, take.clock.count, FRAMES_AT_ONCE):
         block = take.motion.select(slice(begin, begin + FRAMES_AT_ONCE))
-        found = forward(take.rig, *block.dense()).positions
+        found = block.world(take.rig).positions
         hips.append(middle_of_hips(person, found))
         places.append(found[:, kept])
     whole = np.concatenate(places)

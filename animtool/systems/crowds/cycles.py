@@ -82,7 +82,7 @@ def heading_of(turns: FloatArray) -> FloatArray:
 
 def _gait(walker: Walker, name: str, take: Take) -> tuple[str, Gait]:
     """Return whether a take moves, stands or reacts, and it as a gait."""
-    world = forward(walker.rig, *take.motion.dense())
+    world = take.motion.world(walker.rig)
     hips = middle_of_hips(walker.person, world.positions)
     fps = float(take.clock.rate)
     way = np.linalg.norm((hips[-1] - hips[0])[[0, 2]])
