@@ -12,11 +12,11 @@ has a line of its own, ``name > file``. Refused inputs count like any other. In 
 an exit code, ``timeout`` marks a command that took too long, ``internal`` is exit code
 70, a fault of animtool's, and a name such as ``SIGSEGV`` is the signal that ended one.
 
-Commands are those printed in the README, the guide, the pages of codes and the READMEs
-of samples, in order, in one project a document; one that several documents have, and
-that needs no file of another command, runs once. Every file of
-``$ANIMTOOL_DATA/{bvh,rigs,usd}`` goes through bake, convert, info and validate, and
-every rig, clip and scene of ``samples`` and ``rigs`` through the last two.
+Commands are those printed in the README, the documents, the pages of codes and the
+READMEs of samples, in order, in one project a document, each behind those of other
+documents whose files it needs; one that several documents have runs once where it can.
+Every file of ``$ANIMTOOL_DATA/{bvh,rigs,usd}`` goes through bake, convert, info and
+validate, every rig, clip and scene of ``samples`` and ``rigs`` through the last two.
 
 What legitimately varies is replaced in printed text by `support.normalise` alone, which
 names it. Files are hashed byte by byte, but for two kinds that are listed by name: the
@@ -51,12 +51,12 @@ from support.normalise import normalise
 from support.printed import (
     DOCUMENTS,
     ROOT,
-    commands_in,
     fenced,
     files_in,
     is_apart,
     make_project,
 )
+from support.sections import in_order
 
 __all__ = ["Result", "compare", "main", "read_list", "written"]
 
@@ -118,9 +118,7 @@ class Group:
 
 def document_groups() -> tuple[list[Group], list[Group]]:
     """Return groups of commands that several documents have, and of documents."""
-    commands = {
-        name: commands_in((ROOT / name).read_text("utf-8")) for name in DOCUMENTS
-    }
+    commands = {name: in_order(name) for name in DOCUMENTS}
     counts = Counter(command for found in commands.values() for command in set(found))
     shared = sorted(command for command, count in counts.items() if count > 1)
     return (

@@ -11,8 +11,8 @@ from animtool.batch.pool import run_processes
 from animtool.batch.spec import Limits
 from animtool.batch.work import ItemBuilder, Outcome
 from animtool.core.arguments import argument
-from animtool.core.errors import Fault, OptionError, excerpt
-from animtool.core.names import nearest
+from animtool.core.errors import Fault, OptionError
+from animtool.core.names import check_known
 from animtool.core.plugins import load_object, load_plugin, plugin_points
 from animtool.core.record import dataclass
 
@@ -129,11 +129,8 @@ def find_executor(name: str) -> Executor:
     if name in EXECUTORS:
         return EXECUTORS[name]
     points = plugin_points(PLUGIN_GROUP)
-    if name in points:
-        return load_plugin(points[name], Executor)
-    hint = nearest(name, sorted({*EXECUTORS, *points}))
-    message = f"unknown executor {excerpt(name)}"
-    raise OptionError(Fault("BAT030", message, hint=hint))
+    check_known(name, sorted({*EXECUTORS, *points}), "executor", "BAT030")
+    return load_plugin(points[name], Executor)
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,6 +1,6 @@
 """Batch files: their keys, as models that ``animtool schema`` prints; reading.
 
-The tables of ``docs/formats.md`` are made of their descriptions and examples.
+The tables of ``docs/reference`` are made of their descriptions and examples.
 """
 
 from __future__ import annotations

@@ -178,9 +178,10 @@ Examples:
 def ik(console: Console, /, **params: Any) -> None:
     """Solve the joints of RIG for targets: a pose, a clip, or a fix on top of a clip.
 
-    RIG is a rig file, USD file or BVH. The targets file lists the goals, frame by
-    frame; joint limits are respected. Goals that are missed are reported with the
-    distance; without -o, only the report is made. --match writes targets from poses.
+    RIG is a rig file, URDF, MJCF, USD file or BVH. The targets file says which
+    effectors are to be where, frame by frame; limits of joints are kept. What is not
+    reached is named, with how far it is off; without -o that is all. --match writes
+    such a file from poses.
     """
     if params["match"]:
         if params["plot"] is not None:

@@ -19,6 +19,7 @@ from animtool.cli.options import (
 from animtool.cli.outputs import all_named, writing_options
 from animtool.core.errors import Fault
 from animtool.core.record import dataclass
+from animtool.core.values import VERSION
 from animtool.report.text import Template
 
 if TYPE_CHECKING:
@@ -53,7 +54,12 @@ class WrittenMarkers:
     markers: Markers
     report: object  # what was done to them
     notices: list[Fault]
-    json_keys: ClassVar[str] = "@command output *report notices"
+    json_keys: ClassVar[str] = "*head output *report notices"
+
+    @property
+    def head(self) -> dict[str, str]:
+        """The name of the report, that of the command."""
+        return {self.command: VERSION}
 
 
 WRITTEN = Template(

@@ -115,7 +115,7 @@ def _ends(status: Sequence[object]) -> list[str]:
 
 def _template(result: FaceResult) -> Template:
     def residual(value: float) -> str:
-        if not result.pixels:
+        if result.pixels_per_meter is None:
             return length_text(value)
         return f"{value:.3g} px ({length_text(value / result.pixels_per_meter)})"
 

@@ -40,13 +40,13 @@ def channel_lines(errors: Sequence[ChannelError]) -> list[str]:
     groups = Counter(error.target.partition("/")[0] for error in errors)
     nouns = {"control": "control", "joint": "joint channel", "shape": "shape"}
     counts = [counted(groups[g], noun) for g, noun in nouns.items() if g in groups]
-    worst: dict[tuple[str, bool], ChannelError] = {}
+    worst: dict[tuple[str | None, bool], ChannelError] = {}
     for error in errors:
         key = error.unit, error.target.startswith("control/")
         if key not in worst or error.error > worst[key].error:
             worst[key] = error
     off = [
-        f"{' '.join([plain(error.error), error.unit]).strip()} ({error.target})"
+        f"{' '.join([plain(error.error), error.unit or '']).strip()} ({error.target})"
         for error in worst.values()
         if error.error > ROUNDING
     ]

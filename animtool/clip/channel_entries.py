@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Sequence
+
 import numpy as np
 
 from animtool.clip.channels import ClipChannel
-from animtool.clip.schema import CurveModel, KeyModel
+from animtool.clip.plain_keys import PlainKeys
+from animtool.clip.schema import CurveModel, KeyModel, key_times
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import counted
 from animtool.core.record import dataclass
@@ -37,7 +40,7 @@ class ChannelReader:
 
     def check(self, at: Location, model: CurveModel) -> None:
         """Note times out of order and handles on the wrong side of their keys."""
-        self._check_times(at, np.array([key.t for key in model.keys]))
+        self._check_times(at, key_times(model))
         self._check_handles(at, model)
 
     def channel(
@@ -58,29 +61,72 @@ class ChannelReader:
             message = f"{target!r} is not a rotation"
             self.document.add("CLIP009", (*at, "euler"), message, "remove euler")
         usual = Interp.SPLINE if turning else Interp.BEZIER
-        interps = tuple(Interp(k.interp or model.interp or usual) for k in model.keys)
+        if isinstance(model.keys, PlainKeys):
+            plain = self._plain(at, model, target, kind, unit)
+            if plain is not None:
+                return plain
+            each = [KeyModel.model_construct(**one) for one in model.keys.entries()]
+            model = model.model_copy(update={"keys": each})
+        interps = tuple(Interp(k.interp or model.interp or usual) for k in _each(model))
         fits = self._check_interps(at, model, target, _ROTATING if turning else _SCALAR)
         if turning and fits:
-            self._refuse_slopes(at, model)
+            self._refuse_slopes(at, model, _each(model))
         if not turning and fits:
             self._warn_of_idle(at, model, interps)
         values = self._values(at, model, width, kind == "scale")
         even = kind == "scale"
         handles = [
             self._handle((*at, "keys", k), key, model, width, unit, even)
-            for k, key in enumerate(model.keys)
+            for k, key in enumerate(_each(model))
         ]
         if values is None:
             return None
         return ClipChannel(
             target,
-            np.array([key.t for key in model.keys]),
+            np.array([key.t for key in _each(model)]),
             self._quaternions(at, values) if turning else values * unit,
             interps,
             tuple((before, behind) for before, _, behind, _ in handles),
             np.array([handle for _, handle, _, _ in handles]),
             np.array([handle for *_, handle in handles]),
-            np.array([key.tcb or [0.0, 0.0, 0.0] for key in model.keys]),
+            np.array([key.tcb or [0.0, 0.0, 0.0] for key in _each(model)]),
+            Parametrization(model.parametrization),
+            model.euler or "",
+            Extrapolation(model.pre),
+            Extrapolation(model.post),
+        )
+
+    def _plain(
+        self, at: Location, model: CurveModel, target: str, kind: str, unit: float
+    ) -> ClipChannel | None:
+        """Return the channel of plain keys; None where something is wrong with one."""
+        keys = model.keys
+        assert isinstance(keys, PlainKeys)
+        turning = kind == "rotation" and model.euler is None
+        width = 4 if turning else _WIDTHS[kind]
+        interp = Interp(model.interp or (Interp.SPLINE if turning else Interp.BEZIER))
+        values = keys.values
+        if kind == "scale" and values.shape[1] == 1:
+            values = np.repeat(values, width, axis=1)
+        if interp not in (_ROTATING if turning else _SCALAR):
+            return None
+        if values.shape[1] != width:
+            return None
+        if turning:
+            self._refuse_slopes(at, model, ())
+        else:
+            self._warn_of_path(at, model, {interp})
+        count, tangent = len(keys), Tangent(model.tangents)
+        none = np.zeros((count, 1 + width))
+        return ClipChannel(
+            target,
+            keys.times,
+            self._quaternions(at, values) if turning else values * unit,
+            (interp,) * count,
+            ((tangent, tangent),) * count,
+            none,
+            none,
+            np.zeros((count, 3)),
             Parametrization(model.parametrization),
             model.euler or "",
             Extrapolation(model.pre),
@@ -96,7 +142,8 @@ class ChannelReader:
     ) -> bool:
         places: list[tuple[Location, str | None]] = [((*at, "interp"), model.interp)]
         places += [
-            ((*at, "keys", k, "interp"), key.interp) for k, key in enumerate(model.keys)
+            ((*at, "keys", k, "interp"), key.interp)
+            for k, key in enumerate(_each(model))
         ]
         wrong = [
             (place, name)
@@ -110,6 +157,8 @@ class ChannelReader:
         return not wrong
 
     def _check_times(self, at: Location, times: FloatArray) -> None:
+        if (np.abs(times) <= MAX_FRAME).all() and (np.diff(times) > 0).all():
+            return
         for k in np.flatnonzero(np.abs(times) > MAX_FRAME).tolist():
             message = f"frame {times[k]:g} is beyond {MAX_FRAME:.0e}"
             self.document.add("CLIP004", (*at, "keys", k, "t"), message)
@@ -126,7 +175,7 @@ class ChannelReader:
 
     def _check_handles(self, at: Location, model: CurveModel) -> None:
         """Refuse handles on the wrong side of their keys."""
-        for k, key in enumerate(model.keys):
+        for k, key in enumerate(_each(model)):
             for name, given, sign in (("in", key.in_, -1), ("out", key.out, 1)):
                 if not isinstance(given, list) or isinstance(given[0], list):
                     continue
@@ -137,14 +186,15 @@ class ChannelReader:
                     place = (*at, "keys", k, name)
                     self.document.add("CLIP005", place, message, hint)
 
-    def _refuse_slopes(self, at: Location, model: CurveModel) -> None:
+    def _refuse_slopes(
+        self, at: Location, model: CurveModel, keys: Sequence[KeyModel]
+    ) -> None:
         """Refuse what shapes the curves of numbers, on quaternions."""
         hint = "write euler: XYZ to key three angles, which have them"
         spots: list[tuple[Location, CurveModel | KeyModel, tuple[str, ...]]]
         spots = [(at, model, ("tangents", "parametrization"))]
         spots += [
-            ((*at, "keys", k), key, ("in_", "out", "tcb"))
-            for k, key in enumerate(model.keys)
+            ((*at, "keys", k), key, ("in_", "out", "tcb")) for k, key in enumerate(keys)
         ]
         for spot, entry, names in spots:
             for name in names:
@@ -161,7 +211,7 @@ class ChannelReader:
         Handles before the first key and behind the last wait for keys to come.
         """
         inner = interps[:-1]
-        for k, key in enumerate(model.keys):
+        for k, key in enumerate(_each(model)):
             before, behind = interps[max(k - 1, 0) : k], inner[k : k + 1]
             for name, given, props, expected in (
                 ("in", key.in_, before, _HANDLED),
@@ -173,7 +223,12 @@ class ChannelReader:
                     message = f"'{name}' has no effect with {kinds}"
                     hint = f"it applies to {' and '.join(sorted(expected))}"
                     self.document.warn("CLIP104", (*at, "keys", k, name), message, hint)
-        segments = interps[:-1] or interps
+        self._warn_of_path(at, model, {*(interps[:-1] or interps)})
+
+    def _warn_of_path(
+        self, at: Location, model: CurveModel, segments: Collection[Interp]
+    ) -> None:
+        """Warn of which Catmull-Rom curve it is, where there is none."""
         named = "parametrization" in model.model_fields_set
         if named and Interp.CATMULL_ROM not in segments:
             message = "'parametrization' has no effect without catmull_rom"
@@ -183,7 +238,7 @@ class ChannelReader:
         self, at: Location, model: CurveModel, width: int, even: bool
     ) -> FloatArray | None:
         rows = []
-        for k, key in enumerate(model.keys):
+        for k, key in enumerate(_each(model)):
             row = key.v if isinstance(key.v, list) else [key.v]
             if width == 3 and len(row) == 1 and even:
                 row = row * 3
@@ -194,7 +249,7 @@ class ChannelReader:
                 self.document.add("CLIP007", place, message)
                 continue
             rows.append(row)
-        if len(rows) < len(model.keys):
+        if len(rows) < len(_each(model)):
             return None
         return np.array(rows, np.float64)
 
@@ -237,6 +292,11 @@ class ChannelReader:
             message = f"quaternion {values[k].tolist()} has zero length"
             self.document.add("RIG006", (*at, "keys", k, "v"), message)
         return rotations
+
+
+def _each(model: CurveModel) -> list[KeyModel]:
+    """Return the keys that have models."""
+    return [] if isinstance(model.keys, PlainKeys) else model.keys
 
 
 def file_quaternions(values: FloatArray) -> tuple[FloatArray, list[int]]:

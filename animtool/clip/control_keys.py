@@ -19,7 +19,6 @@ from animtool.motion.take import Take
 from animtool.rig.control_inverse import SolvedControls, keyed_values, solve_controls
 from animtool.rig.controls import Control, evaluate_controls
 from animtool.rig.driver_plan import plan_of
-from animtool.rig.kinematics import forward
 from animtool.rig.shapes import own_weights
 from animtool.rig.skeleton import Rig
 
@@ -205,7 +204,7 @@ class _Effect:
         sampled = sample_values({**exact, **given}, rig, times).motion
         truth = take.motion.select(at)
         posed = driven_pose(truth, sampled, exact_motion, self.own)
-        worlds = [forward(take.rig, *motion.dense()) for motion in (truth, posed)]
+        worlds = [motion.world(take.rig) for motion in (truth, posed)]
         errors = point_errors(self.points, *worlds)
         ratio = float((errors / self.bounds).max(initial=0.0))
         weights = [

@@ -32,9 +32,10 @@ class ChannelError:
 
     target: str  # of the channel
     error: float  # the largest, in ``unit``
-    unit: str  # of the clip's file: ``deg``, ``rad``, a length, or empty
+    # Of the clip's file: ``deg``, ``rad`` or a length; None where it has none.
+    unit: str | None
     frame: float  # time code where that is
-    json_keys: ClassVar[str] = "target error unit! frame"
+    json_keys: ClassVar[str] = "target error unit frame"
 
 
 def channel_errors(
@@ -53,15 +54,15 @@ def channel_errors(
         sampled = keyed_values(rig.controls, reached)
     shapes = {shape.name: i for i, shape in enumerate(rig.shapes)}
 
-    def errors(target: str) -> tuple[FloatArray, str]:
+    def errors(target: str) -> tuple[FloatArray, str | None]:
         group, _, name = target.partition("/")
         if group == "control":
-            return np.abs(sampled[name] - controls[name]), ""
+            return np.abs(sampled[name] - controls[name]), None
         if group == "shape":
             at = np.array([shapes[name]])
             pair = take.motion.weights, keyed.weights
             a, b = (_gathered(c, at, take.motion.frames) for c in pair)
-            return np.abs(a - b)[:, 0, 0], ""
+            return np.abs(a - b)[:, 0, 0], None
         joint, part = split_part(name, KEYED_PARTS)
         at = np.array([rig.index(joint)])
         if part in {"angle", "rotation", "local_rotation"}:
@@ -71,7 +72,7 @@ def channel_errors(
         if part == "scale":
             pair = take.motion.scales, keyed.scales
             a, b = (_gathered(c, at, take.motion.frames, 1.0) for c in pair)
-            return np.abs(a - b).max(axis=(1, 2)), ""
+            return np.abs(a - b).max(axis=(1, 2)), None
         places = [m.translations.gather(at)[:, 0] for m in (take.motion, keyed)]
         off = np.linalg.norm(places[0] - places[1], axis=1)
         return off / units.length, unit_name(units.length)

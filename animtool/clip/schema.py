@@ -1,15 +1,18 @@
 """The keys of a clip file, as models; ``animtool schema clip`` prints them.
 
-The tables of ``docs/formats.md`` are made of their descriptions and examples.
+The tables of ``docs/reference`` are made of their descriptions and examples.
 """
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Annotated, Literal
 
+import numpy as np
 from annotated_types import Len
-from pydantic import Field
+from pydantic import Field, WrapValidator
 
+from animtool.clip.plain_keys import PlainKeys, plain_or_each
+from animtool.core.array_types import FloatArray
 from animtool.documents.check import FileModel
 from animtool.documents.fields import IgnoreModel, Name, Pair, Real, Vector, key
 from animtool.maths import curves, tangents
@@ -77,6 +80,13 @@ class KeyModel(FileModel):
     )
 
 
+if TYPE_CHECKING:
+    Keys = list[KeyModel] | PlainKeys
+else:
+    # Those that are plain have no models: these would take most of the time.
+    Keys = Annotated[list[KeyModel], WrapValidator(plain_or_each)]
+
+
 class _TargetModel(FileModel):
     target: Name = key(
         "The target: control/NAME, shape/NAME or joint/NAME.PART, each once.",
@@ -115,9 +125,14 @@ class JoinModel(FileModel):
 class CurveModel(JoinModel):
     """Keys, and how they are joined up."""
 
-    keys: Annotated[list[KeyModel], Len(1)] = key(
-        "One key or more.", [{"t": 1.0, "v": 0.0}]
-    )
+    keys: Annotated[Keys, Len(1)] = key("One key or more.", [{"t": 1.0, "v": 0.0}])
+
+
+def key_times(model: CurveModel) -> FloatArray:
+    """Return the times of keys ``(K,)``."""
+    if isinstance(model.keys, PlainKeys):
+        return model.keys.times
+    return np.array([key.t for key in model.keys], np.float64)
 
 
 class ChannelModel(CurveModel, _TargetModel):

@@ -28,16 +28,17 @@ def as_floats(values: ArrayLike, shape: tuple[int | str, ...], name: str) -> Flo
     >>> as_floats([[0, 1, 2]], ("F", 3), "positions").dtype
     dtype('float64')
     """
-    expected = ", ".join(map(str, shape))
     try:
         array = np.ascontiguousarray(values, dtype=np.float64)
     except (TypeError, ValueError) as error:
         # Texts, and lists of different lengths.
+        expected = ", ".join(map(str, shape))
         raise ValueError(f"{name} must be numbers of shape ({expected})") from error
-    fits = array.ndim == len(shape) and all(
-        isinstance(want, str) or want == got
-        for want, got in zip(shape, array.shape, strict=True)
-    )
+    fits = array.ndim == len(shape)
+    if fits:
+        for want, got in zip(shape, array.shape, strict=True):
+            fits = fits and (want == got or want.__class__ is str)
     if not fits:
+        expected = ", ".join(map(str, shape))
         raise ValueError(f"{name} must have shape ({expected}), not {array.shape}")
     return array

@@ -59,6 +59,20 @@ def is_variable_name(text: str) -> bool:
     return re.fullmatch(VARIABLE_NAME, text) is not None
 
 
+def check_known(name: str, names: Iterable[str], what: str, code: str) -> None:
+    """Raise where a name is none of some, with the nearest one.
+
+    >>> check_known("rk5", ["rk4", "heun"], "integrator", "SIM001")
+    Traceback (most recent call last):
+    animtool.core.errors.OptionError: SIM001 no integrator is named 'rk5', did you \
+mean 'rk4'?
+    """
+    names = list(names)
+    if name not in names:
+        message = f"no {what} is named {excerpt(name)}"
+        raise OptionError(Fault(code, message, hint=nearest(name, names)))
+
+
 def nearest(name: str, names: Iterable[str]) -> str:
     """Return a hint that names the nearest valid name, or all, the nearest first.
 

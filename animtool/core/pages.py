@@ -22,6 +22,8 @@ KINDS = {
     "explanation": "Explanation",
     "": "More",
 }
+# Names of earlier pages, and the pages that say where their text is.
+MOVED = {"guide": "reference/index", "formats": "reference/files"}
 # Pages that mention a topic, listed in a hint.
 MAX_MENTIONED = 5
 
@@ -76,16 +78,17 @@ def find_page(topic: str) -> PageEntry:
     'tutorials/desk-lamp'
     """
     wanted = topic.lower().removesuffix(".md").strip("/")
+    wanted = MOVED.get(wanted, wanted)
     pages = all_pages()
     found = [page for page in pages if page.name == wanted]
     found = found or [page for page in pages if page.name.split("/")[-1] == wanted]
     if len(found) == 1:
         return found[0]
     if found:
-        message = f"several pages are called {topic!r}"
+        message = f"{topic!r} names several pages"
         hint = f"write one of {', '.join(page.name for page in found)}"
     else:
-        message, hint = f"no page is called {topic!r}", _hint(wanted)
+        message, hint = f"unknown page {topic!r}", _hint(wanted)
     raise OptionError(Fault("CLI009", message, hint=hint))
 
 

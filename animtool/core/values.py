@@ -8,9 +8,9 @@ fields, or of properties, in the order of the report::
 ``key=path.of.field`` is one under another key, and ``path{…}`` has these keys of the
 value, or of each of a list; ``.{…}`` are further ones of the record. Signs behind a
 path are of its value: with ``?`` the key is left out for None, with ``+`` for what is
-empty too; ``!`` is null for what is empty, ``#`` the text of it, ``~`` numbers to
-microseconds. ``*path`` are the keys of a value, if it is none of None, and ``*`` all
-fields of the record. A name in quotes is that of the report, ``@path`` one by a field.
+empty too; ``#`` is the text of it, ``~`` numbers to microseconds. ``*path`` are the
+keys of a value, if it is none of None, and ``*`` all fields of the record. A name in
+quotes is that of the report.
 """
 
 from __future__ import annotations
@@ -92,13 +92,11 @@ class JsonKey:
 
     key: str  # empty for the keys of a value
     path: str  # of the field; empty is the record
-    sign: str = ""  # `?`, `+`, `!`, `#`, `~`; `'` or `@` of the name of a report
+    sign: str = ""  # `?`, `+`, `#`, `~`; `'` of the name of a report
     keys: tuple[JsonKey, ...] | None = None  # of the value
 
 
-_TOKEN = re.compile(
-    r"\s*(?:(\})|'([^']+)'|@([\w.]+)|(\*)?(?:(\w+)=)?([\w.]*)([?+!#~]*)(\{)?)\s*"
-)
+_TOKEN = re.compile(r"\s*(?:(\})|'([^']+)'|(\*)?(?:(\w+)=)?([\w.]*)([?+#~]*)(\{)?)\s*")
 
 
 @cache
@@ -123,11 +121,11 @@ def _tokens(template: str) -> Iterator[re.Match[str]]:
 
 def _parsed(tokens: Iterator[re.Match[str]]) -> Iterator[JsonKey]:
     for token in tokens:
-        closes, head, named, star, key, path, signs, opens = token.groups()
+        closes, head, star, key, path, signs, opens = token.groups()
         if closes:
             return
-        if head or named:
-            yield JsonKey(head or "", named or "", "'" if head else "@")
+        if head:
+            yield JsonKey(head, "", "'")
             continue
         inner = tuple(_parsed(tokens)) if opens else None
         yield JsonKey("" if star else key or path, path.strip("."), signs, inner)
@@ -137,8 +135,8 @@ def _filled(record: Any, keys: tuple[JsonKey, ...]) -> dict[str, Any]:
     values: dict[str, Any] = {}
     for each in keys:
         value = at_path(record, each.path)
-        if each.sign in {"'", "@"}:
-            values[each.key or value] = VERSION
+        if each.sign == "'":
+            values[each.key] = VERSION
         elif not each.key:
             values |= _spread(record, value, each)
         elif not _is_left_out(value, each.sign):
@@ -168,7 +166,7 @@ def _is_left_out(value: Any, sign: str) -> bool:
 
 def _keyed(value: Any, key: JsonKey) -> Any:
     """Return the value of a key."""
-    if value is None or ("!" in key.sign and not value):
+    if value is None:
         return None
     if "#" in key.sign:
         return str(value)

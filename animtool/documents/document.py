@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import field, replace
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ from animtool.core.files.reading import MAX_TEXT_BYTES, open_input
 from animtool.core.names import KINDS
 from animtool.core.record import dataclass
 from animtool.documents.yaml_values import MAX_FAULTS as MAX_COLLECTED
-from animtool.documents.yaml_values import read_values
+from animtool.documents.yaml_values import Marks, read_values
 
 Location = tuple[str | int, ...]
 
@@ -26,8 +26,9 @@ class Document:
 
     path: Path  # as the user named it
     value: dict[str, Any]  # its content: mappings, lists, text, numbers, booleans, None
-    # 1-based line and column of every node, keys included, in the order of the file.
-    places: list[tuple[int, int]] = field(repr=False)
+    # 1-based line and column of every node, keys included, in the order of the file,
+    # and by their numbers in these what is written without quotes.
+    marks: Callable[[], Marks] = field(repr=False)
     # What is wrong with its content, as `add` found.
     faults: list[Fault] = field(default_factory=list)
     # What is odd about it, as `note` and `warn` found.
@@ -41,19 +42,23 @@ class Document:
     partial: set[str] = field(default_factory=set)
     # The key as written, of a value that is read under another key.
     spellings: dict[Location, str] = field(default_factory=dict)
-    # What is written without quotes, as written, by its number in `places`.
-    plain: dict[int, str] = field(default_factory=dict, repr=False)
+    _marks: Marks | None = field(default=None, init=False, repr=False)
     _starts: dict[tuple[int, str | int], int] = field(
         default_factory=dict, init=False, repr=False
     )
 
     def place(self, location: Location) -> tuple[int, int]:
         """Return line and column of a value, or of the nearest one around it."""
-        return self.places[self._index(location)]
+        return self._marked().places[self._index(location)]
 
     def written(self, location: Location) -> str | None:
         """Return a scalar as it is written; None where it is none, or has quotes."""
-        return self.plain.get(self._index(location))
+        return self._marked().plain.get(self._index(location))
+
+    def _marked(self) -> Marks:
+        if self._marks is None:
+            self._marks = self.marks()
+        return self._marks
 
     def _index(self, location: Location) -> int:
         """Return the number in `places` of a value, or of the nearest around it."""
@@ -224,7 +229,7 @@ def document_of(text: str, path: Path) -> Document:
             twice, or is no mapping.
     """
     try:
-        value, places, plain = read_values(text, path)
+        value, marks = read_values(text, path)
     except FormatError as error:
         raise FormatError(_cut(error.faults)) from error
     if not isinstance(value, dict):
@@ -232,7 +237,7 @@ def document_of(text: str, path: Path) -> Document:
         hint = f"start it with a line such as '{_kind_named(path)}: animtool/1'"
         message = f"is {kind}, not a mapping of keys"
         raise FormatError(Fault("DOC007", message, str(path), (1,), hint, column=1))
-    return Document(path, value, places, plain=plain)
+    return Document(path, value, marks)
 
 
 def _kind_named(path: Path) -> str:

@@ -2,12 +2,14 @@
 
 YAML is read by the core schema of version 1.2: ``1e-3`` is a number, ``no``, ``12:30``
 and dates are text, ``010`` is ten. Anchors, aliases, tags and keys that stand twice
-are refused. JSON is nearly a part of YAML and is read the same way.
+are refused. JSON is nearly a part of YAML: where it is nothing else, `plain_json` reads
+the same values at once, and their places are looked for when one is asked for.
 """
 
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from dataclasses import field
 from pathlib import Path
 from typing import Any, NamedTuple, NoReturn, cast
@@ -17,6 +19,7 @@ import yaml
 from animtool.core.errors import Fault, FormatError, excerpt
 from animtool.core.names import VARIABLE_NAME, unreadable
 from animtool.core.record import dataclass
+from animtool.documents.json_values import plain_json
 
 # A person nests five or six.
 DEEPEST = 50
@@ -63,14 +66,21 @@ _MASK = {"{": "\ue07b", "}": "\ue07d"}
 _UNMASK = str.maketrans({mask: brace for brace, mask in _MASK.items()})
 
 
-class ReadValues(NamedTuple):
-    """What a text holds."""
+class Marks(NamedTuple):
+    """Where and how the values of a text are written."""
 
-    value: Any  # plain values: mappings, lists, texts, numbers
     # Line and column of every node, in the order of the text.
     places: list[tuple[int, int]]
     # Of scalars without quotes, what is written, by number of the node.
     plain: dict[int, str]
+
+
+class ReadValues(NamedTuple):
+    """What a text holds."""
+
+    value: Any  # plain values: mappings, lists, texts, numbers
+    # Of JSON they are only looked for where something has to be said of a value.
+    marks: Callable[[], Marks]
 
 
 def read_values(text: str, path: Path) -> ReadValues:
@@ -80,6 +90,14 @@ def read_values(text: str, path: Path) -> ReadValues:
         message = f"contains {marks} value separators; the limit is {MAX_MARKS}"
         advice = "put arrays in npz files"
         raise FormatError(Fault("DOC024", message, str(path), (), advice))
+    if path.suffix == ".json":
+        value = plain_json(text, DEEPEST, LONGEST_KEY)
+        if value is not None:
+            return ReadValues(value, lambda: _read_yaml(text, path).marks())
+    return _read_yaml(text, path)
+
+
+def _read_yaml(text: str, path: Path) -> ReadValues:
     if path.suffix == ".json":
         text = _PAIRS.sub(_joined, text)
         # Ends of lines in YAML, but letters like others in JSON's strings.
@@ -106,7 +124,8 @@ def read_values(text: str, path: Path) -> ReadValues:
         reader.fault("DOC001", f"is no YAML: {error}".split("\n", 1)[0], (1, 1))
     if reader.faults:
         raise FormatError(reader.faults)
-    return ReadValues(value, reader.places, reader.plain)
+    marks = Marks(reader.places, reader.plain)
+    return ReadValues(value, lambda: marks)
 
 
 def masked_variables(text: str) -> str:

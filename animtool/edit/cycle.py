@@ -22,7 +22,7 @@ from animtool.edit.loop_options import LoopOptions
 from animtool.edit.travel import place_of, rest_rotation, traveller, twist
 from animtool.maths import so3
 from animtool.motion.take import Take
-from animtool.rig.kinematics import forward, rest_size
+from animtool.rig.kinematics import rest_size
 from animtool.rig.skeleton import Rig
 
 # What a difference of speed leads to in this time [s] counts as one of place.
@@ -204,7 +204,7 @@ class _Eye:
 
     def _points(self, frames: IntArray) -> FloatArray:
         """Return joints and points beside leaves in the world ``(N, P, 3)``."""
-        world = forward(self.take.rig, *self.take.motion.select(frames).dense())
+        world = self.take.motion.select(frames).world(self.take.rig)
         origins, axes = world.positions, world.linear[:, self.leaves]
         neighbours = [
             origins[:, self.leaves] + axes[..., k] * self.reach[:, None] for k in (0, 1)

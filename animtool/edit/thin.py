@@ -17,7 +17,7 @@ from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.record import dataclass
 from animtool.edit.travel import places_between
 from animtool.motion.motion import Motion
-from animtool.rig.kinematics import WorldTransforms, forward
+from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.skeleton import Rig
 
 # A split this share of a stretch from its ends at least, so that stretches halve.
@@ -121,14 +121,14 @@ class _Measure:
         self.rig, self.codes, self.motion = rig, codes, motion
         self.bounds = bounds
         self.points = attached_points(rig, SHELL)
-        self.truth = forward(rig, *motion.dense())
+        self.truth = motion.world(rig)
 
     def errors(self, kept: IntArray, frames: IntArray) -> tuple[FloatArray, FloatArray]:
         """Return errors of the joints ``(N, J)`` and of the weights ``(N,)``."""
         at = places_between(self.codes[kept], self.codes[frames])
         blended = self.motion.select(kept).map(at.blend)
         truth = WorldTransforms(self.truth.positions[frames], self.truth.linear[frames])
-        world = forward(self.rig, *blended.dense())
+        world = blended.world(self.rig)
         weights = np.zeros(len(frames))
         if blended.weights is not None and self.motion.weights is not None:
             true = self.motion.weights.values[frames]

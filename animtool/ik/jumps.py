@@ -89,6 +89,13 @@ def find_jumps(
     count = len(after.rotations)
     if count < 2:
         return ()
+    moving = _moving(before, after, windings)
+    if not len(moving):
+        return ()
+    names = [names[j] for j in moving]
+    after = _selected(after, moving)
+    before = None if before is None else _selected(before, moving)
+    windings = None if windings is None else windings[:, moving]
     cuts = np.zeros(count - 1, np.bool_)
     moves = goal_moves[:, None]
     turns, old = _turns(after.rotations), _turns(after.rotations[:1].repeat(count, 0))
@@ -114,6 +121,26 @@ def find_jumps(
     flags |= shift_pops(shifts, *limits)[0] & ~shift_pops(old, *limits)[0]
     found += _named(names, flags, sizes, old_sizes, moves, length=length)
     return tuple(sorted(found, key=lambda jump: jump.frame))
+
+
+def _moving(
+    before: LocalTransforms | None,
+    after: LocalTransforms,
+    windings: FloatArray | None,
+) -> IntArray:
+    """Return the joints that are not the same in all frames: others cannot jump."""
+    moves = np.zeros(after.rotations.shape[1], np.bool_)
+    for poses in (after, before):
+        if poses is not None:
+            for values in (poses.rotations, poses.translations):
+                moves |= (values != values[:1]).any(axis=(0, 2))
+    if windings is not None:
+        moves |= windings.any(axis=0)
+    return np.asarray(np.flatnonzero(moves))
+
+
+def _selected(poses: LocalTransforms, joints: IntArray) -> LocalTransforms:
+    return LocalTransforms(poses.translations[:, joints], poses.rotations[:, joints])
 
 
 def _turns(rotations: FloatArray) -> FloatArray:

@@ -24,6 +24,7 @@ from animtool.ik.options import MISSED, MISSED_DEGREES
 from animtool.ik.result import IkStatus
 from animtool.ik.take_run import TakeIk
 from animtool.ik.tracks import GoalTrack
+from animtool.maths.runs import runs
 from animtool.rig.skeleton import JointType
 
 # A goal that is off by more is missed, where nothing else is asked [m], [rad].
@@ -143,9 +144,8 @@ def _misses(part: str, times: FloatArray, misses: FloatArray) -> Misses:
 def _spans(solved: TakeIk, misses: FloatArray, short: BoolArray) -> list[MissedSpan]:
     """Return the runs of frames that miss a goal, whose misses are ``(F, 4)``."""
     times = solved.take.clock.times
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], short, [0]])))
     spans = []
-    for first, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+    for first, end in runs(short):
         run = misses[first:end]
         # Metres count as radians: only to choose the frame that is named.
         worst = first + int(np.argmax(run.sum(axis=1)))

@@ -202,13 +202,14 @@ def slerp(a: ArrayLike, b: ArrayLike, t: ArrayLike) -> FloatArray:
     a, b = np.asarray(a, np.float64), np.asarray(b, np.float64)
     t = np.asarray(t, np.float64)
     shape = np.broadcast_shapes(a.shape[:-1], b.shape[:-1], t.shape)
-    begin, end = (
+    starts, ends = (
         np.ascontiguousarray(q if q.size == 4 else np.broadcast_to(q, (*shape, 4)))
         for q in (a, b)
     )
-    share = np.broadcast_to(t, shape).ravel()
-    mixed = _kernels.slerp(begin.reshape(-1, 4), end.reshape(-1, 4), share)
-    return mixed.reshape(*shape, 4)
+    found = _kernels.slerp(
+        starts.reshape(-1, 4), ends.reshape(-1, 4), np.broadcast_to(t, shape).ravel()
+    )
+    return found.reshape(*shape, 4)
 
 
 def align_signs(q: ArrayLike, previous: ArrayLike | None = None) -> FloatArray:

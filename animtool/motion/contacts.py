@@ -9,6 +9,7 @@ import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.record import dataclass
+from animtool.maths.runs import runs
 
 # Jitter is smoothed by a Gaussian of this width [s]: speeds of walking feet change over
 # ten times of it.
@@ -122,21 +123,14 @@ def jitter(points: Sequence[FloatArray], fps: float) -> float:
     return max(sizes) * fps * math.sqrt(3)
 
 
-def intervals(mask: BoolArray) -> list[tuple[int, int]]:
-    """Return where a mask holds: first frames, and those behind the last ones."""
-    edges = np.diff(np.concatenate([[0], mask.astype(np.int8), [0]]))
-    starts, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
-    return list(zip(starts.tolist(), ends.tolist(), strict=True))
-
-
 def without_short(mask: BoolArray, fps: float) -> BoolArray:
     """Return a mask without gaps and spans that are too short to be any."""
     least = SHORT * fps
     made = mask.copy()
-    for start, end in intervals(~made):
+    for start, end in runs(~made):
         if start > 0 and end < len(made) and end - start < least:
             made[start:end] = True
-    for start, end in intervals(made):
+    for start, end in runs(made):
         # What the take cuts off may be longer.
         if start > 0 and end < len(made) and end - start < least:
             made[start:end] = False

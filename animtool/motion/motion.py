@@ -8,9 +8,12 @@ from typing import TypeAlias
 
 import numpy as np
 
+from animtool import _kernels
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, OptionError
 from animtool.core.record import dataclass
+from animtool.rig.kinematics import WorldTransforms
+from animtool.rig.skeleton import Rig
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,6 +123,12 @@ class Channel:
         return replace(first, values=np.concatenate([c.values for c in channels]))
 
 
+def _arrays(channel: Channel) -> tuple[FloatArray, IntArray, FloatArray]:
+    """Return a channel as kernels take it."""
+    rest, values = (np.ascontiguousarray(a) for a in (channel.rest, channel.values))
+    return rest, np.asarray(channel.animated, np.int64), values
+
+
 @dataclass(frozen=True, slots=True)
 class Motion:
     """What a rig does over frames: its joints, its shapes, its controls.
@@ -167,6 +176,20 @@ class Motion:
             self.rotations.dense(),
             None if self.scales is None else self.scales.dense(),
         )
+
+    def world(self, rig: Rig) -> WorldTransforms:
+        """Return where every joint of its rig is in every frame, world space."""
+        shape = (self.frames, len(rig.joints), 3)
+        world = WorldTransforms(np.zeros(shape), np.zeros((*shape, 3)))
+        _kernels.forward_motion(
+            rig.parents,
+            *_arrays(self.translations),
+            *_arrays(self.rotations),
+            None if self.scales is None else _arrays(self.scales),
+            world.positions,
+            world.linear,
+        )
+        return world
 
     def select(self, frames: slice | IntArray) -> Motion:
         """Return the motion at some of its frames."""

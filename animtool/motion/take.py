@@ -22,7 +22,7 @@ from animtool.maths.curves import Curves
 from animtool.motion.motion import Channel, Motion, MotionCurve
 from animtool.motion.scores import PassScores
 from animtool.motion.transforms import Track
-from animtool.rig.kinematics import WorldTransforms, forward
+from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.placement import Placement
 from animtool.rig.skeleton import Rig
 
@@ -185,7 +185,7 @@ class Take:
         >>> Take(rig, clock, still).world().positions[0].tolist()
         [[0.0, 0.0, 0.0], [0.0, 2.0, 0.0]]
         """
-        return forward(self.rig, *self.motion.dense())
+        return self.motion.world(self.rig)
 
     def __repr__(self) -> str:
         """Return the rig's name, the frames and the joints."""

@@ -10,7 +10,8 @@ import numpy as np
 from animtool.core.array_types import Float32Array, FloatArray, IntArray
 from animtool.core.record import dataclass
 from animtool.maths import so3
-from animtool.motion.contacts import find_contacts, intervals
+from animtool.maths.runs import runs
+from animtool.motion.contacts import find_contacts
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.take import TakeStream
 from animtool.preview.draft import Draft, number
@@ -321,7 +322,7 @@ def _named_spans(
     return [
         {
             "joint": joint,
-            "spans": [[code(start), code(end - 1)] for start, end in intervals(mask)],
+            "spans": [[code(start), code(end - 1)] for start, end in runs(mask)],
         }
         for joint, mask in contacts
     ]

@@ -13,7 +13,7 @@ import numpy as np
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, counted, listed
 from animtool.core.record import dataclass
-from animtool.core.units import unit_name
+from animtool.core.units import UpAxis, unit_name
 from animtool.edit.resample import resampled
 from animtool.maths import so3
 from animtool.motion.reorient import reorient
@@ -193,7 +193,8 @@ def _streams_apart(one: TakeStream, two: TakeStream) -> TakeDifference:
     """Compare two takes that are open, the second turned as the first."""
     difference = compare_takes(one.collect(), reorient(two, one.rig.up).collect())
     difference.notices.extend([*one.notices, *two.notices])
-    difference.notes.extend(_space_notes(one.rig, two.rig))
+    meters = one.rig.meters_per_unit, two.rig.meters_per_unit
+    difference.notes.extend(space_notes((one.rig.up, two.rig.up), meters))
     if None not in {one.start, two.start} and one.start != two.start:
         codes = f"{float(one.start or 0):g} instead of {float(two.start or 0):g}"
         difference.notes.append(f"first time code {codes}; compared from there")
@@ -276,15 +277,14 @@ def _merged(
     )
 
 
-def _space_notes(first: Rig, second: Rig) -> list[str]:
-    """Say in which units and up axes two files are, where these differ."""
+def space_notes(ups: tuple[UpAxis, UpAxis], meters: tuple[float, float]) -> list[str]:
+    """Return in which up axes and units [m] two files are, where these differ."""
     notes = []
-    if first.up is not second.up:
-        ups = f"{first.up} up instead of {second.up} up"
-        notes.append(f"{ups}; compared with {first.up} up")
-    if not math.isclose(first.meters_per_unit, second.meters_per_unit, rel_tol=1e-6):
-        units = [unit_name(rig.meters_per_unit) for rig in (first, second)]
-        notes.append(f"lengths in {units[0]} instead of {units[1]}; compared in metres")
+    if ups[0] is not ups[1]:
+        notes.append(f"{ups[0]} up against {ups[1]} up; compared with {ups[0]} up")
+    if not math.isclose(*meters, rel_tol=1e-6):
+        first, second = map(unit_name, meters)
+        notes.append(f"lengths in {first} against {second}; compared in metres")
     return notes
 
 

@@ -12,9 +12,9 @@ import numpy as np
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import counted
 from animtool.core.record import dataclass
-from animtool.core.units import unit_name, up_from_up
+from animtool.core.units import up_from_up
 from animtool.maths import so3
-from animtool.report.compare import SCALE_TOLERANCE, lost_text
+from animtool.report.compare import SCALE_TOLERANCE, lost_text, space_notes
 
 if TYPE_CHECKING:
     from animtool.usd.caches.reader import PointSample, PointSource
@@ -100,7 +100,10 @@ def compare_points(first: Path, second: Path) -> PointsDifference | None:
         prims=len(both),
         samples=samples,
         mismatches=mismatches,
-        notes=[*_notes(one, two), *_start_notes(one, two, both)],
+        notes=[
+            *space_notes((one.up, two.up), (one.unit, two.unit)),
+            *_start_notes(one, two, both),
+        ],
     )
 
 
@@ -194,13 +197,3 @@ def _start_notes(one: PointSource, two: PointSource, names: list[str]) -> list[s
             codes = f"{mine[0]:g} instead of {theirs[0]:g}"
             return [f"first time code {codes}; compared from there"]
     return []
-
-
-def _notes(one: PointSource, two: PointSource) -> list[str]:
-    notes = []
-    if one.up is not two.up:
-        notes.append(f"{one.up} up instead of {two.up} up; compared with {one.up} up")
-    if one.unit != two.unit:
-        units = unit_name(one.unit), unit_name(two.unit)
-        notes.append(f"lengths in {units[0]} instead of {units[1]}; compared in metres")
-    return notes

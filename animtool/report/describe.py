@@ -16,7 +16,6 @@ from animtool.core.units import unit_name
 from animtool.motion.take import Take, TakeStream
 from animtool.retarget.facts import CaptureFacts, capture_facts
 from animtool.retarget.standing import lying_notice
-from animtool.rig.kinematics import forward
 from animtool.scene.sources.open import SourceOptions, is_usd, open_source
 
 if TYPE_CHECKING:
@@ -97,7 +96,7 @@ def describe(path: Path | str, options: SourceOptions | None = None) -> TakeDesc
     lows, highs = [], []
     for begin in range(0, motion.frames, FRAMES_AT_ONCE):
         block = motion.select(slice(begin, begin + FRAMES_AT_ONCE))
-        positions = forward(rig, *block.dense()).positions
+        positions = block.world(rig).positions
         if not rig.joints:
             positions = np.zeros((block.frames, 1, 3))
         lows.append(positions.min(axis=(0, 1)))

@@ -21,7 +21,8 @@ from animtool.core.record import dataclass
 from animtool.core.units import UpAxis
 from animtool.maths import so3
 from animtool.maths.filters import lowpass
-from animtool.motion.contacts import find_contacts, intervals
+from animtool.maths.runs import runs
+from animtool.motion.contacts import find_contacts
 from animtool.motion.passes import Pass, PassContext, Scope, TakePart
 from animtool.motion.take import Take
 from animtool.retarget.pairing import map_joints
@@ -182,7 +183,7 @@ def _stance(take: Take, person: Person, *, heading: bool) -> _Stance | None:
         toe = world.positions[:, leg[3]] if leg[3] >= 0 else ankle
         stands = find_contacts(ankle, toe, rate, person.leg_length(side), up).any
         turns = so3.from_matrix(world.linear[:, leg[2]])
-        for start, end in intervals(stands):
+        for start, end in runs(stands):
             edge = round(LANDING * (end - start))
             part = slice(start + edge, end - edge)
             if part.stop - part.start < MIN_FRAMES:

@@ -10,12 +10,12 @@ from animtool.core.array_types import FloatArray
 from animtool.core.record import dataclass
 from animtool.core.units import UpAxis
 from animtool.maths.filters import noise_of_turns
-from animtool.motion.contacts import find_contacts, intervals, smoothed
+from animtool.maths.runs import runs
+from animtool.motion.contacts import find_contacts, smoothed
 from animtool.motion.take import Take
 from animtool.retarget.anatomy import anatomy
 from animtool.retarget.person import Person
 from animtool.retarget.transfer import middle_of_hips
-from animtool.rig.kinematics import forward
 
 # Speeds are those of the hips smoothed over this time [s]: a step sways them.
 SPEED_TIME = 0.25
@@ -69,7 +69,7 @@ def capture_facts(take: Take) -> CaptureFacts | None:
         toe = places.get(leg[3])
         length = person.leg_length(side)
         stands = find_contacts(places[leg[2]], toe, fps, length, up).any
-        steps = sum(start > 0 for start, _ in intervals(stands))
+        steps = sum(start > 0 for start, _ in runs(stands))
         name = "left" if side == "l" else "right"
         feet[name] = FootFacts(float(stands.mean()), steps)
     speeds = ground_speeds(take, hips)
@@ -87,7 +87,7 @@ def hips_and_joints(
     hips, places = [], []
     for begin in range(0, take.clock.count, FRAMES_AT_ONCE):
         block = take.motion.select(slice(begin, begin + FRAMES_AT_ONCE))
-        found = forward(take.rig, *block.dense()).positions
+        found = block.world(take.rig).positions
         hips.append(middle_of_hips(person, found))
         places.append(found[:, kept])
     whole = np.concatenate(places)

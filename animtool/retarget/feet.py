@@ -9,10 +9,10 @@ import numpy as np
 from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.record import dataclass
 from animtool.maths import so3
+from animtool.maths.runs import runs
 from animtool.motion.contacts import (
     RAISED,
     FootContacts,
-    intervals,
     smoothed,
     without_short,
 )
@@ -128,7 +128,7 @@ def _settled(foot: Foot, fps: float, up: int) -> FloatArray:
     """Return turns of a foot, constant and level where all of it stands ``(F, 4)``."""
     flat = without_short(foot.contacts.ankle & foot.contacts.toe, fps)
     correction = np.zeros((len(flat), 3))
-    for start, end in intervals(flat):
+    for start, end in runs(flat):
         # The mean of turns that are near to each other.
         mean = so3.normalize(so3.align_signs(foot.turn[start:end]).sum(axis=0))
         aim = mean
@@ -214,7 +214,7 @@ def _smoothest(draw: FloatArray, places: FloatArray, stiff: float) -> FloatArray
 def _weight(stands: BoolArray, fps: float) -> FloatArray:
     """Return how much a foot carries ``(F,)``: it comes and goes within its contact."""
     made = np.zeros(len(stands))
-    for start, end in intervals(stands):
+    for start, end in runs(stands):
         frames = np.arange(start, end)
         ramp = max(min(HANDOVER * fps, (end - start) / 2), 1.0)
         # What the take cuts off went on.
@@ -254,7 +254,7 @@ def _locked(
     stands = contacts.any
     correction = np.zeros_like(ankle)
     level = foot.height + _level_bone(foot, up)
-    for start, end in intervals(stands):
+    for start, end in runs(stands):
         own, way = ankle[start:end], bone[start:end].copy()
         heel, toe = contacts.ankle[start:end], contacts.toe[start:end]
         flat = np.flatnonzero(heel & toe)

@@ -9,7 +9,8 @@ import numpy as np
 from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.record import dataclass
 from animtool.maths import so3
-from animtool.motion.contacts import find_contacts, intervals, smoothed, without_short
+from animtool.maths.runs import runs
+from animtool.motion.contacts import find_contacts, smoothed, without_short
 from animtool.retarget.feet import between
 from animtool.retarget.legs import put_end, up_index
 from animtool.retarget.person import Person
@@ -163,7 +164,7 @@ def place_hands(
             high = source[:, up] - floor.source
             level = floor.target + transfer.scale * np.minimum(high, LOW / 2 * length)
             slow = find_contacts(source, None, fps, length, up).ankle & ~carrying
-            for start, end in intervals(slow & (high < LOW * length) & ~held[k]):
+            for start, end in runs(slow & (high < LOW * length) & ~held[k]):
                 goals[k][start:end] = wrists[k][start:end].mean(axis=0)
                 goals[k][start:end, up] = float(level[start:end].mean())
                 held[k][start:end] = True

@@ -10,7 +10,8 @@ import numpy as np
 from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.record import dataclass
 from animtool.maths import so3
-from animtool.motion.contacts import intervals, smoothed, without_short
+from animtool.maths.runs import runs
+from animtool.motion.contacts import smoothed, without_short
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.transforms import Track, Transforms, turned_track
 from animtool.retarget.transfer import Transfer
@@ -49,7 +50,7 @@ class PropMotion:
         steady = np.linalg.norm(speed, axis=1) < STEADY * arm
         near = np.linalg.norm(seen, axis=1) < NEAR * arm
         held = without_short(steady & near, fps)
-        for start, end in intervals(held):
+        for start, end in runs(held):
             if np.ptp(self.places[start:end], axis=0).max() < TAKEN_ALONG * arm:
                 held[start:end] = False
         return held

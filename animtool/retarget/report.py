@@ -10,7 +10,8 @@ import numpy as np
 from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.errors import Fault
 from animtool.core.record import dataclass
-from animtool.motion.contacts import FootContacts, intervals
+from animtool.maths.runs import runs
+from animtool.motion.contacts import FootContacts
 from animtool.motion.scores import PassScores, Score, ScoreUnit
 from animtool.retarget.feet import Placed
 from animtool.retarget.hands import HeldHand
@@ -349,7 +350,7 @@ def _drift(points: FloatArray, stands: BoolArray, up: int) -> FloatArray:
     """
     flat = [k for k in range(3) if k != up]
     made = np.full(len(points), math.nan)
-    for start, end in intervals(stands):
+    for start, end in runs(stands):
         own = points[start:end][:, flat]
         made[start:end] = np.linalg.norm(own - own.mean(axis=0), axis=1)
     return made

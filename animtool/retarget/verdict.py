@@ -11,10 +11,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from animtool.core.array_types import BoolArray, FloatArray
+from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault
 from animtool.core.record import dataclass
-from animtool.motion.contacts import intervals
+from animtool.maths.runs import joined, runs
 from animtool.motion.scores import PassScores, Score
 
 # Scores of more than so many times what a good take has are looked at [1].
@@ -145,11 +145,5 @@ def _runs(
     own = values.get(name)
     if own is None:
         return ()
-    high: BoolArray = own > bound
-    runs: list[tuple[int, int]] = []
-    for first, end in intervals(high):
-        if runs and first - runs[-1][1] <= NEAR:
-            runs[-1] = (runs[-1][0], end - 1)
-        else:
-            runs.append((first, end - 1))
-    return tuple(runs)
+    near = joined(runs(own > bound), NEAR)
+    return tuple((first, end - 1) for first, end in near)

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import sys
-from importlib.abc import Loader
 from importlib.machinery import ModuleSpec, PathFinder
 from types import ModuleType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 from animtool.core.plugins import lazy_names
 from animtool.core.process.signals import deferred_signals
@@ -40,12 +39,15 @@ class _PxrFinder:
             return None
         spec = PathFinder.find_spec(name, path, target)
         if spec is not None and spec.loader is not None:
-            spec.loader = _WholeLoader(spec.loader)
+            spec.loader = cast(Any, _WholeLoader(spec.loader))
         return spec
 
 
-class _WholeLoader(Loader):
-    """Runs a module to its end before a signal is obeyed."""
+class _WholeLoader:
+    """Runs a module to its end before a signal is obeyed.
+
+    It has what `importlib.abc` asks of a loader, which loads 40 modules.
+    """
 
     def __init__(self, loader: Any) -> None:
         self._loader = loader

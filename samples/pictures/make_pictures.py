@@ -28,8 +28,8 @@ class Made:
 
     Attributes:
         path: The picture, seen from the project.
-        source: The scene that is shown, or what is baked first: ``bake`` or ``ik`` and
-            its arguments.
+        source: The scene that is shown, or what is baked first: ``bake``, ``ik`` or
+            ``retarget`` and its arguments.
         show: How it is shown.
         over: Layers over it: looks and props.
     """
@@ -197,6 +197,17 @@ PICTURES = (
         "samples/fox/leap.png",
         "bake samples/fox/fox.glb --take leap",
         "--show meshes,shadows --sheet 6x1 --size 260x220 --camera side",
+    ),
+    Made(
+        "samples/figure/figure.png",
+        "retarget samples/figure/figure.fbx --to rigs/biped/biped.rig.yaml",
+        "--show meshes,grid,shadows --sheet 6x1 --size 250x300 --camera 40,8",
+    ),
+    Made(
+        "samples/robot/reach.png",
+        "ik samples/robot/arm.urdf --targets samples/robot/reach.targets.yaml",
+        "--show meshes,grid,shadows --frames 1,13,25,37 --sheet 4x1 --size 320x300 "
+        "--camera 0.9,0.25,2.0,0.25,0.5,0",
     ),
     Made(
         "samples/dance/dance.png",

@@ -22,9 +22,10 @@ from animtool.capture.cameras.openpose import follow_people
 from animtool.capture.clean import CleanOptions, clean, cleaned_take, scores_of
 from animtool.capture.face import fit_face, transfer_weights
 from animtool.capture.face.model import BentShapes, FaceModel
+from animtool.capture.markers import spikes, swaps
 from animtool.capture.markers.chains import alike_of, chained, evidence
 from animtool.capture.markers.fill import fill
-from animtool.capture.markers.geometry import Distances
+from animtool.capture.markers.geometry import Distances, distances
 from animtool.capture.markers.naming import Naming, said_of, searched
 from animtool.capture.markers.predict import follow as by_skeleton
 from animtool.capture.markers.predict import predict, turned
@@ -363,3 +364,58 @@ def test_where_markers_are_in_gaps_by_what_moves_with_them() -> None:
         found.append(turned(bones, positions, seen, 0, gap, far, 100.0))
     found.append(by_skeleton(bones, positions, seen, 0, gap, 100.0))
     check_figures(__file__, "predicted", found)
+
+
+def swapped() -> np.ndarray:
+    """Return positions of which some are exchanged, lost, off, and begin late."""
+    positions = paths(4e-4)[:140]
+    positions[:6, 5] = positions[60:72, 2] = positions[100:103, 8] = np.nan
+    positions[30:55, [2, 6]] = positions[30:55, [6, 2]]
+    positions[110:, [0, 9]] = positions[110:, [9, 0]]
+    positions[20:22, 4] += [0.02, -0.03, 0.01]
+    positions[57:60, 2] += [0.004, 0.006, -0.002]
+    positions[80:95, 3] += np.linspace(0, 0.08, 15)[:, None]
+    return positions
+
+
+def test_what_says_that_names_are_swapped() -> None:
+    positions, rate = swapped(), 120.0
+    apart = distances(positions)
+    expected = swaps._expected(positions, rate)
+    found: list[Any] = [*expected, swaps._pairs(positions, rate)]
+    for a, b in ((2, 6), (0, 9), (3, 4), (5, 8)):
+        crossed = swaps._crossed(positions, a, b, rate, apart)
+        both = positions[:, [a, b]]
+        found += [crossed, swaps._acceleration(both, rate)]
+        found += [swaps._spans(crossed[1], both)]
+        spans = ((0, 30), (30, 55), (60, 61), (70, 140), (100, 118))
+        found += [swaps._shape(positions, a, b, *span, apart) for span in spans]
+    past = [(3, [0.0, 0, 0]), (5, [0.1, 0, 0.1]), (9, [0.2, 0.1, 0.1])]
+    found += [
+        swaps._off(past[:k], frame, [0.3, 0.12, 0.2], rate, acceleration)
+        for k in range(4)
+        for frame in (10, 13)
+        for acceleration in (5.0, 80.0)
+    ]
+    check_figures(__file__, "swaps", found)
+
+
+def test_what_says_that_frames_are_spikes() -> None:
+    positions = swapped()
+    found: list[Any] = []
+    for marker in (2, 4, 5, 8):
+        path = np.nan_to_num(positions[:, marker])
+        seen = np.isfinite(positions[:, marker, 0])
+        rough, noise = spikes._model(path, seen)
+        found += [rough, noise, spikes._round(path, seen, rough, noise)]
+        found += [spikes._spikes(positions[:, marker])]
+        for length in (1, 3, 4):
+            starts, *rest = spikes._deviation(path, seen, length, rough)
+            found += [starts, *rest, spikes._one_sided(seen, starts, length)]
+            found += [spikes._usual(starts, rest[1] * 1e6, len(path))]
+        found += [
+            spikes._is_upset(path, seen, first, length, rough, noise[0] ** 2)
+            for first in range(52, 80, 3)
+            for length in (2, 3)
+        ]
+    check_figures(__file__, "spikes", found)

@@ -212,6 +212,15 @@ def test_the_worst_camera_goes_first() -> None:
     assert (one.first, one.end) == (10, 60) or (one.first, one.end) == (10, 45)
 
 
+def test_a_run_begins_where_a_camera_was_off_from_the_first_frame_on() -> None:
+    judged, rejected = tallies(60, slice(0, 40))
+    (one,) = _moved(judged, rejected, 1, (np.arange(60) > 8) & (np.arange(60) < 30), 8)
+    assert (one.first, one.end) == (0, 40)
+    rejected[3, 1] = 0
+    (one,) = _moved(judged, rejected, 1, (np.arange(60) > 8) & (np.arange(60) < 30), 8)
+    assert (one.first, one.end) == (4, 40)
+
+
 def test_frames_in_which_a_camera_disagrees() -> None:
     """Rejected for more than half, or loud: twice its noise, and more than chance."""
     rows = np.zeros((6, 1, 8))

@@ -13,7 +13,7 @@ from animtool.cli.docs import SITE
 from animtool.cli.docs_reference import codes_markdown, commands_markdown
 from animtool.cli.main import COMMANDS
 from animtool.core.errors import ExitCode
-from animtool.core.pages import KINDS, all_pages, find_page, page_markdown
+from animtool.core.pages import KINDS, MOVED, all_pages, find_page, page_markdown
 from animtool.core.rules import own_rules
 
 
@@ -34,6 +34,11 @@ def test_a_page_is_printed_by_its_name_or_its_last_part(root: Path) -> None:
     text = (root / "animtool/docs/tutorials/desk-lamp.md").read_text("utf-8")
     for topic in ("desk-lamp", "tutorials/desk-lamp", "Desk-Lamp"):
         assert animtool("docs", topic).stdout == text
+
+
+@pytest.mark.parametrize(("old", "new"), MOVED.items())
+def test_pages_that_moved_are_found(old: str, new: str) -> None:
+    assert find_page(old).name == new
 
 
 def test_a_code_and_a_command_are_topics() -> None:

@@ -250,10 +250,11 @@ joints:
 """
 
 
-def test_the_guide_shows_what_is_said(root: Path, tmp_path: Path) -> None:
+def test_the_reference_shows_what_is_said(root: Path, tmp_path: Path) -> None:
     (tmp_path / "hero.rig.yaml").write_text(HERO, "utf-8")
     said = animtool("validate", "hero.rig.yaml", cwd=tmp_path).stdout
-    assert f"\n```\n{said}```\n" in (root / "animtool/docs/guide.md").read_text("utf-8")
+    page = root / "animtool/docs/reference/checking.md"
+    assert f"\n```\n{said}```\n" in page.read_text("utf-8")
 
 
 def test_a_report_of_a_name_that_is_no_text(tmp_path: Path) -> None:

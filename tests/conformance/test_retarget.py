@@ -16,7 +16,7 @@ from support.suite import at_night, some_quick
 
 from animtool import Rig, open_source
 from animtool.core.array_types import BoolArray, FloatArray
-from animtool.motion.contacts import intervals
+from animtool.maths.runs import runs
 from animtool.motion.passes import PassContext
 from animtool.retarget import map_joints
 from animtool.retarget.anatomy import anatomy
@@ -72,7 +72,7 @@ class Case:
         """Return distances from the middle of each true contact [mm]."""
         rows = []
         for ankle, mask in zip(ankles, self.contacts.T, strict=True):
-            for start, end in intervals(mask):
+            for start, end in runs(mask):
                 own = ankle[start:end][:, [0, 2]]
                 rows.append(1e3 * np.linalg.norm(own - own.mean(axis=0), axis=1))
         return np.concatenate(rows)

@@ -16,7 +16,7 @@ from animtool.core.errors import FormatError
 from animtool.maths import so3
 from animtool.rig.file import load_rig
 from animtool.rig.skeleton import JointType, Rig
-from animtool.rig.write import rig_text
+from animtool.scene.convert.rigs import convert_rig
 
 # Of 1 and the largest position.
 TOLERANCE = 1e-12
@@ -52,15 +52,27 @@ def opened(path: Path) -> Rig:
     return Rig.load(path)
 
 
+def name_in_rig(rig: Rig, name: str) -> str:
+    """Return what a rig calls a joint, whose name may be that of a link."""
+    own = f"{name}_joint"
+    fixed = name in rig.names and rig.joints[rig.index(name)].type is JointType.FIXED
+    return own if fixed and own in rig.names else name
+
+
+def planar(name: str) -> tuple[str, str, str]:
+    return f"{name}_x", f"{name}_y", name
+
+
 def values_of(rig: Rig, entry: dict[str, Any], q: dict[str, Any]) -> dict[str, Any]:
     """Return the values of a configuration as those of the joints of a rig."""
     kinds = {joint["name"]: joint["kind"] for joint in entry["joints"]}
     values: dict[str, Any] = {}
-    for name, value in q.items():
-        if kinds.get(name) == "planar":
-            for own, part in zip((f"{name}_x", f"{name}_y", name), value, strict=True):
+    for stated, value in q.items():
+        if kinds.get(stated) == "planar":
+            for own, part in zip(planar(stated), value, strict=True):
                 values[own] = part
             continue
+        name = name_in_rig(rig, stated)
         joint = rig.joints[rig.index(name)]
         if joint.type is JointType.BALL:
             values[name] = [*value[1:], value[0]]
@@ -68,12 +80,17 @@ def values_of(rig: Rig, entry: dict[str, Any], q: dict[str, Any]) -> dict[str, A
             values[name] = value
         else:
             place, turn = np.array(value[:3]), np.array([*value[4:], value[3]])
-            if kinds.get(name) != "floating":
+            if kinds.get(stated) != "floating":
                 # MuJoCo's is of the world, a rig's of where it is at rest.
                 back = so3.conjugate(np.array(joint.rotation))
                 place = so3.rotate(back, place - np.array(joint.translation))
                 turn = so3.multiply(back, turn)
             values[name] = np.concatenate([place, turn])
+    for joint in rig.joints:
+        if joint.mimic is not None:
+            # In place of the value that is stated: it is to follow.
+            led = values[joint.mimic.joint]
+            values[joint.name] = joint.mimic.gain * led + joint.mimic.offset
     return values
 
 
@@ -103,7 +120,7 @@ def test_a_rig_file_of_it_says_the_same(
 ) -> None:
     rig = opened(path)
     written = tmp_path / "again.rig.yaml"
-    written.write_text(rig_text(rig), "utf-8")
+    convert_rig(path, written)
     again = load_rig(written)
     assert again.names == rig.names
     assert [joint.limits for joint in again.joints] == [
@@ -121,7 +138,7 @@ def test_limits_and_mimics_are_those_of_the_file(
         limits = stated.get("limits") or stated.get("range")
         if stated["name"] is None or stated["kind"] in {"fixed", "ball", "free"}:
             continue
-        own = rig.joints[rig.index(stated["name"])]
+        own = rig.joints[rig.index(name_in_rig(rig, stated["name"]))]
         if limits is not None:
             assert own.limits is not None
             assert (own.limits.low, own.limits.high) == pytest.approx(limits, rel=1e-12)

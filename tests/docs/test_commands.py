@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import re
-import shlex
 from collections import Counter
 from dataclasses import fields
+from fnmatch import fnmatch
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -13,7 +13,6 @@ import pytest
 from support.drawing import can_draw
 from support.printed import (
     DOCUMENTS,
-    ROOT,
     Printed,
     commands_in,
     fenced,
@@ -21,22 +20,11 @@ from support.printed import (
     run_printed,
     shorten,
 )
+from support.sections import SECTIONS, TEXTS, needed, output_of
 from support.suite import some_quick
 
 from animtool.motion.passes import PASSES, find_pass
 
-
-def sections_of(text: str) -> dict[str, list[str]]:
-    """Return the commands below each heading of a document that has any."""
-    sections: dict[str, list[str]] = {}
-    for section in re.split(r"^#+ ", text, flags=re.M)[1:]:
-        if commands := commands_in(section):
-            sections[section.splitlines()[0]] = commands
-    return sections
-
-
-TEXTS = {document: (ROOT / document).read_text("utf-8") for document in DOCUMENTS}
-SECTIONS = {document: sections_of(text) for document, text in TEXTS.items()}
 # In how many documents a command is.
 DOCUMENTS_WITH = Counter(
     command for text in TEXTS.values() for command in set(commands_in(text))
@@ -92,45 +80,6 @@ def section_parameters() -> list[object]:
         for title in sections
     ]
     return some_quick(parameters, 2)
-
-
-def output_of(command: str) -> str | None:
-    """Return the name of the file that a command writes."""
-    words = shlex.split(command)
-    if "-o" in words:
-        return words[words.index("-o") + 1]
-    positional = [word for word in words if not word.startswith("-")]
-    return positional[3] if words[1] == "convert" else None
-
-
-def needed(document: str, title: str) -> list[str]:
-    """Return the commands of earlier sections that a section needs, and what they need.
-
-    A file is written by the command that names it as its output, or else, as a rig
-    layer is, by those that write one of the same stem.
-    """
-    titles = list(SECTIONS[document])
-    earlier = [
-        command
-        for each in titles[: titles.index(title)]
-        for command in SECTIONS[document][each]
-    ]
-    commands: list[str] = []
-    pending = list(SECTIONS[document][title])
-    while pending:
-        command = pending.pop()
-        read = {word for word in shlex.split(command)[2:] if "." in word}
-        for name in read - {output_of(command)}:
-            if (ROOT / name).exists():
-                continue
-            writers = [each for each in earlier if output_of(each) == name] or [
-                each
-                for each in earlier
-                if (output_of(each) or "").split(".")[0] == name.split(".")[0]
-            ]
-            pending += [each for each in writers if each not in commands]
-            commands += [each for each in writers if each not in commands]
-    return sorted(commands, key=earlier.index)
 
 
 def is_shared(command: str, workplace: Path) -> bool:
@@ -201,9 +150,9 @@ def test_setup_commands_are_run_by_ci(root: Path) -> None:
     assert "slow=${tests/not slow/slow}" in script
 
 
-def test_every_pass_and_option_is_in_the_guide(root: Path) -> None:
-    guide = (root / "animtool/docs/guide.md").read_text("utf-8")
-    table = guide.split("| pass | options | |")[1].split("\n\n")[0]
+def test_every_pass_and_option_is_in_the_reference(root: Path) -> None:
+    page = (root / "animtool/docs/reference/passes.md").read_text("utf-8")
+    table = page.split("| pass | options | |")[1].split("\n\n")[0]
     rows = [line.split("|")[1:3] for line in table.splitlines()[2:]]
     listed = {
         name.strip(" `"): re.findall(r"`(\w+)`", options) for name, options in rows
@@ -213,3 +162,18 @@ def test_every_pass_and_option_is_in_the_guide(root: Path) -> None:
         for name in listed
     }
     assert set(listed) == set(PASSES)
+
+
+def test_what_the_readme_writes_is_ignored(root: Path) -> None:
+    lines = (root / ".gitignore").read_text("utf-8").splitlines()
+    patterns = [line[1:] for line in lines if re.fullmatch(r"/\*\.\w+", line)]
+    text = TEXTS["README.md"]
+    commands = commands_in(text) + [
+        "animtool" + one.rpartition("/animtool")[2]
+        for one in fenced(text, "sh")
+        if "/animtool " in one
+    ]
+    outputs = {output for one in commands if (output := output_of(one))}
+    assert "walk.usdc" in outputs
+    ignored = {name for name in outputs for one in patterns if fnmatch(name, one)}
+    assert ignored == outputs

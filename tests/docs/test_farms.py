@@ -1,4 +1,4 @@
-"""What the guide prints for farms, clusters and shells runs as it stands there."""
+"""What how-to guides print for farms, clusters and shells runs as it stands there."""
 
 from __future__ import annotations
 
@@ -25,7 +25,8 @@ JOB = "batch: animtool/1\ninputs: [takes]\noutput: out/{stem}.usdc\n"
 
 @pytest.fixture(scope="module")
 def guide(root: Path) -> str:
-    return (root / "animtool/docs/guide.md").read_text("utf-8")
+    pages = [root / f"animtool/docs/howto/{name}.md" for name in ("farm", "shots")]
+    return "\n".join(page.read_text("utf-8") for page in pages)
 
 
 @pytest.fixture

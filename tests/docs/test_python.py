@@ -26,7 +26,7 @@ def test_the_examples(
     assert not found.failed
 
 
-@pytest.mark.parametrize("name", ["README.md", "animtool/docs/guide.md"])
+@pytest.mark.parametrize("name", ["README.md", "animtool/docs/reference/index.md"])
 def test_the_page_is_linked(root: Path, name: str) -> None:
     links = re.findall(r"\]\(([^)]*python\.md)\)", (root / name).read_text("utf-8"))
     assert links

@@ -14,6 +14,7 @@ from support.figures import check_figures
 from support.gaits import gait, swinging
 from support.small_takes import small, with_tracks
 
+from animtool.core.errors import OptionError
 from animtool.edit.cycle import find_cycle, measure_cycle
 from animtool.edit.layers import blend, difference, layer
 from animtool.edit.looping import loop
@@ -138,6 +139,27 @@ def test_options_of_passes(k: int) -> None:
     made = shown(stream.collect())
     noted = [[one.code for one in notes] for notes in (stream.notices, context.notices)]
     check_figures(__file__, f"{k} {name}", {**made, "noted": noted})
+
+
+@pytest.mark.parametrize(
+    ("keys", "wrong"),
+    [
+        ({}, set()),
+        ({"blend": 0, "repeats": 1, "first": 3.0, "last": 4.0}, set()),
+        ({"blend": -1}, {"blend"}),
+        ({"repeats": 0}, {"repeats"}),
+        ({"first": 4.0, "last": 3.0}, {"last"}),
+    ],
+)
+def test_least_options_of_loops(keys: dict[str, Any], wrong: set[str]) -> None:
+    own = find_pass("loop")
+    refused = set()
+    for name, check in own.checks(own.options(**keys)).items():
+        try:
+            check()
+        except OptionError:
+            refused.add(name)
+    assert refused == wrong
 
 
 @pytest.mark.parametrize("axes", ["", "xyz", "z"])

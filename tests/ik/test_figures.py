@@ -28,6 +28,7 @@ from animtool.ik import (
     solve,
     solve_take,
 )
+from animtool.ik.fit import FitOptions, fit
 from animtool.ik.match_take import match_take
 from animtool.ik.report import goal_reports, take_notices
 from animtool.ik.write import targets_text
@@ -103,6 +104,23 @@ def test_a_clip_is_followed(smooth: float) -> None:
     check_figures(__file__, f"follow {smooth}", shown(result))
 
 
+@pytest.mark.parametrize("kind", ["pins", "balls"])
+def test_a_clip_is_evened_out_along_limits(kind: str) -> None:
+    """What limits hold is left out of what may be evened out."""
+    t = np.linspace(0, 1, 24)
+    if kind == "pins":
+        problem = build(arm(5, 0.7), [Goal("b4", (0.4, 0.0, 0.0))])
+        way = [1.6 - 0.15 * t, 0.45 * np.sin(5 * t), 0.4 * np.cos(4 * t)]
+    else:
+        problem = build(mixed_rig(), [Goal("hand", (0.1, 0.0, 0.0), root="spine")])
+        way = [0.5 + 0.2 * np.sin(6 * t), 1.2 + 0.2 * t, 0.4 * np.cos(5 * t)]
+    targets = Targets(np.stack(way, axis=1)[:, None])
+    options = FollowOptions(smooth=0.3, fps=24.0, branches=2, back=0.3)
+    start = random_pose(problem, 3)[0]
+    result = follow(problem, start, targets, options)
+    check_figures(__file__, f"evened {kind}", shown(result))
+
+
 GOALS = """
 - {effector: leg_l, hold: [[4, 9], [14, 18]], ease: 3, soft: 0.1, stretch: 0.1}
 - {effector: leg_r, offset: [0, 0, 0.05], during: [[3, 16]], ease: 4,
@@ -147,4 +165,37 @@ def test_targets_of_a_take() -> None:
             "rotations": np.asarray(sampled.rotations),
             "poles": np.asarray(sampled.poles),
         },
+    )
+
+
+def test_a_clip_is_fitted_from_far_starts() -> None:
+    """Frame after frame is looked for; two targets are exchanged, some are wild."""
+    rig = arm(5, 1.2)
+    goals = [Goal("b4", (0.4, 0.1, 0.0)), Goal("b2", (0.3, 0.0, 0.1)), Goal("b3")]
+    problem = build(rig, goals)
+    t = np.linspace(0, 1, 30)[:, None]
+    poses = 0.7 * np.sin(t * [3.0, 4.0, 5.0, 2.0, 6.0] + np.arange(5))
+    rng = np.random.default_rng(6)
+    positions = np.asarray(reached_by(problem, poses).positions)
+    positions = positions + rng.normal(0, 2e-3, positions.shape)
+    positions[10:18, [0, 1]] = positions[10:18, [1, 0]]
+    positions[22, 2] += 0.5
+    weights = np.zeros((30, 3, 4))
+    weights[:, :, 0] = problem.length / 2e-3
+    weights[5:9, 1] = 0.0
+    options = FitOptions(30.0, 40.0, robust=4.0, rounds=5)
+    targets = Targets(positions, weights=weights)
+    starts = np.tile([0.9, -0.8, 0.5, 0.0, -0.4], (30, 1))
+    found = [
+        fit(problem, targets, starts, options),
+        fit(problem, targets, starts, options, path=poses + 0.05),
+        fit(problem, targets, starts, options, path=poses, first=12),
+    ]
+    check_figures(
+        __file__,
+        "fit",
+        [
+            [one.coordinates, one.misses, one.searched, one.taken, one.after]
+            for one in found
+        ],
     )

@@ -14,7 +14,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from support.ik import arm, limb
 
 from animtool.core.errors import OptionError
-from animtool.ik import Goal, IkStatus, Targets, build
+from animtool.ik import Goal, IkStatus, Targets, build, result, take_run
 from animtool.ik.chain_frame import refuse_scales
 from animtool.ik.clip_path import ClipPath
 from animtool.ik.goals import (
@@ -59,13 +59,40 @@ from animtool.ik.values import (
 )
 from animtool.maths import so3
 from animtool.motion.motion import Channel
-from animtool.rig.kinematics import rest_world
-from animtool.rig.limits import RangeLimit
+from animtool.rig.kinematics import forward, rest_world
+from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.parts import IkChain
 from animtool.rig.skeleton import Joint, JointType, Rig
 
 X, Y, Z = np.eye(3)
 HALF = so3.exp(np.array([0.0, 0, np.pi / 2]))
+
+
+def test_a_pole_is_along_its_direction_as_the_joint_above_is_turned() -> None:
+    """Off the root of a limb by ten times how far its tip is."""
+    rig = Rig(
+        "r",
+        (
+            Joint("top", -1, JointType.BALL, translation=(1.0, 2.0, 3.0)),
+            Joint("a", 0, JointType.BALL, translation=(0.0, 1.0, 0.0)),
+            Joint("b", 1, JointType.PIN, translation=(0.0, 2.0, 0.0)),
+        ),
+    )
+    turns = np.stack([HALF, so3.IDENTITY, so3.IDENTITY])[None]
+    world = forward(rig, rig.rest_translations[None], turns)
+    chain = IkChain("limb", "a", "b", "pose", (0.6, 0.0, 0.8))
+    track: Any = SimpleNamespace(chain=chain)
+    found = take_run._pole(rig, track, world, 0)
+    # Half a right angle about z takes x to y.
+    expected = np.array([0.0, 2.0, 3.0]) + 20.0 * np.array([0, 0.6, 0.8])
+    assert_allclose(found, expected, atol=1e-12)
+
+
+def test_a_twist_is_at_its_limit_where_there_is_room_to_be_off_it() -> None:
+    still = so3.IDENTITY[None]
+    for wide, at in ((2.5, True), (1.5, False)):
+        limit = BallLimit(None, (0.0, wide * result.ON_LIMIT), (0.0, 1.0, 0.0))
+        assert result._on_limit(limit, still).tolist() == [at]
 
 
 def test_spans_hold_and_share_the_gap_between_them() -> None:

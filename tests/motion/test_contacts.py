@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from animtool.core.array_types import BoolArray, FloatArray
+from animtool.maths.runs import runs
 from animtool.motion.contacts import (
     find_contacts,
-    intervals,
     jitter,
     smoothed,
     without_short,
@@ -76,19 +76,14 @@ def test_smoothing_keeps_straight_ways_and_its_ends() -> None:
     assert smoothed(way[:1], 3.0).tolist() == way[:1].tolist()
 
 
-def test_intervals_are_where_a_mask_holds() -> None:
-    mask = np.array([1, 1, 0, 0, 1, 0, 1], np.bool_)
-    assert intervals(mask) == [(0, 2), (4, 5), (6, 7)]
-
-
 def test_what_the_ends_of_a_take_cut_off_is_not_too_short() -> None:
     """At 100 frames a second a contact lasts 6 frames, and so does a gap in one."""
     mask = np.array([1] * 2 + [0] * 9 + [1] * 5 + [0] * 9 + [1] * 6 + [0] * 9 + [1] * 2)
     kept = without_short(mask.astype(np.bool_), 100.0)
-    assert intervals(kept) == [(0, 2), (25, 31), (40, 42)]
+    assert runs(kept) == [(0, 2), (25, 31), (40, 42)]
     kept = without_short(mask == 0, 100.0)
-    assert intervals(kept) == [(2, 25), (31, 40)]
+    assert runs(kept) == [(2, 25), (31, 40)]
     kept = without_short(
         np.array([0] * 2 + [1] * 8 + [0] * 5 + [1] * 8 + [0] * 2) > 0, 100.0
     )
-    assert intervals(kept) == [(2, 23)]
+    assert runs(kept) == [(2, 23)]

@@ -7,7 +7,9 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from animtool.core.errors import AnimtoolError
-from animtool.motion.motion import Channel
+from animtool.motion.motion import Channel, Motion
+from animtool.rig.kinematics import forward
+from animtool.rig.skeleton import Joint, Rig
 
 
 def test_compact_keeps_the_values() -> None:
@@ -52,3 +54,19 @@ def test_what_is_no_channel(shape: tuple[int, ...]) -> None:
     with pytest.raises(AnimtoolError) as caught:
         Channel.from_dense(np.zeros(shape))
     assert caught.value.code == "TAKE001"
+
+
+def test_joints_are_where_the_dense_motion_has_them() -> None:
+    rng = np.random.default_rng(2)
+    rig = Rig("tree", tuple(Joint(f"j{i}", (i - 1) // 2) for i in range(7)))
+    dense = [rng.normal(size=(5, 7, 3)), rng.normal(size=(5, 7, 4)), np.ones((5, 7, 3))]
+    dense[1] /= np.linalg.norm(dense[1], axis=-1, keepdims=True)
+    dense[0][:, 2:5] = dense[0][:1, 2:5]
+    dense[1][:, 1:3] = dense[1][:1, 1:3]
+    dense[2][:, 4] = rng.uniform(0.5, 2, (5, 3))
+    channels = [Channel.from_dense(values) for values in dense]
+    for count in (2, 3):
+        found = Motion(*channels[:count]).world(rig)
+        world = forward(rig, *dense[:count])
+        np.testing.assert_array_equal(found.positions, world.positions)
+        np.testing.assert_array_equal(found.linear, world.linear)

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, replace
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -22,9 +23,12 @@ from animtool.motion.take import TakeStream
 from animtool.retarget import map_joints, map_text, retarget_take
 from animtool.retarget.anatomy import anatomy
 from animtool.retarget.facts import capture_facts
+from animtool.retarget.fingers import _digits_by_place
+from animtool.retarget.options import RetargetOptions
 from animtool.retarget.person import Person
 from animtool.retarget.report import scores_of
 from animtool.retarget.standing import body_axes, stance, stands_along
+from animtool.retarget.take_pass import onto_rig
 from animtool.rig.kinematics import rest_world
 from animtool.rig.skeleton import Joint
 
@@ -112,6 +116,19 @@ def test_irregular_takes_on_an_uneven_rig(name: str) -> None:
             "names": dict(scores.names),
         },
     )
+
+
+def test_what_is_said_of_a_take_frame_by_frame() -> None:
+    take = uneven(taken("turn", 40), 7)
+    made, _, notices = onto_rig(TakeStream.of(take), odd_biped(), RetargetOptions())
+    blocks = list(made.blocks())
+    assert sum(block.frames for block in blocks) == 40
+    found = {
+        "verdict": asdict(made.verdict()),
+        "report": without_paths(made.report()),
+        "notices": notices,
+    }
+    check_figures(__file__, "verdict", found)
 
 
 def turned_about(rig: Rig, turn: np.ndarray, **changes: Any) -> Rig:
@@ -284,6 +301,24 @@ def test_bodies_of_all_kinds(kind: str, named_: bool) -> None:
         "balls": [body.balls.get(side) for side in "lr"],
     }
     check_figures(__file__, f"body {kind} {named_}", shown)
+
+
+def test_digits_of_hands_that_are_shaped_at_random() -> None:
+    found = []
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        count = 1 + seed % 5
+        positions, ways = [np.zeros(3)], []
+        for _ in range(count):
+            at = rng.uniform([0.02, -0.04, -0.01], [0.1, 0.04, 0.01])
+            bone, way = rng.uniform([0.0, -0.03, -0.01], [0.03, 0.03, 0.01]), []
+            for k in range(int(rng.integers(1, 5))):
+                way.append(len(positions))
+                positions.append(at + k * bone)
+            ways.append(way)
+        body: Any = SimpleNamespace(positions=np.array(positions))
+        found.append(" ".join(_digits_by_place(body, ways, 0)))
+    check_figures(__file__, "digits", found)
 
 
 def test_nobody_stands_nowhere() -> None:

@@ -19,6 +19,7 @@ from support.suite import examples
 
 from animtool.core.errors import Fault, FormatError
 from animtool.documents.document import Document, read_document
+from animtool.documents.yaml_values import Marks
 from animtool.maths import so3
 from animtool.rig.file import load_rig, rig_of_document
 from animtool.rig.joints import coordinate_slices, local_from_coordinates
@@ -548,7 +549,8 @@ def test_any_edits_give_a_rig_or_faults(
     root: Any = copy.deepcopy(document.value)
     for _ in range(data.draw(st.integers(1, 4))):
         edit(root, data)
-    edited = Document(path, root, document.places * 9)
+    marks = document.marks()
+    edited = Document(path, root, lambda: Marks(marks.places * 9, {}))
     joints: list[Any] = []
     faults: list[Any] = []
     try:

@@ -136,8 +136,60 @@ def skinned(made: Maker, joints: list[int], name: str, at: float = 0.0) -> int:
     return len(made.json["nodes"]) - 1
 
 
+def _pack(made: Maker, mesh: int, joints: list[int]) -> None:
+    """Add what is packed: small integers, second influences, pointers, a VRM."""
+    primitive = made.json["meshes"][made.json["nodes"][mesh]["mesh"]]["primitives"][0]
+    attributes, count = primitive["attributes"], 2 * (len(joints) + 1)
+    points = np.zeros((count, 4), "<i2")
+    points[:, 0], points[:, 1] = np.arange(count) % 2, np.arange(count) // 2
+    attributes["POSITION"] = made.accessor(points[:, :3].copy(), "i2")
+    entry = made.json["accessors"][attributes["POSITION"]]
+    entry["bufferView"] = made.view(points)
+    made.json["bufferViews"][entry["bufferView"]]["byteStride"] = 8
+    second = np.zeros((count, 4))
+    attributes["JOINTS_1"] = made.accessor(second + 1, "u2")
+    halves = second.copy()
+    halves[:, 0] = 255
+    attributes["WEIGHTS_1"] = made.accessor(halves, "u1", normalized=True)
+    times = made.accessor(np.array([0.0, 0.5, 1.0]))
+    keys = np.round(turned(1, 0, 40, 0) * 32767)
+    pointers = [
+        (f"/nodes/{joints[0]}/rotation", made.accessor(keys, "i2", normalized=True)),
+        (f"/nodes/{mesh}/weights/1", made.accessor([0.0, 1.0, 0.0])),
+        (
+            f"/nodes/{mesh}/extensions/KHR_node_visibility/visible",
+            made.accessor([1, 0, 1], "u1"),
+        ),
+    ]
+    made.json["animations"].append(
+        {
+            "name": "pointed",
+            "samplers": [{"input": times, "output": one} for _, one in pointers],
+            "channels": [
+                {
+                    "sampler": k,
+                    "target": {
+                        "path": "pointer",
+                        "extensions": {"KHR_animation_pointer": {"pointer": text}},
+                    },
+                }
+                for k, (text, _) in enumerate(pointers)
+            ],
+        }
+    )
+    made.json["nodes"][mesh]["extensions"] = {"KHR_node_visibility": {"visible": True}}
+    names = ["hips", "spine", "head"]
+    bones = {name: {"node": j} for name, j in zip(names, joints, strict=True)}
+    made.json["extensions"] = {"VRMC_vrm": {"humanoid": {"humanBones": bones}}}
+    made.json["extensionsRequired"] = ["KHR_mesh_quantization"]
+    made.json["extensionsUsed"] = [
+        *("KHR_mesh_quantization", "KHR_animation_pointer"),
+        *("KHR_node_visibility", "VRMC_vrm"),
+    ]
+
+
 def small_gltf(kind: str = "plain") -> tuple[dict[str, Any], bytes]:
-    """Return a character: ``plain``, ``cubic``, ``sparse``, or two ``skins``."""
+    """Return a character: ``plain``, ``cubic``, ``sparse``, ``packed`` or ``skins``."""
     made = Maker()
     joints = chain(made, ["hips", "chest", "head"])
     mesh = skinned(made, joints, "body")
@@ -174,6 +226,8 @@ def small_gltf(kind: str = "plain") -> tuple[dict[str, Any], bytes]:
         made.animation(
             "nod", (joints[2], "rotation", "STEP", times, turned(0, 0, 9, 0))
         )
+    if kind == "packed":
+        _pack(made, mesh, joints)
     if kind == "sparse":
         attributes = made.json["meshes"][0]["primitives"][0]["attributes"]
         entry = made.json["accessors"][attributes["POSITION"]]

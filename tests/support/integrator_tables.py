@@ -1,4 +1,4 @@
-"""The tables of integrators in ``docs/guide.md``, measured.
+"""The tables of integrators in ``docs/reference/integrators.md``, measured.
 
 ``PYTHONPATH=tests python tests/support/integrator_tables.py`` writes them anew into the
 page, times included; the test of the page compares all but the times.
@@ -25,7 +25,7 @@ from animtool.sim import (
 from animtool.sim.integrators.integrator import Control, Form
 from support.motions import Motion, kepler, pendulum, pendulum_period
 
-PAGE = Path(__file__).parents[2] / "animtool/docs/guide.md"
+PAGE = Path(__file__).parents[2] / "animtool/docs/reference/integrators.md"
 _MARK = re.compile(r"(<!-- integrators: (\w+) -->\n)(?:\n(?:\|.*\n)+)?")
 DAMPING = (0.0, 0.063, 1.58)
 # Steps a period of methods with fixed ones, and the tolerance of others.

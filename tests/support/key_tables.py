@@ -1,6 +1,6 @@
-"""The tables of keys in ``docs/formats.md``, made of the schemas.
+"""The tables of keys in ``docs/reference``, made of the schemas.
 
-``python tests/support/key_tables.py`` writes them anew into the page.
+``python tests/support/key_tables.py`` writes them anew into the pages.
 """
 
 from __future__ import annotations
@@ -20,7 +20,17 @@ from animtool.cli.schema import MODELS, model_of
 from animtool.documents.placeholders import annotation_of
 from animtool.documents.placeholders import models_of as models_of_type
 
-PAGE = Path(__file__).parents[2] / "animtool/docs/formats.md"
+_FOLDER = Path(__file__).parents[2] / "animtool/docs/reference"
+# In the order in which examples of parts add to those before them.
+PAGES = [
+    _FOLDER / f"{name}.md"
+    for name in (
+        *("rig-files", "clip-files", "targets-files", "map-files", "capture-files"),
+        *("scene-files", "particles-files", "rigid-files", "fluid-files"),
+        *("molecules-files", "nbody-files", "flocks-files", "crowds-files"),
+        *("springs-files", "batch-files", "files"),
+    )
+]
 _MARK = re.compile(r"(<!-- keys: (\w+) (.+?) -->\n)(?:\n(?:\|.*\n)+)?")
 _HEAD = "| key | value | usually | meaning | example |\n|---|---|---|---|---|\n"
 # Bounds that all numbers have are not in the tables.
@@ -185,4 +195,5 @@ def _listed(spec: dict[str, Any]) -> str:
 
 
 if __name__ == "__main__":
-    PAGE.write_text(filled(PAGE.read_text("utf-8")), "utf-8")
+    for page in PAGES:
+        page.write_text(filled(page.read_text("utf-8")), "utf-8")

@@ -28,6 +28,7 @@ from animtool.core.record import dataclass
 from animtool.core.units import LengthUnit, UpAxis
 from animtool.documents.document import Document, Location, document_of, read_text
 from animtool.documents.fields import MAX_NUMBER
+from animtool.documents.yaml_values import Marks
 from animtool.maths.so3 import exp, to_matrix
 
 # What programs call a value, the first that a camera has.
@@ -88,7 +89,7 @@ def _toml(text: str, path: Path) -> Document:
     for key, inner in value.items():
         line = starts.get(key, 1)
         places += [(line, 1)] * (1 + _nodes(inner))
-    return Document(path, value, places)
+    return Document(path, value, lambda: Marks(places, {}))
 
 
 def _nodes(value: Any) -> int:

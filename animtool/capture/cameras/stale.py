@@ -9,6 +9,7 @@ import numpy as np
 from animtool.capture.cameras.camera import Camera, project
 from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.record import dataclass
+from animtool.maths.runs import joined, runs
 from animtool.maths.so3 import exp, from_matrix, log, to_matrix
 
 # Share of outliers from which a camera does not fit its calibration [1].
@@ -226,15 +227,9 @@ def _around(values: FloatArray, window: int) -> FloatArray:
 
 def _runs(off: BoolArray, window: int) -> list[tuple[int, int]]:
     """Return runs of frames of a window and more, gaps shorter than one closed."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], off.astype(np.int8), [0]])))
-    closed: list[list[int]] = []
-    for a, b in edges.reshape(-1, 2).tolist():
-        if closed and a - closed[-1][1] < window:
-            closed[-1][1] = b
-        else:
-            closed.append([a, b])
     # What lasts for a window is off for half of one at least around it.
-    return [(a, b) for a, b in closed if b - a >= max(1, window // 2)]
+    least = max(1, window // 2)
+    return [(a, b) for a, b in joined(runs(off), window) if b - a >= least]
 
 
 def pose_change(

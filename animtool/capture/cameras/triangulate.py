@@ -36,6 +36,7 @@ from animtool.capture.cameras.stale import (
 from animtool.capture.options import TriangulateOptions
 from animtool.core.array_types import BoolArray
 from animtool.core.errors import Fault, OptionError, Severity, counted
+from animtool.maths.runs import runs
 from animtool.motion.markers import Markers
 
 # Observations that are worked on at once: what they take stays below 50 MB.
@@ -249,8 +250,7 @@ class _Run:
 
     def _solve_changed(self, changed: BoolArray) -> None:
         """Solve the frames again in which the cameras are others."""
-        edges = np.diff(np.concatenate([[0], changed.astype(np.int8), [0]]))
-        for first, end in np.flatnonzero(edges).reshape(-1, 2).tolist():
+        for first, end in runs(changed):
             self._solve(first, end)
 
     def _leave_out_moved(self) -> None:

@@ -16,6 +16,7 @@ from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.errors import Fault, Severity, counted
 from animtool.core.process.blas import one_thread
 from animtool.core.record import dataclass
+from animtool.maths.runs import runs
 from animtool.motion.markers import Markers
 
 if TYPE_CHECKING:
@@ -221,9 +222,8 @@ def _gaps(markers: Markers, seen: BoolArray) -> list[tuple[int, int, int]]:
     for marker, name in enumerate(markers.names):
         if name.startswith("*") or not seen[:, marker].any():
             continue
-        missing = (~seen[:, marker]).astype(np.int8)
-        edges = np.flatnonzero(np.diff(missing, prepend=0, append=0)).reshape(-1, 2)
-        gaps += [(end - first, first, marker) for first, end in edges.tolist()]
+        missing = runs(~seen[:, marker])
+        gaps += [(end - first, first, marker) for first, end in missing]
     return sorted(gaps)
 
 

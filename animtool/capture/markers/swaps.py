@@ -11,6 +11,7 @@ import numpy as np
 from animtool.capture.markers.geometry import Distances, distances
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.record import dataclass
+from animtool.maths.runs import joined, runs
 from animtool.motion.markers import Markers
 
 # Frames that name a run; a change of fewer is a spike.
@@ -301,17 +302,10 @@ def _spans(crossed: BoolArray, both: FloatArray) -> list[tuple[int, int]]:
 
     One that begins or ends where neither is seen does so in the middle of that.
     """
-    edges = np.flatnonzero(np.diff(crossed.astype(np.int8), prepend=0, append=0))
     seen = np.asarray(np.isfinite(both[..., 0]).any(axis=1))
     spans = []
-    joined: list[list[int]] = []
-    for first, end in edges.reshape(-1, 2).tolist():
-        # What is straight for a few frames between is a spike.
-        if joined and first - joined[-1][1] < MIN_SWAP:
-            joined[-1][1] = end
-        else:
-            joined.append([first, end])
-    for first, end in joined:
+    # What is straight for a few frames between is a spike.
+    for first, end in joined(runs(crossed), MIN_SWAP):
         frames = first + np.flatnonzero(seen[first:end])
         if len(frames) < MIN_SWAP:
             continue

@@ -10,7 +10,7 @@ from animtool.capture.solve.model import MIN_MARKERS
 from animtool.capture.solve.sampling import ROBUST
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.record import dataclass
-from animtool.motion.contacts import intervals
+from animtool.maths.runs import runs
 
 # Share of a frame's markers that must fit for it not to be poor.
 MIN_FITTED_SHARE = 0.5
@@ -136,5 +136,5 @@ class SolveScore:
             for e in own.tolist()
             for label in np.unique(self._taken[:, e]).tolist()
             if label not in (e, -1)
-            for first, end in intervals(self._taken[:, e] == label)
+            for first, end in runs(self._taken[:, e] == label)
         ]

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextvars import ContextVar
 from dataclasses import field
 from pathlib import Path, PurePath
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 from animtool.core.arguments import argument, clause
 from animtool.core.errors import Fault, OptionError, OutputError, counted
@@ -231,23 +231,26 @@ _waiting: ContextVar[_Block | None] = ContextVar("_waiting", default=None)
 
 def write_parts(output: Path, parts: Iterable[bytes]) -> None:
     """Write a file whole, from bytes that are made as they are taken (else OUT002)."""
-    with replacing(output) as temporary:
-        try:
-            with temporary.open("wb") as file:
-                for part in parts:
-                    file.write(part)
-        except OSError as error:
-            raise output_error(output, error) from error
+    with _replaced(output) as file:
+        for part in parts:
+            file.write(part)
 
 
 def write_arrays(output: Path, arrays: Mapping[str, npt.NDArray[Any]]) -> None:
     """Write arrays by name to an npz file, whole or not at all (else OUT002)."""
     import numpy as np
 
+    with _replaced(output) as file:
+        np.savez_compressed(file, allow_pickle=False, **arrays)
+
+
+@contextlib.contextmanager
+def _replaced(output: Path) -> Iterator[BinaryIO]:
+    """Give a file that becomes an output at the end."""
     with replacing(output) as temporary:
         try:
             with temporary.open("wb") as file:
-                np.savez_compressed(file, allow_pickle=False, **arrays)
+                yield file
         except OSError as error:
             raise output_error(output, error) from error
 

@@ -15,6 +15,7 @@ from animtool.core.units import LengthUnit
 from animtool.formats.c3d.read import OWN_GROUP
 from animtool.formats.c3d.sections import BLOCK, MAGIC, Processor
 from animtool.formats.trajectories import FLOAT32_MAX
+from animtool.maths.runs import runs
 from animtool.motion.markers import Markers
 
 # Entries of a parameter: its dimensions are single bytes.
@@ -202,9 +203,8 @@ def filled_spans(markers: Markers) -> list[tuple[int, int, int]]:
         return []
     spans = []
     for marker in np.flatnonzero(markers.filled.any(axis=0)).tolist():
-        flags = markers.filled[:, marker].astype(np.int8)
-        edges = np.flatnonzero(np.diff(flags, prepend=0, append=0)).reshape(-1, 2)
-        spans += [(marker, first, end - 1) for first, end in edges.tolist()]
+        found = runs(markers.filled[:, marker])
+        spans += [(marker, first, end - 1) for first, end in found]
     return spans
 
 

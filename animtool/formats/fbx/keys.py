@@ -92,12 +92,16 @@ def checked(curve: Curve, element: Element, notes: Notes) -> Curve:
         if not np.isfinite(slopes).all():
             notes.fail("FBX006", element.where, "a slope of a key is not finite")
     pre, post = (_outside(element, f"{name}-Extrapolation", notes) for name in _SIDES)
+    right, left = curve.right, curve.left
+    if not (curve.modes == CUBIC).any() and "K" not in {pre.mode, post.mode}:
+        # Nothing asks for the slopes of straight segments.
+        right = left = np.zeros(len(times))
     return Curve(
         times,
         curve.values,
         _held_once(curve.modes),
-        _held_once(curve.right),
-        _held_once(curve.left),
+        _held_once(right),
+        _held_once(left),
         _held_once(curve.weights),
         pre,
         post,

@@ -5,14 +5,18 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+from animtool.clip.clip import Clip
+from animtool.clip.keyed_curve import KeyedCurve
 from animtool.core.arguments import argument
 from animtool.core.errors import Fault, FormatError, Severity, counted, listed
 from animtool.core.names import nearest
 from animtool.core.rates import FractionLike, rate_option
 from animtool.core.similar import distinct
 from animtool.core.units import LengthUnit, UpAxis, unit_name
+from animtool.formats.fbx.clip_keys import clip_of_fbx
 from animtool.formats.fbx.rig import FbxRig, build_rig, scale_notice
 from animtool.formats.fbx.sampling import (
+    Frames,
     Sampler,
     between_notices,
     frames_of,
@@ -22,6 +26,7 @@ from animtool.formats.fbx.sampling import (
 from animtool.formats.fbx.scene import FbxScene, open_fbx
 from animtool.formats.fbx.takes import AnimTake
 from animtool.formats.gltf.characters import Character, chosen
+from animtool.motion.motion import MotionCurve
 from animtool.motion.take import TakeStream
 from animtool.rig.skeleton import Rig
 
@@ -69,6 +74,9 @@ def read_fbx(
     stream.notices += between_notices(scene, made, moving, frames)
     stream.notices += _left_out(scene, own)
     names = take_names_of(scene)
+    names = take_names_of(scene)
+    if own is not None:
+        stream.curve = _keyed(stream, names[index], made, moving, frames)
     stream.details = {
         "format": "FBX",
         "units": unit_name(made.rig.meters_per_unit),
@@ -76,6 +84,19 @@ def read_fbx(
         "takes": names,
     }
     return stream
+
+
+def _keyed(
+    stream: TakeStream, name: str, made: FbxRig, moving: Sampler, frames: Frames
+) -> MotionCurve:
+    """Return the motion of a stream at any time, with the keys that it is of."""
+
+    def clip() -> Clip:
+        found, notices = clip_of_fbx(name, made, moving, frames)
+        return replace(found, notices=tuple(notices))
+
+    assert stream.curve is not None
+    return KeyedCurve(stream.curve, clip, foreign=True)
 
 
 def read_fbx_rig(path: Path, prim_path: str | None = None) -> Rig:
@@ -146,4 +167,4 @@ def _take(scene: FbxScene, made: FbxRig, take: str | None) -> tuple[int, list[Fa
         return index, []
     message = f"take {names[index]!r} is read of {counted(len(moving), 'take')}"
     hint = f"{argument('source.take')} reads another: {listed(names, MAX_NAMED)}"
-    return index, [Fault("FBX115", message, path, (), hint, Severity.NOTE)]
+    return index, [Fault("FBX122", message, path, (), hint, Severity.NOTE)]

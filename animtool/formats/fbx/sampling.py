@@ -28,6 +28,8 @@ from animtool.rig.kinematics import forward
 BLOCK = 1024
 # What a take is held with: numbers that change, of all frames.
 MAX_VALUES = 60_000_000
+# A frame takes time however few of its numbers change.
+LEAST_VALUES = 40
 MAX_TICKS = 2.0**61
 # A key is on a frame that is nearer than this [frame].
 ON_FRAME = 1e-3
@@ -74,20 +76,21 @@ class Sampler:
         moves, turns, scales = (len(one) for one in self.moving)
         return 3 * moves + 4 * turns + 3 * scales + len(self.shapes)
 
-    def _track(self, row: int) -> Track | None:
+    def track(self, row: int) -> Track | None:
+        """Return what moves a shape; None where nothing does."""
         channel = self.made.shapes[row][0]
         take = self.take
         return None if take is None else take.tracks.get((channel.id, PERCENT))
 
     def _moves(self, row: int) -> bool:
-        track = self._track(row)
+        track = self.track(row)
         base = np.array([self.made.shapes[row][0].percent])
         return track is not None and track.constant(base) is None
 
-    def _weight(self, row: int, ticks: IntArray) -> FloatArray:
+    def weight(self, row: int, ticks: IntArray) -> FloatArray:
         """Return the weight of a shape at times ``(F,)`` [1]."""
         channel, full = self.made.shapes[row]
-        base, track = np.array([channel.percent]), self._track(row)
+        base, track = np.array([channel.percent]), self.track(row)
         if track is None:
             return np.full(len(ticks), channel.percent / full)
         return np.asarray(track.at(base, ticks)[:, 0] / full)
@@ -102,7 +105,7 @@ class Sampler:
             own = state.row(row)
             moved[j], turned[j] = own[0][0] * made.factors[j], own[1][0]
             scaled[j] = 1.0 if made.even[j] else own[2][0]
-        weights = [self._weight(row, ticks)[0] for row in range(len(made.shapes))]
+        weights = [self.weight(row, ticks)[0] for row in range(len(made.shapes))]
         return [moved, turned, scaled, np.array(weights).reshape(-1, 1)]
 
     def at(self, ticks: IntArray) -> Motion:
@@ -127,7 +130,7 @@ class Sampler:
         ]
         weights = None
         if made.shapes:
-            rows = [self._weight(row, ticks) for row in self.shapes.tolist()]
+            rows = [self.weight(row, ticks) for row in self.shapes.tolist()]
             shown = np.stack(rows, axis=1) if rows else np.zeros((len(ticks), 0))
             weights = Channel(self.rest[3], self.shapes, shown[:, :, None])
         scales = channels[2] if self.is_scaled else None
@@ -162,7 +165,7 @@ def frames_of(
     last += _is_off(end, rate) and last * TICKS < end * rate
     last = max(first, last)
     count = last - first + 1
-    if count > MAX_FRAMES or count * max(width, 1) > MAX_VALUES:
+    if count > MAX_FRAMES or count * max(width, LEAST_VALUES) > MAX_VALUES:
         message = f"take {take.name!r}: {(end - begin) / TICKS:.6g} s at "
         message += f"{rate_label(rate)} are {count} frames of {width} numbers, more "
         message += "than are read"
@@ -231,9 +234,9 @@ def take_stream(made: FbxRig, moving: Sampler, frames: Frames) -> TakeStream:
 
 def _blocks(moving: Sampler, frames: Frames) -> Iterator[Motion]:
     clock = Clock(frames.fps, Fraction(frames.first), Fraction(1), frames.count)
-    previous: FloatArray | None = None
+    times, previous = clock.times, None
     for at in range(0, frames.count, BLOCK):
-        block = moving.at(frames.ticks(clock.times[at : at + BLOCK]))
+        block = moving.at(frames.ticks(times[at : at + BLOCK]))
         turns = block.rotations
         if previous is not None and len(turns.animated):
             signs = np.sign(np.einsum("jc,jc->j", turns.values[0], previous))

@@ -193,6 +193,8 @@ class _Stacks:
                     key = curve.times.tobytes()
                     times = self._times.setdefault(key, curve.times)
                     curve = replace(curve, times=times)
+                    # Its arrays are held once.
+                    own.element.children.clear()
                 self._curves[source] = curve
             found[part] = self._curves[source]
         return found

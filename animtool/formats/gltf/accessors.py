@@ -152,10 +152,12 @@ class Accessors:
             or (view.buffer == 0 and self.container.binary is not None)
         )
 
-    def numbers(self, index: int) -> AnyArray:
+    def numbers(self, index: int, *, finite: bool = True) -> AnyArray:
         """Return the numbers of an accessor ``(count, width)`` as the file has them.
 
-        They may share its memory, and are not to be written to. Floats are finite.
+        They may share its memory, and are not to be written to.
+
+        finite: whether floats are checked to be so.
         """
         if index in self._arrays:
             return self._arrays[index]
@@ -164,7 +166,7 @@ class Accessors:
         values = self._base(accessor)
         if accessor.sparse is not None:
             values = self._with_sparse(accessor, accessor.sparse, values)
-        if accessor.component == FLOAT:
+        if finite and accessor.component == FLOAT:
             check_finite(values, accessor)
         self._arrays[index] = values
         return values

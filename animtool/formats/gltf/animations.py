@@ -14,7 +14,7 @@ from animtool import _kernels
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Severity, excerpt
 from animtool.core.record import dataclass
-from animtool.formats.gltf.accessors import FLOAT, Accessors
+from animtool.formats.gltf.accessors import FLOAT, Accessors, check_finite
 from animtool.formats.gltf.meshes import (
     I8,
     I16,
@@ -238,7 +238,7 @@ def _animation(
     samplers = _Samplers(item, accessors)
     tracks: list[Track] = []
     taken: dict[tuple[int, int, str, int], str] = {}
-    times: dict[int, FloatArray] = {}
+    times: dict[int, tuple[FloatArray, bool]] = {}
     left_out: dict[str, None] = {}
     for channel in item.children("channels"):
         found = _target(channel, nodes, meshes, left_out)
@@ -372,16 +372,20 @@ def _track(
     target: _Target,
     samplers: _Samplers,
     index: int,
-    cache: dict[int, FloatArray],
+    cache: dict[int, tuple[FloatArray, bool]],
 ) -> Track:
-    """Return the keys of a channel, checked and put right."""
+    """Return the keys of a channel, checked and put right.
+
+    cache: times by accessor, and whether they ascend.
+    """
     item = samplers.items[index]
     notes = item.notes
     interpolation = samplers.interpolation(index)
     source = samplers.ends[index][0]
     if source not in cache:
-        cache[source] = samplers.times(index)
-    times = cache[source]
+        found = samplers.times(index)
+        cache[source] = found, bool((np.diff(found) > 0).all())
+    times, ascending = cache[source]
     values = _values(channel, target, samplers, index)
     cubic = interpolation is Interpolation.CUBIC
     rows = values.size
@@ -394,7 +398,6 @@ def _track(
     table = values.reshape(len(times), -1, target.width)
     if target.path is Path.ROTATION:
         _check_unit(table[:, 1 if cubic else 0], channel, samplers, index)
-    ascending = (np.diff(times) > 0).all()
     if not ascending:
         given = samplers.accessors.has_data(source)
         times, table = _sorted(times, table, item, given=given)
@@ -435,7 +438,10 @@ def _values(channel: Item, target: _Target, samplers: _Samplers, index: int) -> 
         held = "an unknown type" if entry is None else entry.kind
         message = f"{target.path} takes no values of {held} in these components"
         item.notes.fail("GLT011", channel.at("sampler"), message)
-    raw = accessors.numbers(accessor)
+    # Lengths of rotations show what is not finite; slopes have none.
+    cubic = samplers.interpolation(index) is Interpolation.CUBIC
+    finite = cubic or target.path is not Path.ROTATION
+    raw = accessors.numbers(accessor, finite=finite)
     if entry.component == FLOAT:
         return raw
     if target.path is Path.VISIBLE:
@@ -481,6 +487,7 @@ def _check_unit(keys: Any, channel: Item, samplers: _Samplers, index: int) -> No
     tolerance = COARSE_UNIT.get(entry.component, UNIT)
     low, high = _kernels.squared_lengths(np.require(keys, np.float32, ["C", "A"]))
     if math.isnan(high):
+        check_finite(keys, entry)
         # Squares that float32 does not hold.
         squares = np.square(keys, dtype=np.float64).sum(axis=1)
         low, high = float(squares.min()), float(squares.max())

@@ -12,6 +12,7 @@ from animtool.core.array_types import FloatArray
 from animtool.core.record import dataclass
 from animtool.formats.gltf.animations import Path as Moved
 from animtool.formats.gltf.sampling import NativeKeys
+from animtool.maths import so3
 from animtool.maths.curves import Extrapolation, Interp
 from animtool.maths.tangents import Tangent
 from animtool.motion.take import Take
@@ -23,6 +24,13 @@ _PATHS = {
     "local_translation": "translation",
     "local_rotation": "rotation",
     "scale": "scale",
+}
+# Parts that add to what another holds as a whole.
+_ADDED = {
+    "translation": "translation",
+    "slide": "translation",
+    "rotation": "rotation",
+    "angle": "rotation",
 }
 
 
@@ -57,6 +65,7 @@ def keys_of_clip(
         start: Time code of time 0.
     """
     found: dict[tuple[int, str], Keys] = {}
+    added: set[tuple[int, str]] = set()
     shapes = [shape.name for shape in take.rig.shapes]
     for channel in clip.channels:
         group, _, name = channel.target.partition("/")
@@ -64,6 +73,8 @@ def keys_of_clip(
             at = (shapes.index(name), "weight")
         elif group == "joint":
             joint, part = split_part(name, KEYED_PARTS)
+            if part in _ADDED:
+                added.add((take.rig.index(joint), _ADDED[part]))
             if part not in _PATHS:
                 continue
             at = (take.rig.index(joint), _PATHS[part])
@@ -72,7 +83,7 @@ def keys_of_clip(
         keys = _held(channel, clip, start)
         if keys is not None:
             found[at] = keys
-    return found
+    return {at: keys for at, keys in found.items() if at not in added}
 
 
 _NATIVE = {
@@ -85,6 +96,8 @@ _NATIVE = {
 
 def native_keys(native: NativeKeys, start: Fraction) -> dict[tuple[int, str], Keys]:
     """Return the keys of a glTF that was read, as it has them.
+
+    Rotations have unit length, but for those of cubic splines, which would be others.
 
     start: time code of time 0.
     """
@@ -106,6 +119,8 @@ def native_keys(native: NativeKeys, start: Fraction) -> dict[tuple[int, str], Ke
             if one.factor != 1.0:
                 values = values * one.factor
             how = str(track.interpolation)
+            if path is Moved.ROTATION and slopes[0] is None:
+                values = so3.normalize(values)
             found[one.row, _NATIVE[path]] = Keys(own, values, how, *slopes)
     return found
 

@@ -9,7 +9,7 @@ import numpy as np
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.record import dataclass
 from animtool.formats.gltf.accessors import COMPONENTS, FLOAT, Accessor, Accessors
-from animtool.formats.gltf.places import Item, Notes, is_number
+from animtool.formats.gltf.places import Item, Notes, by_animtool, is_number
 from animtool.formats.gltf.unused import is_known, is_read
 
 # Component types: signed and unsigned 8 and 16 bits, unsigned 32.
@@ -59,6 +59,7 @@ class MeshEntry:
     weights: tuple[float, ...]  # of its targets, where no node says others
     target_names: tuple[str, ...]  # empty where the file has none
     where: str
+    called: str | None = None  # by animtool, where its node is called otherwise
 
     @property
     def targets(self) -> int:
@@ -104,12 +105,14 @@ def _mesh(item: Item, accessors: Accessors) -> MeshEntry:
     is_list = isinstance(names, list) and len(names) == targets
     texts = tuple(map(str, names)) if is_list and names is not None else ()
     usual = (0.0,) * targets
+    called = by_animtool(item).get("name")
     return MeshEntry(
         item.text("name"),
         primitives,
         usual if weights is None else tuple(weights),
         texts,
         item.pointer,
+        called if isinstance(called, str) else None,
     )
 
 

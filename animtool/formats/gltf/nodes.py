@@ -8,7 +8,7 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray
 from animtool.core.record import dataclass
-from animtool.formats.gltf.places import Item, Notes
+from animtool.formats.gltf.places import Item, Notes, by_animtool
 from animtool.maths import so3
 
 # Of a quaternion's length, and of a matrix that its parts give back [1].
@@ -33,6 +33,7 @@ class Node:
         weights: Of the targets of its mesh; None leaves those of the mesh.
         visible: Whether it is shown, if all above it are.
         has_matrix: Whether its transform is a matrix in the file.
+        above: Whether animtool put it above the roots of a rig, of which it is none.
     """
 
     name: str | None
@@ -46,6 +47,7 @@ class Node:
     weights: tuple[float, ...] | None = None
     visible: bool = True
     has_matrix: bool = False
+    above: bool = False
 
 
 def read_nodes(root: Item, notes: Notes, meshes: int, skins: int) -> tuple[Node, ...]:
@@ -119,6 +121,7 @@ def _node(
         None if weights is None else tuple(weights),
         visible,
         has_matrix,
+        mesh < 0 and by_animtool(item).get("above") is True,
     )
 
 

@@ -23,6 +23,7 @@ class Notes:
     path: str
     notices: list[Fault] = field(default_factory=list)
     counts: dict[str, int] = field(default_factory=dict)  # of warnings by code
+    said: set[tuple[str, str, str]] = field(default_factory=set)
 
     def fail(
         self, code: str, where: str, message: str, hint: str | None = None
@@ -38,7 +39,10 @@ class Notes:
         hint: str | None = None,
         severity: Severity = Severity.WARNING,
     ) -> None:
-        """Name what was put right; of very many the first ones."""
+        """Name what was put right, once; of very many the first ones."""
+        if (code, where, message) in self.said:
+            return
+        self.said.add((code, where, message))
         count = self.counts[code] = self.counts.get(code, 0) + 1
         if count <= MAX_WARNINGS:
             fault = Fault(code, message, self.path, (), hint, severity, where=where)
@@ -52,6 +56,13 @@ def escaped(key: str) -> str:
     'a~1b~0c'
     """
     return key.replace("~", "~0").replace("/", "~1")
+
+
+def by_animtool(item: Item) -> dict[str, Any]:
+    """Return what animtool wrote beside an object; empty for nothing."""
+    extras = item.values.get("extras")
+    own = extras.get("animtool") if isinstance(extras, dict) else None
+    return own if isinstance(own, dict) else {}
 
 
 def is_number(value: Any) -> bool:

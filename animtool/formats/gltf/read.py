@@ -77,7 +77,8 @@ def read_gltf(
     stream.notices[:] = notices
     if index >= 0:
         name = distinct_clip_names(gltf.animations)[index]
-        stream.curve = _keyed(stream, name, made, moving, frames)
+        last = gltf.animations[index].span[1]
+        stream.curve = _keyed(stream, name, made, moving, frames, last)
     stream.details = {
         "format": "glTF",
         "units": unit_name(meters.meters),
@@ -117,16 +118,24 @@ def take_names(path: Path) -> list[str]:
 
 
 def _keyed(
-    stream: TakeStream, name: str, made: GltfRig, moving: Sampler, frames: Frames
+    stream: TakeStream,
+    name: str,
+    made: GltfRig,
+    moving: Sampler,
+    frames: Frames,
+    last: float,
 ) -> MotionCurve:
-    """Return the motion of a stream at any time, with the keys that it is of."""
+    """Return the motion of a stream at any time, with the keys that it is of.
+
+    last: when the last of them is [s].
+    """
 
     def clip() -> Clip:
         found, notices = clip_of_gltf(name, made, moving, frames)
         return replace(found, notices=tuple(notices))
 
     assert stream.curve is not None
-    native = NativeKeys(moving, frames)
+    native = NativeKeys(moving, frames, last)
     return KeyedCurve(stream.curve, clip, foreign=True, native=native)
 
 

@@ -70,7 +70,11 @@ def build_rig(
 
     surfaces: whether meshes and shapes are read too.
     """
-    kept = [node for node in character.nodes if not _only_a_skin(gltf, node)]
+    kept = [
+        node
+        for node in character.nodes
+        if not (_only_a_skin(gltf, node) or _only_above(gltf, node))
+    ]
     kept = kept or list(character.nodes)
     joints = np.full(len(gltf.nodes), -1, np.int64)
     joints[kept] = np.arange(len(kept))
@@ -136,6 +140,19 @@ def _only_a_skin(gltf: Gltf, node: int) -> bool:
     primitives = gltf.meshes[own.mesh].primitives
     skinned = bool(primitives) and all(part.joints for part in primitives)
     return skinned and not any(node in skin.joints for skin in gltf.skins)
+
+
+def _only_above(gltf: Gltf, node: int) -> bool:
+    """Return whether animtool put a node above the roots of a rig, and it stays so."""
+    own = gltf.nodes[node]
+    if not own.above or own.parent >= 0:
+        return False
+    if any(node in skin.joints for skin in gltf.skins):
+        return False
+    if any(track.node == node for one in gltf.animations for track in one.tracks):
+        return False
+    still = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), (1.0, 1.0, 1.0)
+    return (own.translation, own.rotation, own.scale) == still
 
 
 def folded_nodes(gltf: Gltf) -> BoolArray:

@@ -139,10 +139,11 @@ def _groups(moving: list[Moving]) -> list[list[int]]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NativeKeys:
-    """The tracks of a clip, and when its frames are."""
+    """The tracks of a clip, when its frames are, and its last key [s]."""
 
     sampler: Sampler
     frames: Frames
+    last: float
 
 
 _ON_KEYS = np.zeros(0)

@@ -73,7 +73,8 @@ def mesh_names(gltf: Gltf, nodes: Sequence[int]) -> dict[int, str]:
     named = []
     for node in nodes:
         own = gltf.nodes[node]
-        plain = own.name or gltf.meshes[own.mesh].name or f"mesh_{node}"
+        mesh = gltf.meshes[own.mesh]
+        plain = mesh.called or own.name or mesh.name or f"mesh_{node}"
         named.append("".join(c if c.isprintable() else "_" for c in plain).strip())
     names = distinct(name or "mesh" for name in named)
     return dict(zip(nodes, names, strict=True))

@@ -32,6 +32,7 @@ class _Animation:
     made: GlbBuilder
     samplers: list[dict[str, Any]] = field(default_factory=list)
     channels: list[dict[str, Any]] = field(default_factory=list)
+    parts: list[tuple[int, str, Keys]] = field(default_factory=list)
     # By their identity, times and the accessor that has them.
     inputs: dict[int, tuple[FloatArray, int]] = field(default_factory=dict)
 
@@ -44,6 +45,29 @@ class _Animation:
 
     def add(self, node: int, path: str, keys: Keys) -> None:
         """Add the keys of a property."""
+        self.parts.append((node, path, keys))
+
+    def lasts_until(self, end: float) -> bool:
+        """Return whether keys last until a time [s], one that stands still among them.
+
+        The latter is given a second key there, where it is needed.
+        """
+        if any(keys.times[-1] >= end for *_, keys in self.parts):
+            return True
+        for k, (node, path, keys) in enumerate(self.parts):
+            if len(keys.times) == 1:
+                times = np.array([keys.times[0], end])
+                held = Keys(times, np.repeat(keys.values, 2, axis=0))
+                self.parts[k] = (node, path, held)
+                return True
+        return False
+
+    def write(self) -> None:
+        """Write all samplers and channels."""
+        for node, path, keys in self.parts:
+            self._write(node, path, keys)
+
+    def _write(self, node: int, path: str, keys: Keys) -> None:
         rows = keys.rows(scalars=path == "weights")
         sampler: dict[str, Any] = {
             "input": self.input(keys.times),
@@ -106,9 +130,15 @@ def write_clip(
             if keys is not None:
                 animation.add(written.joints[j], path, keys)
     left = _weights(animation, take, written, seconds, keyed, tolerance)
-    if not animation.channels:
-        # A clip without a channel is none: one key of the first joint holds its name.
-        animation.add(0, "translation", _one(rig_row(take), seconds[:1]))
+    end = float(seconds[-1])
+    if tolerance is None and is_of_curve(take):
+        native = getattr(take.curve, "native", None)
+        end = native.last if isinstance(native, NativeKeys) else end
+    if not animation.lasts_until(end):
+        # A clip without a channel is none: a joint that rests holds name and length.
+        _hold(animation, take, written, seconds[:1])
+        animation.lasts_until(end)
+    animation.write()
     entry = {
         "name": name,
         "channels": animation.channels,
@@ -131,11 +161,20 @@ def _own_keys(take: Take) -> dict[tuple[int, str], Keys]:
     return {} if clip is None else keys_of_clip(clip, take, start)
 
 
-def rig_row(take: Take) -> FloatArray:
-    """Return where the first joint is at rest ``(1, 3)``; the origin without joints."""
-    if not take.rig.joints:
-        return np.zeros((1, 3))
-    return take.rig.rest_translations[:1]
+def _hold(
+    animation: _Animation, take: Take, written: WrittenRig, times: FloatArray
+) -> None:
+    """Add a key of a joint where it rests, of the first part of one that has none."""
+    rig = take.rig
+    taken = {(node, path) for node, path, _ in animation.parts}
+    rests = {"translation": rig.rest_translations, "rotation": rig.rest_rotations}
+    for path, rest in rests.items():
+        for node, row in zip(written.joints, rest, strict=True):
+            if (node, path) not in taken:
+                animation.add(node, path, _one(row, times))
+                return
+    if not rig.joints:
+        animation.add(0, "translation", _one(np.zeros(3), times))
 
 
 def _stated(fps: Fraction, start: Fraction) -> dict[str, Any]:
@@ -238,8 +277,7 @@ def _weights(
         keys = Keys(seconds, values)
         if tolerance is not None:
             keys = linear_keys(keys, WEIGHT)
-        own = [keyed.get((row, "weight")) for row in rows]
-        joined = _joined(own)
+        joined = _joined([keyed.get((row, "weight")) for row in rows], values)
         animation.add(node, "weights", keys if joined is None else joined)
     homeless = [
         names[row]
@@ -264,14 +302,48 @@ def _same_times(one: Keys, other: Keys) -> bool:
     return same and np.array_equal(one.times, other.times)
 
 
-def _joined(parts: list[Keys | None]) -> Keys | None:
-    """Return the keys of several weights as one, where all have the same times."""
+def _still(like: Keys, value: float) -> Keys:
+    """Return keys of one value at the times of others."""
+    values = np.full((len(like.times), 1), value)
+    slopes = None if like.ins is None else np.zeros_like(values)
+    return Keys(like.times, values, like.interpolation, slopes, slopes)
+
+
+def _merged(parts: list[Keys]) -> Keys | None:
+    """Return linear or stepped keys of several weights, at the times of them all."""
+    how = parts[0].interpolation
+    if how == "CUBICSPLINE" or any(one.interpolation != how for one in parts):
+        return None
+    times = np.unique(np.concatenate([one.times for one in parts]))
+    columns = []
+    for one in parts:
+        values = one.values[:, 0]
+        if how == "STEP":
+            before = np.searchsorted(one.times, times, "right") - 1
+            columns.append(values[np.clip(before, 0, None)])
+        else:
+            columns.append(np.interp(times, one.times, values))
+    return Keys(times, np.stack(columns, axis=1), how)
+
+
+def _joined(parts: list[Keys | None], samples: FloatArray) -> Keys | None:
+    """Return the keys of several weights as one; None where glTF has none such.
+
+    samples: of the weights ``(F, S)``; those that stand still take the times of others.
+    """
+    first = next((part for part in parts if part is not None), None)
+    if first is None:
+        return None
+    still = (samples == samples[:1]).all(axis=0).tolist()
+    parts = [
+        _still(first, float(samples[0, k])) if part is None and still[k] else part
+        for k, part in enumerate(parts)
+    ]
     found = [part for part in parts if part is not None]
-    if not found or len(found) < len(parts):
+    if len(found) < len(parts):
         return None
-    first = found[0]
     if not all(_same_times(one, first) for one in found):
-        return None
+        return _merged(found)
 
     def columns(name: str) -> FloatArray | None:
         rows = [getattr(one, name) for one in found]

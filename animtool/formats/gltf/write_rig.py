@@ -12,6 +12,7 @@ from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, Severity, listed
 from animtool.core.record import dataclass
 from animtool.formats.gltf.glb import ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER, GlbBuilder
+from animtool.maths.faces import triangulated
 from animtool.rig.kinematics import bind_matrices
 from animtool.rig.skeleton import Rig
 from animtool.rig.surfaces import Surface, SurfaceSkin, surfaces_of
@@ -65,10 +66,29 @@ def write_rig(
         at = _surface(made, rig, surface, bind, weights, written, left)
         if at >= len(rig.joints):
             roots.append(at)
+    roots = _under_one(made, rig, roots)
     made.json["scene"] = 0
     made.json["scenes"] = [{"name": rig.name, "nodes": roots}]
     written.notices += _left_out(rig, left, written)
     return written
+
+
+def _under_one(made: GlbBuilder, rig: Rig, roots: list[int]) -> list[int]:
+    """Return the roots of the scene; joints of a skin must have one above them.
+
+    Where they have several, a node that is none of the rig is put above those.
+    """
+    tops = np.array([rig.upwards(j)[-1] for j in range(len(rig.joints))], np.int64)
+    skins = [skin["joints"] for skin in made.json.get("skins", ())]
+    if all(len(np.unique(tops[joints])) == 1 for joints in skins):
+        return roots
+    node = {
+        "name": rig.name,
+        "children": list(rig.roots),
+        "extras": {"animtool": {"above": True}},
+    }
+    above = made.add("nodes", node)
+    return [above, *(root for root in roots if root >= len(rig.joints))]
 
 
 def _placed(move: FloatArray, turn: FloatArray, scale: FloatArray) -> dict[str, Any]:
@@ -110,6 +130,8 @@ def _surface(
         left["faces of more than three points, as triangles"].append(surface.name)
     mesh: dict[str, Any] = {"name": surface.name, "primitives": [primitive]}
     _targets(made, surface, primitive, mesh, weights, left)
+    if carrier >= 0 and made.json["nodes"][carrier]["name"] != surface.name:
+        mesh.setdefault("extras", {})["animtool"] = {"name": surface.name}
     index = made.add("meshes", mesh)
     return _node_of(made, rig, surface, index, carrier, bind, written)
 
@@ -258,23 +280,6 @@ def _targets(
     names = [shape.name for shape in surface.shapes]
     mesh["weights"] = [weights.get(name, 0.0) for name in names]
     mesh["extras"] = {"targetNames": names}
-
-
-def triangulated(counts: IntArray, indices: IntArray) -> IntArray:
-    """Return faces as triangles ``(N, 3)``, each a fan about its first vertex.
-
-    >>> triangulated(np.array([4]), np.array([0, 1, 2, 3])).tolist()
-    [[0, 1, 2], [0, 2, 3]]
-    """
-    first = np.cumsum(counts) - counts
-    fans = np.maximum(counts - 2, 0)
-    face = np.repeat(np.arange(len(counts)), fans)
-    step = np.arange(len(face)) - np.repeat(np.cumsum(fans) - fans, fans)
-    corner = first[face]
-    return np.stack(
-        [indices[corner], indices[corner + step + 1], indices[corner + step + 2]],
-        axis=1,
-    ).reshape(-1, 3)
 
 
 def influences(skin: SurfaceSkin) -> tuple[IntArray, FloatArray]:

@@ -19,10 +19,12 @@ from animtool.formats.robots.parts import (
     Move,
     Robot,
     Solid,
+    Triangles,
     Weight,
     quaternion,
     vector,
 )
+from animtool.formats.robots.triangles import triangles_of
 from animtool.maths import so3
 from animtool.rig.limits import RangeLimit
 from animtool.rig.parts import Vector
@@ -35,6 +37,8 @@ _EXTRA = "pip install 'animtool[mjcf]'"
 # As MuJoCo counts kinds of joints and geoms.
 _TYPES = (JointType.FREE, JointType.BALL, JointType.PRISMATIC, JointType.PIN)
 _FREE, _BALL, _SLIDE, _HINGE = range(4)
+# Geoms of this group and above, MuJoCo does not show either.
+HIDDEN = 3
 _SOLIDS = {2: "sphere", 3: "capsule", 5: "cylinder", 6: "box"}
 
 
@@ -51,10 +55,15 @@ def compiled(reduced: Reduced, notes: Notes) -> Any:
         message = "MJCF is read by MuJoCo's own parser, which is not installed"
         fault = Fault("MJC005", message, str(notes.path), (), _EXTRA)
         raise OptionError(fault) from error
+    # Its warnings are of simulations; it would print them, and write them to a file.
+    before = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(lambda _: None)
     try:
         return mujoco.MjModel.from_xml_string(reduced.text)
     except (ValueError, RuntimeError, mujoco.FatalError) as error:
         _refused(str(error), reduced, notes)
+    finally:
+        mujoco.set_mju_user_warning(before)
     notes.check()
     raise AssertionError
 
@@ -62,13 +71,16 @@ def compiled(reduced: Reduced, notes: Notes) -> Any:
 def _refused(text: str, reduced: Reduced, notes: Notes) -> None:
     """Note what MuJoCo says, at the line of the file and not of the reduced text."""
     found = _LINE.search(text)
-    element = None
+    element, body = None, ""
     if found is not None and 0 < int(found[1]) <= len(reduced.elements):
         element = reduced.elements[int(found[1]) - 1]
+        body = reduced.bodies[int(found[1]) - 1]
     message = _LINE.sub("", _START.sub("", text)).strip()
     message = re.sub(r"\s*\n\s*", ", ", message)
     message = re.sub(r",? *Element (name )?'[^']*'(, id \d+)?,?", "", message)
     where = None if element is None else place(element)
+    if where is None and element is not None and body:
+        where = f"{element.tag} of body {excerpt(body)}"
     notes.add("MJC008", element, f"MuJoCo refuses it: {message}", where=where)
 
 
@@ -112,7 +124,7 @@ def _link(model: Any, body: int, ties: Ties, reduced: Reduced) -> Link:
     else:
         still = Move("", JointType.FIXED, vector(position), quaternion(rotation))
         link.moves.append(still)
-    link.solids = _solids(model, body)
+    link.solids, link.shown = _solids(model, body)
     mass = float(model.body_mass[body])
     if mass > 2 * LEAST_MASS and name not in reduced.unweighed:
         link.weight = _weight(model, body, mass)
@@ -155,14 +167,13 @@ def _move(
     )
 
 
-def _solids(model: Any, body: int) -> list[Solid]:
-    """Return the simple geoms of a body that collide."""
-    found = []
+def _solids(model: Any, body: int) -> tuple[list[Solid], list[Triangles]]:
+    """Return the simple geoms of a body that collide, and those that are shown."""
+    found, shown = [], []
     first = int(model.body_geomadr[body])
     for geom in range(first, first + int(model.body_geomnum[body])):
         kind = _SOLIDS.get(int(model.geom_type[geom]))
-        collides = model.geom_contype[geom] or model.geom_conaffinity[geom]
-        if kind is None or not collides:
+        if kind is None:
             continue
         half = np.array(model.geom_size[geom]).tolist()
         size = {
@@ -172,8 +183,12 @@ def _solids(model: Any, body: int) -> list[Solid]:
             "box": [2 * side for side in half],
         }[kind]
         place_: Vector = vector(model.geom_pos[geom])
-        found.append(Solid(kind, tuple(size), place_, turn_of(model.geom_quat[geom])))
-    return found
+        solid = Solid(kind, tuple(size), place_, turn_of(model.geom_quat[geom]))
+        if model.geom_contype[geom] or model.geom_conaffinity[geom]:
+            found.append(solid)
+        if model.geom_group[geom] < HIDDEN and model.geom_rgba[geom][3] > 0:
+            shown.append(triangles_of(solid))
+    return found, shown
 
 
 def _weight(model: Any, body: int, mass: float) -> Weight:

@@ -21,8 +21,8 @@ def read_mjcf_rig(path: Path | str) -> Rig:
 
     Bodies are joints of their names, and so are their joints and sites. Coordinates are
     MuJoCo's qpos; only a free joint counts from where the file has its body. Simple
-    geoms that collide are capsules, and inertias masses. MuJoCo compiles the model, but
-    opens no file.
+    geoms that collide are capsules, those that are shown meshes, and inertias masses.
+    MuJoCo compiles the model, but opens no file.
 
     Args:
         path: A .xml or .mjcf file.

@@ -62,6 +62,7 @@ class Reduced:
     Attributes:
         text: The XML.
         elements: What each line of it is of.
+        bodies: In which body each line is; empty outside of all.
         unweighed: Bodies whose meshes, which are not read, have their mass.
         idle: Whether every actuator acts on a joint, and there is one.
         driven: Joints that actuators act on.
@@ -69,6 +70,7 @@ class Reduced:
 
     text: str
     elements: list[Element]
+    bodies: list[str]
     unweighed: frozenset[str]
     idle: bool
     driven: frozenset[str]
@@ -81,11 +83,13 @@ def reduced_model(root: Element, places: Places, notes: Notes) -> Reduced:
     meshes = _MeshClasses(root)
     lines: list[str] = []
     elements: list[Element] = []
+    bodies: list[str] = []
     unweighed: set[str] = set()
 
-    def put(element: Element, text: str) -> None:
+    def put(element: Element, text: str, body: str = "") -> None:
         lines.append(text)
         elements.append(element)
+        bodies.append(body)
 
     def write(element: Element, inside: str, classes: str, body: str) -> None:
         tag = element.tag
@@ -102,11 +106,11 @@ def reduced_model(root: Element, places: Places, notes: Notes) -> Reduced:
         if tag in {"body", "frame", "replicate"}:
             classes = element.attributes.get("childclass", classes)
         if tag == "body":
-            body = element.attributes["name"]
-        put(element, f"<{tag}{_attributes(element, inside, notes)}>")
+            body = element.attributes.get("name", "")
+        put(element, f"<{tag}{_attributes(element, inside, notes)}>", body)
         for child in kept:
             write(child, inside or child.tag, classes, body)
-        put(element, f"</{tag}>")
+        put(element, f"</{tag}>", body)
 
     bound = Element("compiler", {}, root.path, root.line, root.column)
     model = root.attributes.get("model")
@@ -120,7 +124,7 @@ def reduced_model(root: Element, places: Places, notes: Notes) -> Reduced:
             write(section, section.tag, "", "")
     put(root, "</mujoco>")
     weighed = {
-        body.attributes["name"]
+        body.attributes.get("name", "")
         for body in root.walk()
         if body.tag == "body" and body.all("inertial")
     }
@@ -134,6 +138,7 @@ def reduced_model(root: Element, places: Places, notes: Notes) -> Reduced:
     return Reduced(
         "\n".join(lines),
         elements,
+        bodies,
         frozenset(unweighed - weighed),
         bool(acts) and "" not in driven,
         driven,
@@ -182,6 +187,8 @@ def _attributes(element: Element, section: str, notes: Notes) -> str:
             continue
         if name not in _TEXTS:
             _check_numbers(element, name, value, notes)
+        if name == "range" and element.tag == "joint":
+            _check_range(element, value, notes)
         parts.append(f" {name}={quoteattr(value)}")
     return "".join(parts)
 
@@ -195,6 +202,18 @@ def _check_numbers(element: Element, name: str, value: str, notes: Notes) -> Non
             message += f"{excerpt(word)} is not finite"
             notes.add("MJC007", element, message, where=place(element))
             return
+
+
+def _check_range(element: Element, value: str, notes: Notes) -> None:
+    """Note a range that is reversed: without ``limited`` MuJoCo would drop it."""
+    ends = [to_number(word) for word in value.split()]
+    low, high = (*ends, None, None)[:2]
+    if low is None or high is None or not low > high:
+        return
+    if element.attributes.get("limited") != "false":
+        message = f"range {excerpt(value)} is reversed: {low:g} is above {high:g}"
+        hint = f'write range="{high:g} {low:g}" if they are swapped'
+        notes.add("MJC011", element, message, hint, where=place(element))
 
 
 def place(element: Element) -> str | None:

@@ -1,7 +1,9 @@
 """The rig of a robot: every link and every joint that moves is a joint of its name.
 
 A joint that moves a link of the same name, in the same frame, is one with it; otherwise
-the link is a fixed joint below. Joints that cannot move are named by their link alone.
+the link is a fixed joint below. What hangs from the link hangs from the joint that
+moves it, so that chains of IK are those of moving joints. Joints that cannot move are
+named by their link alone.
 """
 
 from __future__ import annotations
@@ -19,7 +21,9 @@ from animtool.core.units import UpAxis
 from animtool.formats.robots.notes import Notes
 from animtool.formats.robots.parts import ORIGIN, Link, Move, Robot
 from animtool.formats.robots.solids import capsule_of, masses_of
-from animtool.rig.parts import Collider, Mass
+from animtool.formats.robots.triangles import joined
+from animtool.rig.kinematics import rest_world
+from animtool.rig.parts import Collider, HeldArray, Mass, Mesh, Skin, Subdivision
 from animtool.rig.skeleton import Joint, JointType, Rig
 
 MAX_NAMED = 8
@@ -54,7 +58,6 @@ def build_rig(robot: Robot, notes: Notes, codes: RobotCodes) -> Rig:
     names = _names(robot, notes, codes)
     joints: list[Joint] = []
     frames: list[int] = []
-    carriers: list[int] = []
     colliders: list[Collider] = []
     masses: list[Mass] = []
     known = names.of_file
@@ -64,28 +67,29 @@ def build_rig(robot: Robot, notes: Notes, codes: RobotCodes) -> Rig:
         for move, name in zip(link.moves, names.moves[i], strict=True):
             joints.append(_joint(move, name, parent, known))
             parent = len(joints) - 1
-        carriers.append(parent)
+        carrier = parent
         if not names.merged[i]:
             name = names.links[i]
             joints.append(Joint(name, parent, JointType.FIXED, link.after))
-            if not link.moves:
-                carriers[-1] = len(joints) - 1
-        frames.append(len(joints) - 1)
+            if not link.moves or np.any(link.after):
+                parent = len(joints) - 1
+        frames.append(parent)
         for site, position, rotation in link.sites:
             own = names.sites.get((i, site))
             if own is not None:
                 fixed = JointType.FIXED
                 joints.append(Joint(own, frames[i], fixed, position, rotation))
-        carrier = joints[carriers[i]].name
+        own_joint = joints[carrier if link.moves else parent].name
         shift = link.after if link.moves else ORIGIN
         for solid in link.solids:
             capsule, far = capsule_of(solid, shift)
             off = max(off, far)
-            colliders.append(Collider(carrier, capsule))
+            colliders.append(Collider(own_joint, capsule))
         if link.weight is not None:
-            masses.append(masses_of(carrier, link.weight, shift))
+            masses.append(masses_of(own_joint, link.weight, shift))
     if off:
         _note_approximate(robot, notes, codes, off)
+    meshes = _meshes(robot, names, joints)
     if notes.left_out:
         message = f"not read: {listed(list(notes.left_out), 20)}"
         notes.add(codes.left_out, None, message, severity=Severity.NOTE)
@@ -93,11 +97,45 @@ def build_rig(robot: Robot, notes: Notes, codes: RobotCodes) -> Rig:
         legal_name(robot.name) or notes.path.stem,
         tuple(joints),
         up=UpAxis.Z,
+        meshes=meshes,
         colliders=tuple(colliders),
         masses=tuple(masses),
         radians_per_unit=1.0,
         notices=tuple(notes.notices),
     )
+
+
+def _meshes(robot: Robot, names: _Names, joints: list[Joint]) -> tuple[Mesh, ...]:
+    """Return a mesh for each link that looks like something, stiff on its joint."""
+    if not any(link.shown for link in robot.links):
+        return ()
+    rest = Rig("", tuple(joints))
+    world = rest_world(rest)
+    meshes = []
+    for link, name in zip(robot.links, names.links, strict=True):
+        if not link.shown:
+            continue
+        whole, j = joined(link.shown), rest.index(name)
+        bind = np.eye(4)
+        bind[:3, :3], bind[:3, 3] = world.linear[0, j], world.positions[0, j]
+        count = len(whole.points)
+        skin = Skin(
+            "linear",
+            (name,),
+            HeldArray(np.zeros((count, 1))),
+            HeldArray(np.ones((count, 1))),
+        )
+        meshes.append(
+            Mesh(
+                name,
+                HeldArray(whole.points),
+                HeldArray(whole.faces.astype(np.float64)),
+                geom_bind=tuple(bind.ravel().tolist()),
+                skin=skin,
+                subdivision=Subdivision.NONE,
+            )
+        )
+    return tuple(meshes)
 
 
 def _joint(move: Move, name: str, parent: int, known: Mapping[str, str]) -> Joint:

@@ -71,7 +71,8 @@ class Places:
             return self._inside(Path("/" + rest.lstrip("/")), name)
         if kind not in _PACKAGES:
             raise OutsideError(f"{kind}:// is of a network, and is never opened")
-        package, _, inner = rest.partition("/")
+        # Some write a third slash.
+        package, _, inner = rest.lstrip("/").partition("/")
         tried = [folder for folder in self._folders(package) if inner]
         for folder in tried:
             found = self._inside(folder / inner, name)

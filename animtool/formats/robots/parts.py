@@ -6,7 +6,7 @@ from dataclasses import field
 
 import numpy as np
 
-from animtool.core.array_types import FloatArray
+from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.record import dataclass
 from animtool.rig.drivers import Driver
 from animtool.rig.limits import RangeLimit
@@ -61,6 +61,14 @@ class Solid:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Triangles:
+    """A surface, in the frame of its link."""
+
+    points: FloatArray  # ``(V, 3)`` [m]
+    faces: IntArray  # ``(N, 3)``
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Weight:
     """The mass of a link, in its frame."""
 
@@ -79,6 +87,7 @@ class Link:
         moves: The joints between the two, in order.
         after: From the last of them to the link [m].
         solids: Its shapes that collide.
+        shown: What it looks like.
         weight: None where the file says none.
         sites: Named places on it, with their poses.
     """
@@ -88,6 +97,7 @@ class Link:
     moves: list[Move] = field(default_factory=list)
     after: Vector = ORIGIN
     solids: list[Solid] = field(default_factory=list)
+    shown: list[Triangles] = field(default_factory=list)
     weight: Weight | None = None
     sites: list[tuple[str, Vector, Quaternion]] = field(default_factory=list)
 

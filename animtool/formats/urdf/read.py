@@ -14,7 +14,8 @@ def read_urdf_rig(path: Path | str) -> Rig:
     """Return the rig of a URDF: metres, radians, Z up, at rest with its joints at 0.
 
     Links are joints of their names, and so are the joints that move them. Simple
-    shapes that collide are capsules, and inertias masses. Its meshes are not opened.
+    shapes that collide are capsules, inertias masses, and visuals meshes, where these
+    are simple shapes, OBJ or STL.
 
     Args:
         path: A .urdf file.

@@ -8,17 +8,16 @@ import numpy as np
 
 from animtool.core.errors import Severity, counted, excerpt, listed
 from animtool.formats.robots.build import RobotCodes, build_rig
-from animtool.formats.robots.notes import Notes, named
-from animtool.formats.robots.packages import OutsideError, Places
-from animtool.formats.robots.parts import Link, Move, Robot, vector
+from animtool.formats.robots.notes import Notes
+from animtool.formats.robots.parts import Link, Move, Robot, Triangles, vector
 from animtool.formats.urdf.elements import (
-    CODES,
     SCALAR,
     Kind,
     UrdfFile,
     UrdfJoint,
-    read_file,
 )
+from animtool.formats.urdf.file import read_file
+from animtool.formats.urdf.meshes import found_meshes, looks_of
 from animtool.formats.urdf.tree import check_tree, resolved_mimics
 from animtool.maths import so3
 from animtool.rig.skeleton import JointType, Mimic, Rig
@@ -46,15 +45,18 @@ def rig_of_urdf(path: Path) -> Rig:
     file = read_file(path, notes)
     check_tree(file, notes)
     mimics = resolved_mimics(file, notes)
-    _check_meshes(file, path, notes)
+    found = found_meshes(file, path, notes)
     notes.check()
     _note_idle(file, notes)
     _note_ranges(file, mimics, notes)
-    robot = Robot(file.name or path.stem, _links(file, mimics))
+    looks = looks_of(file, found, notes)
+    robot = Robot(file.name or path.stem, _links(file, mimics, looks))
     return build_rig(robot, notes, _CODES)
 
 
-def _links(file: UrdfFile, mimics: dict[str, Mimic]) -> list[Link]:
+def _links(
+    file: UrdfFile, mimics: dict[str, Mimic], looks: dict[str, list[Triangles]]
+) -> list[Link]:
     """Return the links, parents before children, each branch down to its end."""
     below: dict[str, list[UrdfJoint]] = {name: [] for name in file.links}
     children = set()
@@ -68,7 +70,9 @@ def _links(file: UrdfFile, mimics: dict[str, Mimic]) -> list[Link]:
         name, parent, joint = waiting.pop()
         given = file.links[name]
         moves = [] if joint is None else _moves(joint, mimics.get(joint.name))
-        link = Link(name, parent, moves, solids=given.solids, weight=given.weight)
+        shown = looks.get(name, [])
+        link = Link(name, parent, moves, solids=given.solids, shown=shown)
+        link.weight = given.weight
         links.append(link)
         index = len(links) - 1
         waiting += [(own.child, index, own) for own in reversed(below[name])]
@@ -101,37 +105,6 @@ def _planar(joint: UrdfJoint) -> list[Move]:
     first = Move(f"{joint.name}_x", slide, joint.position, joint.rotation, x)
     second = Move(f"{joint.name}_y", slide, axis=y)
     return [first, second, Move(joint.name, JointType.PIN, axis=joint.axis)]
-
-
-def _check_meshes(file: UrdfFile, path: Path, notes: Notes) -> None:
-    """Note meshes outside of the project, which are refused, and missing ones."""
-    meshes = [(link, mesh) for link in file.links.values() for mesh in link.meshes]
-    if not meshes:
-        return
-    places = Places.of(path, CODES)
-    missing: dict[str, None] = {}
-    refused: set[tuple[str, str]] = set()
-    for link, mesh in meshes:
-        name = mesh.attributes["filename"]
-        try:
-            found = places.find(name)
-        except OutsideError as error:
-            if (link.name, name) in refused:
-                continue
-            refused.add((link.name, name))
-            message = f"its mesh {excerpt(name, 100)} is refused: {error}"
-            hint = "copy it into the project, or name its folder in animtool.toml: "
-            hint += "roots = [...]"
-            notes.add("URD016", mesh, message, hint, where=named("link", link.name))
-            continue
-        if found is None:
-            missing[name] = None
-    if missing:
-        message = f"{counted(len(missing), 'mesh', 'meshes')} not found: "
-        message += listed([excerpt(name, 80) for name in missing], MAX_NAMED)
-        hint = "motion needs none of them; package:// means a folder of that name in "
-        hint += "the project, or the package that the file is in"
-        notes.add("URD103", None, message, hint, severity=Severity.NOTE)
 
 
 def _note_idle(file: UrdfFile, notes: Notes) -> None:

@@ -30,7 +30,7 @@ Returns quaternions ``(F, C, 4)``, signs those nearest to the frame before.)");
   m.def("turn_steps", &turn_steps, Unlocked(), "rotations"_a,
         R"(Shortest rotation vectors ``(F - 1, C, 3)`` from frame to frame, in body space.)");
 
-  m.def("slerp", &slerp, Unlocked(), "begin"_a, "end"_a, "share"_a,
+  m.def("slerp", &slerp, Unlocked(), "starts"_a, "ends"_a, "shares"_a,
         R"(Shortest arcs between quaternions ``(N or 1, 4)`` at shares ``(N,)``.)");
 
   m.def("fit_cubics", &fit_cubics, Unlocked(), "values"_a, "bounds"_a, "anchors"_a, "low"_a,

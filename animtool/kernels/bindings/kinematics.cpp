@@ -33,6 +33,29 @@ first coordinate of each. Quaternions are brought to length 1.)");
 
 ``parents[j] < j``, -1 for a root; local transforms are T R S, scale inherited.)");
 
+  using Rest = In<double, 2>;
+  using Moving = In<std::int64_t, 1>;
+  using Values = In<double, 3>;
+  const auto of_motion = [](In<std::int64_t, 1> parents, Rest t_rest, Moving t_moving,
+                            Values t_values, Rest r_rest, Moving r_moving, Values r_values,
+                            std::optional<std::tuple<Rest, Moving, Values>> scales,
+                            Filled<double, 3> positions, Filled<double, 4> linear) {
+    MotionArrays given{parents, {t_rest, t_moving, t_values}, {r_rest, r_moving, r_values},
+                       std::nullopt, positions, linear};
+    if (scales) {
+      const auto& [rest, moving, values] = *scales;
+      given.scales = MotionChannel{rest, moving, values};
+    }
+    forward_motion(given);
+  };
+  m.def("forward_motion", of_motion, Unlocked(), "parents"_a, "translation_rest"_a,
+        "translation_joints"_a, "translations"_a, "rotation_rest"_a, "rotation_joints"_a,
+        "rotations"_a, "scales"_a.none(), "positions"_a.noconvert(), "linear"_a.noconvert(),
+        R"(Fill in the same of joints of which some move, the others at rest.
+
+``translation_rest`` ``(J, 3)``, ``translation_joints`` ``(A,)``, their ``translations``
+``(F, A, 3)``; rotations likewise, and ``scales`` as a tuple of three.)");
+
   m.def("measure_rounding", &measure_rounding, Unlocked(), "parents"_a, "translations"_a,
         "rotations"_a, "scales"_a.none(), "written_translations"_a, "written_rotations"_a,
         "written_scales"_a.none(),

@@ -120,25 +120,32 @@ inline bool nearer(const Nearest& one, const Nearest& best) {
 }
 
 // Calls with the triangles under a node whose boxes are within a squared distance, nearer
-// boxes first. A call returns how far to look from then on.
-template <class Call>
-void visit_triangles(const Mesh& mesh, std::int32_t root, Vec p, double limit, Call call) {
+// boxes first. A call returns how far to look from then on; the distance of a node's box is
+// asked for by number.
+template <class Squared, class Call>
+void visit_boxes(const Mesh& mesh, std::int32_t root, double limit, Squared squared, Call call) {
   std::int32_t stack[DEEPEST];
   int depth = 0;
   stack[depth++] = root;
   while (depth > 0) {
     const std::int32_t node = stack[--depth];
-    if (squared_to_box(p, mesh.bounds + 6 * node) > limit) continue;
+    if (squared(node) > limit) continue;
     const std::int32_t left = mesh.nodes[2 * node], right = mesh.nodes[2 * node + 1];
     if (left < 0) {
       for (std::int32_t t = -1 - left; t < -1 - left + right; ++t) limit = call(t);
       continue;
     }
-    const bool left_first = squared_to_box(p, mesh.bounds + 6 * left) <=
-                            squared_to_box(p, mesh.bounds + 6 * right);
+    const bool left_first = squared(left) <= squared(right);
     stack[depth++] = left_first ? right : left;
     stack[depth++] = left_first ? left : right;
   }
+}
+
+template <class Call>
+void visit_triangles(const Mesh& mesh, std::int32_t root, Vec p, double limit, Call call) {
+  visit_boxes(
+      mesh, root, limit,
+      [&](std::int32_t node) { return squared_to_box(p, mesh.bounds + 6 * node); }, call);
 }
 
 // The nearest point of the triangles under a node; none beyond the squared limit.

@@ -19,7 +19,7 @@ Out<double, 3> evaluate_rotations(In<double, 1> times, In<double, 3> keys,
 // Of F frames, from each to the next.
 Out<double, 3> turn_steps(In<double, 3> rotations);
 
-Out<double, 2> slerp(In<double, 2> from, In<double, 2> to, In<double, 1> share);
+Out<double, 2> slerp(In<double, 2> starts, In<double, 2> ends, In<double, 1> shares);
 
 // frames, ins, outs
 using FittedCubics = std::tuple<Out<std::int64_t, 1>, Out<double, 2>, Out<double, 2>>;

@@ -159,6 +159,9 @@ std::size_t run_length(const double* at, std::size_t n, double low, double high)
   return i;
 }
 
+// Times in a straight segment that are worked out one by one.
+constexpr std::size_t FEW = 16;
+
 struct Keys {
   const double *times, *values;
   const std::int64_t* kinds;
@@ -184,6 +187,17 @@ void evaluate_curve(const Keys& keys, std::size_t begin, std::size_t end, const 
         ++k;
       else
         k = static_cast<std::size_t>(std::upper_bound(times + begin, times + end, t) - times) - 1;
+    }
+    // Few times in a segment that is straight: it is not worth looking at as a whole.
+    if (keys.kinds[k] <= kLinear && (f + FEW >= n || at[f + FEW] >= times[k + 1])) {
+      const double from = times[k], to = times[k + 1], span = to - from;
+      const double first = keys.values[k], middle = from + 0.5 * span;
+      const bool held = keys.kinds[k] == kHold;
+      const double last = held ? first : keys.values[k + 1], rise = last - first;
+      for (; f < n && at[f] >= from && at[f] < to; ++f)
+        out[f] = at[f] >= middle ? last + (at[f] - to) / -span * -rise
+                                 : first + (at[f] - from) / span * rise;
+      continue;
     }
     const Segment segment = make_segment(times + k, keys.values + k, keys.kinds[k],
                                          keys.outs + 2 * k, keys.ins + 2 * (k + 1));

@@ -424,16 +424,16 @@ Out<double, 3> turn_steps(In<double, 3> rotations) {
   return out;
 }
 
-Out<double, 2> slerp(In<double, 2> from, In<double, 2> to, In<double, 1> share) {
-  const std::size_t rows = share.shape(0);
-  check::shape("from", from, {from.shape(0) == 1 ? 1 : rows, 4});
-  check::shape("to", to, {to.shape(0) == 1 ? 1 : rows, 4});
+Out<double, 2> slerp(In<double, 2> starts, In<double, 2> ends, In<double, 1> shares) {
+  const std::size_t rows = shares.shape(0);
+  const std::size_t one = starts.shape(0) == 1 ? 0 : 4, other = ends.shape(0) == 1 ? 0 : 4;
+  check::shape("starts", starts, {one ? rows : 1, 4});
+  check::shape("ends", ends, {other ? rows : 1, 4});
   Out<double, 2> out(rows, 4);
   Arc arc;
   for (std::size_t i = 0; i < rows; ++i) {
-    arc.set(from.data() + (from.shape(0) == 1 ? 0 : 4 * i),
-            to.data() + (to.shape(0) == 1 ? 0 : 4 * i));
-    arc.at(share.data()[i], out.get() + 4 * i);
+    arc.set(starts.data() + one * i, ends.data() + other * i);
+    arc.at(shares.data()[i], out.get() + 4 * i);
   }
   return out;
 }

@@ -70,6 +70,35 @@ void forward_frame(const std::int64_t* parents, std::size_t joints, const T* t, 
     step<R>(world, parents[j], j, t + 3 * j, q + 4 * j, s ? s + 3 * j : nullptr);
 }
 
+// Transforms of the joints of each frame: those that move, and those that rest.
+struct Channel {
+  const double* rest;
+  const double* values;  // (F, A, K)
+  std::vector<std::ptrdiff_t> columns;  // of those that move, else -1
+  std::size_t moving, width;
+
+  const double* at(std::size_t f, std::size_t j) const {
+    const std::ptrdiff_t column = columns[j];
+    return column < 0 ? rest + width * j
+                      : values + width * (f * moving + static_cast<std::size_t>(column));
+  }
+};
+
+Channel read_channel(const char* name, const MotionChannel& given, std::size_t frames,
+                     std::size_t joints, std::size_t width) {
+  const std::size_t moving = given.animated.shape(0);
+  check::shape(name, given.rest, {joints, width});
+  check::shape(name, given.animated, {moving});
+  check::shape(name, given.values, {frames, moving, width});
+  check::indices(name, given.animated, 0, static_cast<std::int64_t>(joints));
+  Channel channel{given.rest.data(), given.values.data(),
+                  std::vector<std::ptrdiff_t>(joints, -1), moving, width};
+  for (std::size_t a = 0; a < moving; ++a)
+    channel.columns[static_cast<std::size_t>(given.animated.data()[a])] =
+        static_cast<std::ptrdiff_t>(a);
+  return channel;
+}
+
 void check_parents(const In<std::int64_t, 1>& parents) {
   check::shape("parents", parents, {check::ANY});
   for (std::size_t j = 0; j < parents.shape(0); ++j)
@@ -109,6 +138,25 @@ void forward_kinematics(In<std::int64_t, 1> parents, In<double, 3> translations,
                           rotations.data() + 4 * at,
                           scales ? scales->data() + 3 * at : nullptr,
                           {linear.data() + 9 * at, positions.data() + 3 * at});
+  }
+}
+
+void forward_motion(const MotionArrays& given) {
+  const std::size_t joints = given.parents.shape(0);
+  const std::size_t frames = given.rotations.values.shape(0);
+  check_parents(given.parents);
+  const Channel t = read_channel("translations", given.translations, frames, joints, 3);
+  const Channel q = read_channel("rotations", given.rotations, frames, joints, 4);
+  std::optional<Channel> s;
+  if (given.scales) s = read_channel("scales", *given.scales, frames, joints, 3);
+  check::shape("positions", given.positions, {frames, joints, 3});
+  check::shape("linear", given.linear, {frames, joints, 3, 3});
+  for (std::size_t f = 0; f < frames; ++f) {
+    const World world{given.linear.data() + 9 * f * joints,
+                      given.positions.data() + 3 * f * joints};
+    for (std::size_t j = 0; j < joints; ++j)
+      step<double>(world, given.parents.data()[j], j, t.at(f, j), q.at(f, j),
+                   s ? s->at(f, j) : nullptr);
   }
 }
 

@@ -25,6 +25,22 @@ void forward_kinematics(In<std::int64_t, 1> parents, In<double, 3> translations,
                         In<double, 3> rotations, std::optional<In<double, 3>> scales,
                         Filled<double, 3> positions, Filled<double, 4> linear);
 
+// Values of joints at rest (J, K), which of them move (A,), and their values (F, A, K).
+struct MotionChannel {
+  In<double, 2> rest;
+  In<std::int64_t, 1> animated;
+  In<double, 3> values;
+};
+
+struct MotionArrays {
+  In<std::int64_t, 1> parents;
+  MotionChannel translations, rotations;
+  std::optional<MotionChannel> scales;
+  Filled<double, 3> positions;
+  Filled<double, 4> linear;
+};
+void forward_motion(const MotionArrays& given);
+
 // extents, error, frame, joint
 using RoundingReport = std::tuple<Out<double, 3>, double, std::size_t, std::size_t>;
 RoundingReport measure_rounding(In<std::int64_t, 1> parents, In<double, 3> translations,

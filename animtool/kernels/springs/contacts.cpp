@@ -385,11 +385,16 @@ SpringContacts::Found SpringContacts::look(std::size_t index, std::size_t n, boo
   const Mesh mesh = mesh_at(c, end);
   const Pose& pose = end ? c.end : c.begin;
   const double kept = collide::kept(c.collider, radius), side = c.collider.container ? -1 : 1;
-  const MeshWay gone =
-      c.surface < 0 ? MeshWay{} : surfaces_[static_cast<std::size_t>(c.surface)].way_until(mesh.share);
+  MeshWay gone;
+  KnotBoxes boxes{};
+  if (c.surface >= 0) {
+    const auto& surface = surfaces_[static_cast<std::size_t>(c.surface)];
+    gone = surface.way_until(mesh.share);
+    boxes = surface.boxes(c.lasts);
+  }
   auto& patches = patches_[static_cast<std::size_t>(patched_[index])];
-  Found found = patches.look(mesh, c.collider.root, n, pose.to_local(point), gone, kept,
-                             !c.collider.container);
+  Found found = patches.look(mesh, c.collider.root, n, pose.to_local(point), gone,
+                             gone.knot < 0 ? nullptr : &boxes, kept, !c.collider.container);
   if (c.collider.two_sided) found.sample = collide::unsided(found.sample);
   const Vec out = pose.rotated(found.sample.normal) * side;
   return {{side * found.sample.distance - kept, out}, found.triangle};

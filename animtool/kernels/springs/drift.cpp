@@ -53,15 +53,19 @@ double NearMotion::spread(const Range& one, const Range& other) {
   return std::sqrt(along[0] * along[0] + along[1] * along[1] + along[2] * along[2]) * ROUNDING;
 }
 
-Drift NearMotion::between(const std::vector<double>& from, const std::vector<double>& to) {
+template <class Way>
+Drift NearMotion::beside(const std::vector<double>& from, const std::vector<double>& to,
+                         Way way) {
   constexpr double FAR = std::numeric_limits<double>::infinity();
   std::fill(ranges_.begin(), ranges_.end(), Range{{FAR, FAR, FAR}, {-FAR, -FAR, -FAR}});
   for (std::size_t n = 0; n < cells_.size(); ++n) {
     Range& range = ranges_[cells_[n]];
+    const collide::Vec at = way(collide::load(&from[ROW * n]));
+    const double came[3] = {at.x, at.y, at.z};
     for (std::size_t k = 0; k < 3; ++k) {
-      const double way = to[ROW * n + k] - from[ROW * n + k];
-      range.low[k] = std::min(range.low[k], way);
-      range.high[k] = std::max(range.high[k], way);
+      const double beside = to[ROW * n + k] - came[k];
+      range.low[k] = std::min(range.low[k], beside);
+      range.high[k] = std::max(range.high[k], beside);
     }
   }
   Drift drift;
@@ -77,6 +81,15 @@ Drift NearMotion::between(const std::vector<double>& from, const std::vector<dou
     drift.near = std::max(drift.near, spread(ranges_[c], ranges_[d]));
   drift.all = spread(all, all);
   return drift;
+}
+
+Drift NearMotion::between(const std::vector<double>& from, const std::vector<double>& to) {
+  return beside(from, to, [](collide::Vec p) { return p; });
+}
+
+Drift NearMotion::between(const std::vector<double>& from, const std::vector<double>& to,
+                          const RigidWay& way) {
+  return beside(from, to, way);
 }
 
 }  // namespace animtool

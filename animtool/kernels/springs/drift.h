@@ -5,6 +5,7 @@
 #include <utility>
 #include <vector>
 
+#include "springs/rigid_way.h"
 #include "springs/rows.h"
 
 namespace animtool {
@@ -22,12 +23,17 @@ class NearMotion {
   void build(const std::vector<double>& x, double width);
   double width() const { return width_; }
   Drift between(const std::vector<double>& from, const std::vector<double>& to);
+  // Beside what a rigid motion of all does, which brings none nearer to another.
+  Drift between(const std::vector<double>& from, const std::vector<double>& to,
+                const RigidWay& way);
 
  private:
   // What ways there are in a cell, at least and at most along each axis.
   struct Range {
     double low[3], high[3];
   };
+  template <class Way>
+  Drift beside(const std::vector<double>& from, const std::vector<double>& to, Way way);
   static double spread(const Range& one, const Range& other);
 
   double width_ = 0;

@@ -27,12 +27,15 @@ class Meetings {
   using Shape = typename Kind::Shape;
 
   std::vector<Passage> crossed;
+  void sort_crossed() { std::sort(crossed.begin(), crossed.end()); }
 
-  // All pairs this near; and of these, those that are nearer now.
+  // All pairs this near; and of these, those that are nearer now, where particles went no
+  // farther than some ways over each other since.
   void list(const SpringLayers& layers, const std::vector<double>& x, double reach) {
     listed_ = Kind::near(layers, x, reach);
   }
-  void pick(const SpringLayers& layers, const std::vector<double>& x, double reach);
+  void pick(const SpringLayers& layers, const std::vector<double>& x,
+            const std::vector<double>& went, double reach);
 
   // Finds who is near in a step. Most: of ways over each other in it, what is looked at;
   // more: how much farther those are that only come back.
@@ -42,6 +45,12 @@ class Meetings {
   void forget() { hits_.clear(); }
   bool any() const { return !hits_.empty(); }
   void part(const SpringLayers& layers, Parting& parting) const;
+  // Adds who of those that are picked went through on the way from where the step began.
+  void note_passed(const SpringLayers& layers, const std::vector<double>& from,
+                   const std::vector<double>& x, const Tangles& tangles,
+                   std::vector<LayerHit>& passed) const;
+  // Forgets who is back on the side that it came from, or went off to where there is none.
+  void drop_those_back(const SpringLayers& layers, const std::vector<double>& x);
   // Notes who is on another side than when the step began.
   void look(const std::vector<double>& before, const std::vector<double>& x);
 
@@ -51,6 +60,9 @@ class Meetings {
                          const std::vector<double>& x);
   std::int32_t side_of(const LayerHit& hit, const std::vector<double>& before,
                        const std::vector<double>& x) const;
+  static bool is_through(std::int32_t side, const Shape& now) {
+    return side * now.height() < 0 && now.nearest().inside;
+  }
   bool came_round(const SpringLayers& layers, const LayerHit& hit) const;
 
   std::vector<LayerPair> listed_, picked_;
@@ -60,10 +72,17 @@ class Meetings {
 
 template <class Kind>
 void Meetings<Kind>::pick(const SpringLayers& layers, const std::vector<double>& x,
-                          double reach) {
+                          const std::vector<double>& went, double reach) {
+  const auto most = [&](const std::int32_t* first, const std::int32_t* last) {
+    double far = 0;
+    for (; first != last; ++first) far = std::max(far, went[static_cast<std::size_t>(*first)]);
+    return far;
+  };
   picked_.clear();
   for (const LayerPair& one : listed_) {
     const FourParticles who = Kind::who(layers, one.first, one.second);
+    const double nearer = most(&who[0], &who[Kind::FIRST]) + most(&who[Kind::FIRST], who.data() + 4);
+    if (one.apart - nearer - one.least > reach) continue;
     if (length(Shape(who.data(), x.data()).nearest().off) - one.least <= reach)
       picked_.push_back(one);
   }
@@ -144,6 +163,34 @@ void Meetings<Kind>::part(const SpringLayers& layers, Parting& parting) const {
 }
 
 template <class Kind>
+void Meetings<Kind>::note_passed(const SpringLayers& layers, const std::vector<double>& from,
+                                 const std::vector<double>& x, const Tangles& tangles,
+                                 std::vector<LayerHit>& passed) const {
+  const auto tangled = [&](const std::int32_t* first, const std::int32_t* last) {
+    return std::all_of(first, last, [&](std::int32_t n) { return tangles.has(n); });
+  };
+  for (const LayerPair& one : picked_) {
+    const FourParticles who = Kind::who(layers, one.first, one.second);
+    if (!shapes::ways_meet(who.data(), Kind::FIRST, from.data(), x.data())) continue;
+    const std::int32_t side =
+        shapes::passed_from(Shape(who.data(), from.data()), Shape(who.data(), x.data()));
+    if (!side) continue;
+    // What is tangled is on no side that is known.
+    if (tangled(&who[0], &who[Kind::FIRST]) && tangled(&who[Kind::FIRST], who.data() + 4))
+      continue;
+    passed.push_back({one.first, one.second, side, who, 0, 0, one.least});
+  }
+}
+
+template <class Kind>
+void Meetings<Kind>::drop_those_back(const SpringLayers& layers, const std::vector<double>& x) {
+  std::erase_if(crossed, [&](const Passage& one) {
+    const Shape now(Kind::who(layers, one.first, one.second).data(), x.data());
+    return !is_through(one.side, now);
+  });
+}
+
+template <class Kind>
 void Meetings<Kind>::look(const std::vector<double>& before, const std::vector<double>& x) {
   crossed.clear();
   for (const LayerHit& hit : hits_) {
@@ -151,7 +198,7 @@ void Meetings<Kind>::look(const std::vector<double>& before, const std::vector<d
     const Shape now(hit.who.data(), x.data());
     std::int32_t side = hit.side;
     if (side) {
-      if (!(side * now.height() < 0) || !now.nearest().inside) side = 0;
+      if (!is_through(side, now)) side = 0;
     } else {
       side = shapes::crossed_from(Shape(hit.who.data(), before.data()), now);
     }

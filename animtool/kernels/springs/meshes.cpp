@@ -12,17 +12,32 @@ using collide::Nearest;
 using collide::Vec;
 using collide::load;
 
-MeshPatches::Found MeshPatches::look(const Mesh& mesh, std::int32_t root, std::size_t n,
-                                     Vec p, const MeshWay& gone, double kept, bool bound) {
+double MeshPatches::since(const Patch& patch, Vec p, const MeshWay& gone, bool& in_knot) {
+  const MeshWay& then = patch.gone;
+  const double went =
+      length(p - patch.at - (gone.drift - then.drift)) + std::abs(gone.spread - then.spread);
+  in_knot = false;
+  if (went <= patch.slack) return went;
+  const double share = gone.share - then.share;
+  if (gone.knot < 0 || gone.knot != then.knot || share < -patch.back) return -1;
+  const double beside = length(p - patch.at - patch.way * share);
+  in_knot = beside <= patch.knot_slack;
+  return in_knot ? beside : -1;
+}
+
+MeshPatches::Found MeshPatches::look(const Mesh& mesh, std::int32_t root, std::size_t n, Vec p,
+                                     const MeshWay& gone, const KnotBoxes* boxes, double kept,
+                                     bool bound) {
   Patch& patch = patches_[n];
-  const double went = length(p - patch.at - (gone.drift - patch.gone.drift)) +
-                      std::abs(gone.spread - patch.gone.spread);
-  if (!(went <= patch.slack)) {
+  bool in_knot;
+  const double went = since(patch, p, gone, in_knot);
+  if (went < 0) {
     patch.at = p;
     patch.gone = gone;
-    return gather(patch, mesh, root, p, kept, bound);
+    return gather(patch, mesh, root, p, boxes, kept, bound);
   }
-  if (patch.count == 0) return {{patch.distance - went, {0, 1, 0}}, -1};
+  if (patch.count == 0)
+    return {{(in_knot ? patch.least : patch.distance) - went, {0, 1, 0}}, -1};
   const Nearest best = nearest(patch, mesh, p, went);
   // Of what is so far that its square is no number.
   if (best.triangle < 0) return {{collide::FAR, {0, 1, 0}}, -1};
@@ -43,48 +58,112 @@ Nearest MeshPatches::nearest(const Patch& patch, const Mesh& mesh, Vec p, double
 }
 
 void MeshPatches::forget() {
-  for (Patch& patch : patches_) patch.slack = -1;
+  for (Patch& patch : patches_) patch.slack = patch.knot_slack = -1;
 }
 
 MeshPatches::Found MeshPatches::gather(Patch& patch, const Mesh& mesh, std::int32_t root,
-                                       Vec p, double kept, bool bound) {
+                                       Vec p, const KnotBoxes* boxes, double kept,
+                                       bool bound) {
   patch.count = 0;
+  patch.slack = patch.knot_slack = -1;
   if (bound) {
     patch.distance = std::sqrt(collide::squared_to_box(p, mesh.bounds + 6 * root));
-    patch.slack = (patch.distance - kept) / 2;
-    if (patch.slack > patch.fine) return {{patch.distance, {0, 1, 0}}, -1};
+    const double slack = (patch.distance - kept) / 2;
+    if (slack > patch.fine) {
+      patch.slack = slack;
+      return {{patch.distance, {0, 1, 0}}, -1};
+    }
   }
-  const Nearest near = collide::nearest_on_mesh(mesh, root, p, collide::FAR);
-  patch.slack = -1;
+  const Nearest near = look_around(patch, mesh, root, p, boxes);
   if (near.triangle < 0) return {{collide::FAR, {0, 1, 0}}, -1};
   const collide::Sample found = collide::sample_nearest(mesh, near, p);
-  const double beyond = found.distance - kept;
   patch.distance = std::sqrt(near.squared);
-  if (bound && beyond > 2 * patch.fine)
+  patch.last = near.triangle;
+  const double beyond = found.distance - kept, least = least_ - kept, reach = 2 * patch.fine;
+  if (bound && beyond > reach) {
+    // It is far: that is enough to know, in the knot or as long as all goes alike.
     patch.slack = beyond / 2;
-  else
-    collect(patch, mesh, root, p);
+    patch.least = least_;
+    if (boxes && least > 0) patch.knot_slack = least / 2;
+  } else if (boxes && keep(patch, patch.distance + reach, true)) {
+    patch.slack = patch.knot_slack = patch.fine;
+  } else if (keep(patch, patch.distance + reach, false)) {
+    patch.slack = patch.fine;
+  } else {
+    patch.fine /= 2;
+    return {found, near.triangle};
+  }
+  if (4 * patch.count < MOST && patch.count > 0) patch.fine *= 1.5;
   return {found, near.triangle};
 }
 
-void MeshPatches::collect(Patch& patch, const Mesh& mesh, std::int32_t root, Vec p) {
+Nearest MeshPatches::look_around(Patch& patch, const Mesh& mesh, std::int32_t root, Vec p,
+                                 const KnotBoxes* boxes) {
+  around_.clear();
+  Nearest best;
+  double farthest = collide::FAR;
+  const auto look_to = [&] {
+    const double reach = std::sqrt(best.squared) + 2 * patch.fine;
+    farthest = reach * reach;
+  };
+  if (patch.last < 0) patch.last = collide::nearest_on_mesh(mesh, root, p, collide::FAR).triangle;
+  if (patch.last < 0) return best;
+  best = collide::nearest_of_triangle(mesh, patch.last, p);
+  look_to();
+  const double share = mesh.share, ahead = 1 - share;
+  patch.way = {};
+  if (boxes) {
+    const std::int32_t* corner = mesh.triangles + 3 * patch.last;
+    for (int k = 0; k < 3; ++k) patch.way = patch.way + load(mesh.ways + 3 * corner[k]) * (1.0 / 3);
+  }
+  const double way[3] = {patch.way.x, patch.way.y, patch.way.z};
+  patch.back = boxes ? boxes->back : 0;
+  // Over what is left of the knot, beside the way of what was nearest.
+  const auto squared = [&](std::int32_t node) {
+    if (!boxes) return collide::squared_to_box(p, mesh.bounds + 6 * node);
+    const double *at = boxes->begins + 6 * node, *go = boxes->ways + 6 * node;
+    double box[6];
+    for (int k = 0; k < 3; ++k) {
+      const double low = go[k] - way[k], high = go[3 + k] - way[k];
+      box[k] = at[k] + share * go[k] + std::min({0.0, ahead * low, -patch.back * high});
+      box[3 + k] = at[3 + k] + share * go[3 + k] + std::max({0.0, ahead * high, -patch.back * low});
+    }
+    return collide::squared_to_box(p, box);
+  };
+  const double span = std::max(ahead, patch.back);
+  collide::visit_boxes(mesh, root, farthest, squared, [&](std::int32_t t) {
+    const Nearest found = collide::nearest_of_triangle(mesh, t, p);
+    if (collide::nearer(found, best)) {
+      best = found;
+      look_to();
+    }
+    const double distance = std::sqrt(found.squared);
+    double over = 0;
+    if (boxes) {
+      const std::int32_t* corner = mesh.triangles + 3 * t;
+      for (int k = 0; k < 3; ++k)
+        over = std::max(over, length(load(mesh.ways + 3 * corner[k]) - patch.way));
+    }
+    around_.push_back({distance, distance - span * over, t});
+    return farthest;
+  });
+  least_ = std::sqrt(farthest);
+  for (const Around& one : around_) least_ = std::min(least_, one.least);
+  return best;
+}
+
+bool MeshPatches::keep(Patch& patch, double reach, bool in_knot) {
   if (patch.place < 0) {
     patch.place = static_cast<std::int32_t>(candidates_.size());
     candidates_.emplace_back();
   }
   Candidates& candidates = candidates_[static_cast<std::size_t>(patch.place)];
-  const double reach = patch.distance + 2 * patch.fine, squared = reach * reach;
   int count = 0;
-  collide::visit_triangles(mesh, root, p, squared, [&](std::int32_t t) {
-    if (count > MOST) return -1.0;
-    const Nearest found = collide::nearest_of_triangle(mesh, t, p);
-    if (!(found.squared <= squared)) return squared;
-    if (count < MOST) candidates[count] = {std::sqrt(found.squared), t};
-    return ++count > MOST ? -1.0 : squared;
-  });
-  if (count > MOST) {
-    patch.fine /= 2;
-    return;
+  for (const Around& one : around_) {
+    const double distance = in_knot ? one.least : one.distance;
+    if (!(distance <= reach)) continue;
+    if (count == MOST) return false;
+    candidates[count++] = {distance, one.triangle};
   }
   std::sort(candidates.begin(), candidates.begin() + count,
             [](const Candidate& a, const Candidate& b) {
@@ -92,8 +171,7 @@ void MeshPatches::collect(Patch& patch, const Mesh& mesh, std::int32_t root, Vec
               return a.triangle < b.triangle;
             });
   patch.count = count;
-  patch.slack = patch.fine;
-  if (4 * count < MOST) patch.fine *= 1.5;
+  return true;
 }
 
 // Cells that a knot lasts, at most.
@@ -140,6 +218,10 @@ bool MovingSurface::enter(std::int64_t cell, double length) {
     measure(end, end);
   }
   surface_->fit(begin_, end, bounds_);
+  if (travel_ > 0) {
+    surface_->fit(begin_, begin_, begins_);
+    surface_->fit(ways_.data(), ways_.data(), way_bounds_);
+  }
   return (begins || follows) && !jumps;
 }
 
@@ -170,7 +252,8 @@ collide::Collider MovingSurface::collider(double share) const {
 }
 
 MeshWay MovingSurface::way_until(double share) const {
-  return {before_.drift + whole_.drift * share, before_.spread + whole_.spread * share};
+  return {before_.drift + whole_.drift * share, before_.spread + whole_.spread * share,
+          travel_ > 0 ? last_ : -1, share};
 }
 
 Vec MovingSurface::way(const Mesh& mesh, std::int32_t triangle, Vec p) const {

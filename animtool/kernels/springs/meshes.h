@@ -16,6 +16,16 @@ namespace animtool {
 struct MeshWay {
   collide::Vec drift;
   double spread = 0;
+  // In a knot in which all goes straight, its number and the share that is gone; -1 in none.
+  std::int64_t knot = -1;
+  double share = 0;
+};
+
+// A mesh in such a knot: boxes of its nodes as it begins, and of the ways of their points,
+// and how far before a moment particles are looked at [share of the knot].
+struct KnotBoxes {
+  const double *begins, *ways;
+  double back;
 };
 
 // What of a mesh is near each particle. It is found by the tree, and serves for as long as
@@ -35,12 +45,12 @@ class MeshPatches {
   // The mesh from a point of its frame: its distance, or, where that is more than is kept
   // and asked for, one that is less but still more than is kept.
   Found look(const collide::Mesh& mesh, std::int32_t root, std::size_t n, collide::Vec p,
-             const MeshWay& gone, double kept, bool bound);
+             const MeshWay& gone, const KnotBoxes* boxes, double kept, bool bound);
   // Nothing is known any more.
   void forget();
 
  private:
-  static constexpr int MOST = 24;
+  static constexpr int MOST = 32;
   struct Candidate {
     double distance;
     std::int32_t triangle;
@@ -53,18 +63,37 @@ class MeshPatches {
     // How far it serves, less than 0 not at all; how far the next is to serve.
     double slack = -1, fine = 0;
     double distance = 0;
+    // The same for what is left of the knot, beside the way of what was nearest.
+    double knot_slack = -1, least = 0, back = 0;
+    collide::Vec way;
     std::int32_t count = 0, place = -1;
+    std::int32_t last = -1;  // a triangle that was near
+  };
+  // Near a particle: how far, and how far at least in what is left of the knot.
+  struct Around {
+    double distance, least;
+    std::int32_t triangle;
   };
 
+  // How far a particle went since it was looked at, where what was found then serves; else
+  // less than 0. With whether that is beside the way of what was nearest.
+  static double since(const Patch& patch, collide::Vec p, const MeshWay& gone, bool& in_knot);
   collide::Nearest nearest(const Patch& patch, const collide::Mesh& mesh, collide::Vec p,
                            double went) const;
   Found gather(Patch& patch, const collide::Mesh& mesh, std::int32_t root, collide::Vec p,
-               double kept, bool bound);
-  void collect(Patch& patch, const collide::Mesh& mesh, std::int32_t root, collide::Vec p);
+               const KnotBoxes* boxes, double kept, bool bound);
+  // The nearest, by what was near before, and what else is near.
+  collide::Nearest look_around(Patch& patch, const collide::Mesh& mesh, std::int32_t root,
+                               collide::Vec p, const KnotBoxes* boxes);
+  // Keeps what is near, if it is not too much; by what is left of the knot or as it is.
+  bool keep(Patch& patch, double reach, bool in_knot);
 
   std::vector<Patch> patches_;
   // Of those that were near.
   std::vector<Candidates> candidates_;
+  // Of the last look: what is near, and the least that anything comes to in the knot.
+  std::vector<Around> around_;
+  double least_ = 0;
 };
 
 // A mesh whose points move: these at knots of time (K, P, 3), straight from one to the next;
@@ -85,6 +114,8 @@ class MovingSurface {
   // As what is met when a share of the knot is gone, and how it has gone until then.
   collide::Collider collider(double share) const;
   MeshWay way_until(double share) const;
+  // Boxes of the knot, none where it stands; a part of a cell is looked back.
+  KnotBoxes boxes(double back) const { return {begins_.data(), way_bounds_.data(), back}; }
   // The most that a point goes in the whole knot, and how its nearest point goes.
   double travel() const { return travel_; }
   const double* box() const { return bounds_.data(); }
@@ -97,7 +128,7 @@ class MovingSurface {
   const MeshSurface* surface_;
   In<double, 3> points_;
   std::array<double, 5> numbers_;
-  std::vector<double> ways_, bounds_;
+  std::vector<double> ways_, bounds_, begins_, way_bounds_;
   std::int64_t lasts_, first_;
   const double* begin_ = nullptr;
   MeshWay before_, whole_;  // until the knot, and in it

@@ -89,7 +89,7 @@ std::vector<LayerPair> TrianglesAndCorners::near(const SpringLayers& layers,
       if (!(apart <= farthest)) return;
       const double least = layers.least(t, n);
       if (least > 0 && apart - least <= reach)
-        found.push_back({static_cast<std::int32_t>(t), n, least});
+        found.push_back({static_cast<std::int32_t>(t), n, least, apart});
     });
   }
   sort(found, layers.triangles());
@@ -137,7 +137,7 @@ std::vector<LayerPair> EdgesAndEdges::near(const SpringLayers& layers,
       const double least = layers.least_of_edges(first, second);
       if (least > 0 && apart - least <= reach)
         found.push_back({static_cast<std::int32_t>(first), static_cast<std::int32_t>(second),
-                         least});
+                         least, apart});
     });
   }
   sort(found, layers.edges());

@@ -12,10 +12,11 @@
 
 namespace animtool {
 
-// A triangle and a corner, or two edges, by number, and the distance that they keep.
+// A triangle and a corner, or two edges, by number, the distance that they keep, and how far
+// apart they were.
 struct LayerPair {
   std::int32_t first, second;
-  double least;
+  double least, apart;
 };
 
 using FourParticles = std::array<std::int32_t, 4>;

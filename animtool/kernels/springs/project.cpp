@@ -26,6 +26,9 @@ constexpr double OWN = 2;
 constexpr double RIGID = 0.1;
 // Rounds over limited springs in a step.
 constexpr int LIMIT_ROUNDS = 4;
+// What contacts may strain over a limit, and rounds of bringing that back.
+constexpr double LAST_LIMIT = 1.6;
+constexpr int LAST_ROUNDS = 2;
 // Of a limit, from where on a cell is worth shorter steps, and what is left of the stretch
 // where these help.
 constexpr double BEYOND_LIMIT = 2, HELPED = 0.7;
@@ -62,13 +65,14 @@ class Projection {
     for (int j = 0; j < substeps; ++j) {
       const double t = start + j * h;
       run_.look(t + h, h);
+      if (limit_ > 0) start_ = run_.x;
       predict(h);
       run_.network.place_held(t + h, h, before_.data(), run_.x.data(), run_.v.data());
       project(j + 1 < substeps ? nullptr : gives_.data());
       pull_anchors();
-      limit_strains();
+      limit_strains(limit_);
       self_.keep_apart(h, before_, run_.x);
-      contacts_.settle(j, before_, run_.x, nullptr);
+      settle(j, h);
       self_.look(before_, run_.x);
       const double rate = 1 / h;
       for (std::size_t k = 0; k < run_.size; ++k) run_.v[k] = (run_.x[k] - before_[k]) * rate;
@@ -151,6 +155,18 @@ class Projection {
                            before_.data(), kept);
   }
 
+  // Contacts with colliders and, where strain is limited, what holds the surface together
+  // after these: what they strained too much gives way once more.
+  void settle(int step, double h) {
+    const auto meet = [&] { contacts_.settle(step, before_, run_.x, nullptr); };
+    meet();
+    self_.keep_whole(h, start_, before_, run_.x, meet);
+    for (int round = 0; round < LAST_ROUNDS && limit_strains(LAST_LIMIT * limit_); ++round) {
+      meet();
+      self_.keep_whole(h, start_, before_, run_.x, meet);
+    }
+  }
+
   void pull_anchors() {
     const SpringNetwork& network = run_.network;
     for (std::size_t a = 0; a < network.anchors.size(); ++a) {
@@ -166,15 +182,16 @@ class Projection {
   }
 
   // Brings back to their limits what many springs in a row left beyond these; both ends move,
-  // so that momentum stays.
-  void limit_strains() {
+  // so that momentum stays. Whether there was any.
+  bool limit_strains(double limit) {
+    bool moved = false;
     for (int round = 0; round < LIMIT_ROUNDS; ++round) {
       bool any = false;
       for (const Limited& one : limited_) {
         double *p = run_.x.data() + one.i, *q = run_.x.data() + one.j;
         const double d[3] = {q[0] - p[0], q[1] - p[1], q[2] - p[2]};
-        const double square = dot3(d, d), low = one.rest * (1 - limit_),
-                     high = one.rest * (1 + limit_);
+        const double square = dot3(d, d), low = one.rest * (1 - limit),
+                     high = one.rest * (1 + limit);
         if (!(square > high * high || (square < low * low && square > 0))) continue;
         const double length = std::sqrt(square);
         const double by = (length - std::clamp(length, low, high)) / length;
@@ -185,7 +202,9 @@ class Projection {
         any = true;
       }
       if (!any) break;
+      moved = true;
     }
+    return moved;
   }
 
   // Takes from ends how fast they come apart or together: what brought an edge back to its
@@ -234,6 +253,7 @@ class Projection {
     double rest, first, last;
   };
   std::vector<Limited> limited_;
+  std::vector<double> start_;  // where a step began
   std::vector<double> before_, forces_, lengths_, changes_, weights_;
   std::vector<double> gives_;  // by how much springs are longer right after their own turn
   std::vector<Give> anchor_gives_;

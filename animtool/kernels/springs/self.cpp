@@ -18,13 +18,19 @@ using collide::load;
 // Of a way in a step, over that of all, what is looked at for crossings [thickness].
 constexpr double FASTEST = 4;
 // How much farther pairs are listed than they come in a step [thickness].
-constexpr double LISTED = 2;
+constexpr double LISTED = 4;
 // Steps that those which are near are picked from them for, and bounds of that [thickness].
 constexpr double PICK_AHEAD = 6, LEAST_PICK = 0.03, MOST_PICK = 0.5;
 // How fast what is tangled comes free [m/s].
 constexpr double FREED = 1;
 // Width of cells that hold what may come near [longest edge, thickness].
 constexpr double CELL_EDGES = 4, CELL = 8;
+
+RigidWay way_of_all(const std::vector<double>& from, const std::vector<double>& to) {
+  return {
+      from.size() / ROW, [&](std::size_t n) { return load(&from[ROW * n]); },
+      [&](std::size_t n) { return load(&to[ROW * n]); }, [](std::size_t) { return 1.0; }};
+}
 
 void check_layers(const SpringLayers& layers, const SpringNetwork& network) {
   if (layers.particles() == network.particles()) return;
@@ -41,7 +47,10 @@ SelfContacts::SelfContacts(const SpringLayers* layers, const SpringNetwork& netw
                            const In<std::int64_t, 2>& crossed, bool frees)
     : layers_(layers), network_(network) {
   if (layers_) check_layers(*layers_, network);
-  if (layers_ && frees) tangles_.emplace(*layers_, network.inverse_masses);
+  if (layers_ && frees) {
+    tangles_.emplace(*layers_, network.inverse_masses);
+    zones_.emplace(network.inverse_masses);
+  }
   check::shape("crossed", crossed, {check::ANY, 3});
   read(crossed);
 }
@@ -66,8 +75,8 @@ void SelfContacts::read(const In<std::int64_t, 2>& crossed) {
     else
       corners_.crossed.push_back({second, static_cast<std::int32_t>(one[0]), side});
   }
-  std::sort(corners_.crossed.begin(), corners_.crossed.end());
-  std::sort(edges_.crossed.begin(), edges_.crossed.end());
+  corners_.sort_crossed();
+  edges_.sort_crossed();
 }
 
 void SelfContacts::begin_cell(std::int64_t cell, const std::vector<double>& x) {
@@ -100,9 +109,9 @@ void SelfContacts::measure(double h, const std::vector<double>& before,
   need_ = most_ + layers_->speed * h;
   far_ = 0;
   if (listed_.reach < 0) return;
-  const Drift drift = motion_.between(listed_.at, x);
+  const Drift drift = motion_.between(listed_.at, x, way_of_all(listed_.at, x));
   listed_.drift = drift.near, far_ = drift.all;
-  picked_.drift = motion_.between(picked_.at, x).near;
+  picked_.drift = motion_.between(picked_.at, x, way_of_all(picked_.at, x)).near;
 }
 
 bool SelfContacts::cells_cover() const {
@@ -121,8 +130,12 @@ void SelfContacts::list(double h, const std::vector<double>& before,
   }
   const double reach = need_ + std::clamp(PICK_AHEAD * travel_, LEAST_PICK * d, MOST_PICK * d);
   picked_.begin(x, std::min(reach, listed_.reach - listed_.drift));
-  corners_.pick(*layers_, x, picked_.reach);
-  edges_.pick(*layers_, x, picked_.reach);
+  const RigidWay way = way_of_all(listed_.at, x);
+  went_.resize(x.size() / ROW);
+  for (std::size_t n = 0; n < went_.size(); ++n)
+    went_[n] = length(load(&x[ROW * n]) - way(load(&listed_.at[ROW * n])));
+  corners_.pick(*layers_, x, went_, picked_.reach);
+  edges_.pick(*layers_, x, went_, picked_.reach);
 }
 
 void SelfContacts::keep_apart(double h, std::vector<double>& before, std::vector<double>& x) {
@@ -149,8 +162,38 @@ void SelfContacts::keep_apart(double h, std::vector<double>& before, std::vector
   parting.end();
 }
 
+bool SelfContacts::passes(double h, const std::vector<double>& from,
+                          const std::vector<double>& x) {
+  passed_corners_.clear();
+  passed_edges_.clear();
+  if (!std::isfinite(std::accumulate(x.begin(), x.end(), 0.0))) return false;
+  measure(h, from, x);
+  list(h, from, x);
+  corners_.note_passed(*layers_, from, x, *tangles_, passed_corners_);
+  edges_.note_passed(*layers_, from, x, *tangles_, passed_edges_);
+  return !passed_corners_.empty() || !passed_edges_.empty();
+}
+
+void SelfContacts::part_passed(double h, std::vector<double>& before,
+                               std::vector<double>& x) const {
+  Parting parting(layers_->friction, layers_->speed * h, network_.inverse_masses, before, x,
+                  true);
+  for (const LayerHit& hit : passed_corners_) parting.part<TrianglesAndCorners::Shape>(hit);
+  for (const LayerHit& hit : passed_edges_) parting.part<EdgesAndEdges::Shape>(hit);
+  parting.end();
+}
+
+void SelfContacts::note_passed() {
+  for (const LayerHit& hit : passed_corners_)
+    corners_.crossed.push_back({hit.first, hit.second, hit.side});
+  for (const LayerHit& hit : passed_edges_)
+    edges_.crossed.push_back({hit.first, hit.second, hit.side});
+  corners_.sort_crossed();
+  edges_.sort_crossed();
+}
+
 void SelfContacts::look(const std::vector<double>& before, const std::vector<double>& x) {
-  if (!layers_) return;
+  if (!layers_ || tangles_) return;
   corners_.look(before, x);
   edges_.look(before, x);
 }

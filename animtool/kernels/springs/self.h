@@ -12,6 +12,7 @@
 
 #include "springs/drift.h"
 #include "springs/meetings.h"
+#include "springs/zones.h"
 
 namespace animtool {
 
@@ -22,6 +23,9 @@ using SelfThrough = std::tuple<std::int64_t, std::int64_t, double>;
 // The contacts of a surface with itself, over the steps of a run: particles with triangles,
 // and after these edges with edges, where nothing else is as near as points along both.
 class SelfContacts {
+  // Of a step: rounds in which what went through is parted, and of all.
+  static constexpr int PARTING_ROUNDS = 6, MOST_ROUNDS = 40;
+
  public:
   SelfContacts(const SpringLayers& layers, const SpringNetwork& network);
   // Without layers nothing is done. Crossed: passages to go on with (C, 3), as `ended` returns them.
@@ -34,7 +38,13 @@ class SelfContacts {
   // Moves parts apart at the end of a step; where they only come back to the distance
   // that they are to keep, what they were before moves too, so that it gives no speed.
   void keep_apart(double h, std::vector<double>& before, std::vector<double>& x);
-  // Notes who is on another side than at the begin of the step.
+  // Where a step from here leads parts through each other, they are moved until none is:
+  // apart, with `settle` told after each round, and at last as one. Does nothing unless
+  // what is tangled comes free.
+  template <class Settle>
+  void keep_whole(double h, const std::vector<double>& from, std::vector<double>& before,
+                  std::vector<double>& x, Settle settle);
+  // Notes who is on another side than at the begin of the step, where nothing keeps it whole.
   void look(const std::vector<double>& before, const std::vector<double>& x);
 
   // Particle, triangle and side of each passage that is left (C, 3); of edges, numbered after
@@ -60,6 +70,10 @@ class SelfContacts {
   };
 
   void read(const In<std::int64_t, 2>& crossed);
+  // Finds what a step from here leads through each other; whether anything is.
+  bool passes(double h, const std::vector<double>& from, const std::vector<double>& x);
+  void note_passed();
+  void part_passed(double h, std::vector<double>& before, std::vector<double>& x) const;
   // Looks how far near parts go over each other in a step; with cells that are new.
   void measure(double h, const std::vector<double>& before, const std::vector<double>& x);
   void look_around(double h, const std::vector<double>& before, const std::vector<double>& x);
@@ -72,16 +86,40 @@ class SelfContacts {
   Meetings<TrianglesAndCorners> corners_;
   Meetings<EdgesAndEdges> edges_;
   std::optional<Tangles> tangles_;
+  std::optional<ImpactZones> zones_;
+  std::vector<LayerHit> passed_corners_, passed_edges_;
   std::vector<Passage> begun_corners_, begun_edges_;
   std::int64_t cell_ = -1, passed_ = 0, cut_ = 0;
 
   Listing listed_, picked_;
   NearMotion motion_;
+  std::vector<double> went_;  // since pairs were listed, beside a rigid motion of all
   double longest_ = 0;  // edge, when cells were made
   // Of parts that are near, how far they go over each other in a step, and what of that is
   // looked at.
   double travel_ = 0, most_ = 0, need_ = 0, rate_wanted_ = 0;
   double far_ = 0;  // how far all moved over each other since
 };
+
+template <class Settle>
+void SelfContacts::keep_whole(double h, const std::vector<double>& from,
+                              std::vector<double>& before, std::vector<double>& x,
+                              Settle settle) {
+  if (!layers_ || !tangles_ || listed_.reach < 0) return;
+  corners_.drop_those_back(*layers_, x);
+  edges_.drop_those_back(*layers_, x);
+  for (int round = 0; passes(h, from, x); ++round) {
+    if (round == MOST_ROUNDS) return note_passed();
+    if (round < PARTING_ROUNDS) {
+      part_passed(h, before, x);
+      settle();
+      continue;
+    }
+    if (round == PARTING_ROUNDS) zones_->clear();
+    zones_->join(passed_corners_);
+    zones_->join(passed_edges_);
+    zones_->move(from, before, x);
+  }
+}
 
 }  // namespace animtool

@@ -6,8 +6,10 @@
 #pragma once
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <cstdint>
+#include <utility>
 
 #include "colliders/mesh.h"
 #include "springs/rows.h"
@@ -83,6 +85,10 @@ struct CornerPair {
     return {between(p, end.p, share), {between(from.a, to.a, share), between(from.b, to.b, share),
                                        between(from.c, to.c, share)}};
   }
+  // Three ways that are in one plane where it is in that of the triangle.
+  std::array<Vec, 3> spans() const {
+    return {p - triangle.a, triangle.b - triangle.a, triangle.c - triangle.a};
+  }
   // Whether the corner is over the triangle, along its normal.
   bool faces() const {
     const Vec ab = triangle.b - triangle.a, ac = triangle.c - triangle.a, ap = p - triangle.a;
@@ -131,6 +137,10 @@ struct EdgePair {
     };
     return {one(first, end.first), one(second, end.second)};
   }
+  // Three ways that are in one plane where both are.
+  std::array<Vec, 3> spans() const {
+    return {first.a - second.a, first.way(), second.way()};
+  }
   // Whether the lines are nearest at points of both edges.
   bool faces() const {
     const Vec d = first.way(), e = second.way(), r = first.a - second.a;
@@ -162,6 +172,98 @@ std::int32_t crossed_from(const Pair& from, const Pair& to) {
       high = share, above = height, below /= 2;
   }
   return 0;
+}
+
+// The volume that three ways span, of which each goes straight from one to another, as a
+// cubic over the share of that: 1, t (1 - t)², … in the form of Bernstein.
+struct Volume {
+  double at[4];
+
+  Volume(const std::array<Vec, 3>& from, const std::array<Vec, 3>& to) {
+    const auto of = [](Vec a, Vec b, Vec c) { return dot(a, cross(b, c)); };
+    const auto& [a, b, c] = from;
+    const auto& [u, v, w] = to;
+    at[0] = of(a, b, c);
+    at[1] = (of(u, b, c) + of(a, v, c) + of(a, b, w)) / 3;
+    at[2] = (of(u, v, c) + of(u, b, w) + of(a, v, w)) / 3;
+    at[3] = of(u, v, w);
+  }
+  double operator()(double t) const {
+    const double s = 1 - t;
+    return s * s * (s * at[0] + 3 * t * at[1]) + t * t * (3 * s * at[2] + t * at[3]);
+  }
+  bool keeps_sign() const {
+    return (at[0] > 0 && at[1] > 0 && at[2] > 0 && at[3] > 0) ||
+           (at[0] < 0 && at[1] < 0 && at[2] < 0 && at[3] < 0);
+  }
+  // Shares between which it goes one way, with both ends; how many.
+  int bounds(std::array<double, 4>& found) const {
+    int count = 0;
+    found[static_cast<std::size_t>(count++)] = 0;
+    // Its slope, over 3: a + b t + c t².
+    const double a = at[1] - at[0], m = at[2] - at[1], z = at[3] - at[2];
+    const double b = 2 * (m - a), c = a - 2 * m + z, square = b * b - 4 * a * c;
+    if (square >= 0) {
+      const double q = -(b + std::copysign(std::sqrt(square), b)) / 2;
+      double one = c != 0 ? q / c : -1, other = q != 0 ? a / q : -1;
+      if (one > other) std::swap(one, other);
+      for (const double t : {one, other})
+        if (t > 0 && t < 1) found[static_cast<std::size_t>(count++)] = t;
+    }
+    found[static_cast<std::size_t>(count++)] = 1;
+    return count;
+  }
+  // Where it is 0 between two shares, at which it has other signs.
+  double root(double low, double high) const {
+    const bool rises = (*this)(low) < 0;
+    for (int i = 0; i < HALVINGS; ++i) {
+      const double middle = (low + high) / 2;
+      (((*this)(middle) < 0) == rises ? low : high) = middle;
+    }
+    return (low + high) / 2;
+  }
+
+ private:
+  static constexpr int HALVINGS = 40;
+};
+
+// Whether boxes about the ways of the first of four particles, and about those of the others,
+// have something of each other.
+inline bool ways_meet(const std::int32_t* who, std::size_t first, const double* from,
+                      const double* to) {
+  for (std::size_t k = 0; k < 3; ++k) {
+    double low[2], high[2];
+    for (std::size_t side = 0; side < 2; ++side) {
+      const std::size_t begin = side ? first : 0, end = side ? 4 : first;
+      low[side] = high[side] = from[ROW * static_cast<std::size_t>(who[begin]) + k];
+      for (std::size_t i = begin; i < end; ++i) {
+        const std::size_t at = ROW * static_cast<std::size_t>(who[i]) + k;
+        low[side] = std::min({low[side], from[at], to[at]});
+        high[side] = std::max({high[side], from[at], to[at]});
+      }
+    }
+    if (low[0] > high[1] || low[1] > high[0]) return false;
+  }
+  return true;
+}
+
+// From which side (1 or -1) the first is through the second at the end of straight ways, 0
+// where it is not: it may have turned round, or come back.
+template <class Pair>
+std::int32_t passed_from(const Pair& from, const Pair& to) {
+  const Volume volume(from.spans(), to.spans());
+  if (volume.keeps_sign()) return 0;
+  std::array<double, 4> bounds;
+  const int count = volume.bounds(bounds);
+  std::int32_t side = 0;
+  for (int i = 1; i < count; ++i) {
+    const auto k = static_cast<std::size_t>(i);
+    const double first = volume(bounds[k - 1]), last = volume(bounds[k]);
+    if ((first >= 0) == (last >= 0)) continue;
+    if (from.until(to, volume.root(bounds[k - 1], bounds[k])).faces())
+      side = side ? 0 : first >= 0 ? 1 : -1;
+  }
+  return side;
 }
 
 }  // namespace animtool::shapes

@@ -8,13 +8,17 @@ from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, cast
 
+import numpy as np
+
 from animtool.core.clock import Clock, FrameSpan
 from animtool.core.errors import Fault, refuse_warnings
 from animtool.core.files.output import check_outputs, write_arrays, write_parts
 from animtool.core.plugins import load_object
 from animtool.core.record import dataclass
 from animtool.core.shot import Shot
+from animtool.core.values import VERSION
 from animtool.core.writers import Writer, take_writer
+from animtool.motion.motion import Channel
 from animtool.motion.scores import PassScores
 from animtool.motion.take import Take, TakeStream
 from animtool.motion.take_files import TakeFiles, WriteOptions
@@ -48,11 +52,16 @@ class ConvertReport:
     scores: list[PassScores] = field(default_factory=list)
     command: str = "convert"  # what it is the report of
     json_keys: ClassVar[str] = (
-        "@command output frames start=span.first end=span.last fps=span.fps "
+        "*head output frames start=span.first end=span.last fps=span.fps "
         "rate=span.fps# joints shot? scores+ reduction?{samples keys "
         "error=.{meters=error joint} weight_error held} "
         "channels? notices"
     )
+
+    @property
+    def head(self) -> dict[str, str]:
+        """The name of the report, that of the command."""
+        return {self.command: VERSION}
 
     @property
     def named(self) -> list[Path]:
@@ -141,8 +150,19 @@ def _with_meshes(take: Take, plan: TakePlan) -> Take:
     whole, _ = open_rig(plan.source, plan.options.source.prim_path)
     if whole.names != take.rig.names:
         return take  # passes have put another rig there
+    names = [shape.name for shape in whole.shapes]
+    held = [shape.name for shape in take.rig.shapes]
+    if not {*held} <= {*names}:
+        return take
     rig = replace(take.rig, meshes=whole.meshes, shapes=whole.shapes)
-    return replace(take, rig=rig)
+    weights = take.motion.weights
+    if weights is not None and held != names:
+        # The animation may hold some of the shapes alone.
+        places = np.array([names.index(name) for name in held], np.int64)
+        order = np.argsort(places)
+        still = Channel.still(np.zeros((len(names), 1)), take.clock.count)
+        weights = still.put(places[order], weights.gather(order)).compact()
+    return replace(take, rig=rig, motion=replace(take.motion, weights=weights))
 
 
 def _files(writer: Writer, take: Take, path: Path, options: WriteOptions) -> TakeFiles:

@@ -23,7 +23,6 @@ from animtool.motion.motion import Channel, Motion
 from animtool.rig.kinematics import (
     WorldTransforms,
     bind_matrices,
-    forward,
     rest_size,
 )
 from animtool.rig.skeleton import Rig
@@ -211,7 +210,7 @@ class PointStream:
             mapped = motion
             if character.mapping is not None:
                 mapped = character.mapping.at(codes, motion)
-            world = forward(character.rig, *mapped.dense())
+            world = mapped.world(character.rig)
             weights = None if motion.weights is None else motion.weights.dense()[..., 0]
             for i, mesh in enumerate(character.meshes):
                 frames = self._frames(mesh, codes, mesh.weights(weights), world)

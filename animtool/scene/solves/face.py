@@ -78,12 +78,12 @@ class FaceResult:
     pixels: bool  # whether residuals are in pixels
     notices: list[Fault]
     seconds: dict[str, float]  # wall time by stage
-    # Pixels a metre at the face, of landmarks in pixels; else 0.
-    pixels_per_meter: float = 0.0
+    # Pixels a metre at the face, of landmarks in pixels.
+    pixels_per_meter: float | None = None
     written: OutputReport | None = None
     json_keys: ClassVar[str] = (
         "'mocap face' source=job.capture rig=job.rig outputs frames residual_unit "
-        "pixels_per_meter! rms=fit.rms noise=fit.noise rounds=fit.rounds "
+        "pixels_per_meter rms=fit.rms noise=fit.noise rounds=fit.rounds "
         "change=fit.change landmarks=fit.landmarks shapes=fit.peaks status=fit.status "
         "lost=links.lost seconds notices"
     )
@@ -173,7 +173,7 @@ def solve_face(job: FaceJob, *, progress: Progress = None) -> FaceResult:
     notices += [_at(str(job.capture), notice) for notice in own]
     take = driven_take(Take(rig, capture.clock, motion, tuple(notices)))
     seconds = {"read": read - began, "solve": time.perf_counter() - read}
-    scale = 0.0
+    scale = None
     if camera is not None:
         scale = float(camera[0] / np.median(fit.translations[:, 2]))
     return FaceResult(

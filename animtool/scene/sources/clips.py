@@ -15,7 +15,7 @@ from animtool.clip.clip import Clip
 from animtool.clip.file import ClipFile, load_clip, load_rig_of, open_clip
 from animtool.clip.keyed_curve import KeyedCurve
 from animtool.clip.sample import ClipNotice, sample_channels
-from animtool.clip.schema import ChannelModel
+from animtool.clip.schema import ChannelModel, key_times
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, FormatError
 from animtool.core.units import unit_name
@@ -87,8 +87,8 @@ def _located(file: ClipFile, rig: Rig, notice: ClipNotice) -> Fault:
     for i, channel in _causes(file, rig, notice.target):
         at: Location = ("channels", i)
         if notice.frame is not None:
-            before = [k for k, key in enumerate(channel.keys) if key.t <= notice.frame]
-            at = (*at, "keys", before[-1] if before else 0)
+            (before,) = np.nonzero(key_times(channel) <= notice.frame)
+            at = (*at, "keys", int(before[-1]) if len(before) else 0)
         line, column = document.place(at)
         return replace(
             notice.fault,

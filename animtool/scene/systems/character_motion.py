@@ -21,7 +21,7 @@ from animtool.maths.faces import triangulated
 from animtool.motion.motion import Motion
 from animtool.motion.reorient import reorient
 from animtool.motion.take import Take, TakeStream
-from animtool.rig.kinematics import WorldTransforms, bind_matrices, forward
+from animtool.rig.kinematics import WorldTransforms, bind_matrices
 from animtool.rig.skeleton import Rig
 from animtool.rig.surfaces import surfaces_of
 from animtool.scene.sources.open import open_source
@@ -71,7 +71,7 @@ def motion_of(path: Path, take: Take) -> CharacterMotion:
     """Return a take as systems see it, the first frame at 0 s."""
     if take.rig.up is not UpAxis.Y:
         take = reorient(TakeStream.of(take), UpAxis.Y).collect()
-    world = forward(take.rig, *take.motion.dense())
+    world = take.world()
     clock = take.clock
     times = np.arange(clock.count, dtype=np.float64) * float(clock.step / clock.fps)
     return CharacterMotion(path, take.rig, take.motion, world, times)

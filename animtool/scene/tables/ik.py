@@ -15,7 +15,6 @@ from animtool.ik.result import IkStatus
 from animtool.ik.take_run import TakeIk
 from animtool.ik.tracks import TargetTracks
 from animtool.motion.take import Take
-from animtool.rig.kinematics import forward
 from animtool.scene.solves.ik import IkJob, open_ik
 from animtool.sim.trials.trial import (
     ErrorMeasure,
@@ -145,7 +144,7 @@ def _outcome(solved: TakeIk) -> Outcome:
     take, compared = solved.take, _compared(solved)
     joints = [joint for _, joint, _ in compared]
     offsets = np.array([offset for _, _, offset in compared])
-    world = forward(take.rig, *take.motion.dense())
+    world = take.world()
     turned = np.einsum("fpab,pb->fpa", world.linear[:, joints], offsets)
     shots = [Shot(points) for points in world.positions[:, joints] + turned]
     misses = np.where(solved.asked, solved.misses, 0.0)

@@ -17,7 +17,6 @@ from animtool.core.array_types import FloatArray
 from animtool.ik.take_pass import IkPassOptions, asked_of, settings_of
 from animtool.motion.motion import Motion
 from animtool.motion.take import Take, TakeStream
-from animtool.rig.kinematics import forward
 from animtool.rig.parts import AttachKind
 from animtool.rig.skeleton import Rig
 from animtool.scene.bake.bake import run_stage
@@ -262,7 +261,7 @@ def _attached(rig: Rig, body: Body, motion: Motion) -> FloatArray:
     if isinstance(body, SurfaceBody):
         return motion.points[body.mesh.name].dense()
     assert isinstance(body, ChainBody)
-    world = forward(rig, *motion.dense())
+    world = motion.world(rig)
     shell = attached_points(rig, SHELL)[body.joints, :, None]
     turned = world.linear[:, body.joints, None] * shell
     points = world.positions[:, body.joints, None] + turned.sum(axis=-1)

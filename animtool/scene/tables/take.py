@@ -24,7 +24,7 @@ from animtool.core.units import parse_length
 from animtool.edit.retiming import trim
 from animtool.motion.motion import Motion
 from animtool.motion.take import Take, TakeStream
-from animtool.rig.kinematics import WorldTransforms, forward, rest_size
+from animtool.rig.kinematics import WorldTransforms, rest_size
 from animtool.rig.skeleton import Rig
 from animtool.scene.bake.bake import run_stage
 from animtool.scene.bake.options import BakeOptions
@@ -144,7 +144,7 @@ class _Known:
             motion = take.motion.select(picked)
         else:
             motion = curve(float(clock.start) + frames * float(clock.step))
-        shots = _shots(take.rig, forward(take.rig, *motion.dense()))
+        shots = _shots(take.rig, motion.world(take.rig))
         return _Known(take.rig, frames / float(clock.rate), shots)
 
     def where(self, shot: int, point: int) -> str:

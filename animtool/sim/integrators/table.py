@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import cast
 
-from animtool.core.errors import Fault, OptionError, excerpt
+from animtool.core.names import check_known
 from animtool.core.plugins import load_object
 from animtool.sim.integrators.integrator import Integrator
 
@@ -44,11 +44,5 @@ def find_integrator(name: str) -> Integrator:
     >>> find_integrator("rk4").order
     4
     """
-    if name not in INTEGRATORS:
-        from animtool.core.names import nearest
-
-        message = f"unknown integrator {excerpt(name)}"
-        raise OptionError(
-            Fault("SIM001", message, hint=nearest(name, list(INTEGRATORS)))
-        )
+    check_known(name, INTEGRATORS, "integrator", "SIM001")
     return cast(Integrator, load_object(INTEGRATORS[name]))

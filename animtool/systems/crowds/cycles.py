@@ -13,7 +13,8 @@ from animtool.core.record import dataclass
 from animtool.edit.cycle import find_cycle
 from animtool.edit.looping import loop
 from animtool.maths import so3
-from animtool.motion.contacts import FootContacts, find_contacts, intervals
+from animtool.maths.runs import runs
+from animtool.motion.contacts import FootContacts, find_contacts
 from animtool.motion.take import Take
 from animtool.retarget.transfer import middle_of_hips
 from animtool.rig.kinematics import WorldTransforms, forward
@@ -83,7 +84,7 @@ def heading_of(turns: FloatArray) -> FloatArray:
 
 def _gait(walker: Walker, name: str, take: Take) -> tuple[str, Gait]:
     """Return whether a take moves, stands or reacts, and it as a gait."""
-    world = forward(walker.rig, *take.motion.dense())
+    world = take.motion.world(walker.rig)
     hips = middle_of_hips(walker.person, world.positions)
     fps = float(take.clock.rate)
     way = np.linalg.norm((hips[-1] - hips[0])[[0, 2]])
@@ -222,7 +223,7 @@ def _stance(
     _, _, foot, toe = walker.legs[k]
     tip = None if toe < 0 else world.positions[:, toe]
     found: FootContacts = find_contacts(world.positions[:, foot], tip, fps, walker.leg)
-    begun = [one for one in intervals(found.any) if length <= one[0] < 2 * length]
+    begun = [one for one in runs(found.any) if length <= one[0] < 2 * length]
     if len(begun) != 1 or not 0 < begun[0][1] - begun[0][0] < length:
         return None
     return _Stance(*begun[0], found.ankle & found.toe)

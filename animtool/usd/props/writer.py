@@ -18,6 +18,7 @@ from animtool.core.array_types import BoolArray, Float32Array, FloatArray
 from animtool.core.errors import Fault, OptionError, Severity
 from animtool.core.record import dataclass
 from animtool.maths import so3
+from animtool.maths.runs import runs
 from animtool.motion.frames import MeshFrame, TransformsFrame
 from animtool.motion.motion import Motion
 from animtool.motion.transforms import Reference, Track, Transforms
@@ -139,10 +140,9 @@ def author_props(
 
 def _held_notice(track: Track, path: str, codes: FloatArray, held: BoolArray) -> Fault:
     """Name the frames at which a thing is held, as its file has none such."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], held, [False]])))
-    ends = zip(edges[::2].tolist(), (edges[1::2] - 1).tolist(), strict=True)
     spans = [
-        " to ".join(dict.fromkeys(f"{codes[i]:.10g}" for i in pair)) for pair in ends
+        " to ".join(dict.fromkeys(f"{codes[i]:.10g}" for i in (first, end - 1)))
+        for first, end in runs(held)
     ]
     message = (
         f"{path} is constant at frames {', '.join(spans)}: its file has none there"

@@ -9,13 +9,13 @@ import numpy as np
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault
 from animtool.maths import so3
+from animtool.maths.runs import runs
 from animtool.validation.motion.body import hips_of
 from animtool.validation.motion.contacts import (
     Contacts,
     contacts_of,
     moves_over,
 )
-from animtool.validation.motion.pops import runs
 from animtool.validation.motion.size import body_axis
 from animtool.validation.motion.subject import MotionSubject
 
@@ -119,9 +119,9 @@ def foot_slide(subject: MotionSubject) -> Iterator[Fault]:
     sliding = contacts.near.any(axis=1) & fast
     lowest = subject.heights[:, contacts.feet].min(axis=1) / subject.size
     ways = []
-    for first, last in runs(sliding):
-        seconds = (last - first + 1) * subject.interval
-        if _lands(slowest[first : last + 1], lowest[first : last + 1]):
+    for first, end in runs(sliding):
+        last, seconds = end - 1, (end - first) * subject.interval
+        if _lands(slowest[first:end], lowest[first:end]):
             continue
         if seconds <= SKID_LASTS and _skids(subject, contacts, slowest, first, last):
             continue

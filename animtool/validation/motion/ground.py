@@ -8,6 +8,7 @@ import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.errors import Fault
+from animtool.maths.runs import runs
 from animtool.validation.motion.body import body, feet_of, hips_of
 from animtool.validation.motion.contacts import (
     MIN_CONTACTS,
@@ -15,7 +16,6 @@ from animtool.validation.motion.contacts import (
     Contacts,
     contacts_of,
 )
-from animtool.validation.motion.pops import runs
 from animtool.validation.motion.size import body_axis
 from animtool.validation.motion.subject import MotionSubject
 
@@ -156,10 +156,10 @@ def _sunk(subject: MotionSubject, contacts: Contacts) -> Iterator[Fault]:
     fewest = max(2, round(SUNK_SECONDS / subject.interval))
     sunk = []
     for e in range(len(contacts.feet)):
-        for first, last in runs(deep[:, e]):
-            if last - first + 1 >= fewest:
-                depth = float(below[first : last + 1, e].max())
-                sunk.append((depth, e, first, last))
+        for first, end in runs(deep[:, e]):
+            if end - first >= fewest:
+                depth = float(below[first:end, e].max())
+                sunk.append((depth, e, first, end - 1))
     if not sunk:
         return
     depth, e, first, last = max(sunk)
@@ -207,8 +207,8 @@ def _floating(subject: MotionSubject, contacts: Contacts) -> Iterator[Fault]:
     # A file without units may be of a person, whatever its numbers are.
     tall = subject.size if subject.has_units else max(subject.size, PERSON_SIZE)
     longest = LONGEST_JUMP * np.sqrt(tall / PERSON_SIZE)
-    for first, last in runs(air):
-        seconds = (last - first + 1) * subject.interval
+    for first, end in runs(air):
+        last, seconds = end - 1, (end - first) * subject.interval
         if seconds <= longest or _climbs(subject, still, above, first, last):
             continue
         height = float(lowest[first : last + 1].min())

@@ -14,18 +14,6 @@ from animtool.maths.pops import shift_pops, turn_pops
 from animtool.validation.motion.body import carriers
 from animtool.validation.motion.subject import MotionSubject
 
-
-def runs(flags: BoolArray) -> Iterator[tuple[int, int]]:
-    """Yield the first and last index of each run of true values.
-
-    >>> list(runs(np.array([True, False, True, True])))
-    [(0, 0), (2, 3)]
-    """
-    edges = np.flatnonzero(np.diff(flags.astype(np.int8), prepend=0, append=0))
-    for start, end in edges.reshape(-1, 2).tolist():
-        yield start, end - 1
-
-
 # Moves of joints against their parents that are seen, of the rig's size, where rigs
 # that slide and stretch do so on purpose; and of a root, which is seen sooner [1].
 MIN_SHIFT, MIN_ROOT_SHIFT = 0.2, 0.02

@@ -11,8 +11,8 @@ from numpy.lib.stride_tricks import sliding_window_view
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.clock import span_label
 from animtool.core.errors import Fault, counted
+from animtool.maths.runs import runs
 from animtool.validation.motion.body import limbs_of
-from animtool.validation.motion.pops import runs
 from animtool.validation.motion.subject import MotionSubject
 
 # Nearer to a frame than this a time code is that frame, rounded [time codes].
@@ -308,9 +308,9 @@ def _repeats(subject: MotionSubject) -> tuple[BoolArray, bool]:
     usual_speed = float(np.median(speeds[speeds > STILL * speeds.max()]))
     kept = np.zeros(len(still), bool)
     starts = []
-    for first, last in runs(still):
-        if _abrupt(speeds, usual_speed, first, last):
-            kept[first : last + 1] = True
+    for first, end in runs(still):
+        if _abrupt(speeds, usual_speed, first, end - 1):
+            kept[first:end] = True
             starts.append(first)
     gaps = np.diff(starts)
     if len(gaps) < MIN_REPEATS:
@@ -325,12 +325,12 @@ def frozen_frames(subject: MotionSubject) -> Iterator[Fault]:
     kept, regular = _repeats(subject)
     if regular or not kept.any() or float(kept.mean()) > MOSTLY_STILL:
         return
-    frozen = list(runs(kept))
-    first, last = max(frozen, key=lambda run: run[1] - run[0])
+    frozen = runs(kept)
+    first, end = max(frozen, key=lambda run: run[1] - run[0])
     more = f"; it freezes {len(frozen) - 1} more times" if len(frozen) > 1 else ""
     message = (
-        f"nothing moves from frame {subject.at(first)} to {subject.at(last + 1)}, "
-        f"between moving frames{more}"
+        f"nothing moves from frame {subject.at(first)} to {subject.at(end)}, "
+        f"between frames that do{more}"
     )
     hint = "frames were lost and the last one repeated; record or export the take again"
     yield subject.fault("MOT206", None, first, message, hint)

@@ -27,7 +27,9 @@ from animtool.core.errors import FormatError, OptionError, Severity
 from animtool.core.readers import EXPORTS, find_reader
 from animtool.core.units import LengthUnit, UpAxis
 from animtool.core.writers import take_writer
+from animtool.formats.fbx.poses import State
 from animtool.formats.fbx.read import read_fbx, read_fbx_rig, take_names
+from animtool.formats.fbx.scene import open_fbx
 from animtool.maths import so3
 
 FORMS: list[Callable[[list[Tree]], bytes]] = [
@@ -316,3 +318,101 @@ def test_keys_between_frames_are_named_with_what_is_lost(tmp_path: Path) -> None
     ends = np.array([[np.sin(a), np.cos(a)], [np.sin(b), np.cos(b)]])
     lost = np.linalg.norm(ends[1] - ends.mean(axis=0)) * 100.0
     assert float(found[1]) == pytest.approx(lost, rel=0.01)
+
+
+def test_shapes_of_old_layouts(tmp_path: Path) -> None:
+    for old, version, name in (
+        (small_6100, 6100, "wide"),
+        (small_5000, 3000, "wide (Shape)"),
+    ):
+        trees = old()
+        shape = (
+            "Shape",
+            ["wide"],
+            [("Indexes", [2], []), ("Vertices", [4.0, 0, 0], [])],
+        )
+        holders = [o for t in trees for o in (t, *t[2]) if o[0] == "Model"]
+        (mesh,) = [o for o in holders if any(p[0] == "Vertices" for p in o[2])]
+        mesh[2].append(shape)
+        keys = [("Key", [0, 0.0, "L", TICKS, 50.0, "L"], [])]
+        model = ("Model", [mesh[1][0]], [("Channel", [name], keys)])
+        (takes,) = [t for t in trees if t[0] == "Takes"]
+        takes[2][1][2].append(model)
+        take = read_fbx(written(tmp_path, as_binary(trees, version))).collect()
+        assert [one.name for one in take.rig.shapes] == ["wide"]
+        assert take.motion.weights is not None
+        weights = take.motion.weights.dense()[:, 0, 0]
+        np.testing.assert_allclose(weights, np.arange(25) / 48, atol=1e-9)
+
+
+def test_full_weights_of_blender_are_of_points(tmp_path: Path) -> None:
+    trees = small_fbx()
+    put(part(trees, "Deformer", 9), "FullWeights", array([50.0], "<f8"))
+    # Of other tools it is where the shape is full, as a quarter is half of the half.
+    stream = read_fbx(written(tmp_path, as_binary(trees)))
+    assert stream.rig.shapes[0].deltas.load()[2].tolist() == [4.0, 0.0, 0.0]
+    creator = "Blender (stable FBX IO) - 4.0.0 - 5.8.12"
+    trees[0][2].append(("Creator", [creator], []))
+    stream = read_fbx(written(tmp_path, as_binary(trees)))
+    assert stream.rig.shapes[0].deltas.load()[2].tolist() == [2.0, 0.0, 0.0]
+    weights = stream.collect().motion.weights
+    assert weights is not None
+    np.testing.assert_allclose(weights.rest, 0.25)
+
+
+def test_pivots_and_rotations_before_move_by_curves(tmp_path: Path) -> None:
+    for name, far in (("RotationOffset", 0.9), ("RotationPivot", 0.0)):
+        trees = small_fbx()
+        for link in part(trees, "Connections"):
+            if link[1][1:3] == [14, 2]:
+                link[1][3] = name
+        world = read_fbx(written(tmp_path, as_binary(trees))).collect().world()
+        # From 0 to 90 along Z, less what the rotation about it leaves [cm].
+        moved = np.linalg.norm(world.positions[-1, 1] - world.positions[0, 1])
+        assert moved == pytest.approx(far, abs=1e-9)
+    trees = small_fbx()
+    row = ("P", ["RotationActive", "bool", "", "", 1], [])
+    part(trees, "Model", 2)[0][2].append(row)
+    for link in part(trees, "Connections"):
+        if link[1][1:3] == [14, 2]:
+            link[1][3] = "PreRotation"
+    turns = read_fbx(written(tmp_path, as_binary(trees))).collect().motion.rotations
+    apart = so3.angle_between(turns.dense()[-1, 1], turns.dense()[0, 1])
+    assert apart == pytest.approx(np.pi / 2)
+
+
+def test_a_rotation_order_over_time_is_refused(tmp_path: Path) -> None:
+    trees = small_fbx()
+    for link in part(trees, "Connections"):
+        if link[1][1:3] == [14, 2]:
+            link[1][3] = "RotationOrder"
+    assert code_of(tmp_path, as_binary(trees))[0] == "FBX004"
+
+
+def test_scales_of_mixed_inherit_types(tmp_path: Path) -> None:
+    """A bone leaves out its parent's own scale, and keeps what that took over."""
+    trees = small_fbx()
+    tip = ("Model", [20, "tip\x00\x01Model", "LimbNode"], [("Properties70", [], [])])
+    part(trees, "Objects").append(tip)
+    part(trees, "Connections").append(("C", ["OO", 20, 2], []))
+    for own, scale, inherit in ((1, 2.0, 1), (2, 3.0, 0), (20, 1.0, 2)):
+        rows = part(trees, "Model", own)[0][2]
+        rows.append(("P", ["Lcl Scaling", "", "", "A", scale, scale, scale], []))
+        rows.append(("P", ["InheritType", "enum", "", "", inherit], []))
+    scene = open_fbx(written(tmp_path, as_binary(trees)))
+    state = State(scene, None, np.zeros(1, np.int64))
+    sizes = [np.cbrt(np.linalg.det(state.world(i)[0, :3, :3])) for i in range(3)]
+    assert [m.name for m in scene.models[:3]] == ["arm", "fore", "tip"]
+    np.testing.assert_allclose(sizes, [2.0, 6.0, 2.0])
+
+
+def test_a_scale_of_zero_is_left_out_too(tmp_path: Path) -> None:
+    trees = small_fbx()
+    for own, rows in (
+        (1, [("P", ["Lcl Scaling", "", "", "A", 0.0, 0.0, 0.0], [])]),
+        (2, [("P", ["InheritType", "enum", "", "", 2], [])]),
+    ):
+        part(trees, "Model", own)[0][2].extend(rows)
+    take = read_fbx(written(tmp_path, as_binary(trees))).collect()
+    fore = take.rig.names.index("fore")
+    assert np.linalg.det(take.world().linear[0, fore]) == pytest.approx(1.0, abs=1e-6)

@@ -201,3 +201,16 @@ def test_a_character_in_usd_brings_its_meshes(tmp_path: Path) -> None:
         assert other.skin is not None
         weights = one.skin.weights.load(), other.skin.weights.load()
         assert np.abs(weights[0] - weights[1]).max() <= 1e-6
+
+
+def test_shapes_that_an_animation_does_not_hold_come_along(
+    tmp_path: Path, root: Path
+) -> None:
+    source = root / "samples/fox/fox.glb"
+    stage, output = tmp_path / "fox.usdc", tmp_path / "again.glb"
+    options = SourceOptions(take="trot")
+    bake(source, stage, BakeOptions(source=options))
+    convert(stage, output)
+    assert len(open_source(stage).rig.shapes) < len(read_gltf(source).rig.shapes)
+    assert len(read_gltf(output).rig.shapes) == len(read_gltf(source).rig.shapes)
+    assert animtool("diff", source, output, "--take-a", "trot").code == 0

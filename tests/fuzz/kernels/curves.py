@@ -115,9 +115,9 @@ def _steps(rng: Rng) -> dict[str, Any]:
 def _slerp(rng: Rng) -> dict[str, Any]:
     rows = int(rng.integers(0, 6))
     return {
-        "from": rotations(rng, 1 if rng.integers(2) else rows),
-        "to": rotations(rng, 1 if rng.integers(2) else rows),
-        "share": rng.uniform(-1, 2, rows),
+        "starts": rotations(rng, 1 if rng.integers(2) else rows),
+        "ends": rotations(rng, 1 if rng.integers(2) else rows),
+        "shares": rng.uniform(-1, 2, rows),
     }
 
 

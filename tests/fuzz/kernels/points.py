@@ -52,6 +52,28 @@ def joint_arrays(rng: Rng, joints: int) -> dict[str, Any]:
     }
 
 
+def _motion(rng: Rng) -> dict[str, Any]:
+    frames, joints = (int(n) for n in rng.integers(0, 6, 2))
+
+    def moving() -> Any:
+        return np.flatnonzero(rng.integers(0, 2, joints))
+
+    places, turns, sizes = moving(), moving(), moving()
+    scales = rng.normal(size=(joints, 3)), sizes, np.ones((frames, len(sizes), 3))
+    return {
+        "parents": parents(rng, joints),
+        "translation_rest": rng.normal(size=(joints, 3)),
+        "translation_joints": places,
+        "translations": rng.normal(size=(frames, len(places), 3)),
+        "rotation_rest": rotations(rng, joints),
+        "rotation_joints": turns,
+        "rotations": rotations(rng, frames, len(turns)),
+        "scales": scales if rng.integers(2) else None,
+        "positions": np.zeros((frames, joints, 3)),
+        "linear": np.zeros((frames, joints, 3, 3)),
+    }
+
+
 def _coordinates(rng: Rng) -> dict[str, Any]:
     frames, joints = (int(n) for n in rng.integers(0, 6, 2))
     arrays = joint_arrays(rng, joints)
@@ -175,6 +197,7 @@ def _noise(rng: Rng) -> dict[str, Any]:
 CALLS: dict[str, Maker] = {
     "coordinates_to_local": _coordinates,
     "forward_kinematics": _forward,
+    "forward_motion": _motion,
     "measure_rounding": _rounding,
     "point_errors": _errors,
     "squared_lengths": _squares,

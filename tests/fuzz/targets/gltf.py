@@ -31,7 +31,8 @@ _TEXTS = (
 
 def make(folder: Path) -> Callable[[np.random.Generator], str]:
     """Return what runs a case in a folder."""
-    seeds = [small_gltf(kind) for kind in ("plain", "cubic", "sparse", "skins")]
+    kinds = ("plain", "cubic", "sparse", "packed", "skins")
+    seeds = [small_gltf(kind) for kind in kinds]
 
     def run(rng: np.random.Generator) -> str:
         document, binary = pick(rng, seeds)

@@ -17,6 +17,7 @@ from animtool.core.errors import AnimtoolError
 from animtool.scene.systems.run import SystemRun
 from animtool.scene.systems.simulation import open_systems
 from animtool.systems.crowds import crowd as crowds
+from animtool.systems.crowds.steering import GONE
 from animtool.systems.framework.run import SimulationRun
 
 FPS = 20
@@ -523,3 +524,27 @@ def test_who_is_knocked_down_falls_as_he_stood_and_was_about_to_walk() -> None:
     assert (falls, fell.tolist(), dt) == ("falls", [0, 2], 0.5)
     assert now == [("stood", [1.0, 2.0]), ("stood", [5.0, 6.0])]
     assert soon == [("walked", [1.75, 2.0]), ("walked", [5.0, 5.0])]
+
+
+def test_who_fell_stays_and_who_left_is_out(
+    simulator: Simulator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As the kernel knows them: 0 walks, 1 keeps its room, 2 is nowhere."""
+    points = np.array([[0.0, 0, 0], [2.0, 0, 0], [4.0, 0, 0]])
+    row = crowd([{"radius": RADIUS, "points": placed(simulator.folder, points)}])
+    (made,) = open_systems(simulator.scene(row).systems, 0.05)
+    assert isinstance(made, SimulationRun)
+    begun = made.simulation.initial()
+    stages = np.array([0, 0, GONE])
+    progress = replace(begun.progress, stages=stages)
+    fell: Any = SimpleNamespace(agents=np.array([1]))
+    seen: list[list[int]] = []
+    step = crowds._kernels.crowd_step
+
+    def spy(**given: Any) -> Any:
+        seen.append(given["does"].tolist())
+        return step(**given)
+
+    monkeypatch.setattr(crowds._kernels, "crowd_step", spy)
+    made.simulation.step(replace(begun, progress=progress, falls=fell), 0.0, 0.05)
+    assert seen == [[0, 1, 2]]

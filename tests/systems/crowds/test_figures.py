@@ -26,7 +26,7 @@ STEP = 0.1
 def goings(count: int) -> list[Going]:
     """Return five who walk, run in a circle, spin, are pushed to a side, and back."""
     t = np.arange(count) * STEP
-    headings = np.stack([0.3 * t, 0.9 * t - 2, 2.2 * t, 0 * t + 1, 0.4 + 0 * t])
+    headings = np.stack([0.3 * t, 0.9 * t - 2, 3.4 * t, 0 * t + 1, 0.4 + 0 * t])
     ahead = np.stack(
         [np.minimum(t, 1.3), np.minimum(2 * t, 2.4), 0.1 * t, 0 * t, -0.5 * (t > 0.6)]
     )
@@ -52,7 +52,7 @@ def test_bodies_that_are_pushed_and_turn_on_bumpy_ground() -> None:
             poses.append(poses_of(bodies, state, after))
             feet.append(bodies.feet(state, after))
             state.shoulders[:] = 0.0
-    check_figures(__file__, "bodies", {"states": states, "feet": feet[::4]})
+    check_figures(__file__, "bodies", {"states": states, "feet": feet})
     check_figures(__file__, "poses", poses)
 
 

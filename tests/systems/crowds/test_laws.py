@@ -198,6 +198,12 @@ def test_who_is_off_the_grid_is_lost() -> None:
     assert lost(grid, x).tolist() == [False, True, False, False]
 
 
+def test_agents_stand_as_the_first_clip_that_stands() -> None:
+    """Of two that do; and react as the first that is neither a step nor a stand."""
+    one, other = library("walk", "stand", "stumble"), library("walk", "wave", "stand")
+    assert [one.idle.name, other.idle.name] == ["stand", "wave"]
+
+
 def test_a_step_leaves_the_state_before_as_it_was() -> None:
     bodies = Bodies(library("walk", "stand"), np.ones(2), level)
     x = np.zeros((2, 2))

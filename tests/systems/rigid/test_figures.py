@@ -27,12 +27,13 @@ from animtool.rig.parts import Capsule, Collider
 from animtool.rig.skeleton import Joint, JointType, Rig
 from animtool.sim.colliders import Sphere
 from animtool.sim.colliders.bodies import Wrenches
+from animtool.systems.rigid.locked import locked_joints
 from animtool.systems.rigid.physics import (
     body_entries,
     stage_joints,
     still_colliders,
 )
-from animtool.systems.rigid.ragdoll import RagdollOptions, bodies_of_rig
+from animtool.systems.rigid.ragdoll import RagdollOptions, bodies_of_rig, joints_of_rig
 from animtool.systems.rigid.ragdoll_motion import ragdoll_speeds
 from animtool.systems.rigid.take_pass import ragdoll
 from animtool.systems.rigid.tone import passive
@@ -71,6 +72,10 @@ BODIES: list[dict[str, Any]] = [
      "pushes": [{"force": [2, 0, 1], "at": [0, 0.1, 0.02], "torque": [0.1, 0, 0.2],
                  "start": 0.05, "end": 0.2},
                 {"force": [0, 1, 3], "local": True, "torque": [0, 0.1, 0]}]},
+    {"name": "post", "shape": {"box": {"size": [0.1, 1, 0.1]}}, "kinematic": True,
+     "at": [0.6, 0.5, 0.9], "moves": [[0, 0, 0, 0], [0.5, -0.2, 0, -0.3]]},
+    {"name": "wall", "shape": {"box": {"size": [0.1, 0.6, 2]}}, "kinematic": True,
+     "at": [-1.6, 0.3, 0], "turns": [[0, 1, 0, 0, 0], [0.5, 0.97, 0, 0.24, 0]]},
     {"name": "wedge", "at": [-2, 0.6, 0.4], "rotate": turned(0.2, 0.9, 0.3),
      "spin": [30, 0, 200], "shape": {"mesh": {"points": WEDGE, "triangles": SIDES}}},
     {"name": "arm", "shape": {"box": {"size": [0.1, 0.5, 0.1]}}, "at": [3, 1.6, 0.2]},
@@ -123,7 +128,20 @@ def run(folder: Path, times: list[float], **keys: Any) -> dict[str, Any]:
         for frame in frames
     ]
     simulation, state = own.simulation, own.state
+    forces, motion = simulation._forces, state.motion
+    x, v = motion[:, :3], motion[:, 7:10]
+    pulls: list[Any] = [forces.potential(motion)]
+    for t in (0.0, 0.04, 0.19, 0.3):
+        pulls += [
+            forces.over(t, 1 / 60, motion),
+            forces.pushes_over(t, 1 / 60, motion),
+            forces.turning(t, 1 / 60, motion),
+            forces.accelerations(t, x, v),
+            forces.slopes(t, x, v),
+        ]
     return {
+        "begun": simulation.initial(),
+        "pulls": pulls,
         "seen": seen,
         "state": state,
         "energy": simulation.energy(state),
@@ -282,6 +300,7 @@ def test_bodies_of_a_rig_and_their_speeds() -> None:
     own = bodies_of_rig(take.rig, pose, RagdollOptions())
     times = np.array([0.0, 0.1, 0.25, 0.3, 0.5])
     bodies = own.bodies
+    joints = joints_of_rig(own, RagdollOptions(tone=0.0), lambda _: np.zeros((0, 5)))
     check_figures(
         __file__,
         "bodies",
@@ -289,12 +308,30 @@ def test_bodies_of_a_rig_and_their_speeds() -> None:
             "above": own.above,
             "frames": own.frames,
             "turns": own.turns,
+            "rows": joints.rows,
+            "numbers": joints.numbers,
+            "pairs": joints.pairs,
+            "others": joints.others,
             "masses": bodies.masses,
             "moments": bodies.moments,
             "start": bodies.start,
             "speeds": [ragdoll_speeds(own, world, times, k) for k in (0, 1, 3)],
         },
     )
+
+
+def test_joints_that_keep_each_other_from_moving() -> None:
+    """Two bodies in a loop of pins, some with axes that agree, and one on two more."""
+    rows = np.array([[1, -1, 0], [1, 0, 1], [1, -1, 1], [1, -1, 2], [1, -1, 2]])
+    frames = np.zeros((5, 7))
+    frames[:, :3] = [[0, 0, 0], [1, 0, 0.1], [1, 1, 0], [5, 0, 0], [5, 1, 0]]
+    turns = [[0, 0, 0], [0, 0, 0.0], [0, 0.3, 0], [0, 0, 0], [0, 0, 1.0]]
+    frames[:, 3:] = so3.exp(np.array(turns))
+    centres = np.array([[0.5, 0.1, 0], [1.1, 0.5, 0], [5, 0.5, 0.2]])
+    found = locked_joints(rows, frames, centres)
+    assert found
+    assert any(one.by for one in found)
+    check_figures(__file__, "locked", found)
 
 
 def test_tone_of_three_that_hang_on_each_other() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import cast
 
-from animtool.core.errors import Fault, OptionError, excerpt
+from animtool.core.names import check_known
 from animtool.core.plugins import load_object
 from animtool.systems.particles.forces.base import Force
 
@@ -37,9 +37,5 @@ def find_force(name: str) -> type[Force]:
     >>> find_force("gravity")().acceleration
     (0.0, -9.81, 0.0)
     """
-    if name not in FORCES:
-        from animtool.core.names import nearest
-
-        message = f"unknown force {excerpt(name)}"
-        raise OptionError(Fault("SIM023", message, hint=nearest(name, list(FORCES))))
+    check_known(name, FORCES, "force", "SIM023")
     return cast("type[Force]", load_object(FORCES[name]))

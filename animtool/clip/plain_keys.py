@@ -1,0 +1,84 @@
+"""Keys of times and values alone, as columns: most keys of large files are such."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import chain
+from typing import Any
+
+import numpy as np
+
+from animtool.core.array_types import FloatArray
+from animtool.core.record import dataclass
+from animtool.documents.fields import MAX_NUMBER
+
+_NUMBERS = {int, float}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlainKeys:
+    """K keys of D components that say nothing of the curve between them."""
+
+    times: FloatArray  # ``(K,)`` [frames]
+    values: FloatArray  # ``(K, D)``, as the file has them
+
+    def __len__(self) -> int:
+        """Return how many there are."""
+        return len(self.times)
+
+    @staticmethod
+    def of_entries(entries: Any) -> PlainKeys | None:
+        """Return a list of mappings as columns; None where it is more, or faulty.
+
+        >>> keys = PlainKeys.of_entries([{"t": 1, "v": [0.5, 2]}])
+        >>> keys.values.tolist()
+        [[0.5, 2.0]]
+        >>> PlainKeys.of_entries([{"t": 1, "v": 0.5, "out": "flat"}]) is None
+        True
+        """
+        plain = entries.__class__ is list and bool(entries)
+        plain = plain and all(
+            entry.__class__ is dict
+            and len(entry) == 2
+            and "t" in entry
+            and "v" in entry
+            for entry in entries
+        )
+        if not plain:
+            return None
+        times = [entry["t"] for entry in entries]
+        values = [entry["v"] for entry in entries]
+        width = 1
+        if all(value.__class__ is list for value in values):
+            width = len(values[0])
+            values = list(chain.from_iterable(values)) if _even(values) else [None]
+        if not {number.__class__ for number in (*times, *values)} <= _NUMBERS:
+            return None
+        try:
+            rows = np.array(values, np.float64).reshape(len(times), width)
+            return PlainKeys.of_arrays(np.array(times, np.float64), rows)
+        except OverflowError:
+            return None
+
+    @staticmethod
+    def of_arrays(times: FloatArray, values: FloatArray) -> PlainKeys | None:
+        """Return keys of numbers; None where one is beyond what files may hold."""
+        good = all((np.abs(part) <= MAX_NUMBER).all() for part in (times, values))
+        return PlainKeys(times, values) if good else None
+
+    def entries(self) -> list[dict[str, Any]]:
+        """Return the keys as a file has them, one by one."""
+        values = self.values[:, 0] if self.values.shape[1] == 1 else self.values
+        pairs = zip(self.times.tolist(), values.tolist(), strict=True)
+        return [{"t": time, "v": value} for time, value in pairs]
+
+
+def _even(rows: list[list[Any]]) -> bool:
+    """Return whether all have as many numbers, and some."""
+    return {len(row) for row in rows} == {len(rows[0])} != {0}
+
+
+def plain_or_each(entries: Any, check: Callable[[Any], Any]) -> Any:
+    """Return keys as columns where they are plain, else as ``check`` has them."""
+    keys = PlainKeys.of_entries(entries)
+    return check(entries) if keys is None else keys

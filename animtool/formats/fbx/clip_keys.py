@@ -1,0 +1,301 @@
+"""A take of an FBX as a clip, with the keys of the file where a clip can hold them."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+
+import numpy as np
+
+from animtool.clip.channels import ClipChannel
+from animtool.clip.clip import Clip
+from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.errors import Fault, Severity, counted
+from animtool.core.record import dataclass
+from animtool.formats.fbx.joined import JoinedKeys, joined_keys
+from animtool.formats.fbx.layers import (
+    PIVOTS,
+    ROTATION,
+    SCALING,
+    TRANSLATION,
+    TURNS,
+    Track,
+)
+from animtool.formats.fbx.models import INHERIT, Model
+from animtool.formats.fbx.poses import RowKind
+from animtool.formats.fbx.rig import FbxRig
+from animtool.formats.fbx.sampling import ON_FRAME, Frames, Sampler
+from animtool.formats.fbx.settings import TICKS
+from animtool.maths import euler, so3
+from animtool.maths.curves import Interp
+from animtool.maths.tangents import Tangent
+
+_TARGETS = ("local_translation", "local_rotation", "scale")
+# A part of rest that is nearer than this is as it is at rest.
+SAME = 1e-12
+
+
+def clip_of_fbx(
+    name: str, made: FbxRig, moving: Sampler, frames: Frames
+) -> tuple[Clip, list[Fault]]:
+    """Return a clip of a take, and how far it is off where keys could not be kept.
+
+    Translations, scales, Euler angles and shapes keep their keys where a take has one
+    layer; what a clip cannot say is a key a frame, and one at each key between frames.
+
+    Args:
+        name: What the clip is called.
+        made: The rig.
+        moving: The take on it.
+        frames: When its frames are.
+    """
+    writer = _Writer(made, moving, frames)
+    channels: list[ClipChannel] = []
+    for part in range(3):
+        channels += writer.part(part)
+    channels += writer.shapes()
+    first = Fraction(frames.first)
+    last = first + frames.count - 1
+    return Clip(name, frames.fps, first, last, tuple(channels)), writer.notices()
+
+
+@dataclass(slots=True, eq=False)
+class _Off:
+    """How far sampled channels are off between their keys."""
+
+    count: int = 0
+    metres: float = 0.0
+    radians: float = 0.0
+    scale: float = 0.0
+
+
+class _Writer:
+    """Channels of a clip, one after the other."""
+
+    def __init__(self, made: FbxRig, moving: Sampler, frames: Frames) -> None:
+        self.made, self.moving, self.frames = made, moving, frames
+        self.models = moving.scene.models
+        self.turn = so3.from_matrix(moving.scene.settings.basis)
+        self.off = _Off()
+        self.sampled: list[set[int]] = [set(), set(), set()]
+        usual = np.ones((len(made.rig.joints), 3))
+        rig = made.rig
+        self.usual = (rig.rest_translations, rig.rest_rotations, usual)
+
+    def part(self, part: int) -> list[ClipChannel]:
+        """Return the channels of translations, rotations or scales."""
+        found: list[ClipChannel] = []
+        animated = set(self.moving.moving[part].tolist())
+        rest = self.moving.rest[part]
+        for j in range(len(rest)):
+            if j in animated:
+                kept = self._kept(part, j)
+                if kept:
+                    found += kept
+                else:
+                    self.sampled[part].add(j)
+            elif np.abs(rest[j] - self.usual[part][j]).max() > SAME:
+                found.append(self._still(self._target(j, part), rest[j]))
+        return found + self._samples(part)
+
+    def shapes(self) -> list[ClipChannel]:
+        """Return the channels of shapes."""
+        found = []
+        animated = set(self.moving.shapes.tolist())
+        for row, shape in enumerate(self.made.rig.shapes):
+            target = f"shape/{shape.name}"
+            if row not in animated:
+                value = self.moving.rest[3][row]
+                if value.any():
+                    found.append(self._still(target, value))
+                continue
+            channel, full = self.made.shapes[row]
+            track = self.moving.track(row)
+            assert track is not None
+            keys = joined_keys(track, np.array([channel.percent]))
+            if keys is None:
+                ticks = self._times()
+                values = self.moving.weight(row, ticks)[:, None]
+                self.off.count += 1
+                found.append(self._plain(target, ticks, values, Interp.LINEAR))
+                continue
+            found.append(self._channel(target, keys, np.eye(1) / full, np.zeros(1)))
+        return found
+
+    def _target(self, j: int, part: int) -> str:
+        return f"joint/{self.made.rig.names[j]}.{_TARGETS[part]}"
+
+    def _kept(self, part: int, j: int) -> list[ClipChannel]:
+        """Return the channels of a joint's part with the keys of the file, if any."""
+        model = self.models[self.made.rows[j].model]
+        track = self._track(model, (TRANSLATION, ROTATION, SCALING)[part])
+        keys = None if track is None else joined_keys(track, model.base[part])
+        if keys is None:
+            return []
+        if part == 1:
+            return self._turned(j, model, keys)
+        return (self._moved if part == 0 else self._scaled)(j, model, keys)
+
+    def _moved(self, j: int, model: Model, keys: JoinedKeys) -> list[ClipChannel]:
+        shift = self._shift(model)
+        if shift is None:
+            return []
+        factor = self.made.factors[j]
+        basis = self.moving.scene.settings.basis if model.parent < 0 else np.eye(3)
+        target = self._target(j, 0)
+        return [self._channel(target, keys, basis * factor, basis @ shift * factor)]
+
+    def _scaled(self, j: int, model: Model, keys: JoinedKeys) -> list[ClipChannel]:
+        inherits = model.inherit == INHERIT or model.parent < 0
+        if not inherits or self.made.rows[j].kind is not RowKind.WHOLE:
+            return []
+        return [self._channel(self._target(j, 2), keys, np.eye(3), np.zeros(3))]
+
+    def _track(self, model: Model, name: str) -> Track | None:
+        take = self.moving.take
+        return None if take is None else take.tracks.get((model.object.id, name))
+
+    def _shift(self, model: Model) -> FloatArray | None:
+        """Return what pivots add to translations; None where that moves."""
+        if any(self._track(model, name) is not None for name in PIVOTS):
+            return None
+        offset, pivot, stretch, centre = model.pivots
+        if not (stretch.any() or centre.any() or pivot.any()):
+            return np.asarray(offset)
+        if any(self._track(model, name) for name in (ROTATION, SCALING, *TURNS)):
+            return None
+        ticks = np.zeros(1, np.int64)
+        return np.asarray(model.local(None, ticks)[0][0] - model.base[0])
+
+    def _turned(self, j: int, model: Model, keys: JoinedKeys) -> list[ClipChannel]:
+        """Return Euler angles after the rotation before them."""
+        if any(self._track(model, name) is not None for name in TURNS):
+            return []
+        if np.abs(model.post[:3]).max() > SAME:
+            return []
+        inner = self.made.rows[j].kind is RowKind.INNER
+        own = model.parent < 0 and not inner
+        before = so3.multiply(self.turn, model.pre) if own else model.pre
+        before = so3.normalize(before)
+        found = []
+        if so3.angle_between(before, self.usual[1][j]) > SAME:
+            found.append(self._still(self._target(j, 1), before))
+        order = np.eye(3)[list(euler.axes_of(model.order))] * (np.pi / 180.0)
+        target = f"joint/{self.made.rig.names[j]}.rotation"
+        return [*found, self._channel(target, keys, order, np.zeros(3), model.order)]
+
+    def _channel(
+        self,
+        target: str,
+        keys: JoinedKeys,
+        linear: FloatArray,
+        shift: FloatArray,
+        order: str = "",
+    ) -> ClipChannel:
+        """Return keys whose values are turned and scaled, then moved."""
+        per_second = float(self.frames.fps)
+        handles = []
+        for one in (keys.ins, keys.outs):
+            times, values = one[:, :1] * per_second, one[:, 1:] @ linear.T
+            handles.append(np.concatenate([times, values], axis=1))
+        count = len(keys.ticks)
+        return ClipChannel(
+            target,
+            self._codes(keys.ticks),
+            keys.values @ linear.T + shift,
+            keys.interps,
+            ((Tangent.FREE, Tangent.FREE),) * count,
+            handles[0],
+            handles[1],
+            np.zeros((count, 3)),
+            euler=order,
+            pre=keys.pre,
+            post=keys.post,
+        )
+
+    def _codes(self, ticks: IntArray) -> FloatArray:
+        """Return times of keys [frames]; those within a tick of a frame are it."""
+        per_tick = float(self.frames.fps) / TICKS
+        codes = ticks * per_tick
+        whole = np.round(codes)
+        return np.where(np.abs(codes - whole) <= 2.0 * per_tick, whole, codes)
+
+    def _still(self, target: str, value: FloatArray) -> ClipChannel:
+        interp = Interp.SLERP if len(value) == 4 else Interp.LINEAR
+        ticks = self.frames.ticks(np.array([float(self.frames.first)]))
+        return self._plain(target, ticks, value[None].copy(), interp)
+
+    def _plain(
+        self, target: str, ticks: IntArray, values: FloatArray, interp: Interp
+    ) -> ClipChannel:
+        keys, width = values.shape
+        auto = (Tangent.AUTO_CLAMPED, Tangent.AUTO_CLAMPED)
+        return ClipChannel(
+            target,
+            self._codes(ticks),
+            values,
+            (interp,) * keys,
+            (auto,) * keys,
+            np.zeros((keys, 1 + width)),
+            np.zeros((keys, 1 + width)),
+            np.zeros((keys, 3)),
+        )
+
+    def _times(self) -> IntArray:
+        """Return the times of all frames, and of keys between them [ticks]."""
+        codes = np.arange(self.frames.count, dtype=np.float64) + self.frames.first
+        ticks = self.frames.ticks(codes)
+        take = self.moving.take
+        keys = np.zeros(0, np.int64) if take is None else take.key_times()
+        keys = keys[(keys > ticks[0]) & (keys < ticks[-1])]
+        near = ticks[np.clip(np.searchsorted(ticks, keys), 1, len(ticks) - 1)]
+        before = ticks[np.clip(np.searchsorted(ticks, keys), 1, len(ticks) - 1) - 1]
+        apart = np.minimum(np.abs(near - keys), np.abs(keys - before))
+        keys = keys[apart > ON_FRAME * TICKS / float(self.frames.fps)]
+        return ticks if len(keys) > len(ticks) else np.union1d(ticks, keys)
+
+    def _samples(self, part: int) -> list[ClipChannel]:
+        """Return samples of what could not be kept; note how far they are off."""
+        rows = self.sampled[part]
+        if not rows:
+            return []
+        ticks = self._times()
+        middles = (ticks[1:] + ticks[:-1]) // 2
+        columns = self.moving.moving[part].tolist()
+        values, between = (self._values(part, at) for at in (ticks, middles))
+        found = []
+        for column, j in enumerate(columns):
+            if j not in rows:
+                continue
+            own, exact = values[:, column], between[:, column]
+            self.off.count += 1
+            if part == 1:
+                own = so3.align_signs(own)
+                apart = so3.angle_between(so3.slerp(own[:-1], own[1:], 0.5), exact)
+                worst = float(apart.max(initial=0.0))
+                self.off.radians = max(self.off.radians, worst)
+            else:
+                lost = np.abs((own[:-1] + own[1:]) / 2 - exact).max(initial=0.0)
+                if part == 0:
+                    self.off.metres = max(self.off.metres, float(lost))
+                else:
+                    self.off.scale = max(self.off.scale, float(lost))
+            interp = Interp.SLERP if part == 1 else Interp.LINEAR
+            found.append(self._plain(self._target(j, part), ticks, own, interp))
+        return found
+
+    def _values(self, part: int, ticks: IntArray) -> FloatArray:
+        motion = self.moving.at(ticks)
+        channel = (motion.translations, motion.rotations, motion.scales)[part]
+        assert channel is not None
+        return np.asarray(channel.values)
+
+    def notices(self) -> list[Fault]:
+        """Say once how many channels are sampled, and how far off they are."""
+        off = self.off
+        if not off.count:
+            return []
+        message = f"{counted(off.count, 'channel')} sampled, as a clip has no such "
+        message += "keys (layers, pivots, inherited scales, steps of one part): up to "
+        message += f"{off.metres * 1e3:.3g} mm, {np.degrees(off.radians):.3g} degrees "
+        message += f"and {off.scale:.3g} of scale off between keys"
+        return [Fault("FBX121", message, severity=Severity.NOTE)]

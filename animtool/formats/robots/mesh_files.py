@@ -1,0 +1,96 @@
+"""Meshes of robots: OBJ and STL as triangles."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.errors import FormatError
+from animtool.core.files.reading import read_input
+from animtool.formats.robots.parts import Triangles
+
+MAX_BYTES = 100_000_000
+MAX_TRIANGLES = 300_000
+MAX_POINT = 1e9
+SUFFIXES = (".obj", ".stl")
+_HEADER, _ROW = 84, 50
+_RECORD = np.dtype([("normal", "<f4", 3), ("points", "<f4", (3, 3)), ("more", "<u2")])
+
+
+def read_mesh(path: Path) -> Triangles:
+    """Return the triangles of an OBJ or STL, in its own unit.
+
+    Raises:
+        ValueError: It is neither, is broken, or is larger than is read.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in SUFFIXES:
+        raise ValueError(f"{suffix or 'a file without suffix'} is not read")
+    try:
+        content = read_input(path, MAX_BYTES)
+    except FormatError as error:
+        raise ValueError(error.faults[0].message) from error
+    mesh = _obj(content) if suffix == ".obj" else _stl(content)
+    if not len(mesh.faces):
+        raise ValueError("it holds no faces")
+    if len(mesh.faces) > MAX_TRIANGLES:
+        raise ValueError(f"it has more than {MAX_TRIANGLES:,} triangles")
+    if not np.isfinite(mesh.points).all() or np.abs(mesh.points).max() > MAX_POINT:
+        raise ValueError("it has points that are not finite, or too far")
+    return mesh
+
+
+def _stl(content: bytes) -> Triangles:
+    if len(content) >= _HEADER:
+        count = int.from_bytes(content[80:84], "little")
+        if len(content) == _HEADER + _ROW * count:
+            rows = np.frombuffer(content, _RECORD, offset=_HEADER)
+            return _welded(rows["points"].reshape(-1, 3).astype(np.float64))
+    if content[:5].lower() != b"solid":
+        raise ValueError("it is no STL, or is cut short")
+    words = content.split()
+    places = [i for i, word in enumerate(words) if word == b"vertex"]
+    try:
+        points = np.array([words[i + 1 : i + 4] for i in places], np.float64)
+    except ValueError as error:
+        raise ValueError(f"it has a vertex that is no place: {error}") from error
+    if len(points) % 3 or points.shape[1:] != (3,):
+        raise ValueError("it is no STL, or is cut short")
+    return _welded(points)
+
+
+def _welded(points: FloatArray) -> Triangles:
+    """Return triangles of three points each as such: sides stay flat."""
+    return Triangles(points, np.arange(len(points), dtype=np.int64).reshape(-1, 3))
+
+
+def _obj(content: bytes) -> Triangles:
+    points: list[list[float]] = []
+    faces: list[list[int]] = []
+    for line in content.splitlines():
+        words = line.split()
+        if not words:
+            continue
+        try:
+            if words[0] == b"v":
+                points.append([float(word) for word in words[1:4]])
+            elif words[0] == b"f":
+                faces += _fan([int(word.split(b"/")[0]) for word in words[1:]], points)
+        except ValueError as error:
+            raise ValueError(f"a line of it is malformed: {error}") from error
+        if len(faces) > MAX_TRIANGLES:
+            break
+    if any(len(point) != 3 for point in points):
+        raise ValueError("it has a point without three numbers")
+    found: IntArray = np.array(faces, np.int64).reshape(-1, 3)
+    if len(found) and not 0 <= found.min() <= found.max() < len(points):
+        raise ValueError("it has a face of a point that it lacks")
+    return Triangles(np.array(points, np.float64).reshape(-1, 3), found)
+
+
+def _fan(corners: list[int], points: list[list[float]]) -> list[list[int]]:
+    """Return the triangles of a face; negative corners count from the last point."""
+    own = [i - 1 if i > 0 else len(points) + i for i in corners]
+    return [[own[0], own[k], own[k + 1]] for k in range(1, len(own) - 1)]

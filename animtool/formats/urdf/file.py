@@ -1,0 +1,101 @@
+"""A URDF as it is written: its links and joints, and what is not read of it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from animtool.core.errors import excerpt
+from animtool.formats.robots.notes import Notes
+from animtool.formats.robots.xml import Element, read_xml
+from animtool.formats.urdf.elements import CODES, UrdfFile, UrdfJoint, UrdfLink
+from animtool.formats.urdf.joints import add_joint
+from animtool.formats.urdf.links import add_link
+
+_XACRO = "${", "$("
+EXPAND = "expand it: xacro robot.urdf.xacro -o robot.urdf (from the package of ROS)"
+
+
+def read_file(path: Path, notes: Notes) -> UrdfFile:
+    """Return a file's links and joints; faults are noted.
+
+    Raises:
+        FormatError: It is no URDF in XML (URD001 to URD005).
+    """
+    root = read_xml(path, CODES)
+    _check_root(root, notes)
+    notes.check()
+    links: dict[str, UrdfLink] = {}
+    joints: dict[str, UrdfJoint] = {}
+    for element in root.children:
+        if element.tag == "link":
+            add_link(element, links, notes)
+        elif element.tag == "joint":
+            add_joint(element, joints, notes)
+    if not links and not notes.faults:
+        message = "the robot has no link"
+        notes.add("URD006", root, message, "a robot is links, and joints between them")
+    driven, drives = _driven(root)
+    notes.leave_out(_not_read(root))
+    name = root.attributes.get("name", "")
+    return UrdfFile(name, links, joints, driven, drives)
+
+
+def _check_root(root: Element, notes: Notes) -> None:
+    """Note what is no URDF, and a xacro file, which makes one."""
+    for element in root.walk():
+        texts = element.attributes.values()
+        macro = element.tag.startswith("xacro:")
+        if macro or any(mark in text for text in texts for mark in _XACRO):
+            shown = next(
+                (text for text in texts if any(mark in text for mark in _XACRO)), ""
+            )
+            what = f"<{element.tag}>" if macro else excerpt(shown)
+            message = f"is a xacro file: it holds {what}, which a URDF is made from"
+            notes.add("URD005", element, message, EXPAND)
+            return
+    if root.tag == "robot":
+        return
+    hints = {
+        "sdf": "convert it: gz sdf -p model.sdf prints it, and sdf2urdf makes a URDF",
+        "mujoco": "it is MJCF: name it .xml",
+        "COLLADA": "it is a mesh or a scene in COLLADA",
+    }
+    hint = hints.get(root.tag, "the root element of a URDF is <robot>")
+    notes.add("URD004", root, f"no URDF: its root element is <{root.tag[:60]}>", hint)
+
+
+# Elements that a robot may have, and what they are called where they are not read.
+_KNOWN = {"link", "joint", "material"}
+_OF_JOINTS = {
+    "dynamics": "damping and friction of joints",
+    "safety_controller": "safety controllers",
+    "calibration": "calibrations",
+}
+
+
+def _not_read(root: Element) -> Iterator[str]:
+    """Yield what of a robot no rig holds, in words."""
+    for element in root.children:
+        if element.tag == "material":
+            yield "materials"
+        elif element.tag not in _KNOWN:
+            yield f"<{element.tag[:40]}>"
+        for child in element.children:
+            if element.tag == "joint" and child.tag in _OF_JOINTS:
+                yield _OF_JOINTS[child.tag]
+            elif element.tag == "joint" and child.tag == "limit":
+                names = {"effort", "velocity"} & set(child.attributes)
+                yield from ("limits of effort and velocity",) if names else ()
+
+
+def _driven(root: Element) -> tuple[frozenset[str], bool]:
+    """Return the joints that transmissions or controllers name, and if any exists."""
+    drives = [*root.all("transmission"), *root.all("ros2_control")]
+    names = {
+        joint.attributes.get("name", "")
+        for drive in drives
+        for joint in drive.walk()
+        if joint.tag == "joint"
+    }
+    return frozenset(names), bool(drives)

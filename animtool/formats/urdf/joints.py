@@ -1,0 +1,134 @@
+"""The joints of a URDF: kind, links, origin, axis, limits and mimic."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import Severity, excerpt
+from animtool.core.names import nearest
+from animtool.formats.robots.notes import LARGEST, Notes, named
+from animtool.formats.robots.parts import vector
+from animtool.formats.robots.xml import Element
+from animtool.formats.urdf.elements import (
+    SCALAR,
+    Kind,
+    UrdfJoint,
+    one_of,
+    pose_of,
+    text_of,
+)
+from animtool.rig.limits import RangeLimit
+from animtool.rig.parts import Vector
+from animtool.rig.skeleton import Mimic
+
+# An axis that is shorter has no direction.
+SHORTEST = 1e-9
+_LIMITED = frozenset({Kind.REVOLUTE, Kind.PRISMATIC})
+
+
+def add_joint(element: Element, joints: dict[str, UrdfJoint], notes: Notes) -> None:
+    """Add a joint to those of a file; faults are noted."""
+    name = text_of(element, "name", None, notes)
+    if not name:
+        return
+    where = named("joint", name)
+    if name in joints:
+        first = joints[name].element.line
+        message = f"two joints are named {excerpt(name)}"
+        hint = f"the first is in line {first}"
+        notes.add("URD009", element, message, hint, joint=name)
+        return
+    allowed = ", ".join(Kind)
+    text = text_of(element, "type", where, notes, f"allowed: {allowed}")
+    if text not in list(Kind):
+        if text:
+            message = f"unknown joint type {excerpt(text)}"
+            hint = nearest(text, [kind.value for kind in Kind])
+            notes.add("URD008", element, message, hint, where=where, joint=name)
+        text = Kind.FIXED
+    ends = []
+    for tag in ("parent", "child"):
+        end = one_of(element, tag, where, notes, needed=True)
+        ends.append("" if end is None else text_of(end, "link", where, notes))
+    position, rotation = pose_of(element, where, notes)
+    joint = UrdfJoint(element, name, Kind(text), ends[0], ends[1], position, rotation)
+    joints[name] = joint
+    if joint.kind not in {Kind.FIXED, Kind.FLOATING}:
+        joint.axis = _axis(joint, notes)
+    joint.limits = _limits(joint, notes)
+    joint.mimic = _mimic(joint, notes)
+
+
+def _axis(joint: UrdfJoint, notes: Notes) -> Vector:
+    element = one_of(joint.element, "axis", joint.where, notes)
+    if element is None:
+        return (1.0, 0.0, 0.0)
+    values = notes.numbers(element, "xyz", 3, (1.0, 0.0, 0.0), joint.where)
+    if max(map(abs, values)) < SHORTEST:
+        text = element.attributes.get("xyz", "")
+        message = f"axis {excerpt(text)} has no length, and so no direction"
+        hint = "write the direction that the joint turns about or slides along"
+        at = joint.where
+        notes.add("URD013", element, message, hint, where=at, joint=joint.name)
+        return (1.0, 0.0, 0.0)
+    return unit(np.array(values))
+
+
+def unit(values: FloatArray) -> Vector:
+    """Return a direction at unit length, to the last digit."""
+    direction = values / np.abs(values).max()
+    return vector(direction / math.sqrt(float(direction @ direction)))
+
+
+def _limits(joint: UrdfJoint, notes: Notes) -> RangeLimit | None:
+    where, name = joint.where, joint.name
+    element = one_of(joint.element, "limit", where, notes)
+    if joint.kind not in _LIMITED:
+        return None
+    if element is None:
+        message = f"is {joint.kind} and has no <limit>"
+        hint = 'write <limit lower="…" upper="…" effort="…" velocity="…"/>'
+        if joint.kind is Kind.REVOLUTE:
+            hint += ", or make it continuous"
+        notes.add("URD014", joint.element, message, hint, where=where, joint=name)
+        return None
+    low, high = (
+        notes.numbers(element, name, 1, (0.0,), where, most=math.inf)[0]
+        for name in ("lower", "upper")
+    )
+    if low > high:
+        message = f"its lower limit {low:g} is above its upper limit {high:g}"
+        hint = f'write lower="{high:g}" upper="{low:g}" if they are swapped'
+        notes.add("URD014", element, message, hint, where=where, joint=name)
+        return None
+    if low == high:
+        message = f"its limits are both {low:g}: it cannot move"
+        notes.add(
+            "URD104", element, message, where=where, joint=name,
+            severity=Severity.WARNING,
+        )  # fmt: skip
+    if low <= -LARGEST and high >= LARGEST:
+        return None
+    return RangeLimit(max(low, -LARGEST), min(high, LARGEST))
+
+
+def _mimic(joint: UrdfJoint, notes: Notes) -> Mimic | None:
+    where = joint.where
+    element = one_of(joint.element, "mimic", where, notes)
+    if element is None:
+        return None
+    if joint.kind is Kind.FIXED:
+        notes.leave_out(["mimics of fixed joints"])
+        return None
+    leader = text_of(element, "joint", where, notes)
+    gain = notes.number(element, "multiplier", 1.0, where)
+    offset = notes.number(element, "offset", 0.0, where)
+    if joint.kind not in SCALAR:
+        message = f"is {joint.kind}, and mimics {excerpt(leader)}"
+        hint = "revolute, continuous and prismatic joints can mimic another"
+        notes.add("URD015", element, message, hint, where=where, joint=joint.name)
+        return None
+    return Mimic(leader, gain, offset) if leader else None

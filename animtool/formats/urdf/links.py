@@ -1,0 +1,129 @@
+"""The links of a URDF: what they weigh, collide as, and look like."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from animtool.core.errors import Severity, excerpt
+from animtool.formats.robots.notes import Notes, named
+from animtool.formats.robots.parts import Solid, Weight
+from animtool.formats.robots.solids import weight_problem
+from animtool.formats.robots.xml import Element
+from animtool.formats.urdf.elements import UrdfLink, Visual, one_of, pose_of, text_of
+from animtool.maths import so3
+
+
+def add_link(element: Element, links: dict[str, UrdfLink], notes: Notes) -> None:
+    """Add a link to those of a file; faults are noted."""
+    name = text_of(element, "name", None, notes)
+    if not name:
+        return
+    where = named("link", name)
+    if name in links:
+        first = links[name].element.line
+        message = f"two links are named {excerpt(name)}"
+        notes.add("URD009", element, message, f"the first is in line {first}")
+        return
+    link = links[name] = UrdfLink(element, name)
+    inertial = one_of(element, "inertial", where, notes)
+    if inertial is not None:
+        link.weight = _weight(inertial, where, notes)
+    link.meshes += [
+        mesh
+        for shown in (*element.all("visual"), *element.all("collision"))
+        for geometry in shown.all("geometry")
+        for mesh in geometry.all("mesh")
+        if mesh.attributes.get("filename")
+    ]
+    for part in element.all("collision"):
+        solid = _solid(part, where, notes)
+        if solid is not None:
+            link.solids.append(solid)
+    for part in element.all("visual"):
+        link.visuals += _visual(part, where, notes)
+
+
+def _visual(part: Element, where: str, notes: Notes) -> Iterator[Visual]:
+    """Yield what a visual shows; what is wrong with it is left out with a note."""
+    own = Notes(notes.path, notes.number_code)
+    meshes = [mesh for one in part.all("geometry") for mesh in one.all("mesh")]
+    found: Visual | None = None
+    if meshes and meshes[0].attributes.get("filename"):
+        position, rotation = pose_of(part, where, own)
+        x, y, z = own.numbers(meshes[0], "scale", 3, (1.0, 1.0, 1.0), where)
+        found = Visual(meshes[0], Solid("mesh", (), position, rotation), (x, y, z))
+    elif not meshes:
+        solid = _solid(part, where, own)
+        found = None if solid is None else Visual(None, solid)
+    if own.faults:
+        notes.leave_out(["visuals with faults"])
+    elif found is not None:
+        yield found
+    else:
+        notes.leave_out(["visuals without a shape"])
+
+
+def _weight(inertial: Element, where: str, notes: Notes) -> Weight | None:
+    """Return the mass of a link; None where no body has it, with a warning."""
+    position, turn = pose_of(inertial, where, notes)
+    before = len(notes.faults)
+    mass_element = one_of(inertial, "mass", where, notes)
+    tensor = one_of(inertial, "inertia", where, notes)
+    mass = 0.0
+    if mass_element is not None:
+        mass = notes.number(mass_element, "value", 0.0, where)
+    inertia = np.zeros((3, 3))
+    if tensor is not None:
+        for i, a in enumerate("xyz"):
+            for j, b in enumerate("xyz"[i:], i):
+                value = notes.number(tensor, f"i{a}{b}", 0.0, where)
+                inertia[i, j] = inertia[j, i] = value
+    if len(notes.faults) > before:
+        return None
+    if not mass and not inertia.any():
+        return None  # a frame that weighs nothing
+    problem = weight_problem(mass, inertia)
+    if problem:
+        message = f"no body weighs that: {problem}; it is left out"
+        hint = "bodies of a ragdoll then weigh what the density of colliders gives"
+        notes.add(
+            "URD107", inertial, message, hint, where=where, severity=Severity.WARNING
+        )
+        return None
+    matrix = so3.to_matrix(np.array(turn))
+    return Weight(mass, position, matrix @ inertia @ matrix.T)
+
+
+def _solid(part: Element, where: str, notes: Notes) -> Solid | None:
+    """Return the shape of a collision; None of what no collider can be, and listed."""
+    geometry = one_of(part, "geometry", where, notes)
+    shape = next(iter(geometry.children), None) if geometry is not None else None
+    if shape is None or shape.tag not in _SHAPES:
+        tag = "of no shape" if shape is None else f"of <{shape.tag[:40]}>"
+        notes.leave_out(
+            ["collision meshes" if tag == "of <mesh>" else f"collisions {tag}"]
+        )
+        return None
+    position, rotation = pose_of(part, where, notes)
+    size: list[float] = []
+    before = len(notes.faults)
+    for name, count in _SHAPES[shape.tag]:
+        if text_of(shape, name, where, notes):
+            size += notes.numbers(shape, name, count, (1.0,) * count, where)
+    if len(notes.faults) > before:
+        return None
+    if min(size) <= 0:
+        notes.leave_out(["collisions without size"])
+        return None
+    return Solid(shape.tag, tuple(size), position, rotation)
+
+
+# Shapes, and which numbers each has.
+_SHAPES: dict[str, tuple[tuple[str, int], ...]] = {
+    "box": (("size", 3),),
+    "sphere": (("radius", 1),),
+    "cylinder": (("radius", 1), ("length", 1)),
+    "capsule": (("radius", 1), ("length", 1)),
+}

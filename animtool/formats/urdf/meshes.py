@@ -1,0 +1,118 @@
+"""The meshes that a URDF names: inside the project, read where they are OBJ or STL."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from animtool.core.errors import Severity, counted, excerpt, listed
+from animtool.formats.robots.mesh_files import SUFFIXES, read_mesh
+from animtool.formats.robots.notes import Notes, named
+from animtool.formats.robots.packages import OutsideError, Places
+from animtool.formats.robots.parts import Triangles
+from animtool.formats.robots.triangles import triangles_of
+from animtool.formats.urdf.elements import CODES, UrdfFile, Visual
+from animtool.maths import so3
+
+MAX_NAMED = 8
+# Triangles of a robot; more are left out.
+MAX_TRIANGLES = 1_000_000
+
+
+def found_meshes(file: UrdfFile, path: Path, notes: Notes) -> dict[str, Path]:
+    """Return the files of meshes by name; those outside of the project are refused.
+
+    Missing ones are noted: motion needs none.
+    """
+    meshes = [(link, mesh) for link in file.links.values() for mesh in link.meshes]
+    if not meshes:
+        return {}
+    places = Places.of(path, CODES)
+    files: dict[str, Path] = {}
+    missing: dict[str, None] = {}
+    refused: set[tuple[str, str]] = set()
+    for link, mesh in meshes:
+        name = mesh.attributes["filename"]
+        if name in files or name in missing or (link.name, name) in refused:
+            continue
+        try:
+            found = places.find(name)
+        except OutsideError as error:
+            refused.add((link.name, name))
+            message = f"its mesh {excerpt(name, 100)} is refused: {error}"
+            hint = "copy it into the project, or name its folder in animtool.toml: "
+            hint += "roots = [...]"
+            notes.add("URD016", mesh, message, hint, where=named("link", link.name))
+            continue
+        if found is None:
+            missing[name] = None
+        else:
+            files[name] = found
+    if missing:
+        message = f"{counted(len(missing), 'mesh', 'meshes')} not found: "
+        message += listed([excerpt(name, 80) for name in missing], MAX_NAMED)
+        hint = "motion needs none of them; package:// means a folder of that name in "
+        hint += "the project, or the package that the file is in"
+        notes.add("URD103", None, message, hint, severity=Severity.NOTE)
+    return files
+
+
+def looks_of(
+    file: UrdfFile, files: dict[str, Path], notes: Notes
+) -> dict[str, list[Triangles]]:
+    """Return what links look like, by name; what is not shown is noted."""
+    read: dict[Path, Triangles | None] = {}
+    wrong: dict[str, None] = {}
+    looks: dict[str, list[Triangles]] = {}
+    total = 0
+    for link in file.links.values():
+        for visual in link.visuals:
+            shown = _shown(visual, files, read, wrong, notes)
+            if shown is None:
+                continue
+            total += len(shown.faces)
+            if total > MAX_TRIANGLES:
+                notes.leave_out([f"more than {MAX_TRIANGLES:,} triangles of visuals"])
+                return looks
+            looks.setdefault(link.name, []).append(shown)
+    if wrong:
+        message = f"{counted(len(wrong), 'mesh', 'meshes')} not shown: "
+        message += listed(list(wrong), MAX_NAMED)
+        hint = "export it as STL or OBJ again"
+        notes.add("URD110", None, message, hint, severity=Severity.WARNING)
+    return looks
+
+
+def _shown(
+    visual: Visual,
+    files: dict[str, Path],
+    read: dict[Path, Triangles | None],
+    wrong: dict[str, None],
+    notes: Notes,
+) -> Triangles | None:
+    """Return a visual in the frame of its link; None where it is not shown."""
+    if visual.mesh is None:
+        return triangles_of(visual.solid)
+    name = visual.mesh.attributes["filename"]
+    path = files.get(name)
+    if path is None:
+        return None
+    if path.suffix.lower() not in SUFFIXES:
+        notes.leave_out([f"meshes in {path.suffix.lower()[:20] or 'other'} files"])
+        return None
+    if path not in read:
+        try:
+            read[path] = read_mesh(path)
+        except ValueError as error:
+            read[path] = None
+            wrong[f"{excerpt(name, 60)}: {error}"] = None
+    mesh = read[path]
+    if mesh is None:
+        return None
+    place, turn = np.array(visual.solid.position), np.array(visual.solid.rotation)
+    scale = np.array(visual.scale)
+    points = so3.rotate(turn, mesh.points * scale) + place
+    # A mirror turns the sides of faces inside out.
+    faces = mesh.faces[:, ::-1] if np.prod(scale) < 0 else mesh.faces
+    return Triangles(points, faces)

@@ -1,0 +1,63 @@
+// The rigid motion that comes nearest to how points went.
+//
+// M. Müller et al., A Robust Method to Extract the Rotational Part of Deformations, 2016.
+#pragma once
+
+#include <cmath>
+#include <cstddef>
+
+#include "colliders/shapes.h"
+
+namespace animtool {
+
+class RigidWay {
+ public:
+  // Of points by number, each with a weight: where they were, and where they are.
+  template <class From, class To, class Weight>
+  RigidWay(std::size_t count, From from, To to, Weight weight) {
+    double whole = 0;
+    for (std::size_t i = 0; i < count; ++i) {
+      start_ = start_ + from(i) * weight(i), end_ = end_ + to(i) * weight(i);
+      whole += weight(i);
+    }
+    if (!(whole > 0)) return;
+    start_ = start_ * (1 / whole), end_ = end_ * (1 / whole);
+    Vec sums[3];  // of ends, times the components of starts
+    for (std::size_t i = 0; i < count; ++i) {
+      const Vec arm = (from(i) - start_) * weight(i), at = to(i) - end_;
+      sums[0] = sums[0] + at * arm.x, sums[1] = sums[1] + at * arm.y, sums[2] = sums[2] + at * arm.z;
+    }
+    for (int k = 0; k < MOST_TURNS; ++k) {
+      Vec axis;
+      double along = 0;
+      for (int c = 0; c < 3; ++c) {
+        axis = axis + cross(columns_[c], sums[c]);
+        along += dot(columns_[c], sums[c]);
+      }
+      axis = axis * (1 / (std::abs(along) + LEAST));
+      const double angle = length(axis);
+      if (!(angle > TURNED) || !std::isfinite(angle)) break;
+      turn(axis * (1 / angle), angle);
+    }
+  }
+
+  // Where it brings a point.
+  Vec operator()(Vec p) const {
+    const Vec arm = p - start_;
+    return end_ + columns_[0] * arm.x + columns_[1] * arm.y + columns_[2] * arm.z;
+  }
+
+ private:
+  // Turns are made better so often, until they change by less than this [rad].
+  static constexpr int MOST_TURNS = 20;
+  static constexpr double TURNED = 1e-10, LEAST = 1e-300;
+
+  void turn(Vec n, double angle) {
+    const double c = std::cos(angle), s = std::sin(angle);
+    for (Vec& v : columns_) v = v * c + cross(n, v) * s + n * (dot(n, v) * (1 - c));
+  }
+
+  Vec start_, end_, columns_[3] = {{1, 0, 0}, {0, 1, 0}, {0, 0, 1}};
+};
+
+}  // namespace animtool

@@ -1,0 +1,41 @@
+// Particles that go through a step as one rigid piece, where nothing else keeps them from
+// going through each other.
+//
+// X. Provot, Collision and Self-Collision Handling in Cloth Model Dedicated to Design
+// Garments, 1997, 5; R. Bridson et al., Robust Treatment of Collisions, Contact and Friction
+// for Cloth Animation, 2002, 7.4.
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include "springs/parting.h"
+
+namespace animtool {
+
+class ImpactZones {
+ public:
+  explicit ImpactZones(const std::vector<double>& inverse_masses)
+      : inverse_masses_(inverse_masses) {}
+
+  // A step begins: there is none.
+  void clear();
+  bool any() const { return !members_.empty(); }
+  // Joins all four of each.
+  void join(const std::vector<LayerHit>& passed);
+  // Moves each from where the step began, as its particles went in the mean.
+  void move(const std::vector<double>& from, std::vector<double>& before,
+            std::vector<double>& x);
+
+ private:
+  std::int32_t first_of(std::int32_t n);
+  void move_one(const std::int32_t* members, std::size_t count,
+                const std::vector<double>& from, std::vector<double>& before,
+                std::vector<double>& x) const;
+
+  const std::vector<double>& inverse_masses_;
+  std::vector<std::int32_t> parents_;  // of particles, -1 of those in none
+  std::vector<std::int32_t> members_;
+};
+
+}  // namespace animtool
