@@ -95,3 +95,28 @@ def test_a_limit_keeps_strain_and_momentum() -> None:
     free, limited = strain(0.0), strain(0.02)
     assert limited[0] < 0.05 < free[0]
     assert limited[1] == pytest.approx(speeds.mean(axis=0), abs=1e-12)
+
+
+def test_no_step_leads_a_crumpled_sheet_through_itself() -> None:
+    points, triangles = grid(10, 0)
+    held = np.zeros(0, np.int64)
+    network, ends = stiff_network(points, triangles, held, np.zeros((1, 0, 3)))
+    layers = _kernels.SpringLayers(network, points, 0.003, 0.2, 0.2)
+    random = np.random.default_rng(11)
+    speeds = 4 * random.normal(size=points.shape)
+    # It is pressed together, ten times as far in a step as it is thick.
+    speeds[:, 0] -= 30 * (points[:, 0] - points[:, 0].mean()) / CELL
+
+    def most_pierced(limit: float) -> int:
+        state, passages, found = np.stack([points, speeds]), STILL, 0
+        for k in range(20):
+            made = _kernels.project_springs(
+                network, state, np.zeros(len(ends), np.uint8), 0.0, k, 1 / 240, 1, 2, 0,
+                2, 2, 1.0, None, layers, passages, limit,
+            )  # fmt: skip
+            state, passages = made[0], made[8]
+            found = max(found, pierced(state[0], triangles))
+        return found
+
+    assert most_pierced(0.05) == 0
+    assert most_pierced(0.0) > 0

@@ -120,11 +120,18 @@ def test_irregular_takes_on_an_uneven_rig(name: str) -> None:
 
 def test_what_is_said_of_a_take_frame_by_frame() -> None:
     take = uneven(taken("turn", 40), 7)
+    turns = take.motion.rotations.dense()
+    shakes = so3.exp(np.random.default_rng(8).normal(0, 0.7, (8, turns.shape[1], 3)))
+    turns[12:20] = so3.multiply(turns[12:20], shakes)
+    rotations = Channel.from_dense(so3.align_signs(turns))
+    take = replace(take, motion=replace(take.motion, rotations=rotations))
     made, _, notices = onto_rig(TakeStream.of(take), odd_biped(), RetargetOptions())
     blocks = list(made.blocks())
     assert sum(block.frames for block in blocks) == 40
+    verdict = made.verdict()
+    assert any(reason.frames for reason in verdict.reasons)
     found = {
-        "verdict": asdict(made.verdict()),
+        "verdict": asdict(verdict),
         "report": without_paths(made.report()),
         "notices": notices,
     }

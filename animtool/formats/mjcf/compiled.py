@@ -12,7 +12,7 @@ from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, OptionError, Severity, counted, excerpt, listed
 from animtool.formats.mjcf.equality import Ties
 from animtool.formats.mjcf.reduced import LEAST_MASS, Reduced, place
-from animtool.formats.robots.notes import Notes
+from animtool.formats.robots.notes import LARGEST, Notes
 from animtool.formats.robots.parts import (
     UNTURNED,
     Link,
@@ -37,6 +37,8 @@ _EXTRA = "pip install 'animtool[mjcf]'"
 # As MuJoCo counts kinds of joints and geoms.
 _TYPES = (JointType.FREE, JointType.BALL, JointType.PRISMATIC, JointType.PIN)
 _FREE, _BALL, _SLIDE, _HINGE = range(4)
+# No body weighs more, nor has more inertia [kg], [kg m²].
+HEAVIEST = 1e30
 # Geoms of this group and above, MuJoCo does not show either.
 HIDDEN = 3
 _SOLIDS = {2: "sphere", 3: "capsule", 5: "cylinder", 6: "box"}
@@ -86,6 +88,7 @@ def _refused(text: str, reduced: Reduced, notes: Notes) -> None:
 
 def robot_of(model: Any, reduced: Reduced, notes: Notes) -> Robot:
     """Return the robot of a compiled model; what a rig holds otherwise is noted."""
+    _check_sizes(model, notes)
     ties = Ties.of(model, notes)
     notes.check()
     links = [_link(model, body, ties, reduced) for body in range(1, model.nbody)]
@@ -96,6 +99,18 @@ def robot_of(model: Any, reduced: Reduced, notes: Notes) -> Robot:
             links[body - 1].sites.append((name, *pose))
     _note(model, reduced, ties, notes)
     return Robot(str(model.names[: model.names.index(b"\0")], "utf-8"), links)
+
+
+def _check_sizes(model: Any, notes: Notes) -> None:
+    """Note numbers of a compiled model that no position may have."""
+    for name in ("body_pos", "body_quat", "jnt_pos", "jnt_axis", "qpos0", "geom_size",
+                 "geom_pos", "site_pos"):  # fmt: skip
+        values = np.asarray(getattr(model, name), np.float64)
+        if not (np.isfinite(values).all() and np.abs(values).max(initial=0) <= LARGEST):
+            message = f"the compiled model has {name} beyond {LARGEST:g}, or not finite"
+            hint = "lengths are in metres: look at positions, sizes and scales"
+            notes.add("MJC007", None, message, hint)
+            return
 
 
 def turn_of(wxyz: FloatArray) -> Quaternion:
@@ -126,7 +141,9 @@ def _link(model: Any, body: int, ties: Ties, reduced: Reduced) -> Link:
         link.moves.append(still)
     link.solids, link.shown = _solids(model, body)
     mass = float(model.body_mass[body])
-    if mass > 2 * LEAST_MASS and name not in reduced.unweighed:
+    heavy = [mass, *model.body_inertia[body], *model.body_ipos[body]]
+    stated = mass > 2 * LEAST_MASS and name not in reduced.unweighed
+    if stated and np.isfinite(heavy).all() and np.abs(heavy).max() < HEAVIEST:
         link.weight = _weight(model, body, mass)
     return link
 

@@ -124,20 +124,24 @@ inline bool nearer(const Nearest& one, const Nearest& best) {
 // asked for by number.
 template <class Squared, class Call>
 void visit_boxes(const Mesh& mesh, std::int32_t root, double limit, Squared squared, Call call) {
-  std::int32_t stack[DEEPEST];
+  struct Waiting {
+    std::int32_t node;
+    double squared;
+  } stack[DEEPEST];
   int depth = 0;
-  stack[depth++] = root;
+  stack[depth++] = {root, squared(root)};
   while (depth > 0) {
-    const std::int32_t node = stack[--depth];
-    if (squared(node) > limit) continue;
+    const auto [node, apart] = stack[--depth];
+    if (apart > limit) continue;
     const std::int32_t left = mesh.nodes[2 * node], right = mesh.nodes[2 * node + 1];
     if (left < 0) {
       for (std::int32_t t = -1 - left; t < -1 - left + right; ++t) limit = call(t);
       continue;
     }
-    const bool left_first = squared(left) <= squared(right);
-    stack[depth++] = left_first ? right : left;
-    stack[depth++] = left_first ? left : right;
+    const Waiting one{left, squared(left)}, other{right, squared(right)};
+    const bool left_first = one.squared <= other.squared;
+    stack[depth++] = left_first ? other : one;
+    stack[depth++] = left_first ? one : other;
   }
 }
 

@@ -269,7 +269,7 @@ Out<double, 2> SpringContacts::pushes() const {
 }
 
 bool SpringContacts::settle(int step, std::vector<double>& before, std::vector<double>& x,
-                            std::vector<double>* v) {
+                            std::vector<double>* v, std::vector<std::uint8_t>* marks) {
   if (!any()) return false;
   now_ = cell_.data() + static_cast<std::size_t>(step) * count_;
   double travel = 0, angle = 0;
@@ -287,6 +287,7 @@ bool SpringContacts::settle(int step, std::vector<double>& before, std::vector<d
       if (faces_.any()) near_.push_back(static_cast<std::int32_t>(n));
       continue;
     }
+    if (marks && !(*marks)[n]) continue;
     double *at = x.data() + ROW * n, way = travel + angle * arm_[n];
     double* from = before.data() + ROW * n;
     for (std::size_t k = 0; k < 3; ++k) way += std::abs(at[k] - from[k]);
@@ -301,20 +302,24 @@ bool SpringContacts::settle(int step, std::vector<double>& before, std::vector<d
     double& most = pushing_[PUSH * c + PUSH - 1];
     most = std::max(most, masses_[c]);
   }
-  if (middles_) settle_middles(travel, angle, {before, x, v});
+  if (middles_) settle_middles(travel, angle, {before, x, v}, marks);
   touched = std::max(touched, moved);
-  if (last_ + 1 == cells_ && step + 1 == substeps_) unresolved = inside;
+  if (!marks && last_ + 1 == cells_ && step + 1 == substeps_) unresolved = inside;
   const bool faces = !near_.empty() && settle_faces({before, x, v});
+  if (faces && marks)
+    for (const std::int32_t n : near_) (*marks)[static_cast<std::size_t>(n)] = 1;
   return moved > 0 || faces;
 }
 
-void SpringContacts::settle_middles(double travel, double angle, StepRows rows) {
+void SpringContacts::settle_middles(double travel, double angle, StepRows rows,
+                                    std::vector<std::uint8_t>* marks) {
   const std::size_t particles = network_.particles();
   for (std::size_t e = 0; e < network_.edges.size() / 2; ++e) {
     const std::int32_t* ends = &network_.edges[2 * e];
     const auto first = static_cast<std::size_t>(ends[0]), last = static_cast<std::size_t>(ends[1]);
     const double i = network_.inverse_masses[first], j = network_.inverse_masses[last];
     if (i + j == 0) continue;
+    if (marks && !(*marks)[first] && !(*marks)[last]) continue;
     double *p = &rows.x[ROW * first], *q = &rows.x[ROW * last];
     double *was = &rows.before[ROW * first], *stood = &rows.before[ROW * last];
     double to[3], from[3], way = travel + angle * arm_[particles + e];
@@ -326,6 +331,7 @@ void SpringContacts::settle_middles(double travel, double angle, StepRows rows) 
     if (clear_[particles + e] > 0) continue;
     const Vec ended = load(to), begun = load(from);
     if (!settle_one(particles + e, 4 / (i + j), from, to, nullptr)) continue;
+    if (marks) (*marks)[first] = (*marks)[last] = 1;
     const Vec by = (load(to) - ended) * (2 / (i + j));
     const Vec back = (load(from) - begun) * (2 / (i + j));
     clear_[first] -= i * length(by), clear_[last] -= j * length(by);

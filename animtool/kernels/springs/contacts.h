@@ -1,6 +1,7 @@
 // Particles of springs against colliders, at the end of each short step.
 #pragma once
 
+#include <cstdint>
 #include <optional>
 #include <vector>
 
@@ -97,9 +98,11 @@ class SpringContacts {
   void begin_cell(std::int64_t cell, int substeps, double h);
   // Moves particles out of what they are in at the end of a step of a cell, and takes what
   // friction does from their way; with velocities, from these too. What began too deep is
-  // given no speed by that: where it was goes with it. Returns whether any was moved.
+  // given no speed by that: where it was goes with it. Returns whether any was moved. With
+  // marks only those particles, and edges that have one, are looked at; what is moved is
+  // marked.
   bool settle(int step, std::vector<double>& before, std::vector<double>& x,
-              std::vector<double>* v);
+              std::vector<double>* v, std::vector<std::uint8_t>* marks = nullptr);
   // What colliders, surfaces apart, were pushed by (C, 7): impulse and moment about the
   // origin, and the mass that touched each in one step, at most.
   Out<double, 2> pushes() const;
@@ -115,7 +118,8 @@ class SpringContacts {
   // Edges and faces, of particles that are near.
   bool settle_faces(StepRows rows);
   // The middles of edges, by the way that colliders and what turns reach go in the step.
-  void settle_middles(double travel, double angle, StepRows rows);
+  void settle_middles(double travel, double angle, StepRows rows,
+                      std::vector<std::uint8_t>* marks);
   double depth(std::size_t c, std::size_t n) const;
   // Whether it is moved; looks how far off all colliders are then.
   bool settle_one(std::size_t n, double mass, double* before, double* x, double* v);

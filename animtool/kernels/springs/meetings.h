@@ -45,10 +45,11 @@ class Meetings {
   void forget() { hits_.clear(); }
   bool any() const { return !hits_.empty(); }
   void part(const SpringLayers& layers, Parting& parting) const;
-  // Adds who of those that are picked went through on the way from where the step began.
+  // Adds who of those that are picked, and have a particle that is marked, went through on
+  // the way from where the step began.
   void note_passed(const SpringLayers& layers, const std::vector<double>& from,
-                   const std::vector<double>& x, const Tangles& tangles,
-                   std::vector<LayerHit>& passed) const;
+                   const std::vector<double>& x, const std::vector<std::uint8_t>& moved,
+                   const Tangles& tangles, std::vector<LayerHit>& passed) const;
   // Forgets who is back on the side that it came from, or went off to where there is none.
   void drop_those_back(const SpringLayers& layers, const std::vector<double>& x);
   // Notes who is on another side than when the step began.
@@ -164,13 +165,16 @@ void Meetings<Kind>::part(const SpringLayers& layers, Parting& parting) const {
 
 template <class Kind>
 void Meetings<Kind>::note_passed(const SpringLayers& layers, const std::vector<double>& from,
-                                 const std::vector<double>& x, const Tangles& tangles,
-                                 std::vector<LayerHit>& passed) const {
+                                 const std::vector<double>& x,
+                                 const std::vector<std::uint8_t>& moved,
+                                 const Tangles& tangles, std::vector<LayerHit>& passed) const {
   const auto tangled = [&](const std::int32_t* first, const std::int32_t* last) {
     return std::all_of(first, last, [&](std::int32_t n) { return tangles.has(n); });
   };
   for (const LayerPair& one : picked_) {
     const FourParticles who = Kind::who(layers, one.first, one.second);
+    if (std::none_of(who.begin(), who.end(), [&](std::int32_t n) { return moved[static_cast<std::size_t>(n)]; }))
+      continue;
     if (!shapes::ways_meet(who.data(), Kind::FIRST, from.data(), x.data())) continue;
     const std::int32_t side =
         shapes::passed_from(Shape(who.data(), from.data()), Shape(who.data(), x.data()));

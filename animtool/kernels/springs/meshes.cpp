@@ -74,11 +74,13 @@ MeshPatches::Found MeshPatches::gather(Patch& patch, const Mesh& mesh, std::int3
       return {{patch.distance, {0, 1, 0}}, -1};
     }
   }
-  const Nearest near = look_around(patch, mesh, root, p, boxes);
+  const Nearest near = look_around(patch, mesh, root, p, boxes, bound ? kept : collide::FAR);
   if (near.triangle < 0) return {{collide::FAR, {0, 1, 0}}, -1};
   const collide::Sample found = collide::sample_nearest(mesh, near, p);
+  // What is far on the inside has to be known as well as what is near.
+  if (bound && found.distance < 0) look_around(patch, mesh, root, p, boxes, collide::FAR);
   patch.distance = std::sqrt(near.squared);
-  patch.last = near.triangle;
+  patch.last = last_ = near.triangle;
   const double beyond = found.distance - kept, least = least_ - kept, reach = 2 * patch.fine;
   if (bound && beyond > reach) {
     // It is far: that is enough to know, in the knot or as long as all goes alike.
@@ -98,14 +100,19 @@ MeshPatches::Found MeshPatches::gather(Patch& patch, const Mesh& mesh, std::int3
 }
 
 Nearest MeshPatches::look_around(Patch& patch, const Mesh& mesh, std::int32_t root, Vec p,
-                                 const KnotBoxes* boxes) {
+                                 const KnotBoxes* boxes, double kept) {
   around_.clear();
   Nearest best;
   double farthest = collide::FAR;
   const auto look_to = [&] {
-    const double reach = std::sqrt(best.squared) + 2 * patch.fine;
+    // Of what is far the nearest is enough, and what could be near beside it.
+    const double distance = std::sqrt(best.squared), more = 2 * patch.fine;
+    const double reach =
+        distance > kept + more ? std::max(distance, kept + 2 * more) : distance + more;
     farthest = reach * reach;
   };
+  // Particles that follow each other are near each other.
+  if (patch.last < 0) patch.last = last_;
   if (patch.last < 0) patch.last = collide::nearest_on_mesh(mesh, root, p, collide::FAR).triangle;
   if (patch.last < 0) return best;
   best = collide::nearest_of_triangle(mesh, patch.last, p);

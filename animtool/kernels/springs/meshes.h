@@ -82,9 +82,10 @@ class MeshPatches {
                            double went) const;
   Found gather(Patch& patch, const collide::Mesh& mesh, std::int32_t root, collide::Vec p,
                const KnotBoxes* boxes, double kept, bool bound);
-  // The nearest, by what was near before, and what else is near.
+  // The nearest, by what was near before, and what else is near, unless it is farther than
+  // what is kept by more than that.
   collide::Nearest look_around(Patch& patch, const collide::Mesh& mesh, std::int32_t root,
-                               collide::Vec p, const KnotBoxes* boxes);
+                               collide::Vec p, const KnotBoxes* boxes, double kept);
   // Keeps what is near, if it is not too much; by what is left of the knot or as it is.
   bool keep(Patch& patch, double reach, bool in_knot);
 
@@ -94,6 +95,7 @@ class MeshPatches {
   // Of the last look: what is near, and the least that anything comes to in the knot.
   std::vector<Around> around_;
   double least_ = 0;
+  std::int32_t last_ = -1;  // the triangle that was nearest then
 };
 
 // A mesh whose points move: these at knots of time (K, P, 3), straight from one to the next;

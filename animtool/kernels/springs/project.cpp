@@ -27,7 +27,7 @@ constexpr double RIGID = 0.1;
 // Rounds over limited springs in a step.
 constexpr int LIMIT_ROUNDS = 4;
 // What contacts may strain over a limit, and rounds of bringing that back.
-constexpr double LAST_LIMIT = 1.6;
+constexpr double LAST_LIMIT = 1.5;
 constexpr int LAST_ROUNDS = 2;
 // Of a limit, from where on a cell is worth shorter steps, and what is left of the stretch
 // where these help.
@@ -158,12 +158,16 @@ class Projection {
   // Contacts with colliders and, where strain is limited, what holds the surface together
   // after these: what they strained too much gives way once more.
   void settle(int step, double h) {
-    const auto meet = [&] { contacts_.settle(step, before_, run_.x, nullptr); };
-    meet();
-    self_.keep_whole(h, start_, before_, run_.x, meet);
-    for (int round = 0; round < LAST_ROUNDS && limit_strains(LAST_LIMIT * limit_); ++round) {
+    contacts_.settle(step, before_, run_.x, nullptr);
+    if (!(limit_ > 0)) return;
+    const auto meet = [&] { contacts_.settle(step, before_, run_.x, nullptr, &moved_); };
+    moved_.assign(run_.network.particles(), 1);
+    self_.keep_whole(h, start_, before_, run_.x, moved_, meet);
+    for (int round = 0; round < LAST_ROUNDS; ++round) {
+      std::fill(moved_.begin(), moved_.end(), 0);
+      if (!limit_strains(LAST_LIMIT * limit_, &moved_)) return;
       meet();
-      self_.keep_whole(h, start_, before_, run_.x, meet);
+      self_.keep_whole(h, start_, before_, run_.x, moved_, meet);
     }
   }
 
@@ -182,8 +186,8 @@ class Projection {
   }
 
   // Brings back to their limits what many springs in a row left beyond these; both ends move,
-  // so that momentum stays. Whether there was any.
-  bool limit_strains(double limit) {
+  // so that momentum stays. Whether there was any; those are marked.
+  bool limit_strains(double limit, std::vector<std::uint8_t>* marks = nullptr) {
     bool moved = false;
     for (int round = 0; round < LIMIT_ROUNDS; ++round) {
       bool any = false;
@@ -199,6 +203,7 @@ class Projection {
           p[k] += one.first * by * d[k];
           q[k] -= one.last * by * d[k];
         }
+        if (marks) (*marks)[one.i / ROW] = (*marks)[one.j / ROW] = 1;
         any = true;
       }
       if (!any) break;
@@ -253,7 +258,8 @@ class Projection {
     double rest, first, last;
   };
   std::vector<Limited> limited_;
-  std::vector<double> start_;  // where a step began
+  std::vector<double> start_;        // where a step began
+  std::vector<std::uint8_t> moved_;  // particles, since they were last looked at
   std::vector<double> before_, forces_, lengths_, changes_, weights_;
   std::vector<double> gives_;  // by how much springs are longer right after their own turn
   std::vector<Give> anchor_gives_;

@@ -80,7 +80,9 @@ void SelfContacts::read(const In<std::int64_t, 2>& crossed) {
 }
 
 void SelfContacts::begin_cell(std::int64_t cell, const std::vector<double>& x) {
-  if (tangles_ && cell != cell_) tangles_->find(x);
+  // What began whole is kept so.
+  if (tangles_ && cell != cell_ && (cell_ < 0 || tangles_->any() || crossings() > 0))
+    tangles_->find(x);
   if (cell == cell_) {
     corners_.crossed = begun_corners_;
     edges_.crossed = begun_edges_;
@@ -163,14 +165,18 @@ void SelfContacts::keep_apart(double h, std::vector<double>& before, std::vector
 }
 
 bool SelfContacts::passes(double h, const std::vector<double>& from,
-                          const std::vector<double>& x) {
+                          const std::vector<double>& x, std::vector<std::uint8_t>& moved) {
   passed_corners_.clear();
   passed_edges_.clear();
   if (!std::isfinite(std::accumulate(x.begin(), x.end(), 0.0))) return false;
   measure(h, from, x);
   list(h, from, x);
-  corners_.note_passed(*layers_, from, x, *tangles_, passed_corners_);
-  edges_.note_passed(*layers_, from, x, *tangles_, passed_edges_);
+  corners_.note_passed(*layers_, from, x, moved, *tangles_, passed_corners_);
+  edges_.note_passed(*layers_, from, x, moved, *tangles_, passed_edges_);
+  std::fill(moved.begin(), moved.end(), 0);
+  for (const auto* passed : {&passed_corners_, &passed_edges_})
+    for (const LayerHit& hit : *passed)
+      for (const std::int32_t n : hit.who) moved[static_cast<std::size_t>(n)] = 1;
   return !passed_corners_.empty() || !passed_edges_.empty();
 }
 

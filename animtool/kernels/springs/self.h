@@ -39,11 +39,12 @@ class SelfContacts {
   // that they are to keep, what they were before moves too, so that it gives no speed.
   void keep_apart(double h, std::vector<double>& before, std::vector<double>& x);
   // Where a step from here leads parts through each other, they are moved until none is:
-  // apart, with `settle` told after each round, and at last as one. Does nothing unless
-  // what is tangled comes free.
+  // apart, with `settle` told after each round, and at last as one. Only particles that are
+  // marked may have moved since that was so; those that are moved are marked. Does nothing
+  // unless what is tangled comes free.
   template <class Settle>
   void keep_whole(double h, const std::vector<double>& from, std::vector<double>& before,
-                  std::vector<double>& x, Settle settle);
+                  std::vector<double>& x, std::vector<std::uint8_t>& moved, Settle settle);
   // Notes who is on another side than at the begin of the step, where nothing keeps it whole.
   void look(const std::vector<double>& before, const std::vector<double>& x);
 
@@ -70,8 +71,10 @@ class SelfContacts {
   };
 
   void read(const In<std::int64_t, 2>& crossed);
-  // Finds what a step from here leads through each other; whether anything is.
-  bool passes(double h, const std::vector<double>& from, const std::vector<double>& x);
+  // Finds what of the marked a step from here leads through each other; whether anything is.
+  // These alone are marked then.
+  bool passes(double h, const std::vector<double>& from, const std::vector<double>& x,
+              std::vector<std::uint8_t>& moved);
   void note_passed();
   void part_passed(double h, std::vector<double>& before, std::vector<double>& x) const;
   // Looks how far near parts go over each other in a step; with cells that are new.
@@ -104,11 +107,11 @@ class SelfContacts {
 template <class Settle>
 void SelfContacts::keep_whole(double h, const std::vector<double>& from,
                               std::vector<double>& before, std::vector<double>& x,
-                              Settle settle) {
+                              std::vector<std::uint8_t>& moved, Settle settle) {
   if (!layers_ || !tangles_ || listed_.reach < 0) return;
   corners_.drop_those_back(*layers_, x);
   edges_.drop_those_back(*layers_, x);
-  for (int round = 0; passes(h, from, x); ++round) {
+  for (int round = 0; passes(h, from, x, moved); ++round) {
     if (round == MOST_ROUNDS) return note_passed();
     if (round < PARTING_ROUNDS) {
       part_passed(h, before, x);
@@ -119,6 +122,7 @@ void SelfContacts::keep_whole(double h, const std::vector<double>& from,
     zones_->join(passed_corners_);
     zones_->join(passed_edges_);
     zones_->move(from, before, x);
+    for (const std::int32_t n : zones_->members()) moved[static_cast<std::size_t>(n)] = 1;
   }
 }
 

@@ -20,7 +20,7 @@ class ImpactZones {
 
   // A step begins: there is none.
   void clear();
-  bool any() const { return !members_.empty(); }
+  const std::vector<std::int32_t>& members() const { return members_; }
   // Joins all four of each.
   void join(const std::vector<LayerHit>& passed);
   // Moves each from where the step began, as its particles went in the mean.

@@ -416,3 +416,12 @@ def test_a_scale_of_zero_is_left_out_too(tmp_path: Path) -> None:
     take = read_fbx(written(tmp_path, as_binary(trees))).collect()
     fore = take.rig.names.index("fore")
     assert np.linalg.det(take.world().linear[0, fore]) == pytest.approx(1.0, abs=1e-6)
+
+
+def test_a_take_of_days_is_refused_with_its_frames(tmp_path: Path) -> None:
+    trees = small_fbx()
+    (stop,) = [r for r in part(trees, "AnimationStack", 11)[0][2] if "Stop" in r[1][0]]
+    stop[1][-1] = 48 * 3600 * TICKS
+    code, _ = code_of(tmp_path, as_binary(trees))
+    assert code == "FBX013"
+    assert read_fbx(written(tmp_path, as_binary(trees)), fps=1).rig.names

@@ -126,6 +126,7 @@ def test_ties_of_ties_are_of_the_joint_that_moves(tmp_path: Path) -> None:
         ('axis="0 0 1"', 'axis="0 0 0"', "MJC008", "joint 'two'.*axis too small"),
         ('<joint name="c" axis="1 0 0"', '<joint axis="0 0 0"', "MJC008",
          "joint of body 'c'.*axis too small"),
+        ('pos="0 0 1"', 'pos="0 0 1e30"', "MJC007", "body_pos beyond"),
         ("-1 1", "1 -1", "MJC011", "'push'.*1 is above -1"),
         ('name="c" pos', 'name="a" pos', "MJC008", "body 'a'.*repeated"),
         ('type="ball" pos="0 0 0.1"', 'type="free" name="f"', "MJC008", "top level"),

@@ -457,3 +457,17 @@ def test_one_body_beyond_numbers_is_refused(monkeypatch: pytest.MonkeyPatch) -> 
     with pytest.raises(AnimtoolError, match="numbers overflow") as error:
         Nbody(spec, context)
     assert error.value.faults[0].code == "SIM070"
+
+
+def test_a_pair_that_is_too_close_at_once_is_named_with_its_distance(
+    simulator: Simulator,
+) -> None:
+    points = np.array([[0.0, 0, 0], [9.0, 9, 9], [0.003, 0.004, 0]])
+    np.savez(simulator.folder / "near.npz", points=points)
+    own = {"points": str(simulator.folder / "near.npz"), "mass": 1.0}
+    run = opened(
+        simulator, bodies=[own], gravity_constant=1.0, softening=1e-6, step=0.1,
+        substeps=1,
+    )  # fmt: skip
+    with raises(ToleranceError, "SIM110", match="bodies 0 and 2 are 0.005 m apart at"):
+        run.at(0.1)
