@@ -44,10 +44,12 @@ def read_binary(content: bytes, notes: Notes) -> tuple[int, Element]:
     """
     if len(content) < HEADER:
         _fail(
-            notes, len(content), f"the file has {len(content)} bytes: the header ends"
+            notes,
+            len(content),
+            f"the file has {len(content)} bytes: the header is cut off",
         )
     if content[22]:
-        message = "the file has big-endian numbers, which are not read"
+        message = "the file has big-endian numbers, which are not supported"
         notes.fail("FBX003", "byte 22", message, "export the file again")
     (version,) = struct.unpack_from("<I", content, 23)
     return version, _Records(content, version, notes).root()
@@ -79,7 +81,7 @@ class _Records:
                 return
             at = self._record(parent, at, (stop, count, length, named), end, depth)
         if depth == 0 or at > end:
-            _fail(self.notes, at, "the records of the file do not end")
+            _fail(self.notes, at, "the records of the file have no end")
 
     def _record(
         self,
@@ -93,11 +95,9 @@ class _Records:
         stop, count, length, named = head
         first = at + self.head.size + named
         if not first <= stop <= end:
-            _fail(
-                self.notes, at, f"a record ends at byte {stop}, outside of its parent"
-            )
+            _fail(self.notes, at, f"a record ends at byte {stop}, outside its parent")
         if length > stop - first or count > length:
-            message = f"{count} values of {length} bytes do not fit into their record"
+            message = f"{count} values of {length} bytes do not fit in their record"
             _fail(self.notes, at, message)
         self.count += 1
         if self.count > MAX_ELEMENTS or depth > MAX_DEPTH:
@@ -137,7 +137,7 @@ class _Records:
                 value, at = self._array(kind, at, end)
                 values.append(value)
             else:
-                _fail(self.notes, at, f"{excerpt(repr(kind))} is no type of value")
+                _fail(self.notes, at, f"unknown value type {excerpt(repr(kind))}")
         return values
 
     def _same(self, at: int, count: int, end: int) -> Any:
@@ -161,7 +161,7 @@ class _Records:
         first, dtype = at + 13, np.dtype(_ARRAYS[kind])
         whole = count * dtype.itemsize
         if how not in {0, 1}:
-            _fail(self.notes, at, f"{how} is no encoding of an array")
+            _fail(self.notes, at, f"unknown array encoding {how}")
         stored = size if how else whole
         if stored > end - first:
             _fail(self.notes, at, f"an array of {stored} bytes is cut off")
@@ -185,6 +185,6 @@ class _Records:
         except zlib.error as error:
             _fail(self.notes, at, f"an array cannot be inflated: {error}")
         if len(found) != size:
-            message = f"an array has {len(found)} bytes inflated, and states {size}"
+            message = f"an array inflates to {len(found)} bytes, but states {size}"
             _fail(self.notes, at, message)
         return found

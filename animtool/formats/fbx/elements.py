@@ -65,9 +65,11 @@ def floats(
         return None
     found = np.asarray(_array(element, notes), np.float64)
     if not (np.abs(found) <= LARGEST).all():
-        notes.fail("FBX005", element.where, f"{name} holds a value that is not finite")
+        notes.fail(
+            "FBX005", element.where, f"{name} contains a value that is not finite"
+        )
     if count is not None and len(found) != count:
-        message = f"{name} has {len(found)} numbers, and must have {count}"
+        message = f"{name} has {len(found)} numbers instead of {count}"
         notes.fail("FBX005", element.where, message)
     return found
 

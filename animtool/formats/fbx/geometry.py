@@ -113,7 +113,7 @@ def _geometry(file: FbxFile, of: Object, model: Object) -> Geometry | None:
     if flat is None or not len(flat):
         return None
     if len(flat) % 3:
-        message = f"{len(flat)} numbers of {name!r} are no points"
+        message = f"{len(flat)} numbers of {name!r} do not make points"
         notes.fail("FBX008", element.where, message)
     points = flat.reshape(-1, 3)
     faces = _faces(file, of, corners, len(points), name)
@@ -132,7 +132,7 @@ def _faces(
     ends = corners < 0
     plain = np.where(ends, ~corners, corners)
     if not ends[-1] or (plain >= count).any() or (plain < 0).any():
-        message = f"a face of {name!r} has a corner that is none of {count} points"
+        message = f"a face of {name!r} has a corner outside its {count} points"
         file.notes.fail("FBX008", of.element.where, message)
     last = np.flatnonzero(ends)
     sizes = np.diff(np.concatenate([[-1], last]))
@@ -152,17 +152,17 @@ def _put_skin(file: FbxFile, of: Object, mesh: Geometry, name: str) -> None:
     for one in deformers:
         if one.subtype not in {"Skin", "BlendShape"}:
             message = (
-                f"{one.subtype or 'deformer'} {one.name!r} of {name!r} is not read"
+                f"{one.subtype or 'deformer'} {one.name!r} of {name!r} is not supported"
             )
-            hint = "the mesh follows its skin, shapes and node alone"
+            hint = "the mesh follows only its skin, shapes and node"
             notes.warn("FBX107", one.element.where, message, hint)
     skins = [one for one in deformers if one.subtype == "Skin"]
     if len(skins) > 1:
         # One that moves no point is none.
         skins = [one for one in skins if _has_weights(file, one)]
     if len(skins) > 1:
-        message = f"{name!r} has {len(skins)} skins, one over the other"
-        notes.fail("FBX004", of.element.where, message, "export it with one")
+        message = f"{name!r} has {len(skins)} skins on top of each other"
+        notes.fail("FBX004", of.element.where, message, "export it with one skin")
     for skin in skins:
         for one in file.sources(skin.id, "Deformer", "Cluster"):
             cluster = _cluster(file, one, len(mesh.points), name)
@@ -192,18 +192,18 @@ def _cluster(file: FbxFile, of: Object, points: int, name: str) -> Cluster | Non
     if indices is None or weights is None or not len(indices):
         return None
     if not bones:
-        message = f"a cluster of {name!r} has no bone: its weights are left out"
+        message = f"a cluster of {name!r} has no bone: its weights are ignored"
         notes.warn("FBX106", element.where, message)
         return None
     mode = element.find("Mode")
     if mode is not None and mode.text(0) == "Additive":
-        message = f"skin of {name!r}: additive cluster {of.name!r} is not read"
+        message = f"skin of {name!r}: additive cluster {of.name!r} is not supported"
         notes.fail("FBX004", element.where, message)
     if len(indices) != len(weights):
         message = f"{len(indices)} indices of {of.name!r} have {len(weights)} weights"
         notes.fail("FBX008", element.where, message)
     if (indices < 0).any() or (indices >= points).any():
-        message = f"cluster {of.name!r} counts a point that {name!r} has not"
+        message = f"cluster {of.name!r} refers to a point that {name!r} does not have"
         notes.fail("FBX008", element.where, message)
     if (weights < -1e-6).any():
         message = f"cluster {of.name!r} has negative weights"
@@ -298,7 +298,7 @@ def _channel(file: FbxFile, of: Object, points: int) -> ShapeChannel | None:
             full = np.full(len(shapes), 100.0)
     if full is None or len(full) < len(shapes):
         if len(shapes) > 1:
-            message = f"{counted(len(shapes), 'shape')} of {of.name!r} lack weights"
+            message = f"{counted(len(shapes), 'shape')} of {of.name!r} have no weights"
             notes.fail("FBX008", element.where, message)
         full = np.array([100.0])
     percent = scalar(of, PERCENT, 0.0, notes)

@@ -41,7 +41,7 @@ def _add_model(model: Element, objects: Element, links: Element, notes: Notes) -
     name = model.text(0)
     for child in model.children:
         if child.name in _UNREAD:
-            message = f"{child.name} of {name!r} is not read of such old files"
+            message = f"{child.name} of {name!r} is not supported in files this old"
             notes.fail("FBX004", child.where, excerpt(message))
     kind = model.find("Type")
     subtype = "Mesh" if model.find("Vertices") else kind.text(0) if kind else ""

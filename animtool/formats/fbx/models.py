@@ -105,7 +105,7 @@ def read_models(file: FbxFile) -> list[Model]:
     objects = [one for one in file.of_kind("Model") if not _is_of_viewer(file, one)]
     objects = [one for one in objects if one.id not in ROOTS]
     if len(objects) > MAX_MODELS:
-        message = f"{len(objects)} nodes; at most {MAX_MODELS} are read"
+        message = f"{len(objects)} nodes; the limit is {MAX_MODELS}"
         file.notes.fail("FBX013", file.root.where, message)
     parents = {one.id: _parent(file, one) for one in objects}
     below: dict[Id | None, list[Object]] = {}
@@ -125,7 +125,7 @@ def read_models(file: FbxFile) -> list[Model]:
     if len(found) < len(objects):
         done = {model.object.id for model in found}
         lost = next(one for one in objects if one.id not in done)
-        message = f"the node {lost.name!r} is below itself"
+        message = f"the node {lost.name!r} is its own ancestor"
         file.notes.fail("FBX009", lost.element.where, message)
     return found
 
@@ -159,14 +159,18 @@ def _model(file: FbxFile, one: Object, parent: int) -> Model:
         order = int(scalar(one, "RotationOrder", 0, notes))
         pre, post = (tuple(triple(f"{name}Rotation")) for name in ("Pre", "Post"))
     if not 0 <= order < len(_ORDERS):
-        message = f"the node {one.name!r} has rotation order {order}, which is not read"
-        hint = "spherical XYZ is MotionBuilder's; export with an order of Euler angles"
+        message = (
+            f"the node {one.name!r} has rotation order {order}, which is not supported"
+        )
+        hint = "spherical XYZ is specific to MotionBuilder; export with an Euler order"
         notes.fail("FBX004", one.element.where, message, hint)
     angles = np.array([pre, post])
     turns = rotations_of(angles, XYZ)
     inherit = int(scalar(one, "InheritType", INHERIT, notes))
     if inherit not in {COMPONENTWISE, INHERIT, IGNORE}:
-        message = f"the node {one.name!r} has inherit type {inherit}, which is not read"
+        message = (
+            f"the node {one.name!r} has inherit type {inherit}, which is not supported"
+        )
         notes.fail("FBX004", one.element.where, message)
     geometric = np.eye(4)
     turn = rotations_of(triple("GeometricRotation")[None], XYZ)[0]

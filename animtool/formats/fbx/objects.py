@@ -129,13 +129,16 @@ def open_objects(path: Path | str) -> FbxFile:
     content = read_input(path)
     is_text = not content.startswith(MAGIC)
     if is_text and not looks_like_text(content):
-        message = "does not begin as an FBX does, binary or ASCII"
+        message = "does not start like an FBX, binary or ASCII"
         raise FormatError(Fault("FBX001", message, str(path), where="byte 0"))
     version, root = (read_text if is_text else read_binary)(content, notes)
     version = _stated_version(root, version)
     if not OLDEST <= version <= NEWEST:
-        message = f"version {version} is not read, only {OLDEST} to {NEWEST}"
-        hint = "Autodesk's FBX Converter, or any tool that imports it, writes FBX 2020"
+        message = f"version {version} is not supported, only {OLDEST} to {NEWEST}"
+        hint = (
+            "save it as FBX 2020 with Autodesk's FBX Converter or any tool that "
+            "imports it"
+        )
         notes.fail("FBX003", root.where, message, hint)
     if version < WITH_OBJECTS:
         root = with_objects(root, notes)
@@ -151,7 +154,7 @@ def open_objects(path: Path | str) -> FbxFile:
         if one is None:
             continue
         if one.id in objects:
-            message = f"two objects are {excerpt(str(one.id))}: the first is read"
+            message = f"two objects have the ID {excerpt(str(one.id))}: using the first"
             notes.warn("FBX106", element.where, message)
             continue
         objects[one.id] = one

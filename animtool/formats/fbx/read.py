@@ -143,10 +143,10 @@ def _left_out(scene: FbxScene, take: AnimTake | None) -> list[Fault]:
     """Say once what of the file no take holds."""
     names = list(scene.left_out)
     if take is not None and take.visible:
-        names.append("visibility over time")
+        names.append("animated visibility")
     if not names:
         return []
-    message = f"not read: {listed(names)}"
+    message = f"ignored: {listed(names)}"
     return [Fault("FBX109", message, str(scene.path), severity=Severity.NOTE)]
 
 
@@ -156,15 +156,15 @@ def _take(scene: FbxScene, made: FbxRig, take: str | None) -> tuple[int, list[Fa
     if take is not None:
         if take in names:
             return names.index(take), []
-        message = f"holds no take {take!r}"
+        message = f"has no take {take!r}"
         raise FormatError(Fault("FBX015", message, path, (), nearest(take, names)))
     moving = [i for i, one in enumerate(scene.takes) if moves(made, one, scene)]
     if not moving:
-        message = "holds no animation of the character: it stands as it was saved"
+        message = "has no animation of the character: it keeps its saved pose"
         return -1, [Fault("FBX116", message, path, severity=Severity.NOTE)]
     index = scene.default if scene.default in moving else moving[0]
     if len(moving) == 1:
         return index, []
-    message = f"take {names[index]!r} is read of {counted(len(moving), 'take')}"
-    hint = f"{argument('source.take')} reads another: {listed(names, MAX_NAMED)}"
+    message = f"reading take {names[index]!r} of {counted(len(moving), 'take')}"
+    hint = f"read another with {argument('source.take')}: {listed(names, MAX_NAMED)}"
     return index, [Fault("FBX122", message, path, (), hint, Severity.NOTE)]

@@ -145,9 +145,9 @@ def _moved_meshes(scene: FbxScene, character: Character) -> list[Fault]:
             names.append(repr(scene.models[node].name))
     if not names:
         return []
-    message = "skinned meshes follow their bones alone, and their own nodes were moved "
+    message = "skinned meshes follow only their bones, but their own nodes were moved "
     message += f"after binding: {listed(names, MAX_NAMED)}"
-    hint = "as Blender and glTF have it; Maya moves them with their node besides"
+    hint = "as in Blender and glTF; Maya also moves them with their node"
     path = str(scene.path)
     return [Fault("FBX117", message, path, (), hint, Severity.WARNING)]
 
@@ -178,12 +178,14 @@ def _names(scene: FbxScene, rows: Sequence[Row]) -> tuple[list[str], list[Fault]
     path = str(scene.path)
     if renamed:
         shown = listed([f"{excerpt(a)} is {b!r}" for a, b in renamed], MAX_NAMED)
-        message = f"{counted(len(renamed), 'joint')} renamed, as names occur once: "
+        message = f"{counted(len(renamed), 'joint')} renamed to make names unique: "
         notices.append(Fault("FBX113", message + shown, path, severity=Severity.NOTE))
     added = unique[len(named) :]
     if added:
-        message = f"{counted(len(added), 'joint')} added above joints that leave out "
-        message += f"an uneven scale of their parent: {listed(added, MAX_NAMED)}"
+        message = (
+            f"{counted(len(added), 'joint')} added above joints that do not inherit "
+        )
+        message += f"the non-uniform scale of their parent: {listed(added, MAX_NAMED)}"
         notices.append(Fault("FBX112", message, path, severity=Severity.NOTE))
     return names, notices
 
@@ -301,7 +303,7 @@ def scale_notice(made: FbxRig, where: str) -> list[Fault]:
     )
     if not names:
         return []
-    message = "scales of rest or bind transforms that a rig file has no place for: "
+    message = "scales of rest or bind transforms that a rig file cannot store: "
     message += listed(list(names), MAX_NAMED)
-    hint = "takes of the file keep them; a rig file written of it does not"
+    hint = "takes of the file keep them; a rig file made from it does not"
     return [Fault("FBX111", message, where, (), hint, Severity.WARNING)]

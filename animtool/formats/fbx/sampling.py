@@ -167,9 +167,9 @@ def frames_of(
     count = last - first + 1
     if count > MAX_FRAMES or count * max(width, LEAST_VALUES) > MAX_VALUES:
         message = f"take {take.name!r}: {(end - begin) / TICKS:.6g} s at "
-        message += f"{rate_label(rate)} are {count} frames of {width} numbers, more "
-        message += "than are read"
-        hint = f"{argument('source.fps')} reads fewer frames a second"
+        message += f"{rate_label(rate)} are {count} frames of {width} numbers, above "
+        message += "the limit"
+        hint = f"lower the rate with {argument('source.fps')}"
         raise FormatError(
             Fault("FBX013", message, str(scene.path), (), hint, where=take.where)
         )
@@ -198,10 +198,10 @@ def between_notices(
     straight = places[0] + share * (places[1] - places[0])
     apart = np.linalg.norm(places[2] - straight, axis=2)
     worst = int(apart.max(axis=0).argmax())
-    message = f"{len(off)} of {len(keys)} key times are between the frames at "
+    message = f"{len(off)} of {len(keys)} key times fall between the frames at "
     message += f"{rate_label(frames.fps)}: joints are up to {apart.max() * 1e3:.3g} mm "
     message += f"off there (joint {made.rig.names[worst]!r})"
-    hint = f"{argument('source.fps')} gives another rate"
+    hint = f"set another rate with {argument('source.fps')}"
     path = str(scene.path)
     return [Fault("FBX110", message, path, (), hint, Severity.NOTE, where=take.where)]
 

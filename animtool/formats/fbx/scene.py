@@ -177,5 +177,5 @@ def _note_drivers(file: FbxFile) -> None:
     if drivers:
         names = listed([repr(one.name) for one in drivers], MAX_NAMED)
         message = f"constraints are not evaluated: {names}"
-        hint = "what they drive stands as its curves say; bake it before exporting"
+        hint = "driven nodes follow their curves only; bake them before exporting"
         file.notes.warn("FBX107", drivers[0].element.where, message, hint)

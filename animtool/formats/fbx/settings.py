@@ -108,7 +108,7 @@ def _rate(file: FbxFile) -> Fraction:
     if "TimeMode" not in file.settings.properties:
         return _old_rate(file)
     if mode not in _RATES:
-        message = f"time mode {mode} is not known: 24 frames a second"
+        message = f"unknown time mode {mode}: using 24 frames per second"
         file.notes.warn("FBX106", file.settings.element.where, message)
     return _RATES.get(mode, _RATES[0])
 

@@ -203,7 +203,7 @@ class _Stacks:
         notes = self.file.notes
         mode = int(scalar(of, "BlendMode", 0, notes))
         if mode not in {0, 1, 2}:
-            message = f"layer {of.name!r}: blend mode {mode} is not read"
+            message = f"layer {of.name!r}: blend mode {mode} is not supported"
             notes.fail("FBX004", of.element.where, message)
         curve, weight = None, scalar(of, "Weight", 100.0, notes)
         for source, name in self.file.below.get(of.id, ()):
@@ -259,7 +259,7 @@ def _old_model(file: FbxFile, take: AnimTake, model: Element) -> None:
         if called == "Visibility":
             take.visible = take.visible or channel.find("Key") is not None
         if channel.find("Layer") is not None:
-            message = f"take {take.name!r}: layers of {name!r} are not read"
+            message = f"take {take.name!r}: layers of {name!r} are not supported"
             file.notes.fail("FBX004", channel.where, excerpt(message))
         if file.version < WITH_OBJECTS:
             called = called.removesuffix(SHAPE_SUFFIX)

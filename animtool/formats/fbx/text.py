@@ -78,7 +78,7 @@ class _Parser:
             token = _TOKEN.match(self.content, at)
             if token is None:
                 shown = self.content[at : at + 12].decode("utf-8", "replace")
-                self.fail(at, f"{excerpt(repr(shown))} is not expected here")
+                self.fail(at, f"unexpected {excerpt(repr(shown))}")
             self._token(token, at)
             at = token.end()
         if len(self.stack) > 1:
@@ -119,7 +119,7 @@ class _Parser:
             self.current = None
         elif mark == b"}":
             if len(self.stack) == 1:
-                self.fail(at, "a closing brace without an open one")
+                self.fail(at, "a closing brace without an opening one")
             closed = self.stack.pop()
             if id(closed) in self.arrays:
                 inner = closed.find("a")
@@ -146,7 +146,7 @@ class _Parser:
         except (ValueError, OverflowError):
             pass
         shown = text[:40].decode("utf-8", "replace")
-        self.fail(at, f"{excerpt(repr(shown))} is no list of numbers")
+        self.fail(at, f"{excerpt(repr(shown))} is not a list of numbers")
 
 
 def _add_numbers(element: Element, text: bytes, parts: list[bytes]) -> None:

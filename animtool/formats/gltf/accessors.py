@@ -190,7 +190,7 @@ class Accessors:
             [self.container.bytes, *(len(part) for part in self._bytes.values())]
         )
         if self._numbers > most or self._zeros > MAX_ZEROS:
-            message = f"{accessor.count} elements are more than the file has bytes for"
+            message = f"{accessor.count} elements need more bytes than the file has"
             self.notes.fail("GLT013", accessor.where, message)
 
     def _base(self, accessor: Accessor) -> AnyArray:
@@ -252,7 +252,7 @@ class Accessors:
         if uri is None:
             binary = self.container.binary
             if index or binary is None:
-                message = "the buffer has no uri, and no chunk of a GLB holds it"
+                message = "the buffer has no uri, and no GLB chunk holds it"
                 self.notes.fail("GLT007", buffer.pointer, message)
             content = binary
         elif uri.startswith("data:"):
@@ -260,7 +260,7 @@ class Accessors:
         else:
             content = memoryview(self._from_file(uri, buffer))
         if len(content) < length:
-            message = f"byteLength is {length}, and there are {len(content)} bytes"
+            message = f"byteLength is {length}, but there are {len(content)} bytes"
             self.notes.fail("GLT007", buffer.pointer, message)
         return content[:length]
 
@@ -284,19 +284,19 @@ class Accessors:
         except ValueError:
             self.notes.fail("GLT007", where, f"{excerpt(uri)} is no URI")
         if parts.scheme or parts.netloc:
-            message = f"{excerpt(uri)} is on another machine or of another scheme"
-            hint = "animtool fetches nothing: put the file beside the glTF"
+            message = f"{excerpt(uri)} is on another machine or uses another scheme"
+            hint = "animtool downloads nothing: put the file next to the glTF"
             self.notes.fail("GLT007", where, message, hint)
         if not name or "\0" in name or "\\" in name or parts.query or parts.fragment:
-            self.notes.fail("GLT007", where, f"{excerpt(uri)} names no file")
+            self.notes.fail("GLT007", where, f"{excerpt(uri)} does not name a file")
         folder = self.folder.resolve()
         try:
             path = (folder / name).resolve()
         except (OSError, RuntimeError, ValueError):
-            self.notes.fail("GLT007", where, f"{excerpt(uri)} names no file")
+            self.notes.fail("GLT007", where, f"{excerpt(uri)} does not name a file")
         if not path.is_relative_to(folder):
-            message = f"{excerpt(uri)} leads out of the folder of the file"
-            self.notes.fail("GLT007", where, message, "put the file beside the glTF")
+            message = f"{excerpt(uri)} leads outside the folder of the file"
+            self.notes.fail("GLT007", where, message, "put the file next to the glTF")
         return path
 
     def _check_buffer(self, index: int, buffer: Item) -> None:
@@ -307,10 +307,10 @@ class Accessors:
         if uri is None:
             if index == 0 and self.container.is_glb:
                 if binary is None:
-                    message = "the buffer has no uri, and the GLB no binary chunk"
+                    message = "the buffer has no uri, and the GLB has no binary chunk"
                     self.notes.fail("GLT007", buffer.pointer, message)
                 if len(binary) < length:
-                    message = f"byteLength is {length}, and the chunk has {len(binary)}"
+                    message = f"byteLength is {length}, but the chunk has {len(binary)}"
                     self.notes.fail("GLT007", buffer.pointer, message)
                 if len(binary) > length + 3:
                     message = (
@@ -340,7 +340,7 @@ class Accessors:
             message = f"ends at byte {offset + length} of a buffer of {whole}"
             self.notes.fail("GLT008", item.pointer, message)
         if stride and (stride % 4 or not 4 <= stride <= 252):
-            message = f"byteStride {stride} is no multiple of 4 from 4 to 252"
+            message = f"byteStride {stride} is not a multiple of 4 from 4 to 252"
             self.notes.warn("GLT105", item.at("byteStride"), message)
         return View(item, buffer, offset, length, stride)
 
@@ -354,13 +354,15 @@ class Accessors:
         known = {"componentType": component in COMPONENTS, "type": kind in WIDTHS}
         for key, is_known in known.items():
             if not is_known:
-                message = f"{key} {item.values[key]!r} is unknown: left out"
+                message = f"unknown {key} {item.values[key]!r}: ignored"
                 self.notes.warn("GLT106", item.at(key), message)
                 return None
         view = item.index("bufferView", len(self.views), "bufferView")
         offset = item.size("byteOffset", 0)
         if view < 0 and "byteOffset" in item.values:
-            self.notes.warn("GLT106", item.at("byteOffset"), "there is no bufferView")
+            self.notes.warn(
+                "GLT106", item.at("byteOffset"), "the bufferView is missing"
+            )
         accessor = Accessor(
             item,
             component,
@@ -395,14 +397,14 @@ class Accessors:
             size = _element_bytes(accessor.kind, kind)
             stride = view.stride or size
             if stride < size:
-                message = f"elements have {size} bytes, and byteStride is {stride}"
+                message = f"elements have {size} bytes, but byteStride is {stride}"
                 self.notes.fail("GLT008", accessor.where, message)
             end = accessor.offset + stride * (accessor.count - 1) + size
             if end > view.length:
                 message = f"reads up to byte {end} of a bufferView of {view.length}"
                 self.notes.fail("GLT008", accessor.where, message)
             if (view.offset + accessor.offset) % kind.itemsize:
-                message = f"its bytes do not begin on a multiple of {kind.itemsize}"
+                message = f"its bytes do not start at a multiple of {kind.itemsize}"
                 self.notes.warn("GLT105", accessor.where, message)
         sparse = accessor.sparse
         if sparse is None:
@@ -433,7 +435,7 @@ class Accessors:
         indices, values = sparse.required("indices"), sparse.required("values")
         component = indices.number("componentType")
         if component not in {5121, 5123, 5125}:
-            indices.fail("componentType", "sparse indices are unsigned integers")
+            indices.fail("componentType", "sparse indices must be unsigned integers")
         views = [
             part.index("bufferView", len(self.views), "bufferView")
             for part in (indices, values)
@@ -508,10 +510,10 @@ def decode_data(uri: str, item: Item) -> bytes:
     head, comma, text = uri.partition(",")
     where = item.at("uri")
     if not comma or not _DATA.fullmatch(head):
-        item.notes.fail("GLT007", where, f"{excerpt(uri)} is no data URI")
+        item.notes.fail("GLT007", where, f"{excerpt(uri)} is not a data URI")
     if not head.endswith(";base64"):
         return unquote_to_bytes(text)
     try:
         return binascii.a2b_base64(unquote_to_bytes(text), strict_mode=True)
     except (binascii.Error, ValueError) as error:
-        item.notes.fail("GLT007", where, f"the data URI is no base64: {error}")
+        item.notes.fail("GLT007", where, f"the data URI is not valid base64: {error}")

@@ -199,14 +199,14 @@ class _Samplers:
         try:
             return Interpolation(word)
         except ValueError:
-            item.fail("interpolation", f"interpolation {excerpt(word)} is unknown")
+            item.fail("interpolation", f"unknown interpolation {excerpt(word)}")
 
     def times(self, index: int) -> FloatArray:
         """Return the times of a sampler's keys, finite."""
         item, accessor = self.items[index], self.ends[index][0]
         entry = self.accessors.entries[accessor]
         if entry is None or not entry.is_of("SCALAR", FLOAT):
-            item.fail("input", "times must be scalars of floats", "GLT011")
+            item.fail("input", "times must be float scalars", "GLT011")
         times = self.accessors.floats(accessor)[:, 0]
         if accessor not in self.checked:
             self.checked.add(accessor)
@@ -250,13 +250,13 @@ def _animation(
         target = found
         own = (target.node, target.mesh, str(target.path), target.part)
         if own in taken:
-            message = f"{target.path} is moved by two channels of the animation"
+            message = f"two channels of the animation move {target.path}"
             channel.notes.fail("GLT012", f"{taken[own]}/target", message)
         taken[own] = channel.pointer
         tracks.append(_track(channel, target, samplers, index, times))
     if left_out:
         names = ", ".join(left_out)
-        message = f"channels of what is not read are left out: {names}"
+        message = f"channels of unsupported targets are ignored: {names}"
         item.notes.warn("GLT108", item.pointer, message, severity=Severity.NOTE)
     extras = item.values.get("extras")
     return Animation(
@@ -291,7 +291,7 @@ def _target(
         return _pointed(target, nodes, meshes, left_out)
     node = target.index("node", len(nodes), "node")
     if path not in {"translation", "rotation", "scale", "weights"}:
-        message = f"the path {excerpt(path)} is unknown: the channel is left out"
+        message = f"unknown path {excerpt(path)}: the channel is ignored"
         target.notes.warn("GLT106", target.at("path"), message)
         return None
     if node < 0:
@@ -312,12 +312,12 @@ def _of_node(
         mesh = nodes[node].mesh
         count = meshes[mesh].targets if mesh >= 0 else 0
         if part >= count or not count:
-            message = f"node {node} has {count} morph targets: the channel is left out"
+            message = f"node {node} has {count} morph targets: the channel is ignored"
             target.notes.warn("GLT106", target.pointer, message)
             return None
         return _Target(node, -1, path, part, count if part < 0 else 1)
     if nodes[node].has_matrix and path is not Path.VISIBLE:
-        message = f"the matrix of node {node}, which moves, is split into its parts"
+        message = f"the matrix of node {node}, which is animated, is decomposed"
         target.notes.warn("GLT106", target.pointer, message)
     return _Target(node, -1, path, -1, _WIDTHS[path])
 
@@ -339,7 +339,7 @@ def _pointed(
     extension = target.extension(POINTER)
     text = None if extension is None else extension.text("pointer")
     if text is None:
-        message = f"a channel of {POINTER} without its pointer is left out"
+        message = f"a channel of {POINTER} without a pointer is ignored"
         target.notes.warn("GLT106", target.pointer, message)
         return None
     if not text.startswith("/"):
@@ -436,7 +436,7 @@ def _values(channel: Item, target: _Target, samplers: _Samplers, index: int) -> 
         components = {FLOAT, *SMALL}
     if entry is None or entry.kind not in kinds or entry.component not in components:
         held = "an unknown type" if entry is None else entry.kind
-        message = f"{target.path} takes no values of {held} in these components"
+        message = f"{target.path} cannot have values of {held} in these components"
         item.notes.fail("GLT011", channel.at("sampler"), message)
     # Lengths of rotations show what is not finite; slopes have none.
     cubic = samplers.interpolation(index) is Interpolation.CUBIC
@@ -472,7 +472,7 @@ def _sorted(
             at = float(times[same[0]])
             message = f"two keys at {at:.6g} s have different values"
             notes.fail("GLT012", where, message)
-        message = f"{len(same)} keys at the time of another one, and equal, are dropped"
+        message = f"{len(same)} equal keys with the time of another are removed"
         if given:
             notes.warn("GLT107", where, message)
         kept = np.setdiff1d(np.arange(len(times)), same + 1)

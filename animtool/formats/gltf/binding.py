@@ -88,7 +88,10 @@ class Binder:
         flat = np.abs(np.linalg.det(matrices[:, :3, :3] / sizes[:, None, None])) < 1e-12
         if flat.any():
             if where:
-                message = f"{int(flat.sum())} inverse bind matrices are flat: identity"
+                message = (
+                    f"{int(flat.sum())} inverse bind matrices are singular: using the "
+                    "identity"
+                )
                 path = str(self.file.path)
                 at = f"{where}/inverseBindMatrices"
                 note = Fault("GLT114", message, path, where=at, severity=Severity.NOTE)

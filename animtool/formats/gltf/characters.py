@@ -125,7 +125,7 @@ def chosen(
     """
     where = str(file.path)
     if not file.nodes:
-        message = "the file holds no nodes: there is nothing that moves"
+        message = "the file has no nodes, so nothing moves"
         raise FormatError(Fault(unknown, message, where))
     found = characters(file)
     if prim_path is None:
@@ -144,7 +144,7 @@ def chosen(
         if any(file.nodes[node].name == name for node in one.nodes):
             return one, []
     known = [one.path for one in found]
-    message = f"no character or node is called {name!r}"
+    message = f"unknown character or node {name!r}"
     raise FormatError(Fault(unknown, message, where, (), nearest(prim_path, known)))
 
 
@@ -154,7 +154,7 @@ def _others(
     others = [one.path for one in found if one is not best]
     if not others:
         return []
-    message = f"{best.path} is read of {counted(len(found), 'character')}: "
+    message = f"reading {best.path} of {counted(len(found), 'character')}: "
     message += f"others are {listed(others, MAX_NAMED)}"
-    hint = f"{argument('source.prim_path')} names one; / is the whole file"
+    hint = f"choose one with {argument('source.prim_path')}; / is the whole file"
     return [Fault(several, message, where, (), hint, Severity.NOTE)]

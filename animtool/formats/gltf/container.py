@@ -64,19 +64,19 @@ def _check_header(content: memoryview, notes: Notes) -> int:
         message = f"the file has {len(content)} bytes; a GLB has at least 12"
         _fail(notes, len(content), message)
     if bytes(content[:4]) != MAGIC:
-        _fail(notes, 0, "a GLB begins with the letters glTF")
+        _fail(notes, 0, "a GLB starts with the letters glTF")
     version, length = struct.unpack_from("<II", content, 4)
     if version != 2:
-        message = f"version {version} of GLB is not read, only 2"
+        message = f"version {version} of GLB is not supported, only 2"
         notes.fail("GLT003", _offset(4), message, "export glTF 2.0")
     if length < HEADER + CHUNK_HEADER:
         message = f"the length {length} is shorter than the header and one chunk"
         _fail(notes, 8, message)
     if length > len(content):
-        message = f"the length says {length} bytes, and the file has {len(content)}"
+        message = f"the header states {length} bytes, but the file has {len(content)}"
         _fail(notes, 8, message)
     if length < len(content):
-        message = f"{len(content) - length} bytes after the end are left out"
+        message = f"{len(content) - length} bytes after the end are ignored"
         notes.warn("GLT101", _offset(length), message)
     return int(length)
 
@@ -97,9 +97,9 @@ def _chunks(content: memoryview, notes: Notes) -> tuple[memoryview, memoryview |
             held = "empty" if kind == JSON_CHUNK else "not the JSON"
             _fail(notes, at, f"the first chunk is {held}")
         if kind in found:
-            _fail(notes, at, "there are two chunks of a kind that occurs once")
+            _fail(notes, at, "two chunks of a type that may occur once")
         if size % 4:
-            message = f"a chunk has {size} bytes, no multiple of 4"
+            message = f"a chunk has {size} bytes, not a multiple of 4"
             notes.warn("GLT101", _offset(at), message)
         start = at + CHUNK_HEADER
         if kind == BIN_CHUNK and at != HEADER + CHUNK_HEADER + len(found[JSON_CHUNK]):
@@ -114,15 +114,19 @@ def _chunks(content: memoryview, notes: Notes) -> tuple[memoryview, memoryview |
 def _parsed(text: bytes, notes: Notes) -> Item:
     """Return the JSON, which must be an object."""
     if len(text) > MAX_JSON_BYTES:
-        notes.fail("GLT013", "", f"the JSON has {len(text) / 1e6:.0f} MB, at most 200")
+        notes.fail(
+            "GLT013",
+            "",
+            f"the JSON has {len(text) / 1000000.0:.0f} MB; the limit is 200",
+        )
     if text.startswith(_BOM):
-        notes.warn("GLT101", "", "a byte order mark before the JSON is left out")
+        notes.warn("GLT101", "", "a byte order mark before the JSON is ignored")
         text = text[len(_BOM) :]
     try:
         value = json.loads(text.decode("utf-8"), parse_constant=_no_constant)
     except (ValueError, RecursionError) as error:
         reason = (
-            str(error) if isinstance(error, ValueError) else "it is nested too deep"
+            str(error) if isinstance(error, ValueError) else "it is nested too deeply"
         )
         notes.fail("GLT001", "", f"the JSON cannot be read: {reason}")
     if not isinstance(value, dict):

@@ -145,11 +145,11 @@ def _check_asset(root: Item, notes: Notes) -> None:
     if version is None:
         asset.missing("version")
     if version.split(".")[0] != "2":
-        message = f"glTF {excerpt(version)} is not read, only 2"
+        message = f"glTF {excerpt(version)} is not supported, only 2"
         notes.fail("GLT003", asset.at("version"), message, "export glTF 2.0")
     least = asset.text("minVersion")
     if least is not None and least != "2.0":
-        message = f"the file needs glTF {excerpt(least)}, and 2.0 is read"
+        message = f"the file needs glTF {excerpt(least)}; 2.0 is supported"
         notes.fail("GLT003", asset.at("minVersion"), message)
 
 
@@ -174,8 +174,8 @@ def _check_extensions(container: Container, notes: Notes, path: Path) -> None:
             continue
         hint = "export the file without it"
         if name in UNPACKED_BY:
-            hint = f"{UNPACKED_BY[name].format(path.name)} unpacks it"
-        message = f"the file needs the extension {name}, which is not read"
+            hint = f"unpack it with {UNPACKED_BY[name].format(path.name)}"
+        message = f"the file needs the extension {name}, which is not supported"
         notes.fail("GLT004", where, message, hint)
     found = _extensions(root) if container.extended else {}
     for name, where in found.items():
@@ -264,10 +264,10 @@ def _check_skins(gltf: Gltf) -> None:
     _check_scenes(gltf, tree)
     for skin in gltf.skins:
         if skin.skeleton >= 0 and not _is_above(gltf, skin.skeleton, skin.joints[0]):
-            message = f"node {skin.skeleton} is not above the joints: left out"
+            message = f"node {skin.skeleton} is not above the joints: ignored"
             gltf.notes.warn("GLT106", f"{skin.where}/skeleton", message)
         if len({tree[joint] for joint in skin.joints}) > 1:
-            message = "the joints have no common root: each chain counts"
+            message = "the joints have no common root: each chain is read"
             note = Severity.WARNING
             gltf.notes.warn("GLT106", f"{skin.where}/joints", message, severity=note)
 

@@ -95,7 +95,10 @@ class GlbBuilder:
         text += b" " * (-len(text) % 4)
         length = 12 + 8 + len(text) + (8 + self._length if self._length else 0)
         if length > MAX_BYTES:
-            message = f"a GLB has at most 4.29 GB, and this one {length / 1e9:.2f}"
+            message = (
+                "a GLB can have 4.29 GB, but this one needs "
+                f"{length / 1000000000.0:.2f}"
+            )
             raise OutputError(Fault("OUT002", message))
         return self._written(text, length)
 

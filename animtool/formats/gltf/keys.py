@@ -58,8 +58,12 @@ def clip_of_gltf(
     clip = Clip(name, frames.fps, frames.first, last, tuple(channels))
     if not bent:
         return clip, []
-    message = f"{counted(bent, 'rotation')} by cubic splines, which clips do not have: "
-    message += f"{counted(added, 'key')} between those of the file keep them within "
+    message = (
+        f"{counted(bent, 'rotation')} with cubic splines, which clips do not have: "
+    )
+    message += (
+        f"{counted(added, 'key')} added between those of the file keep them within "
+    )
     message += f"{np.degrees(ARC_TOLERANCE):.2g} degrees"
     return clip, [Fault("GLT118", message, severity=Severity.NOTE)]
 

@@ -92,7 +92,7 @@ def _mesh(item: Item, accessors: Accessors) -> MeshEntry:
     counts = [len(part.targets) for part in primitives]
     for i, count in enumerate(counts):
         if count != counts[0]:
-            message = f"{count} targets, and the first primitive has {counts[0]}"
+            message = f"{count} targets, but the first primitive has {counts[0]}"
             where = f"{item.pointer}/primitives/{i}/targets"
             item.notes.fail("GLT011", where, message)
     targets = max(counts, default=0)
@@ -123,7 +123,7 @@ def _primitive(item: Item, accessors: Accessors) -> Primitive:
     for name in attributes.values:
         if not is_read(name):
             if not is_known(name):
-                message = f"the attribute {name!r} is unknown: left out"
+                message = f"unknown attribute {name!r}: ignored"
                 item.notes.warn("GLT106", attributes.at(name), message)
             continue
         found[name] = attributes.index(name, count, "accessor")
@@ -132,7 +132,7 @@ def _primitive(item: Item, accessors: Accessors) -> Primitive:
     sets = sorted(int(name[7:]) for name in found if name.startswith("JOINTS_"))
     weights = sorted(int(name[8:]) for name in found if name.startswith("WEIGHTS_"))
     if sets != weights:
-        message = f"JOINTS {sets} and WEIGHTS {weights} do not belong together"
+        message = f"JOINTS {sets} and WEIGHTS {weights} do not match"
         item.notes.fail("GLT011", attributes.pointer, message)
     targets = []
     for target in item.children("targets"):
@@ -177,7 +177,7 @@ def _check_target(target: Item) -> None:
         target.notes.warn("GLT106", target.pointer, message)
     for name in target.values:
         if not is_known(name):
-            message = f"the attribute {name!r} is unknown: left out"
+            message = f"unknown attribute {name!r}: ignored"
             target.notes.warn("GLT106", target.at(name), message)
 
 
@@ -222,7 +222,7 @@ def _check_vertices(
         if many < 0:
             many = accessor.count
         elif accessor.count != many:
-            message = f"{name} has {accessor.count} rows, others have {many}"
+            message = f"{name} has {accessor.count} rows, but others have {many}"
             attributes.notes.fail("GLT011", attributes.at(name), message)
         if not accessors.has_data(index):
             continue
@@ -251,7 +251,7 @@ def _check_indices(item: Item, index: int, many: int, accessors: Accessors) -> N
         return
     largest = int(accessors.numbers(index).max())
     if many >= 0 and largest >= many:
-        message = f"a face names vertex {largest} of {many}"
+        message = f"a face refers to vertex {largest} of {many}"
         item.notes.fail("GLT006", item.at("indices"), message)
 
 
@@ -263,7 +263,7 @@ def check_bounds(item: Item, values: Any, *, missing: str = "") -> None:
     stated = [item.values.get(key) for key in ("min", "max")]
     if not any(one is not None for one in stated):
         if missing:
-            message = "min and max are missing: those of the data are taken"
+            message = "min and max are missing: computed from the data"
             item.notes.warn("GLT102", missing, message)
         return
     found = (values.min(axis=0), values.max(axis=0))
@@ -275,7 +275,9 @@ def check_bounds(item: Item, values: Any, *, missing: str = "") -> None:
             continue
         for i, (one, real) in enumerate(zip(said, own.tolist(), strict=True)):
             if is_number(one) and not abs(one - real) <= size:
-                message = f"{key} says {one!r}, the data {real:.9g}: the data counts"
+                message = (
+                    f"{key} is {one!r}, but the data has {real:.9g}: using the data"
+                )
                 item.notes.warn("GLT102", f"{item.at(key)}/{i}", message)
                 break
 
@@ -316,7 +318,7 @@ def _skin(item: Item, accessors: Accessors, nodes: int) -> SkinEntry:
         matrices[:, 3] = [0.0, 0.0, 0.0, 1.0]
     skeleton = item.number("skeleton")
     if skeleton is not None and not 0 <= skeleton < nodes:
-        message = f"node {skeleton} does not exist: the hint is left out"
+        message = f"node {skeleton} does not exist: the hint is ignored"
         item.notes.warn("GLT106", item.at("skeleton"), message)
         skeleton = None
     return SkinEntry(
@@ -358,7 +360,7 @@ def skin_weights(
     given = all(accessors.has_data(one) for one in primitive.weights)
     if given and abs(worst - 1.0) > SUM_TOLERANCE:
         message = f"weights of a vertex have the sum {worst:.6g}"
-        notes.warn("GLT104", where, f"{message}: they are divided by it")
+        notes.warn("GLT104", where, f"{message}: they are normalised")
     empty = sums == 0.0
     if empty.any():
         if given:

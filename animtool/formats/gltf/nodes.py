@@ -59,9 +59,7 @@ def read_nodes(root: Item, notes: Notes, meshes: int, skins: int) -> tuple[Node,
     """
     items = root.children("nodes")
     if len(items) > MAX_NODES:
-        notes.fail(
-            "GLT013", "/nodes", f"{len(items)} nodes; at most {MAX_NODES} are read"
-        )
+        notes.fail("GLT013", "/nodes", f"{len(items)} nodes; the limit is {MAX_NODES}")
     below = [item.indices("children", len(items), "node") for item in items]
     parents = _parents(items, below, notes)
     return tuple(
@@ -87,7 +85,7 @@ def _parents(items: list[Item], below: list[list[int]], notes: Notes) -> list[in
         at = i
         while at >= 0 and not done[at]:
             if at in path:
-                notes.fail("GLT009", items[at].pointer, "the node is below itself")
+                notes.fail("GLT009", items[at].pointer, "the node is its own ancestor")
             path[at] = None
             at = parents[at]
         for node in path:
@@ -104,7 +102,7 @@ def _node(
     if mesh < 0:
         for key, given in (("skin", skin >= 0), ("weights", weights is not None)):
             if given:
-                message = f"{key} of a node without a mesh is left out"
+                message = f"{key} of a node without a mesh is ignored"
                 notes.warn("GLT106", item.at(key), message)
         skin, weights = -1, None
     translation, rotation, scale, has_matrix = _transform(item, notes)
@@ -141,7 +139,7 @@ def _transform(
     if given is not None:
         for key, part in zip(("translation", "rotation", "scale"), parts, strict=True):
             if part is not None:
-                message = f"{key} beside a matrix is left out"
+                message = f"{key} next to a matrix is ignored"
                 notes.warn("GLT106", item.at(key), message)
         return (*_split(np.array(given), item, notes), True)
     translation, rotation, scale = (
@@ -152,7 +150,7 @@ def _transform(
     )
     length = math.hypot(*rotation)
     if length == 0.0:
-        notes.fail("GLT010", item.at("rotation"), "a rotation of length 0 is none")
+        notes.fail("GLT010", item.at("rotation"), "a rotation has length 0")
     if abs(length - 1.0) > UNIT:
         message = f"the rotation has length {length:.6g}: it is normalised"
         notes.warn("GLT103", item.at("rotation"), message)
@@ -182,13 +180,13 @@ def _split(
     linear = matrix[:3, :3]
     size = float(np.abs(linear).max())
     if not size or abs(np.linalg.det(linear / size)) < 1e-12:
-        notes.fail("GLT010", where, "the matrix is flat: it has no inverse")
+        notes.fail("GLT010", where, "the matrix is singular")
     turn, scale = so3.split_scale(linear[None] / size)
     rotation, lengths = turn[0], scale[0] * size
     again = so3.to_matrix(rotation) * lengths
     off = float(np.abs(again - linear).max()) / size
     if off > SHEAR:
-        message = f"the shear of the matrix, {off:.3g} of its size, is left out"
+        message = f"the shear of the matrix, {off:.3g} of its size, is ignored"
         notes.warn("GLT103", where, message)
     x, y, z = matrix[:3, 3].tolist()
     a, b, c, w = rotation.tolist()
@@ -205,7 +203,7 @@ def read_scenes(
         listed = item.indices("nodes", len(nodes), "node")
         for k, node in enumerate(listed):
             if nodes[node].parent >= 0:
-                message = f"node {node} has a parent; it is in the tree once"
+                message = f"node {node} has a parent; it appears once in the tree"
                 notes.warn("GLT106", f"{item.at('nodes')}/{k}", message)
             if node in listed[:k]:
                 message = f"node {node} is listed twice; it is in the tree once"

@@ -123,7 +123,9 @@ class Item:
         """Refuse an index to nothing."""
         if not 0 <= value < count:
             there = f"0 to {count - 1}" if count else "none"
-            self.fail(key, f"{what} {value} does not exist; there is {there}", "GLT006")
+            self.fail(
+                key, f"{what} {value} does not exist; the file has {there}", "GLT006"
+            )
 
     def indices(self, key: str, count: int, what: str) -> list[int]:
         """Return a list of indices; empty where it is missing."""
@@ -131,7 +133,9 @@ class Item:
         for i, value in enumerate(found):
             whole = is_number(value) and math.isfinite(value) and value == int(value)
             if not whole:
-                self.fail(f"{key}", f"entry {i} is {excerpt(repr(value))}, no integer")
+                self.fail(
+                    f"{key}", f"entry {i} is {excerpt(repr(value))}, not an integer"
+                )
             if not 0 <= value < count:
                 message = f"{what} {int(value)} does not exist"
                 self.notes.fail("GLT006", f"{self.at(key)}/{i}", message)
@@ -146,9 +150,9 @@ class Item:
             self.fail(key, f"{key} must have {size} numbers, not {len(found)}")
         for i, value in enumerate(found):
             if not is_number(value):
-                self.fail(key, f"{excerpt(repr(value))} is no number")
+                self.fail(key, f"{excerpt(repr(value))} is not a number")
             if not abs(value) <= LARGEST:
-                message = f"{value} is beyond what a float32 holds"
+                message = f"{value} is outside the range of a float32"
                 self.notes.fail("GLT010", f"{self.at(key)}/{i}", message)
         return [float(value) for value in found]
 
@@ -176,7 +180,7 @@ class Item:
         if not isinstance(value, list):
             self.fail(key, f"{key} must be a list, not {excerpt(repr(value))}")
         if not value:
-            self.notes.warn("GLT106", self.at(key), "an empty list is left out")
+            self.notes.warn("GLT106", self.at(key), "an empty list is ignored")
         return value
 
     def child(self, key: str) -> Item | None:

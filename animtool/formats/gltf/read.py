@@ -145,16 +145,16 @@ def _clip(gltf: Gltf, made: GltfRig, take: str | None) -> tuple[int, list[Fault]
     if take is not None:
         if take in names:
             return names.index(take), []
-        message = f"holds no clip {take!r}"
+        message = f"has no clip {take!r}"
         raise FormatError(Fault("GLT015", message, path, (), nearest(take, names)))
     if not names:
-        message = "holds no animation: the rig is read at rest"
+        message = "has no animation: the rig is read at rest"
         return -1, [Fault("GLT116", message, path, severity=Severity.NOTE)]
     index = next((i for i, one in enumerate(gltf.animations) if moves(made, one)), 0)
     if len(names) == 1:
         return index, []
-    message = f"clip {names[index]!r} is read of {counted(len(names), 'clip')}"
-    hint = f"{argument('source.take')} reads another: {listed(names, MAX_NAMED)}"
+    message = f"reading clip {names[index]!r} of {counted(len(names), 'clip')}"
+    hint = f"read another with {argument('source.take')}: {listed(names, MAX_NAMED)}"
     return index, [Fault("GLT121", message, path, (), hint, Severity.NOTE)]
 
 
@@ -163,12 +163,12 @@ def _left_out(gltf: Gltf, animation: Animation | None) -> list[Fault]:
     names = [left_out_text(gltf)] if gltf.left_out else []
     tracks = () if animation is None else animation.tracks
     if any(track.path is Moved.VISIBLE for track in tracks):
-        names.append("visibility over time")
+        names.append("animated visibility")
     nodes = enumerate(gltf.nodes)
     hidden = [node.name or f"node_{i}" for i, node in nodes if not node.visible]
     if hidden:
         names.append(f"that nodes are hidden: {listed(hidden, MAX_NAMED)}")
     if not names:
         return []
-    message = f"not read: {', '.join(names)}"
+    message = f"ignored: {', '.join(names)}"
     return [Fault("GLT108", message, str(gltf.path), severity=Severity.NOTE)]

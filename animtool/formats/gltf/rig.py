@@ -206,7 +206,7 @@ def _name_notice(renamed: list[tuple[str, str]], gltf: Gltf) -> list[Fault]:
     if not renamed:
         return []
     shown = listed([f"{excerpt(a)} is {b!r}" for a, b in renamed], MAX_NAMED)
-    message = f"{counted(len(renamed), 'joint')} renamed, as names occur once: {shown}"
+    message = f"{counted(len(renamed), 'joint')} renamed to make names unique: {shown}"
     return [Fault("GLT113", message, str(gltf.path), severity=Severity.NOTE)]
 
 
@@ -217,7 +217,7 @@ def scale_notice(of_gltf: GltfRig, where: str) -> list[Fault]:
     names = [rig.names[j] for j in np.flatnonzero(odd).tolist()]
     if not names:
         return []
-    message = "scales at rest that a rig has no place for: "
+    message = "scales at rest that a rig cannot store: "
     message += listed(names, MAX_NAMED)
     hint = "takes of the file keep them"
     return [Fault("GLT111", message, where, (), hint, Severity.WARNING)]

@@ -62,8 +62,8 @@ def mesh_parts(
             shapes.append(Shape(shape, name, *held))
     notices = []
     if empty:
-        message = f"{counted(len(empty), 'mesh', 'meshes')} of points or lines alone, "
-        message += f"or without any, left out: {listed(empty)}"
+        message = f"{counted(len(empty), 'mesh', 'meshes')} with only points or lines, "
+        message += f"or with no geometry, skipped: {listed(empty)}"
         notices.append(Fault("GLT108", message, str(gltf.path), severity=Severity.NOTE))
     return tuple(meshes), tuple(shapes), tuple(keys), notices
 

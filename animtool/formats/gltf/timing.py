@@ -69,8 +69,8 @@ def frames_of(
     count = high - low + 1
     if count > MAX_FRAMES or count * max(width, 1) > MAX_VALUES:
         message = f"{last - first:.6g} s at {rate_label(rate)} are {count} frames of "
-        message += f"{width} numbers, more than are read"
-        hint = f"{argument('source.fps')} reads fewer frames a second"
+        message += f"{width} numbers, above the limit"
+        hint = f"lower the rate with {argument('source.fps')}"
         raise FormatError(
             Fault("GLT013", message, path, (), hint, where=animation.where)
         )
@@ -102,9 +102,9 @@ def _between(
     times: FloatArray, rate: Fraction, path: str, animation: Animation
 ) -> Fault:
     off = _off(times, rate) > ON_FRAME
-    message = f"{int(off.sum())} of {len(times)} key times are between the frames at "
+    message = f"{int(off.sum())} of {len(times)} key times fall between the frames at "
     message += f"{rate_label(rate)}; the last key is at {times[-1]:.6g} s"
-    hint = f"{argument('source.fps')} gives another rate"
+    hint = f"set another rate with {argument('source.fps')}"
     return Fault(
         "GLT110", message, path, (), hint, Severity.NOTE, where=animation.where
     )

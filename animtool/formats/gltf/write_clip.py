@@ -286,7 +286,7 @@ def _weights(
     ]
     if not homeless:
         return []
-    message = f"weights of shapes without a mesh are left out: {listed(homeless)}"
+    message = f"weights of shapes without a mesh are skipped: {listed(homeless)}"
     return [Fault("GLT117", message, severity=Severity.NOTE)]
 
 

@@ -121,13 +121,15 @@ def _surface(
     if surface.skin is not None and carrier < 0:
         _write_influences(made, surface.skin, primitive["attributes"])
         if surface.skin.method != "linear":
-            left["dual quaternion skinning, linear instead"].append(surface.name)
+            left["dual quaternion skinning (written as linear)"].append(surface.name)
     faces = triangulated(surface.counts, surface.indices)
     small = len(points) < 65535
     flat = faces.reshape(-1, 1).astype(np.uint16 if small else np.uint32)
     primitive["indices"] = made.accessor(flat, target=ELEMENT_ARRAY_BUFFER)
     if len(surface.counts) and surface.counts.max() > 3:
-        left["faces of more than three points, as triangles"].append(surface.name)
+        left["faces of more than three points (written as triangles)"].append(
+            surface.name
+        )
     mesh: dict[str, Any] = {"name": surface.name, "primitives": [primitive]}
     _targets(made, surface, primitive, mesh, weights, left)
     if carrier >= 0 and made.json["nodes"][carrier]["name"] != surface.name:
@@ -320,12 +322,12 @@ def _left_out(rig: Rig, left: dict[str, list[str]], written: WrittenRig) -> list
     """Say once what of a rig glTF has no place for."""
     combined = [shape.name for shape in rig.shapes if shape.combine]
     if combined:
-        left["products of shapes, each with a weight of its own"] += combined
+        left["products of shapes (each gets its own weight)"] += combined
     homeless = [one.name for one in rig.shapes if one.name not in written.shapes]
     if homeless:
-        left["shapes without a mesh, left out"] += homeless
+        left["shapes without a mesh (skipped)"] += homeless
     texts = [f"{what}: {listed(names, MAX_NAMED)}" for what, names in left.items()]
     if not texts:
         return []
-    message = f"glTF has no place for {'; '.join(texts)}"
+    message = f"glTF cannot store {'; '.join(texts)}"
     return [Fault("GLT117", message, severity=Severity.NOTE)]
