@@ -27,7 +27,7 @@ constexpr double RIGID = 0.1;
 // Rounds over limited springs in a step.
 constexpr int LIMIT_ROUNDS = 4;
 // What contacts may strain over a limit, and rounds of bringing that back.
-constexpr double LAST_LIMIT = 1.5;
+constexpr double LAST_LIMIT = 1.4;
 constexpr int LAST_ROUNDS = 2;
 // Of a limit, from where on a cell is worth shorter steps, and what is left of the stretch
 // where these help.
