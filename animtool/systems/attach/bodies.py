@@ -86,12 +86,14 @@ def check_names(rig: Rig, names: tuple[str, ...]) -> list[Attachment]:
     kinds = [str(kind) for kind in AttachKind]
     faults = []
     for name in names:
-        hint = f"it has {', '.join(known)}" if known else "it has none"
+        hint = f"the rig has {', '.join(known)}" if known else "it has none"
         if name not in known:
-            message = f"no attachment of {rig.name!r} is {name!r}"
+            message = f"unknown attachment {name!r} of {rig.name!r}"
             faults.append(Fault("SIM030", message, hint=hint))
         elif known[name].kind not in kinds:
-            message = f"{name!r} is of kind {known[name].kind!r}, which nothing moves"
+            message = (
+                f"{name!r} is of kind {known[name].kind!r}, which cannot be simulated"
+            )
             faults.append(Fault("SIM030", message, hint=f"kinds: {', '.join(kinds)}"))
     if faults:
         raise OptionError(faults)
@@ -125,7 +127,9 @@ def _chain(rig: Rig, entry: Attachment) -> Body:
     for above, below in pairwise(joints):
         if rig.joints[below].parent != above:
             names = rig.joints[above].name, rig.joints[below].name
-            message = f"joints of {entry.name!r} are no chain: {names[1]!r} is no child"
+            message = (
+                f"joints of {entry.name!r} are not a chain: {names[1]!r} is not a child"
+            )
             raise OptionError(Fault("SIM033", f"{message} of {names[0]!r}"))
     tip = _tip(rig, joints)
     bind = bind_world(rig)

@@ -166,7 +166,7 @@ def length_of(value: str | float) -> float:
     if isinstance(value, str):
         return parse_length(value)
     if not 0 <= value < math.inf:
-        message = f"{value:g} is no length"
+        message = f"{value:g} is not a length"
         raise ValueError(message)
     return value
 
@@ -214,7 +214,7 @@ def _check_range(options: SimulateOptions, name: str) -> None:
 
 def _check_finite(values: tuple[float, ...], name: str) -> None:
     if not all(map(math.isfinite, values)):
-        message = f"{name} holds a number that is not finite"
+        message = f"{name} contains a number that is not finite"
         raise OptionError(Fault("SIM004", message))
 
 
@@ -231,16 +231,16 @@ def _check_thickness(options: SimulateOptions) -> None:
     _check_length(options, "thickness")
     if not length_of(options.thickness) > 0:
         message = f"thickness is {options.thickness!r}; it must be more than 0"
-        hint = "leave it out where cloth may go through itself"
+        hint = "remove it where cloth may pass through itself"
         raise OptionError(Fault("SIM004", message, hint=hint))
 
 
 def _check_save(options: SimulateOptions) -> None:
     if bool(options.save) != bool(options.save_at):
-        message = "save and save_at go together: a file, and frames"
+        message = "save and save_at belong together: a file, and frames"
         raise OptionError(Fault("SIM032", message))
     if options.save and not options.save.endswith(".npz"):
-        message = f"save is {options.save!r}, and its name must end with .npz"
+        message = f"save is {options.save!r}, but its name must end with .npz"
         raise OptionError(Fault("SIM032", message))
 
 

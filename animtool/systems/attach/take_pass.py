@@ -68,9 +68,7 @@ def of_named_frames(simulation: Simulation) -> list[Fault]:
     ]
     if resumed is not None and codes[0] < resumed.frame <= codes[-1]:
         frame = f"{resumed.frame:g}"
-        message = (
-            f"it goes on from frame {frame}; those before are as the take has them"
-        )
+        message = f"it resumes from frame {frame}; earlier frames are as in the take"
         notices.append(Fault("SIM186", message, severity=Severity.NOTE))
     return notices
 
@@ -78,8 +76,8 @@ def of_named_frames(simulation: Simulation) -> list[Fault]:
 def _in_vain(option: str, frames: list[float], codes: list[float]) -> Fault:
     noun = "frame" if len(frames) == 1 else "frames"
     message = f"{option} names {noun} {listed([f'{frame:g}' for frame in frames])}"
-    message += f", and the take has {codes[0]:g} to {codes[-1]:g}"
-    hint = "frames are named by their time codes in the take"
+    message += f", but the take has {codes[0]:g} to {codes[-1]:g}"
+    hint = "frames are time codes of the take"
     return warning("SIM185", message, hint)
 
 
@@ -163,7 +161,7 @@ def notices_of(simulation: Simulation) -> list[Fault]:
 
 def _note(report: AttachReport, actor: Actor) -> Fault:
     parts = [
-        f"{report.name}: {counted(report.steps, 'step')} a frame",
+        f"{report.name}: {counted(report.steps, 'step')} per frame",
         f"springs up to {percent(report.stretch)} longer",
     ]
     if report.contacts:
@@ -171,7 +169,9 @@ def _note(report: AttachReport, actor: Actor) -> Fault:
     if actor.meter.text:
         parts.append(actor.meter.text)
     if report.jumps:
-        parts.append(f"carried over {counted(report.jumps, 'jump')}")
+        parts.append(
+            f"moved with the character over {counted(report.jumps, 'teleport')}"
+        )
     return Fault("SIM130", ", ".join(parts), severity=Severity.NOTE)
 
 
@@ -180,13 +180,15 @@ def _of_start(actor: Actor) -> list[Fault]:
     said, name, network = [], actor.body.name, actor.body.network
     odd = surface_problems(network)
     if odd:
-        message = f"{name}: {listed(odd)}; it is simulated all the same"
+        message = f"{name}: {listed(odd)}; it is simulated as it is"
         said.append(Fault("SIM106", message, severity=Severity.NOTE))
     if actor.lost:
         every = actor.lost == len(network.sides)
         which = "every spring" if every else counted(actor.lost, "spring")
-        message = f"{name}: the ends of {which} are at one place in the first pose"
-        hint = "with no direction they pull nothing until something parts them"
+        message = (
+            f"{name}: the ends of {which} are at the same position in the first pose"
+        )
+        hint = "without a direction they have no effect until something separates them"
         said.append(warning("SIM140", message, hint))
     return said + actor.tangles
 
@@ -198,10 +200,10 @@ def _bare(simulation: Simulation, chain: ChainBody) -> list[Fault]:
         return []
     joint = simulation.rig.joints[chain.joints[-1]].name
     message = (
-        f"{chain.name}: joint {joint!r} is turned by up to {math.degrees(angle):.3g}°, "
-        "and nothing follows: it has no tip, and no joint, skin or collider below it"
+        f"{chain.name}: joint {joint!r} rotates by up to {math.degrees(angle):.3g}°, "
+        "but nothing follows: it has no tip, and no joint, skin or collider below it"
     )
-    hint = "give the joint `tips`, where its bone ends, or add a joint below it"
+    hint = "give the joint `tips` at the end of its bone, or add a joint below it"
     return [warning("SIM191", message, hint)]
 
 
@@ -209,27 +211,27 @@ def _warnings(report: AttachReport) -> list[Fault]:
     warnings = []
     if report.stretch > PARDON * report.aimed:
         message = (
-            f"{report.name}: springs become {percent(report.stretch)} longer than at "
-            f"rest, and {100 * report.aimed:g}% was aimed at"
+            f"{report.name}: springs stretch by up to {percent(report.stretch)}, but "
+            f"{100 * report.aimed:g}% was the target"
         )
-        hint = "give it a higher rate, or let it settle from a pose that it can hold"
+        hint = "use a higher rate, or let it settle from a pose that it can hold"
         warnings.append(warning("SIM131", message, hint))
     if report.unresolved:
         points = counted(report.unresolved, "particle")
-        message = f"{report.name}: {points} stay inside colliders"
-        hint = "colliders that close in leave them no way out"
+        message = f"{report.name}: {points} remain inside colliders"
+        hint = "closing colliders leave them no way out"
         warnings.append(warning("SIM132", message, hint))
     return warnings
 
 
 def _closed(names: str, closing: Closing) -> Fault:
-    message = f"{names}: the cycle was run {counted(closing.repeats, 'time')}; "
+    message = f"{names}: the cycle was simulated {counted(closing.repeats, 'time')}; "
     message += f"its ends differ by {1000 * closing.residual:.3g} mm"
     if closing.residual <= closing.tolerance:
         return Fault("SIM130", message, severity=Severity.NOTE)
-    message += f", and {1000 * closing.tolerance:g} mm was asked for"
-    hint = "what is left is brought in over the last quarter; raise loop_repeats, or "
-    hint += "the ratio or drag of what swings on by chance"
+    message += f", but {1000 * closing.tolerance:g} mm was requested"
+    hint = "the rest is blended over the last quarter; raise loop_repeats, or "
+    hint += "the ratio or drag of what oscillates irregularly"
     return warning("SIM133", message, hint)
 
 
@@ -376,7 +378,7 @@ def _run(
 
 PASS = Pass(
     "simulate",
-    "Let chains, cloth and strands of the rig move by themselves",
+    "Simulate chains, cloth and strands of the rig",
     SimulateOptions,
     Scope.WINDOW,
     _run,

@@ -96,7 +96,7 @@ def _rope(entry: BodyEntry, model: RopeModel) -> SpringBody | None:
         message = f"a rope has 2 to {MAX_PARTICLES} particles, not {model.count}"
         entry.note("SIM050", message, "count")
     if model.start == model.end:
-        message = "it begins and ends at one place"
+        message = "it starts and ends at the same position"
         entry.note("SIM050", message, "to")
     tip = model.tip_mass
     if tip is not None:
@@ -144,13 +144,13 @@ def _strands(entry: BodyEntry, model: StrandsModel) -> SpringBody | None:
 def _cloth(entry: BodyEntry, model: ClothModel) -> SpringBody | None:
     """Return cloth; None where what is noted leaves none."""
     if model.mesh is not None:
-        why = "is for a sheet, and this is of a mesh"
+        why = "applies to a sheet, but this is a mesh"
         _refuse_keys(entry, model, {"corner", "across", "up", "resolution"}, why)
         return _mesh_cloth(entry, model.mesh.prim)
     columns, rows = model.resolution
     _check_grid(entry, "cloth", model.resolution)
     if not np.cross(model.across, model.up).any():
-        message = "it has no area: across and up are nothing, or along each other"
+        message = "it has no area: across and up are zero or parallel"
         entry.note("SIM050", message, "across")
     if not entry.sound:
         return None
@@ -226,13 +226,15 @@ def _mesh_warnings(
     double = np.flatnonzero(often[same.reshape(-1)] > 1)
     remarks = {}
     if len(flat):
-        remarks[f"faces without an area: {some_of(flat)}"] = "the air passes them"
+        remarks[f"faces without an area: {some_of(flat)}"] = (
+            "the air does not act on them"
+        )
     if len(double):
-        text = f"points at one place, which nothing holds together: {some_of(double)}"
+        text = f"points at the same position that nothing connects: {some_of(double)}"
         remarks[text] = "merge them"
     many = shared[0][shared[1] > 2]
     if len(many):
-        text = f"{counted(len(many), 'side')} of more than two faces, such as "
+        text = f"{counted(len(many), 'edge')} of more than two faces, such as "
         remarks[text + f"{many[0, 0]} to {many[0, 1]}"] = "it bends less there"
     return tuple(
         warning("SIM153", f"{prim} has {text}", hint) for text, hint in remarks.items()
@@ -242,13 +244,15 @@ def _mesh_warnings(
 def _volume(entry: BodyEntry, model: VolumeModel) -> SpringBody | None:
     """Return a volume; None where what is noted leaves none."""
     if model.tetrahedra is not None:
-        why = "is for a block, and this is of tetrahedra"
+        why = "applies to a block, but this has tetrahedra"
         _refuse_keys(entry, model, {"corner", "size", "resolution"}, why)
         return _tetrahedra(entry)
     x, y, z = model.resolution
     _check_grid(entry, "a volume", model.resolution)
     if min(model.size) <= 0:
-        message = f"its size must be above 0 each way, not {listed(model.size)}"
+        message = (
+            f"its size must be above 0 in each direction, not {listed(model.size)}"
+        )
         entry.note("SIM050", message, "size")
     if not entry.sound:
         return None
@@ -272,7 +276,7 @@ def _tetrahedra(entry: BodyEntry) -> SpringBody | None:
         entry.note("SIM050", message, "springs")
     for name in ("face_diagonals", "body_diagonals"):
         if entry.families[name] is not None:
-            message = f"{name} are for a block, and this is of tetrahedra"
+            message = f"{name} apply to a block, but this has tetrahedra"
             entry.note("SIM050", message, "springs", name)
     if points is None or cells is None or edges is None:
         return None
@@ -293,7 +297,7 @@ def _tetrahedra_fault(points: FloatArray, cells: FloatArray) -> str:
     if cells.ndim != 2 or cells.shape[1:] != (4,) or not len(cells):
         return f"cells have the shape (tetrahedra, 4), not {cells.shape}"
     if cells.min() < 0 or cells.max() >= len(points):
-        return f"a corner is none of the {len(points)} points"
+        return f"a corner is outside the {len(points)} points"
     light = np.flatnonzero(_volumes(points, cells.astype(np.int64)) == 0)
     if len(light):
         return f"points are in no tetrahedron with a volume: {some_of(light)}"
@@ -334,9 +338,7 @@ def _check_grid(entry: BodyEntry, what: str, resolution: Sequence[int]) -> None:
     if min(resolution) < 2 or math.prod(resolution) > MAX_PARTICLES:
         *first, last = resolution
         given = f"{listed(first)} and {last}"
-        message = (
-            f"{what} has 2 particles or more each way, and {MAX_PARTICLES} at most"
-        )
+        message = f"{what} needs 2 to {MAX_PARTICLES} particles in each direction"
         message += f", not {given}"
         entry.note("SIM050", message, "resolution")
 

@@ -163,17 +163,19 @@ class _Building:
         """Warn of pins that begin farther from their body than that is large."""
         gap, size = bodies.gap(carrier, points)
         if gap > size:
-            message = f"pins of {name} begin {length_text(gap)} from the surface of "
-            message += f"{carrier.body!r}, which reaches {length_text(size)}: it is "
-            message += "swung as by a stiff arm"
-            hint = "begin the particles at the body, or give the pin an offset"
+            message = f"pins of {name} start {length_text(gap)} from the surface of "
+            message += (
+                f"{carrier.body!r}, which has a size of {length_text(size)}: it is "
+            )
+            message += "moved as by a rigid arm"
+            hint = "place the particles at the body, or give the pin an offset"
             self._notices.append(warning("SIM160", message, hint, carrier.where))
 
     def _settled(self, system: SpringSystem) -> SpringSystem:
         """Return a system that begins where it comes to rest."""
         rest = find_rest(system, self._context.begin, progress=self._context.phase())
         if not rest.solved:
-            message = f"no rest was found: forces of {rest.residual:.2g} N are left"
+            message = f"no rest state was found: forces of {rest.residual:.2g} N remain"
             hint = "let it settle in a preroll, with drag"
             self._notices.append(warning("SIM152", message, hint, "settle"))
         return system.starting_at(rest.positions)
@@ -181,7 +183,7 @@ class _Building:
     def _say_apart(self, what: str, gap: float) -> None:
         if gap > APART:
             message = f"{what} {length_text(gap)} from where they are built: springs "
-            hint = "place them so that they fit, or give pins an offset"
+            hint = "place them to match, or give pins an offset"
             self._notices.append(warning("SIM150", f"{message}pull", hint, "pins"))
 
 

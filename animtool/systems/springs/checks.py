@@ -38,10 +38,10 @@ def check_body(body: Body, held: IntArray, drawn: IntArray) -> None:
         whole = np.isfinite(body.masses) & np.isfinite(1.0 / body.masses)
         light = ~((body.masses > 0) & whole) & free
     hint = "pin it, or give it a mass above 0"
-    faults += _named("SIM040", "its mass is not above 0", np.flatnonzero(light), hint)
+    faults += _named("SIM040", "its mass must be above 0", np.flatnonzero(light), hint)
     faults += _spring_faults(body.springs, count)
     outside = ((body.triangles < 0) | (body.triangles >= count)).any(axis=1)
-    faults += _first("triangle {} has a corner that is not there", outside)
+    faults += _first("triangle {} has a corner that does not exist", outside)
     if faults:
         raise OptionError(faults)
 
@@ -78,8 +78,10 @@ def start_notices(body: Body) -> list[Fault]:
     if not lost:
         return []
     which = "every spring" if lost == len(gaps) else f"{lost} of {len(gaps)} springs"
-    message = f"the ends of {which} are at one place: with no direction they pull "
-    message += "nothing until something parts them"
+    message = (
+        f"the ends of {which} are at the same position: without a direction they have "
+    )
+    message += "no effect until something separates them"
     return [warning("SIM140", message, None, "body")]
 
 
@@ -107,7 +109,7 @@ def _first(message: str, bad: BoolArray | np.bool) -> list[Fault]:
 
 def _particle_faults(particles: IntArray, where: str, count: int) -> list[Fault]:
     lost = particles[(particles < 0) | (particles >= count)]
-    message = f"there is no particle {{}}: they are 0 to {count - 1}"
+    message = f"unknown particle {{}}: they are 0 to {count - 1}"
     return [
         Fault("SIM043", message.format(i), where=where)
         for i in lost[:MAX_NAMED].tolist()
@@ -116,17 +118,17 @@ def _particle_faults(particles: IntArray, where: str, count: int) -> list[Fault]
 
 def _spring_faults(springs: Springs, count: int) -> list[Fault]:
     lost = ((springs.ends < 0) | (springs.ends >= count)).any(axis=1)
-    faults = _first("spring {} joins a particle that is not there", lost)
+    faults = _first("spring {} joins a particle that does not exist", lost)
     same = springs.ends[:, 0] == springs.ends[:, 1]
     faults += _first("spring {} joins a particle to itself", same)
     with np.errstate(invalid="ignore"):
         for column, name in (
-            (springs.rest, "length at rest"),
+            (springs.rest, "rest length"),
             (springs.stiffness, "stiffness"),
             (springs.damping, "damping"),
         ):
             bad = ~((column >= 0) & np.isfinite(column))
-            faults += _first(f"spring {{}} has a {name} that is not 0 or more", bad)
+            faults += _first(f"spring {{}} has a {name} below 0 or not finite", bad)
         early = ~(springs.limit >= springs.rest)
     return faults + _first("spring {} tears before it is stretched", early)
 
@@ -135,7 +137,7 @@ def check_self_contact(contact: SelfContact, body: Body) -> None:
     """Raise where a body cannot keep apart from itself in this way (SIM045)."""
     messages = [fault.message for fault in range_faults(contact)]
     if not len(body.triangles):
-        messages.append("a body without triangles does not keep apart from itself")
+        messages.append("self-contact needs triangles")
     if contact.rest is not None:
         rest = np.asarray(contact.rest, np.float64)
         if rest.shape != body.positions.shape:
@@ -165,9 +167,9 @@ def tangle_notices(
     )
     if not pierced:
         return []
-    message = f"{what} begins in a tangle: its edges go through its triangles in "
+    message = f"{what} starts in a tangle: its edges intersect its triangles in "
     message += counted(pierced, "place")
-    hint = "what is through is not told from what is not: it may stay so"
+    hint = "inside and outside cannot be told apart there: it may stay tangled"
     return [warning("SIM166", message, hint)]
 
 
@@ -176,7 +178,7 @@ def check_options(options: SpringOptions) -> Solver:
     faults = []
     names = [str(solver) for solver in Solver]
     if options.solver not in names:
-        message = f"there is no solver {options.solver!r}"
+        message = f"unknown solver {options.solver!r}"
         hint = f"they are {', '.join(names)}"
         faults.append(Fault("SIM001", message, where="solver", hint=hint))
     faults += range_faults(options)
@@ -188,6 +190,6 @@ def check_options(options: SpringOptions) -> Solver:
 def check_keeping_apart(solver: Solver) -> None:
     """Raise where a solver does not keep a surface apart from itself (SIM046)."""
     if solver not in {Solver.AUTO, Solver.XPBD}:
-        message = f"{solver} does not keep a surface apart from itself"
-        hint = "take xpbd or auto"
+        message = f"{solver} has no self-contact"
+        hint = "use xpbd or auto"
         raise OptionError(Fault("SIM046", message, where="solver", hint=hint))

@@ -59,10 +59,10 @@ class SelfCrossings:
         """Return a note where a surface went through itself (SIM194)."""
         if not self.most:
             return []
-        message = f"{name} went through itself: {counted(self.most, 'pair')} of an "
+        message = f"{name} passed through itself: {counted(self.most, 'pair')} of an "
         message += f"edge and a face, at {plain(self.when)} s, as its self_contact is "
         message += "off"
-        hint = "give it self_contact with a thickness, such as half an edge"
+        hint = "set self_contact with a thickness, such as half an edge"
         return [Fault("SIM194", message, hint=hint, severity=Severity.NOTE)]
 
 
@@ -142,9 +142,11 @@ def thin_notices(
     message = f"{names}: a collider {length_text(least)} thick is thinner than the gap "
     message += f"between particles of {name}, up to {length_text(wide)} when stretched:"
     if faces:
-        message += " its faces are stopped, and what hangs on either side of them may "
-        message += "have gone through itself, as its self_contact is off"
-        return [warning("SIM195", message, "give it self_contact with a thickness")]
-    message += " only particles meet colliders, so that it may go through between them"
-    hint = "give more particles, a thicker collider, or a greater radius"
+        message += (
+            " its faces are stopped, and what is attached on either side of them may "
+        )
+        message += "have passed through itself, as its self_contact is off"
+        return [warning("SIM195", message, "set self_contact with a thickness")]
+    message += " only particles collide, so that it may pass through between them"
+    hint = "use more particles, a thicker collider, or a larger radius"
     return [warning("SIM195", message, hint)]

@@ -146,9 +146,9 @@ def read_entry(
     for fault in _faults_of(lambda: _check_solver(spec)):
         entry.add(fault)
     if spec.error is not None and any(one.two_way for one in spec.systems):
-        message = "steps that keep an error are found by simulating several times, and "
+        message = "adaptive steps repeat the simulation, and "
         message += "bodies would be pushed each time"
-        hint = "give a step, or leave out two_way"
+        hint = "set a step, or remove two_way"
         entry.note("SIM063", message, "error", hint=hint)
     if any(pin.body is not None for pin in spec.pins):
         _check_tied(entry)
@@ -162,18 +162,16 @@ def _check_tied(entry: BodyEntry) -> None:
     """Note what cannot be with pins that rigid bodies carry (SIM063, SIM163)."""
     spec = entry.spec
     if spec.error is not None:
-        message = "steps that keep an error are found by simulating several times, and "
-        message += "the bodies that carry its pins would be pulled each time"
-        entry.note("SIM063", message, "error", hint="give a step")
+        message = "adaptive steps repeat the simulation, and "
+        message += "the bodies of its pins would be pulled each time"
+        entry.note("SIM063", message, "error", hint="set a step")
     if spec.solver not in TIED_SOLVERS:
-        message = f"{spec.solver} does not say what pins pull at a body"
-        entry.note(
-            "SIM163", message, "solver", hint="take auto, bdf2 or implicit_euler"
-        )
+        message = f"{spec.solver} does not compute the force of pins on a body"
+        entry.note("SIM163", message, "solver", hint="use auto, bdf2 or implicit_euler")
     if spec.contact is not None:
-        message = "a surface that keeps apart from itself is simulated by xpbd, which "
-        message += "does not say what pins pull at a body"
-        entry.note("SIM163", message, "self_contact", hint="leave it out")
+        message = "a surface with self-contact is simulated by xpbd, which "
+        message += "does not compute the force of pins on a body"
+        entry.note("SIM163", message, "self_contact", hint="remove it")
 
 
 def _families(entry: BodyEntry) -> dict[str, Family | None]:
@@ -184,8 +182,8 @@ def _families(entry: BodyEntry) -> dict[str, Family | None]:
         for name, model in models.items()
     }
     if not any(families.values()):
-        message = "it has no springs, and its particles fall apart"
-        hint = f"give it some of {', '.join(models)}"
+        message = "it has no springs, so its particles fall separately"
+        hint = f"add some of {', '.join(models)}"
         entry.add(Fault("SIM050", message, hint=hint), "springs", doubt=True)
     return families
 
@@ -195,24 +193,24 @@ def _family(entry: BodyEntry, name: str, model: Any) -> Family:
     keys = ("stiffness", "frequency", "axial_stiffness")
     given = [key for key in keys if getattr(model, key, None) is not None]
     family = record_of(Family, model)
-    hint = "stiffness [N/m] of each spring, frequency [Hz], how fast it swings back"
+    hint = "stiffness [N/m] of each spring, frequency [Hz] of its oscillation"
     if "axial_stiffness" in type(model).model_fields:
         hint += ", or axial_stiffness [N], force over strain"
     message = ""
     if not given:
         message = "it has no stiffness"
     elif len(given) > 1:
-        message = f"it has {' and '.join(given)}, of which one is enough"
+        message = f"it has {' and '.join(given)}; write one of them"
     elif given == ["axial_stiffness"] and family.rest == 0:
-        message = "springs without a length at rest have no axial_stiffness"
-        hint = "stiffness, or a rest above 0"
+        message = "springs of rest length 0 have no axial_stiffness"
+        hint = "use stiffness, or a rest above 0"
     if message:
         where = given[-1] if given else None
         faults = [Fault("SIM190", message, hint=f"give {hint}", where=where)]
     else:
         faults = range_faults(family, OF_ENTRY)
         if family.rest == 0 and (family.tear or 0) > 0:
-            message, hint = "springs of no length tear at once", "leave tear out"
+            message, hint = "springs of rest length 0 tear at once", "remove tear"
             faults.append(Fault("SIM042", message, hint=hint, where="tear"))
     for fault in faults:
         entry.add(fault, "springs", name, doubt=True)

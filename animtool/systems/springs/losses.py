@@ -49,8 +49,10 @@ class Losses:
         """Return a warning where a solver takes much (SIM196)."""
         if not self.share >= REPORTED:
             return []
-        message = f"{solver} damps the motion: it took {percent(self.share)} of its "
-        message += f"energy within {plain(self._span)} s, and no drag or damping is "
+        message = (
+            f"{solver} damps the motion: it dissipated {percent(self.share)} of its "
+        )
+        message += f"energy within {plain(self._span)} s, but no drag or damping is "
         message += "given"
-        hint = "take auto or bdf2, which keep it, or a shorter step"
+        hint = "use auto or bdf2, which conserve it, or a shorter step"
         return [warning("SIM196", message, hint)]

@@ -141,18 +141,18 @@ class SpringMotion(Trajectory):
 def through_notices(through: Through, what: str = "the surface") -> list[Fault]:
     """Return warnings of what went through a surface (SIM144, SIM165, SIM167)."""
     notices = []
-    thicker = "take a shorter step, or a greater thickness"
+    thicker = "use a shorter step, or a larger thickness"
     if through.passed:
-        message = f"{counted(through.passed, 'particle')} went through {what}"
+        message = f"{counted(through.passed, 'particle')} passed through {what}"
         notices.append(warning("SIM144", message, thicker))
     if through.cut:
         times = counted(through.cut, "pair")
         message = f"{times} of edges cut through each other in {what}"
         notices.append(warning("SIM167", message, thicker))
     if through.rate:
-        message = f"parts of {what} went over each other by many thicknesses in a step"
-        hint = "take a shorter step"
+        message = f"parts of {what} moved past each other by many thicknesses in a step"
+        hint = "use a shorter step"
         if math.isfinite(through.rate):
-            hint = f"{math.ceil(through.rate)} steps a second miss nothing"
+            hint = f"{math.ceil(through.rate)} steps per second resolve all contacts"
         notices.append(warning("SIM165", message, hint))
     return notices

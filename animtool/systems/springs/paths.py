@@ -218,10 +218,10 @@ class Teleports:
             names = ["pins"] if jumping[: self._pins].any() else []
             names += ["targets"] if jumping[self._pins :].any() else []
             message = (
-                f"{' and '.join(names)} go faster than {self._limit:g} m/s until "
-                f"{t:g} s: what hangs on them is taken along, and gets no velocity"
+                f"{' and '.join(names)} move faster than {self._limit:g} m/s until "
+                f"{t:g} s: attached particles move along without gaining velocity"
             )
-            hint = "raise the speed limit if they are to pull it along"
+            hint = "raise the speed limit if they should pull it along"
             notices.append(warning("SIM122", message, hint, names[0]))
         return notices
 

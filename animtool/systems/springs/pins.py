@@ -127,8 +127,8 @@ def _left_to(
     twice = [n for n in particles.tolist() if n in held]
     apart = sorted(n for n in twice if not _alike(model, held[n]))
     if apart:
-        message = f"particles that another pin holds in another way: {listed(apart)}"
-        hint = "leave them out of one of the two pins"
+        message = f"particles that another pin holds differently: {listed(apart)}"
+        hint = "remove them from one of the two pins"
         entry.note("SIM052", message, *at, "particles", hint=hint)
     own = particles[~np.isin(particles, np.array(twice, np.int64))]
     held.update(dict.fromkeys(own.tolist(), model))
@@ -160,7 +160,7 @@ def _particles_of(
             written += numbers
     if len(set(written)) < len(written):
         twice = sorted({n for n in written if written.count(n) > 1})
-        message = f"particles that are named twice: {listed(twice)}"
+        message = f"particles that appear twice: {listed(twice)}"
         entry.note("SIM052", message, *at)
     return np.array(list(dict.fromkeys(particles)), np.int64)
 
@@ -176,13 +176,13 @@ def numbered(
         if isinstance(name, str) and name in body.places:
             numbers += [int(n) for n in body.places[name]]
         elif isinstance(name, str):
-            hint = nearest(name, known) or f"it has {listed(known)}, and numbers"
-            message = f"no particles of it are {name!r}"
+            hint = nearest(name, known) or f"use one of {listed(known)}, or numbers"
+            message = f"unknown particles {name!r}"
             faults.append((i, Fault("SIM052", message, hint=hint)))
         elif -count <= name < count:
             numbers.append(name % count)
         else:
-            message = f"there is no particle {name}: they are 0 to {count - 1}"
+            message = f"unknown particle {name}: they are 0 to {count - 1}"
             faults.append((i, Fault("SIM052", message)))
     return numbers, faults
 
@@ -193,7 +193,7 @@ def _check_alone(entry: BodyEntry, at: Location, model: PinModel, kept: str) -> 
     alone = {"to", "body"}  # who is held by nothing else, and is not drawn
     allowed = {kept} if kept in alone else {kept, "stiffness", "damping"}
     for key in sorted((keys & model.model_fields_set) - allowed):
-        entry.note("SIM052", f"{key} is not for a pin that has {kept}", *at, key)
+        entry.note("SIM052", f"{key} does not apply to a pin that has {kept}", *at, key)
 
 
 def _carrier(

@@ -31,17 +31,18 @@ class Family:
         float | None,
         or_more(0, "SIM042"),
         Key(
-            "Force over lengthening of each spring [N/m]. Not given: another key is.",
+            "Force per elongation of each spring [N/m]. Default: set by another key.",
             1e4,
         ),
     ] = None
     damping: Annotated[
-        _OfSpring, Key("Along the spring: force over speed [N s/m].", 0.5)
+        _OfSpring, Key("Along the spring: force per speed [N s/m].", 0.5)
     ] = 0.0
     ratio: Annotated[
         _OfSpring,
         Key(
-            "More of it, as a share of what one spring on its ends is critical with.",
+            "Additional damping, as a fraction of the critical damping of a single "
+            "spring with its end masses.",
             0.1,
         ),
     ] = 0.0
@@ -49,15 +50,14 @@ class Family:
         float | None,
         above(0, "SIM042"),
         Key(
-            "Lengthening over the length at rest beyond which a spring tears. "
-            "Not given: never.",
+            "Strain above which a spring tears. Default: never.",
             0.5,
         ),
     ] = None
     rest: Annotated[
         _OfSpring,
         Key(
-            "Length at rest over the distance of the ends as built; 0 draws them "
+            "Rest length relative to the built distance of the ends; 0 pulls them "
             "together.",
             0.9,
         ),
@@ -66,8 +66,8 @@ class Family:
         float | None,
         or_more(0, "SIM042"),
         Key(
-            "In place of `stiffness`: force over strain [N], the same however many "
-            "particles there are. A spring gets it divided by its length at rest.",
+            "Instead of `stiffness`: force per strain [N], independent of the number "
+            "of particles. Each spring gets it divided by its rest length.",
             5000,
         ),
     ] = None
@@ -75,8 +75,8 @@ class Family:
         float | None,
         or_more(0, "SIM042"),
         Key(
-            "In place of `stiffness`: how fast a spring swings back [Hz], whatever the "
-            "mass on its ends is.",
+            "Instead of `stiffness`: natural frequency of a spring [Hz], whatever "
+            "the masses of its ends.",
             10,
         ),
     ] = None
@@ -97,9 +97,9 @@ class Air:
     """
 
     wind: ArrayLike = (0.0, 0.0, 0.0)
-    drag: Annotated[_OfAir, Key("Coefficient along the flow.", 1.5)] = 1.0
-    lift: Annotated[_OfAir, Key("Coefficient across it.", 0)] = 0.5
-    density: Annotated[_OfAir, Key("Of the air [kg/m³].", 0.9)] = 1.2
+    drag: Annotated[_OfAir, Key("Drag coefficient along the flow.", 1.5)] = 1.0
+    lift: Annotated[_OfAir, Key("Drag coefficient across the flow.", 0)] = 0.5
+    density: Annotated[_OfAir, Key("Air density [kg/m³].", 0.9)] = 1.2
     times: ArrayLike | None = None
 
 
@@ -141,8 +141,8 @@ class SpringOptions:
     solver: Annotated[
         Solver | str,
         Key(
-            "What takes it through time; `auto` takes the cheapest that is stable and "
-            "near enough, and says why.",
+            "Time integration; `auto` chooses the cheapest that is stable and "
+            "accurate enough, and reports why.",
             "xpbd",
             choices=tuple(map(str, Solver)),
         ),
@@ -150,14 +150,13 @@ class SpringOptions:
     step: Annotated[
         float | None,
         above(0, "SIM004", finite=True),
-        Key("The longest step [s]. Not given: what the solver needs.", 0.002),
+        Key("The longest step [s]. Default: what the solver needs.", 0.002),
     ] = None
     stretch: Annotated[
         float,
         above(0, "SIM004"),
         Key(
-            "Of `xpbd`: most that springs may be longer than at rest, where this is "
-            "not their own give.",
+            "For `xpbd`: largest strain of springs beyond their own compliance.",
             0.005,
         ),
     ] = 0.01
@@ -165,8 +164,8 @@ class SpringOptions:
         float | None,
         above(0, "SIM004", finite=True),
         Key(
-            "Most error of positions [m]: steps are halved until two motions agree. "
-            "Not given: it is not asked for.",
+            "Largest position error [m]: steps are halved until two motions agree. "
+            "Default: not checked.",
             0.001,
         ),
     ] = None
@@ -206,8 +205,8 @@ class SelfContact:
         float,
         above(0, "SIM045", finite=True),
         Key(
-            "Least distance of its particles from its faces [m], such as half the "
-            "length of an edge.",
+            "Minimum distance of its particles from its faces [m], such as half the "
+            "edge length.",
             0.01,
         ),
     ]
@@ -217,6 +216,6 @@ class SelfContact:
     speed: Annotated[
         float,
         above(0, "SIM045", finite=True),
-        Key("What is nearer at the start comes apart this fast [m/s].", 0.1),
+        Key("Speed at which parts that start closer are separated [m/s].", 0.1),
     ] = 0.2
     rest: ArrayLike | None = None

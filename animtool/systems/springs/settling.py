@@ -131,12 +131,12 @@ def _away(gap: float, *, auto: bool) -> Fault:
     message = f"xpbd comes to rest {length_text(gap)} from where the forces on "
     message += "particles cancel out"
     if not auto:
-        return warning("SIM199", message, "take auto or bdf2", "settle")
-    message += ", as near as shorter steps bring it"
-    hint = "surfaces that touch hold it there, or its chains are long"
+        return warning("SIM199", message, "use auto or bdf2", "settle")
+    message += ", as close as shorter steps bring it"
+    hint = "surfaces in contact keep it there, or its chains are long"
     return Fault("SIM179", message, where="settle", hint=hint, severity=Severity.NOTE)
 
 
 def _unsolved(speed: float) -> Fault:
-    message = f"no rest of xpbd was found: particles still move at {speed:.2g} m/s"
-    return warning("SIM152", message, "take auto or bdf2", "settle")
+    message = f"xpbd found no rest state: particles still move at {speed:.2g} m/s"
+    return warning("SIM152", message, "use auto or bdf2", "settle")

@@ -149,9 +149,11 @@ def _near_enough(
         if estimate <= error:
             return coarse
     reached = length_text(estimate) if math.isfinite(estimate) else "not known"
-    message = f"the error of positions is {reached}, and the limit is "
+    message = f"the position error is {reached}, but the limit is "
     message += length_text(error)
-    hint = "take bdf2, or ask for less: motion after a fold or a contact is not smooth"
+    hint = (
+        "use bdf2, or raise the limit: motion after a fold or a contact is not smooth"
+    )
     notice = warning("SIM142", message, hint)
     return replace(coarse, notices=(*coarse.notices, notice))
 
@@ -328,21 +330,21 @@ class SpringRun:
             self.status = Status.UNSTABLE
         elif self.grid.lost:
             self.status, self._lost = Status.NOT_SOLVED, begun
-            self.sign = "Newton's method found no solution"
+            self.sign = "Newton's method did not converge"
         elif self._auto and self._stretched:
             self.status = Status.NOT_SOLVED
-            self.sign = f"a spring is {self.grid.stretch:.2%} longer than at rest"
+            self.sign = f"a spring is strained by {self.grid.stretch:.2%}"
         else:
             self.wrenches = [*self._pressed(), *self.grid.tied]
 
     def _way_on(self) -> str:
         """Return what to do where Newton's method found no solution of a cell."""
         step = None if self._lost is None else working_step(self.system, self._lost)
-        ties, hint = self.system.ties, "take a shorter step"
+        ties, hint = self.system.ties, "use a shorter step"
         if step is not None:
             hint = f"step: {plain(floored(step))}"
             if ties is not None:
-                hint += " of the bodies that carry its pins"
+                hint += " of the bodies of its pins"
         if ties is None:
             return hint
         light = ties.lightest
@@ -350,7 +352,7 @@ class SpringRun:
         if light is not None and light[1] < LIGHT * own:
             name, mass = light
             more = f"more mass than {mass:.3g} kg for {excerpt(name)}, which the "
-            more += f"springs of {own:.3g} kg throw about"
+            more += f"springs of {own:.3g} kg make unstable"
             hint = more if step is None else f"{hint}, or {more}"
         return hint
 
@@ -383,7 +385,9 @@ class SpringRun:
         h = choice.cell / self._begun.state.substeps
         if choice.solver is Solver.SYMPLECTIC_EULER and h > limit:
             message = f"{choice.solver} is not stable with steps of {plain(h)} s"
-            notices.append(warning("SIM101", message, f"up to {plain(limit)} s are"))
+            notices.append(
+                warning("SIM101", message, f"it is stable up to {plain(limit)} s")
+            )
         if stats.status is Status.UNSTABLE:
             message = f"{choice.solver} blew up at {stats.time:.6g} s: {stats.reason}"
             hint = f"semi-implicit Euler is stable with steps up to {plain(limit)} s"
@@ -394,41 +398,42 @@ class SpringRun:
             message = f"{choice.solver} stopped at {stats.time:.6g} s: {stats.reason}"
             notices.append(warning("SIM105", message, self._way_on()))
         if self._stretched and not self._auto:
-            message = f"a spring was {self.grid.stretch:.1%} longer than at rest, and "
-            message += f"not by its own give; {options.stretch:.1%} is allowed"
-            hint = "take auto or bdf2, or less stiffness or mass"
+            message = f"a spring was strained by {self.grid.stretch:.1%}, beyond "
+            message += f"its own compliance; the limit is {options.stretch:.1%}"
+            hint = "use auto or bdf2, or less stiffness or mass"
             if system.self_contact is not None:
-                hint = "take less stiffness or mass, or a greater stretch"
+                hint = "use less stiffness or mass, or a larger stretch"
             notices.append(warning("SIM131", message, hint))
         elif self.longest > 1 + GIVES * options.stretch:
             least = f"{GIVES * options.stretch:.3g}"
-            message = f"springs are longer than at rest by {least} of that or more, "
-            message += "mostly by their own give: more steps do not change that"
-            hint = "raise their stiffness, or lighten what hangs on them"
+            message = f"springs are strained by {least} of that or more, "
+            message += "mostly by their own compliance: more steps do not change that"
+            hint = "raise their stiffness, or reduce the attached mass"
             notices.append(Fault("SIM161", message, hint=hint, severity=Severity.NOTE))
         if self.grid.unresolved:
             many = counted(self.grid.unresolved, "particle")
-            message = f"{many} could not be brought out of colliders at once"
+            message = f"{many} could not be pushed out of colliders at once"
             hint = "they start inside, or colliders close in on them from several sides"
             notices.append(warning("SIM123", message, hint))
         if self.taken < 1:
-            message = (
-                "what presses on a rigid body has more mass than it: it is pushed "
-            )
-            message += f"by {self.taken:.0%} of that, so that it is not thrown off"
-            hint = "give the body more mass, or less to what lies on it"
+            message = "what presses on a rigid body is heavier than the body: only "
+            message += f"{self.taken:.0%} of the push acts, to keep it stable"
+            hint = "give the body more mass, or less to what rests on it"
             notices.append(warning("SIM135", message, hint))
         return notices + through_notices(self.grid.through)
 
     def _refused(self, stats: Stats) -> Fault:
         """Return why auto does not go on, and what does."""
         allowed = self._options.stretch
-        message = f"auto finds no solver for it: {self.choice.solver}, taken as "
-        message += f"{self.choice.reason}, leaves a spring {self.grid.stretch:.2%} "
-        message += f"longer than at rest by {stats.time:.6g} s, in steps of "
+        message = f"auto finds no solver for it: {self.choice.solver}, chosen because "
+        message += (
+            f"{self.choice.reason}, leaves a spring strained by "
+            f"{self.grid.stretch:.2%} "
+        )
+        message += f"at {stats.time:.6g} s, in steps of "
         message += f"{plain(self.shortest)} s; {allowed:.2%} is allowed"
-        hint = "take less stiffness or a mass that is less uneven, give it a greater "
-        hint += f"stretch, or take solver: {self.choice.solver}, which goes on"
+        hint = "use less stiffness or more uniform masses, a larger "
+        hint += f"stretch, or solver: {self.choice.solver}, which continues"
         return warning("SIM178", message, hint)
 
 

@@ -95,11 +95,11 @@ def choose(
     """Return the solver asked for, or the one that is expected to take least time."""
     limit = explicit_limit(system, t, state)
     rate = 1 / (SAFE * limit) if limit > 0 else math.inf
-    solver, reason = requested, "it was asked for"
+    solver, reason = requested, "it was requested"
     if system.self_contact is not None:
         check_keeping_apart(requested)
         if requested is Solver.AUTO:
-            solver, reason = Solver.XPBD, "it keeps surfaces apart from themselves"
+            solver, reason = Solver.XPBD, "it has self-contact"
     elif system.ties is not None:
         return tied_choice(system.ties, options, requested, t, limit)
     elif requested is Solver.AUTO:
@@ -112,8 +112,11 @@ def choose(
     if solver is Solver.SYMPLECTIC_EULER:
         most = MAX_SUBSTEPS / CELL
         if rate > most:
-            message = f"{solver} needs {rate:.3g} steps a second, and takes {most:.3g}"
-            hint = "take bdf2 or auto, less stiffness or damping, or more mass"
+            message = (
+                f"{solver} needs {rate:.3g} steps per second, but the limit is "
+                f"{most:.3g}"
+            )
+            hint = "use bdf2 or auto, less stiffness or damping, or more mass"
             fault = Fault("SIM004", f"{message} at most", where="solver", hint=hint)
             raise OptionError(fault)
         steps = max(1, math.ceil(CELL * rate))
@@ -129,9 +132,9 @@ def tied_choice(
     Raises:
         OptionError: None does (SIM164).
     """
-    solver, reason = requested, "it was asked for"
+    solver, reason = requested, "it was requested"
     if requested is Solver.AUTO:
-        solver, reason = Solver.BDF2, "rigid bodies carry its pins"
+        solver, reason = Solver.BDF2, "rigid bodies hold its pins"
     lengths = sorted({one.step for one in ties.carriers})
     longest = lengths[-1]
     cell = longest
@@ -143,13 +146,13 @@ def tied_choice(
     fits &= options.step is None or _whole(cell / options.step)
     if not fits:
         bodies = " and ".join(f"{one:g}" for one in lengths)
-        message = f"steps of {options.step or cell:g} s, and those of the bodies that "
-        message += f"carry its pins of {bodies} s, do not end together"
-        hint = f"give step: {longest:g}, a whole number of it, or a part of that"
+        message = f"steps of {options.step or cell:g} s and those of the bodies that "
+        message += f"hold its pins, of {bodies} s, do not end together"
+        hint = f"use step: {longest:g}, a multiple of it, or a fraction"
         raise OptionError(Fault("SIM164", message, where="step", hint=hint))
     for one in ties.carriers:
         if one.begin > begin or not _whole((begin - one.begin) / cell):
-            message = f"it begins at {begin:g} s, and the bodies that carry its pins "
+            message = f"it starts at {begin:g} s, but the bodies of its pins "
             message += f"at {one.begin:g} s"
             hint = "give both the same preroll"
             raise OptionError(Fault("SIM164", message, where="preroll", hint=hint))
@@ -184,11 +187,11 @@ def _cheapest(
     be kept steps of bdf2 count as little as they ever take.
     """
     step = options.step
-    limits = f"semi-implicit Euler needs {rate:.0f} steps a second"
+    limits = f"semi-implicit Euler needs {rate:.0f} steps per second"
     cell = CELL if step is None else step
     steps = FIRST[Solver.BDF2] / CELL if step is None else 1 / step
     if rate > SOLVABLE:
-        return Solver.XPBD, f"{limits}, and bdf2 finds no solution of any"
+        return Solver.XPBD, f"{limits}, and bdf2 does not converge with any"
     if math.ceil(cell * rate) > MAX_SUBSTEPS:
         return Solver.BDF2, f"{limits}, which are too many"
     explicit = max(rate, 1 / cell) * COSTS[Solver.SYMPLECTIC_EULER]
@@ -200,7 +203,7 @@ def _cheapest(
     elif explicit <= implicit:
         why = f"less time than {alternative}"
     else:
-        share = f"{alternative} take {implicit / explicit:.0%} of their time"
+        share = f"{alternative} takes {implicit / explicit:.0%} of their time"
         return Solver.BDF2, f"{limits}, and {share}"
     return Solver.SYMPLECTIC_EULER, f"{limits}, which take {why}"
 

@@ -53,7 +53,7 @@ class SelfContactModel(FileModel):
 SelfContactField = Annotated[
     SelfContactModel | None,
     key(
-        "How it keeps apart from itself. Not given: it goes through.",
+        "Self-contact. Default: off.",
         {"thickness": 0.01},
     ),
 ]
@@ -83,12 +83,12 @@ class LineSpringsModel(FileModel):
     """The springs of ropes and strands; each family can be left out."""
 
     structural: LineFamilyModel | None = key(
-        "From each particle to the next.",
+        "Between neighbouring particles.",
         {"axial_stiffness": 5000, "ratio": 0.1},
         default=None,
     )
     bend: FamilyModel | None = key(
-        "From each to the next but one, against bending.",
+        "Between every second particle, against bending.",
         {"stiffness": 50},
         default=None,
     )
@@ -98,18 +98,18 @@ class ClothSpringsModel(FileModel):
     """The springs of cloth; each family can be left out."""
 
     structural: FamilyModel | None = key(
-        "Between neighbours; of a mesh, along its edges.",
+        "Between neighbours; for a mesh, along its edges.",
         {"stiffness": 1000, "ratio": 0.05},
         default=None,
     )
     diagonals: DiagonalsModel | None = key(
-        "Across cells, against shearing; of a mesh, across faces of four "
-        "corners or more, always both.",
+        "Across cells, against shear; for a mesh, across faces of four or more "
+        "corners, always both.",
         {"stiffness": 300, "ways": "one"},
         default=None,
     )
     bend: FamilyModel | None = key(
-        "From each to the next but one, or over the edges of a mesh, against bending.",
+        "Between every second particle, or over the edges of a mesh, against bending.",
         {"stiffness": 10},
         default=None,
     )
@@ -119,12 +119,12 @@ class VolumeSpringsModel(FileModel):
     """The springs of volumes; each family can be left out."""
 
     structural: FamilyModel | None = key(
-        "Along the axes; of tetrahedra, along their edges.",
+        "Along the axes; for tetrahedra, along their edges.",
         {"stiffness": 2000, "ratio": 0.05},
         default=None,
     )
     face_diagonals: FamilyModel | None = key(
-        "Across the sides of each cell.", {"stiffness": 1000}, default=None
+        "Across the faces of each cell.", {"stiffness": 1000}, default=None
     )
     body_diagonals: FamilyModel | None = key(
         "Through each cell.", {"stiffness": 1000}, default=None
@@ -136,7 +136,8 @@ class JoinedModel(FileModel):
 
     system: Name = key("Its name.", "flag")
     particles: Annotated[list[str | Whole], Len(1)] = key(
-        "Particles of it, one for each or one for all, as `particles` of a pin.",
+        "Its particles, one for each or one for all, written like `particles` of a "
+        "pin.",
         ["top_left"],
     )
 
@@ -145,61 +146,59 @@ class PinModel(FileModel):
     """Particles that are held, drawn, or joined to others."""
 
     particles: Annotated[list[NameEntry], Len(1)] = Field(
-        description="Which: names of places, numbers from 0 on (-1 is the last), or "
-        "an array of numbers, such as cape.npz#pins.",
+        description="Particles: names of locations, numbers from 0 (-1 is the last), "
+        "or an array of numbers, such as cape.npz#pins.",
         examples=[["start"], ["top_left", 40]],
     )
     moves: list[TimedVector] = key(
-        "Where they are over time, from where they begin: rows of seconds "
-        "from the first frame on and three coordinates [m]. Not given: they stay.",
+        "Displacement over time, from the start: rows of seconds from the first "
+        "frame and three coordinates [m]. Default: none.",
         [[0, 0, 0, 0], [1, 0.5, 0, 0]],
         default=[],
     )
     joint: CarryingJointModel | None = key(
-        "A joint that carries them.",
+        "A joint that they follow.",
         {"file": "walk.clip.yaml", "joint": "hand_r"},
         default=None,
     )
     vertex: CarryingVertexModel | None = key(
-        "A vertex of a character's mesh that carries them.",
+        "A vertex of a character's mesh that they follow.",
         {"file": "walk.clip.yaml", "mesh": "body", "vertex": 12},
         default=None,
     )
     prim: CarryingPrimModel | None = key(
-        "A prim of a USD file that carries them.",
+        "A prim of a USD file that they follow.",
         {"file": "props.usda", "prim": "/Set/hook"},
         default=None,
     )
     body: CarryingBodyModel | None = key(
-        "A rigid body of the scene that carries them: both move each other.",
+        "A rigid body of the scene that they are attached to: both affect each other.",
         {"system": "crates", "body": "lamp"},
         default=None,
     )
     to: JoinedModel | None = key(
-        "Particles of another system that they become one with: both move each other.",
+        "Particles of another system to join with: both affect each other.",
         {"system": "flag", "particles": ["top_left"]},
         default=None,
     )
     stiffness: Annotated[Real | None, or_more(0, "SIM042")] = key(
-        "They are drawn there by springs of no length and this stiffness "
-        "[N/m]. Not given: they are held.",
+        "Pulled by springs of rest length 0 and this stiffness [N/m]. Default: held "
+        "exactly.",
         200,
         default=None,
     )
     damping: Annotated[Real, or_more(0, "SIM042")] = key(
-        "Of such springs: force over speed [N s/m].", 1, default=0.0
+        "Damping of these springs: force per speed [N s/m].", 1, default=0.0
     )
 
 
 class WindModel(FileModel):
     """The air of ropes and strands: `drag` takes them along with it."""
 
-    velocity: Vector = key(
-        "Velocity of the air [m/s].", [4, 0, 0], default=[0.0, 0.0, 0.0]
-    )
+    velocity: Vector = key("Wind velocity [m/s].", [4, 0, 0], default=[0.0, 0.0, 0.0])
     gusts: list[TimedVector] = key(
-        "More of it over time: rows of seconds from the first frame on "
-        "and three coordinates [m/s].",
+        "Additional wind over time: rows of seconds from the first frame and three "
+        "coordinates [m/s].",
         [[0, 0, 0, 0], [0.5, 3, 0, 1], [1, 0, 0, 0]],
         default=[],
     )
@@ -212,7 +211,7 @@ class FaceWindModel(WindModel):
 
 FaceWindField = Annotated[
     FaceWindModel | None,
-    key("The air that its faces bear. Not given: none.", {"velocity": [5, 0, 1]}),
+    key("The air that acts on its faces. Default: none.", {"velocity": [5, 0, 1]}),
 ]
 
 
@@ -227,9 +226,9 @@ class SpringsModel(SolvedModel):
     method_key: ClassVar[str] = "solver"
     tried: ClassVar[bool] = True
 
-    mass: Real = key("Mass of the whole [kg].", 0.5)
+    mass: Real = key("Total mass [kg].", 0.5)
     pins: list[PinModel] = key(
-        "What holds it, and joins it to other systems.",
+        "Pins, and connections to other systems.",
         [{"particles": ["start"]}],
         default=[],
     )
@@ -239,11 +238,11 @@ class SpringsModel(SolvedModel):
         default=[0.0, -9.81, 0.0],
     )
     drag: Annotated[Real, or_more(0, "SIM050")] = key(
-        "What slows all motion, over mass and speed [1/s].", 0.5, default=0.0
+        "Damping of all motion, over mass and speed [1/s].", 0.5, default=0.0
     )
     radius: Annotated[Real, or_more(0, "SIM050")] = key(
-        "Half its thickness: what it keeps from colliders, and of curves "
-        "half their width [m].",
+        "Half its thickness: distance from colliders, and half the width of curves "
+        "[m].",
         0.01,
         default=0.005,
     )
@@ -252,13 +251,12 @@ class SpringsModel(SolvedModel):
     systems: Surfaces = Field([])
     meshes: Meshes = Field([])
     speed_limit: Annotated[Real, above(0, "SIM050")] = key(
-        "Pins that go faster were put elsewhere, and take along what hangs "
-        "on them [m/s].",
+        "Faster pins are treated as teleports: what is attached moves along [m/s].",
         500,
         default=200.0,
     )
     settle: bool = key(
-        "Whether it begins where it comes to rest, without the air and colliders.",
+        "Start in static equilibrium, without air and colliders.",
         True,
         default=False,
     )
@@ -299,20 +297,20 @@ class RopeModel(SpringsModel):
 
     name: PrimName = Field(default="rope", examples=["tow"])
     start: Vector = Field(
-        alias="from", description="Where it begins [m].", examples=[[0, 2, 0]]
+        alias="from", description="Start point [m].", examples=[[0, 2, 0]]
     )
     end: Vector = Field(
-        alias="to", description="Where it ends [m].", examples=[[1.5, 2, 0]]
+        alias="to", description="End point [m].", examples=[[1.5, 2, 0]]
     )
     count: Whole = key("Number of particles.", 31)
     tip_mass: Real | None = key(
-        "Mass of the last particle [kg]. Not given: as the others.", 2, default=None
+        "Mass of the last particle [kg]. Default: like the others.", 2, default=None
     )
     springs: LineSpringsModel = key(
         "Its springs.", {"structural": {"stiffness": 1e4, "ratio": 0.1}}
     )
     wind: WindModel | None = key(
-        "The air; `drag` takes it along.", {"velocity": [4, 0, 0]}, default=None
+        "The air; `drag` couples to it.", {"velocity": [4, 0, 0]}, default=None
     )
 
 
@@ -328,7 +326,7 @@ class StrandsModel(SpringsModel):
         "Their springs.", {"structural": {"stiffness": 100}, "bend": {"stiffness": 1}}
     )
     wind: WindModel | None = key(
-        "The air; `drag` takes them along.", {"velocity": [4, 0, 0]}, default=None
+        "The air; `drag` couples to it.", {"velocity": [4, 0, 0]}, default=None
     )
 
 
@@ -337,21 +335,25 @@ class ClothModel(SpringsModel):
 
     name: PrimName = Field(default="cloth", examples=["flag"])
     corner: Vector = key(
-        "Where its first corner is, bottom left [m].",
+        "Position of its first corner, bottom left [m].",
         [0, 2, 0],
         default=[0.0, 0.0, 0.0],
     )
     across: Vector = key(
-        "From there along the whole width [m].", [1.5, 0, 0], default=[1.0, 0.0, 0.0]
+        "Vector from there along the full width [m].",
+        [1.5, 0, 0],
+        default=[1.0, 0.0, 0.0],
     )
     up: Vector = key(
-        "From there along the whole height [m].", [0, 0, -1], default=[0.0, 1.0, 0.0]
+        "Vector from there along the full height [m].",
+        [0, 0, -1],
+        default=[0.0, 1.0, 0.0],
     )
     resolution: Annotated[list[Whole], Len(2, 2)] = key(
-        "Particles across and up.", [31, 21], default=[20, 20]
+        "Number of particles across and up.", [31, 21], default=[20, 20]
     )
     mesh: PrimMeshModel | None = key(
-        "A mesh in place of a sheet; its mass is spread over its area.",
+        "A mesh instead of a sheet; its mass is distributed over its area.",
         {"file": "table.usda", "prim": "/Set/cloth"},
         default=None,
     )
@@ -376,18 +378,18 @@ class VolumeModel(SpringsModel):
 
     name: PrimName = Field(default="volume", examples=["jelly"])
     corner: Vector = key(
-        "Where its corner of least x, y and z is [m].",
+        "Position of its corner with the smallest x, y and z [m].",
         [-0.5, 1, -0.5],
         default=[0.0, 0.0, 0.0],
     )
     size: Vector = key(
-        "Along x, y and z [m].", [0.5, 0.5, 0.5], default=[1.0, 1.0, 1.0]
+        "Size along x, y and z [m].", [0.5, 0.5, 0.5], default=[1.0, 1.0, 1.0]
     )
     resolution: Annotated[list[Whole], Len(3, 3)] = key(
-        "Particles along x, y and z.", [8, 4, 8], default=[6, 6, 6]
+        "Number of particles along x, y and z.", [8, 4, 8], default=[6, 6, 6]
     )
     tetrahedra: TetrahedraModel | None = key(
-        "Tetrahedra in place of a block.",
+        "Tetrahedra instead of a block.",
         {"points": "jelly.npz", "cells": "jelly.npz"},
         default=None,
     )

@@ -466,4 +466,4 @@ class SpringSystem(SecondOrder):
             return ""
         longest = int(np.argmax(springs.lengths(state[0]) - springs.rest))
         first, second = springs.ends[longest].tolist()
-        return f"the spring of particles {first} and {second} is stretched most"
+        return f"the spring of particles {first} and {second} has the largest strain"

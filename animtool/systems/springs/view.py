@@ -158,8 +158,11 @@ class SpringView:
         if self.first:
             notices += made.notices
             if made.long:
-                message = f"{name}: springs become {percent(made.stretch)} longer than "
-                hint = "raise the stiffness [N/m], which is that of each spring, or "
+                message = (
+                    f"{name}: springs stretch {percent(made.stretch)} beyond their "
+                    "length "
+                )
+                hint = "raise the stiffness [N/m] of each spring, or "
                 hint += "lower the mass [kg]"
                 notices.append(warning("SIM187", f"{message}at rest", hint))
             notices.append(self._note(int(state.torn.sum())))
@@ -170,7 +173,7 @@ class SpringView:
         parts = [
             f"{made.choice.solver} ({made.reason})",
             f"steps of {plain(made.shortest)} s and more",
-            f"springs up to {percent(made.stretch)} longer than at rest",
+            f"springs strained by up to {percent(made.stretch)}",
         ]
         if made.error is not None and math.isfinite(made.error):
             parts.append(f"error {length_text(made.error)}")
