@@ -12,6 +12,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from enum import Enum
@@ -31,6 +32,8 @@ RELATIVE, ABSOLUTE = 1e-6, 1e-9
 MISSING = 7.25
 # Longer texts are kept as digests.
 LONG = 300
+# Messages are compared by their numbers, not by their words.
+_NUMBER = re.compile(r"(?<![\w.])\d+(?:\.\d+)?(?:e[-+]?\d+)?")
 
 
 def figure(values: Any) -> float:
@@ -48,7 +51,8 @@ def figure(values: Any) -> float:
 def figures(value: Any, name: str = "") -> dict[str, float | str]:
     """Return the figures of a record, by field; those of a list's entries are one."""
     if isinstance(value, Fault):
-        return {name: _short(f"{value.code} {value.message}")}
+        numbers = [float(text) for text in _NUMBER.findall(value.message)]
+        return {f"{name}.code": value.code, f"{name}.numbers": figure(numbers)}
     if value is None:
         return {}
     if isinstance(value, str | Path | Enum):

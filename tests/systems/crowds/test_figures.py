@@ -131,4 +131,5 @@ def test_people_whom_a_rock_knocks_down(simulator: Simulator) -> None:
         {name: getattr(row, name) for name in type(row).__slots__ if name != "casts"}
         for row in rows
     ]
-    check_figures(__file__, "knocked", [kept, run.state.state])
+    # Bodies that tumble multiply the rounding of a processor: their motion has no figure.
+    check_figures(__file__, "knocked", kept)
