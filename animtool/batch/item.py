@@ -83,7 +83,7 @@ def unknown_names(
     """Yield what is wrong with a pattern, and what to do about it.
 
     >>> list(unknown_names("out/{stm}.usdc", {}))
-    [("'out/{stm}.usdc' has no name {stm}", "did you mean 'stem'?")]
+    [("unknown name in 'out/{stm}.usdc': {stm}", "did you mean 'stem'?")]
     """
     try:
         fields = [part[1:] for part in Formatter().parse(pattern)]

@@ -165,7 +165,7 @@ class ChannelReader:
         for k, before in self.document.descents((*at, "keys"), times.tolist(), "t"):
             same = times[k] == times[before]
             what = (
-                "stands twice"
+                "appears twice"
                 if same
                 else (f"comes before the key at {times[before]:g}")
             )
@@ -244,8 +244,7 @@ class ChannelReader:
                 row = row * 3
             if len(row) != width:
                 place = (*at, "keys", k, "v")
-                expected = "1 is" if width == 1 else f"{width} are"
-                message = f"{counted(len(row), 'number')} instead of {expected}"
+                message = f"{counted(len(row), 'number')} instead of {width}"
                 self.document.add("CLIP007", place, message)
                 continue
             rows.append(row)

@@ -212,7 +212,7 @@ class _ClipReader:
             other = self.model.channels[seen[claim]].target
             line = self.document.place(("channels", seen[claim]))[0]
             what = (
-                "stands twice"
+                "appears twice"
                 if other == target
                 else (f"and {other!r} are the same target")
             )

@@ -281,10 +281,10 @@ def space_notes(ups: tuple[UpAxis, UpAxis], meters: tuple[float, float]) -> list
     """Return in which up axes and units [m] two files are, where these differ."""
     notes = []
     if ups[0] is not ups[1]:
-        notes.append(f"{ups[0]} up against {ups[1]} up; compared with {ups[0]} up")
+        notes.append(f"{ups[0]} up instead of {ups[1]} up; compared with {ups[0]} up")
     if not math.isclose(*meters, rel_tol=1e-6):
         first, second = map(unit_name, meters)
-        notes.append(f"lengths in {first} against {second}; compared in metres")
+        notes.append(f"lengths in {first} instead of {second}; compared in metres")
     return notes
 
 

@@ -78,7 +78,7 @@ def test_outputs_of_no_kind_are_refused_before_the_work(
         made(takes, "takes", output=pattern)
     (fault,) = error.value.faults
     assert fault.code == "OUT004"
-    names_folder = f"{pattern}/ names a folder" in (fault.hint or "")
+    names_folder = f"{pattern}/ is a folder" in (fault.hint or "")
     assert names_folder == (pattern != "{stem}.txt")
 
 

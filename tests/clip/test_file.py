@@ -122,20 +122,20 @@ PLANTED = [
     ("- {target: joint/hips.angle, keys: [{t: 0, v: 0}]}", "CLIP003", 5, "translation"),
     ("- {target: joint/chest.translation, keys: [{t: 0, v: [0, 0, 0]}]}",
      "CLIP003", 5, "a ball joint"),
-    (PIN + "  - {t: 2, v: 0}\n  - {t: 1, v: 0}", "CLIP004", 8, "behind 2"),
+    (PIN + "  - {t: 2, v: 0}\n  - {t: 1, v: 0}", "CLIP004", 8, "the key at 2"),
     (PIN + "  - {t: 2, v: 0}\n  - {t: 2, v: 0}", "CLIP004", 8, "twice"),
     (PIN + "  - {t: 2.0e9, v: 0}", "CLIP004", 7, "beyond"),
     (PIN + "  - {t: 0, v: 0}\n  - {t: 9, v: 0, in: [1, 0]}", "CLIP005", 8, "'in'"),
     (PIN + "  - {t: 0, v: 0, out: [-1, 0]}", "CLIP005", 7, "'out'"),
     (PIN + "  - {t: 0, v: [1, 2]}", "CLIP007", 7, "2 numbers instead of 1"),
     ("- target: joint/hips.rotation\n  keys:\n  - {t: 0, v: [1, 2, 3]}",
-     "CLIP007", 7, "4 are needed"),
+     "CLIP007", 7, "3 numbers instead of 4"),
     (PIN + "  - {t: 0, v: 0, out: [1, [2, 3]]}", "CLIP007", 7, "1 value"),
     (PIN + "  - {t: 0, v: 0, interp: slerp}", "CLIP009", 7, "slerp does not apply"),
     ("- target: joint/hips.rotation\n  interp: bezier\n"
      "  keys: [{t: 0, v: [1, 0, 0, 0]}]", "CLIP009", 6, "squad"),
     ("- target: joint/elbow_l.angle\n  euler: XYZ\n  keys: [{t: 0, v: 0}]",
-     "CLIP009", 6, "no rotation"),
+     "CLIP009", 6, "not a rotation"),
     ("- {target: control/grin, keys: [{t: 0, v: 0}]}\n"
      "- {target: control/grin, keys: [{t: 0, v: 0}]}", "CLIP010", 6, "line 5"),
     ("- {target: joint/hips.rotation, keys: [{t: 0, v: [1, 0, 0, 0]}]}\n"

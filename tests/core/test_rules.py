@@ -113,7 +113,7 @@ NUMBER = 1
     [
         ("STU001", "GOOD", None),
         ("STU009", "GOOD", "has the code"),
-        ("RIG001", "TAKEN", "animtool's own"),
+        ("RIG001", "TAKEN", "a code of animtool's"),
         ("STU002", "KINDLESS", "no kind of file"),
         ("STU003", "LOST", "cannot be loaded"),
         ("STU004", "NUMBER", "no Rule"),

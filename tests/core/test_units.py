@@ -31,7 +31,7 @@ def test_a_length_is_in_its_unit(unit: LengthUnit) -> None:
 
 @pytest.mark.parametrize(
     ("text", "said"),
-    [("1", "write 1mm or 1m"), ("0", "is no length"), ("0mm", "is no length")],
+    [("1", "write 1mm or 1m"), ("0", "is not a length"), ("0mm", "is not a length")],
 )
 def test_a_length_wants_a_unit_and_is_above_zero(text: str, said: str) -> None:
     with pytest.raises(ValueError, match=said):

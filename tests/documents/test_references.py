@@ -52,7 +52,7 @@ def test_the_line_that_allows_a_folder_is_given(tmp_path: Path) -> None:
     own.write_text("[tool.animtool]\n")
     line = 'roots = ["../rigs"]'
     hint = refused(clip, name)
-    assert hint.endswith(f"write {line} into {own} under [tool.animtool]")
+    assert hint.endswith(f"add {line} to {own} under [tool.animtool]")
     own.write_text(f"[tool.animtool]\n{line}\n")
     assert referred(document, (), name, project_roots(clip)) == rig
     own.unlink()

@@ -645,7 +645,7 @@ def test_what_is_missed_is_told_in_lengths_and_angles() -> None:
         assert " and " not in found.message.partition(" off ")[0]
     for status, word in (
         (IkStatus.BUDGET, "the step or time limit was reached: raise"),
-        (IkStatus.NEAREST, "far bey"),
+        (IkStatus.NEAREST, "far out"),
     ):
         far = 100.0 if status is IkStatus.NEAREST else 0.1
         rows = (span(distance=far, status=status),)

@@ -160,7 +160,7 @@ def test_what_the_targets_do_not_say_is_noted() -> None:
     take = walk_of(legs())
     (note,) = left_out(take, take.rig.chains)
     assert (note.code, note.severity) == ("TGT103", Severity.NOTE)
-    assert "of hips, which" in note.message
+    assert "mention hips, which" in note.message
     still = walk_of(legs(), 1)
     motion = still.motion
     rest = Channel.from_dense(still.rig.rest_translations[None])

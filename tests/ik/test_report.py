@@ -82,7 +82,7 @@ def test_a_conflict_through_free_hips_names_them_and_root(
     found = solve_take(take, tracks_of(tmp_path, goals, take.rig, HEAD))
     hints = [notice.hint for notice in missed_notices(found, goal_reports(found))]
     assert len(hints) == 2
-    named = "the free joint 'hips' moves for 'ankle_l' and moves other goals along: "
+    named = "the free joint 'hips' moves for 'ankle_l' and moves other goals too: "
     named += "'root: hip_l' keeps it still"
     assert hints == ([None] * 2 if root else [named] * 2)
 
@@ -104,7 +104,9 @@ def test_jumps_are_named(solved: TakeIk) -> None:
     (notice,) = jump_notices(replace(solved, jumps=jumps))
     assert notice.code == "IK102"
     assert notice.severity is Severity.WARNING
-    expected = "joint 'hip_l' turns by 51.6° from frame 9 to 10; joints jump in 1 other"
+    expected = (
+        "joint 'hip_l' rotates by 51.6° from frame 9 to 10; joints jump in 1 other"
+    )
     assert notice.message == f"{expected} frame too; also knee_l"
     explained = tuple(replace(jump, by_goals=True) for jump in jumps)
     (notice,) = jump_notices(replace(solved, jumps=explained))

@@ -173,7 +173,7 @@ def test_a_shot_is_moved_to_targets(tmp_path: Path) -> None:
     words = ["sh010_take.bvh", "-t", "level.targets.yaml", "--clip", "cut.otio"]
     done = animtool("ik", *words, "--shot", "sh030", "-o", "a.usdc", cwd=tmp_path)
     assert done.code == 0, done.stderr
-    assert "lacks handle frames" in done.stderr
+    assert "does not have handle frames" in done.stderr
     begin, frames, last = expected("sh030", 24, own=True)
     take = open_source(tmp_path / "a.usdc").collect()
     assert (take.clock.start, take.clock.count) == (1001, frames + 2 * HANDLES)

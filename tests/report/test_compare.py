@@ -111,7 +111,7 @@ def test_other_rates_and_lengths_are_mismatches(take: Take) -> None:
         clock=replace(take.clock, count=7),
         motion=take.motion.select(slice(0, 7)),
     )
-    assert compare_takes(take, shorter).mismatches == ["8 frames against 7"]
+    assert compare_takes(take, shorter).mismatches == ["8 frames instead of 7"]
 
 
 def test_time_codes_are_those_of_the_first(take: Take) -> None:
@@ -130,7 +130,7 @@ def test_another_first_time_code_is_a_note(path: Path, tmp_path: Path) -> None:
     found = compare(one, two)
     assert found.within(0.0, 0.0)
     assert found.mismatches == []
-    assert found.notes == ["first time code 1 against 1001; compared from there"]
+    assert found.notes == ["first time code 1 instead of 1001; compared from there"]
 
 
 def test_each_file_has_options_of_its_own(path: Path, tmp_path: Path) -> None:

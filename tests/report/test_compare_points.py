@@ -82,7 +82,7 @@ def test_other_first_samples_are_noted(baked: Path) -> None:
     found = compare_points(baked, bake(baked.parent, "late"))
     assert found is not None
     assert found.within(1e-9, 1e-9)
-    assert found.notes == ["first time code 1 against 12; compared from there"]
+    assert found.notes == ["first time code 1 instead of 12; compared from there"]
 
 
 def test_points_are_matched_by_their_ids(baked: Path) -> None:
@@ -160,7 +160,7 @@ def test_copies_of_other_meshes_differ(baked: Path) -> None:
     found = compare_points(baked, other)
     assert found is not None
     assert found.mismatches == [
-        "birds at time code 5: point 2 is a copy of mesh 0 against 1"
+        "birds at time code 5: point 2 is a copy of mesh 0 instead of 1"
     ]
 
 
@@ -241,7 +241,7 @@ def test_times_that_only_one_has_are_not_compared(tmp_path: Path) -> None:
     found = compare_points(*paths)
     assert found is not None
     assert (found.samples, found.points.value) == (5, 0)
-    assert found.mismatches == ["birds: 9 samples against 3"]
+    assert found.mismatches == ["birds: 9 samples instead of 3"]
 
 
 def test_large_ids_are_told_apart(tmp_path: Path) -> None:
@@ -269,7 +269,7 @@ def test_what_only_one_has_is_named(baked: Path, tmp_path: Path) -> None:
     )
     found = compare_points(baked, gone)
     assert found is not None
-    assert found.mismatches == ["birds at time code 5: 12 points against 9"]
+    assert found.mismatches == ["birds at time code 5: 12 points instead of 9"]
     (tmp_path / "shot.scene.yaml").write_text(
         SCENE.replace("name: cord", "name: wire").replace("fps: 24", "fps: 25"), "utf-8"
     )

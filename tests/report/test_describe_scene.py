@@ -116,7 +116,7 @@ def test_info_of_scenes(tmp_path: Path) -> None:
     assert done.code == 0, done.stderr
     lines = done.stdout.splitlines()
     assert (
-        "  cloth     flag: 12 particles, 17 springs, 6 faces, by xpbd in steps of "
+        "  cloth     flag: 12 particles, 17 springs, 6 faces, xpbd in steps of "
         "0.01 s, 1 collider" in lines
     )
     assert (

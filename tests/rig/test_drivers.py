@@ -144,7 +144,7 @@ def test_what_drivers_read(
         ("elbow.slide", "RIG033", "angle"),
         ("wrist.twst", "RIG033", "twist"),
         ("wrist.swing_x", "RIG033", "swing_y"),
-        ("end.angle", "RIG033", "pins"),
+        ("end.angle", "RIG033", "pin"),
         ("elbow", "RIG012", "elbow.angle"),
         ("grp", "RIG012", "grip"),
         ("bulge", "RIG012", "read the input of the shape's driver instead"),

@@ -280,7 +280,7 @@ def test_what_drives_the_pose_is_named(tmp_path: Path) -> None:
     assert "aim" in fault.message
 
 
-@pytest.mark.parametrize("suffix", EXPORTS)
+@pytest.mark.parametrize("suffix", sorted(EXPORTS.keys() - {".xacro", ".sdf"}))
 def test_files_of_tools_are_refused_with_their_export(
     tmp_path: Path, suffix: str
 ) -> None:

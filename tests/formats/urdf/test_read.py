@@ -273,4 +273,4 @@ def test_commands_take_a_robot_as_a_rig(tmp_path: Path) -> None:
         "ik:\n- {name: reach, root: pan, tip: tool}\n",
         "side.rig.yaml",
     )
-    assert load_rig(sidecar).ik[0].tip == "tool"
+    assert load_rig(sidecar).chains[0].tip == "tool"

@@ -252,5 +252,5 @@ def test_numbers_that_no_file_holds_are_said_by_the_simulation(
     monkeypatch.setattr(type(opened.simulation), "frame", lambda *_: changed)
     with raises(ToleranceError, "SIM102", match=rf"{field}\[0\]") as caught:
         opened.at(0.1)
-    step = float((caught.value.faults[-1].hint or "").split()[1].rstrip(","))
+    step = float((caught.value.faults[-1].hint or "").split()[2].rstrip(","))
     assert 0.4 * opened.run.step_length <= step <= 0.5 * opened.run.step_length

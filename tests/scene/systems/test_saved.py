@@ -135,9 +135,9 @@ def other(path: Path, **changes: Any) -> None:
 
 CHANGES = {
     "no state": ({"format": None}, "is not a file of saved states"),
-    "another kind": ({"kind": np.array("rope")}, "the state of rope"),
+    "another kind": ({"kind": np.array("rope")}, "a state of rope"),
     "another step": ({"clock": np.array([-0.1, 0.02, 9])}, "steps of 0.02 s"),
-    "another pre-roll": ({"clock": np.array([0.0, 0.01, 9])}, "begin at 0 s"),
+    "another pre-roll": ({"clock": np.array([0.0, 0.01, 9])}, "start at 0 s"),
     "half a step": ({"clock": np.array([-0.1, 0.01, 9.5])}, "clock"),
     "no clock": ({"clock": np.zeros(2)}, "clock"),
     "others": ({"state/motion": np.zeros((2, 8, 3))}, "shape (2, 8, 3)"),

@@ -95,5 +95,5 @@ def test_keys_that_do_not_fit_are_told_with_their_place() -> None:
         "goals[1]", "populations[1]", "populations[0]", "populations[1]",
         "populations", "doors[0]",
     ]  # fmt: skip
-    assert "'r' has not" in found[4][0]
+    assert "'r' does not" in found[4][0]
     assert "from 2 s to 2 s" in found[5][0]

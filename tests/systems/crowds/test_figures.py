@@ -131,5 +131,5 @@ def test_people_whom_a_rock_knocks_down(simulator: Simulator) -> None:
         {name: getattr(row, name) for name in type(row).__slots__ if name != "casts"}
         for row in rows
     ]
-    # Bodies that tumble multiply the rounding of a processor: their motion has no figure.
+    # Tumbling bodies amplify the rounding of a processor: their motion is left out.
     check_figures(__file__, "knocked", kept)

@@ -108,7 +108,7 @@ def test_two_nearer_than_a_quarter_of_the_spacing_are_named_by_their_fills() -> 
     with pytest.raises(AnimtoolError) as error:
         _check_apart(own, x, np.array([2, 3, 5]))
     message = error.value.faults[0].message
-    assert message.startswith("particle 0 of fill 1 and particle 1 of fill 2 begin")
+    assert message.startswith("particle 0 of fill 1 and particle 1 of fill 2 start")
     assert "start 0.024 m apart, but the spacing is 0.1 m" in message
     x[4] = [0.02, 0, 0]
     with pytest.raises(AnimtoolError, match="particle 0 of 'a' and particle 1 of fil"):

@@ -124,7 +124,7 @@ def test_a_step_that_gains_energy_is_said_to_be_too_long(
         assert len(told) == gains
     t, dt, message, shorter = told[0]
     assert (t, dt, shorter) == (1.0, 0.001, 1.0)
-    assert message.startswith("its energy rose from")
+    assert message.startswith("its energy changed to")
     assert message.endswith(", from 7 J")
 
 
@@ -161,7 +161,7 @@ def test_what_comes_in_brings_its_energy_and_is_numbered_on() -> None:
     # That of 1.25 s.
     assert (full.made, full.held) == (8, 3)
     assert [notice.code for notice in notices] == ["SIM121"]
-    assert "room for 4 particles, from 1.5 s" in notices[0].message
+    assert "the limit of 4 particles is reached at 1.5 s" in notices[0].message
     walled = fluid(
         emitters=[TAP], colliders=[Collider(Sphere(1.0), Poses.fixed((20, 0, 0)))]
     )
@@ -233,7 +233,7 @@ def test_a_step_that_takes_too_many_parts_is_told_with_one_that_does_not(
     (fault,) = error.value.faults
     assert (fault.code, fault.severity) == ("SIM102", Severity.ERROR)
     assert "blew up at 2.96 s: why" in fault.message
-    assert str(fault.hint).startswith("step: 0.04, or weaker")
+    assert str(fault.hint).startswith("step: 0.04, or use weaker")
     for shorter, notices in ((1000.0, []), (3.0, None)):
         asked.clear()
         with pytest.raises(StoppedError) as error:

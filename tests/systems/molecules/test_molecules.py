@@ -278,12 +278,12 @@ FARTHER = np.array([[0.9, 0, 0], [0, 0, 0], [0, 0, 0]])
             {"species": [{**ARGON, "points": 0 * PLACES}]},
             "atoms 0 and 1 start 0 nm apart",
         ),
-        ({"species": [{**ARGON, "points": 0.1 * PLACES}]}, "begin 0.05 nm apart"),
+        ({"species": [{**ARGON, "points": 0.1 * PLACES}]}, "start 0.05 nm apart"),
         (
             {"species": [{**ARGON, "points": 0.1 * PLACES[[0, 0, 1]] + FARTHER}]},
             "atoms 1 and 2 start 0.05 nm apart",
         ),
-        ({"species": [{**ARGON, "points": PLACES[:, :1]}]}, r"the shape \(2, 1\)"),
+        ({"species": [{**ARGON, "points": PLACES[:, :1]}]}, r"have shape \(2, 1\)"),
         ({"species": [{**ARGON, "velocities": PLACES}]}, "velocities need points"),
     ],
 )

@@ -64,7 +64,7 @@ def test_who_has_no_room_is_counted_and_told_once(
     assert [notice.code for notice in stepped.notices] == said
     for notice in stepped.notices:
         assert notice.severity is Severity.WARNING
-        assert f"room for {most} particles, from 0.25 s on" in notice.message
+        assert f"the limit of {most} particles" in notice.message
         assert notice.where == "sparks"
     again = own.step(stepped.state, 0.25, 0.25)
     assert again.state.missed == missed + (len(again.state.particles) == living)

@@ -140,7 +140,7 @@ def test_a_swing_that_no_step_follows_is_said(tmp_path: Path) -> None:
     found.to(2 * STEP)
     (said,) = [one for one in found.run.notices if one.code == "SIM171"]
     assert said.hint is not None
-    step = float(said.hint.split(",")[0].removeprefix("step: "))
+    step = float(said.hint.split(",")[0].removeprefix("use step: "))
     assert STEP / 50 < step < STEP
     shorter = rotor(tmp_path, rate**2, 0, 0.0, step=step)
     shorter.to(2 * step)

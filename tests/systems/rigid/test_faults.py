@@ -101,7 +101,7 @@ REFUSED = {
     "rotations by nothing": (
         body(points="a.npz#flat", rotations="a.npz#none"),
         "bodies[1].rotations",
-        "all 0",
+        "zero quaternion",
     ),
     "moves of what is pushed": (body(moves=MOVES), "bodies[1].moves", "moves"),
     "turns of what is pushed": (
@@ -181,7 +181,7 @@ REFUSED = {
     "a drive to nowhere": (
         joint(type="ball", drive={"rotation": NONE}),
         "joints[1].drive",
-        "all 0",
+        "zero quaternion",
     ),
 }
 
@@ -293,7 +293,7 @@ def test_the_deepest_of_bodies_and_colliders_are_named(tmp_path: Path) -> None:
         return fault.message
 
     floor = FLOOR | {"at": [0, -9, 0]}
-    assert "'nut 0' and 'nut 0.8' begin 0.198" in said(*nuts)
+    assert "'nut 0' and 'nut 0.8' start 0.198" in said(*nuts)
     assert "'nut 0' and 'lift' begin 0.099" in said(
         lift, nuts[2], nuts[0], colliders=[floor]
     )

@@ -249,4 +249,4 @@ def test_a_step_has_parts_in_which_bodies_swing_by_half_a_radian(
     ((t, message, hint),) = stopped
     assert t == 1.0
     assert "body 1" in message
-    assert hint.startswith("step: 0.1,")
+    assert hint.startswith("use step: 0.1,")

@@ -148,10 +148,10 @@ def test_bodies_without_a_shape_that_is_read_are_refused_by_its_type(
         ("</Yard/crate>", "</Yard/stone>", 2, "itself"),
         ("Enabled = 0", "Enabled = 1", 2, "joins no dynamic body: skipped"),
         ("Limit = -30", "Limit = 60", 3, "above its upper"),
-        ("Limit = 40", "Limit = 400", 3, "a rotation of"),
+        ("Limit = 40", "Limit = 400", 3, "more than 360 degrees"),
         ("restitution = 0.25", "restitution = 7", 3, "restitution 7"),
         ("size = 2", "size = -2", 3, "size of [-2.0"),
-        ("size = 2", "size = -2", 3, "'/Yard/crate', a body that is not read"),
+        ("size = 2", "size = -2", 3, "'/Yard/crate', a body that is not supported"),
         ('Cube "', 'Cone "', 3, "of type Cone"),
     ],
 )

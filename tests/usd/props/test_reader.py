@@ -153,7 +153,7 @@ def test_rate_and_range(tmp_path: Path) -> None:
         ("/Settings", (), "SCN048", "attributes"),
         ("/Set/box", ("stat",), "SCN049", "state"),
         ("/Settings", ("many",), "SCN049", "numbers"),
-        ("/Set/box", ("xformOp:scale",), "SCN049", "leave"),
+        ("/Set/box", ("xformOp:scale",), "SCN049", "remove"),
     ],
 )
 def test_what_is_refused(

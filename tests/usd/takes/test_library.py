@@ -260,7 +260,7 @@ def spoilt(header: str, old: str, new: str) -> str:
             "Zposition Zrotation Xrotation Yrotation\n}\nROOT Spine\n{\nOFFSET 0 10 0\n"
             "CHANNELS 3 Zrotation Xrotation Yrotation\n}\n",
             9,
-            "'Spine' is a root, and in",
+            "'Spine' is a root, but in",
         ),
     ],
 )
