@@ -148,7 +148,7 @@ PLANTED = [
      "- {target: joint/piston.local_translation, keys: [{t: 0, v: [1, 0, 0]}]}",
      "CLIP010", 6, "line 5"),
     ("- target: joint/hips.rotation\n  keys:\n  - {t: 0, v: [0, 0, 0, 0]}",
-     "RIG006", 7, "no length"),
+     "RIG006", 7, "zero length"),
     (PIN + "  - {t: 0, v: .nan}", "DOC022", 7, "finite"),
     (PIN + "  - {t: .inf, v: 0}", "DOC022", 7, "finite"),
     (PIN + "  - {t: 0, v: 0, interp: besier}", "DOC022", 7, "bezier"),

@@ -120,8 +120,8 @@ def test_info_of_scenes(tmp_path: Path) -> None:
         "0.01 s, 1 collider" in lines
     )
     assert (
-        "  particles snow: 1 emitter, 1 force, at most 50 at once, by midpoint in "
-        "steps of 0.01 s, meets flag" in lines
+        "  particles snow: 1 emitter, 1 force, at most 50 at once, midpoint in "
+        "steps of 0.01 s, collides with flag" in lines
     )
     assert "  frames    1 to 12 at 24000/1001 fps" in lines
     assert lines[-1].endswith("stage, with flag, cord, snow, 5 samples a file")

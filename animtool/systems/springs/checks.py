@@ -160,7 +160,7 @@ def tangle_notices(
     >>> points = np.append(points, [[0.2, 0.2, 1], [2, 2, 0]], axis=0)
     >>> (notice,) = tangle_notices(points, np.array([[0, 1, 2], [3, 4, 5]]))
     >>> notice.message
-    'the surface begins in a tangle: its edges go through its triangles in 2 places'
+    'the surface starts in a tangle: its edges intersect its triangles in 2 places'
     """
     pierced = _kernels.pierced_edges(
         np.ascontiguousarray(positions), np.ascontiguousarray(triangles, np.int64)

@@ -47,7 +47,7 @@ RIG = Path("rig.usda")
         ({"deform": True, "bones": True}, "no --bones"),
         ({"deform": True, "sparse": True}, "no --sparse"),
         ({"deform": True, "reduce": 0.1}, "no --reduce"),
-        ({"deform": True, "root_motion": True}, "remove --root-motion"),
+        ({"deform": True, "root_motion": True}, "no --root-motion"),
         ({"deform": True, "keep_curves": True}, "no --keep-curves"),
         ({"deform": True, "rest_frame": 3}, "no --rest"),
     ],

@@ -241,7 +241,9 @@ def test_members_that_show_a_mesh_head_along_their_way(
 
 TWO = {**BIRD, "name": "other"}
 FAULTS = {
-    "the same position": (flock({**BIRD, "place": {"point": None}}), "SIM060", "the same position"),
+    "one position": (
+        flock({**BIRD, "place": {"point": None}}), "SIM060", "the same position"
+    ),
     "no such species": (flock({**BIRD, "joins": ["brid"]}), "SIM060", "'brid'"),
     "no such prey": (
         flock({**BIRD, "chases": [{"species": "x", "weight": 1, "radius": 1}]}),

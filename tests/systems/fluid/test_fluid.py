@@ -571,14 +571,14 @@ def test_before_its_first_step_nothing_is_dense_or_parted(
     own = run.simulation
     state = own.initial()
     values = own.diagnostics(state, 0.0).values
-    assert (values["densest"], values["substeps"], values["compression"]) == (0, 0, 0)
+    assert (values["densest"], values["parts"], values["compression"]) == (0, 0, 0)
     densest = 0.0
     for k in range(3):
         state = own.step(state, k / 48, 1 / 48).state
         values = own.diagnostics(state, (k + 1) / 48).values
         densest = max(densest, values["compression"])
         assert values["densest"] == densest < 0.1
-        assert values["substeps"] >= 1
+        assert values["parts"] >= 1
 
 
 @pytest.mark.parametrize(

@@ -238,9 +238,9 @@ def test_a_step_that_takes_too_many_parts_is_told_with_one_that_does_not(
         asked.clear()
         with pytest.raises(StoppedError) as error:
             own._stop_long(state, 2.0, 0.96, "why", shorter, notices)
-        assert (asked, str(error.value.faults[0].hint)[:6]) == ([], "weaker")
+        assert (asked, str(error.value.faults[0].hint)[:10]) == ([], "use weaker")
     fast = replace(state, motion=np.stack([X, V * 1e6]))
-    with pytest.raises(StoppedError, match="more than 4096 parts"):
+    with pytest.raises(StoppedError, match="more than 4096 substeps"):
         own._pressed(fast, 0.0, 0.01, np.zeros((3, 3)), None)
 
 

@@ -294,7 +294,7 @@ def test_the_deepest_of_bodies_and_colliders_are_named(tmp_path: Path) -> None:
 
     floor = FLOOR | {"at": [0, -9, 0]}
     assert "'nut 0' and 'nut 0.8' start 0.198" in said(*nuts)
-    assert "'nut 0' and 'lift' begin 0.099" in said(
+    assert "'nut 0' and 'lift' start 0.099" in said(
         lift, nuts[2], nuts[0], colliders=[floor]
     )
     assert "'nut 0' and 'wall' begin 0.149" in said(

@@ -484,7 +484,7 @@ def test_auto_takes_one_that_can(error: float | None) -> None:
     motion = simulate_springs(system, [0, 0.01], SpringOptions(error=error))
     assert (motion.solver, motion.reason) == (
         Solver.XPBD,
-        "it keeps surfaces apart from themselves",
+        "it has self-contact",
     )
 
 

@@ -154,7 +154,7 @@ def test_a_stiff_rope_with_a_heavy_tip_does_not_stretch(
 def test_auto_says_what_it_took_and_why() -> None:
     soft = simulate_springs(flag(), [0, 0.1])
     assert soft.solver is Solver.SYMPLECTIC_EULER
-    assert "steps a second" in soft.reason
+    assert "steps per second" in soft.reason
     family = Family(1e8)
     stiff = SpringSystem(
         sheet(20, 20, mass=1e-4, structural=family, diagonals=family), pins=Pins([0])
@@ -180,7 +180,7 @@ def test_an_error_that_cannot_be_kept_is_said() -> None:
     motion = simulate_springs(flag(3), [0, 0.05], options)
     (notice,) = motion.notices
     assert notice.code == "SIM142"
-    assert notice.message.endswith("and the limit is 0.001 nm")
+    assert notice.message.endswith("but the limit is 0.001 nm")
 
 
 def test_a_step_too_long_is_pointed_out_and_stopped() -> None:

@@ -172,7 +172,7 @@ def test_the_report_says_which_solver_and_why(tmp_path: Path) -> None:
     (said,) = plain_value(report)["simulated"]
     assert (said["name"], said["kind"], said["particles"]) == ("lead", "rope", 11)
     assert said["solver"] == "symplectic_euler"
-    assert "steps a second" in said["reason"]
+    assert "steps per second" in said["reason"]
     assert 0 < said["stretch"] < 0.1
     (note,) = report.notices
     assert (note.code, note.severity) == ("SIM130", Severity.NOTE)

@@ -84,7 +84,7 @@ def test_a_stiff_rope_takes_implicit_steps() -> None:
     found = chosen(system)
     assert found.solver is Solver.BDF2
     explicit, implicit = times(system)
-    share = re.search(r"take (\d+)% of their time", found.reason)
+    share = re.search(r"takes (\d+)% of their time", found.reason)
     assert share is not None
     assert int(share[1]) == round(100 * implicit / explicit)
 
