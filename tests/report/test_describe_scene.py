@@ -124,7 +124,7 @@ def test_info_of_scenes(tmp_path: Path) -> None:
         "steps of 0.01 s, collides with flag" in lines
     )
     assert "  frames    1 to 12 at 24000/1001 fps" in lines
-    assert lines[-1].endswith("stage, with flag, cord, snow, 5 samples a file")
+    assert lines[-1].endswith("stage, with flag, cord, snow, 5 samples per file")
     done = animtool("info", path, "--set", "what=snow", "--format", "json")
     (found,) = json.loads(done.stdout)["files"]
     assert [system["name"] for system in found["systems"]] == ["flag", "cord", "snow"]

@@ -169,10 +169,10 @@ TWO = np.array([[0.0, 0, 0], [1, 0, 0]])
             {"bodies": [{"points": np.ones((2, 3))}]},
             "bodies 0 and 1 start at the same position",
         ),
-        ({"bodies": [{"points": TWO[:, :2]}]}, r"points have the shape \(2, 2\)"),
+        ({"bodies": [{"points": TWO[:, :2]}]}, r"points have shape \(2, 2\)"),
         (
             {"bodies": [{"points": TWO, "velocities": TWO[:1]}]},
-            r"velocities have the shape \(1, 3\)",
+            r"velocities have shape \(1, 3\)",
         ),
         (
             {"galaxies": [SPIRAL], "encounter": {"separation": 3, "pericentre": 1}},

@@ -297,10 +297,10 @@ def test_the_deepest_of_bodies_and_colliders_are_named(tmp_path: Path) -> None:
     assert "'nut 0' and 'lift' start 0.099" in said(
         lift, nuts[2], nuts[0], colliders=[floor]
     )
-    assert "'nut 0' and 'wall' begin 0.149" in said(
+    assert "'nut 0' and 'wall' start 0.149" in said(
         lift, nuts[0], colliders=[floor, wall]
     )
-    assert "'nut 0' and 'colliders[0]' begin 0.499" in said(nuts[0], colliders=[FLOOR])
+    assert "'nut 0' and 'colliders[0]' start 0.499" in said(nuts[0], colliders=[FLOOR])
 
 
 @pytest.mark.parametrize(("distance", "warns"), [(3.9, 0), (4.1, 1)])
