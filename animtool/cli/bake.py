@@ -44,6 +44,14 @@ if TYPE_CHECKING:
     from animtool.scene.scene import Scene
 
 
+def _refuse_patterns(sources: Sequence[Path]) -> None:
+    """Refuse a glob that the shell did not expand."""
+    for path in sources:
+        if set("*?[") & {*path.name} and not path.exists():
+            text = f"{path} is a pattern: animtool batch '{path}' -o out/ bakes the "
+            raise click.UsageError(f"{text}files that match it.")
+
+
 @command(
     epilog="""\b
 Examples:
@@ -122,6 +130,7 @@ def bake(
     """
     to_stdout = goes_to_stdout(output, params)
     _check_usage(params)
+    _refuse_patterns(sources)
     sources, output = bake_shot(console, sources, output, params)
     if output is None and len(sources) > 1 and not params["table"]:
         raise click.UsageError("Several sources make one library: name it with -o.")

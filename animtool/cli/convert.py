@@ -40,7 +40,15 @@ Examples:
   animtool convert capture.c3d capture.trc"""
 )
 @click.argument("source", type=INPUT)
-@click.argument("output", type=INPUT)
+@click.argument("output", type=INPUT, required=False, metavar="OUTPUT")
+@click.option(
+    "-o",
+    "--output",
+    "named_output",
+    type=INPUT,
+    metavar="PATH",
+    help="OUTPUT, as other commands name it.",
+)
 @source_options
 @stage_option
 @source_option("rig", "take", "dropped", "positions")
@@ -63,7 +71,9 @@ Examples:
 )
 @strict_option
 @writing_options
-def convert(console: Console, /, source: Path, output: Path, **params: Any) -> None:
+def convert(
+    console: Console, /, source: Path, output: Path | None, **params: Any
+) -> None:
     """Convert SOURCE to OUTPUT: BVH, USD, CSV, MOT or a clip to one of these.
 
     For a glTF with several clips, OUTPUT may be a folder: one USD file per clip.
@@ -76,6 +86,7 @@ def convert(console: Console, /, source: Path, output: Path, **params: Any) -> N
 
     Markers are converted between C3D, TRC and npz.
     """
+    output = _only_output(source, output, params.pop("named_output"))
     from animtool.formats.marker_files import is_marker_file
 
     if is_marker_file(source) and is_marker_file(output):
@@ -127,6 +138,19 @@ def convert(console: Console, /, source: Path, output: Path, **params: Any) -> N
     console.report(params["report_format"], report, CONVERTED)
 
 
+def _only_output(source: Path, output: Path | None, named: Path | None) -> Path:
+    """Return OUTPUT, an argument or -o; refuse it where it looks like the source."""
+    if output is not None and named is not None:
+        raise click.UsageError("OUTPUT and -o both name the output: use one of them.")
+    chosen = output or named
+    if chosen is None:
+        raise click.UsageError("Missing argument 'OUTPUT'.")
+    if chosen.is_file() and not source.exists():
+        text = f"{source} does not exist, but {chosen} does: did you swap SOURCE and "
+        raise click.UsageError(f"{text}OUTPUT?")
+    return chosen
+
+
 def _every_take(source: Path, folder: Path, params: dict[str, Any]) -> bool:
     """Convert each take of a file that holds several to a USD file of a folder.
 
@@ -142,7 +166,12 @@ def _every_take(source: Path, folder: Path, params: dict[str, Any]) -> bool:
     folder.mkdir(parents=True, exist_ok=True)
     legal = distinct_names(names, names, names).names
     for name, stem in zip(names, legal, strict=True):
-        own = {**params, "source": source, "output": folder / f"{stem}.usdc"}
+        own = {
+            **params,
+            "named_output": None,
+            "source": source,
+            "output": folder / f"{stem}.usdc",
+        }
         click.get_current_context().invoke(convert, **{**own, "take": name})
     return True
 

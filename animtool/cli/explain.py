@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import TYPE_CHECKING, ClassVar
 
 import click
@@ -52,6 +53,7 @@ class Pages:
     json_keys: ClassVar[str] = "'explain' rules"
 
 
+_PREFIX = re.compile(r"[A-Z]{2,8}[0-9]{0,2}")
 PAGES = Template(
     "animtool.cli.explain:Pages",
     (Each("rules", ("{rule.code:<8} {rule.severity:<8} {rule.title}",)),),
@@ -73,16 +75,25 @@ Examples:
 def explain(console: Console, /, codes: tuple[str, ...], report_format: str) -> None:
     """Explain a CODE: what it means, why it matters and how to fix it.
 
-    Without a code, all codes are listed.
+    A prefix such as RIG2 lists the codes that start with it; without a code, all codes
+    are listed.
     """
     from animtool.core.rules import all_rules, find_rule
 
-    rules = [find_rule(code) for code in codes]
+    rules = []
+    listing = not codes
+    for code in codes:
+        # RIG2 stands for all codes that start with it.
+        prefix = code.upper()
+        known = all_rules()[0] if _PREFIX.fullmatch(prefix) else {}
+        among = [known[name] for name in sorted(known) if name.startswith(prefix)]
+        listing = listing or len(among) > 1
+        rules += among or [find_rule(code)]
     if not codes:
         known, broken = all_rules()
         console.faults(broken)
         rules = [known[code] for code in sorted(known)]
-    if codes and report_format != "json":
+    if not listing and report_format != "json":
         for rule in rules:
             console.document(Page(rule).page or escaped_lines(_bare_page(rule)))
         return

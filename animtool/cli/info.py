@@ -41,7 +41,7 @@ _PRIM = (
     "[, with {self:has}][{?samples}{!fixed}, not the same all along]"
     "[, from {extent:corners}]"
 )
-_ODD = "  odd       [{notices:n notice}|nothing]"
+_ODD = "  warnings  [{notices:n notice}|none]"
 _FRAMES = (
     "  frames    {frames} at {fps:rate}, {duration:plain 4} s, time codes "
     "{start:frame} to {end:frame}"

@@ -375,7 +375,40 @@ def _logs_json(arguments: Sequence[str]) -> bool:
     return "--log-format json" in asked or (usual and "--log-format" not in asked)
 
 
+# What users of other commands and tools call an option, and ours.
+OTHER_OPTIONS = {
+    "--frames": ("--range",),
+    "--frame-range": ("--range",),
+    "--out": ("--output",),
+    "--out-file": ("--output",),
+    "--rig": ("--to",),
+    "--target": ("--to",),
+    "--to": ("--rig",),
+    "--unit": ("--units",),
+    "--scale": ("--units",),
+    "--up-axis": ("--up",),
+    "--rate": ("--fps",),
+    "--frame-rate": ("--fps",),
+    "--tolerance": ("--tol", "--reduce"),
+    "--threads": ("--jobs",),
+    "--force": ("--overwrite",),
+    "--dry-run": ("--plan", "--diff"),
+    "--json": ("--format",),
+}
+
+
+def _with_our_option(error: click.NoSuchOption) -> click.ClickException:
+    """Return an error that suggests the option of the command that does this."""
+    params = [] if error.ctx is None else error.ctx.command.params
+    known = {flag for option in params for flag in option.opts}
+    meant = [o for o in OTHER_OPTIONS.get(error.option_name, ()) if o in known]
+    possible = meant[:1] or error.possibilities
+    return click.NoSuchOption(error.option_name, None, possible, error.ctx)
+
+
 def _usage(console: Console, error: click.ClickException) -> None:
+    if isinstance(error, click.NoSuchOption):
+        error = _with_our_option(error)
     text = worded(error.format_message(), console.calling)
     if console.json_log:
         console.error(text)

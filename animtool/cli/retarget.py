@@ -153,6 +153,9 @@ def retarget(
     are aligned, root motion is scaled by leg length, joint limits are respected, and
     planted feet are held. Without -o, only the report is made.
     """
+    if source.name.endswith((".rig.yaml", ".rig.yml", ".rig.json")):
+        text = f"SOURCE is the rig file {source.name}: did you swap SOURCE and --to?"
+        raise click.UsageError(text)
     to_stdout = goes_to_stdout(output, params)
     from animtool.scene.solves.retarget import (
         RetargetJob,

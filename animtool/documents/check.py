@@ -186,8 +186,10 @@ class _Faults:
         if self._of_another_kind(location):
             return
         message = f"unknown key {excerpt(str(key))}"
-        self.document.add("DOC020", location, message, nearest(str(key), names))
-        meant = similar(str(key), names)
+        meant = next((k for k in OTHER_KEYS.get(str(key), ()) if k in names), None)
+        hint = f"the key is {meant!r}" if meant else nearest(str(key), names)
+        self.document.add("DOC020", location, message, hint)
+        meant = meant or similar(str(key), names)
         if meant and meant not in node:
             # Names in it may be referred to; but whether it was meant is not known.
             node[meant] = left
@@ -227,6 +229,9 @@ class _Faults:
         wanted = {_KINDS.get(fault["type"]) for fault in faults}
         if not wanted & _STRUCTURES:
             return None
+        axis = AXES.get(str(faults[0]["input"]).upper())
+        if axis is not None:
+            return f"write three numbers: {faults[0]['input']} is {axis}"
         listed = wanted & _STRUCTURES == {_KINDS["list_type"]}
         return form_hint(self.model, self.value, location, listed=listed)
 
@@ -283,6 +288,51 @@ def _lacking(last: int | str, value: Any) -> str:
     return f"{counted(len(value), 'item')} where {_are(last + 1)} needed"
 
 
+# Directions by the names of axes.
+AXES = {
+    f"{sign}{name}": str([(-1 if sign else 1) * (i == k) for i in range(3)])
+    for k, name in enumerate("XYZ")
+    for sign in ("", "-")
+}
+# What other tools call values and keys of ours.
+OTHER_VALUES = {
+    "hinge": "pin",
+    "revolute": "pin",
+    "rotational": "pin",
+    "slider": "prismatic",
+    "slide": "prismatic",
+    "spherical": "ball",
+    "socket": "ball",
+    "floating": "free",
+    "root": "free",
+    "rigid": "fixed",
+    "static": "fixed",
+    "ease": "bezier",
+    "auto": "bezier",
+    "constant": "step",
+    "stepped": "step",
+    "loop": "cycle",
+    "repeat": "cycle",
+}
+OTHER_KEYS = {
+    "frame": ("t",),
+    "time": ("t", "at"),
+    "value": ("v",),
+    "look_at": ("aim",),
+    "lookat": ("aim",),
+    "start": ("range", "first"),
+    "end": ("range", "last"),
+    "frames": ("range", "keys"),
+    "position": ("translate", "at"),
+    "rotation": ("rotate",),
+    "orientation": ("rotate",),
+    "bones": ("joints",),
+    "controllers": ("controls",),
+    "blendshapes": ("shapes",),
+    "blend_shapes": ("shapes",),
+    "file": ("source",),
+}
+
 # Faults of values that are none of a few.
 _CHOICES = {"literal_error", "enum", "union_tag_invalid"}
 
@@ -331,7 +381,11 @@ def _choice_hint(faults: list[Any]) -> str | None:
         given = context.get("tag", fault["input"])
         allowed = context.get("expected", context.get("expected_tags"))
         if fault["type"] in _CHOICES and isinstance(given, str):
-            meant = similar(given, re.findall(r"'([^']*)'", str(allowed)))
+            names = re.findall(r"'([^']*)'", str(allowed))
+            other = OTHER_VALUES.get(given.lower())
+            if other in names:
+                return f"{given!r} is called {other!r} here"
+            meant = similar(given, names)
             if meant is not None:
                 return f"did you mean {meant!r}?"
     return None

@@ -234,16 +234,16 @@ def document_of(text: str, path: Path) -> Document:
         raise FormatError(_cut(error.faults)) from error
     if not isinstance(value, dict):
         kind = "empty" if value is None else f"a {type(value).__name__}"
-        hint = f"start it with a line such as '{_kind_named(path)}: animtool/1'"
+        hint = f"start it with a line such as '{kind_named(path)}: animtool/1'"
         message = f"is {kind}, not a mapping of keys"
         raise FormatError(Fault("DOC007", message, str(path), (1,), hint, column=1))
     return Document(path, value, marks)
 
 
-def _kind_named(path: Path) -> str:
+def kind_named(path: Path, other: str = "rig") -> str:
     """Return what the name of a file says that it is: ``hero.targets.yaml``."""
     kinds = [suffix[1:] for suffix in path.suffixes if suffix[1:] in KINDS]
-    return kinds[-1] if kinds else "rig"
+    return kinds[-1] if kinds else other
 
 
 def read_text(path: Path) -> str:

@@ -8,7 +8,7 @@ from typing import Any
 
 from animtool.core.errors import excerpt
 from animtool.core.names import KINDS
-from animtool.documents.document import Document, Location
+from animtool.documents.document import Document, Location, kind_named
 
 # A step takes the values of a whole file and returns those of the next version.
 Step = Callable[[dict[str, Any]], dict[str, Any]]
@@ -94,11 +94,14 @@ def version_of(
     named = [name for name in KINDS if name in document.value]
     named_kind = kind or next((name for name in named if name in table), "")
     if named_kind not in named or _of_another_kind(document, named_kind, named[0]):
-        hint = f"the first line of such a file is '{kind or 'rig'}: animtool/1'"
+        message = "the first line is missing"
+        first = kind_named(document.path, kind or "rig")
+        hint = f"write `{first}: animtool/1` above line 1"
         if named:
+            message = f"is not a {kind or ' or '.join(table)} file"
             hint = f"it looks like a {named[0]} file"
             hint += _INSTEAD.get(named[0], "") if kind == "clip" else ""
-        document.add("DOC009", (), f"is not a {kind or ' or '.join(table)} file", hint)
+        document.add("DOC009", (), message, hint)
         document.check()
     last, stated = newest(table[named_kind]), document.value[named_kind]
     number = _VERSION.fullmatch(stated) if isinstance(stated, str) else None

@@ -20,6 +20,7 @@ from animtool.core.errors import Fault, FormatError, excerpt
 from animtool.core.names import VARIABLE_NAME, unreadable
 from animtool.core.record import dataclass
 from animtool.documents.json_values import plain_json
+from animtool.documents.yaml_faults import yaml_fault
 
 # A person nests five or six.
 DEEPEST = 50
@@ -114,14 +115,15 @@ def _read_yaml(text: str, path: Path) -> ReadValues:
         if "maximum nesting depth" in problem:  # libyaml's own limit, met first
             reader.fault("DOC005", f"is nested deeper than {DEEPEST}", spot)
             raise FormatError(reader.faults) from error
-        hint = "tabs may not indent" if "cannot start any token" in problem else None
+        found = yaml_fault(text, problem, *spot)
+        hint = found.hint
         if path.suffix.lower() not in SUFFIXES:
             hint = f"write the name of a file that ends in {', '.join(SUFFIXES)}"
         elif _is_variable(text, mark):
             hint = 'write ${name} without spaces, or put the text in quotes: "${…}"'
-        reader.fault("DOC001", f"is no YAML: {problem}", spot, hint)
+        reader.fault("DOC001", found.message, (found.line, found.column), hint)
     except yaml.YAMLError as error:
-        reader.fault("DOC001", f"is no YAML: {error}".split("\n", 1)[0], (1, 1))
+        reader.fault("DOC001", f"invalid YAML: {error}".split("\n", 1)[0], (1, 1))
     if reader.faults:
         raise FormatError(reader.faults)
     marks = Marks(reader.places, reader.plain)

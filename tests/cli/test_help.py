@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import click
 import pytest
+from support.cli import animtool
 
 from animtool.cli.groups import LazyGroup
 from animtool.cli.help import Command, group_of, usual_options
@@ -53,3 +54,30 @@ def test_short_help_fits_on_a_screen(command: Command) -> None:
 def test_every_command_is_in_one_section() -> None:
     names = [name for group in SECTIONS.values() for name in group]
     assert sorted(names) == sorted(COMMANDS)
+
+
+def test_help_of_a_command_by_name() -> None:
+    assert animtool("help", "bake").stdout == animtool("bake", "--help").stdout
+    assert animtool("-V").stdout == animtool("--version").stdout
+
+
+@pytest.mark.parametrize(
+    ("words", "meant"),
+    [
+        (("view", "a.bvh"), "'preview'"),
+        (("bake", "a.bvh", "--frames", "1-2"), "'--range'"),
+        (("bake", "*.bvh"), "animtool batch"),
+        (("retarget", "a.rig.yaml", "--to", "b.bvh"), "swap SOURCE and --to"),
+        (("convert", "a.bvh"), "OUTPUT"),
+    ],
+)
+def test_the_obvious_first_try_is_answered(words: tuple[str, ...], meant: str) -> None:
+    done = animtool(*words)
+    assert done.code == 2
+    assert meant in done.stderr
+
+
+def test_codes_are_listed_by_a_prefix() -> None:
+    lines = animtool("explain", "RIG22").stdout.splitlines()
+    assert len(lines) > 1
+    assert all(line.startswith("RIG22") for line in lines)

@@ -190,7 +190,7 @@ def test_times_that_are_keys_are_told_as_a_list(
 
 
 @pytest.mark.parametrize(
-    ("name", "hint"), [("walk.bvh", "ends in .yaml"), ("walk.yml", "tabs")]
+    ("name", "hint"), [("walk.bvh", "ends in .yaml"), ("walk.yml", "spaces")]
 )
 def test_a_file_of_another_kind_is_told_what_is_wanted(
     tmp_path: Path, name: str, hint: str

@@ -177,9 +177,14 @@ class Places:
 
 def unreadable(path: Path, reason: OSError | str) -> FormatError:
     """Return the error of a file, as the user named it, that cannot be read (IO001)."""
-    if isinstance(reason, OSError):
-        reason = reason.strerror or str(reason)
-    message = f"cannot be read: {reason}"
+    if isinstance(reason, FileNotFoundError | NotADirectoryError):
+        message = "does not exist"
+    elif isinstance(reason, PermissionError):
+        message = "cannot be read: you have no permission"
+    else:
+        if isinstance(reason, OSError):
+            reason = reason.strerror or str(reason)
+        message = f"cannot be read: {reason}"
     return FormatError(Fault("IO001", message, str(path), (), nearest_file(path)))
 
 

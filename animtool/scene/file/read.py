@@ -84,6 +84,7 @@ def scene_of_document(
     """Return the scene of a document; see `load_scene`."""
     given = variables or {}
     check_version(document, "scene")
+    _expand_short_forms(document)
     keys = model_for(document.value)
     found = resolve_variables(document, keys, given, parts)
     model = validated(document, keys)
@@ -105,6 +106,20 @@ def scene_of_document(
         document.faults += refused(document, scene.systems)
     document.check()
     return scene
+
+
+def _expand_short_forms(document: Document) -> None:
+    """Write ``source: walk.bvh``, ``output: a.usdc`` and ``range: 1-24`` in full."""
+    # The places of values are numbered as they are in the file.
+    document.place(())
+    value = document.value
+    for key in ("source", "output"):
+        if isinstance(value.get(key), str):
+            value[key] = {"file": value[key]}
+    span = value.get("range")
+    ends = re.fullmatch(r"\s*(-?\d+)\s*-\s*(-?\d+)\s*", str(span))
+    if isinstance(span, str) and ends is not None:
+        value["range"] = [int(ends[1]), int(ends[2])]
 
 
 def stated_rate(path: Path) -> Fraction | None:

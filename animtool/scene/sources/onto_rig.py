@@ -114,7 +114,10 @@ def on_rig(stream: TakeStream, rig: Rig, note: Noter) -> tuple[TakeStream, NameM
     names = map_names(rig, stream.rig)
     if all((own < 0).all() for own in (names.joints, names.shapes, names.controls)):
         message = f"has no joint, shape or control of {rig.name!r}"
-        hint = f"its joints are {listed(stream.rig.names, MAX_NAMED)}"
+        hint = (
+            f"its joints are {listed(stream.rig.names, MAX_NAMED)}; animtool retarget "
+        )
+        hint += "moves a take to another rig"
         raise OptionError(note("SCN036", message, hint))
     given, curve = stream.blocks, stream.curve
     own = {control.name for control in rig.controls}

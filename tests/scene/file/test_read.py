@@ -346,3 +346,22 @@ def test_a_pass_that_is_only_a_name_is_told_how_it_is_written(tmp_path: Path) ->
         load_scene(tmp_path / "a.scene.yaml")
     hints = [fault.hint for fault in caught.value.faults if fault.code == "DOC022"]
     assert hints == ["write 'mirror: {}'"]
+
+
+def test_short_forms_are_those_in_full(tmp_path: Path) -> None:
+    walk = Path("samples/walk/walk.bvh").resolve()
+    (tmp_path / "walk.bvh").write_bytes(walk.read_bytes())
+    short = tmp_path / "short.scene.yaml"
+    short.write_text(
+        "scene: animtool/1\nsource: walk.bvh\nrange: 3-9\noutput: a.usda\n", "utf-8"
+    )
+    full = tmp_path / "full.scene.yaml"
+    full.write_text(
+        "scene: animtool/1\nsource: {file: walk.bvh}\nrange: [3, 9]\n"
+        "output: {file: a.usda}\n",
+        "utf-8",
+    )
+    one, other = load_scene(short), load_scene(full)
+    assert one.outputs[0].path == other.outputs[0].path
+    assert one.bake.frame_range == other.bake.frame_range
+    assert one.bake.frame_range is not None

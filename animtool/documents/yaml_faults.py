@@ -1,0 +1,115 @@
+"""What is wrong with a text that is not YAML, in words of the file's author."""
+
+from __future__ import annotations
+
+import re
+from typing import NamedTuple
+
+# What the scanner of libyaml says, and what the author of a file can do about it. The
+# first that occurs in its message counts.
+_CLOSED = {
+    "expected ',' or ']'": ("a list in [ ] is not closed", "add a comma or ]"),
+    "expected ',' or '}'": ("keys in { } are not closed", "add a comma or }"),
+    "scanning a quoted scalar": ("a quote is not closed", "close it on the same line"),
+    "unknown escape character": (
+        "unknown escape in double quotes",
+        "use single quotes, or write \\\\ for a backslash",
+    ),
+    "cannot start any token": (
+        "a value cannot start with this character",
+        "put the value in quotes",
+    ),
+    "could not find expected ':'": ("a key has no colon", "write key: value"),
+    "sequence entries are not allowed": (
+        "a list cannot start on this line",
+        "start the list on the next line, or write [a, b]",
+    ),
+    "control characters are not allowed": (
+        "the file contains a control character",
+        "remove it; is it a text file?",
+    ),
+    "document start": (
+        "this line belongs to no key above it",
+        "align it with the first line",
+    ),
+}
+
+
+class YamlFault(NamedTuple):
+    """A fault of a text: what is wrong at a line and column, and what to do."""
+
+    message: str
+    hint: str | None
+    line: int  # from 1 on
+    column: int
+
+
+def yaml_fault(text: str, problem: str, line: int, column: int) -> YamlFault:
+    r"""Return what is wrong with a text.
+
+    Args:
+        text: The text.
+        problem: What the scanner says.
+        line: Where it says it, from 1 on.
+        column: Likewise.
+
+    >>> yaml_fault("a: 1\n  b: 2\n", "mapping values are not allowed", 2, 4)[:2]
+    ('line 2 is indented further than line 1', 'start it in column 1')
+    """
+    lines = text.splitlines() or [""]
+    here = lines[min(line, len(lines)) - 1]
+    # A tab before the place that the scanner names: it often stops a line later.
+    for number in (line, line - 1):
+        own = lines[number - 1] if 1 <= number <= len(lines) else ""
+        indent = own[: len(own) - len(own.lstrip())]
+        if "\t" in indent:
+            tab = indent.index("\t") + 1
+            return YamlFault("a tab indents this line", "use spaces", number, tab)
+    above = _above(lines, line)
+    if "mapping values are not allowed" in problem:
+        if above and _indent(here) > _indent(lines[above - 1]):
+            message = f"line {line} is indented further than line {above}"
+            hint = f"start it in column {_indent(lines[above - 1]) + 1}"
+            return YamlFault(message, hint, line, column)
+        hint = "put the value in quotes"
+        return YamlFault("a value contains ': '", hint, line, column)
+    if "expected key" in problem or "expected '-' indicator" in problem:
+        return _misaligned(lines, line, column)
+    for words, (message, hint) in _CLOSED.items():
+        if words in problem:
+            return YamlFault(message, hint, line, column)
+    return YamlFault(f"invalid YAML: {problem}", None, line, column)
+
+
+def _misaligned(lines: list[str], line: int, column: int) -> YamlFault:
+    """Return the fault of a line that starts in the column of no line above it."""
+    here = lines[min(line, len(lines)) - 1]
+    indent, is_entry = _indent(here), here.lstrip().startswith("-")
+    others = [
+        _indent(own)
+        for own in lines[: line - 1]
+        if own.strip() and own.lstrip().startswith("-") == is_entry
+    ]
+    near = min(others, key=lambda other: abs(other - indent), default=None)
+    if near is None or near == indent:
+        message = "this line does not belong to the block above it"
+        return YamlFault(message, "align it with the lines of its block", line, column)
+    if is_entry:
+        message = f"the '-' on this line is in column {indent + 1}"
+        message += f"; the others of this list are in column {near + 1}"
+    else:
+        message = f"this line starts in column {indent + 1}"
+        message += f"; the keys above it start in column {near + 1}"
+    return YamlFault(message, f"start it in column {near + 1}", line, indent + 1)
+
+
+def _above(lines: list[str], line: int) -> int:
+    """Return the number of the nearest line above with a value; 0 where none has."""
+    for number in range(min(line, len(lines)) - 1, 0, -1):
+        if re.match(r"\s*[^\s#]", lines[number - 1]):
+            return number
+    return 0
+
+
+def _indent(line: str) -> int:
+    return len(line) - len(line.lstrip(" "))
