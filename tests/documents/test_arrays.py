@@ -67,7 +67,7 @@ def test_what_is_not_there(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="its arrays are points, faces"):
         array_header(path, "normals")
     for none in (tmp_path / "none.npz", tmp_path):
-        with pytest.raises(ValueError, match="does not exist|cannot be read"):
+        with pytest.raises(ValueError, match=r"does not exist|cannot be read"):
             array_header(none, "x")
 
 
