@@ -86,7 +86,7 @@ class Fault:
         return replace(self, message=message, hint=hint, brief=brief)
 
     def __str__(self) -> str:
-        """Return ``file:line:column: CODE where: message, hint``, as far as known.
+        """Return ``file:line:column: CODE where: message; hint``, as far as known.
 
         What is no error is said by its name, before the code. It is one line, with
         escapes as `escaped` writes them, and calls arguments as Python does.
@@ -96,7 +96,7 @@ class Fault:
             spots = [*self.lines[:1], *([] if self.column is None else [self.column])]
             place = ":".join(map(str, [self.path, *spots])) + ": "
         where = f"{self.where}: " if self.where else ""
-        hint = f", {self.hint}" if self.hint else ""
+        hint = f"; {self.hint}" if self.hint else ""
         kind = "" if self.severity is Severity.ERROR else f"{self.severity}: "
         return escaped(f"{place}{kind}{self.code} {where}{self.message}{hint}")
 

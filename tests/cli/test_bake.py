@@ -294,7 +294,7 @@ def test_a_folder_is_for_batch(
     (tmp_path / "takes").mkdir()
     done = animtool("bake", source)
     assert done.code == ExitCode.MALFORMED
-    assert "IO001 cannot be read: it is a folder, animtool batch" in done.stderr
+    assert "IO001 cannot be read: it is a folder; animtool batch" in done.stderr
 
 
 def test_a_folder_as_the_output_is_named(tmp_path: Path) -> None:

@@ -140,7 +140,7 @@ def test_github(report: Report) -> None:
         assert unescaped(given.get("file", "")) == (fault.path or "").replace("\\", "/")
         assert escaped(fault.message) in unescaped(found[3])
     assert lines[0].startswith("::warning file=a b/hero#1.rig.yaml,line=4,col=10,title")
-    assert lines[0].endswith(", write one, or a mirror")
+    assert lines[0].endswith("; write one, or a mirror")
     assert [line.split()[0] for line in lines] == [
         *("::warning", "::error", "::notice", "::error", "::error")
     ]
