@@ -178,7 +178,7 @@ def mendable(tmp_path: Path) -> Path:
 
 def test_what_can_be_mended_is_marked(mendable: Path) -> None:
     done = animtool("validate", mendable)
-    assert done.stdout.endswith("1 file: 1 warning, 1 note, --fix mends 1\n")
+    assert done.stdout.endswith("1 file: 1 warning, 1 note, --fix repairs 1\n")
     value = json.loads(animtool("validate", mendable, "--format", "json").stdout)
     marks = {found["code"]: found["fixable"] for found in value["findings"]}
     assert marks == {"RIG201": False, "RIG221": True}

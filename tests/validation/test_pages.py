@@ -19,7 +19,7 @@ from animtool.core.errors import AnimtoolError
 from animtool.core.rules import own_rules, page_text
 from animtool.validation.run import validate
 
-HEADINGS = ["What", "Why", "How to mend"]
+HEADINGS = ["What", "Why", "How to fix"]
 PAGES = {code: page_text(code) or "" for code in own_rules()}
 # What the wrong example of a page has beside its own code: what is no longer hidden,
 # what comes of it, and what says the same before there is a rig.
