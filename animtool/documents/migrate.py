@@ -155,7 +155,7 @@ def migrate(
         paths: Rigs, clips and scenes.
         overwrite: Replace them; without it none may need it.
         check: Write nothing.
-        strict: Take warnings for errors, and write nothing.
+        strict: Treat warnings as errors, and write nothing.
         table: Steps from each version to the next, by kind.
 
     Raises:

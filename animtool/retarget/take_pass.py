@@ -403,7 +403,7 @@ def _checks(options: Any) -> OptionChecks:
 
 PASS = Pass(
     "retarget",
-    "Bring the take onto another rig, feet held where they stand",
+    "Transfer the take to another rig, with planted feet held",
     RetargetPassOptions,
     Scope.WINDOW,
     _run,

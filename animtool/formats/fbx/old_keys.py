@@ -98,13 +98,13 @@ class _Keys:
     def number(self) -> float:
         value = self.value()
         if not isinstance(value, int | float) or not abs(value) < 1e300:
-            self.fail(f"{value!r} is no number of a key")
+            self.fail(f"{value!r} is not a number of a key")
         return float(value)
 
     def time(self) -> int:
         value = self.value()
         if not isinstance(value, int) or abs(value) > MAX_TICKS:
-            self.fail(f"{value!r} is no time of a key")
+            self.fail(f"{value!r} is not a time of a key")
         return int(value)
 
     def letter(self) -> str:

@@ -462,7 +462,7 @@ def _check_bounds_form(accessor: Accessor) -> None:
         stated = item.values[key]
         fits = isinstance(stated, list) and len(stated) == accessor.width
         if not fits or not {*map(type, stated)} <= {int, float}:
-            message = f"{key} is not {accessor.width} numbers: it is left out"
+            message = f"{key} is not {accessor.width} numbers: it is ignored"
             item.notes.warn("GLT102", item.at(key), message)
 
 

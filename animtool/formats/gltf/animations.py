@@ -344,7 +344,7 @@ def _pointed(
         return None
     if not text.startswith("/"):
         where = extension.at("pointer") if extension else target.pointer
-        message = f"{excerpt(text)} is no JSON pointer: the channel is left out"
+        message = f"{excerpt(text)} is not a JSON pointer: the channel is ignored"
         target.notes.warn("GLT106", where, message)
         return None
     if found := _NODE.fullmatch(text):

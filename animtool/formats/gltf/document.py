@@ -180,7 +180,7 @@ def _check_extensions(container: Container, notes: Notes, path: Path) -> None:
     found = _extensions(root) if container.extended else {}
     for name, where in found.items():
         if name not in used:
-            left = "" if name in READ else ": left out"
+            left = "" if name in READ else ": ignored"
             message = f"the extension {excerpt(name)} is not declared{left}"
             notes.warn("GLT106", where, message)
 
@@ -191,7 +191,7 @@ def _check_lists(root: Item, used: list[Any], notes: Notes) -> None:
     for i, name in enumerate(used):
         where = f"{root.at('extensionsUsed')}/{i}"
         if not isinstance(name, str):
-            message = f"{excerpt(repr(name))} is no name of an extension: left out"
+            message = f"{excerpt(repr(name))} is not an extension name: ignored"
             notes.warn("GLT106", where, message)
         elif name in MUST_BE_REQUIRED and name not in required:
             notes.warn("GLT106", where, f"{name} is used, but not required")

@@ -352,7 +352,7 @@ def skin_weights(
         message = f"joint {int(indices[beyond].max())} of a skin with {joints}"
         if used.any():
             notes.fail("GLT006", where, message)
-        notes.warn("GLT106", where, f"{message}, without weight: left out")
+        notes.warn("GLT106", where, f"{message}, without weight: ignored")
         indices[beyond] = 0
     sums = weights.sum(axis=1)
     worst = float(sums[np.abs(sums - 1.0).argmax()]) if len(sums) else 1.0

@@ -160,7 +160,7 @@ class Item:
         """Return a text; None where it is missing."""
         value = self.values.get(key)
         if value is None and key == "name" and key in self.values:
-            self.notes.warn("GLT106", self.at(key), "a name of null is left out")
+            self.notes.warn("GLT106", self.at(key), "a name of null is ignored")
         elif not isinstance(value, str) and key in self.values:
             self.fail(key, f"{key} must be text, not {excerpt(repr(value))}")
         return value

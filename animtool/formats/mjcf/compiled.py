@@ -236,7 +236,7 @@ def _note(model: Any, reduced: Reduced, ties: Ties, notes: Notes) -> None:
         and j not in refs
         and not model.jnt_range[j, 0] <= 0 <= model.jnt_range[j, 1]
     ]
-    hint = "the rest pose is at 0 all the same; a take stands at the nearest limit"
+    hint = "the rest pose is still at 0; a take uses the nearest limit"
     add("MJC109", off, "0 is outside the limits of {}", hint)
     balls = [
         j
@@ -244,7 +244,7 @@ def _note(model: Any, reduced: Reduced, ties: Ties, notes: Notes) -> None:
         if model.jnt_type[j] == _BALL and model.jnt_limited[j]
     ]
     widest = max((math.degrees(model.jnt_range[j, 1]) for j in balls), default=0.0)
-    message = "the limits of {} are left out, " + f"up to {widest:.4g}° each way"
+    message = "the limits of {} are ignored, " + f"up to {widest:.4g}° each way"
     hint = "a rig limits swing and twist; a rig file over this one may state them"
     add("MJC104", balls, message, hint)
     if reduced.idle:
@@ -253,6 +253,6 @@ def _note(model: Any, reduced: Reduced, ties: Ties, notes: Notes) -> None:
         add("MJC105", idle, "no actuator drives {}", "in a rig they move as others do")
     if reduced.unweighed:
         bodies = sorted(reduced.unweighed)
-        message = "masses that follow from meshes are left out: "
+        message = "masses computed from meshes are ignored: "
         message += listed([excerpt(name) for name in bodies], MAX_NAMED)
         notes.add("MJC107", None, message, severity=Severity.NOTE)

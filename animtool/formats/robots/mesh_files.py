@@ -49,15 +49,15 @@ def _stl(content: bytes) -> Triangles:
             rows = np.frombuffer(content, _RECORD, offset=_HEADER)
             return _welded(rows["points"].reshape(-1, 3).astype(np.float64))
     if content[:5].lower() != b"solid":
-        raise ValueError("it is no STL, or is cut short")
+        raise ValueError("it is not an STL, or is truncated")
     words = content.split()
     places = [i for i, word in enumerate(words) if word == b"vertex"]
     try:
         points = np.array([words[i + 1 : i + 4] for i in places], np.float64)
     except ValueError as error:
-        raise ValueError(f"it has a vertex that is no place: {error}") from error
+        raise ValueError(f"it has an invalid vertex: {error}") from error
     if len(points) % 3 or points.shape[1:] != (3,):
-        raise ValueError("it is no STL, or is cut short")
+        raise ValueError("it is not an STL, or is truncated")
     return _welded(points)
 
 

@@ -25,7 +25,7 @@ class Notes:
 
     Attributes:
         path: The file.
-        number_code: Of an attribute that is no number.
+        number_code: Of an attribute that is not a number.
         faults: Errors, in the order found.
         notices: Warnings and notes.
         left_out: What is not read, in words, each once.
@@ -95,7 +95,7 @@ class Notes:
         for value in values:
             number = to_number(value)
             if number is None:
-                problem = problem or f"{excerpt(value)} is no number"
+                problem = problem or f"{excerpt(value)} is not a number"
                 if "," in value:
                     hint = "separate numbers by blanks, and write decimals with a point"
             elif not math.isfinite(number):

@@ -70,7 +70,7 @@ def _axis(joint: UrdfJoint, notes: Notes) -> Vector:
     if max(map(abs, values)) < SHORTEST:
         text = element.attributes.get("xyz", "")
         message = f"axis {excerpt(text)} has no length, and so no direction"
-        hint = "write the direction that the joint turns about or slides along"
+        hint = "write the axis of rotation or the direction of travel"
         at = joint.where
         notes.add("URD013", element, message, hint, where=at, joint=joint.name)
         return (1.0, 0.0, 0.0)

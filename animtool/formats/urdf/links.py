@@ -86,7 +86,7 @@ def _weight(inertial: Element, where: str, notes: Notes) -> Weight | None:
         return None  # a frame that weighs nothing
     problem = weight_problem(mass, inertia)
     if problem:
-        message = f"no body weighs that: {problem}; it is left out"
+        message = f"no body can have this mass: {problem}; it is ignored"
         hint = "bodies of a ragdoll then weigh what the density of colliders gives"
         notes.add(
             "URD107", inertial, message, hint, where=where, severity=Severity.WARNING

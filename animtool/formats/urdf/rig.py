@@ -137,7 +137,7 @@ def _note_ranges(file: UrdfFile, mimics: dict[str, Mimic], notes: Notes) -> None
     if off:
         message = f"0 is outside the limits of {counted(len(off), 'joint')}: "
         message += listed([excerpt(name) for name in off], MAX_NAMED)
-        hint = "the rest pose is at 0 all the same; a take stands at the nearest limit"
+        hint = "the rest pose is still at 0; a take uses the nearest limit"
         notes.add("URD109", None, message, hint, severity=Severity.NOTE)
     for name, mimic in mimics.items():
         own, leader = file.joints[name], file.joints[mimic.joint]

@@ -343,7 +343,7 @@ class BakeOptions:
         False,
         "switch",
         batch=Key("Treat warnings as errors.", True),
-        help="Take warnings for errors and write nothing.",
+        help="Treat warnings as errors and write nothing.",
     )
     overwrite: bool = option(False, "switch", help="Replace outputs that exist.")
 

@@ -46,7 +46,7 @@ def convert(
             `animtool.core.writers` names or a plug-in writes.
         options: What the source is.
         overwrite: Replace outputs that exist.
-        strict: Take warnings for errors.
+        strict: Treat warnings as errors.
         reduce: Largest distance that keys may move a joint, or a point 3 cm off it
             [m]; None is half a millimetre. For clips.
         reduce_at: Other tolerances for some joints: names or patterns, and [m].
@@ -100,7 +100,7 @@ def convert_with_passes(
         passes: Each with its options, in their order.
         reading: What the source is.
         overwrite: Replace outputs that exist.
-        strict: Take warnings for errors.
+        strict: Treat warnings as errors.
         progress: Called with the share done, 0 to 1.
 
     Raises:

@@ -52,7 +52,7 @@ def loop_source(
         options: The cycle, or where it is looked for.
         reading: What the source is.
         overwrite: Replace outputs that exist.
-        strict: Take warnings for errors.
+        strict: Treat warnings as errors.
         progress: Called with the share done, 0 to 1.
 
     Raises:

@@ -123,7 +123,7 @@ SUMMARY = Template(
         "found": lambda counts: ", ".join(
             counted(count, kind) for kind, count in counts.items() if count
         ),
-        "mends": lambda fixable: f"{argument('fix', True)} mends {len(fixable)}",
+        "mends": lambda fixable: f"{argument('fix', True)} repairs {len(fixable)}",
     },
 )
 
