@@ -271,7 +271,7 @@ class RigModel(FileModel):
         default=[],
     )
     masses: list[MassModel] = key(
-        "What joints weigh, as bodies of a ragdoll. Not given: by the density of their "
+        "What joints weigh, as bodies of a ragdoll. Default: by the density of their "
         "colliders.",
         [{"joint": "thigh", "mass": 8.5}],
         default=[],

@@ -117,7 +117,7 @@ MIMIC = '<mimic joint="{}"/>'
         ('name="elbow" ', "", "URD006", "name of <joint> is missing"),
         ('<parent link="upper"/>', "", "URD006", "joint 'elbow': <parent> is missing"),
         ("0 2 0", "0 2 nan", "URD007", "joint 'elbow'.*not finite"),
-        ("0 2 0", "0,5 2 0", "URD007", "no number.*decimals with a point"),
+        ("0 2 0", "0,5 2 0", "URD007", "not a number.*decimals with a point"),
         ("0 2 0", "0 2", "URD007", "2 values, not 3"),
         ("0 0 0.4", "0 0 1e30", "URD007", r"beyond 1e\+09"),
         ("revolute", "revolut", "URD008", "did you mean 'revolute'"),
