@@ -64,7 +64,7 @@ def target_kind(target: str, rig: Rig | None) -> str | Fault:
     >>> target_kind("joint/elbow.angle", arm)
     'angle'
     >>> print(target_kind("joint/elbow.slide", arm))
-    CLIP003 a pin joint has no slide, it has angle, local_translation, \
+    CLIP003 a pin joint has no slide; it has angle, local_translation, \
 local_rotation, scale
     """
     group, _, name = target.partition("/")

@@ -64,12 +64,12 @@ def check_known(name: str, names: Iterable[str], what: str, code: str) -> None:
 
     >>> check_known("rk5", ["rk4", "heun"], "integrator", "SIM001")
     Traceback (most recent call last):
-    animtool.core.errors.OptionError: SIM001 no integrator is named 'rk5', did you \
+    animtool.core.errors.OptionError: SIM001 unknown integrator 'rk5'; did you \
 mean 'rk4'?
     """
     names = list(names)
     if name not in names:
-        message = f"no {what} is named {excerpt(name)}"
+        message = f"unknown {what} {excerpt(name)}"
         raise OptionError(Fault(code, message, hint=nearest(name, names)))
 
 

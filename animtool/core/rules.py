@@ -229,7 +229,7 @@ def find_rule(code: str) -> Rule:
     """Return the rule of a code, in any case (unknown: VAL005).
 
     >>> find_rule("rig001").title
-    'a joint twice'
+    'duplicate joint'
     """
     name = code.upper()
     own = read_page(name) if _CODE.fullmatch(name) else None

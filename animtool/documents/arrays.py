@@ -32,7 +32,7 @@ class Archives:
     >>> with Archives() as archives:
     ...     archives.header(Path("none.npz"), "points")  # doctest: +ELLIPSIS
     Traceback (most recent call last):
-    animtool.documents.archive.ArrayError: none.npz cannot be read: No such file...
+    animtool.documents.archive.ArrayError: none.npz does not exist
     """
 
     def __init__(self) -> None:

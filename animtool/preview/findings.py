@@ -41,7 +41,7 @@ def finding_entry(
         # Rules of files quote the joints that they are about.
         named = [a or b for a, b in _QUOTED.findall(fault.message)]
         joint = next((name for name in named if name in set(joints)), None)
-    hint = f", {fault.hint}" if fault.hint else ""
+    hint = f"; {fault.hint}" if fault.hint else ""
     return {
         "code": fault.code,
         "severity": str(fault.severity),

@@ -505,7 +505,7 @@ def test_one_shot_is_baked_by_its_name(takes: Path) -> None:
     assert said in told.splitlines()
     for words, said in (
         (["--shot", "sh01"], "did you mean 'sh010'? the shots are sh010, sh020"),
-        ([], "has 2 shots: name one with --shot, the shots are sh010, sh020"),
+        ([], "has 2 shots: name one with --shot; the shots are sh010, sh020"),
         (["--shot", "sh010", "--fps", 25, "--overwrite"], "BAT051"),
         (["--shot", "sh010", "--start", "1.5"], "whole frame"),
     ):

@@ -229,7 +229,7 @@ def test_a_size_that_fits_another_unit(walk: Path, tmp_path: Path) -> None:
         done = animtool(*command, "--units", "m")
         assert done.code == 0
         assert (
-            "is not plausible for a character in m, with --units cm it would be"
+            "is not plausible for a character in m; with --units cm it would be"
             in done.stderr
         )
     text = walk.read_text().splitlines()

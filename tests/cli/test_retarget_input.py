@@ -125,7 +125,7 @@ def test_a_rig_whose_hands_have_no_ends_is_named(tmp_path: Path) -> None:
     (line,) = [line for line in done.stderr.splitlines() if "MAP104" in line]
     assert line.startswith(str(rig))
     assert (
-        "'wrist_l', 'wrist_r' end, the hand is assumed to continue the forearm" in line
+        "'wrist_l', 'wrist_r' end; the hand is assumed to continue the forearm" in line
     )
 
 

@@ -132,7 +132,7 @@ def test_a_table_in_words(comets: Path) -> None:
     assert names[4:] == ["largest mm", "rms mm", "median mm", "energy %"]
     (chosen,) = [line for line in lines if line.lstrip().startswith(">")][:-2]
     assert chosen.split()[1:4] == ["midpoint", "step", "0.02"]
-    assert any("left out: dop853, lsoda, radau: cannot stop" in line for line in lines)
+    assert any("skipped: dop853, lsoda, radau: cannot stop" in line for line in lines)
     assert lines[-1].startswith("> current setting")
 
 

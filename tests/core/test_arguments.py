@@ -51,7 +51,7 @@ def test_keys_are_those_that_scenes_have() -> None:
 
 def test_text_that_looks_like_a_flag_stays() -> None:
     fault = Fault("BVH001", "cannot be read", "a--fps.bvh", hint=argument("fps"))
-    assert str(FormatError(fault)) == "a--fps.bvh: BVH001 cannot be read, fps"
+    assert str(FormatError(fault)) == "a--fps.bvh: BVH001 cannot be read; fps"
 
 
 def test_a_clause_goes_where_its_argument_is_none() -> None:

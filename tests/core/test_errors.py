@@ -16,7 +16,7 @@ from animtool.core.errors import (
 
 def test_one_line_a_fault() -> None:
     fault = Fault("BVH010", "the row is short", "a.bvh", (12, 13), "wrapped?")
-    assert str(fault) == "a.bvh:12: BVH010 the row is short, wrapped?"
+    assert str(fault) == "a.bvh:12: BVH010 the row is short; wrapped?"
     assert str(Fault("X1", "odd", "a.bvh")) == "a.bvh: X1 odd"
     assert str(Fault("X1", "odd")) == "X1 odd"
     assert json.loads(json.dumps(fault.as_dict()))["lines"] == [12, 13]

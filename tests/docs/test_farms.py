@@ -88,7 +88,7 @@ def test_lists_of_their_own(
 @pytest.mark.slow
 def test_the_bundle_runs(guide: str, workplace: Path, commands: dict[str, str]) -> None:
     pytest.importorskip("openjd.cli", reason="openjd-cli is not installed")
-    (made,) = re.findall(r"^\$ (animtool job .*)$", guide, re.M)
+    *_, made = re.findall(r"^\$ (animtool job .*)$", guide, re.M)
     shell(f"{made}\n{block(guide, 'openjd run')}", workplace, commands)
     assert len(whole_outputs(workplace / "samples/batch/waves")) == 12
 
@@ -149,8 +149,8 @@ def test_cut_lists(guide: str, tmp_path: Path, commands: dict[str, str]) -> None
     (path,) = take_files(tmp_path / "takes", 1, frames=40)
     made = clip("sh010", f"takes/{path.name}", (10, 4), (0, 40))
     timeline(tmp_path / "edit.otio", made)
-    part = guide.split("### Shots and cut lists")[1]
-    (scene,) = re.findall(r"^```yaml\n(.*?)^```", part.split("\n## ")[0], re.M | re.S)
+    part = guide.split("# Shots and cut lists")[1]
+    (scene,) = re.findall(r"^```yaml\n(.*?)^```", part, re.M | re.S)
     (tmp_path / "shot.scene.yaml").write_text(scene)
     batch, bake, other = block(guide, "--shot").splitlines()
     assert "1 done" in shell(batch, tmp_path, commands)

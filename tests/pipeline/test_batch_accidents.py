@@ -241,5 +241,5 @@ def test_an_item_killed_from_outside_says_how_to_go_on(
     (fault,) = entry["faults"]  # type: ignore[misc]
     assert fault["code"] == "BAT020"  # type: ignore[index]
     assert "out of memory or a time limit" in fault["message"]  # type: ignore[index]
-    assert "resumes" in fault["hint"]  # type: ignore[index]
+    assert "to resume" in fault["hint"]  # type: ignore[index]
     assert run(tmp_path, environment=plug_in).code == 0

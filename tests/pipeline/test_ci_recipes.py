@@ -181,7 +181,7 @@ def test_a_commit_is_mended(committing: Repository) -> None:
     first = pre_commit(committing, "run", "animtool-fix", "--all-files")
     assert first.code == 1
     assert "files were modified by this hook" in first.said
-    assert "RIG221 mended" in first.said
+    assert "RIG221 fixed" in first.said
     mended = (committing.folder / "a.rig.yaml").read_text("utf-8")
     assert mended == MENDABLE.replace("hips.x", "hips_x")
     committing.run("git", "add", "-A")

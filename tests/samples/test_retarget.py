@@ -107,9 +107,9 @@ def test_the_batch_reports_each_take_on_each_rig_and_the_worst_first(
         item["worst"] = max(excess)
     worst = max(items, key=lambda item: float(item["worst"]))
     told = printed.stderr(command)
-    table = told.partition("), worst first")[2].splitlines()
+    table = told.partition("), worst first:\n")[2].splitlines()
     assert table[1].split()[0] == worst["output"]
-    assert again.stderr.partition("), worst first")[2].splitlines() == table
+    assert again.stderr.partition("), worst first:\n")[2].splitlines() == table
     alone = animtool(
         *("retarget", workplace / worst["input"], "--format", "json"),
         *("--to", FOLDER / f"rigs/{worst['values']['rig']}.rig.yaml"),

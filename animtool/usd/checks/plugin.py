@@ -48,7 +48,7 @@ def _error(stage: Any, fault: Fault) -> Any:
     if not stage.GetObjectAtPath(path):
         path = path.GetPrimPath()
     site = UsdValidation.ValidationErrorSite(stage, path)
-    text = f"{fault.message}, {fault.hint}" if fault.hint else fault.message
+    text = f"{fault.message}; {fault.hint}" if fault.hint else fault.message
     return UsdValidation.ValidationError(
         fault.code, _TYPES[fault.severity], [site], text
     )

@@ -205,7 +205,7 @@ def _command(fault: Fault) -> str:
         for key, value in properties.items()
     )
     where = f"{fault.where}: " if fault.where else ""
-    hint = f", {fault.hint}" if fault.hint else ""
+    hint = f"; {fault.hint}" if fault.hint else ""
     text = _data(f"{where}{fault.message}{hint}")
     return f"::{_LEVELS[fault.severity]} {listed}::{text}"
 

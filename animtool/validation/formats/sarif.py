@@ -69,7 +69,7 @@ def _rule(rule: Rule) -> dict[str, Any]:
 
 
 def _result(fault: Fault, places: dict[str, int], sources: Sources) -> dict[str, Any]:
-    text = f"{fault.message}, {fault.hint}" if fault.hint else fault.message
+    text = f"{fault.message}; {fault.hint}" if fault.hint else fault.message
     result: dict[str, Any] = {
         "ruleId": fault.code,
         **({"ruleIndex": places[fault.code]} if fault.code in places else {}),

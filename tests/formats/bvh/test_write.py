@@ -145,5 +145,5 @@ def test_a_take_is_written_to_a_file(tmp_path: Path) -> None:
     assert path.read_bytes() == b"".join(bvh_text(take).parts)
     with raises(AnimtoolError, "OUT001") as caught:
         write_bvh(take, path)
-    assert str(caught.value).endswith("exists, overwrite=True replaces it")
+    assert str(caught.value).endswith("exists; overwrite=True replaces it")
     assert write_bvh(take, path, overwrite=True) == []

@@ -341,7 +341,7 @@ def test_two_at_one_place_are_refused_for_what_they_do(
     softening: float, why: str
 ) -> None:
     x = np.array([[0.0, 0, 0], [1, 0, 0], [1, 0, 0]])
-    with pytest.raises(AnimtoolError, match="bodies 1 and 2 begin") as error:
+    with pytest.raises(AnimtoolError, match="bodies 1 and 2 start") as error:
         nbody(x, 0 * x, np.ones(3), 1.0, softening, 0.01)
     (fault,) = error.value.faults
     assert why in str(fault)

@@ -108,7 +108,7 @@ def test_json_says_what_can_be_fixed(report: Report) -> None:
     value = json.loads(written(found, "json"))
     assert [entry["fixable"] for entry in value["findings"]] == [True, *[False] * 4]
     assert [(f["code"], f["done"]) for f in value["mended"]] == [("IO001", "written")]
-    assert written(found, "text").endswith(", fix=True mends 1\n")
+    assert written(found, "text").endswith(", fix=True repairs 1\n")
 
 
 def test_json(report: Report) -> None:
