@@ -318,7 +318,7 @@ def check_result(result: Result, fault: Fault, rules: list[str]) -> None:
     assert result.ruleIndex == (rules.index(fault.code) if known else None)
     assert result.level == str(fault.severity)
     said = plain(result.message.text)
-    assert said == fault.message + (f", {fault.hint}" if fault.hint else "")
+    assert said == fault.message + (f"; {fault.hint}" if fault.hint else "")
     assert bool(result.locations) == (fault.path is not None)
     for location in result.locations or ():
         place = location.physicalLocation
