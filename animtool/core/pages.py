@@ -66,7 +66,7 @@ def page_markdown(page: PageEntry) -> str:
 
 
 def find_page(topic: str) -> PageEntry:
-    """Return the page of a topic: its name, or the last part of its name.
+    """Return the page of a topic: its name, the last part of it, or a word of that.
 
     Args:
         topic: Such as ``desk-lamp`` or ``tutorials/desk-lamp``, in any case.
@@ -82,8 +82,9 @@ def find_page(topic: str) -> PageEntry:
     pages = all_pages()
     found = [page for page in pages if page.name == wanted]
     found = found or [page for page in pages if page.name.split("/")[-1] == wanted]
-    if len(found) == 1:
-        return found[0]
+    among = [page for page in pages if wanted in page.name.split("/")[-1].split("-")]
+    if len(found) == 1 or (not found and len(among) == 1):
+        return (found or among)[0]
     if found:
         message = f"{topic!r} names several pages"
         hint = f"write one of {', '.join(page.name for page in found)}"
@@ -103,9 +104,19 @@ def _hint(wanted: str) -> str:
         for page in all_pages()
         if wanted and any(wanted in line.lower() for line in _headings(page))
     ]
+    counts = {page.name: _mentions(page, wanted) for page in all_pages()}
+    most = max(counts, key=lambda name: counts[name])
+    mentioned = mentioned or ([most] if counts[most] else [])
     if mentioned:
-        return f"headings of {', '.join(mentioned[:MAX_MENTIONED])} mention it"
+        return f"it is a subject of {', '.join(mentioned[:MAX_MENTIONED])}"
     return f"{argument('list')} lists the pages"
+
+
+def _mentions(page: PageEntry, word: str) -> int:
+    """Return how often a page has a word."""
+    if not word:
+        return 0
+    return len(re.findall(rf"\b{re.escape(word)}\b", page_markdown(page).lower()))
 
 
 def _headings(page: PageEntry) -> list[str]:

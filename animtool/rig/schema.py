@@ -224,7 +224,7 @@ class RigModel(FileModel):
     source: str | None = Field(
         default=None,
         alias="from",
-        description="A rig file, USD file, glTF, BVH, URDF or MJCF that this file "
+        description="A rig file, USD file, glTF, FBX, BVH, URDF or MJCF that this file "
         "adds to.",
         examples=["hero.usda"],
     )
