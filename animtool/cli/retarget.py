@@ -96,7 +96,8 @@ _TEMPLATE = Template(
         "the source's]",
         "[{?score.hand_error}  hands within {score.hand_error:length} of what they "
         "hold]",
-        "[{?score.lowered}  hips lowered by up to {score.lowered:length} so that the legs reach]",
+        "[{?score.lowered}  hips lowered by up to {score.lowered:length} so that the "
+        "legs reach]",
         "[  stopped by their limits: {score.held:held | names}]",
         "[  not mapped, of the source: {score.unmapped_source:names}]",
         "[  not mapped, of the rig: {score.unmapped_target:names}]",
