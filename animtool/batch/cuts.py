@@ -82,10 +82,7 @@ def edl_rate(edl: Edl, asked: Fraction | None) -> Fraction:
     found = asked or find_config(edl.path).timeline.fps
     if found is not None:
         return found
-    message = (
-        "states no rate: its time codes count frames, whose duration depends on it: at "
-    )
-    message += "each rate"
+    message = "states no frame rate, which its time codes need"
     how = USUAL
     if edl.drop:
         message += "; drop-frame time codes are of 30000/1001 (29.97) or 60000/1001 fps"

@@ -296,7 +296,9 @@ def scores_of(frames: int, signals: list[CleanedSignal]) -> PassScores:
     return PassScores(
         (
             Score("position noise", max(shifts, default=0.0), ScoreUnit.LENGTH, 1e-3),
-            Score("of turns", max(turns, default=0.0), ScoreUnit.ANGLE, USUAL_NOISE),
+            Score(
+                "rotation noise", max(turns, default=0.0), ScoreUnit.ANGLE, USUAL_NOISE
+            ),
             Score("frames with spikes", lost / max(frames, 1), ScoreUnit.SHARE, 0.01),
         ),
         {what: joints for what, joints in names.items() if joints},

@@ -22,6 +22,10 @@ from animtool.scene.sources.open import SourceOptions
 Command = TypeVar("Command", bound=Callable[..., Any])
 
 
+# Of values that are plain numbers.
+_NOUNS = {"whole number": "whole number", "length": "length such as 0.5mm"}
+
+
 class Parsed(click.ParamType[Any]):
     """A value that a function makes of text, `ValueError` being a usage error."""
 
@@ -38,7 +42,10 @@ class Parsed(click.ParamType[Any]):
         try:
             return self._parse(value)
         except ValueError as error:
-            self.fail(f"{error}.", param, ctx)
+            text = str(error)
+            if text.startswith(("could not convert", "invalid literal")):
+                text = f"{value!r} is not a {_NOUNS.get(self.name, 'number')}"
+            self.fail(f"{text}.", param, ctx)
 
 
 def _rate(text: str) -> Any:

@@ -23,7 +23,7 @@ Examples:
   animtool completion bash >> ~/.bashrc
   animtool completion fish > ~/.config/fish/completions/animtool.fish"""
 )
-@click.argument("shell", type=click.Choice(["bash", "zsh", "fish"]))
+@click.argument("shell", metavar="SHELL", type=click.Choice(["bash", "zsh", "fish"]))
 @common_options
 @click.pass_obj
 def completion(console: Console, shell: str) -> None:
@@ -65,7 +65,7 @@ Examples:
   animtool schema rig > rig.schema.json
   animtool schema clip"""
 )
-@click.argument("kind", type=click.Choice(sorted({*MODELS, *RESULTS})))
+@click.argument("kind", metavar="KIND", type=click.Choice(sorted({*MODELS, *RESULTS})))
 @common_options
 @click.pass_obj
 def schema(console: Console, /, kind: str) -> None:

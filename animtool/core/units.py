@@ -60,8 +60,10 @@ def parse_length(text: str) -> float:
         value = float(match[1]) if match else math.nan
     except ValueError:
         value = math.nan
-    if match is None or not 0 < value < math.inf:
+    if match is None or not math.isfinite(value):
         raise ValueError(f"{text!r} is not a length such as 0.5mm")
+    if value <= 0:
+        raise ValueError(f"{text!r} is not a length above 0, such as 0.5mm")
     if match[2] is None:
         raise ValueError(f"{text!r} has no unit: write {match[1]}mm or {match[1]}m")
     return value * LengthUnit(match[2]).meters

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import re
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import fields
 from typing import Any, TypeVar
 
@@ -221,7 +221,7 @@ class _Faults:
                 or _choice_hint(faults)
                 or self._form_hint(location, faults)
             )
-            self.document.add("DOC022", location, "; or ".join(texts), hint)
+            self.document.add("DOC022", location, _either(texts), hint)
         self._stand_in(location)
 
     def _form_hint(self, location: Location, faults: list[Any]) -> str | None:
@@ -230,7 +230,7 @@ class _Faults:
         if not wanted & _STRUCTURES:
             return None
         axis = AXES.get(str(faults[0]["input"]).upper())
-        if axis is not None:
+        if axis is not None and wanted & _STRUCTURES == {_KINDS["list_type"]}:
             return f"write three numbers: {faults[0]['input']} is {axis}"
         listed = wanted & _STRUCTURES == {_KINDS["list_type"]}
         return form_hint(self.model, self.value, location, listed=listed)
@@ -332,6 +332,17 @@ OTHER_KEYS = {
     "blend_shapes": ("shapes",),
     "file": ("source",),
 }
+
+
+def _either(texts: Iterable[str]) -> str:
+    """Return what is wrong with a value that may be of several types, as one text."""
+    first, *others = texts
+    start, negation, _ = first.partition(" is not ")
+    if others and negation and all(own.startswith(start + negation) for own in others):
+        kinds = [own.removeprefix(start + negation) for own in (first, *others)]
+        return f"{start} is neither {' nor '.join(kinds)}"
+    return "; or ".join((first, *others))
+
 
 # Faults of values that are none of a few.
 _CHOICES = {"literal_error", "enum", "union_tag_invalid"}

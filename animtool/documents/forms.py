@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import field
 from typing import Any, get_args, get_origin
@@ -20,6 +21,8 @@ from animtool.documents.yaml_text import flow_text
 
 # A longer example is no help on one line.
 MAX_FORM = 100
+_PAIR = re.compile(r"(-?\d+(?:\.\d+)?)\s*[-xX:,]\s*(-?\d+(?:\.\d+)?)")
+_TWO = 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,8 +64,37 @@ def form_hint(
         example = [{"file": given}] if several else {"file": given}
     if not isinstance(example, list | tuple | dict):
         return None
-    text = flow_text(str(location[depth - 1]), example)
-    return f"write {text}" if len(text) <= MAX_FORM else None
+    key = str(location[depth - 1])
+    meant = None if rest else _meant(given, example)
+    if meant is not None:
+        return f"write {flow_text(key, meant)}"
+    text = flow_text(key, example)
+    word = "write" if _holds(example, given) else "for example"
+    return f"{word} {text}" if len(text) <= MAX_FORM else None
+
+
+def _meant(given: Any, example: Any) -> list[Any] | None:
+    """Return a value in the form of an example, where it is clear what was meant."""
+    if not isinstance(example, list | tuple):
+        return None
+    ends = _PAIR.fullmatch(given.strip()) if isinstance(given, str) else None
+    if ends is not None and len(example) == _TWO:
+        return [float(one) if "." in one else int(one) for one in ends.groups()]
+    if isinstance(given, int | float) and not isinstance(given, bool):
+        # A size along the one axis that the example has.
+        along = [i for i, one in enumerate(example) if one]
+        if len(example) > _TWO and len(along) == 1:
+            return [given if i in along else 0 for i in range(len(example))]
+    if isinstance(given, list) and example and isinstance(example[0], list):
+        return [given] if len(given) == len(example[0]) else None
+    return None
+
+
+def _holds(example: Any, given: Any) -> bool:
+    """Return whether an example is made of what was given."""
+    if isinstance(example, dict):
+        return given in (*example, *example.values())
+    return any(one == given or _holds(one, given) for one in example if one is not None)
 
 
 def _forms(annotation: Any) -> Forms | None:

@@ -94,7 +94,11 @@ def find_cycle(
     least = max(2, math.ceil(_length(shortest, "shortest") * rate))
     most = min(len(frames) - 1, math.floor(_length(longest, "longest") * rate))
     if least > most:
-        raise _none(f"of {shortest:g} to {longest:g} s in {high - low + 1} frames")
+        seconds = (high - low) / float(clock.rate)
+        message = f"of {shortest:g} to {longest:g} s in a take of {seconds:.3g} s"
+        if shortest > longest:
+            message = f"of at least {shortest:g} s and at most {longest:g} s"
+        raise _none(message)
     eye = _Eye.of(take)
     best = _best(eye.see(frames), least, most, eye.still)
     if best is None:

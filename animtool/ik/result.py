@@ -48,7 +48,7 @@ class IkStatus(StrEnum):
     """
 
     CONVERGED = "converged"
-    NEAREST = "at the nearest reachable"
+    NEAREST = "at the nearest reachable pose"
     STEADIER = "out of reach, on a smoother path"
     YIELDED = "yields to what is preferred"
     CONFLICT = "between contradicting goals"

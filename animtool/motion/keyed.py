@@ -125,4 +125,4 @@ def _check_weight(weight: float, bounded: bool) -> None:
     if not math.isfinite(weight):
         raise OptionError(Fault("SCN014", f"a weight is {weight}, which is not finite"))
     if bounded and not 0 <= weight <= 1:
-        raise OptionError(Fault("SCN014", f"a weight is {weight:g}, not from 0 to 1"))
+        raise OptionError(Fault("SCN014", f"weight {weight:g} is not between 0 and 1"))

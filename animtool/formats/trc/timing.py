@@ -143,7 +143,8 @@ def _rate(
         hint = f"set the rate with {argument('source.fps')} to place rows by Frame#"
         raise file.error("TRC003", message, hint)
     if stated is None or stated <= 0:
-        message = f"states no DataRate; using {float(rate):g} fps, from Time"
+        none = "states no DataRate" if stated is None else f"DataRate is {stated:g}"
+        message = f"{none}; using {float(rate):g} fps, from Time"
         file.note("TRC104", message)
         return rate
     message = (

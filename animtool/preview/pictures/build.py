@@ -13,7 +13,7 @@ from typing import ClassVar
 import numpy as np
 
 from animtool.core.clock import frame_label
-from animtool.core.errors import Fault, OptionError
+from animtool.core.errors import Fault, OptionError, counted
 from animtool.core.files.output import check_outputs, sparing_inputs
 from animtool.core.record import dataclass
 from animtool.core.shot import FrameList
@@ -322,7 +322,8 @@ class Studio:
         """Return what is written on each picture."""
         texts = self._options.caption
         if len(texts) not in {0, 1, cells}:
-            message = f"{len(texts)} captions for {cells} pictures"
+            message = f"{counted(len(texts), 'caption')} for "
+            message += counted(cells, "picture")
             raise refused("caption", message, "write one, or one for each")
         if len(texts) == cells:
             return [caption_of(text, *size) for text in texts]

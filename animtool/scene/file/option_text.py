@@ -26,7 +26,9 @@ def parse_frame_range(text: str) -> FrameRange:
         raise ValueError(f"{text!r} is not a range such as 1-240 or 1-240x2")
     first = int(match[1])
     last, step = int(match[2] or first), int(match[3] or 1)
-    if last < first or step < 1:
+    if last < first:
+        raise ValueError(f"{text!r} is reversed: write {last}-{first}")
+    if step < 1:
         raise ValueError(f"{text!r} contains no frame")
     return FrameRange(first, last, step)
 

@@ -348,7 +348,7 @@ def open_source(
     if "progress" in reader.options:
         given["progress"] = progress
     stream = cast("TakeStream", reader.source_opener(path)(path, **given))
-    if "unit" not in reader.options:
+    if "unit" not in reader.options or "unit" in given:
         unit = unit_name(stream.rig.meters_per_unit)
         stream.details.setdefault("units", unit)
     # A clip's keys were evaluated with what they drive.

@@ -194,7 +194,7 @@ def implausible_size(rig: RigSubject) -> Iterator[Fault]:
     message = (
         f"the rig measures {length_text(rig.size)}, with lengths in {unit_name(own)}"
     )
-    hint = f"length: {' or '.join(fitting)} is more plausible" if fitting else None
+    hint = f"try length: {' or '.join(fitting)}" if fitting else None
     yield rig.fault("RIG217", at, message, hint)
 
 
