@@ -230,7 +230,7 @@ class _Faults:
         if not wanted & _STRUCTURES:
             return None
         axis = AXES.get(str(faults[0]["input"]).upper())
-        if axis is not None and wanted & _STRUCTURES == {_KINDS["list_type"]}:
+        if axis is not None and wanted == {_KINDS["list_type"]}:
             return f"write three numbers: {faults[0]['input']} is {axis}"
         listed = wanted & _STRUCTURES == {_KINDS["list_type"]}
         return form_hint(self.model, self.value, location, listed=listed)

@@ -93,8 +93,10 @@ def _meant(given: Any, example: Any) -> list[Any] | None:
 def _holds(example: Any, given: Any) -> bool:
     """Return whether an example is made of what was given."""
     if isinstance(example, dict):
-        return given in (*example, *example.values())
-    return any(one == given or _holds(one, given) for one in example if one is not None)
+        return any(_holds(one, given) for one in (*example, *example.values()))
+    if isinstance(example, list | tuple):
+        return any(_holds(one, given) for one in example)
+    return bool(example == given)
 
 
 def _forms(annotation: Any) -> Forms | None:

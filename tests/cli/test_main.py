@@ -47,7 +47,7 @@ def test_a_command_is_supervised_unless_it_reads_no_usd() -> None:
         (["bake"], "Missing argument"),
         (["bake", "a.bvh", "--ovrwrite"], "--overwrite"),
         (["bake", "a.bvh", "--fps", "fast"], "24000/1001"),
-        (["bake", "a.bvh", "--range", "9-1"], "no frame"),
+        (["bake", "a.bvh", "--range", "9-1"], "is reversed"),
         (["bake", "a.bvh", "--samples", "0,1.5"], "within a frame"),
         (["bake", "a.bvh", "--rest", "bind"], "frame:N"),
         (

@@ -84,8 +84,8 @@ def test_a_sound_document(tmp_path: Path) -> None:
         ("items:\n- 5", "DOC022", 3, "5"),
         ("items:\n- {side: 1}", "DOC022", 3, "type"),
         ("items:\n- {type: squar, side: 1}", "DOC022", 3, "did you mean 'square'?"),
-        ("items:\n- {type: square, side: x}", "DOC022", 3, "'x' is not a number"),
-        ("items:\n- {type: square, side: '1'}", "DOC022", 3, "not a number"),
+        ("items:\n- {type: square, side: x}", "DOC022", 3, "'x' is neither a number"),
+        ("items:\n- {type: square, side: '1'}", "DOC022", 3, "neither a number"),
         ("items:\n- {type: square, side: [1]}", "DOC022", 3, "1 item where 2"),
         ("items:\n- {type: square}", "DOC021", 3, "'side' is missing"),
         ("items:\n- {type: square, sid: 1, side: 1}", "DOC020", 3, "'side'"),
@@ -231,6 +231,6 @@ def test_faults_are_mended_up_to_a_bound(tmp_path: Path) -> None:
 def test_a_wrong_form_shows_the_right_one(tmp_path: Path, text: str, form: str) -> None:
     read = document(tmp_path, text)
     validated(read, Shown)
-    assert [(fault.code, fault.hint) for fault in read.faults] == [
-        ("DOC022", f"write {form}")
-    ]
+    (fault,) = read.faults
+    assert fault.code == "DOC022"
+    assert str(fault.hint).removeprefix("for example ").removeprefix("write ") == form

@@ -28,7 +28,7 @@ from animtool.scene.file.option_text import (
 )
 def test_ranges(text: str, found: FrameRange | None) -> None:
     if found is None:
-        with pytest.raises(ValueError, match=r"range|no frame"):
+        with pytest.raises(ValueError, match=r"range|no frame|reversed"):
             parse_frame_range(text)
         return
     assert parse_frame_range(text) == found
