@@ -258,6 +258,7 @@ def test_something_else_answers(
     assert error.value.code == "BAT035"
 
 
+@pytest.mark.slow
 def test_a_cluster_without_workers_is_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -274,6 +275,7 @@ def test_a_cluster_without_workers_is_named(
     assert error.value.code == "BAT035"
 
 
+@pytest.mark.slow
 def test_a_run_that_stops_at_failures_sends_nothing_ahead(
     cluster: str, tmp_path: Path
 ) -> None:

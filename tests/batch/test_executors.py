@@ -116,6 +116,7 @@ def test_serial_keeps_no_limits(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("serve", "said"), [(serve_nothing, "does not respond"), (serve_and_end, "with 9")]
 )
+@pytest.mark.slow
 def test_processes_that_do_not_begin_end_the_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, serve: object, said: str
 ) -> None:

@@ -33,6 +33,17 @@ DOCUMENTS_WITH = Counter(
 
 # What the commands of a section take, where that is long [s].
 SECONDS = {
+    "Crowds": 1.4,
+    "Look at it": 1,
+    "Faces": 1,
+    "Batches": 0.7,
+    "What is made again": 0.7,
+    "Particles": 0.7,
+    "Flocks": 0.6,
+    "What info says": 0.6,
+    "sheets": 0.7,
+    "ci": 0.6,
+    "robot": 0.6,
     "animtool": 8,
     "Bake, look, compare": 1,
     "Many files": 1,

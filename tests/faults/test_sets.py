@@ -32,6 +32,9 @@ from faults.calls import (
     watched,
 )
 
+pytestmark = pytest.mark.slow
+
+
 FAULTS = "fault | what happened | what was lost"
 posix = pytest.mark.skipif(os.name == "nt", reason="POSIX processes")
 Writer = Callable[[Path, str], None]

@@ -23,6 +23,9 @@ from animtool.ik import (
 from animtool.ik.rig_solver import ClosedForm, closed_form
 from animtool.rig.skeleton import Rig
 
+pytestmark = pytest.mark.slow
+
+
 EXACT = 1e-14
 # Poses in which axes are in line, or the elbow is straight.
 SINGULAR = {

@@ -124,6 +124,7 @@ def test_a_run_with_nothing_to_make_removes_what_dead_ones_left(tmp_path: Path) 
 
 @pytest.mark.skipif(os.name == "nt", reason="POSIX signals")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.slow
 def test_an_interrupt_leaves_whole_files(
     tmp_path: Path, plug_in: dict[str, str], number: signal.Signals
 ) -> None:

@@ -187,6 +187,7 @@ def test_points_that_are_not_written_are_named(walker: Path) -> None:
     assert "simulated points: not requested (deform)" in done.stdout
 
 
+@pytest.mark.slow
 def test_workers_write_the_same_bytes(root: Path, beast: Path, tmp_path: Path) -> None:
     scenes = [str(root / f"samples/{n}/{n}.scene.yaml") for n in ("rope", "wingnut")]
     written = []

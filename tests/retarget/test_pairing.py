@@ -271,7 +271,7 @@ def test_a_map_does_for_other_prefixes(tmp_path: Path) -> None:
         ("{source: Hips, target: hips, role: hip}", "MAP005", (3, 38), "'hips'"),
         ("{source: Hips, target: []}", "DOC022", (3, 26), ""),
         ("{sauce: Hips, target: hips}", "DOC020", (3, 11), "'source'"),
-        ("", "DOC022", (2, 9), "write joints: [{"),
+        ("", "DOC022", (2, 9), "for example joints: [{"),
     ],
 )
 def test_a_wrong_map_is_refused_with_its_place(
