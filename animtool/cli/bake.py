@@ -47,7 +47,7 @@ if TYPE_CHECKING:
 def _refuse_patterns(sources: Sequence[Path]) -> None:
     """Refuse a glob that the shell did not expand."""
     for path in sources:
-        if set("*?[") & {*path.name} and not path.exists():
+        if set("*?[") & {*str(path)} and not path.exists():
             text = f"{path} is a pattern: animtool batch '{path}' -o out/ bakes the "
             raise click.UsageError(f"{text}files that match it.")
 

@@ -145,7 +145,9 @@ def _only_output(source: Path, output: Path | None, named: Path | None) -> Path:
     chosen = output or named
     if chosen is None:
         raise click.UsageError("Missing argument 'OUTPUT'.")
-    if chosen.is_file() and not source.exists():
+    # The name of an array may follow that of its file: take.npz#markers.
+    file = Path(str(source).partition("#")[0])
+    if chosen.is_file() and not source.exists() and not file.exists():
         text = f"{source} does not exist, but {chosen} does: did you swap SOURCE and "
         raise click.UsageError(f"{text}OUTPUT?")
     return chosen

@@ -22,10 +22,6 @@ from animtool.scene.sources.open import SourceOptions
 Command = TypeVar("Command", bound=Callable[..., Any])
 
 
-# Of values that are plain numbers.
-_NOUNS = {"whole number": "whole number", "length": "length such as 0.5mm"}
-
-
 class Parsed(click.ParamType[Any]):
     """A value that a function makes of text, `ValueError` being a usage error."""
 
@@ -42,10 +38,7 @@ class Parsed(click.ParamType[Any]):
         try:
             return self._parse(value)
         except ValueError as error:
-            text = str(error)
-            if text.startswith(("could not convert", "invalid literal")):
-                text = f"{value!r} is not a {_NOUNS.get(self.name, 'number')}"
-            self.fail(f"{text}.", param, ctx)
+            self.fail(f"{error}.", param, ctx)
 
 
 def _rate(text: str) -> Any:
@@ -65,7 +58,10 @@ def _timecode(text: str) -> str:
 
 
 def _tolerance(text: str) -> float:
-    value = float(text)
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
     # Nothing is within a tolerance that is no number.
     if not value >= 0:
         raise ValueError(f"{text!r} is not a tolerance: use a number from 0 up")
@@ -95,9 +91,12 @@ def names_of(text: str | None) -> tuple[str, ...]:
 
 
 def _whole(text: str) -> int:
-    value = int(text)
+    try:
+        value = int(text)
+    except ValueError:
+        value = -1
     if value < 0:
-        raise ValueError(f"{text!r} is less than 0")
+        raise ValueError(f"{text!r} is not a whole number from 0 up")
     return value
 
 

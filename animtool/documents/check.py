@@ -17,6 +17,7 @@ from animtool.core.record import dataclass
 from animtool.core.similar import similar
 from animtool.documents.document import Document, Location
 from animtool.documents.forms import form_hint
+from animtool.documents.other_words import AXES, OTHER_KEYS, OTHER_VALUES
 from animtool.documents.placeholders import (
     annotation_at,
     fields_at,
@@ -286,52 +287,6 @@ def _lacking(last: int | str, value: Any) -> str:
     if isinstance(last, str):
         return f"key {last!r} is missing"
     return f"{counted(len(value), 'item')} where {_are(last + 1)} needed"
-
-
-# Directions by the names of axes.
-AXES = {
-    f"{sign}{name}": str([(-1 if sign else 1) * (i == k) for i in range(3)])
-    for k, name in enumerate("XYZ")
-    for sign in ("", "-")
-}
-# What other tools call values and keys of ours.
-OTHER_VALUES = {
-    "hinge": "pin",
-    "revolute": "pin",
-    "rotational": "pin",
-    "slider": "prismatic",
-    "slide": "prismatic",
-    "spherical": "ball",
-    "socket": "ball",
-    "floating": "free",
-    "root": "free",
-    "rigid": "fixed",
-    "static": "fixed",
-    "ease": "bezier",
-    "auto": "bezier",
-    "constant": "step",
-    "stepped": "step",
-    "loop": "cycle",
-    "repeat": "cycle",
-}
-OTHER_KEYS = {
-    "frame": ("t",),
-    "time": ("t", "at"),
-    "value": ("v",),
-    "look_at": ("aim",),
-    "lookat": ("aim",),
-    "start": ("range", "first"),
-    "end": ("range", "last"),
-    "frames": ("range", "keys"),
-    "position": ("translate", "at"),
-    "rotation": ("rotate",),
-    "orientation": ("rotate",),
-    "bones": ("joints",),
-    "controllers": ("controls",),
-    "blendshapes": ("shapes",),
-    "blend_shapes": ("shapes",),
-    "file": ("source",),
-}
 
 
 def _either(texts: Iterable[str]) -> str:

@@ -81,10 +81,11 @@ def _meant(given: Any, example: Any) -> list[Any] | None:
     if ends is not None and len(example) == _TWO:
         return [float(one) if "." in one else int(one) for one in ends.groups()]
     if isinstance(given, int | float) and not isinstance(given, bool):
-        # A size along the one axis that the example has.
+        # A size along the one axis that the example has: gravity of 9.81 is downwards.
         along = [i for i, one in enumerate(example) if one]
         if len(example) > _TWO and len(along) == 1:
-            return [given if i in along else 0 for i in range(len(example))]
+            side = -1 if example[along[0]] < 0 < given else 1
+            return [side * given if i in along else 0 for i in range(len(example))]
     if isinstance(given, list) and example and isinstance(example[0], list):
         return [given] if len(given) == len(example[0]) else None
     return None

@@ -67,6 +67,12 @@ def test_help_of_a_command_by_name() -> None:
         (("view", "a.bvh"), "'preview'"),
         (("bake", "a.bvh", "--frames", "1-2"), "'--range'"),
         (("bake", "*.bvh"), "animtool batch"),
+        (("bake", "takes/**/walk.bvh"), "animtool batch"),
+        (
+            ("ik", "a.rig.yaml", "--tol-degrees", "0.1deg"),
+            "'0.1deg' is not a tolerance",
+        ),
+        (("ik", "a.rig.yaml", "--seed", "random"), "'random' is not a whole number"),
         (("retarget", "a.rig.yaml", "--to", "b.bvh"), "swap SOURCE and --to"),
         (("convert", "a.bvh"), "OUTPUT"),
     ],

@@ -110,16 +110,19 @@ def scene_of_document(
 
 def _expand_short_forms(document: Document) -> None:
     """Write ``source: walk.bvh``, ``output: a.usdc`` and ``range: 1-24`` in full."""
-    # The places of values are numbered as they are in the file.
-    document.place(())
     value = document.value
+    full: dict[str, Any] = {}
     for key in ("source", "output"):
         if isinstance(value.get(key), str):
-            value[key] = {"file": value[key]}
+            full[key] = {"file": value[key]}
     span = value.get("range")
-    ends = re.fullmatch(r"\s*(-?\d+)\s*-\s*(-?\d+)\s*", str(span))
-    if isinstance(span, str) and ends is not None:
-        value["range"] = [int(ends[1]), int(ends[2])]
+    ends = isinstance(span, str) and re.fullmatch(r"\s*(-?\d+)\s*-\s*(-?\d+)\s*", span)
+    if ends:
+        full["range"] = [int(ends[1]), int(ends[2])]
+    if full:
+        # The places of values are numbered as they are in the file.
+        document.place(())
+        value.update(full)
 
 
 def stated_rate(path: Path) -> Fraction | None:

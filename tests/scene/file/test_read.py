@@ -365,3 +365,19 @@ def test_short_forms_are_those_in_full(tmp_path: Path) -> None:
     assert one.outputs[0].path == other.outputs[0].path
     assert one.bake.frame_range == other.bake.frame_range
     assert one.bake.frame_range is not None
+
+
+def test_short_forms_in_json_and_with_variables(tmp_path: Path) -> None:
+    walk = Path("samples/walk/walk.bvh").resolve()
+    (tmp_path / "walk.bvh").write_bytes(walk.read_bytes())
+    path = tmp_path / "short.scene.json"
+    path.write_text(
+        '{"scene": "animtool/1", "source": "${take}.bvh", "output": "${take}.usda"}',
+        "utf-8",
+    )
+    scene = load_scene(path, {"take": "walk"})
+    assert scene.outputs[0].path == tmp_path / "walk.usda"
+    path.write_text('{"scene": "animtool/1",\n"source": "gone.bvh"}', "utf-8")
+    with raises(FormatError, "DOC015") as caught:
+        load_scene(path)
+    assert caught.value.faults[0].lines == (2,)

@@ -1,0 +1,48 @@
+"""Words of other tools for keys and values of files, and the ones used here."""
+
+from __future__ import annotations
+
+# Directions by the names of axes.
+AXES = {
+    f"{sign}{name}": str([(-1 if sign else 1) * (i == k) for i in range(3)])
+    for k, name in enumerate("XYZ")
+    for sign in ("", "-")
+}
+# What other tools call values and keys of ours.
+OTHER_VALUES = {
+    "hinge": "pin",
+    "revolute": "pin",
+    "rotational": "pin",
+    "slider": "prismatic",
+    "slide": "prismatic",
+    "spherical": "ball",
+    "socket": "ball",
+    "floating": "free",
+    "root": "free",
+    "rigid": "fixed",
+    "static": "fixed",
+    "ease": "bezier",
+    "auto": "bezier",
+    "constant": "step",
+    "stepped": "step",
+    "loop": "cycle",
+    "repeat": "cycle",
+}
+OTHER_KEYS = {
+    "frame": ("t",),
+    "time": ("t", "at"),
+    "value": ("v",),
+    "look_at": ("aim",),
+    "lookat": ("aim",),
+    "start": ("range", "first"),
+    "end": ("range", "last"),
+    "frames": ("range", "keys"),
+    "position": ("translate", "at"),
+    "rotation": ("rotate",),
+    "orientation": ("rotate",),
+    "bones": ("joints",),
+    "controllers": ("controls",),
+    "blendshapes": ("shapes",),
+    "blend_shapes": ("shapes",),
+    "file": ("source",),
+}
