@@ -59,7 +59,7 @@ def number(value: Fraction | float) -> int | float:
 
 
 @dataclass(slots=True)
-class Draft:
+class PageDraft:
     """Parts of a page, added one after another.
 
     Attributes:
@@ -124,7 +124,7 @@ class Draft:
 
 
 @contextmanager
-def skipped(draft: Draft, what: str) -> Iterator[None]:
+def skipped(draft: PageDraft, what: str) -> Iterator[None]:
     """Leave out what cannot be read, and note why."""
     try:
         yield

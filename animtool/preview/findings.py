@@ -18,14 +18,14 @@ MAX_FINDINGS = 500
 
 def find_faults(files: Sequence[Path]) -> list[Fault]:
     """Return what `validate` says of files; of files that it cannot check nothing."""
-    found: list[Fault] = []
+    faults: list[Fault] = []
     for path in files:
         try:
             report = validate_files([path], ValidateOptions(jobs=1))
         except AnimtoolError:
             continue
-        found += report.findings
-    return found
+        faults += report.findings
+    return faults
 
 
 def finding_entry(

@@ -40,12 +40,12 @@ def page_steps(
     """
     options = options or PreviewOptions()
     steps: list[Step] = []
-    with ExitStack() as held:
+    with ExitStack() as context:
         for path in files:
             if is_named(path, "scene"):
                 steps += _baked(path, options)
             else:
-                steps.append(_read(open_file(path, options, files, held)))
+                steps.append(_read(open_file(path, options, files, context)))
     reads = tuple(str(path) for path in files)
     left_out = () if options.findings else ("findings: not requested (findings)",)
     makes = ("a page" if output is None else str(output),)

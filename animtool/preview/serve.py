@@ -14,17 +14,17 @@ from typing import Any
 from animtool.core.errors import AnimtoolError
 from animtool.core.files.reading import FileState, Inputs, recorded_inputs
 from animtool.core.record import dataclass
-from animtool.preview.build import Page
+from animtool.preview.build import PreviewPage
 
 ADDRESS = "127.0.0.1"
 # How often files are looked at [s].
 POLL_INTERVAL = 0.1
 
-Make = Callable[[], Page]
+Make = Callable[[], PreviewPage]
 
 
 @dataclass(slots=True)
-class Watched:
+class WatchedPage:
     """A page, and the files that it was made of.
 
     Attributes:
@@ -37,7 +37,7 @@ class Watched:
 
     make: Make
     secret: str = field(default_factory=lambda: secrets.token_urlsafe(16))
-    page: Page | None = None
+    page: PreviewPage | None = None
     version: int = 0
     error: str | None = None
     _states: dict[Path, FileState | None] = field(default_factory=dict)
@@ -121,10 +121,10 @@ class _Handler(BaseHTTPRequestHandler):
         origin = self.headers.get("Origin")
         if origin is not None and origin not in {f"http://{host}" for host in hosts}:
             return False
-        given = self.path.split("/")[1:2]
+        tokens = self.path.split("/")[1:2]
         known = self.server.watched.secret.encode()
-        return bool(given) and secrets.compare_digest(
-            given[0].encode("utf-8", "replace"), known
+        return bool(tokens) and secrets.compare_digest(
+            tokens[0].encode("utf-8", "replace"), known
         )
 
     def _send(self, code: int, body: bytes, kind: str) -> None:
@@ -148,7 +148,7 @@ class PageServer(ThreadingHTTPServer):
 
     daemon_threads = True
 
-    def __init__(self, watched: Watched) -> None:
+    def __init__(self, watched: WatchedPage) -> None:
         self.watched = watched
         super().__init__((ADDRESS, 0), _Handler)
 
@@ -162,9 +162,9 @@ class PageServer(ThreadingHTTPServer):
 
 
 def follow(
-    watched: Watched,
+    watched: WatchedPage,
     failed: Callable[[AnimtoolError], object],
-    made: Callable[[Page], object],
+    on_page: Callable[[PreviewPage], object],
     wait: Callable[[float], bool],
 ) -> None:
     """Make a page again each time that its files change.
@@ -172,7 +172,7 @@ def follow(
     Args:
         watched: The page.
         failed: Called with what is wrong where it cannot be made.
-        made: Called with a page that was made.
+        on_page: Called with each new page.
         wait: Called with an interval [s]; returns whether to stop.
     """
     while not wait(POLL_INTERVAL):
@@ -184,4 +184,4 @@ def follow(
             failed(error)
         else:
             assert watched.page is not None
-            made(watched.page)
+            on_page(watched.page)

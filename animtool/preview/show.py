@@ -12,7 +12,7 @@ from functools import cached_property
 from pathlib import Path
 
 from animtool.motion.take import Take, TakeStream
-from animtool.preview.build import Page, make_page, make_take_page
+from animtool.preview.build import PreviewPage, make_page, make_take_page
 from animtool.preview.options import PictureOptions, PreviewOptions
 
 HEIGHT = 560
@@ -65,7 +65,7 @@ class Preview:
         self._shown, self._options, self.height = shown, options, height
 
     @cached_property
-    def page(self) -> Page:
+    def page(self) -> PreviewPage:
         """The page."""
         if isinstance(self._shown, Take | TakeStream):
             stream = self._shown

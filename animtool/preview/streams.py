@@ -88,9 +88,9 @@ def quantized_range(
     if not rows.size:
         return Quantized(np.zeros(values.shape, "<f4"), "f32")
     gaps = bool(np.isnan(rows).any())
-    seen = np.isfinite(rows)
-    low = np.where(seen, rows, np.inf).min(axis=0)
-    high = np.where(seen, rows, -np.inf).max(axis=0)
+    finite = np.isfinite(rows)
+    low = np.where(finite, rows, np.inf).min(axis=0)
+    high = np.where(finite, rows, -np.inf).max(axis=0)
     low, high = (np.where(low <= high, side, 0.0) for side in (low, high))
     scale = (high - low) / (2 * STEPS)
     if scale.max(initial=0.0) / 2 > tolerance or not np.isfinite(scale).all():
@@ -223,12 +223,12 @@ def _filled(streams: Sequence[_Stream], most: int, samples: int) -> list[list[_S
     groups: list[list[_Stream]] = []
     size = 0
     for stream in streams:
-        own = stream.sample_bytes * samples
-        if not groups or size + own > most:
+        size_of_group = stream.sample_bytes * samples
+        if not groups or size + size_of_group > most:
             groups.append([])
             size = 0
         groups[-1].append(stream)
-        size += own
+        size += size_of_group
     return groups
 
 
@@ -238,9 +238,9 @@ def _encoded(stored: Array, kind: str) -> bytes:
     columns = stored.reshape(1, -1) if len(stored) == 1 else stored.T
     columns = np.ascontiguousarray(columns, TYPES[kind])
     if kind != "f32":
-        whole = columns.view(f"<u{width}")
-        columns = whole.copy()
-        columns[:, 1:] -= whole[:, :-1]
+        words = columns.view(f"<u{width}")
+        columns = words.copy()
+        columns[:, 1:] -= words[:, :-1]
     planes = columns.view(np.uint8).reshape(*columns.shape, width)
     return np.ascontiguousarray(planes.swapaxes(1, 2)).tobytes()
 

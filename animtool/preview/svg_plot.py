@@ -7,7 +7,7 @@ import math
 from collections.abc import Iterator, Sequence
 
 from animtool.core.record import dataclass
-from animtool.preview.work_precision import Panel, Point
+from animtool.preview.work_precision import Panel, PrecisionPoint
 
 WIDTH, HEIGHT = 720, 400
 LEFT, RIGHT, TOP, BOTTOM = 70, 200, 14, 46
@@ -52,7 +52,7 @@ def plot_svg(panel: Panel) -> str:
     return "".join([*parts, "</svg>"])
 
 
-def _drawn(points: Sequence[Point]) -> list[Point]:
+def _drawn(points: Sequence[PrecisionPoint]) -> list[PrecisionPoint]:
     """Return the points that logarithmic axes have a place for."""
     return [p for p in points if p.cost > 0 and p.error > 0 and math.isfinite(p.error)]
 
@@ -74,8 +74,8 @@ class _Axis:
 
     def __call__(self, value: float) -> float:
         """Return where a value is [px]."""
-        share = (math.log10(value) - self.low) / (self.high - self.low)
-        return self.begin + share * (self.end - self.begin)
+        fraction = (math.log10(value) - self.low) / (self.high - self.low)
+        return self.begin + fraction * (self.end - self.begin)
 
     def ticks(self) -> list[float]:
         """Return values with a line, 20 at most."""
@@ -111,7 +111,7 @@ def _grid(x: _Axis, y: _Axis, panel: Panel) -> Iterator[str]:
 
 
 def _curve(
-    i: int, name: str, points: Sequence[Point], x: _Axis, y: _Axis
+    i: int, name: str, points: Sequence[PrecisionPoint], x: _Axis, y: _Axis
 ) -> Iterator[str]:
     colour = COLOURS[i % len(COLOURS)]
     dash = DASHES[i // len(COLOURS) % len(DASHES)]

@@ -142,9 +142,9 @@ def timeline_of(
     ]
     step = Fraction(1)
     for file in opened:
-        if file.contents is not None and (found := _moving_span(file.contents)):
+        if file.contents is not None and (span := _moving_span(file.contents)):
             ratio = fps / file.contents.fps
-            spans.append((found[0] * ratio, found[1] * ratio))
+            spans.append((span[0] * ratio, span[1] * ratio))
         if file.markers is not None:
             clock = file.markers.clock
             ratio = fps / clock.fps

@@ -31,7 +31,7 @@ COSTS = {
 
 
 @dataclass(frozen=True, slots=True)
-class Point:
+class PrecisionPoint:
     """A setting.
 
     Attributes:
@@ -50,11 +50,11 @@ class Point:
 
 
 @dataclass(frozen=True, slots=True)
-class Curve:
+class PrecisionCurve:
     """The settings of a method, in their order."""
 
     name: str  # for the legend
-    points: tuple[Point, ...]  # those that work
+    points: tuple[PrecisionPoint, ...]  # those that work
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +63,7 @@ class Panel:
 
     title: str  # above it
     error: str  # what errors are, for the axis
-    curves: tuple[Curve, ...]  # A line each
+    curves: tuple[PrecisionCurve, ...]  # A line each
     # How far what errors are measured from may be off itself [m]; 0 draws nothing.
     floor: float = 0.0
     remark: str = ""  # below the title; may be empty
@@ -146,7 +146,7 @@ def _draw(frame: Any, panel: Panel, ticker: Any) -> None:
             text.set_parse_math(False)
 
 
-def _ring(frame: Any, chosen: Sequence[Point]) -> None:
+def _ring(frame: Any, chosen: Sequence[PrecisionPoint]) -> None:
     """Draw rings around what is in use."""
     if not chosen:
         return
@@ -162,7 +162,7 @@ def _ring(frame: Any, chosen: Sequence[Point]) -> None:
     )
 
 
-def _draw_curve(frame: Any, curve: Curve, i: int) -> None:
+def _draw_curve(frame: Any, curve: PrecisionCurve, i: int) -> None:
     shown = [p for p in curve.points if p.error > 0 and math.isfinite(p.error)]
     if not shown:
         return
@@ -189,14 +189,16 @@ def panels_of(tables: Sequence[TrialTable]) -> list[Panel]:
 
 
 def _panel(table: TrialTable) -> Panel:
-    by_method: dict[str, list[Point]] = {}
+    by_method: dict[str, list[PrecisionPoint]] = {}
     for row in table.rows:
         error = table.error_of(row)
         if error is not None:
             cost = getattr(row, COSTS[table.cost][0])
-            point = Point(cost, error, row.chosen, row.best, row.recommended)
+            point = PrecisionPoint(cost, error, row.chosen, row.best, row.recommended)
             by_method.setdefault(row.setting.method, []).append(point)
-    curves = tuple(Curve(name, tuple(points)) for name, points in by_method.items())
+    curves = tuple(
+        PrecisionCurve(name, tuple(points)) for name, points in by_method.items()
+    )
     reference = table.reference
     remark, floor = "", 0.0
     if reference is not None:

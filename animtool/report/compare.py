@@ -61,12 +61,12 @@ def compare_weights(
         if lost:
             mismatches.append(lost_text("shape", lost, other))
     mine, theirs = [s for s, _ in pairs], [s for _, s in pairs]
-    apart = np.abs(a[:frames, mine] - b[:frames, theirs])
-    if not apart.size:
+    difference = np.abs(a[:frames, mine] - b[:frames, theirs])
+    if not difference.size:
         return ShapeDifference(), 0, mismatches
-    frame, pair = np.unravel_index(np.argmax(apart), apart.shape)
+    frame, pair = np.unravel_index(np.argmax(difference), difference.shape)
     largest = ShapeDifference(
-        float(apart[frame, pair]),
+        float(difference[frame, pair]),
         names[0][mine[int(pair)]],
         float(first.clock.times[frame]),
     )
@@ -177,19 +177,22 @@ def compare(
     """
     paths = [Path(first), Path(second)]
     mine = options or SourceOptions()
-    given = [mine, second_options]
+    each_options = [mine, second_options]
     if second_options is None:
-        given = [fitting_options(mine, path, paths) for path in paths]
-    if all(is_usd(path) for path in paths) and given == 2 * [SourceOptions()]:
+        each_options = [fitting_options(mine, path, paths) for path in paths]
+    if all(is_usd(path) for path in paths) and each_options == 2 * [SourceOptions()]:
         characters = [open_characters(path) for path in paths]
         if max(map(len, characters)) > 1:
-            return _characters_apart(*characters)
-    return _streams_apart(
-        *(open_source(path, own) for path, own in zip(paths, given, strict=True))
+            return _character_difference(*characters)
+    return _stream_difference(
+        *(
+            open_source(path, chosen)
+            for path, chosen in zip(paths, each_options, strict=True)
+        )
     )
 
 
-def _streams_apart(one: TakeStream, two: TakeStream) -> TakeDifference:
+def _stream_difference(one: TakeStream, two: TakeStream) -> TakeDifference:
     """Compare two takes that are open, the second turned as the first."""
     difference = compare_takes(one.collect(), reorient(two, one.rig.up).collect())
     difference.notices.extend([*one.notices, *two.notices])
@@ -204,7 +207,7 @@ def _streams_apart(one: TakeStream, two: TakeStream) -> TakeDifference:
 _Openers: TypeAlias = Mapping[str, Callable[[], TakeStream]]
 
 
-def _characters_apart(first: _Openers, second: _Openers) -> TakeDifference:
+def _character_difference(first: _Openers, second: _Openers) -> TakeDifference:
     """Compare the skeletons of two stages, by their paths."""
     pairs = _skeleton_pairs(list(first), list(second))
     mismatches = [
@@ -222,8 +225,8 @@ def _characters_apart(first: _Openers, second: _Openers) -> TakeDifference:
         skeletons=len(pairs),
     )
     for mine, theirs in pairs:
-        apart = _streams_apart(first[mine](), second[theirs]())
-        merged = _merged(merged, apart, mine)
+        difference = _stream_difference(first[mine](), second[theirs]())
+        merged = _merged(merged, difference, mine)
     return merged
 
 
@@ -252,28 +255,28 @@ def _skeleton_pairs(
 
 
 def _merged(
-    whole: TakeDifference, part: TakeDifference, skeleton: str
+    total: TakeDifference, part: TakeDifference, skeleton: str
 ) -> TakeDifference:
     """Return differences of several skeletons with those of one more."""
     kinds = ("world", "translation", "rotation", "scale", "weight")
     larger = {
-        kind: replace(apart, skeleton=skeleton)
+        kind: replace(difference, skeleton=skeleton)
         for kind in kinds
-        if (apart := getattr(part, kind)).value > getattr(whole, kind).value
+        if (difference := getattr(part, kind)).value > getattr(total, kind).value
     }
     named = {
         name: [f"{skeleton}: {line}" for line in getattr(part, name)]
         for name in ("mismatches", "notes")
     }
     return replace(
-        whole,
+        total,
         **larger,
-        frames=max(whole.frames, part.frames),
-        joints=whole.joints + part.joints,
-        shapes=whole.shapes + part.shapes,
-        mismatches=whole.mismatches + named["mismatches"],
-        notes=whole.notes + named["notes"],
-        notices=whole.notices + [n for n in part.notices if n not in whole.notices],
+        frames=max(total.frames, part.frames),
+        joints=total.joints + part.joints,
+        shapes=total.shapes + part.shapes,
+        mismatches=total.mismatches + named["mismatches"],
+        notes=total.notes + named["notes"],
+        notices=total.notices + [n for n in part.notices if n not in total.notices],
     )
 
 
@@ -310,11 +313,11 @@ def compare_takes(first: Take, second: Take) -> TakeDifference:
 
     a, b = (take.motion.select(slice(0, frames)).dense() for take in (first, second))
     world_a, world_b = forward(first.rig, *a), forward(second.rig, *b)
-    apart = world_a.positions[:, mine] - world_b.positions[:, theirs]
+    difference = world_a.positions[:, mine] - world_b.positions[:, theirs]
     moved = a[0][:, mine] - b[0][:, theirs]
     turned = so3.angle_between(a[1][:, mine], b[1][:, theirs])
     return TakeDifference(
-        largest(np.linalg.norm(apart, axis=-1)),
+        largest(np.linalg.norm(difference, axis=-1)),
         largest(np.linalg.norm(moved, axis=-1)),
         largest(np.degrees(turned)),
         largest(np.abs(_scales(a)[:, mine] - _scales(b)[:, theirs]).max(axis=-1)),

@@ -87,7 +87,7 @@ def compare_points(first: Path, second: Path) -> PointsDifference | None:
             if lost:
                 mismatches.append(f"{name} at time code {code:g}: {lost}")
                 break
-            for kind, (values, ids) in _apart(a, b).items():
+            for kind, (values, ids) in _distances(a, b).items():
                 worst = int(np.argmax(values)) if len(values) else 0
                 if len(values) and values[worst] > largest[kind].value:
                     candidate = float(values[worst]), name, int(ids[worst]), code
@@ -137,14 +137,16 @@ def _pairs(
 
 def _turned(one: PointSource, two: PointSource, sample: PointSample) -> PointSample:
     """Return a sample of the second in the up axis of the first."""
-    turn = up_from_up(one.up, two.up)
-    if turn is None:
+    up_rotation = up_from_up(one.up, two.up)
+    if up_rotation is None:
         return sample
-    turns = sample.orientations
+    orientations = sample.orientations
     return replace(
         sample,
-        points=so3.rotate(np.array(turn), sample.points),
-        orientations=None if turns is None else so3.multiply(np.array(turn), turns),
+        points=so3.rotate(np.array(up_rotation), sample.points),
+        orientations=None
+        if orientations is None
+        else so3.multiply(np.array(up_rotation), orientations),
     )
 
 
@@ -175,7 +177,9 @@ def _matched(a: PointSample, b: PointSample) -> tuple[IntArray, IntArray, IntArr
     return ids[mine], mine, theirs
 
 
-def _apart(a: PointSample, b: PointSample) -> dict[str, tuple[FloatArray, IntArray]]:
+def _distances(
+    a: PointSample, b: PointSample
+) -> dict[str, tuple[FloatArray, IntArray]]:
     """Return by kind how far points are apart ``(N,)``, and their ids ``(N,)``."""
     ids, mine, theirs = _matched(a, b)
     off = np.linalg.norm(a.points[mine] - b.points[theirs], axis=1)

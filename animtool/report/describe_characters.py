@@ -40,7 +40,7 @@ class CharactersFacts:
 
 
 @dataclass(frozen=True, slots=True)
-class _Own:
+class _Extent:
     """One character in numbers."""
 
     low: list[float]
@@ -65,7 +65,7 @@ def describe_characters(path: Path | str) -> CharactersFacts | None:
     readers = read_characters(Path(path))
     if len(readers) < 2:
         return None
-    own, joints, unread = [], 0, 0
+    extents, joints, unread = [], 0, 0
     for name, read in readers.items():
         try:
             take = read().collect()
@@ -74,16 +74,16 @@ def describe_characters(path: Path | str) -> CharactersFacts | None:
             continue
         joints += len(take.rig.joints)
         if take.rig.joints:
-            own.append(_own(name, take))
-    means = [one.mean for one in own if one.mean is not None]
+            extents.append(_extent(name, take))
+    means = [one.mean for one in extents if one.mean is not None]
     speeds, lows, rises = (
-        [found for one in own if (found := getattr(one, name)) is not None]
+        [value for one in extents if (value := getattr(one, name)) is not None]
         for name in ("speed", "lowest", "rise")
     )
     bounds = None
-    if own:
-        low = np.min([one.low for one in own], axis=0).tolist()
-        bounds = low, np.max([one.high for one in own], axis=0).tolist()
+    if extents:
+        low = np.min([one.low for one in extents], axis=0).tolist()
+        bounds = low, np.max([one.high for one in extents], axis=0).tolist()
     return CharactersFacts(
         len(readers),
         joints,
@@ -100,14 +100,14 @@ def _value(extreme: Extreme) -> float:
     return extreme.value
 
 
-def _own(name: str, take: Take) -> _Own:
+def _extent(name: str, take: Take) -> _Extent:
     """Return a character in numbers; hips are those of people alone."""
     person = Person.of(take.rig, anatomy(take.rig).roles)
-    hips, places = hips_and_joints(take, person, range(len(take.rig.joints)))
-    flat = np.stack(list(places.values()), axis=1).reshape(-1, 3)
+    hips, positions = hips_and_joints(take, person, range(len(take.rig.joints)))
+    flat = np.stack(list(positions.values()), axis=1).reshape(-1, 3)
     low, high = flat.min(axis=0).tolist(), flat.max(axis=0).tolist()
     if person.leg("l") is None or person.leg("r") is None or len(hips) < 2:
-        return _Own(low, high)
+        return _Extent(low, high)
     up, times = 1 if take.rig.up is UpAxis.Y else 2, take.clock.times
     speeds = ground_speeds(take, hips)
     heights = hips[:, up]
@@ -119,7 +119,7 @@ def _own(name: str, take: Take) -> _Own:
     fastest, lowest, rise = (
         int(each) for each in (speeds.argmax(), heights.argmin(), steps.argmax())
     )
-    return _Own(
+    return _Extent(
         low,
         high,
         float(speeds.mean()),

@@ -18,7 +18,7 @@ def fbx_contents(path: Path | str) -> GltfContents:
         FormatError: It is broken, as `animtool.formats.fbx.read.read_fbx` has it.
     """
     scene = open_fbx(path)
-    found = characters(scene) if scene.nodes else ()
+    skeletons = characters(scene) if scene.nodes else ()
     clips = [
         GltfClip(name, one.begin / TICKS, one.end / TICKS, len(one.curves()))
         for name, one in zip(take_names_of(scene), scene.takes, strict=True)
@@ -29,7 +29,7 @@ def fbx_contents(path: Path | str) -> GltfContents:
         len(scene.skins),
         len(scene.takes),
         1,
-        [one.path for one in found] if len(found) > 1 else [],
+        [one.path for one in skeletons] if len(skeletons) > 1 else [],
         clips,
         {},
         list(scene.left_out),

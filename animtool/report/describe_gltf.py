@@ -67,7 +67,7 @@ def describe_nodeless(path: Path) -> GltfDescription | None:
 
 
 def _contents(gltf: Gltf) -> GltfContents:
-    found = characters(gltf) if gltf.nodes else ()
+    skeletons = characters(gltf) if gltf.nodes else ()
     names = distinct_clip_names(gltf.animations)
     clips = [
         GltfClip(name, *one.span, len(one.tracks))
@@ -79,7 +79,7 @@ def _contents(gltf: Gltf) -> GltfContents:
         len(gltf.skins),
         len(gltf.animations),
         len(gltf.scenes),
-        [one.path for one in found] if len(found) > 1 else [],
+        [one.path for one in skeletons] if len(skeletons) > 1 else [],
         clips,
         {bone: gltf.nodes[node].name or "" for bone, node in humanoid_bones(gltf)},
         list(gltf.left_out),

@@ -49,13 +49,13 @@ class MarkersDescription:
 def describe_markers(path: Path, markers: Markers) -> MarkersDescription:
     """Return what a file of markers holds."""
     labelled = np.array([not name.startswith("*") for name in markers.names], bool)
-    seen = markers.seen
-    missing = np.pad(~seen[:, labelled], ((1, 1), (0, 0))).astype(np.int8)
+    visible = markers.seen
+    missing = np.pad(~visible[:, labelled], ((1, 1), (0, 0))).astype(np.int8)
     steps = np.diff(missing, axis=0)
     starts = np.argwhere(steps.T == 1)[:, 1]
     ends = np.argwhere(steps.T == -1)[:, 1]
     longest = int((ends - starts).max(initial=0))
-    points = markers.positions[seen]
+    points = markers.positions[visible]
     bounds = None
     if len(points):
         bounds = (points.min(axis=0).tolist(), points.max(axis=0).tolist())
@@ -71,7 +71,7 @@ def describe_markers(path: Path, markers: Markers) -> MarkersDescription:
         clock.duration,
         markers.up.value,
         len(starts),
-        float((~seen[:, labelled]).mean()) if labelled.any() else 0.0,
+        float((~visible[:, labelled]).mean()) if labelled.any() else 0.0,
         longest / float(clock.rate),
         len(find_spikes(markers)),
         0 if markers.filled is None else int(markers.filled.sum()),

@@ -102,9 +102,9 @@ class Template:
     details: tuple[Line, ...] = ()
     is_result: bool = False
 
-    def text(self, record: object, *, whole: bool = False) -> list[str]:
+    def text(self, record: object, *, all_names: bool = False) -> list[str]:
         """Return the lines of a record; whole: with all names, of however many."""
-        names = _names(None if whole else MAX_NAMED)
+        names = _names(None if all_names else MAX_NAMED)
         return render(record, self.lines, {**self.printers, "names": names})
 
     def detailed(self, record: object) -> list[str]:
@@ -113,8 +113,8 @@ class Template:
 
 
 def _names(most: int | None) -> Callable[..., str]:
-    def print_names(value: Any, usual: str = "") -> str:
-        return listed(list(value), most or int(usual or len(value)))
+    def print_names(value: Any, default: str = "") -> str:
+        return listed(list(value), most or int(default or len(value)))
 
     return print_names
 
@@ -184,7 +184,7 @@ class _Renderer:
         for printer in filter(None, spec.split(" | ")):
             value = None if value is None else self.printers[printer](value)
         if isinstance(value, Mapping):
-            return [{"key": key, "value": own} for key, own in value.items()]
+            return [{"key": key, "value": entry} for key, entry in value.items()]
         return list(value or ())
 
     def _table(self, scope: _Scope, table: Table) -> Iterator[str]:
@@ -212,8 +212,10 @@ class _Renderer:
         texts = []
         for node in nodes:
             if isinstance(node, _Choice):
-                found = (self.filled(scope, part) for part in node.parts)
-                texts.append(next((text for text in found if text is not None), ""))
+                texts_of_parts = (self.filled(scope, part) for part in node.parts)
+                texts.append(
+                    next((text for text in texts_of_parts if text is not None), "")
+                )
                 continue
             text = node if isinstance(node, str) else self._printed(scope, node)
             if text is None:

@@ -63,7 +63,7 @@ _ADVICE: tuple[Line, ...] = (
 
 def _marks(row: TrialRow) -> str:
     marks = {">": row.chosen, "*": row.best, "+": row.recommended}
-    return "".join(mark for mark, given in marks.items() if given)
+    return "".join(mark for mark, is_marked in marks.items() if is_marked)
 
 
 def _ending(row: TrialRow) -> str:
@@ -110,9 +110,9 @@ def _advice(part: TrialTable) -> str:
         )
     if chosen.error is None:
         return f"the current setting fails; {better.setting} works"
-    share = _cost(better, part.cost) / _cost(chosen, part.cost)
+    fraction = _cost(better, part.cost) / _cost(chosen, part.cost)
     what = "time" if part.cost is CostMeasure.SECONDS else str(part.cost)
-    return f"{better.setting} is as accurate in {share:.0%} of the {what}"
+    return f"{better.setting} is as accurate in {fraction:.0%} of the {what}"
 
 
 def _cost(row: TrialRow, measure: CostMeasure) -> float:
@@ -137,8 +137,10 @@ _PRINTERS: dict[str, Callable[..., Any]] = {
     "advice": _advice,
     # Errors go over many decades.
     "milli": lambda length: f"{1e3 * length:.3g}",
-    "share": lambda share: f"{1e2 * share:.3g}",
-    "options": lambda options: ", ".join(f"{name} {own:.6g}" for name, own in options),
+    "share": lambda fraction: f"{1e2 * fraction:.3g}",
+    "options": lambda options: ", ".join(
+        f"{name} {value:.6g}" for name, value in options
+    ),
     "stretch": _figure("stretch", 1e2),
     "depth": _figure("depth", 1e3),
     "pierced": _figure("pierced", 1.0),

@@ -92,11 +92,11 @@ class ValidateOptions:
             return self
         return replace(self, levels=load_profile(self.profile))
 
-    def with_profile(self, own: str | None) -> ValidateOptions:
+    def with_profile(self, profile: str | None) -> ValidateOptions:
         """Return these options with the levels of the profile that a file asks for."""
-        if self.profile or own is None:
+        if self.profile or profile is None:
             return self
-        return replace(self, levels=PROFILES[own].levels)
+        return replace(self, levels=PROFILES[profile].levels)
 
     def within(self, project: ValidateOptions) -> ValidateOptions:
         """Return these options where a project has some: what is given here wins."""
@@ -193,14 +193,16 @@ def _longest(code: str, beginnings: Iterable[str]) -> int:
 def check_codes(options: ValidateOptions, path: str | None = None) -> None:
     """Refuse codes that none begins with."""
     faults = []
-    for given in (*options.select, *options.ignore, *options.severity):
-        if given and any(code.startswith(current_codes(given)) for code in own_rules()):
+    for prefix in (*options.select, *options.ignore, *options.severity):
+        if prefix and any(
+            code.startswith(current_codes(prefix)) for code in own_rules()
+        ):
             continue
         rules, _ = all_rules()
-        if given and any(code.startswith(given) for code in rules):
+        if prefix and any(code.startswith(prefix) for code in rules):
             continue
-        message = f"no code matches {given!r}"
-        hint = nearest(given, list(rules))
+        message = f"no code matches {prefix!r}"
+        hint = nearest(prefix, list(rules))
         if hint.startswith("allowed"):
             hint = "animtool explain lists them"
         faults.append(Fault("VAL005", message, path, (), hint))
@@ -232,12 +234,12 @@ def _options(table: Any, path: str) -> ValidateOptions:
             message = f"validate.{name} is {codes!r}, not a list of codes"
             raise OptionError(Fault("CFG003", message, path))
         lists[name] = tuple(codes)
-    given = table.get("severity", {})
-    if not isinstance(given, dict):
-        message = f"validate.severity is {given!r}, not a table of codes"
+    levels_by_code = table.get("severity", {})
+    if not isinstance(levels_by_code, dict):
+        message = f"validate.severity is {levels_by_code!r}, not a table of codes"
         raise OptionError(Fault("CFG003", message, path))
     severities = {}
-    for code, name in given.items():
+    for code, name in levels_by_code.items():
         if name not in list(Severity):
             message = f"validate.severity.{code} is {name!r}"
             hint = f"allowed: {', '.join(Severity)}"

@@ -46,13 +46,13 @@ def find_files(paths: Iterable[Path | str]) -> list[Path]:
 def match_files(paths: Iterable[Path | str]) -> tuple[list[Path], list[Fault]]:
     """Return the files of `find_files`, and a warning for each path without any."""
     # Of a variable of a shell that is not set; the folder that it is run in is ".".
-    given = [text for path in paths if (text := str(path))]
-    for text in given:
+    texts = [text for path in paths if (text := str(path))]
+    for text in texts:
         if "\0" in text:
             raise unreadable(Path(text), "embedded null byte")
     files: dict[Path, None] = {}
     unmatched = []
-    for text in given:
+    for text in texts:
         meant = [file.path for file in files_meant(text, SUFFIXES)]
         files.update(dict.fromkeys(meant))
         if not meant:
@@ -60,7 +60,7 @@ def match_files(paths: Iterable[Path | str]) -> tuple[list[Path], list[Fault]]:
             fault = Fault("VAL010", message, hint=hint, severity=Severity.WARNING)
             unmatched.append(fault)
     if not files:
-        shown = ", ".join(given) or "nothing"
+        shown = ", ".join(texts) or "nothing"
         message = f"no file to check in {shown}"
         hint = f"folders are searched for {', '.join(SUFFIXES)}"
         raise NothingFoundError(Fault("VAL006", message, hint=hint))
@@ -109,12 +109,12 @@ class Ignores:
     def _hides(self, fault: Fault) -> bool:
         if fault.path != str(self.document.path):
             return False
-        places = self._spellings(fault.where or "")
+        spellings = self._spellings(fault.where or "")
         hidden = False
         for i, entry in enumerate(_entries(self.document)):
             pattern = entry.get("where")
             if fault.code in current_codes(entry["code"]) and (
-                not pattern or any(_covers(pattern, place) for place in places)
+                not pattern or any(_covers(pattern, spelling) for spelling in spellings)
             ):
                 self.used[i] += 1
                 hidden = True
@@ -145,14 +145,14 @@ def _is_map(node: Any) -> bool:
     return isinstance(node, dict)
 
 
-def _covers(pattern: str, place: str) -> bool:
+def _covers(pattern: str, location: str) -> bool:
     """Return whether a pattern is a place, or one around it.
 
     >>> _covers("joints[*_l]", "joints[knee_l].limits"), _covers("joint", "joints[2]")
     (True, False)
     """
     words = ".*".join(map(re.escape, pattern.split("*")))
-    return re.fullmatch(rf"{words}(?:[.\[].*)?", place) is not None
+    return re.fullmatch(rf"{words}(?:[.\[].*)?", location) is not None
 
 
 Finding = Fault
@@ -249,8 +249,8 @@ def validate(
         OptionError: A code that there is none of (VAL005), a file of a kind that is
             not checked (IO002), or settings of a project that are malformed.
     """
-    given = [paths] if isinstance(paths, Path | str) else list(paths)
-    return list(validate_files(find_files(given), options).findings)
+    requested = [paths] if isinstance(paths, Path | str) else list(paths)
+    return list(validate_files(find_files(requested), options).findings)
 
 
 def validate_files(
@@ -267,9 +267,11 @@ def validate_files(
     projects = {folder: settings_of(path) for folder, path in folders.items()}
     settings = [options.within(projects[path.parent]) for path in files]
     _, broken = all_rules()
-    given = values_of_batches(files)
+    by_scene = values_of_batches(files)
     values = (
-        [given.get(path.resolve()) for path in files] if given else [None] * len(files)
+        [by_scene.get(path.resolve()) for path in files]
+        if by_scene
+        else [None] * len(files)
     )
     by_file = _all(files, settings, values, _processes(options.jobs, len(files)))
     names = {path.resolve(): str(path) for path in files}
@@ -370,7 +372,7 @@ def findings_of_rule(rule: Rule, path: Path) -> list[Fault]:
     subjects = _subjects(rule, checked)
     if not subjects:
         raise FormatError(checked.faults)
-    return [fault for subject in subjects for fault in _found(rule, subject)]
+    return [fault for subject in subjects for fault in _faults_of(rule, subject)]
 
 
 def _subjects(rule: Rule, checked: CheckedFile) -> Sequence[object]:
@@ -380,7 +382,7 @@ def _subjects(rule: Rule, checked: CheckedFile) -> Sequence[object]:
     return () if checked.subject is None else (checked.subject,)
 
 
-def _found(rule: Rule, subject: object) -> Iterator[Fault]:
+def _faults_of(rule: Rule, subject: object) -> Iterator[Fault]:
     """Yield what a rule finds; what it reports as a note stays one."""
     for fault in rule.load()(subject):
         is_note = fault.severity is Severity.NOTE
@@ -390,7 +392,7 @@ def _found(rule: Rule, subject: object) -> Iterator[Fault]:
 def _run(rule: Rule, checked: CheckedFile) -> list[Fault]:
     """Return what a rule finds; that it failed is a finding too."""
     try:
-        return [f for s in _subjects(rule, checked) for f in _found(rule, s)]
+        return [f for s in _subjects(rule, checked) for f in _faults_of(rule, s)]
     except Exception as error:
         path = None if checked.document is None else str(checked.document.path)
         kind = type(error).__name__

@@ -17,9 +17,9 @@ from animtool.core.errors import Fault, OptionError, counted
 from animtool.core.files.output import check_outputs, sparing_inputs
 from animtool.core.record import dataclass
 from animtool.core.shot import FrameList
-from animtool.preview.build import Page, make_page
+from animtool.preview.build import PreviewPage, make_page
 from animtool.preview.options import PictureOptions, PreviewOptions
-from animtool.preview.pictures.camera import View
+from animtool.preview.pictures.camera import CameraView
 from animtool.preview.pictures.captions import (
     Caption,
     caption_of,
@@ -28,10 +28,10 @@ from animtool.preview.pictures.captions import (
     written,
 )
 from animtool.preview.pictures.device import Array, Device, Picture, needed
-from animtool.preview.pictures.film import film, write_still
+from animtool.preview.pictures.film import film, write_picture
 from animtool.preview.pictures.kinds import PictureKind, picture_kind
 from animtool.preview.pictures.request import (
-    Camera,
+    CameraChoice,
     camera_of,
     layers_of,
     light_of,
@@ -39,7 +39,7 @@ from animtool.preview.pictures.request import (
     sheet_of,
     size_of,
 )
-from animtool.preview.pictures.scene import Scene
+from animtool.preview.pictures.scene import DrawnScene
 from animtool.preview.pictures.sources import theme_colors
 
 # Between the pictures of a sheet [px].
@@ -74,7 +74,7 @@ class PictureReport:
     frames: tuple[float, ...]
     rate: Fraction
     about: str
-    page: Page
+    page: PreviewPage
 
     json_keys: ClassVar[str] = (
         "'preview' output=path bytes=size format=about width height frames=count "
@@ -166,7 +166,7 @@ def write_pictures(
 
 
 def save_pictures(
-    page: Page, output: Path, pictures: PictureOptions | None = None
+    page: PreviewPage, output: Path, pictures: PictureOptions | None = None
 ) -> PictureReport:
     """Write a still, a sheet or a film of a page; see `write_pictures`."""
     kind = picture_kind(output)
@@ -199,7 +199,7 @@ def _check(
     size_of(pictures, kind, sheet=bool(sheet or frames))
     asked = {"sheet": sheet, "frames": frames, "camera": pictures.camera[1:]}
     several = [name for name, value in asked.items() if value]
-    if several and not kind.still:
+    if several and not kind.picture:
         message = "a film shows frames one after another, from one camera"
         hint = "a sheet, or listed frames, need .png or .webp; 1-240x2 plays a range"
         raise refused(several[0], message, hint)
@@ -217,7 +217,7 @@ class Studio:
     def __init__(
         self,
         device: Device,
-        page: Page,
+        page: PreviewPage,
         options: PictureOptions,
         kind: PictureKind,
         frames: tuple[int, ...],
@@ -231,16 +231,16 @@ class Studio:
         self._cameras = [camera_of(text, names) for text in asked]
         self._frames = frames
         shown = layers_of(options)
-        self._scene = Scene(device, page.manifest, page.blocks, shown)
+        self._scene = DrawnScene(device, page.manifest, page.blocks, shown)
         self._colors = theme_colors()
 
     def write(self, output: Path) -> PictureReport:
         """Write the picture or the film."""
-        still = not self._kind.codec or self._is_sheet
-        if not still:
+        single = not self._kind.codec or self._is_sheet
+        if not single:
             return self._film(output)
-        pixels, samples = self._still()
-        write_still(output, pixels)
+        pixels, samples = self._pictures()
+        write_picture(output, pixels)
         return self._report(output, pixels.shape, samples, Fraction(0))
 
     @property
@@ -265,22 +265,22 @@ class Studio:
         """Return the samples of a still or a sheet."""
         codes = self._scene.codes
         if self._frames:
-            found = []
+            samples = []
             for frame in self._frames:
                 sample = int(np.argmin(np.abs(codes - frame)))
                 if abs(codes[sample] - frame) > 0.5:
                     ends = frame_label(codes[0]), frame_label(codes[-1])
                     message = f"frame {frame} is not in the file, which has {ends[0]}"
                     raise OptionError(Fault("CLI005", f"{message}-{ends[1]}"))
-                found.append(sample)
-            return found
+                samples.append(sample)
+            return samples
         sheet = sheet_of(self._options)
         if sheet is None:
             return [0]
         cells = sheet[0] * sheet[1] // len(self._cameras)
         return [int(i) for i in spread(len(codes), max(cells, 1))]
 
-    def _still(self) -> tuple[Array, list[int]]:
+    def _pictures(self) -> tuple[Array, list[int]]:
         samples = self._samples()
         cells = [(camera, i) for camera in self._cameras for i in samples]
         several = len(cells) > 1
@@ -290,8 +290,8 @@ class Studio:
         numbered = self._options.numbers
         if numbered is None:
             numbered = len(samples) > 1
-        made: list[Array] = []
-        view: View | None = None
+        pictures: list[Array] = []
+        view: CameraView | None = None
         for k, ((camera, sample), caption) in enumerate(
             zip(cells, captions, strict=True)
         ):
@@ -299,12 +299,14 @@ class Studio:
                 view = self._view(camera, size, caption, sample)
             view.inset = caption.height
             pixels = self._scene.draw(view, sample, picture, camera.shot)
-            made.append(self._written(pixels, caption, sample if numbered else None))
+            pictures.append(
+                self._written(pixels, caption, sample if numbered else None)
+            )
             self._progress((k + 1) / len(cells))
         if not several:
-            return made[0], samples
+            return pictures[0], samples
         columns = self._columns(len(samples), len(cells))
-        rows = [made[k : k + columns] for k in range(0, len(made), columns)]
+        rows = [pictures[k : k + columns] for k in range(0, len(pictures), columns)]
         wide = columns * (size[0] + GAP) - GAP
         title = self._title(len(cells), wide, size[1])
         sheet = joined(rows, GAP, self._colors["page"], title, self._colors["ink"])
@@ -336,13 +338,13 @@ class Studio:
         return caption_of(one, width, height)
 
     def _view(
-        self, camera: Camera, size: tuple[int, int], caption: Caption, sample: int
-    ) -> View:
+        self, camera: CameraChoice, size: tuple[int, int], caption: Caption, sample: int
+    ) -> CameraView:
         """Return a view that has the whole motion in its picture."""
-        view = View(*size, caption.height, light=light_of(self._options))
+        view = CameraView(*size, caption.height, light=light_of(self._options))
         camera.aim(view)
         self._scene.look(view, sample)
-        camera.place(view)
+        camera.position(view)
         return view
 
     def _written(self, pixels: Array, caption: Caption, sample: int | None) -> Array:

@@ -34,7 +34,7 @@ PRESETS = {
 LIGHT = np.array([-0.35, 0.65, 0.68])
 
 
-class Box:
+class Bounds:
     """Least and greatest of the coordinates that it was shown."""
 
     def __init__(self) -> None:
@@ -48,7 +48,7 @@ class Box:
             self.low = np.minimum(self.low, points.min(axis=0))
             self.high = np.maximum(self.high, points.max(axis=0))
 
-    def join(self, other: Box, shift: FloatArray | float = 0.0) -> None:
+    def join(self, other: Bounds, shift: FloatArray | float = 0.0) -> None:
         """Grow around another that is moved."""
         if not other.empty:
             self.add(np.stack([other.low, other.high]) + shift)
@@ -112,7 +112,7 @@ class Eye:
 
 
 @dataclass(slots=True)
-class View:
+class CameraView:
     """A camera and the picture that it makes.
 
     Attributes:
@@ -158,7 +158,7 @@ class View:
         high = HALF * max(1.0, free / aspect)
         return high / free * aspect, high
 
-    def frame(self, box: Box) -> None:
+    def frame(self, box: Bounds) -> None:
         """Show what is in a box."""
         self.target, self.radius = box.center, box.radius
         self.floor = float(box.low[1])
@@ -212,9 +212,9 @@ class View:
         return self._eye(world, projection, half_high)
 
     def _eye(self, world: FloatArray, projection: FloatArray, half_high: float) -> Eye:
-        turn = world[:3, :3].T
+        rotation = world[:3, :3].T
         view = np.eye(4)
-        view[:3, :3], view[:3, 3] = turn, -turn @ world[:3, 3]
+        view[:3, :3], view[:3, 3] = rotation, -rotation @ world[:3, 3]
         size = self.width, self.height
         per_metre = self.height / (2 * half_high)
         return Eye(view, projection @ view, *size, per_metre, self.light)

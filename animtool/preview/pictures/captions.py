@@ -72,8 +72,8 @@ def _broken(text: str, width: float, font: Any) -> Iterator[str]:
     """Yield lines that are no wider than a width, broken in words where they must."""
     for paragraph in text.splitlines():
         line = ""
-        for whole in paragraph.split():
-            word = whole
+        for unbroken in paragraph.split():
+            word = unbroken
             longer = f"{line} {word}".strip()
             if font.getlength(longer) <= width:
                 line = longer
@@ -113,8 +113,8 @@ def written(
 def _write(
     pen: Any, at: tuple[float, float], text: str, font: Any, ink: Color, back: Color
 ) -> None:
-    place = tuple(map(round, at))
-    pen.text(place, text, fill=ink, font=font, stroke_width=2, stroke_fill=back)
+    corner = tuple(map(round, at))
+    pen.text(corner, text, fill=ink, font=font, stroke_width=2, stroke_fill=back)
 
 
 def _font(letters: int) -> Any:

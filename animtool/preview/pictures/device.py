@@ -40,7 +40,7 @@ def needed(name: str) -> ModuleType:
         raise OptionError(Fault("IO005", message, hint=EXTRA)) from error
 
 
-class Table:
+class TextureTable:
     """Four numbers a cell that vertex shaders read."""
 
     def __init__(self, device: Device) -> None:

@@ -22,7 +22,7 @@ _BT709, _NARROW = 1, 1
 COLORS = 256
 
 
-def write_still(path: Path, pixels: Array) -> None:
+def write_picture(path: Path, pixels: Array) -> None:
     """Write a picture, whole or not at all (else OUT002)."""
     image_of = needed("PIL.Image")
     settings: dict[str, Any] = {"format": "PNG", "optimize": True}

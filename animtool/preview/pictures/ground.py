@@ -9,10 +9,10 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray
 from animtool.preview.pictures.bones import Color
-from animtool.preview.pictures.camera import Eye, View
+from animtool.preview.pictures.camera import CameraView, Eye
 from animtool.preview.pictures.device import Device
-from animtool.preview.pictures.lines import Lines
-from animtool.preview.pictures.pose import Pose, in_spans
+from animtool.preview.pictures.lines import DrawnLines
+from animtool.preview.pictures.pose import DrawnPose, in_spans
 
 CELLS, PIECE = 28, 4
 # Samples of a trail before and after the frame.
@@ -32,11 +32,11 @@ def round_up(x: float) -> float:
     return next((k for k in (1, 2, 5) if k * power >= x * 0.99), 10) * power
 
 
-class Ground:
+class DrawnGround:
     """The grid."""
 
     def __init__(self, device: Device, radius: float) -> None:
-        self._lines = Lines(device)
+        self._lines = DrawnLines(device)
         self._cell = round_up(max(radius, 1e-6) * 0.3)
         self._key: tuple[int, int] | None = None
 
@@ -65,11 +65,11 @@ class Ground:
                 near, far = (cz + k) * cell, (cz + k + PIECE) * cell
                 segments.append((x, near, x, far, *(line if cx + i else strong)))
                 segments.append((left, z, right, z, *(line if cz + i else strong)))
-        made = np.array(segments, np.float64)
-        ends = np.zeros((2, len(made), 3))
-        ends[0][:, [0, 2]], ends[1][:, [0, 2]] = made[:, :2], made[:, 2:4]
-        alpha = np.full((len(made), 1), 255.0)
-        colors = np.concatenate([made[:, 4:], alpha], axis=1)
+        table = np.array(segments, np.float64)
+        ends = np.zeros((2, len(table), 3))
+        ends[0][:, [0, 2]], ends[1][:, [0, 2]] = table[:, :2], table[:, 2:4]
+        alpha = np.full((len(table), 1), 255.0)
+        colors = np.concatenate([table[:, 4:], alpha], axis=1)
         self._lines.set(ends[0], ends[1], colors)
 
 
@@ -78,11 +78,11 @@ class Trails:
 
     def __init__(self, device: Device, codes: FloatArray) -> None:
         self._codes = codes
-        self._trails, self._rings = Lines(device), Lines(device)
+        self._trails, self._rings = DrawnLines(device), DrawnLines(device)
 
     def update(
         self,
-        poses: Sequence[Pose],
+        poses: Sequence[DrawnPose],
         sample: int,
         color: Callable[[int], Color],
         contact: Color,
@@ -100,11 +100,11 @@ class Trails:
                     at = pose.positions[each["joint"]]
                     rings.append(_ring(at, pose.extent * 0.045, contact))
         for lines, parts in ((self._trails, trails), (self._rings, rings)):
-            made = np.concatenate(parts)
-            lines.set(made[:, :3], made[:, 3:6], made[:, 6:])
+            table = np.concatenate(parts)
+            lines.set(table[:, :3], table[:, 3:6], table[:, 6:])
 
     def _trail(
-        self, pose: Pose, sample: int, color: Color, contact: Color
+        self, pose: DrawnPose, sample: int, color: Color, contact: Color
     ) -> FloatArray:
         first = max(0, sample - REACH)
         last = min(len(self._codes) - 1, sample + REACH)
@@ -155,7 +155,7 @@ class Shadow:
         self._frames = [gl.framebuffer([texture]) for texture in self._maps]
         self._area = (0.0, 0.0, 1.0)
 
-    def cast(self, view: View, draw: Callable[[Eye], None]) -> bool:
+    def cast(self, view: CameraView, draw: Callable[[Eye], None]) -> bool:
         """Make the map around what the camera looks at; return whether there is one."""
         half = view.radius * WIDE
         if view.floor < -SUNK * view.radius:
@@ -192,7 +192,7 @@ class Shadow:
         self._device.draw_plain(self._ground, 4, strip)
 
 
-def _looking_up(view: View, x: float, z: float, half: float) -> Eye:
+def _looking_up(view: CameraView, x: float, z: float, half: float) -> Eye:
     """Return a camera that looks up from the ground, without perspective."""
     high = HIGH * view.radius
     low = -DEEP * high

@@ -29,7 +29,7 @@ class PictureKind:
     """
 
     about: str
-    still: bool = False
+    picture: bool = False
     codec: str = ""
     container: str = ""
     pixels: str = "yuv420p"
@@ -51,7 +51,7 @@ _MP4 = PictureKind(
     file_settings=(("fflags", "+bitexact"),),
 )
 KINDS: dict[str, PictureKind] = {
-    ".png": PictureKind("PNG, lossless", still=True),
+    ".png": PictureKind("PNG, lossless", picture=True),
     ".gif": PictureKind(
         "GIF of 256 colours, LZW, free of patents",
         codec="gif",
@@ -63,7 +63,7 @@ KINDS: dict[str, PictureKind] = {
     ),
     ".webp": PictureKind(
         "WebP by libwebp (BSD)",
-        still=True,
+        picture=True,
         codec="libwebp_anim",
         container="webp",
         size=_SMALL,

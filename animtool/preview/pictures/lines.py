@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from animtool.core.array_types import FloatArray
 from animtool.preview.pictures.camera import Eye
-from animtool.preview.pictures.device import Array, Device, Table
+from animtool.preview.pictures.device import Array, Device, TextureTable
 from animtool.preview.streams import Array as Values
 
 Bytes = npt.NDArray[np.uint8]
@@ -32,11 +32,11 @@ def repeated(count: int, color: FloatArray) -> Bytes:
     return np.repeat(np.clip(color, 0, 255).astype(np.uint8)[None], count, axis=0)
 
 
-class Lines:
+class DrawnLines:
     """Segments that are drawn together."""
 
     def __init__(self, device: Device) -> None:
-        self._device, self._table = device, Table(device)
+        self._device, self._table = device, TextureTable(device)
         self._program = device.program("lines.js")
         self.count = 0
 
@@ -110,8 +110,8 @@ class Sprites:
     def set(self, positions: Array, colors: Bytes, radii: Array | None = None) -> None:
         """Draw points from now on ``(N, 3)``, with colours and radii of their own."""
         self._count = len(positions)
-        own = np.zeros(self._count) if radii is None else radii
-        parts = np.asarray(positions, "<f4"), colors, np.asarray(own, "<f4")
+        sizes = np.zeros(self._count) if radii is None else radii
+        parts = np.asarray(positions, "<f4"), colors, np.asarray(sizes, "<f4")
         if not self._count:
             return
         written = zip(self._parts, parts, strict=True)

@@ -31,7 +31,7 @@ def composed(t: FloatArray, r: FloatArray, s: FloatArray | None) -> FloatArray:
     return out
 
 
-class Pose:
+class DrawnPose:
     """A take of a page, posed at a sample.
 
     Attributes:
@@ -49,12 +49,12 @@ class Pose:
         self.parents = np.array(skeleton["parents"], np.int64)
         self.count = len(self.names)
         self.levels = _levels(self.parents)
-        still = record.get("still") or skeleton["rest"]
+        static = record.get("still") or skeleton["rest"]
         ones = np.ones((self.count, 3))
         self._values = {
-            "t": np.reshape(still["t"], (-1, 3)).astype(np.float64),
-            "r": np.reshape(still["r"], (-1, 4)).astype(np.float64),
-            "s": ones if still.get("s") is None else np.array(still["s"], np.float64),
+            "t": np.reshape(static["t"], (-1, 3)).astype(np.float64),
+            "r": np.reshape(static["r"], (-1, 4)).astype(np.float64),
+            "s": ones if static.get("s") is None else np.array(static["s"], np.float64),
         }
         self._moving = [
             (part, record[part], np.array(record["moving"][part], np.int64))
@@ -71,7 +71,9 @@ class Pose:
         self._paths: dict[int, FloatArray] = {}
 
     def _root(self) -> int:
-        moves = {int(j) for part, _, own in self._moving if part == "t" for j in own}
+        moves = {
+            int(j) for part, _, joints in self._moving if part == "t" for j in joints
+        }
         order = [int(j) for level in self.levels for j in level]
         return next((j for j in order if j in moves), order[0] if order else 0)
 
@@ -99,8 +101,8 @@ class Pose:
 
     def update(self, sample: int) -> None:
         """Pose the skeleton."""
-        seen = self.at(self.record.get("visible"), sample)
-        self.visible = seen is None or seen[0] != 0
+        visible = self.at(self.record.get("visible"), sample)
+        self.visible = visible is None or visible[0] != 0
         self.world = self._posed(sample)
 
     def _posed(self, sample: int) -> FloatArray:
@@ -140,20 +142,20 @@ class Pose:
 
     def touching(self, codes: FloatArray) -> BoolArray:
         """Return which trailed joints touch at time codes ``(F, T)``."""
-        found = np.zeros((len(codes), len(self.trailed)), bool)
+        touching = np.zeros((len(codes), len(self.trailed)), bool)
         for each in self.record.get("contacts") or []:
             for column, joint in enumerate(self.trailed):
                 if joint == each["joint"]:
-                    found[:, column] |= in_spans(codes, each["spans"])
-        return found
+                    touching[:, column] |= in_spans(codes, each["spans"])
+        return touching
 
 
 def in_spans(codes: FloatArray, spans: list[list[float]]) -> BoolArray:
     """Return which time codes are in some spans ``(F,)``."""
-    found = np.zeros(len(codes), bool)
+    inside = np.zeros(len(codes), bool)
     for first, last in spans:
-        found |= (codes >= first - 1e-6) & (codes <= last + 1e-6)
-    return found
+        inside |= (codes >= first - 1e-6) & (codes <= last + 1e-6)
+    return inside
 
 
 def _levels(parents: IntArray) -> list[IntArray]:

@@ -28,8 +28,8 @@ def shader(module: str, name: str) -> str:
     >>> shader("bones.js", "THIN_FRAGMENT").startswith("in vec3 tint;")
     True
     """
-    shared, own = _constants(SHARED), _constants(module)
-    return _INSERTED.sub(lambda found: shared[found[1]], own[name])
+    shared, texts = _constants(SHARED), _constants(module)
+    return _INSERTED.sub(lambda match: shared[match[1]], texts[name])
 
 
 @cache

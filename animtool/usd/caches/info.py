@@ -150,9 +150,9 @@ def displaced_points(path: Path) -> list[PointPrim]:
 def _described(prim: Any) -> PointPrim:
     reader = PointReader(prim)
     times, copies, has = reader.times, reader.copies, reader.has
-    moments = reader.moments
-    codes = codes_of(times)
-    counts = lengths(reader.attr, codes)
+    codes = reader.codes
+    rows_at = codes_of(times)
+    counts = lengths(reader.attr, rows_at)
     kind = str(prim.GetTypeName())
     pieces, name = ("meshes", "") if copies else _PIECES.get(kind, ("", ""))
     shape = prim.GetAttribute(name) if name else None
@@ -167,9 +167,9 @@ def _described(prim: Any) -> PointPrim:
         _span(counts),
         pieces,
         _span(many),
-        len(moments),
-        moments[0] if moments else None,
-        moments[-1] if moments else None,
+        len(codes),
+        codes[0] if codes else None,
+        codes[-1] if codes else None,
         len({*counts} - {None}) < 2
         and not (shape and shape.ValueMightBeTimeVarying())
         and _same_ids(prim, times),
@@ -179,7 +179,7 @@ def _described(prim: Any) -> PointPrim:
         has("normals"),
         has("orientations") or has("orientationsf"),
         sorted(str(primvar.GetPrimvarName()) for primvar in primvars),
-        _extent(prim, [code for code, n in zip(codes, counts, strict=True) if n]),
+        _extent(prim, [code for code, n in zip(rows_at, counts, strict=True) if n]),
     )
 
 

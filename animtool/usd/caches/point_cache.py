@@ -28,7 +28,7 @@ from animtool.usd.caches.writer import (
 )
 from animtool.usd.layers.chunks import (
     Chunks,
-    Whole,
+    OneLayer,
     author_span,
     point_files,
     write_frames,
@@ -103,15 +103,15 @@ def round_points(
         points, meters_per_unit, Labels("points", "point"), codes
     )
 
-    def alike(name: str, values: FloatArray, unit: float) -> Float32Array:
+    def same_order(name: str, values: FloatArray, unit: float) -> Float32Array:
         return rounded(values, unit, Labels(name, "point"), codes)[0]
 
-    extent = alike("extent", extents, meters_per_unit)
+    extent = same_order("extent", extents, meters_per_unit)
     values = {"points": rounded_points, "extent": _widened(extent, space.margin)}
     if normals is not None:
-        values["normals"] = alike("normals", normals, 1.0)
+        values["normals"] = same_order("normals", normals, 1.0)
     if velocities is not None:
-        values["velocities"] = alike("velocities", velocities, meters_per_unit)
+        values["velocities"] = same_order("velocities", velocities, meters_per_unit)
     code = float(codes[frame])
     return Block(mesh, codes, values, points.shape[1], error, code, vertex)
 
@@ -141,13 +141,15 @@ def author_cache(
     layer = new_layer(job.output or Path("stdout.usda"))
     reports = [CachedMesh(path) for path in job.meshes]
     writers = [PointWriter(layer, report) for report in reports]
-    whole = Whole(writers)
+    layer_writer = OneLayer(writers)
     with Sdf.ChangeBlock():
         _author_prims(layer, job)
-        write_frames(blocks, whole, reports)
+        write_frames(blocks, layer_writer, reports)
         for writer in writers:
             writer.finish(rest=job.target is None)
-        author_metadata(layer, cache_metadata(job, whole.first, whole.last))
+        author_metadata(
+            layer, cache_metadata(job, layer_writer.first, layer_writer.last)
+        )
     if job.target is not None:
         job.target.check(layer)
     return layer, reports
@@ -211,7 +213,9 @@ def write_chunks(job: CacheJob, blocks: Iterator[Block], size: int) -> ChunkedCa
     metadata = cache_metadata(job, chunks.starts[0], chunks.last)
     with Sdf.ChangeBlock():
         for mesh in chunked:
-            mesh.author(layer.GetPrimAtPath(mesh.report.path), whole=job.target is None)
+            mesh.author(
+                layer.GetPrimAtPath(mesh.report.path), with_defaults=job.target is None
+            )
         author_metadata(layer, metadata)
 
     def declare(manifest: Any) -> None:
@@ -252,31 +256,31 @@ class _ChunkedMesh:
     def __init__(self, path: str) -> None:
         self.report = CachedMesh(path)
         # Values of the first frame, while points are where they are there.
-        self._still: dict[str, Float32Array] | None = None
+        self._static: dict[str, Float32Array] | None = None
 
     def count(self, block: Block) -> None:
         """Note which attributes frames have, and whether points move."""
         values = block.values
         if not self.report.sampled:
-            self._still = {name: rows[0].copy() for name, rows in values.items()}
+            self._static = {name: rows[0].copy() for name, rows in values.items()}
         self.report.count(block)
         self.report.sampled = list(values)
-        still = self._still
-        if still is not None and (values["points"] != still["points"]).any():
-            self._still = None
+        static = self._static
+        if static is not None and (values["points"] != static["points"]).any():
+            self._static = None
 
-    def author(self, spec: Any, *, whole: bool) -> None:
+    def author(self, spec: Any, *, with_defaults: bool) -> None:
         """Declare what the files hold; what never moves has its value here, which wins.
 
         whole: whether the first chunk, a sublayer for its defaults, has zeros there.
         """
         for name in self.report.sampled:
-            if self._still is None:
+            if self._static is None:
                 empty_attribute(spec, name)
             elif name != "velocities":
-                empty_attribute(spec, name).finish(self._still[name])
-            elif whole:
+                empty_attribute(spec, name).finish(self._static[name])
+            elif with_defaults:
                 kind = Sdf.ValueTypeNames.Vector3fArray
                 attribute(spec, name, kind, Sdf.ValueBlock())
-        if self._still is not None:
+        if self._static is not None:
             self.report.sampled, self.report.samples, self.report.bytes = [], 0, 0

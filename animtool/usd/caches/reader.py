@@ -18,7 +18,7 @@ from animtool.core.rates import rate_from_float
 from animtool.core.record import dataclass
 from animtool.core.units import UpAxis, up_from_up
 from animtool.maths import so3
-from animtool.usd.layers.faults import Spot
+from animtool.usd.layers.faults import PrimLocation
 from animtool.usd.layers.sdf import usd_errors
 from animtool.usd.layers.stderr import without_usd_warnings
 from animtool.usd.rigs.prims import (
@@ -53,7 +53,7 @@ class PointReader:
         return list(self.attr.GetTimeSamples())
 
     @property
-    def moments(self) -> list[float]:
+    def codes(self) -> list[float]:
         """Time codes of the samples of its points and of what places it."""
         return sorted({*self.times, *placing_times(self.prim)})
 
@@ -185,7 +185,7 @@ class PointSource:
 
     def codes(self, name: str) -> list[float]:
         """Return the time codes of a prim's samples; none where it never moves."""
-        return [float(code) for code in self._readers[name].moments]
+        return [float(code) for code in self._readers[name].codes]
 
     def at(self, name: str, code: float | None) -> PointSample:
         """Return what a prim has at a time code; None is the default.
@@ -198,11 +198,11 @@ class PointSource:
         """
         reader = self._readers[name]
         time = Usd.TimeCode.Default() if code is None else Usd.TimeCode(code)
-        prim, spot = reader.prim, Spot.of(self._path, reader.prim)
-        own, matrix = reader.at(time), reader.world_from_prim(time)
-        if not (np.isfinite(own).all() and np.isfinite(matrix).all()):
+        prim, spot = reader.prim, PrimLocation.of(self._path, reader.prim)
+        points_local, matrix = reader.at(time), reader.world_from_prim(time)
+        if not (np.isfinite(points_local).all() and np.isfinite(matrix).all()):
             spot.fail("USD265", "points are not finite")
-        points = transformed(own, matrix) * self.unit
+        points = transformed(points_local, matrix) * self.unit
         count = len(points)
 
         def each(*names: str, width: int = 0) -> Any:
@@ -218,13 +218,13 @@ class PointSource:
         ids = each("ids")
         if not reader.copies:
             return PointSample(points, ids)
-        turns = each("orientationsf", "orientations", width=4)
-        if turns is None:
-            turns = np.tile([0.0, 0.0, 0.0, 1.0], (count, 1))
-        sizes = np.linalg.norm(turns, axis=1, keepdims=True)
+        orientations = each("orientationsf", "orientations", width=4)
+        if orientations is None:
+            orientations = np.tile([0.0, 0.0, 0.0, 1.0], (count, 1))
+        sizes = np.linalg.norm(orientations, axis=1, keepdims=True)
         if not (np.abs(sizes - 1) < UNIT_TOLERANCE).all():
             spot.fail("USD288", "a quaternion is not of length 1")
-        turns = so3.multiply(decompose(matrix[None])[1][0], turns / sizes)
+        orientations = so3.multiply(decompose(matrix[None])[1][0], orientations / sizes)
         scales = each("scales", width=3)
         if scales is None:
             scales = np.ones((count, 3))
@@ -233,7 +233,7 @@ class PointSource:
         copied = each("protoIndices")
         if copied is None:
             copied = np.full(count, -1)
-        return PointSample(points, ids, turns, scales, copied)
+        return PointSample(points, ids, orientations, scales, copied)
 
 
 def open_points(path: Path) -> PointSource | None:
@@ -245,7 +245,7 @@ def open_points(path: Path) -> PointSource | None:
 
 
 @dataclass(frozen=True, slots=True)
-class StillMesh:
+class StaticMesh:
     """Points and faces in the world."""
 
     points: FloatArray  # ``(N, 3)`` [m]
@@ -253,7 +253,7 @@ class StillMesh:
     indices: IntArray  # corners, face by face
 
 
-def read_still_mesh(path: Path, prim: str, up: UpAxis) -> StillMesh:
+def read_static_mesh(path: Path, prim: str, up: UpAxis) -> StaticMesh:
     """Return a mesh as it is at the earliest time that its file has."""
     return open_mesh(path, prim, up).at(None)
 
@@ -269,12 +269,12 @@ class MeshSource:
         # A prim lives no longer than its stage.
         self._stage, self._reader = stage, PointReader(prim)
         self._unit = UsdGeom.GetStageMetersPerUnit(stage)
-        self._turn = up_from_up(up, up_axis(stage))
+        self._up_rotation = up_from_up(up, up_axis(stage))
         self.fps = float(stage.GetTimeCodesPerSecond())
-        times = self._reader.moments
+        times = self._reader.codes
         self.span = (float(times[0]), float(times[-1])) if times else None
 
-    def at(self, code: float | None) -> StillMesh:
+    def at(self, code: float | None) -> StaticMesh:
         """Return it at a time code; None is the earliest that there is.
 
         Raises:
@@ -290,9 +290,9 @@ class MeshSource:
             raise OptionError(
                 Fault("SIM051", message, hint="check the transforms above it")
             )
-        if self._turn is not None:
-            placed = so3.rotate(np.array(self._turn), placed)
-        return StillMesh(np.asarray(placed, np.float64), counts, indices)
+        if self._up_rotation is not None:
+            placed = so3.rotate(np.array(self._up_rotation), placed)
+        return StaticMesh(np.asarray(placed, np.float64), counts, indices)
 
 
 def open_mesh(path: Path, prim: str, up: UpAxis) -> MeshSource:

@@ -53,7 +53,7 @@ _GPRIMS = (
 
 
 @dataclass(frozen=True, slots=True)
-class Faces:
+class ShownFaces:
     """A mesh in its own space [m], as its axes are."""
 
     points: FloatArray  # ``(N, 3)``
@@ -87,10 +87,10 @@ class ShownPrim:
     def travels(self) -> bool:
         """Whether what is above it moves it."""
         for prim in upwards(self.prim):
-            place = UsdGeom.Xformable(prim)
-            if place and place.TransformMightBeTimeVarying():
+            xformable = UsdGeom.Xformable(prim)
+            if xformable and xformable.TransformMightBeTimeVarying():
                 return True
-            if place and place.GetResetXformStack():
+            if xformable and xformable.GetResetXformStack():
                 return False
         return False
 
@@ -113,7 +113,7 @@ class ShownPrim:
         placed = transformed(self._reader.at(time), self._reader.world_from_prim(time))
         return self._stage.turned(placed * self._stage.meters)
 
-    def faces(self) -> Faces | None:
+    def faces(self) -> ShownFaces | None:
         """Return it in its own space at the earliest time; None of no sound mesh."""
         time = Usd.TimeCode.EarliestTime()
         if self.prim.IsA(UsdGeom.Mesh):
@@ -126,9 +126,9 @@ class ShownPrim:
             points, counts, indices = _solid(self.prim)
             sided = False
         colors = self.colors(self._stage.stage.GetStartTimeCode())
-        own = colors if len(colors) == len(points) > 1 else None
-        place = points * self._stage.meters
-        return Faces(place, counts, indices, self.color, sided, own)
+        vertex_colors = colors if len(colors) == len(points) > 1 else None
+        scaled = points * self._stage.meters
+        return ShownFaces(scaled, counts, indices, self.color, sided, vertex_colors)
 
     def counts(self) -> IntArray:
         """Return how many points each curve has ``(C,)``."""
@@ -166,11 +166,11 @@ class ShownPrim:
         """Return what copies there are, in the world, Y up."""
         source = self._stage.source
         sample = source.at(self.name, code)
-        turn = self._stage.turn
+        up_rotation = self._stage.up_rotation
         assert sample.orientations is not None
         rotations = sample.orientations
-        if turn is not None:
-            rotations = so3.multiply(turn, rotations)
+        if up_rotation is not None:
+            rotations = so3.multiply(up_rotation, rotations)
         return PointSample(
             self._stage.turned(sample.points),
             sample.ids,
@@ -179,7 +179,7 @@ class ShownPrim:
             sample.copied,
         )
 
-    def prototypes(self) -> list[list[tuple[Faces, FloatArray]]]:
+    def prototypes(self) -> list[list[tuple[ShownFaces, FloatArray]]]:
         """Return the meshes of what it copies, each with its place ``(4, 4)`` [m]."""
         stage = self._stage.stage
         prototypes = []
@@ -228,8 +228,8 @@ class StageContents:
         self.meters = float(UsdGeom.GetStageMetersPerUnit(stage))
         self.up = up_axis(stage)
         self.fps = rate_from_float(stage.GetTimeCodesPerSecond())
-        turn = up_from_up(UpAxis.Y, self.up)
-        self.turn = None if turn is None else np.array(turn)
+        up_rotation = up_from_up(UpAxis.Y, self.up)
+        self.up_rotation = None if up_rotation is None else np.array(up_rotation)
         self._below = below
 
     @property
@@ -244,12 +244,14 @@ class StageContents:
 
     def turned(self, points: FloatArray) -> FloatArray:
         """Return points ``(N, 3)``, Y up."""
-        return points if self.turn is None else so3.rotate(self.turn, points)
+        return (
+            points if self.up_rotation is None else so3.rotate(self.up_rotation, points)
+        )
 
     def turned_matrix(self, matrix: FloatArray) -> FloatArray:
         """Return a placement of column vectors ``(4, 4)``, Y up."""
-        if self.turn is not None:
-            matrix[:3] = so3.to_matrix(self.turn) @ matrix[:3]
+        if self.up_rotation is not None:
+            matrix[:3] = so3.to_matrix(self.up_rotation) @ matrix[:3]
         return matrix
 
     @cached_property
@@ -267,7 +269,7 @@ class StageContents:
             for path in copied_meshes(prim)
         }
         root = self.stage.GetDefaultPrim()
-        found = []
+        shown = []
         for prim in self._visible_prims():
             kind, path = _kind(prim), prim.GetPath()
             if not kind or path in skinned or is_bones(prim):
@@ -276,8 +278,8 @@ class StageContents:
                 continue
             above = root.GetPath() if root else path.absoluteRootPath
             name = str(path.MakeRelativePath(above))
-            found.append(ShownPrim(self, prim, name, kind))
-        return found
+            shown.append(ShownPrim(self, prim, name, kind))
+        return shown
 
     def _visible_prims(self) -> Iterator[Any]:
         start = self.stage.GetPrimAtPath(self._below)
@@ -318,14 +320,14 @@ class StageContents:
 
     def turned_surfaces(self, surfaces: Sequence[Surface]) -> tuple[Surface, ...]:
         """Return meshes, Y up: joints carry those with a skin."""
-        if self.turn is None:
+        if self.up_rotation is None:
             return tuple(surfaces)
-        whole = np.eye(4)
-        whole[:3, :3] = so3.to_matrix(self.turn)
+        matrix = np.eye(4)
+        matrix[:3, :3] = so3.to_matrix(self.up_rotation)
         return tuple(
             surface
             if surface.skin is not None
-            else replace(surface, geom_bind=whole @ surface.geom_bind)
+            else replace(surface, geom_bind=matrix @ surface.geom_bind)
             for surface in surfaces
         )
 
@@ -336,14 +338,14 @@ class StageContents:
         none are left out.
         """
         prim = self.stage.GetPrimAtPath(skeleton)
-        found = {}
+        colors_by_name = {}
         code = self.stage.GetStartTimeCode()
         for name, query in bound_meshes(UsdSkel.Skeleton(prim)):
             colors = _colors(query.GetPrim(), code)
             plain = len(colors) == 1 and np.isclose(colors, COLORS, atol=1e-6).all(1)
             if len(colors) and not np.any(plain):
-                found[name] = colors
-        return found
+                colors_by_name[name] = colors
+        return colors_by_name
 
     def cameras(self) -> list[str]:
         """Return the paths of its cameras."""
@@ -368,7 +370,7 @@ class StageContents:
         if self.stage.HasAuthoredTimeCodeRange():
             ends = [self.stage.GetStartTimeCode(), self.stage.GetEndTimeCode()]
         else:
-            ends = [t for p in self.prims for t in PointReader(p.prim).moments] or [1.0]
+            ends = [t for p in self.prims for t in PointReader(p.prim).codes] or [1.0]
         return time_fraction(min(ends)), time_fraction(max(ends))
 
 
@@ -406,10 +408,10 @@ def _kind(prim: Any) -> str:
 
 def _below(prim: Any, root: Any, meters: float) -> FloatArray:
     """Return where a prim is in the space of the prototype that it is part of."""
-    own = UsdGeom.Imageable(prim).ComputeLocalToWorldTransform(0)
+    world = UsdGeom.Imageable(prim).ComputeLocalToWorldTransform(0)
     # The transform of the prototype itself counts; what is above it does not.
     above = UsdGeom.Imageable(root).ComputeParentToWorldTransform(0)
-    matrix = np.array(own * above.GetInverse(), np.float64).T.copy()
+    matrix = np.array(world * above.GetInverse(), np.float64).T.copy()
     matrix[:3, 3] *= meters
     return matrix
 

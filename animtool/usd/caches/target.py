@@ -16,7 +16,7 @@ from animtool.core.units import UpAxis
 from animtool.rig.parts import Attachment
 from animtool.usd.caches.reader import PointReader
 from animtool.usd.caches.writer import PointSpace
-from animtool.usd.layers.faults import Spot
+from animtool.usd.layers.faults import PrimLocation
 from animtool.usd.layers.sdf import attribute, author_order, prim
 from animtool.usd.rigs.mesh_read import bound_meshes, bound_strands
 from animtool.usd.rigs.skinned import MAX_NAMED
@@ -152,7 +152,7 @@ def _misfits(mesh: Any, name: str, count: int, rig: RigTarget) -> list[Fault]:
         return []
     message = f"mesh {name!r} has {points} points here, but {count} in the take's rig"
     hint = "the cache would not match its faces"
-    return [Spot.of(rig.path, mesh).fault("USD041", message, hint)]
+    return [PrimLocation.of(rig.path, mesh).fault("USD041", message, hint)]
 
 
 def _uneven(
@@ -165,11 +165,11 @@ def _uneven(
     message = f"{entry.name!r} has {here[0]} strands of {here[1]} points here, but "
     message += f"{shape[0]} of {shape[1]} in the take's rig"
     hint = "the cache would not match its curves"
-    return [Spot.of(rig.path, curves).fault("USD041", message, hint)]
+    return [PrimLocation.of(rig.path, curves).fault("USD041", message, hint)]
 
 
 def _moving(mesh: Any, skeleton: Any, rig: RigTarget) -> list[Fault]:
-    at, faults = Spot.of(rig.path, mesh), []
+    at, faults = PrimLocation.of(rig.path, mesh), []
     between = mesh.GetPrim()
     while between.GetPath().HasPrefix(Sdf.Path("/")) and between:
         if skeleton.GetPath().HasPrefix(between.GetPath()):
@@ -210,8 +210,8 @@ def _strands(curves: Any, name: str, skeleton: Any, rig: RigTarget) -> TargetMes
 def _placement(mesh: Any, skeleton: Any) -> FloatArray | None:
     cache = UsdGeom.XformCache(Usd.TimeCode.EarliestTime())
     world = cache.GetLocalToWorldTransform(skeleton.GetPrim())
-    own = cache.GetLocalToWorldTransform(mesh.GetPrim())
-    placement = np.array(world * own.GetInverse(), np.float64).T
+    mesh_world = cache.GetLocalToWorldTransform(mesh.GetPrim())
+    placement = np.array(world * mesh_world.GetInverse(), np.float64).T
     return None if np.abs(placement - np.eye(4)).max() <= SAME else placement
 
 

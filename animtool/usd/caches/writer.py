@@ -18,7 +18,7 @@ from animtool.core.array_types import Float32Array, FloatArray, IntArray
 from animtool.core.errors import Fault
 from animtool.core.record import dataclass
 from animtool.usd.layers.finite import Labels
-from animtool.usd.layers.sdf import Samples, attribute, quaternion, vector
+from animtool.usd.layers.sdf import SampleWriter, attribute, quaternion, vector
 
 if TYPE_CHECKING:
     from animtool.motion.frames import (
@@ -33,7 +33,7 @@ _TYPES = Sdf.ValueTypeNames
 
 
 @dataclass(frozen=True, slots=True)
-class Kind:
+class AttributeKind:
     """Type of an attribute, how a value becomes USD's, and its interpolation."""
 
     type_name: Any
@@ -42,47 +42,47 @@ class Kind:
     uniform: bool = False
 
 
-_INTEGERS = Kind(_TYPES.IntArray, Vt.IntArray.FromNumpy)
-_TOKEN = Kind(_TYPES.Token, str, uniform=True)
+_INTEGERS = AttributeKind(_TYPES.IntArray, Vt.IntArray.FromNumpy)
+_TOKEN = AttributeKind(_TYPES.Token, str, uniform=True)
 ATTRIBUTES = {
-    "points": Kind(_TYPES.Point3fArray, Vt.Vec3fArray.FromNumpy),
-    "velocities": Kind(_TYPES.Vector3fArray, Vt.Vec3fArray.FromNumpy),
-    "extent": Kind(_TYPES.Float3Array, Vt.Vec3fArray.FromNumpy),
-    "normals": Kind(_TYPES.Normal3fArray, Vt.Vec3fArray.FromNumpy, "vertex"),
-    "ids": Kind(_TYPES.Int64Array, Vt.Int64Array.FromNumpy),
-    "positions": Kind(_TYPES.Point3fArray, Vt.Vec3fArray.FromNumpy),
-    "orientationsf": Kind(_TYPES.QuatfArray, Vt.QuatfArray.FromNumpy),
-    "angularVelocities": Kind(_TYPES.Vector3fArray, Vt.Vec3fArray.FromNumpy),
-    "scales": Kind(_TYPES.Float3Array, Vt.Vec3fArray.FromNumpy),
+    "points": AttributeKind(_TYPES.Point3fArray, Vt.Vec3fArray.FromNumpy),
+    "velocities": AttributeKind(_TYPES.Vector3fArray, Vt.Vec3fArray.FromNumpy),
+    "extent": AttributeKind(_TYPES.Float3Array, Vt.Vec3fArray.FromNumpy),
+    "normals": AttributeKind(_TYPES.Normal3fArray, Vt.Vec3fArray.FromNumpy, "vertex"),
+    "ids": AttributeKind(_TYPES.Int64Array, Vt.Int64Array.FromNumpy),
+    "positions": AttributeKind(_TYPES.Point3fArray, Vt.Vec3fArray.FromNumpy),
+    "orientationsf": AttributeKind(_TYPES.QuatfArray, Vt.QuatfArray.FromNumpy),
+    "angularVelocities": AttributeKind(_TYPES.Vector3fArray, Vt.Vec3fArray.FromNumpy),
+    "scales": AttributeKind(_TYPES.Float3Array, Vt.Vec3fArray.FromNumpy),
     "protoIndices": _INTEGERS,
-    "widths": Kind(_TYPES.FloatArray, Vt.FloatArray.FromNumpy, "vertex"),
+    "widths": AttributeKind(_TYPES.FloatArray, Vt.FloatArray.FromNumpy, "vertex"),
     "curveVertexCounts": _INTEGERS,
     "faceVertexCounts": _INTEGERS,
     "faceVertexIndices": _INTEGERS,
     "subdivisionScheme": _TOKEN,
-    "doubleSided": Kind(_TYPES.Bool, bool, uniform=True),
+    "doubleSided": AttributeKind(_TYPES.Bool, bool, uniform=True),
     "purpose": _TOKEN,
     "type": _TOKEN,
     "wrap": _TOKEN,
-    "xformOp:translate": Kind(_TYPES.Double3, vector),
-    "xformOp:orient": Kind(_TYPES.Quatd, quaternion),
+    "xformOp:translate": AttributeKind(_TYPES.Double3, vector),
+    "xformOp:orient": AttributeKind(_TYPES.Quatd, quaternion),
 }
 
 
-def kind_of(name: str, values: npt.NDArray[Any]) -> Kind:
+def kind_of(name: str, values: npt.NDArray[Any]) -> AttributeKind:
     """Return how an attribute is written: a primvar as its values ``(…, N[, 3])`` are.
 
-    name: as `place_of` reads it.
+    name: as `split_attribute` reads it.
     """
     if not name.startswith("primvars:"):
         return ATTRIBUTES[name.rpartition(".")[2]]
     if np.issubdtype(values.dtype, np.integer):
-        return Kind(_TYPES.IntArray, Vt.IntArray.FromNumpy, "vertex")
+        return AttributeKind(_TYPES.IntArray, Vt.IntArray.FromNumpy, "vertex")
     if values.ndim == 1:
-        return Kind(_TYPES.FloatArray, Vt.FloatArray.FromNumpy, "vertex")
+        return AttributeKind(_TYPES.FloatArray, Vt.FloatArray.FromNumpy, "vertex")
     color = name == "primvars:displayColor"
     kind = _TYPES.Color3fArray if color else _TYPES.Float3Array
-    return Kind(kind, Vt.Vec3fArray.FromNumpy, "vertex")
+    return AttributeKind(kind, Vt.Vec3fArray.FromNumpy, "vertex")
 
 
 def author_values(spec: Any, values: Mapping[str, Any]) -> None:
@@ -109,14 +109,14 @@ def author_width(spec: Any, width: float) -> None:
     attribute(spec, "widths", _TYPES.FloatArray, widths, interpolation="constant")
 
 
-def place_of(path: str, name: str) -> tuple[str, str]:
+def split_attribute(path: str, name: str) -> tuple[str, str]:
     """Return the prim that has an attribute of a prim at a path, and its name there.
 
-    >>> place_of("/it", "points"), place_of("/it", "brick_3.xformOp:orient")
-    (('/it', 'points'), ('/it/brick_3', 'xformOp:orient'))
+    >>> split_attribute("/it", "brick_3.xformOp:orient")
+    ('/it/brick_3', 'xformOp:orient')
     """
-    part, _, own = name.rpartition(".")
-    return f"{path}/{part}" if part else path, own
+    part, _, leaf = name.rpartition(".")
+    return f"{path}/{part}" if part else path, leaf
 
 
 @dataclass(slots=True)
@@ -137,7 +137,7 @@ class Block:
 
     prim: int  # place among those that are written
     codes: FloatArray  # time codes (F,)
-    # By attribute, as `place_of` reads its name, in order (F, …).
+    # By attribute, as `split_attribute` reads its name, in order (F, …).
     values: Mapping[str, npt.NDArray[Any]]
     vertices: int  # of its points, the most at any frame
     error: float = 0.0  # largest distance that rounding moved a point [m]
@@ -194,8 +194,8 @@ def labels_of(report: CachedMesh, name: str) -> Labels:
     """Return what the values of an attribute of a prim are of."""
     names = () if name == "extent" else report.names
     of = "body" if names else "point"
-    place = ".".join(place_of(report.path, name))
-    return Labels(place, "" if "." in name else of, names)
+    location = ".".join(split_attribute(report.path, name))
+    return Labels(location, "" if "." in name else of, names)
 
 
 class PointWriter:
@@ -217,7 +217,7 @@ class PointWriter:
     ) -> None:
         self._layer, self._report = layer, report
         self._every, self._first, self._added = every, first, added
-        self._channels: dict[str, Samples] = {}
+        self._channels: dict[str, SampleWriter] = {}
 
     def add(self, block: Block) -> None:
         """Write a block of frames."""
@@ -229,13 +229,13 @@ class PointWriter:
         if self._added is not None:
             self._added(block.bytes)
 
-    def _channel(self, name: str, rows: npt.NDArray[Any]) -> Samples:
+    def _channel(self, name: str, rows: npt.NDArray[Any]) -> SampleWriter:
         if not self._every:
             return empty_attribute(self._spec, name)
         labels = labels_of(self._report, name)
         attr = self._layer.GetAttributeAtPath(labels.attribute)
         make = kind_of(name, rows[0]).make
-        return Samples(
+        return SampleWriter(
             attr,
             make,
             every=True,
@@ -279,17 +279,17 @@ class PointWriter:
         nothing = np.zeros((0, 3), np.float32)
         for channel in channels.values():
             channel.finish(nothing)
-        report.sampled = [name for name, made in channels.items() if made.sampled]
+        report.sampled = [name for name, each in channels.items() if each.sampled]
         if not moves:
             report.samples = report.bytes = 0
 
 
-def empty_attribute(spec: Any, name: str) -> Samples:
+def empty_attribute(spec: Any, name: str) -> SampleWriter:
     """Return an attribute without value in place of what a mesh at rest has."""
     remove_attribute(spec, name)
     kind = ATTRIBUTES[name]
     attr = attribute(spec, name, kind.type_name, interpolation=kind.interpolation)
-    return Samples(attr, kind.make)
+    return SampleWriter(attr, kind.make)
 
 
 def remove_attribute(spec: Any, name: str) -> None:
@@ -302,7 +302,7 @@ class FramePrim(Protocol):
     """A prim of frames, as their form needs it."""
 
     unit: float  # of the layer [m]
-    turn: FloatArray  # how the prim stands in the layer (4,)
+    rotation: FloatArray  # how the prim stands in the layer (4,)
 
     @property
     def triangles(self) -> IntArray:
@@ -317,7 +317,7 @@ class FramePrim(Protocol):
     ) -> Float32Array:
         """Return values ``(N,)`` or ``(N, 3)`` of an attribute in float32."""
 
-    def write_still(self, layer: Any, path: str, frame: Frame) -> None:
+    def write_static(self, layer: Any, path: str, frame: Frame) -> None:
         """Write a frame as a prim that never moves."""
 
 
@@ -339,8 +339,8 @@ class FrameForm(Generic[FrameT]):
         """Return whether the shape may be another at another frame."""
         return False
 
-    def kinds(self, frame: FrameT) -> dict[str, Kind]:
-        """Return what has samples, in order, by name, as `place_of` reads them."""
+    def kinds(self, frame: FrameT) -> dict[str, AttributeKind]:
+        """Return the sampled attributes, in order, by name; see `split_attribute`."""
         arrays = {f"primvars:{name}": rows for name, rows in frame.primvars.items()}
         kinds = {name: ATTRIBUTES[name] for name in self.sampled}
         kinds |= {name: kind_of(name, rows) for name, rows in arrays.items()}

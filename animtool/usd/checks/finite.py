@@ -19,11 +19,11 @@ from pxr import Sdf, Tf, Usd
 
 from animtool.core.errors import Fault, counted
 from animtool.core.rules import finding
-from animtool.usd.checks.subject import Subject
+from animtool.usd.checks.subject import StageSubject
 from animtool.usd.layers.finite import floats_of, largest
 
 
-def check_types(subject: Subject) -> Iterator[Fault]:
+def check_types(subject: StageSubject) -> Iterator[Fault]:
     """Check that the strongest opinion on an attribute is of its schema's type.
 
     Properties of SkelBindingAPI count where it is not applied, too, and inbetweens.
@@ -45,13 +45,13 @@ def _expected_type(attr: Any) -> Any:
         return Sdf.ValueTypeNames.Vector3fArray
     binding = Usd.SchemaRegistry().FindAppliedAPIPrimDefinition("SkelBindingAPI")
     for definition in (attr.GetPrim().GetPrimDefinition(), binding):
-        own = definition.GetAttributeDefinition(name)
-        if own:
-            return own.GetTypeName()
+        attribute_definition = definition.GetAttributeDefinition(name)
+        if attribute_definition:
+            return attribute_definition.GetTypeName()
     return None
 
 
-def check_splines(subject: Subject) -> Iterator[Fault]:
+def check_splines(subject: StageSubject) -> Iterator[Fault]:
     """Check that splines go forward in time, and that no samples hide them.
 
     A knot that is not finite is refused by USD as the layer is read.
@@ -75,7 +75,7 @@ def check_splines(subject: Subject) -> Iterator[Fault]:
             yield finding("USD275", attr.GetPath(), message)
 
 
-def check_uniform(subject: Subject) -> Iterator[Fault]:
+def check_uniform(subject: StageSubject) -> Iterator[Fault]:
     """Check that no uniform attribute has samples."""
     for attr in subject.attributes:
         if attr.GetVariability() != Sdf.VariabilityUniform:
@@ -113,7 +113,7 @@ NO_NUMBERS = frozenset(
 )
 
 
-def check_finite(subject: Subject) -> Iterator[Fault]:
+def check_finite(subject: StageSubject) -> Iterator[Fault]:
     """Check that no number in any layer of a stage is NaN or infinite.
 
     An infinity that a schema itself has as its fallback, such as the limits of a
@@ -122,8 +122,8 @@ def check_finite(subject: Subject) -> Iterator[Fault]:
     root = subject.stage.GetRootLayer()
     used = [layer for layer in subject.stage.GetUsedLayers() if layer != root]
     for layer in (root, *sorted(used, key=lambda layer: str(layer.identifier))):
-        places = _of_layer(subject, layer, is_root=layer == root)
-        for _, group in groupby(places, key=lambda item: item[0].GetPrimPath()):
+        specs = _of_layer(subject, layer, is_root=layer == root)
+        for _, group in groupby(specs, key=lambda item: item[0].GetPrimPath()):
             yield from _limited(list(group), "" if layer == root else _named(layer))
 
 
@@ -140,7 +140,7 @@ def _limited(problems: list[tuple[Any, str]], where: str) -> Iterator[Fault]:
 
 
 def _of_layer(
-    subject: Subject, layer: Any, *, is_root: bool
+    subject: StageSubject, layer: Any, *, is_root: bool
 ) -> Iterator[tuple[Any, str]]:
     """Yield the paths of specs with numbers that are not finite, prim by prim."""
     paths: list[Any] = []
@@ -184,7 +184,7 @@ def _of_data(value: Any, name: str) -> str:
     return f"its metadata {name} is {_worst(numbers)}"
 
 
-def _of_attribute(subject: Subject, layer: Any, spec: Any) -> str:
+def _of_attribute(subject: StageSubject, layer: Any, spec: Any) -> str:
     """Return what is wrong with values of an attribute; empty for nothing."""
     default = floats_of(spec.default) if spec.HasDefaultValue() else None
     problems = []
@@ -208,7 +208,7 @@ def _of_attribute(subject: Subject, layer: Any, spec: Any) -> str:
     return "; ".join(filter(None, (*problems, first)))
 
 
-def _is_known(subject: Subject, path: Any) -> bool:
+def _is_known(subject: StageSubject, path: Any) -> bool:
     """Return whether another check read these samples, which are the only ones."""
     if path not in subject.finite:
         return False
@@ -224,7 +224,7 @@ def _is_finite(numbers: npt.NDArray[Any]) -> bool:
     return bool(numbers.min() > -math.inf and numbers.max() < math.inf)
 
 
-def _is_allowed(subject: Subject, spec: Any, numbers: npt.NDArray[Any]) -> bool:
+def _is_allowed(subject: StageSubject, spec: Any, numbers: npt.NDArray[Any]) -> bool:
     if _is_finite(numbers):
         return True
     if np.isnan(numbers).any():
@@ -234,11 +234,11 @@ def _is_allowed(subject: Subject, spec: Any, numbers: npt.NDArray[Any]) -> bool:
     if not prim:
         return False
     fallback = prim.GetPrimDefinition().GetAttributeFallbackValue(path.name)
-    own = None if fallback is None else floats_of(fallback)
-    if own is None:
+    fallback_values = None if fallback is None else floats_of(fallback)
+    if fallback_values is None:
         # An attribute of a schema that the prim does not name, as some exporters write.
         return any(name.fullmatch(path.name) for name in _infinite_names())
-    return not _is_finite(own)
+    return not _is_finite(fallback_values)
 
 
 @cache
@@ -268,5 +268,5 @@ def _worst(numbers: npt.NDArray[Any]) -> str:
 
 def _element(numbers: npt.NDArray[Any]) -> str:
     """Say at which place of an array the first number is that is not finite."""
-    place = _bad(numbers)
-    return f", element {place[0]}" if len(place) else ""
+    index = _bad(numbers)
+    return f", element {index[0]}" if len(index) else ""

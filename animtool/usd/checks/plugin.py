@@ -12,7 +12,7 @@ from typing import Any
 from pxr import Sdf, UsdValidation
 
 from animtool.core.errors import Fault, Severity
-from animtool.usd.checks.run import OWN_KEYWORD, check_stage
+from animtool.usd.checks.run import ANIMTOOL_KEYWORD, check_stage
 
 # What plugInfo.json says, and what `register` does without it.
 PLUGIN_NAME = "animtool.usd.checks.plugin:Checks"
@@ -32,7 +32,7 @@ def register() -> Any:
         if registry.HasValidator(name):
             return registry.GetOrLoadValidatorByName(name)
     metadata = UsdValidation.ValidatorMetadata(
-        name=NAME, keywords=[OWN_KEYWORD], doc="Checks of animtool for USD stages."
+        name=NAME, keywords=[ANIMTOOL_KEYWORD], doc="Checks of animtool for USD stages."
     )
     registry.RegisterStageValidator(metadata, validate)
     return registry.GetOrLoadValidatorByName(NAME)

@@ -12,7 +12,7 @@ from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, excerpt, listed
 from animtool.core.rules import finding
 from animtool.usd.caches.reader import PointReader
-from animtool.usd.checks.subject import Subject
+from animtool.usd.checks.subject import StageSubject
 from animtool.usd.layers.faults import duplicates, singular, tokens
 from animtool.usd.rigs.prims import upwards
 
@@ -20,7 +20,7 @@ from animtool.usd.rigs.prims import upwards
 SUM_TOLERANCE = 4e-3
 
 
-def check_skins(subject: Subject) -> Iterator[Fault]:
+def check_skins(subject: StageSubject) -> Iterator[Fault]:
     """Check indices, weights and bind transform of every prim that has its own.
 
     What prims above geometry hold for it to inherit is not looked at, nor are prims
@@ -39,16 +39,16 @@ def check_skins(subject: Subject) -> Iterator[Fault]:
 def _influences(
     prim: Any, binding: Any, indices: Any, weights: Any, have: list[bool]
 ) -> Iterator[Fault]:
-    found, heavy = (
+    indexed, heavy = (
         np.array(primvar.ComputeFlattened() or () if there else (), np.float64)
         for primvar, there in zip((indices, weights), have, strict=True)
     )
-    if not len(found) or not len(heavy):
-        message = f"{len(found)} jointIndices and {len(heavy)} jointWeights"
+    if not len(indexed) or not len(heavy):
+        message = f"{len(indexed)} jointIndices and {len(heavy)} jointWeights"
         yield finding("USD234", prim.GetPath(), message)
         return
-    yield from _joints(prim, binding, found)
-    unfit = _layout(prim, indices, weights, len(found), len(heavy))
+    yield from _joints(prim, binding, indexed)
+    unfit = _layout(prim, indices, weights, len(indexed), len(heavy))
     if unfit:
         path = f"{prim.GetPath()}.primvars:skel:jointIndices"
         yield finding("USD231", path, unfit)
@@ -56,15 +56,17 @@ def _influences(
 
 
 def _joints(prim: Any, binding: Any, indices: FloatArray) -> Iterator[Fault]:
-    held = binding.GetInheritedSkeleton()
-    skeleton = tokens(held.GetJointsAttr()) if held else []
-    own = _own_joints(prim)
-    unknown = [name for name in own if name not in set(skeleton)]
+    skeleton_query = binding.GetInheritedSkeleton()
+    skeleton = tokens(skeleton_query.GetJointsAttr()) if skeleton_query else []
+    bound = _bound_joints(prim)
+    unknown = [name for name in bound if name not in set(skeleton)]
     if skeleton and unknown:
-        message = f"{len(unknown)} joints that {held.GetPath()} does not have: "
+        message = (
+            f"{len(unknown)} joints that {skeleton_query.GetPath()} does not have: "
+        )
         message += listed(unknown)
         yield finding("USD238", f"{prim.GetPath()}.skel:joints", message)
-    count = len(own or skeleton)
+    count = len(bound or skeleton)
     wrong = indices[(indices < 0) | (indices >= count)] if count else indices[:0]
     if len(wrong):
         path = f"{prim.GetPath()}.primvars:skel:jointIndices"
@@ -75,7 +77,7 @@ def _joints(prim: Any, binding: Any, indices: FloatArray) -> Iterator[Fault]:
         yield finding("USD230", path, message)
 
 
-def _own_joints(prim: Any) -> list[str]:
+def _bound_joints(prim: Any) -> list[str]:
     """Return skel:joints of a prim or the nearest prim above that has them."""
     attrs = (UsdSkel.BindingAPI(above).GetJointsAttr() for above in upwards(prim))
     return next((tokens(a) for a in attrs if a and a.HasAuthoredValue()), [])
@@ -147,7 +149,7 @@ def _geom_bind(attr: Any) -> Iterator[Fault]:
         yield finding("USD235", attr.GetPath(), message)
 
 
-def check_targets(subject: Subject) -> Iterator[Fault]:
+def check_targets(subject: StageSubject) -> Iterator[Fault]:
     """Check that a prim with points names one target for each shape."""
     for prim in subject.prims:
         if not has_points(prim):
@@ -165,14 +167,14 @@ def check_targets(subject: Subject) -> Iterator[Fault]:
             yield finding("USD245", attr.GetPath(), message)
 
 
-def check_shapes(subject: Subject) -> Iterator[Fault]:
+def check_shapes(subject: StageSubject) -> Iterator[Fault]:
     """Check offsets, indices and inbetweens of every BlendShape."""
     points = _points(subject)
     for shape in subject.of_type(UsdSkel.BlendShape):
         yield from _shape(shape, points.get(shape.GetPath()))
 
 
-def _points(subject: Subject) -> dict[Any, int]:
+def _points(subject: StageSubject) -> dict[Any, int]:
     """Return the number of points of what each shape moves."""
     counts: dict[Any, int] = {}
     for prim in subject.prims:
@@ -226,8 +228,8 @@ def _indices(shape: Any, indices: IntArray, points: int | None) -> Iterator[Faul
         )
         yield finding("USD241", path, message)
     elif len(np.unique(indices)) != len(indices):
-        held, counts = np.unique(indices, return_counts=True)
-        twice = held[counts > 1]
+        rows, counts = np.unique(indices, return_counts=True)
+        twice = rows[counts > 1]
         message = (
             f"{len(twice)} of {len(indices)} are duplicates, the first is {twice[0]}"
         )

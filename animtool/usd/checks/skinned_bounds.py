@@ -21,7 +21,7 @@ MAX_POINTS = 20_000_000
 
 
 @dataclass(frozen=True, slots=True)
-class _Skinned:
+class _SkinnedPrim:
     """A prim that a Skeleton moves."""
 
     query: Any  # its `UsdSkel.SkinningQuery`
@@ -56,7 +56,7 @@ class SkinnedBounds:
             return None
 
     def _at(self, code: Any) -> FloatArray | None:
-        places = UsdGeom.XformCache(code)
+        xforms = UsdGeom.XformCache(code)
         ends = []
         for skeleton, prims in self._bound:
             transforms = skeleton.ComputeSkinningTransforms(code) if prims else None
@@ -64,7 +64,7 @@ class SkinnedBounds:
                 posed, holder = _posed(one, skeleton, transforms, code)
                 if posed is None:
                     continue
-                matrix, _ = places.ComputeRelativeTransform(holder, self._root)
+                matrix, _ = xforms.ComputeRelativeTransform(holder, self._root)
                 inside = transformed(posed, np.array(matrix, np.float64))
                 ends.append((inside.min(axis=0), inside.max(axis=0)))
         if not ends:
@@ -104,7 +104,7 @@ def overhang(
     return (worst, when, len(chosen) == count) if worst > 0.0 else None
 
 
-def _bindings(root: Any) -> list[tuple[Any, list[_Skinned]]]:
+def _bindings(root: Any) -> list[tuple[Any, list[_SkinnedPrim]]]:
     """Return the skeletons below a SkelRoot, as queries, with what each moves."""
     cache, everything = UsdSkel.Cache(), Usd.TraverseInstanceProxies()
     schema = UsdSkel.Root(root)
@@ -115,7 +115,7 @@ def _bindings(root: Any) -> list[tuple[Any, list[_Skinned]]]:
     ]
 
 
-def _skinned(binding: Any) -> list[_Skinned]:
+def _skinned(binding: Any) -> list[_SkinnedPrim]:
     """Return the prims with points that a binding has."""
     prims = []
     for query in binding.GetSkinningTargets():
@@ -132,12 +132,12 @@ def _skinned(binding: Any) -> list[_Skinned]:
                 shapes.ComputeBlendShapePointIndices(),
                 shapes.ComputeSubShapePointOffsets(),
             ]
-        prims.append(_Skinned(query, points, shapes, reach or []))
+        prims.append(_SkinnedPrim(query, points, shapes, reach or []))
     return prims
 
 
 def _posed(
-    one: _Skinned, skeleton: Any, transforms: Any, code: Any
+    one: _SkinnedPrim, skeleton: Any, transforms: Any, code: Any
 ) -> tuple[FloatArray | None, Any]:
     """Return the points of a prim ``(N, 3)``, and the prim whose space they are in."""
     query, points = one.query, type(one.points)(one.points)
@@ -147,8 +147,8 @@ def _posed(
         mapper = query.GetBlendShapeMapper()
         weights = mapper.Remap(weights) if weights and mapper else weights
         if weights:
-            own = one.shapes.ComputeSubShapeWeights(weights)
-            one.shapes.ComputeDeformedPoints(*own, *one.reach, points)
+            subshapes = one.shapes.ComputeSubShapeWeights(weights)
+            one.shapes.ComputeDeformedPoints(*subshapes, *one.reach, points)
     if not query.HasJointInfluences():
         return np.array(points, np.float64), query.GetPrim()
     if not transforms:

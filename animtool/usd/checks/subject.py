@@ -19,7 +19,7 @@ AnyArray = npt.NDArray[Any]
 
 
 @dataclass(frozen=True, slots=True)
-class Sampled:
+class SampledArray:
     """All values of an array attribute."""
 
     times: FloatArray  # time codes ``(F,)``; NaN alone for a default
@@ -44,7 +44,7 @@ class Sampled:
         return not np.isnan(self.times).any()
 
 
-def at_samples(sampled: Sampled, bad: BoolArray | IntArray) -> str:
+def at_samples(sampled: SampledArray, bad: BoolArray | IntArray) -> str:
     """Say at which samples something is, by a mask or by their numbers.
 
     ``bad`` ``(F,)``.
@@ -59,13 +59,13 @@ def at_samples(sampled: Sampled, bad: BoolArray | IntArray) -> str:
 
 
 @dataclass
-class Subject:
+class StageSubject:
     """A stage under inspection."""
 
     stage: Any  # the stage
     # Paths of attributes whose samples were all found to be finite.
     finite: set[Any] = field(default_factory=set)
-    _sampled: dict[Any, Sampled] = field(default_factory=dict)
+    _sampled: dict[Any, SampledArray] = field(default_factory=dict)
     _times: dict[Any, list[float]] = field(default_factory=dict)
 
     @cached_property
@@ -73,13 +73,13 @@ class Subject:
         """Active prims, overs too; of equal instances the first."""
         predicate = Usd.PrimIsActive & Usd.PrimIsLoaded & ~Usd.PrimIsAbstract
         start = self.stage.GetPseudoRoot()
-        prims, seen = [], set()
+        prims, visited = [], set()
         for prim in Usd.PrimRange(start, Usd.TraverseInstanceProxies(predicate)):
             if prim.IsInstanceProxy():
                 shared = prim.GetPrimInPrototype().GetPath()
-                if shared in seen:
+                if shared in visited:
                     continue
-                seen.add(shared)
+                visited.add(shared)
             prims.append(prim)
         return prims[1:]
 
@@ -105,7 +105,7 @@ class Subject:
             self._times[key] = attr.GetTimeSamples()
         return self._times[key]
 
-    def sampled(self, attr: Any) -> Sampled:
+    def sampled(self, attr: Any) -> SampledArray:
         """Return all values of an array attribute; the default where it has no samples.
 
         An attribute without a value has no times.
@@ -115,7 +115,7 @@ class Subject:
             self._sampled[key] = self.read(attr)
         return self._sampled[key]
 
-    def read(self, attr: Any) -> Sampled:
+    def read(self, attr: Any) -> SampledArray:
         """Return what `sampled` does, without keeping it."""
         times = self.times(attr)
         if times:
@@ -125,7 +125,7 @@ class Subject:
             arrays = [] if value is None else [value]
         codes = times or [float("nan")] * len(arrays)
         counts = [len(a) if isinstance(a, Sized) else -1 for a in arrays]
-        return Sampled(np.array(codes), arrays, np.array(counts, np.int64))
+        return SampledArray(np.array(codes), arrays, np.array(counts, np.int64))
 
 
 def _arrays(attr: Any, times: list[float]) -> list[Any]:
@@ -133,11 +133,11 @@ def _arrays(attr: Any, times: list[float]) -> list[Any]:
     first = Usd.TimeCode(times[0])
     if attr.GetResolveInfo(first).GetSource() == Usd.ResolveInfoSourceTimeSamples:
         for spec, offset in attr.GetPropertyStackWithLayerOffsets(first):
-            own = spec.layer.ListTimeSamplesForPath(spec.path)
-            if own:
-                if len(own) == len(times) and offset.scale > 0:
+            layer_times = spec.layer.ListTimeSamplesForPath(spec.path)
+            if layer_times:
+                if len(layer_times) == len(times) and offset.scale > 0:
                     query, path = spec.layer.QueryTimeSample, spec.path
-                    return [_unblocked(query(path, time)) for time in own]
+                    return [_unblocked(query(path, time)) for time in layer_times]
                 break
     query = Usd.AttributeQuery(attr)
     return [query.Get(time) for time in times]

@@ -57,7 +57,7 @@ Edit: TypeAlias = Callable[[], Change]
 
 
 @dataclass(frozen=True, slots=True)
-class Target:
+class FixTarget:
     """A stage, and its root layer, which alone is edited."""
 
     stage: Any  # A `Usd.Stage`
@@ -80,22 +80,22 @@ class Target:
         if not attr:
             raise NotFixableError("the attribute was not found")
         for spec in attr.GetPropertyStack(Usd.TimeCode.EarliestTime()):
-            held = spec.layer.GetNumTimeSamplesForPath(spec.path)
-            if held or spec.HasDefaultValue():
-                self.require_own(spec)
+            samples = spec.layer.GetNumTimeSamplesForPath(spec.path)
+            if samples or spec.HasDefaultValue():
+                self.require_local(spec)
                 return spec
         raise NotFixableError("the attribute has no value")
 
     def prim_spec(self, prim: Any) -> Any:
         """Return the spec of a prim in the root layer."""
         stack = prim.GetPrimStack()
-        own = [spec for spec in stack if spec.layer == self.layer]
-        if own:
-            return own[0]
-        self.require_own(stack[0])
+        local = [spec for spec in stack if spec.layer == self.layer]
+        if local:
+            return local[0]
+        self.require_local(stack[0])
         return stack[0]
 
-    def require_own(self, spec: Any) -> None:
+    def require_local(self, spec: Any) -> None:
         """Refuse a spec of another file."""
         if spec.layer != self.layer:
             name = spec.layer.GetDisplayName()
@@ -120,8 +120,8 @@ def rewrite(spec: Any, change: Rewrite) -> tuple[int, int, float]:
             if np.array_equal(before, after):
                 continue
             changed += 1
-            apart = np.abs(after.astype(np.float64) - before)
-            largest = max(largest, float(apart.max()))
+            difference = np.abs(after.astype(np.float64) - before)
+            largest = max(largest, float(difference.max()))
             rows = np.ascontiguousarray(after.astype(before.dtype))
             array = type(values[i]).FromNumpy(rows)
             if times:
@@ -132,7 +132,7 @@ def rewrite(spec: Any, change: Rewrite) -> tuple[int, int, float]:
 
 
 # Raises NotFixableError where it would not be safe.
-Fix: TypeAlias = Callable[[Target, Fault], Edit]
+Fix: TypeAlias = Callable[[FixTarget, Fault], Edit]
 SUFFIXES = (".usd", ".usda", ".usdc")
 
 
@@ -144,7 +144,7 @@ class EditedLayer:
     """
 
     def __init__(self, layer: Any, path: Path) -> None:
-        self.target = Target(open_composed(layer, path), layer)
+        self.target = FixTarget(open_composed(layer, path), layer)
 
     def edit_of(self, fault: Fault) -> Edit:
         """Return the edit that fixes a finding; else `NotFixableError`."""
@@ -222,10 +222,10 @@ def write_copy(source: Path, content: Any, output: Path) -> Sequence[str]:
 
 def _reload(path: Path) -> None:
     """Read a layer again that somebody has open."""
-    held = Sdf.Layer.Find(str(path))
-    if held is not None:
+    layer = Sdf.Layer.Find(str(path))
+    if layer is not None:
         with without_usd_warnings():
-            held.Reload(force=True)
+            layer.Reload(force=True)
 
 
 def _format(path: Path) -> str:

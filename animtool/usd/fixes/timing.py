@@ -11,8 +11,8 @@ from pxr import Sdf, Usd
 from animtool.core.clock import frame_label, span_label
 from animtool.core.errors import Fault, counted
 from animtool.maths import so3
-from animtool.usd.checks.subject import Subject
-from animtool.usd.fixes.target import AnyArray, Change, Edit, NotFixableError, Target
+from animtool.usd.checks.subject import StageSubject
+from animtool.usd.fixes.target import AnyArray, Change, Edit, FixTarget, NotFixableError
 from animtool.usd.fixes.target import rewrite as rewrite_arrays
 from animtool.usd.takes.animation_values import OFF_FRAME
 
@@ -20,7 +20,7 @@ from animtool.usd.takes.animation_values import OFF_FRAME
 MIN_LENGTH = 1e-3
 
 
-def continuous(target: Target, fault: Fault) -> Edit:
+def continuous(target: FixTarget, fault: Fault) -> Edit:
     """Negate the rotations that change their sign between samples."""
     spec = target.attribute(fault)
 
@@ -41,7 +41,7 @@ def continuous(target: Target, fault: Fault) -> Edit:
     return edit
 
 
-def unit(target: Target, fault: Fault) -> Edit:
+def unit(target: FixTarget, fault: Fault) -> Edit:
     """Divide rotations by their lengths."""
     spec = target.attribute(fault)
 
@@ -81,7 +81,7 @@ def _stacked(arrays: list[AnyArray]) -> AnyArray:
 ASSUMED_RATE = 24.0
 
 
-def rates(target: Target, _: Fault) -> Edit:
+def rates(target: FixTarget, _: Fault) -> Edit:
     """State both rates, the missing one as USD takes it today."""
     layer = target.layer
 
@@ -99,17 +99,17 @@ def rates(target: Target, _: Fault) -> Edit:
     return edit
 
 
-def sample_range(target: Target, _: Fault) -> Edit:
+def sample_range(target: FixTarget, _: Fault) -> Edit:
     """State the range of the samples as the layer's."""
     return lambda: _ranged(target, widen=False)
 
 
-def wider_range(target: Target, _: Fault) -> Edit:
+def wider_range(target: FixTarget, _: Fault) -> Edit:
     """Widen the layer's range to hold all samples; one apart becomes theirs."""
     return lambda: _ranged(target, widen=True)
 
 
-def whole_range(target: Target, _: Fault) -> Edit:
+def full_range(target: FixTarget, _: Fault) -> Edit:
     """Bring the ends of the layer's range from between frames to frames outwards.
 
     Where that is less than a frame before or after all samples, to the samples.
@@ -126,7 +126,7 @@ def whole_range(target: Target, _: Fault) -> Edit:
     return edit
 
 
-def _ranged(target: Target, *, widen: bool) -> Change:
+def _ranged(target: FixTarget, *, widen: bool) -> Change:
     stage = target.stage
     first, last = _span(stage)
     start, end = stage.GetStartTimeCode(), stage.GetEndTimeCode()
@@ -156,19 +156,19 @@ def _stated(layer: Any) -> str:
 
 def _span(stage: Any) -> tuple[float, float]:
     """Return the first and last frame of the samples, those of motion blur apart."""
-    subject = Subject(stage)
+    subject = StageSubject(stage)
     times = sorted({t for attr in subject.attributes for t in subject.times(attr)})
     if not times or not (math.isfinite(times[0]) and math.isfinite(times[-1])):
         raise NotFixableError("there are no samples to compute the range from")
-    held = set(times)
+    sampled = set(times)
     first, last = float(math.ceil(times[0])), float(math.floor(times[-1]))
     return (
-        first if first in held else times[0],
-        last if last in held else times[-1],
+        first if first in sampled else times[0],
+        last if last in sampled else times[-1],
     )
 
 
-def whole_frames(target: Target, fault: Fault) -> Edit:
+def integer_frames(target: FixTarget, fault: Fault) -> Edit:
     """Move samples that lie a little off a whole frame onto it, and a range with them.
 
     Samples between frames, as those of motion blur, stay.
@@ -183,7 +183,7 @@ def whole_frames(target: Target, fault: Fault) -> Edit:
         for attr in target.prim(fault).GetAttributes():
             for spec in attr.GetPropertyStack(Usd.TimeCode.EarliestTime()):
                 if spec.layer.GetNumTimeSamplesForPath(spec.path):
-                    target.require_own(spec)
+                    target.require_local(spec)
         if any(time != round(time) for time in layer.ListAllTimeSamples()):
             off = f"samples more than {OFF_FRAME} off a whole frame"
             raise NotFixableError(f"{off} may be intentional")

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from animtool.usd.caches.writer import Block
 
 # Samples in memory before they go to the disk [byte].
-HELD = 32_000_000
+BUFFERED_BYTES = 32_000_000
 
 
 class Growing:
@@ -49,13 +49,13 @@ class Growing:
         """
         self.layer = layer
         self._path = path
-        self._held = 0
+        self._buffered = 0
         self.size = 0  # of the file, when it is written [byte]
 
     def added(self, size: int) -> None:
         """Note samples of a size [byte]; bring them to the disk where they are many."""
-        self._held += size
-        if self._path is not None and self._held > HELD:
+        self._buffered += size
+        if self._path is not None and self._buffered > BUFFERED_BYTES:
             self.save()
 
     def save(self) -> None:
@@ -63,7 +63,7 @@ class Growing:
         assert self._path is not None
         with _written(self._path):
             self.layer.Save()
-        self._held = 0
+        self._buffered = 0
 
 
 @contextmanager
@@ -166,7 +166,7 @@ def system_files(output: Path) -> ClipFiles:
     return ClipFiles(output, "systems", manifest)
 
 
-class Frames(Protocol):
+class PrimFrames(Protocol):
     """Frames of one prim."""
 
     @property
@@ -178,18 +178,18 @@ class Frames(Protocol):
         """Time codes ``(F,)``."""
 
 
-FramesT = TypeVar("FramesT", bound=Frames)
+FramesT = TypeVar("FramesT", bound=PrimFrames)
 FramesIn_contra = TypeVar("FramesIn_contra", contravariant=True)
 
 
-class Writer(Protocol[FramesIn_contra]):
+class FrameWriter(Protocol[FramesIn_contra]):
     """What writes the frames of a prim."""
 
     def add(self, block: FramesIn_contra) -> None:
         """Write frames."""
 
 
-class Report(Protocol[FramesIn_contra]):
+class FrameReport(Protocol[FramesIn_contra]):
     """What is said of the frames of a prim."""
 
     def count(self, block: FramesIn_contra) -> None:
@@ -198,22 +198,22 @@ class Report(Protocol[FramesIn_contra]):
 
 def write_frames(
     blocks: Iterable[FramesT],
-    writer: Writer[FramesT],
-    reports: Sequence[Report[FramesT]],
+    writer: FrameWriter[FramesT],
+    reports: Sequence[FrameReport[FramesT]],
 ) -> None:
     """Write all frames of all prims: every time code of a bake passes here.
 
-    writer: `Whole` or `Chunks`; reports: of each prim.
+    writer: `OneLayer` or `Chunks`; reports: of each prim.
     """
     for block in blocks:
         reports[block.prim].count(block)
         writer.add(block)
 
 
-class Whole(Generic[FramesT]):
+class OneLayer(Generic[FramesT]):
     """All samples in one layer."""
 
-    def __init__(self, writers: Sequence[Writer[FramesT]]) -> None:
+    def __init__(self, writers: Sequence[FrameWriter[FramesT]]) -> None:
         """Begin: with what writes each prim."""
         self._writers = writers
         self.first, self.last = np.inf, -np.inf  # time codes
@@ -236,7 +236,9 @@ class Chunks:
         files: ClipFiles,
         size: int,
         prims: int,
-        build: Callable[[Path, int], AbstractContextManager[Sequence[Writer[Block]]]],
+        build: Callable[
+            [Path, int], AbstractContextManager[Sequence[FrameWriter[Block]]]
+        ],
     ) -> None:
         """Begin.
 
@@ -245,7 +247,7 @@ class Chunks:
         """
         self.files, self._size, self._build = files, size, build
         self._done = [0] * prims
-        self._open: dict[int, tuple[ExitStack, Sequence[Writer[Block]]]] = {}
+        self._open: dict[int, tuple[ExitStack, Sequence[FrameWriter[Block]]]] = {}
         self.starts: list[float] = []
         self.last = -np.inf
         self._manifest: Any = None  # before they are joined

@@ -28,7 +28,7 @@ class _Walk:
     states: dict[Path, FileState] = field(default_factory=dict)
     # Held, so that the stage finds them open.
     layers: list[Any] = field(default_factory=list)
-    _seen: set[str] = field(default_factory=set)
+    _visited: set[str] = field(default_factory=set)
 
     def follow(self, top: Any) -> None:
         """Look at all that a layer brings in.
@@ -50,9 +50,9 @@ class _Walk:
         """Return a layer that another names; None where USD opens none or knows it."""
         asset = Sdf.ComputeAssetPathRelativeToLayer(layer, name)
         bare, _ = Sdf.Layer.SplitIdentifier(asset)
-        if asset in self._seen or not Sdf.FileFormat.FindByExtension(bare):
+        if asset in self._visited or not Sdf.FileFormat.FindByExtension(bare):
             return None
-        self._seen.add(asset)
+        self._visited.add(asset)
         # Of a package, the resolver would open it.
         outer = bare.partition("[")[0]
         file = Ar.GetResolver().Resolve(outer).GetPathString()

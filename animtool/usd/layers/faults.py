@@ -28,20 +28,20 @@ SMALLEST_METADATA, LARGEST_METADATA = 1e-9, 1e9
 
 
 @dataclass(frozen=True, slots=True)
-class Spot:
+class PrimLocation:
     """A place that faults are of: a file, and a prim or property in it."""
 
     path: str
     where: str | None = None
 
     @classmethod
-    def of(cls, path: Path | str, prim: Any) -> Spot:
+    def of(cls, path: Path | str, prim: Any) -> PrimLocation:
         """Return the place of a prim, a schema or an attribute of a file."""
         return cls(str(path), str(prim.GetPath()))
 
-    def at(self, prim: Any) -> Spot:
+    def at(self, prim: Any) -> PrimLocation:
         """Return the place of another prim or attribute of the file."""
-        return Spot.of(self.path, prim)
+        return PrimLocation.of(self.path, prim)
 
     def fault(
         self,
@@ -105,7 +105,7 @@ def units_and_axis(stage: Any) -> Iterator[Fault]:
         yield finding("USD260", "/", f"upAxis is {up!r}")
 
 
-def own_matrices(attr: Any) -> FloatArray:
+def matrix_array(attr: Any) -> FloatArray:
     """Return the matrices of an attribute ``(N, 4, 4)``, as USD has them."""
     value = np.array(attr.Get() or ())
     sound = value.dtype.kind == "f" and value.size % 16 == 0
@@ -137,7 +137,7 @@ def bind_transforms(
 ) -> Iterator[Fault]:
     """Yield what is wrong with bind transforms; only skins need that there are some."""
     attr = skeleton.GetBindTransformsAttr()
-    bind = own_matrices(attr)
+    bind = matrix_array(attr)
     if len(bind) != len(joints):
         if len(bind) or skins:
             message = f"{counted(len(bind), 'bindTransform')}"
@@ -166,9 +166,9 @@ def singular(matrices: FloatArray) -> BoolArray:
 
 def unknown_joints(attr: Any, joints: Sequence[str], skeleton: Any) -> Iterator[Fault]:
     """Yield that an animation has joints that its Skeleton, a prim's path, lacks."""
-    own = set(joints)
-    unknown = [name for name in tokens(attr) if name not in own]
-    if unknown and own:
+    joint_set = set(joints)
+    unknown = [name for name in tokens(attr) if name not in joint_set]
+    if unknown and joint_set:
         message = (
             f"{len(unknown)} joints that {skeleton} does not have: {listed(unknown)}"
         )

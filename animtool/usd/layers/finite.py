@@ -85,9 +85,9 @@ def rounded(
     # Beyond the range the error is larger than any rounding, so nothing more is read.
     if not error < _MAX_ROUNDED * unit:
         with np.errstate(all="ignore"):
-            whole = points / unit
-            narrow = whole.astype(np.float32)
-        _refuse(whole, narrow, "f", labels, codes)
+            scaled = points / unit
+            narrow = scaled.astype(np.float32)
+        _refuse(scaled, narrow, "f", labels, codes)
     return rounded_points, error, frame, vertex
 
 
@@ -155,10 +155,10 @@ def _refuse(
     bad = np.argwhere(~(np.abs(narrow) <= limit))
     if not len(bad):
         return
-    place = tuple(bad[0].tolist())
-    value = float(values[place])
-    rest = place if codes is None else place[1:]
-    when = "" if codes is None else f" at frame {codes[place[0]]:.10g}"
+    index = tuple(bad[0].tolist())
+    value = float(values[index])
+    rest = index if codes is None else index[1:]
+    when = "" if codes is None else f" at frame {codes[index[0]]:.10g}"
     allowed = f"{_NAMES[letter]} can hold finite numbers up to {limit:.6g}"
     raise _error(labels, f"{labels.at(rest)}{when} is {value:.6g}; {allowed}")
 

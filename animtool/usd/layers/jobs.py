@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 SUFFIXES = (".usd", ".usda", ".usdc")
 
 
-class Form(StrEnum):
+class LayerForm(StrEnum):
     """What to write.
 
     ``stage`` is one file with skeleton and animation; ``split`` the same in three
@@ -47,9 +47,9 @@ class Form(StrEnum):
     LIBRARY = "library"
 
 
-def output_paths(output: Path, form: Form) -> list[Path]:
+def output_paths(output: Path, form: LayerForm) -> list[Path]:
     """Return the files that a form writes, in the order written, ``output`` last."""
-    if form is not Form.SPLIT:
+    if form is not LayerForm.SPLIT:
         return [output]
     return [
         output.with_name(f"{output.stem}.rig.usda"),
@@ -128,7 +128,7 @@ class Rounding:
 class UsdJob:
     """What `write_usd` needs beside the blocks."""
 
-    form: Form  # stage, split or layer
+    form: LayerForm  # stage, split or layer
     output: Path | None  # the file; None writes usda to stdout
     rig: Rig  # the joints, as the blocks have them
     names: UsdNames  # their USD names
@@ -166,7 +166,7 @@ class UsdTake:
     reduced: bool = False  # whether samples are left out that others give back
     # What the file records of where its joints stand; empty where they do not, or a
     # rig layer does.
-    place: Mapping[str, Any] = field(default_factory=dict)
+    rest_record: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(slots=True)

@@ -371,7 +371,7 @@ def quatf(row: FloatArray) -> Any:
 SURE = 1e-3
 
 
-class Samples:
+class SampleWriter:
     """An attribute's samples; a default only, while the values do not change.
 
     The frames before the first change share one array, as copies of it would. Signs of
@@ -401,7 +401,7 @@ class Samples:
         self._first: npt.NDArray[Any] | None = None
         self._quaternions = quaternions
         self._last: npt.NDArray[Any] | None = None
-        self._held: list[FloatArray] = []
+        self._buffered: list[FloatArray] = []
         self.sampled = False
 
     def add(self, codes: FloatArray, rows: npt.NDArray[Any]) -> None:
@@ -417,7 +417,7 @@ class Samples:
             self._first = rows[0].copy()
         if not self.sampled:
             if (rows == self._first).all():
-                self._held.append(codes)
+                self._buffered.append(codes)
                 return
             self.release()
         put, path, make = self._set, self._path, self._make
@@ -443,10 +443,10 @@ class Samples:
             return
         self.sampled = True
         value = self._make(self._first)
-        for codes in self._held:
+        for codes in self._buffered:
             for code in codes.tolist():
                 self._set(self._path, code, value)
-        self._held.clear()
+        self._buffered.clear()
 
     def rest(self) -> None:
         """Author the first value as the default too, where there are samples.

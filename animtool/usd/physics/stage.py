@@ -15,7 +15,7 @@ from animtool.core.errors import Fault, Severity, counted, excerpt
 from animtool.core.record import dataclass
 from animtool.core.units import UpAxis, up_from_up
 from animtool.maths import so3
-from animtool.usd.layers.faults import LARGEST_METADATA, SMALLEST_METADATA, Spot
+from animtool.usd.layers.faults import LARGEST_METADATA, SMALLEST_METADATA, PrimLocation
 from animtool.usd.rigs.prims import decompose, up_axis
 
 AXES = {"X": np.eye(3)[0], "Y": np.eye(3)[1], "Z": np.eye(3)[2]}
@@ -46,7 +46,7 @@ class PhysicsStage:
     start: float
     unit: float = field(init=False)
     kilograms: float = field(init=False)
-    turn: FloatArray = field(init=False)
+    up_rotation: FloatArray = field(init=False)
     cache: Any = field(init=False)
     notices: list[Fault] = field(default_factory=list)
     _noted: set[str] = field(default_factory=set)
@@ -57,9 +57,13 @@ class PhysicsStage:
         self.kilograms = float(UsdPhysics.GetStageKilogramsPerUnit(self.stage))
         if not SMALLEST_METADATA <= self.kilograms <= LARGEST_METADATA:
             message = f"kilogramsPerUnit is {self.kilograms:g}"
-            Spot(str(self.path), "/").fail("SIM051", message, "write 1e-9 to 1e9")
-        turn = up_from_up(UpAxis.Y, up_axis(self.stage))
-        self.turn = so3.IDENTITY if turn is None else np.array(turn)
+            PrimLocation(str(self.path), "/").fail(
+                "SIM051", message, "write 1e-9 to 1e9"
+            )
+        up_rotation = up_from_up(UpAxis.Y, up_axis(self.stage))
+        self.up_rotation = (
+            so3.IDENTITY if up_rotation is None else np.array(up_rotation)
+        )
         self.cache = UsdGeom.XformCache(Usd.TimeCode(self.start))
 
     def note(self, prim: Any, message: str) -> None:
@@ -82,12 +86,12 @@ class PhysicsStage:
         row = np.array(value).reshape(-1)
         if row.shape != (count,) or row.dtype.kind not in "fiu":
             message = f"has {excerpt(str(value))} instead of {counted(count, 'number')}"
-            Spot.of(self.path, attribute).fail("SIM051", message)
+            PrimLocation.of(self.path, attribute).fail("SIM051", message)
         row = row.astype(np.float64)
         outside = row[~((row >= least) & (row <= LARGEST))]
         if len(outside):
             message = f"has {outside[0]:g}: it must be {least:g} to {LARGEST:g}"
-            Spot.of(self.path, attribute).fail("SIM051", message)
+            PrimLocation.of(self.path, attribute).fail("SIM051", message)
         return row
 
     def number(self, attribute: Any, least: float = -LARGEST) -> float | None:
@@ -109,18 +113,18 @@ class PhysicsStage:
         outside = matrix[~(np.abs(matrix) <= most)]
         if len(outside):
             message = f"has {outside[0]:g} in its transform; the limit is {most:g}"
-            Spot.of(self.path, prim).fail("SIM051", message)
+            PrimLocation.of(self.path, prim).fail("SIM051", message)
         return matrix
 
     def pose(self, matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return pose ``(7,)`` in metres, as the stage stands, and scales ``(3,)``."""
-        place, turn, scale = decompose(matrix[None])
-        return np.concatenate([place[0] * self.unit, turn[0]]), scale[0]
+        translation, rotation, scale = decompose(matrix[None])
+        return np.concatenate([translation[0] * self.unit, rotation[0]]), scale[0]
 
     def up(self, pose: FloatArray) -> FloatArray:
         """Return a pose of the stage's world with y up ``(7,)``."""
-        at = so3.rotate(self.turn, pose[:3])
-        return np.concatenate([at, so3.multiply(self.turn, pose[3:])])
+        at = so3.rotate(self.up_rotation, pose[:3])
+        return np.concatenate([at, so3.multiply(self.up_rotation, pose[3:])])
 
     def gravity(self) -> FloatArray:
         """Return the gravity of its first scene, y up ``(3,)`` [m/s²]."""
@@ -133,8 +137,8 @@ class PhysicsStage:
             if size is None or (isinstance(size, float) and size < 0):
                 metres = EARTH
             else:
-                given = self.number(scene.GetGravityMagnitudeAttr())
-                metres = (given or 0.0) * self.unit
+                magnitude = self.number(scene.GetGravityMagnitudeAttr())
+                metres = (magnitude or 0.0) * self.unit
             direction = self.numbers(scene.GetGravityDirectionAttr(), 3)
             if direction is None:
                 direction = np.zeros(3)
@@ -142,7 +146,7 @@ class PhysicsStage:
                 return np.array([0.0, -metres, 0.0])
             direction = direction / np.abs(direction).max()
             direction /= np.linalg.norm(direction)
-            return metres * so3.rotate(self.turn, direction)
+            return metres * so3.rotate(self.up_rotation, direction)
         return np.array([0.0, -EARTH, 0.0])
 
 

@@ -59,9 +59,9 @@ class PropPlacements:
         else:
             if track.along:
                 known = self._with_rig(known, codes)
-            turn = up_from_up(self.target.up, self.up)
-            if turn is not None:
-                known = placed(known, Placement.turn(np.array(turn)))
+            up_rotation = up_from_up(self.target.up, self.up)
+            if up_rotation is not None:
+                known = placed(known, Placement.turn(np.array(up_rotation)))
             above = space_above(self.target, path, codes, inside=False)
         if above is not None:
             above[:, :3, 3] *= self.unit(path)
@@ -71,11 +71,13 @@ class PropPlacements:
     def _with_rig(self, known: Transforms, codes: FloatArray) -> Transforms:
         """Return what goes along with a take, where the rig's stage has that."""
         assert self.target is not None
-        own = self.target.placement()
-        if own.uneven:
+        rig_placement = self.target.placement()
+        if rig_placement.uneven:
             # It is read without such a transform, and the rig has it again.
             return known
-        fixed = (self.target.placement(codes) if own.rides else own).fixed
+        fixed = (
+            self.target.placement(codes) if rig_placement.rides else rig_placement
+        ).fixed
         if self.to_rig is not None:
             fixed = fixed.after(self.to_rig(codes))
         return known if fixed.steady().is_none else placed(known, fixed)
@@ -128,18 +130,18 @@ def space_above(
     above = Sdf.Path(target.on_stage(path)).GetParentPath()
     while not stage.GetPrimAtPath(above):
         above = above.GetParentPath()
-    way = np.linalg.inv(world_matrices(stage.GetPrimAtPath(above), codes))
+    matrices = np.linalg.inv(world_matrices(stage.GetPrimAtPath(above), codes))
     if inside:
         skeleton = stage.GetPrimAtPath(target.on_stage(target.paths.skeleton))
-        way = fixed_matrices(skeleton, codes.tolist()) @ way
-    if np.abs(way - way[:1]).max() <= SAME:
-        way = way[:1]
-    if np.abs(way - np.eye(4)).max() <= SAME:
+        matrices = fixed_matrices(skeleton, codes.tolist()) @ matrices
+    if np.abs(matrices - matrices[:1]).max() <= SAME:
+        matrices = matrices[:1]
+    if np.abs(matrices - np.eye(4)).max() <= SAME:
         return None
-    return np.ascontiguousarray(way.swapaxes(1, 2))
+    return np.ascontiguousarray(matrices.swapaxes(1, 2))
 
 
-def way_inside(
+def matrices_inside(
     target: RigTarget,
     to_rig: Callable[[FloatArray], Placement] | None,
     path: str,
@@ -149,17 +151,17 @@ def way_inside(
 
     Column vectors in the unit of the rig ``(F, 4, 4)``; None is the same.
     """
-    way = space_above(target, path, codes, inside=True)
+    above = space_above(target, path, codes, inside=True)
     if to_rig is None:
-        return way
+        return above
     placement, unit = to_rig(codes), target.skeleton.rig.meters_per_unit
     if placement.is_none:
-        return way
-    own = np.tile(np.eye(4), (len(placement.sizes), 1, 1))
-    own[:, :3, :3] = so3.to_matrix(placement.rotations)
-    own[:, :3, :3] *= placement.sizes[:, None, None]
-    own[:, :3, 3] = placement.translations / unit
-    return own if way is None else way @ own
+        return above
+    local = np.tile(np.eye(4), (len(placement.sizes), 1, 1))
+    local[:, :3, :3] = so3.to_matrix(placement.rotations)
+    local[:, :3, :3] *= placement.sizes[:, None, None]
+    local[:, :3, 3] = placement.translations / unit
+    return local if above is None else above @ local
 
 
 def _below(known: Transforms, matrices: FloatArray) -> Transforms:

@@ -14,7 +14,7 @@ from animtool.core.errors import Fault, FormatError, excerpt
 from animtool.core.units import up_from_up
 from animtool.maths import so3
 from animtool.rig.skeleton import Rig
-from animtool.usd.layers.faults import Spot
+from animtool.usd.layers.faults import PrimLocation
 from animtool.usd.layers.sdf import usd_errors
 from animtool.usd.rigs.prims import (
     decompose,
@@ -41,26 +41,26 @@ def open_prim(
     """
     with usd_errors(path):
         stage = open_stage(path)
-        found = _prim(stage, path, prim)
+        usd_prim = _prim(stage, path, prim)
         above = None if space is None else _prim(stage, path, space, "space")
     unit = UsdGeom.GetStageMetersPerUnit(stage)
-    turn = up_from_up(rig.up, up_axis(stage))
+    up_rotation = up_from_up(rig.up, up_axis(stage))
     if above is not None:
-        unit, turn = rig.meters_per_unit, None
+        unit, up_rotation = rig.meters_per_unit, None
 
     def transforms(seconds: FloatArray) -> tuple[FloatArray, FloatArray]:
         # Named here, the stage lives as long as the function, and its prims with it.
         codes = seconds * stage.GetTimeCodesPerSecond()
         with usd_errors(path):
-            matrices = world_matrices(found, codes, above)
+            matrices = world_matrices(usd_prim, codes, above)
         if not np.isfinite(matrices).all():
             message = "its transform is not finite"
-            Spot(str(path), prim).fail("USD171", message)
+            PrimLocation(str(path), prim).fail("USD171", message)
         positions, rotations, _ = decompose(matrices)
         positions = positions * unit
-        if turn is not None:
-            positions = so3.rotate(turn, positions)
-            rotations = so3.multiply(turn, rotations)
+        if up_rotation is not None:
+            positions = so3.rotate(up_rotation, positions)
+            rotations = so3.multiply(up_rotation, rotations)
         return positions, so3.align_signs(rotations)
 
     return transforms

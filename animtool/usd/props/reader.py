@@ -26,7 +26,7 @@ from animtool.motion.transforms import (
     Track,
     Transforms,
 )
-from animtool.usd.layers.faults import Spot
+from animtool.usd.layers.faults import PrimLocation
 from animtool.usd.layers.sdf import usd_errors
 from animtool.usd.props.prim_transforms import world_matrices
 from animtool.usd.rigs.prims import (
@@ -48,7 +48,7 @@ _WIDTHS = {"float": 1, "double": 1, "GfHalf": 1} | {
     f"GfVec{width}{letter}": width for width in (2, 3, 4) for letter in "fdh"
 }
 # What lasts until the next value.
-_HELD = {
+_STEPPED_TYPES = {
     "bool",
     "int",
     "unsigned int",
@@ -154,12 +154,12 @@ def _opened(request: PropRequest, stage: Any, prim: Any, up: UpAxis) -> PropSour
 
 def _type_name(prim: Any, request: PropRequest) -> str:
     """Return the type to write: that of a camera or light, else of a mere frame."""
-    own = str(prim.GetTypeName())
-    if prim.IsA(UsdGeom.Gprim) or prim.IsA(UsdGeom.PointInstancer) or not own:
-        own = "Xform"
+    type_name = str(prim.GetTypeName())
+    if prim.IsA(UsdGeom.Gprim) or prim.IsA(UsdGeom.PointInstancer) or not type_name:
+        type_name = "Xform"
     if request.reference is not None:
         return "" if request.reference != request.file else str(prim.GetTypeName())
-    return own
+    return type_name
 
 
 def _reference(request: PropRequest, stage: Any) -> Reference | None:
@@ -182,8 +182,12 @@ def _attributes(prim: Any, request: PropRequest) -> list[Any]:
     if prim.IsA(UsdGeom.Camera):
         # What USD takes for lengths that are not stated depends on the unit.
         always = {*_LENS, "clippingRange"}
-        own = [prim.GetAttribute(name) for name in _OF_CAMERAS]
-        attributes = [a for a in own if a.GetName() in always or a.HasAuthoredValue()]
+        camera_attributes = [prim.GetAttribute(name) for name in _OF_CAMERAS]
+        attributes = [
+            a
+            for a in camera_attributes
+            if a.GetName() in always or a.HasAuthoredValue()
+        ]
     for name in request.attributes:
         attribute = prim.GetAttribute(name)
         if attribute and attribute.GetName() in {a.GetName() for a in attributes}:
@@ -200,7 +204,7 @@ def _attributes(prim: Any, request: PropRequest) -> list[Any]:
             hint = f"did you mean {near}?" if near else None
             message = f"{request.prim} has no value of {excerpt(name)}"
             faults.append(Fault("SCN049", message, hint=hint))
-        elif _kind(attribute) not in {*_WIDTHS, *_HELD}:
+        elif _kind(attribute) not in {*_WIDTHS, *_STEPPED_TYPES}:
             message = f"{name} of {request.prim} is a {attribute.GetTypeName()}"
             hint = "numbers, vectors, bools, tokens and strings are copied"
             faults.append(Fault("SCN049", message, hint=hint))
@@ -244,7 +248,7 @@ class _Sampler:
     described: tuple[Attribute, ...]  # the same, without values
     unit: float  # of the stage [m]
     # From its up axis to that of the rig; None is none.
-    turn: tuple[float, float, float, float] | None
+    up_rotation: tuple[float, float, float, float] | None
     where: str
     placed: bool  # whether it has a place in the world
     # Time codes at which something is stated, ascending.
@@ -281,10 +285,10 @@ class _Sampler:
             if attribute.ValueMightBeTimeVarying():
                 yield attribute
         for prim in upwards(self.prim) if self.placed else ():
-            place = UsdGeom.Xformable(prim)
-            if place and place.TransformMightBeTimeVarying():
-                yield place
-            if place and place.GetResetXformStack():
+            xformable = UsdGeom.Xformable(prim)
+            if xformable and xformable.TransformMightBeTimeVarying():
+                yield xformable
+            if xformable and xformable.GetResetXformStack():
                 return
 
     def at(self, times: FloatArray) -> Transforms:
@@ -295,27 +299,29 @@ class _Sampler:
         """
         codes = self._on_keys(times if self.moves else times[:1])
         count, matrices = len(codes), None
-        places, turns = np.zeros((count, 3)), np.tile(so3.IDENTITY, (count, 1))
+        positions, rotations = np.zeros((count, 3)), np.tile(so3.IDENTITY, (count, 1))
         scales = np.ones((count, 3))
         if self.sheared:
             matrices = self._matrices(codes)
         elif self.placed:
-            places, turns, scales, shear = _split(self._matrices(codes))
+            positions, rotations, scales, shear = _split(self._matrices(codes))
             self.shear = max(self.shear, shear)
             if self.scales is not None:
                 near = np.abs(scales - self.scales) <= ROUNDED * np.abs(self.scales)
                 scales = np.where(near, self.scales, scales)
-        transforms = Transforms(places, turns, scales, matrices, self._values(codes))
+        transforms = Transforms(
+            positions, rotations, scales, matrices, self._values(codes)
+        )
         if not self.moves:
             return _lasting(transforms, len(times))
-        return replace(transforms, held=self._held(codes))
+        return replace(transforms, held=self._outside_samples(codes))
 
-    def _held(self, codes: FloatArray) -> BoolArray | None:
+    def _outside_samples(self, codes: FloatArray) -> BoolArray | None:
         low, high = map(float, _span(self.stage, self.keys))
         # A frame lasts until the next would come, and so does its shutter before it.
         slack = 1 - ON_KEY
-        held = (codes < low - slack) | (codes > high + slack)
-        return held if held.any() else None
+        outside = (codes < low - slack) | (codes > high + slack)
+        return outside if outside.any() else None
 
     def _on_keys(self, times: FloatArray) -> FloatArray:
         """Return time codes, those of keys where they are as near as rounding goes."""
@@ -347,14 +353,14 @@ class _Sampler:
             matrices = world_matrices(self.prim, codes).swapaxes(1, 2)
         self._check(matrices)
         matrices[:, :3, 3] *= self.unit
-        if self.turn is not None:
-            matrices[:, :3] = so3.to_matrix(self.turn) @ matrices[:, :3]
+        if self.up_rotation is not None:
+            matrices[:, :3] = so3.to_matrix(self.up_rotation) @ matrices[:, :3]
         return matrices
 
     def _check(self, values: FloatArray) -> None:
         if not np.isfinite(values).all():
             message = "its transform, or a value of it, is not finite"
-            Spot.of(self.where, self.prim).fail("USD171", message)
+            PrimLocation.of(self.where, self.prim).fail("USD171", message)
 
 
 def _plain(scales: FloatArray) -> FloatArray:
@@ -382,10 +388,10 @@ def _split(
     matrices: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray, float]:
     """Return translations, rotations, scales, and the share that they leave out."""
-    places, turns, scales = decompose(matrices.swapaxes(1, 2))
-    turns = so3.normalize(turns)
-    again = so3.to_matrix(turns) * scales[:, None, :]
+    positions, rotations, scales = decompose(matrices.swapaxes(1, 2))
+    rotations = so3.normalize(rotations)
+    again = so3.to_matrix(rotations) * scales[:, None, :]
     size = np.abs(matrices[:, :3, :3]).max(axis=(1, 2))
-    apart = np.abs(again - matrices[:, :3, :3]).max(axis=(1, 2))
-    shares = apart / np.where(size > 0, size, 1.0)
-    return places, turns, scales, float(shares.max(initial=0.0))
+    difference = np.abs(again - matrices[:, :3, :3]).max(axis=(1, 2))
+    shares = difference / np.where(size > 0, size, 1.0)
+    return positions, rotations, scales, float(shares.max(initial=0.0))

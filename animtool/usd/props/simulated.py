@@ -43,21 +43,21 @@ from animtool.usd.caches.writer import (
     bounds,
     kind_of,
     labels_of,
-    place_of,
     remove_attribute,
+    split_attribute,
 )
 from animtool.usd.layers.chunks import (
     Chunks,
     ClipFiles,
     Growing,
-    Whole,
+    OneLayer,
     author_span,
     growing_crate,
     write_frames,
 )
 from animtool.usd.layers.finite import narrowed, rounded
 from animtool.usd.layers.sdf import (
-    Samples,
+    SampleWriter,
     StageMetadata,
     attribute,
     author_metadata,
@@ -140,13 +140,13 @@ class SimulatedPrim:
         self,
         path: str,
         meters_per_unit: float,
-        turn: FloatArray | None = None,
+        rotation: FloatArray | None = None,
         fps: float = 24.0,
     ) -> None:
         self.report = CachedMesh(path)
         self.unit = meters_per_unit  # of the layer [m]
         # How the prim stands in the layer (4,).
-        self.turn = so3.IDENTITY if turn is None else turn
+        self.rotation = so3.IDENTITY if rotation is None else rotation
         self.fps = fps  # time codes a second
         self._characters: Characters | None = None
         self._first: Any = None
@@ -181,9 +181,9 @@ class SimulatedPrim:
         kinds, shape = form.kinds(frame), form.shape(frame)
         self._sampled = tuple(kinds)
         for name, kind in kinds.items():
-            place, own = place_of(report.path, name)
-            owner = layer.GetPrimAtPath(place)
-            attribute(owner, own, kind.type_name, interpolation=kind.interpolation)
+            path, leaf = split_attribute(report.path, name)
+            owner = layer.GetPrimAtPath(path)
+            attribute(owner, leaf, kind.type_name, interpolation=kind.interpolation)
         report.sampled = list(kinds)
         if form.tears(frame):
             report.sampled += shape
@@ -214,10 +214,10 @@ class SimulatedPrim:
                 else self.narrowed(f"primvars:{name}", array, code)
             )
         values["velocities"] = self._rounded("velocities", frame.velocities, code)[0]
-        held = {name: values[name] for name in self._sampled}
+        sampled = {name: values[name] for name in self._sampled}
         if form.tears(frame):
-            held |= form.shape(frame)
-        return Block(number, codes, _rows(held), len(points), error, code, vertex)
+            sampled |= form.shape(frame)
+        return Block(number, codes, _rows(sampled), len(points), error, code, vertex)
 
     def finish(self, layer: Any) -> None:
         """Write what shows only behind the last frame."""
@@ -247,16 +247,16 @@ class SimulatedPrim:
         )
         return rows[0], error, vertex
 
-    def write_still(self, layer: Any, path: str, frame: Frame) -> None:
+    def write_static(self, layer: Any, path: str, frame: Frame) -> None:
         """Write a frame as a prim that never moves."""
-        still = SimulatedPrim(path, self.unit)
-        still.begin(layer, frame)
+        prim_writer = SimulatedPrim(path, self.unit)
+        prim_writer.begin(layer, frame)
         spec = layer.GetPrimAtPath(path)
         remove_attribute(spec, "velocities")
-        for name, rows in still.block(0, 0.0, frame).values.items():
+        for name, rows in prim_writer.block(0, 0.0, frame).values.items():
             if name != "velocities":
                 make = kind_of(name, rows[0]).make
-                Samples(spec.attributes[name], make).finish(rows[0])
+                SampleWriter(spec.attributes[name], make).finish(rows[0])
 
 
 def _rows(values: Mapping[str, npt.NDArray[Any]]) -> dict[str, npt.NDArray[Any]]:
@@ -272,10 +272,12 @@ class SimulatedJob:
     names: Sequence[str]  # of the other prims, legal and distinct
     metadata: StageMetadata  # what the layer states
     meters_per_unit: float  # unit of what is below the model [m]
-    turn: FloatArray | None = None  # from y up to the up axis there (4,); None is none
+    rotation: FloatArray | None = (
+        None  # from y up to the up axis there (4,); None is none
+    )
     # From the world of a take to below the model, at all time codes: columns in that
     # unit ``(F, 4, 4)``, or one; None is the same.
-    way: FloatArray | None = None
+    placement_matrices: FloatArray | None = None
     codes: FloatArray | None = None  # those time codes ``(F,)``
 
     @property
@@ -285,9 +287,9 @@ class SimulatedJob:
 
     def prims(self) -> list[SimulatedPrim]:
         """Return the prims, nothing of them written."""
-        unit, turn = self.meters_per_unit, self.turn
+        unit, rotation = self.meters_per_unit, self.rotation
         fps = float(self.metadata.span.fps)
-        return [SimulatedPrim(path, unit, turn, fps) for path in self.paths]
+        return [SimulatedPrim(path, unit, rotation, fps) for path in self.paths]
 
 
 def simulated_layer(job: SimulatedJob, output: Path | None) -> Any:
@@ -305,8 +307,8 @@ def grow_simulated(job: SimulatedJob, rows: Rows, growing: Growing) -> list[Cach
     """Put prims into a layer, frame by frame; return what was written of each."""
     prims, layer = job.prims(), growing.layer
     reports = [one.report for one in prims]
-    whole = Whole([PointWriter(layer, report, every=True) for report in reports])
-    write_frames(_blocks(job, prims, rows, layer, growing), whole, reports)
+    writer = OneLayer([PointWriter(layer, report, every=True) for report in reports])
+    write_frames(_blocks(job, prims, rows, layer, growing), writer, reports)
     for one in prims:
         one.finish(layer)
     return reports
@@ -371,11 +373,11 @@ def _blocks(
         for one, frame in () if i else zip(prims, frames, strict=True):
             one.begin(layer, frame)
             spec = layer.GetPrimAtPath(one.report.path)
-            if job.way is not None:
-                _author_way(spec, job, job.way)
-            elif job.turn is not None:
-                turn = quaternion(job.turn)
-                attribute(spec, "xformOp:orient", types.Quatd, turn)
+            if job.placement_matrices is not None:
+                _author_placement(spec, job, job.placement_matrices)
+            elif job.rotation is not None:
+                rotation = quaternion(job.rotation)
+                attribute(spec, "xformOp:orient", types.Quatd, rotation)
                 author_order(spec, "xformOp:orient")
         size = 0
         for k, (one, frame) in enumerate(zip(prims, frames, strict=True)):
@@ -386,16 +388,18 @@ def _blocks(
             growing.added(size)
 
 
-def _author_way(spec: Any, job: SimulatedJob, way: FloatArray) -> None:
+def _author_placement(
+    spec: Any, job: SimulatedJob, placement_matrices: FloatArray
+) -> None:
     """Write where a prim is below a model that a rig's stage has somewhere."""
     assert job.codes is not None
-    if job.turn is not None:
+    if job.rotation is not None:
         turned = np.eye(4)
-        turned[:3, :3] = so3.to_matrix(job.turn)
-        way = way @ turned
-    rows = np.broadcast_to(way.swapaxes(1, 2), (len(job.codes), 4, 4))
+        turned[:3, :3] = so3.to_matrix(job.rotation)
+        placement_matrices = placement_matrices @ turned
+    rows = np.broadcast_to(placement_matrices.swapaxes(1, 2), (len(job.codes), 4, 4))
     attr = attribute(spec, "xformOp:transform", Sdf.ValueTypeNames.Matrix4d)
-    samples = Samples(attr, lambda row: Gf.Matrix4d(row.tolist()))
+    samples = SampleWriter(attr, lambda row: Gf.Matrix4d(row.tolist()))
     samples.add(job.codes, rows)
     samples.finish(rows[0])
     author_order(spec, "xformOp:transform")
@@ -408,11 +412,11 @@ def _refuse_characters(frames: Sequence[Frame]) -> None:
         raise OptionError(Fault("SIM151", message, hint=f"remove {argument('chunk')}"))
 
 
-def _declare(layer: Any, reports: Sequence[CachedMesh], whole: Any) -> None:
+def _declare(layer: Any, reports: Sequence[CachedMesh], source: Any) -> None:
     """Make the attributes that have samples, as another layer has them."""
     for report in reports:
         prim(layer, report.path, over=True)
         for name in report.sampled:
-            path, own = place_of(report.path, name)
-            kind = whole.GetPrimAtPath(path).attributes[own].typeName
-            attribute(prim(layer, path, over=True), own, kind)
+            path, leaf = split_attribute(report.path, name)
+            kind = source.GetPrimAtPath(path).attributes[leaf].typeName
+            attribute(prim(layer, path, over=True), leaf, kind)

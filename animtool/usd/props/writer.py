@@ -24,15 +24,15 @@ from animtool.motion.motion import Motion
 from animtool.motion.transforms import Reference, Track, Transforms
 from animtool.usd.caches.writer import (
     ATTRIBUTES,
+    AttributeKind,
     FrameForm,
     FramePrim,
-    Kind,
     author_values,
     bounds,
 )
 from animtool.usd.layers.names import RigPaths, UsdNames, distinct_names
 from animtool.usd.layers.sdf import (
-    Samples,
+    SampleWriter,
     asset_path,
     attribute,
     author_order,
@@ -112,7 +112,7 @@ def overlap(one: str, other: str) -> bool:
 def author_props(
     layer: Any,
     samples: PropSamples,
-    places: PropPlacements,
+    placements: PropPlacements,
     output: Path | None,
 ) -> tuple[list[str], list[Fault]]:
     """Write the prims of tracks, with samples of what changes.
@@ -121,48 +121,50 @@ def author_props(
 
     Returns their paths, and what there is to say of their frames.
     """
-    paths = prop_paths(samples.tracks, places.model)
+    paths = prop_paths(samples.tracks, placements.model)
     codes, times = np.concatenate(samples.codes), np.concatenate(samples.times)
     notices: list[Fault] = []
     for i, (track, path) in enumerate(zip(samples.tracks, paths, strict=True)):
-        _author_above(layer, path, places)
-        there = places.exists(path)
+        _author_above(layer, path, placements)
+        there = placements.exists(path)
         type_name = "" if there else track.type_name
-        spec = prim(layer, places.spec(path), type_name, over=there)
+        spec = prim(layer, placements.spec(path), type_name, over=there)
         if track.reference is not None:
             _author_reference(spec, track.reference, output)
-        known = places.located(track, path, codes, track.at(times[:, i]))
-        _author_track(spec, track, codes, known, places.unit(path))
+        known = placements.located(track, path, codes, track.at(times[:, i]))
+        _author_track(spec, track, codes, known, placements.unit(path))
         if known.held is not None and known.held.any():
-            notices.append(_held_notice(track, path, codes, known.held))
+            notices.append(_constant_notice(track, path, codes, known.held))
     return paths, notices
 
 
-def _held_notice(track: Track, path: str, codes: FloatArray, held: BoolArray) -> Fault:
+def _constant_notice(
+    track: Track, path: str, codes: FloatArray, constant: BoolArray
+) -> Fault:
     """Name the frames at which a thing is held, as its file has none such."""
     spans = [
         " to ".join(dict.fromkeys(f"{codes[i]:.10g}" for i in (first, end - 1)))
-        for first, end in runs(held)
+        for first, end in runs(constant)
     ]
     message = (
         f"{path} is constant at frames {', '.join(spans)}: its file has none there"
     )
     hint = (
         "set the frame of its file to match the first with frame:"
-        if held.all()
+        if constant.all()
         else None
     )
     return track.note("SCN107", message, hint=hint, severity=Severity.WARNING)
 
 
-def _author_above(layer: Any, path: str, places: PropPlacements) -> None:
+def _author_above(layer: Any, path: str, placements: PropPlacements) -> None:
     """Define the prims above a path that nothing else does."""
     for above in list(Sdf.Path(path).GetAncestorsRange())[1:]:
         text = str(above)
-        if above.IsAbsoluteRootPath() or within(places.model, text):
+        if above.IsAbsoluteRootPath() or within(placements.model, text):
             continue
-        spec = places.spec(text)
-        if layer.GetPrimAtPath(spec) is None and not places.exists(text):
+        spec = placements.spec(text)
+        if layer.GetPrimAtPath(spec) is None and not placements.exists(text):
             prim(layer, spec, "Xform")
 
 
@@ -183,7 +185,7 @@ def _author_track(
     def author(name: str, type_name: Any, rows: Any, make: _Make) -> None:
         quaternions = type_name == types.Quatd
         attr = attribute(spec, name, type_name)
-        samples = Samples(attr, make, quaternions=quaternions)
+        samples = SampleWriter(attr, make, quaternions=quaternions)
         samples.add(codes, rows)
         samples.finish(rows[0])
 
@@ -200,12 +202,12 @@ def _author_track(
         author("xformOp:scale", types.Double3, sampled.scales * factor, vector)
         author_order(spec, "xformOp:translate", "xformOp:orient", "xformOp:scale")
     for one, values in zip(track.attributes, sampled.values, strict=True):
-        own_type = types.Find(one.type_name)
+        value_type = types.Find(one.type_name)
         if one.width:
             make = _number if one.width == 1 else _numbers
-            author(one.name, own_type, values / (unit if one.length else 1.0), make)
+            author(one.name, value_type, values / (unit if one.length else 1.0), make)
         else:
-            author(one.name, own_type, values, _choice(one.choices))
+            author(one.name, value_type, values, _choice(one.choices))
 
 
 def _choice(choices: Sequence[object]) -> Callable[[Any], object]:
@@ -278,7 +280,7 @@ class XformsForm(FrameForm[TransformsFrame]):
     type_name = "Xform"
     points = ""
 
-    def kinds(self, frame: TransformsFrame) -> dict[str, Kind]:
+    def kinds(self, frame: TransformsFrame) -> dict[str, AttributeKind]:
         """Return the operations of those that move."""
         return {
             f"{part}.{name}": ATTRIBUTES[name]
@@ -300,23 +302,23 @@ class XformsForm(FrameForm[TransformsFrame]):
         layer, paths = spec.layer, _prototypes(writer, spec, frame.meshes)
         layer.GetPrimAtPath(f"{spec.path}/{PROTOTYPES}").specifier = Sdf.SpecifierClass
         for i, part in enumerate(writer.parts):
-            own = layer.GetPrimAtPath(f"{spec.path}/{part}")
+            body = layer.GetPrimAtPath(f"{spec.path}/{part}")
             names = list(_OPERATIONS)
             if i in frame.still:
                 placed = _placed(frame, i, writer.unit)
-                author_values(own, dict(zip(names, placed, strict=True)))
+                author_values(body, dict(zip(names, placed, strict=True)))
             if not (frame.scales[i] == 1.0).all():
                 scale = Gf.Vec3f(*frame.scales[i].tolist())
-                attribute(own, "xformOp:scale", Sdf.ValueTypeNames.Float3, scale)
+                attribute(body, "xformOp:scale", Sdf.ValueTypeNames.Float3, scale)
                 names.append("xformOp:scale")
-            author_order(own, *names)
-            mesh = prim(layer, f"{own.path}/mesh")
+            author_order(body, *names)
+            mesh = prim(layer, f"{body.path}/mesh")
             mesh.referenceList.Prepend(Sdf.Reference("", paths[frame.copied[i]]))
         if frame.physics is not None:
             from animtool.usd.physics.write import PhysicsWriter
 
             PhysicsWriter(
-                spec, writer.parts, frame.physics, writer.unit, writer.turn
+                spec, writer.parts, frame.physics, writer.unit, writer.rotation
             ).write()
 
     def values(
@@ -360,7 +362,7 @@ def _prototypes(writer: FramePrim, spec: Any, meshes: Sequence[MeshFrame]) -> li
     above = prim(spec.layer, f"{spec.path}/{PROTOTYPES}", "Scope")
     paths = [f"{above.path}/mesh_{i + 1}" for i in range(len(meshes))]
     for path, mesh in zip(paths, meshes, strict=True):
-        writer.write_still(spec.layer, path, mesh)
+        writer.write_static(spec.layer, path, mesh)
     return paths
 
 

@@ -45,7 +45,7 @@ _AXES = "XYZ"
 
 
 @dataclass(frozen=True, slots=True)
-class PhysicsJoint:
+class JointDescription:
     """What a joint prim says of a joint."""
 
     name: str  # USD name of the joint
@@ -63,28 +63,30 @@ def author_physics(
 
     meters_per_unit: unit of the layer [m].
     """
-    held = [i for i, joint in enumerate(rig.joints) if joint.type is not JointType.FREE]
-    bodies = sorted({*held, *(rig.joints[i].parent for i in held)} - {-1})
+    jointed = [
+        i for i, joint in enumerate(rig.joints) if joint.type is not JointType.FREE
+    ]
+    bodies = sorted({*jointed, *(rig.joints[i].parent for i in jointed)} - {-1})
     scope = f"{model}/Physics"
     prim(layer, model, over=True)
     for path in (scope, f"{scope}/Bodies", f"{scope}/Joints"):
         prim(layer, path, "Scope")
     world = rest_world(rig)
-    turns = so3.from_matrix(world.linear[0])
+    rotations = so3.from_matrix(world.linear[0])
     for i in bodies:
-        place = world.positions[0, i] / meters_per_unit
-        _body(layer, f"{scope}/Bodies/{names[i]}", place, turns[i])
-    for i in held:
+        position = world.positions[0, i] / meters_per_unit
+        _body(layer, f"{scope}/Bodies/{names[i]}", position, rotations[i])
+    for i in jointed:
         _joint(layer, scope, rig, i, names, meters_per_unit)
-    return len(held)
+    return len(jointed)
 
 
-def _body(layer: Any, path: str, place: FloatArray, turn: FloatArray) -> None:
+def _body(layer: Any, path: str, position: FloatArray, rotation: FloatArray) -> None:
     spec = prim(layer, path, "Xform")
     apply_schemas(spec, ["PhysicsRigidBodyAPI"])
     attribute(spec, "physics:kinematicEnabled", _TYPES.Bool, True)
-    attribute(spec, "xformOp:translate", _TYPES.Double3, Gf.Vec3d(*place.tolist()))
-    attribute(spec, "xformOp:orient", _TYPES.Quatd, quaternion(turn))
+    attribute(spec, "xformOp:translate", _TYPES.Double3, Gf.Vec3d(*position.tolist()))
+    attribute(spec, "xformOp:orient", _TYPES.Quatd, quaternion(rotation))
     author_order(spec, "xformOp:translate", "xformOp:orient")
 
 
@@ -104,10 +106,10 @@ def _joint(
         relationship(spec, "physics:body0", f"{scope}/Bodies/{names[joint.parent]}")
     relationship(spec, "physics:body1", f"{scope}/Bodies/{names[index]}")
     axis, frame = _frame(joint)
-    place = np.array(joint.translation) / meters_per_unit
+    position = np.array(joint.translation) / meters_per_unit
     outer = so3.multiply(np.array(joint.rotation), frame)
     zero = Gf.Vec3f(0.0)
-    attribute(spec, "physics:localPos0", _TYPES.Point3f, Gf.Vec3f(*place.tolist()))
+    attribute(spec, "physics:localPos0", _TYPES.Point3f, Gf.Vec3f(*position.tolist()))
     attribute(spec, "physics:localPos1", _TYPES.Point3f, zero)
     attribute(spec, "physics:localRot0", _TYPES.Quatf, quatf(outer))
     attribute(spec, "physics:localRot1", _TYPES.Quatf, quatf(frame))
@@ -176,7 +178,7 @@ def author_ball(spec: Any, limits: BallLimit, *, locked: bool) -> list[str]:
     return [f"PhysicsLimitAPI:{name}" for name in ranges]
 
 
-def read_physics(stage: Any, meters_per_unit: float) -> dict[str, PhysicsJoint]:
+def read_physics(stage: Any, meters_per_unit: float) -> dict[str, JointDescription]:
     """Return what the joint prims of a stage say, by the name of the joint.
 
     Joints of other tools are read where they have one axis or none; where there is no
@@ -198,17 +200,17 @@ _JOINT_TYPES = {
 }
 
 
-def _read_joint(joint: Any, meters_per_unit: float) -> PhysicsJoint:
+def _read_joint(joint: Any, meters_per_unit: float) -> JointDescription:
     kind = _JOINT_TYPES.get(str(joint.GetTypeName()), JointType.BALL)
     name = str(joint.GetName())
     rotation = UsdPhysics.Joint(joint).GetLocalRot1Attr().Get()
     frame = so3.normalize(np.array([*rotation.imaginary, rotation.real], np.float64))
     if kind is JointType.FIXED:
-        return PhysicsJoint(name, kind)
+        return JointDescription(name, kind)
     token = joint.GetAttribute("physics:axis").Get() or "X"
     axis = _on_axis(so3.rotate(frame, np.eye(3)[_AXES.index(str(token))]))
     if kind is JointType.BALL:
-        return PhysicsJoint(name, kind, limits=read_ball(joint, axis))
+        return JointDescription(name, kind, limits=read_ball(joint, axis))
     scale = math.radians(1.0) if kind is JointType.PIN else meters_per_unit
     low, high = (
         joint.GetAttribute(f"physics:{side}Limit").Get() for side in ("lower", "upper")
@@ -216,13 +218,13 @@ def _read_joint(joint: Any, meters_per_unit: float) -> PhysicsJoint:
     limits = None
     if low is not None and high is not None and math.isfinite(low + high):
         limits = RangeLimit(low * scale, high * scale)
-    return PhysicsJoint(name, kind, axis, limits)
+    return JointDescription(name, kind, axis, limits)
 
 
 def _on_axis(vector: FloatArray) -> tuple[float, float, float]:
     nearest = np.round(vector)
-    whole = np.abs(vector - nearest).max() < ON_AXIS
-    x, y, z = (nearest + 0.0 if whole else vector).tolist()
+    aligned = np.abs(vector - nearest).max() < ON_AXIS
+    x, y, z = (nearest + 0.0 if aligned else vector).tolist()
     return x, y, z
 
 

@@ -227,8 +227,8 @@ def _skin(
     influences, report = read_influences(skin.indices, skin.weights, len(skin.joints))
     indices, weights = _padded(influences)
     if skin.joints != tuple(tokens):
-        own = Vt.TokenArray([tokens[name] for name in skin.joints])
-        attribute(spec, "skel:joints", _TYPES.TokenArray, own, uniform=True)
+        joints = Vt.TokenArray([tokens[name] for name in skin.joints])
+        attribute(spec, "skel:joints", _TYPES.TokenArray, joints, uniform=True)
     if (surface.geom_bind != np.eye(4)).any():
         bind = _matrix(surface.geom_bind, meters_per_unit)
         attribute(spec, "primvars:skel:geomBindTransform", _TYPES.Matrix4d, bind)
@@ -287,9 +287,9 @@ def _shapes(layer: Any, spec: Any, surface: Surface, meters_per_unit: float) -> 
 
 def _shape(spec: Any, shape: SurfaceShape, meters_per_unit: float) -> None:
     parts = [shape.deltas, *(step.deltas for step in shape.inbetweens)]
-    turns = [shape.normals, *(step.normals for step in shape.inbetweens)]
-    given = [part for part in [*parts, *turns] if part is not None]
-    moves = np.any([part.any(axis=1) for part in given], axis=0)
+    normal_offsets = [shape.normals, *(step.normals for step in shape.inbetweens)]
+    offsets = [part for part in [*parts, *normal_offsets] if part is not None]
+    moves = np.any([part.any(axis=1) for part in offsets], axis=0)
     vertices, rows = shape.vertices, slice(None)
     if vertices is None and moves.mean() < SPARSE:
         vertices = np.flatnonzero(moves)

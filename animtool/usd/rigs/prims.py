@@ -26,7 +26,7 @@ from animtool.usd.layers.dependencies import open_composed
 from animtool.usd.layers.faults import (
     LARGEST_METADATA,
     SMALLEST_METADATA,
-    Spot,
+    PrimLocation,
     joint_order,
     units_and_axis,
 )
@@ -99,11 +99,11 @@ class SkeletonRig:
 def open_stage(path: Path) -> Any:
     """Open a stage."""
     stage = open_composed(find_layer(path), path)
-    _check_metadata(stage, Spot(str(path), "/"))
+    _check_metadata(stage, PrimLocation(str(path), "/"))
     return stage
 
 
-def _check_metadata(stage: Any, where: Spot) -> None:
+def _check_metadata(stage: Any, where: PrimLocation) -> None:
     """Refuse metadata that no number on the stage could be read by."""
     rate = stage.GetTimeCodesPerSecond()
     if not SMALLEST_METADATA <= rate <= LARGEST_METADATA:
@@ -140,8 +140,8 @@ def upwards(prim: Any) -> Iterator[Any]:
 
 def placing_times(prim: Any) -> set[float]:
     """Return the time codes of samples of what places a prim in the world."""
-    places = filter(None, map(UsdGeom.Xformable, upwards(prim)))
-    return {time for place in places for time in place.GetTimeSamples()}
+    xformables = filter(None, map(UsdGeom.Xformable, upwards(prim)))
+    return {time for xformable in xformables for time in xformable.GetTimeSamples()}
 
 
 def find_skeletons(stage: Any, below: str = "/") -> list[Any]:
@@ -182,7 +182,7 @@ def skeleton_rig(skeleton: Any, path: Path, *, animated: bool = True) -> Skeleto
     animated: whether it is posed by what is bound to it, as it is not under a layer.
     """
     stage = skeleton.GetPrim().GetStage()
-    where = Spot.of(path, skeleton)
+    where = PrimLocation.of(path, skeleton)
     tokens = [str(token) for token in array_value(skeleton.GetJointsAttr())]
     rest, notices = np.zeros((0, 4, 4)), list[Fault]()
     if tokens:
@@ -192,16 +192,19 @@ def skeleton_rig(skeleton: Any, path: Path, *, animated: bool = True) -> Skeleto
     named = () if data else array_value(skeleton.GetJointNamesAttr())
     model = skeleton.GetPrim().GetParent().GetParent() or skeleton.GetPrim()
     name = model.GetName() if model.GetName() != "/" else skeleton.GetPrim().GetName()
-    places = (skeleton.GetRestTransformsAttr(), skeleton.GetBindTransformsAttr())
-    authored = [attr for attr in places if attr.HasAuthoredValue()]
-    meters, up = _own_units((authored or places)[0], stage)
+    transform_attrs = (
+        skeleton.GetRestTransformsAttr(),
+        skeleton.GetBindTransformsAttr(),
+    )
+    authored = [attr for attr in transform_attrs if attr.HasAuthoredValue()]
+    meters, up = _stated_units((authored or transform_attrs)[0], stage)
     rig = rig_from_tokens(
         tokens, rest, name, where, meters, up, data, [str(name) for name in named]
     )
     return replace(rig, notices=tuple(notices))
 
 
-def check_moves(joints: int, shapes: int, where: Spot) -> None:
+def check_moves(joints: int, shapes: int, where: PrimLocation) -> None:
     """Refuse a character that has nothing to move."""
     if not joints and not shapes:
         where.fail("USD002", "there are no joints and no blend shapes")
@@ -211,7 +214,7 @@ def rig_from_tokens(
     tokens: Sequence[str],
     rest: FloatArray,
     name: str,
-    where: Spot,
+    where: PrimLocation,
     meters_per_unit: float,
     up: UpAxis,
     data: dict[str, Any],
@@ -241,7 +244,7 @@ def rig_from_tokens(
             message = f"joint {excerpt(token)} holds the control character {match[0]!r}"
             where.fail("DOC023", message)
         unique = uniques[i]
-        own = extras.get(leaf, {})
+        settings = extras.get(leaf, {})
         x, y, z = (translations[i] * meters_per_unit).tolist()
         a, b, c, w = rotations[i].tolist()
         joints.append(
@@ -251,8 +254,8 @@ def rig_from_tokens(
                 translation=(x, y, z),
                 rotation=(a, b, c, w),
                 source_name=_source_name(originals.get(leaf), names[i], leaf, unique),
-                channels=own.get("channels"),
-                tips=own.get("tips", ()),
+                channels=settings.get("channels"),
+                tips=settings.get("tips", ()),
             )
         )
     rig = Rig(name, tuple(joints), meters_per_unit, up)
@@ -281,7 +284,7 @@ def _parent(token: str, index: dict[str, int]) -> int:
     return -1
 
 
-def _extras(data: dict[str, Any], where: Spot) -> dict[str, dict[str, Any]]:
+def _extras(data: dict[str, Any], where: PrimLocation) -> dict[str, dict[str, Any]]:
     text = data.get("joints", "")
     if not text:
         return {}
@@ -310,7 +313,7 @@ def _joint_extras(entry: dict[str, Any]) -> dict[str, Any]:
     return {"channels": channels, "tips": tuple(points)}
 
 
-def _own_units(attr: Any, stage: Any) -> tuple[float, UpAxis]:
+def _stated_units(attr: Any, stage: Any) -> tuple[float, UpAxis]:
     """Return unit [m] and up axis of the layer that an attribute's value is from.
 
     A shot in metres may refer to a rig in centimetres: the numbers of the rig, and

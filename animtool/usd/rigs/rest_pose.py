@@ -19,10 +19,10 @@ from animtool.core.record import dataclass
 from animtool.core.rules import finding
 from animtool.maths import so3
 from animtool.usd.layers.faults import (
-    Spot,
+    PrimLocation,
     finite_transforms,
     joint_parents,
-    own_matrices,
+    matrix_array,
     singular,
     tokens,
     transform_attributes,
@@ -45,7 +45,7 @@ def rest_pose(skeleton: Any, joints: Sequence[str]) -> RestPose | None:
     Else it is the bind pose; without one, the first sample of a bound animation of all
     joints. None where there is neither.
     """
-    rest = own_matrices(skeleton.GetRestTransformsAttr())
+    rest = matrix_array(skeleton.GetRestTransformsAttr())
     if len(rest):
         return RestPose(rest)
     bind = relative_bind(skeleton, joints)
@@ -61,7 +61,7 @@ def relative_bind(skeleton: Any, joints: Sequence[str]) -> FloatArray | None:
     None where they are of another number, not finite or without an inverse, or
     identities of several joints, which are placeholders.
     """
-    bind = own_matrices(skeleton.GetBindTransformsAttr())
+    bind = matrix_array(skeleton.GetBindTransformsAttr())
     if len(bind) != len(joints) or not np.isfinite(bind).all():
         return None
     if singular(bind).any() or (len(bind) > 1 and (bind == np.eye(4)).all()):
@@ -81,7 +81,7 @@ def rest_transforms(
     animated: whether what it is bound to counts, as it does not for a layer over it.
     """
     attr = skeleton.GetRestTransformsAttr()
-    rest = own_matrices(attr)
+    rest = matrix_array(attr)
     if not len(rest):
         yield _missing(skeleton, joints, animated=animated)
     elif len(rest) != len(joints):
@@ -111,7 +111,7 @@ def _missing(skeleton: Any, joints: Sequence[str], *, animated: bool) -> Fault:
 
 
 def readable_rest(
-    skeleton: Any, joints: Sequence[str], where: Spot, *, animated: bool = True
+    skeleton: Any, joints: Sequence[str], where: PrimLocation, *, animated: bool = True
 ) -> tuple[FloatArray, list[Fault]]:
     """Return the rest transforms ``(J, 4, 4)`` and a warning where others stand in.
 
@@ -160,11 +160,11 @@ def _first_sample(animation: Any, joints: Sequence[str]) -> FloatArray | None:
         if rows.shape != (len(index), width) or not np.isfinite(rows).all():
             return None
         parts.append(rows[[index[joint] for joint in joints]])
-    moves, turns, sizes = parts
-    if not np.linalg.norm(turns, axis=1).all():
+    moves, rotations, sizes = parts
+    if not np.linalg.norm(rotations, axis=1).all():
         return None
     matrices = np.tile(np.eye(4), (len(joints), 1, 1))
-    linear = so3.to_matrix(so3.normalize(turns)).swapaxes(-1, -2)
+    linear = so3.to_matrix(so3.normalize(rotations)).swapaxes(-1, -2)
     matrices[:, :3, :3] = sizes[:, :, None] * linear
     matrices[:, 3, :3] = moves
     return matrices

@@ -33,13 +33,13 @@ from animtool.usd.layers.sdf import (
 )
 
 if TYPE_CHECKING:
-    from animtool.usd.layers.faults import Spot
+    from animtool.usd.layers.faults import PrimLocation
 
 
 KEY = "stands"
 
 
-def place_record(rig: Rig, resting: Rig | None = None) -> dict[str, Any]:
+def rest_record(rig: Rig, resting: Rig | None = None) -> dict[str, Any]:
     """Return what a file records of where a rig stands; empty where it does not.
 
     resting: the rig whose rest pose the file has; None is the same. Where that stands
@@ -56,7 +56,9 @@ def place_record(rig: Rig, resting: Rig | None = None) -> dict[str, Any]:
     return record | ({"rides": True} if rig.rides else {})
 
 
-def with_recorded_place(rig: Rig, skeleton: Any, animation: Any, where: Spot) -> Rig:
+def with_recorded_rest(
+    rig: Rig, skeleton: Any, animation: Any, where: PrimLocation
+) -> Rig:
     """Return a rig, as its numbers are, that stands where its motion is recorded to.
 
     skeleton: the prim of its rest pose; None is none; animation: that of its motion;
@@ -74,7 +76,7 @@ def with_recorded_place(rig: Rig, skeleton: Any, animation: Any, where: Spot) ->
     return replace(rig, stands=None if stands.is_none else stands, rides=rides)
 
 
-def _recorded(prim: Any, where: Spot) -> tuple[Placement, bool] | None:
+def _recorded(prim: Any, where: PrimLocation) -> tuple[Placement, bool] | None:
     """Return what a prim records, and whether it rides; None where it does not."""
     # What writes needs nothing of stages.
     from animtool.usd.rigs.prims import stored_data
@@ -82,14 +84,14 @@ def _recorded(prim: Any, where: Spot) -> tuple[Placement, bool] | None:
     record = stored_data(prim).get(KEY)
     if record is None:
         return None
-    place, turn = (
+    position, orientation = (
         record.get(key) if isinstance(record, dict) else None
         for key in ("translate", "rotate")
     )
-    if not isinstance(place, Gf.Vec3d) or not isinstance(turn, Gf.Quatd):
+    if not isinstance(position, Gf.Vec3d) or not isinstance(orientation, Gf.Quatd):
         where.fail("USD007", f"customData animtool:{KEY} is malformed")
-    rotation = np.array([*turn.GetImaginary(), turn.GetReal()], float)
-    translation = np.array(place, float)
+    rotation = np.array([*orientation.GetImaginary(), orientation.GetReal()], float)
+    translation = np.array(position, float)
     length = float(np.linalg.norm(rotation))
     if not np.isfinite(translation).all() or not abs(length - 1.0) < 1e-3:
         where.fail("USD007", f"customData animtool:{KEY} is malformed")
@@ -135,8 +137,8 @@ def author_rig(
         data["joints"] = extras
     if names.originals:
         data["names"] = names.originals
-    if place := place_record(rig):
-        data[KEY] = place
+    if record := rest_record(rig):
+        data[KEY] = record
     if data:
         spec.SetInfo("customData", {"animtool": data})
 
@@ -169,13 +171,13 @@ def stripped(rig: Rig) -> Rig:
 def _pins(rig: Rig) -> dict[str, Any]:
     """Return the vertices that stay with the skin, by the cloth's name."""
     return {
-        entry.name: Vt.IntArray.FromNumpy(_whole(entry.pins, entry.name))
+        entry.name: Vt.IntArray.FromNumpy(_integers(entry.pins, entry.name))
         for entry in rig.attach
         if entry.pins is not None
     }
 
 
-def _whole(source: ArraySource, name: str) -> Any:
+def _integers(source: ArraySource, name: str) -> Any:
     try:
         return np.ascontiguousarray(source.load(), np.int32)
     except ValueError as error:
@@ -192,11 +194,11 @@ def skeleton_hash(tokens: Any, rest: Any, bind: Any) -> str:
 
 def _matrices(positions: FloatArray, linear: FloatArray) -> Any:
     """Return row-vector matrices, as USD has them."""
-    whole = np.zeros((len(positions), 4, 4))
-    whole[:, :3, :3] = linear.swapaxes(-1, -2)
-    whole[:, 3, :3] = positions
-    whole[:, 3, 3] = 1.0
-    return Vt.Matrix4dArray.FromNumpy(whole)
+    matrices = np.zeros((len(positions), 4, 4))
+    matrices[:, :3, :3] = linear.swapaxes(-1, -2)
+    matrices[:, 3, :3] = positions
+    matrices[:, 3, 3] = 1.0
+    return Vt.Matrix4dArray.FromNumpy(matrices)
 
 
 def joint_extras(rig: Rig, names: list[str]) -> str:
@@ -235,8 +237,8 @@ def author_binding(
 
 def strand_paths(strands: Sequence[Strands], paths: RigPaths) -> tuple[str, ...]:
     """Return paths of the strands' prims."""
-    names_given = [entry.name for entry in strands]
-    names = distinct_names(names_given, names_given, names_given).names
+    source_names = [entry.name for entry in strands]
+    names = distinct_names(source_names, source_names, source_names).names
     return tuple(f"{paths.root}/{SCOPE}/{name}" for name in names)
 
 
@@ -270,9 +272,9 @@ def _curves(spec: Any, points: FloatArray, width: float) -> None:
     count, length = points.shape[:2]
     labels = Labels(f"{spec.path}.points", "point")
     flat = np.ascontiguousarray(narrowed(points.reshape(-1, 3), "f", labels))
-    places, widths = Vt.Vec3fArray.FromNumpy(flat), Vt.FloatArray([width])
+    curve_points, widths = Vt.Vec3fArray.FromNumpy(flat), Vt.FloatArray([width])
     values = {
-        "extent": np.array(UsdGeom.Curves.ComputeExtent(places, widths)),
+        "extent": np.array(UsdGeom.Curves.ComputeExtent(curve_points, widths)),
         **LINEAR,
         "curveVertexCounts": np.full(count, length, np.int32),
         "points": flat,
@@ -284,8 +286,8 @@ def _curves(spec: Any, points: FloatArray, width: float) -> None:
 def _bound(spec: Any, token: str) -> None:
     """Bind a prim to one joint as a whole."""
     apply_schemas(spec, ["SkelBindingAPI"])
-    own = Vt.TokenArray([token])
-    attribute(spec, "skel:joints", _TYPES.TokenArray, own, uniform=True)
+    joints = Vt.TokenArray([token])
+    attribute(spec, "skel:joints", _TYPES.TokenArray, joints, uniform=True)
     for name, kind, value in (
         ("jointIndices", _TYPES.IntArray, Vt.IntArray([0])),
         ("jointWeights", _TYPES.FloatArray, Vt.FloatArray([1.0])),

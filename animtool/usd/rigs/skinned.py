@@ -13,7 +13,7 @@ from animtool.core.arguments import flag
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, OptionError, Severity, listed
 from animtool.rig.kinematics import WorldTransforms
-from animtool.usd.layers.faults import Spot
+from animtool.usd.layers.faults import PrimLocation
 from animtool.usd.rigs.prims import (
     SkeletonRig,
     find_skeletons,
@@ -107,7 +107,7 @@ def unique_name(name: str, used: set[str]) -> str:
     return unique
 
 
-def floats(attr: Any, width: int, at: Spot, code: str = "USD017") -> FloatArray:
+def floats(attr: Any, width: int, at: PrimLocation, code: str = "USD017") -> FloatArray:
     """Return the rows of an attribute ``(N, width)``; ``code``: of one not finite."""
     # Points that are sampled only are those of the first sample.
     values = numbers(attr, width, Usd.TimeCode.EarliestTime())
@@ -117,7 +117,7 @@ def floats(attr: Any, width: int, at: Spot, code: str = "USD017") -> FloatArray:
     return values
 
 
-def joint_names(query: Any, rig: SkeletonRig, at: Spot) -> tuple[str, ...]:
+def joint_names(query: Any, rig: SkeletonRig, at: PrimLocation) -> tuple[str, ...]:
     """Return the rig's names of the joints that a prim's indices count."""
     order = query.GetJointOrder()
     index = {token: i for i, token in enumerate(rig.tokens)}

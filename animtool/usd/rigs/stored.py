@@ -19,11 +19,11 @@ from animtool.rig.drivers import Driver, split_coordinate
 from animtool.rig.file import rig_of_document
 from animtool.rig.parts import AttachKind, Attachment, HeldArray, Mesh, Shape
 from animtool.rig.skeleton import Joint, Pose, Rig
-from animtool.usd.layers.faults import Spot, own_matrices
+from animtool.usd.layers.faults import PrimLocation, matrix_array
 from animtool.usd.layers.sdf import usd_errors
 from animtool.usd.layers.stderr import without_usd_warnings
 from animtool.usd.rigs.mesh_read import read_meshes, read_strands
-from animtool.usd.rigs.placement import own_placement, rest_rig, uneven_notice
+from animtool.usd.rigs.placement import local_placement, rest_rig, uneven_notice
 from animtool.usd.rigs.prims import (
     LARGEST_REST,
     SkeletonRig,
@@ -58,9 +58,13 @@ def joined_attachments(
         if entry.kind == AttachKind.STRANDS and entry.name in others:
             attachments.append(others.pop(entry.name))
         elif entry.kind == AttachKind.CLOTH and _fits(entry, counts, pins):
-            held = np.array(pins[entry.name], float) if entry.name in pins else None
+            pin_values = (
+                np.array(pins[entry.name], float) if entry.name in pins else None
+            )
             attachments.append(
-                replace(entry, pins=None if held is None else HeldArray(held))
+                replace(
+                    entry, pins=None if pin_values is None else HeldArray(pin_values)
+                )
             )
         elif entry.kind in {AttachKind.STRANDS, AttachKind.CLOTH}:
             lost.append(entry.name)
@@ -75,10 +79,10 @@ def joined_attachments(
 
 def _fits(entry: Attachment, counts: dict[str, int], pins: Mapping[str, Any]) -> bool:
     """Return whether a cloth has its mesh, and that the vertices of its pins."""
-    given = np.array(pins.get(entry.name, ()))
+    indices = np.array(pins.get(entry.name, ()))
     count = counts.get(entry.mesh, 0)
-    whole = given.ndim == 1 and (not len(given) or given.dtype.kind in "iu")
-    return bool(count and whole and ((given >= 0) & (given < count)).all())
+    integral = indices.ndim == 1 and (not len(indices) or indices.dtype.kind in "iu")
+    return bool(count and integral and ((indices >= 0) & (indices < count)).all())
 
 
 # Rest transforms nearer than this [m], [1] are the same but for rounding.
@@ -113,7 +117,7 @@ def joined_rig(
         message = f"customData animtool:rig is malformed: {reason}"
         raise FormatError(Fault("USD007", message, str(path))) from error
     shapes = _shapes(stored, read)
-    whole = replace(
+    joined = replace(
         stored,
         meshes=read.meshes,
         shapes=shapes,
@@ -121,10 +125,10 @@ def joined_rig(
     )
     notices: list[Fault] = []
     if data.get("hash") != skeleton_hash(tokens, rest, bind):
-        whole, notices = _edited(whole, read, str(path))
-    names = dict(zip(read.names, whole.names, strict=True))
-    meshes = tuple(_renamed(mesh, names) for mesh in whole.meshes)
-    return replace(whole, meshes=meshes), notices
+        joined, notices = _edited(joined, read, str(path))
+    names = dict(zip(read.names, joined.names, strict=True))
+    meshes = tuple(_renamed(mesh, names) for mesh in joined.meshes)
+    return replace(joined, meshes=meshes), notices
 
 
 def with_attachments(
@@ -159,12 +163,12 @@ def _renamed(mesh: Mesh, names: dict[str, str]) -> Mesh:
 
 def _shapes(stored: Rig, read: Rig) -> tuple[Shape, ...]:
     """Return shapes in the stored order, their arrays as USD has them."""
-    held = {shape.name: shape for shape in read.shapes}
+    by_name = {shape.name: shape for shape in read.shapes}
     known = {shape.name for shape in stored.shapes}
     return (
         *(
-            replace(held[shape.name], combine=shape.combine, driven=shape.driven)
-            if shape.name in held
+            replace(by_name[shape.name], combine=shape.combine, driven=shape.driven)
+            if shape.name in by_name
             else shape
             for shape in stored.shapes
         ),
@@ -186,7 +190,7 @@ def _edited(stored: Rig, read: Rig, where: str) -> tuple[Rig, list[Fault]]:
         if old is None:
             changed.append(joint.name)
             joints.append(joint)
-        elif parents[old.name] == parent and _alike(old, joint):
+        elif parents[old.name] == parent and _equal_rest(old, joint):
             joints.append(replace(old, parent=joint.parent))
         else:
             changed.append(old.name)
@@ -212,10 +216,10 @@ def _edited(stored: Rig, read: Rig, where: str) -> tuple[Rig, list[Fault]]:
     ]
 
 
-def _alike(one: Joint, other: Joint) -> bool:
-    apart = np.abs(np.subtract(one.translation, other.translation)).max()
+def _equal_rest(one: Joint, other: Joint) -> bool:
+    offset = np.abs(np.subtract(one.translation, other.translation)).max()
     along = abs(float(np.dot(one.rotation, other.rotation)))
-    return bool(apart <= SAME and along >= 1 - SAME)
+    return bool(offset <= SAME and along >= 1 - SAME)
 
 
 def _without(rig: Rig, gone: list[str]) -> Rig:
@@ -269,11 +273,13 @@ SCALE_TOLERANCE = 1e-4
 
 def read_rig(path: Path) -> Rig:
     """Return the rig of a USD file, with what there is to say of it as its notices."""
-    rig, notices = read_whole_rig(path)
+    rig, notices = read_rig_with_data(path)
     return replace(rig, notices=tuple(notices))
 
 
-def read_whole_rig(path: Path, prim_path: str | None = None) -> tuple[Rig, list[Fault]]:
+def read_rig_with_data(
+    path: Path, prim_path: str | None = None
+) -> tuple[Rig, list[Fault]]:
     """Return the rig of a USD file's Skeleton, that of its default prim first.
 
     With bind pose, meshes, shapes and strands, and what its customData holds beyond
@@ -289,7 +295,7 @@ def read_whole_rig(path: Path, prim_path: str | None = None) -> tuple[Rig, list[
         of_skeleton = skeleton_rig(skeletons[0], path, animated=False)
         skeleton = skeletons[0]
         meshes, shapes, notices = read_meshes(skeleton, of_skeleton, str(path))
-        where = Spot.of(path, skeleton)
+        where = PrimLocation.of(path, skeleton)
         check_moves(len(of_skeleton.rig.joints), len(shapes), where)
         notices += of_skeleton.notices
         notices += others_notice(
@@ -310,14 +316,14 @@ def read_whole_rig(path: Path, prim_path: str | None = None) -> tuple[Rig, list[
             rig,
             data,
             of_skeleton.tokens,
-            own_matrices(skeleton.GetRestTransformsAttr()),
-            own_matrices(skeleton.GetBindTransformsAttr()),
+            matrix_array(skeleton.GetRestTransformsAttr()),
+            matrix_array(skeleton.GetBindTransformsAttr()),
             path,
         )
-        whole, losses = with_attachments(joined, rig, data, path)
-        placement = own_placement(skeleton.GetPrim(), of_skeleton.rig)
+        complete, losses = with_attachments(joined, rig, data, path)
+        placement = local_placement(skeleton.GetPrim(), of_skeleton.rig)
         notices += uneven_notice(placement, where)
-        return rest_rig(whole, placement), notices + edits + losses
+        return rest_rig(complete, placement), notices + edits + losses
 
 
 def _bind_poses(
@@ -338,13 +344,15 @@ def _bind_poses(
     above = np.where((rig.parents < 0)[:, None, None], np.eye(4), world[rig.parents])
     if (np.linalg.det(above) == 0).any():
         return {}, np.ones((len(rig.joints), 3))
-    places, turns, scales = decompose(world @ np.linalg.inv(above))
-    places = places * rig.meters_per_unit
-    moved = np.abs(places - rig.rest_translations).max(axis=1)
+    translations, rotations, scales = decompose(world @ np.linalg.inv(above))
+    translations = translations * rig.meters_per_unit
+    moved = np.abs(translations - rig.rest_translations).max(axis=1)
     moved = moved > BIND_TOLERANCE * np.abs(rig.rest_translations).max()
-    moved |= so3.angle_between(turns, rig.rest_rotations) > BIND_TOLERANCE
+    moved |= so3.angle_between(rotations, rig.rest_rotations) > BIND_TOLERANCE
     poses = {
-        rig.names[j]: Pose(tuple(places[j].tolist()), tuple(turns[j].tolist()))
+        rig.names[j]: Pose(
+            tuple(translations[j].tolist()), tuple(rotations[j].tolist())
+        )
         for j in np.flatnonzero(moved).tolist()
     }
     return poses, scales
@@ -352,8 +360,8 @@ def _bind_poses(
 
 def _scale_notice(rig: SkeletonRig, bind: FloatArray, where: str) -> list[Fault]:
     """Name the joints whose scale at rest or at bind time a rig does not hold."""
-    apart = np.abs(np.stack([rig.rest_scales, bind]) - 1.0).max(axis=(0, 2))
-    names = [rig.rig.names[j] for j in np.flatnonzero(apart > SCALE_TOLERANCE)]
+    off = np.abs(np.stack([rig.rest_scales, bind]) - 1.0).max(axis=(0, 2))
+    names = [rig.rig.names[j] for j in np.flatnonzero(off > SCALE_TOLERANCE)]
     if not names:
         return []
     message = f"the scale of rest or bind transforms is ignored: {listed(names)}"

@@ -247,7 +247,7 @@ _NONE: IntArray = np.zeros(0, np.int64)
 
 
 @dataclass(frozen=True, slots=True)
-class JointMap:
+class RigJointMap:
     """How the joints of a take stand in a target rig."""
 
     rig: Rig  # the target's joints
@@ -277,8 +277,8 @@ class JointMap:
         mapped = None
         if scales is not None or (self.rest_scales != 1.0).any():
             if scales is None:
-                still = np.zeros((motion.frames, 0, 3))
-                mapped = Channel(self.rest_scales, _NONE, still)
+                constant = np.zeros((motion.frames, 0, 3))
+                mapped = Channel(self.rest_scales, _NONE, constant)
             else:
                 mapped = self._channel(scales, self.rest_scales)
         return Motion(
@@ -293,12 +293,14 @@ class JointMap:
 
     def _channel(self, channel: Channel, rest: FloatArray) -> Channel:
         has = self.source >= 0
-        still = rest.copy()
-        still[has] = channel.rest[self.source[has]]
-        place = {int(joint): i for i, joint in enumerate(channel.animated)}
-        animated = [j for j, s in enumerate(self.source.tolist()) if s in place]
-        columns = [place[int(self.source[j])] for j in animated]
-        return Channel(still, np.array(animated, np.int64), channel.values[:, columns])
+        constant = rest.copy()
+        constant[has] = channel.rest[self.source[has]]
+        column_of = {int(joint): i for i, joint in enumerate(channel.animated)}
+        animated = [j for j, s in enumerate(self.source.tolist()) if s in column_of]
+        columns = [column_of[int(self.source[j])] for j in animated]
+        return Channel(
+            constant, np.array(animated, np.int64), channel.values[:, columns]
+        )
 
 
 def map_joints(
@@ -308,15 +310,15 @@ def map_joints(
     *,
     force_fit: bool = False,
     over: OverRig | None = None,
-) -> JointMap:
+) -> RigJointMap:
     """Match joints by path, else by name, legal or original.
 
     over: how the take comes to the numbers of the rig; None is that they are its own.
     """
     names = joint_names(take.joints, strip_namespaces)
-    own = [legal_name(joint.source_name or joint.name) for joint in take.joints]
+    legal = [legal_name(joint.source_name or joint.name) for joint in take.joints]
     by_key: dict[str, list[int]] = {}
-    for paths in (take.paths(own), take.paths(names.names)):
+    for paths in (take.paths(legal), take.paths(names.names)):
         for i, path in enumerate(paths):
             by_key.setdefault(f"/{path}", []).append(i)
     for i, (joint, name) in enumerate(zip(take.joints, names.names, strict=True)):
@@ -350,17 +352,22 @@ def map_joints(
         hint, kind = "they stay at rest", Severity.NOTE
         notices.append(naming("USD111", message, resting, where, hint, kind))
     shapes, shape_faults = match_shapes(target, [shape.name for shape in take.shapes])
-    found_at = np.array(source, np.int64)
+    source_index = np.array(source, np.int64)
     fit: Fit | None = None
     differences: list[Fault] = []
     if take.joints and skeleton.rig.joints:
         rig = skeleton.rig if over is None else placed_rig(skeleton.rig, over.sized)
         fit, differences = check_fit(
-            at_origin(take), rig, found_at, where, forced=force_fit, unmatched=notices
+            at_origin(take),
+            rig,
+            source_index,
+            where,
+            forced=force_fit,
+            unmatched=notices,
         )
-    return JointMap(
+    return RigJointMap(
         skeleton.rig,
-        found_at,
+        source_index,
         skeleton.rest_scales,
         notices + shape_faults + differences,
         shapes,
@@ -410,8 +417,8 @@ def match_shapes(
     ]
     # Of two that would become one, the first keeps the name.
     matches = [
-        name if name not in matches[:i] else own
-        for i, (own, name) in enumerate(zip(shapes, matches, strict=True))
+        name if name not in matches[:i] else legal
+        for i, (legal, name) in enumerate(zip(shapes, matches, strict=True))
     ]
     where = str(target.path)
     notices = []

@@ -78,8 +78,8 @@ def _distance(prim: Any, skeleton: Any, choice: str | None) -> float:
     if choice == DROP:
         matrices = matrices @ np.linalg.inv(fixed_matrices(skeleton, codes.tolist()))
     corners = _corners(prim)
-    places = corners @ matrices[:, :3, :3] + matrices[:, None, 3, :3]
-    away = np.linalg.norm(places - places[:1], axis=-1).max(initial=0.0)
+    positions = corners @ matrices[:, :3, :3] + matrices[:, None, 3, :3]
+    away = np.linalg.norm(positions - positions[:1], axis=-1).max(initial=0.0)
     unit = UsdGeom.GetStageMetersPerUnit(prim.GetStage())
     return float(away) * float(unit) if np.isfinite(away) else 0.0
 

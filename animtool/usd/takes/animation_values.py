@@ -19,7 +19,7 @@ from animtool.core.rates import rate_from_float
 from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.motion.motion import Channel
-from animtool.usd.layers.faults import UNIT_TOLERANCE, Spot
+from animtool.usd.layers.faults import UNIT_TOLERANCE, PrimLocation
 from animtool.usd.rigs.prims import array_value, numbers
 from animtool.usd.takes.library import take_range
 
@@ -37,7 +37,11 @@ def animated_shapes(animation: Any) -> list[str]:
 
 
 def shape_weights(
-    animation: Any, codes: list[float], shapes: int, where: Spot, drift: float = 0.0
+    animation: Any,
+    codes: list[float],
+    shapes: int,
+    where: PrimLocation,
+    drift: float = 0.0,
 ) -> Channel:
     """Return weights of an animation's shapes at time codes; see `sampled_values`."""
     attr = animation.GetBlendShapeWeightsAttr()
@@ -50,7 +54,7 @@ def sampled_values(
     codes: list[float],
     count: int,
     width: int,
-    where: Spot,
+    where: PrimLocation,
     *,
     of: str = "joint",
     drift: float = 0.0,
@@ -108,17 +112,19 @@ def _time_text(time: Any) -> str:
 
 
 def normalised(
-    rotations: FloatArray, names: Sequence[str], codes: list[float], where: Spot
+    rotations: FloatArray, names: Sequence[str], codes: list[float], where: PrimLocation
 ) -> tuple[FloatArray, list[Fault]]:
     """Return rotations ``(F, J, 4)`` at unit length, and a warning of the worst."""
     lengths = np.sqrt(np.einsum("fjc,fjc->fj", rotations, rotations))
-    apart = np.abs(lengths - 1.0)
+    deviations = np.abs(lengths - 1.0)
     notices = []
-    if apart.size and apart.max() > UNIT_TOLERANCE:
-        frame, joint = (int(i) for i in np.unravel_index(apart.argmax(), apart.shape))
-        count = int((apart > UNIT_TOLERANCE).sum())
+    if deviations.size and deviations.max() > UNIT_TOLERANCE:
+        frame, joint = (
+            int(i) for i in np.unravel_index(deviations.argmax(), deviations.shape)
+        )
+        count = int((deviations > UNIT_TOLERANCE).sum())
         message = (
-            f"{count} of {counted(apart.size, 'quaternion')} are not unit length, "
+            f"{count} of {counted(deviations.size, 'quaternion')} are not unit length, "
             f"most of all joint {excerpt(names[joint])} at frame "
             f"{frame_label(codes[frame])}: |q| = {lengths[frame, joint]:.6g}; they "
             "are normalised"
@@ -166,16 +172,16 @@ class _Span:
 
 
 def _span(stage: Any, animation: Any) -> _Span:
-    own = take_range(animation)
-    if own is not None:
-        return _Span(*own)
+    authored = take_range(animation)
+    if authored is not None:
+        return _Span(*authored)
     stated = stage.HasAuthoredTimeCodeRange()
     last = time_fraction(stage.GetEndTimeCode()) if stated else None
     return _Span(time_fraction(stage.GetStartTimeCode()), last)
 
 
 def among_rest(
-    rest: FloatArray, rows: FloatArray | None, places: IntArray, frames: int
+    rest: FloatArray, rows: FloatArray | None, columns: IntArray, frames: int
 ) -> FloatArray:
     """Return the values of some joints among those of a rig at rest ``(F, J, …)``.
 
@@ -183,13 +189,13 @@ def among_rest(
     """
     dense = np.repeat(rest[None], frames, axis=0)
     if rows is not None:
-        known = places >= 0
-        dense[:, places[known]] = rows[:, known]
+        known = columns >= 0
+        dense[:, columns[known]] = rows[:, known]
     return dense
 
 
 def sample_grid(
-    stage: Any, animation: Any, times: list[float], where: Spot
+    stage: Any, animation: Any, times: list[float], where: PrimLocation
 ) -> SampleGrid:
     """Return the frames of an animation."""
     grid = _grid(times, _span(stage, animation), where)
@@ -203,26 +209,26 @@ def _plain_rate(grid: SampleGrid, fps: Fraction) -> SampleGrid:
     a stage of 24.
     """
     rate = fps / grid.step
-    usual = rate_from_float(float(rate))
-    drift = float(abs(fps / usual - grid.step) * (grid.count - 1))
-    if usual == rate or drift > LARGEST_DRIFT * min(float(grid.step), 1.0):
+    plain = rate_from_float(float(rate))
+    drift = float(abs(fps / plain - grid.step) * (grid.count - 1))
+    if plain == rate or drift > LARGEST_DRIFT * min(float(grid.step), 1.0):
         return grid
     last = float(grid.start + grid.step * (grid.count - 1))
     # The last sample drifts most, on top of what it has already.
     code = grid.drift_code if grid.drift > drift else last
-    return replace(grid, step=fps / usual, drift=grid.drift + drift, drift_code=code)
+    return replace(grid, step=fps / plain, drift=grid.drift + drift, drift_code=code)
 
 
-def _grid(times: list[float], span: _Span, where: Spot) -> SampleGrid:
+def _grid(times: list[float], span: _Span, where: PrimLocation) -> SampleGrid:
     if not times and span.last is not None:
         # Nothing moves, for as long as the take or its stage lasts.
-        still = min(max(0, math.floor(span.last - span.first)), MAX_FRAMES) + 1
-        return SampleGrid(span.first, Fraction(1), still, True)
+        frames = min(max(0, math.floor(span.last - span.first)), MAX_FRAMES) + 1
+        return SampleGrid(span.first, Fraction(1), frames, True)
     if len(times) < 2:
         start = time_fraction(times[0]) if times else span.first
         return SampleGrid(start, Fraction(1), 1, True)
     grid = _exact_grid(times) or _drifting_grid(times) or _astray_grid(times)
-    return _whole_codes(times, where) if grid is None else _from_stated(grid, span)
+    return _integer_codes(times, where) if grid is None else _from_stated(grid, span)
 
 
 def _exact_grid(times: list[float]) -> SampleGrid | None:
@@ -277,9 +283,9 @@ def _astray_grid(times: list[float]) -> SampleGrid | None:
     None where two would be one, or where the others fit none either.
     """
     codes = np.array(times)
-    whole = np.round(codes)
-    off = np.abs(codes - whole)
-    moved = np.where(off <= OFF_FRAME, whole, codes)
+    nearest = np.round(codes)
+    off = np.abs(codes - nearest)
+    moved = np.where(off <= OFF_FRAME, nearest, codes)
     if (np.diff(moved) <= 0).any():
         return None
     grid = _exact_grid(moved.tolist())
@@ -290,7 +296,7 @@ def _astray_grid(times: list[float]) -> SampleGrid | None:
     return replace(grid, drift=float(off[worst]), drift_code=float(codes[worst]))
 
 
-def _whole_codes(times: list[float], where: Spot) -> SampleGrid:
+def _integer_codes(times: list[float], where: PrimLocation) -> SampleGrid:
     """Return every time code that the samples span."""
     exact = [time_fraction(time) for time in times]
     first, last = math.floor(exact[0]), math.ceil(exact[-1])

@@ -41,8 +41,8 @@ def shape_bounds(
         points = PointReader(mesh).at(Usd.TimeCode.Default())
         if not len(points):
             continue
-        own, _ = cache.ComputeRelativeTransform(mesh, root)
-        matrix = np.array(own, np.float64)
+        local, _ = cache.ComputeRelativeTransform(mesh, root)
+        matrix = np.array(local, np.float64)
         placed = transformed(points, matrix)
         pad = _shape_padding(mesh, reach) * float(np.linalg.norm(matrix[:3, :3], 2))
         lows.append(placed.min(axis=0) - pad)
@@ -177,9 +177,9 @@ def _are_computed(
 
     The first, the middle and the last are compared.
     """
-    times, own = np.concatenate(codes), np.concatenate(bounds)
+    times, authored = np.concatenate(codes), np.concatenate(bounds)
     return all(
-        np.array_equal(own[i], _computed(root, float(times[i])))
+        np.array_equal(authored[i], _computed(root, float(times[i])))
         for i in {0, len(times) // 2, len(times) - 1}
     )
 

@@ -20,7 +20,7 @@ from animtool.usd.layers.finite import Labels, narrowed
 from animtool.usd.layers.jobs import RootPath, Rounding, WrittenBlock
 from animtool.usd.layers.names import RigPaths
 from animtool.usd.layers.sdf import (
-    Samples,
+    SampleWriter,
     attribute,
     author_order,
     prim,
@@ -102,14 +102,14 @@ def _move_root(
     first, *others = rig.roots
     rest_t = rig.rest_translations[first] / meters_per_unit
     rest_r = rig.rest_rotations[first]
-    turn = so3.multiply(rotations[:, first], so3.conjugate(rest_r))
-    move = translations[:, first] - so3.rotate(turn, rest_t)
+    rotation = so3.multiply(rotations[:, first], so3.conjugate(rest_r))
+    move = translations[:, first] - so3.rotate(rotation, rest_t)
     translations[:, first], rotations[:, first] = rest_t, rest_r
-    back = so3.conjugate(turn)
+    back = so3.conjugate(rotation)
     for other in others:
         translations[:, other] = so3.rotate(back, translations[:, other] - move)
         rotations[:, other] = so3.multiply(back, rotations[:, other])
-    return RootPath(move, turn)
+    return RootPath(move, rotation)
 
 
 _TRANSFORMS = {
@@ -139,12 +139,12 @@ class AnimationWriter:
         if self.chosen is not None:
             names = [n for n, keep in zip(names, self.chosen, strict=True) if keep]
         self._count = len(names)
-        self._transforms: dict[str, Samples] = {}
+        self._transforms: dict[str, SampleWriter] = {}
         if names:
             tokens = Vt.TokenArray(names)
             attribute(spec, "joints", types.TokenArray, tokens, uniform=True)
             self._transforms = {
-                name: Samples(
+                name: SampleWriter(
                     attribute(spec, name, kind),
                     make,
                     quaternions=name == "rotations",
@@ -154,7 +154,7 @@ class AnimationWriter:
                 for name, (kind, make) in _TRANSFORMS.items()
             }
         self._weights: list[Float32Array] = []
-        self._weight_samples: Samples | None = None
+        self._weight_samples: SampleWriter | None = None
         self._codes: list[FloatArray] = []
         self._extents: list[Float32Array] = []
         self._root_path: list[RootPath] = []
@@ -209,7 +209,7 @@ class AnimationWriter:
         """Write the SkelRoot's bounds ``(F, 2, 3)``, one array a block."""
         spec = self.layer.GetPrimAtPath(self.paths.root)
         attr = attribute(spec, "extent", Sdf.ValueTypeNames.Float3Array)
-        samples = Samples(attr, Vt.Vec3fArray.FromNumpy)
+        samples = SampleWriter(attr, Vt.Vec3fArray.FromNumpy)
         for codes, bounds in zip(self._codes, extents, strict=True):
             samples.add(codes, bounds)
         samples.finish(np.zeros((2, 3), np.float32))
@@ -235,7 +235,7 @@ class AnimationWriter:
         tokens = Vt.TokenArray(names)
         attribute(spec, "blendShapes", types.TokenArray, tokens, uniform=True)
         attr = attribute(spec, "blendShapeWeights", types.FloatArray)
-        samples = Samples(attr, Vt.FloatArray.FromNumpy)
+        samples = SampleWriter(attr, Vt.FloatArray.FromNumpy)
         for codes, rows in zip(self._codes, self._weights, strict=True):
             samples.add(codes, rows[:, used])
         samples.finish(np.zeros(len(names), np.float32))
@@ -246,13 +246,13 @@ class AnimationWriter:
         spec = self.layer.GetPrimAtPath(self.paths.root)
         types = Sdf.ValueTypeNames
         names = ["xformOp:translate:rootMotion", "xformOp:orient:rootMotion"]
-        move = Samples(attribute(spec, names[0], types.Double3), vector)
-        turn = Samples(
+        move = SampleWriter(attribute(spec, names[0], types.Double3), vector)
+        samples = SampleWriter(
             attribute(spec, names[1], types.Quatd), quaternion, quaternions=True
         )
         author_order(spec, *placing, *names)
         for codes, path in zip(self._codes, self._root_path, strict=True):
             move.add(codes, path.translations)
-            turn.add(codes, path.rotations)
+            samples.add(codes, path.rotations)
         move.finish(np.zeros(3))
-        turn.finish(so3.IDENTITY)
+        samples.finish(so3.IDENTITY)

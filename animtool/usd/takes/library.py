@@ -129,14 +129,14 @@ def select_take(takes: TakeSet | None, name: str, where: str) -> TakeSet:
 
 def check_variant(stage: Any, layer: Any, paths: RigPaths, where: str | None) -> None:
     """Refuse a variant whose values something on the stage overrides."""
-    for place in sorted({paths.root, paths.binding}):
-        spec = layer.GetPrimAtPath(place)
-        for own in spec.properties if spec else ():
-            path = own.path.StripAllVariantSelections()
+    for prim_path in sorted({paths.root, paths.binding}):
+        spec = layer.GetPrimAtPath(prim_path)
+        for property_spec in spec.properties if spec else ():
+            path = property_spec.path.StripAllVariantSelections()
             stack = stage.GetPropertyAtPath(path).GetPropertyStack(
                 Usd.TimeCode.Default()
             )
-            if stack and stack[0].path != own.path:
+            if stack and stack[0].path != property_spec.path:
                 message = f"{path} of the rig is stronger than that of a variant"
                 raise OutputError(Fault("USD032", message, where, (), STRONGER_HINT))
 
@@ -177,21 +177,21 @@ def merged_library(path: Path, layer: Any, paths: RigPaths, name: str) -> Any:
 
     Every other take, and what it selects, stays as it is.
     """
-    whole = new_layer(path)
-    whole.TransferContent(find_layer(path))
+    merged = new_layer(path)
+    merged.TransferContent(find_layer(path))
     model = Sdf.Path(paths.model)
     animation = Sdf.Path(f"{paths.animation}_{name}")
     variant = model.AppendVariantSelection(TAKE_SET, name)
     with Sdf.ChangeBlock():
         for spot in (animation.GetParentPath(), model):
-            if whole.GetPrimAtPath(spot) is None:
-                Sdf.CreatePrimInLayer(whole, spot)
-        _make_variant(whole.GetPrimAtPath(model), name)
-        Sdf.CopySpec(layer, animation, whole, animation)
-        Sdf.CopySpec(layer, variant, whole, variant)
-    whole.startTimeCode = min(whole.startTimeCode, layer.startTimeCode)
-    whole.endTimeCode = max(whole.endTimeCode, layer.endTimeCode)
-    return whole
+            if merged.GetPrimAtPath(spot) is None:
+                Sdf.CreatePrimInLayer(merged, spot)
+        _make_variant(merged.GetPrimAtPath(model), name)
+        Sdf.CopySpec(layer, animation, merged, animation)
+        Sdf.CopySpec(layer, variant, merged, variant)
+    merged.startTimeCode = min(merged.startTimeCode, layer.startTimeCode)
+    merged.endTimeCode = max(merged.endTimeCode, layer.endTimeCode)
+    return merged
 
 
 def _make_variant(model: Any, name: str) -> None:

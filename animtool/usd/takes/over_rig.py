@@ -16,7 +16,7 @@ from animtool.rig.kinematics import rest_world
 from animtool.rig.placed import placed_rig, standing_notice
 from animtool.rig.placement import Placement
 from animtool.rig.skeleton import Rig
-from animtool.usd.layers.faults import Spot
+from animtool.usd.layers.faults import PrimLocation
 from animtool.usd.rigs.placement import (
     DROP,
     KEEP,
@@ -58,43 +58,50 @@ def over_rig(
         where: The rig layer, for notices.
         raw: The rig, as its numbers are.
     """
-    own = placement(None)
-    spot = Spot(where, "")
+    rig_placement = placement(None)
+    spot = PrimLocation(where, "")
     if choice == KEEP:
-        refuse_uneven(own, spot)
-    notices = uneven_notice(own, spot)
+        refuse_uneven(rig_placement, spot)
+    notices = uneven_notice(rig_placement, spot)
     left = [notice for notice in stream.notices if notice.code == "USD109"]
-    if own.uneven and left and all(own.uneven in notice.message for notice in left):
+    if (
+        rig_placement.uneven
+        and left
+        and all(rig_placement.uneven in notice.message for notice in left)
+    ):
         # The rig has the very transform that the take is read without.
         others = [notice for notice in stream.notices if notice not in left]
         stream, notices = replace(stream, notices=others), []
-    stands, rig = own.stands, stream.rig
-    placed = own.rides or not own.fixed.is_none
-    if choice is None and _stands_there(rig, raw, own):
+    stands, rig = rig_placement.stands, stream.rig
+    placed = rig_placement.rides or not rig_placement.fixed.is_none
+    if choice is None and _stands_there(rig, raw, rig_placement):
         # Its numbers hold the place of the rig, and nothing records that.
-        rig = replace(rig, stands=stands, rides=own.rides)
+        rig = replace(rig, stands=stands, rides=rig_placement.rides)
         stream = replace(stream, rig=rig)
     alone = not rig.has_rest and rig.stands is None and choice != KEEP
-    if alone and _is_sized(rig, raw, own.sized.size):
+    if alone and _is_sized(rig, raw, rig_placement.sized.size):
         alone, choice = False, choice or KEEP
-    if own.uneven or alone or not placed:
+    if rig_placement.uneven or alone or not placed:
         # Without a rest pose it is in the space of its rig, which this is.
         stream = off_its_place(stream) if choice == DROP else stream
         kept = choice != DROP
-        notices += standing_notice(rig, where, kept=kept, over=own.stands)
+        notices += standing_notice(rig, where, kept=kept, over=rig_placement.stands)
         return OverRig(stream, _NONE, None, notices)
-    somewhere = own.rides or not stands.is_none
+    somewhere = rig_placement.rides or not stands.is_none
     kept = choice == KEEP or (choice is None and (stream.rig.rides or not somewhere))
-    notices += standing_notice(rig, where, kept=kept, over=own.stands)
+    notices += standing_notice(rig, where, kept=kept, over=rig_placement.stands)
     if not kept:
-        back = own.sized.inverse()
+        back = rig_placement.sized.inverse()
         to_rig = None if back.is_none else lambda _: back
-        return OverRig(off_its_place(stream), own.sized, to_rig, notices)
-    if not own.rides:
-        back = own.fixed.inverse()
-        return OverRig(stream, own.sized, lambda _: back, notices)
+        return OverRig(off_its_place(stream), rig_placement.sized, to_rig, notices)
+    if not rig_placement.rides:
+        back = rig_placement.fixed.inverse()
+        return OverRig(stream, rig_placement.sized, lambda _: back, notices)
     return OverRig(
-        stream, own.sized, lambda codes: placement(codes).fixed.inverse(), notices
+        stream,
+        rig_placement.sized,
+        lambda codes: placement(codes).fixed.inverse(),
+        notices,
     )
 
 
@@ -105,13 +112,13 @@ _NONE = Placement(np.zeros((1, 3)), np.array([[0.0, 0.0, 0.0, 1.0]]), np.ones(1)
 NEAR = 1e-3
 
 
-def _stands_there(take: Rig, raw: Rig, own: SkeletonPlacement) -> bool:
+def _stands_there(take: Rig, raw: Rig, rig_placement: SkeletonPlacement) -> bool:
     """Return whether a take rests where a stage has a rig, and not where it is alone.
 
     As a take does that was read from such a stage, and came as another kind of file:
     a BVH, whose joints are not turned at rest, has its roots there.
     """
-    if take.stands is not None or not take.has_rest or own.stands.is_none:
+    if take.stands is not None or not take.has_rest or rig_placement.stands.is_none:
         return False
     index = {joint.source_name or joint.name: j for j, joint in enumerate(raw.joints)}
     pairs = [
@@ -126,7 +133,7 @@ def _stands_there(take: Rig, raw: Rig, own: SkeletonPlacement) -> bool:
     size = float(np.ptp(rests, axis=0).max())
     placed, alone = (
         np.abs(rest_world(placed_rig(raw, at)).positions[0, theirs] - rests).max(axis=1)
-        for at in (own.rest, own.sized)
+        for at in (rig_placement.rest, rig_placement.sized)
     )
     roots = np.array([take.joints[j].parent < 0 for j, _ in pairs])
     return any(

@@ -279,12 +279,12 @@ def _measure(spline: Any, curves: Curves, evaluate: Evaluate) -> tuple[float, fl
     away = span * (np.arange(3 * SAMPLES) + 0.5) / SAMPLES
     at = np.concatenate([times[0] - away, inside.ravel(), times[-1] + away])
 
-    def apart(when: FloatArray) -> float:
+    def difference(when: FloatArray) -> float:
         mine = evaluate(when)
         theirs = np.array([spline.Eval(float(time)) for time in when])
         return float(np.abs(theirs - mine).max())
 
-    last = apart(times[-1:])
+    last = difference(times[-1:])
     if curves.post[0] in {Extrapolation.CYCLE, Extrapolation.OSCILLATE}:
-        return apart(at), last
-    return max(apart(at), last), 0.0
+        return difference(at), last
+    return max(difference(at), last), 0.0

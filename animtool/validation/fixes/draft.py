@@ -17,7 +17,7 @@ from animtool.usd.fixes.table import EDITS
 from animtool.validation.subjects.subject import CheckedFile
 
 
-class Draft(Protocol):
+class FileDraft(Protocol):
     """Content of a file; a step returns another draft and leaves this one."""
 
     @property
@@ -31,10 +31,10 @@ class Draft(Protocol):
     def batch(self, cases: Sequence[Fault]) -> Sequence[Fault]:
         """Return the findings that one step fixes, of all that are left to try."""
 
-    def step(self, faults: Sequence[Fault]) -> Step:
+    def step(self, faults: Sequence[Fault]) -> FixStep:
         """Return the content with findings of `batch` fixed."""
 
-    def finish(self, cases: Sequence[Fault], /) -> Step:
+    def finish(self, cases: Sequence[Fault], /) -> FixStep:
         """Return the content with those findings fixed that had to wait."""
 
     def fixable(self, faults: Sequence[Fault]) -> Iterator[Fault]:
@@ -55,10 +55,10 @@ class Draft(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class Step:
+class FixStep:
     """The result of one step."""
 
-    draft: Draft  # the content after it
+    draft: FileDraft  # the content after it
     done: Sequence[tuple[Fault, str]] = ()  # findings that were fixed, and how
     refused: Sequence[tuple[Fault, str]] = ()  # findings that were not, and why
 

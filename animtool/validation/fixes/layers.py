@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from animtool.core.errors import Fault
 from animtool.core.record import dataclass
 from animtool.usd.fixes.table import EDITS
-from animtool.validation.fixes.draft import Step
+from animtool.validation.fixes.draft import FixStep
 from animtool.validation.run import findings_in
 from animtool.validation.subjects.open import open_file
 from animtool.validation.subjects.subject import CheckedFile
@@ -50,7 +50,7 @@ class LayerDraft:
         chosen = (fault for fault in cases if fault.code == first)
         return sorted(chosen, key=lambda fault: -(fault.where or "").count("/"))
 
-    def step(self, faults: Sequence[Fault]) -> Step:
+    def step(self, faults: Sequence[Fault]) -> FixStep:
         """Return the layer with findings fixed, as far as they are its own."""
         from animtool.usd.fixes.target import edited_layer
 
@@ -63,11 +63,11 @@ class LayerDraft:
             content = layer.content()
         lines = [f"{self.path}: {fault.code} {remedy}" for fault, remedy in done]
         other = LayerDraft(self.path, content, (*self.edits, *lines))
-        return Step(other if done else self, done, refused)
+        return FixStep(other if done else self, done, refused)
 
-    def finish(self, _: Sequence[Fault], /) -> Step:
+    def finish(self, _: Sequence[Fault], /) -> FixStep:
         """Return the layer as it is: no fix has to wait."""
-        return Step(self)
+        return FixStep(self)
 
     def fixable(self, faults: Sequence[Fault]) -> Iterator[Fault]:
         """Yield the findings that are of this layer and have a safe remedy."""

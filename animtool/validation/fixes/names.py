@@ -17,7 +17,7 @@ from animtool.rig.drivers import renamed_coordinates, split_coordinate
 from animtool.rig.expressions import parse_expression
 from animtool.rig.joints import DRIVEN_PARTS, split_part
 from animtool.validation.fixes.draft import Mend, NotMendedError
-from animtool.validation.fixes.texts import place_of
+from animtool.validation.fixes.texts import pointer_of
 from animtool.validation.rules.rig_parts import legal, names_in
 from animtool.validation.subjects.open import DOCUMENT_SUFFIXES
 from animtool.validation.subjects.rig import RigSubject
@@ -31,9 +31,9 @@ def naming(rig: Path, names: Sequence[str]) -> Iterator[tuple[Path, str]]:
     ``joint/NAME.rotation``; words in comments and texts are none. Rigs with joints of
     their own, and files for one of these, have names of their own and are left out.
     """
-    own = rig.resolve()
+    rig_path = rig.resolve()
     for path in _documents(rig):
-        if path.resolve() == own:
+        if path.resolve() == rig_path:
             continue
         try:
             text = read_text(path)
@@ -41,7 +41,7 @@ def naming(rig: Path, names: Sequence[str]) -> Iterator[tuple[Path, str]]:
             continue
         if not any(name in text for name in names):
             continue
-        use = _first_use(path, text, own, names)
+        use = _first_use(path, text, rig_path, names)
         if use is not None:
             yield path, use
 
@@ -121,7 +121,7 @@ USES = {
 # Where expressions read joints.
 FORMULAS = ("joints/*/driven/expr", "shapes/*/driven/expr", "controls/*/driven/expr")
 # What a list's names are called by in the places of `ignore`.
-_PLACES = {
+_LISTS = {
     "joints": ("joints", "colliders", "masses"),
     "meshes": ("meshes",),
     "shapes": ("shapes",),
@@ -130,8 +130,8 @@ _PLACES = {
 
 def allowed(checked: CheckedFile, fault: Fault) -> Mend:
     """Return the file with every name of a list as USD allows it."""
-    rig = _whole(checked)
-    key = str(place_of(fault)[0])
+    rig = _complete_rig(checked)
+    key = str(pointer_of(fault)[0])
     old = [name for name in names_in(rig, key) if legal(name) != name]
     return _renamed(rig, key, old)
 
@@ -141,19 +141,19 @@ def distinct(checked: CheckedFile, fault: Fault) -> Mend:
 
     Of the two the one that USD does not allow, or the second of these.
     """
-    rig = _whole(checked)
-    key, number = place_of(fault)[:2]
+    rig = _complete_rig(checked)
+    key, number = pointer_of(fault)[:2]
     entry = rig.written(str(key))[number]
     names = names_in(rig, key)
     for name in (entry["name"], entry.get("mirror")):
-        alike = [other for other in names if name and legal(other) == legal(name)]
-        if len(alike) > 1:
-            odd = [other for other in alike if legal(other) != other]
-            return _renamed(rig, str(key), odd[-1:])
+        equal = [other for other in names if name and legal(other) == legal(name)]
+        if len(equal) > 1:
+            renamed = [other for other in equal if legal(other) != other]
+            return _renamed(rig, str(key), renamed[-1:])
     raise NotMendedError(f"renames {entry['name']!r} to make it unique")
 
 
-def _whole(checked: CheckedFile) -> RigSubject:
+def _complete_rig(checked: CheckedFile) -> RigSubject:
     rig: RigSubject = checked.subject
     if "from" in rig.document.value:
         raise NotMendedError("the names are in another file")
@@ -202,12 +202,14 @@ def renaming(
     if key == "joints":
         yield from _formulas(value, new)
     for at, where in _named(value, ("ignore", "*", "where"), ()):
-        place = where
+        location = where
         for old, name in new.items():
-            lists = "|".join(_PLACES[key])
-            place = re.sub(rf"\b({lists})\[{re.escape(old)}\]", rf"\1[{name}]", place)
-        if place != where:
-            yield Replace(at, place)
+            lists = "|".join(_LISTS[key])
+            location = re.sub(
+                rf"\b({lists})\[{re.escape(old)}\]", rf"\1[{name}]", location
+            )
+        if location != where:
+            yield Replace(at, location)
 
 
 def _formulas(value: Mapping[str, Any], new: Mapping[str, str]) -> Iterator[Edit]:

@@ -10,7 +10,7 @@ from pathlib import Path
 from animtool.core.errors import Fault
 from animtool.core.readers import FBX, GLTF, READERS, USD
 from animtool.core.record import dataclass
-from animtool.validation.fixes.draft import Draft, Step, has_fix
+from animtool.validation.fixes.draft import FileDraft, FixStep, has_fix
 from animtool.validation.options import ValidateOptions
 from animtool.validation.run import Report
 
@@ -20,7 +20,7 @@ class FileMend:
     """A file, and what mending it makes of it."""
 
     path: Path  # the file
-    after: Draft  # its content when mended
+    after: FileDraft  # its content when mended
     # Findings, each as it stood when its turn came, and what was done.
     mended: list[tuple[Fault, str]] = field(default_factory=list)
     # Findings of a code that has a fix, and why they stay.
@@ -38,8 +38,8 @@ def plan_file(path: Path, options: ValidateOptions) -> FileMend:
     """
     plan = FileMend(path, _open_draft(path))
     options = options.with_profile(plan.after.checked.profile)
-    given_up: set[tuple[str, str | None, str]] = set()
-    while cases := list(_open_cases(plan.after.findings, options, given_up)):
+    unfixable: set[tuple[str, str | None, str]] = set()
+    while cases := list(_open_cases(plan.after.findings, options, unfixable)):
         batch = plan.after.batch(cases)
         step = plan.after.step(batch)
         worse = _worse(plan.after, step)
@@ -47,10 +47,10 @@ def plan_file(path: Path, options: ValidateOptions) -> FileMend:
             plan.after = step.draft
             plan.mended.extend(step.done)
             # The others may stand elsewhere now, and fare better.
-            given_up.clear()
+            unfixable.clear()
             plan.left.clear()
             continue
-        given_up.update(map(_key, batch))
+        unfixable.update(map(_key, batch))
         plan.left.extend(step.refused)
         plan.left.extend((fault, worse) for fault, _ in step.done)
     last = plan.after.finish(list(_open_cases(plan.after.findings, options, set())))
@@ -71,8 +71,8 @@ def with_fixable(report: Report) -> Report:
             cases.setdefault(fault.path, []).append(fault)
     fixable = (
         fault
-        for path, own in cases.items()
-        for fault in _open_draft(Path(path)).fixable(own)
+        for path, faults in cases.items()
+        for fault in _open_draft(Path(path)).fixable(faults)
     )
     return replace(report, fixable=frozenset(fixable))
 
@@ -104,7 +104,7 @@ def has_fixes(path: Path) -> bool:
     return READERS.get(path.suffix.lower()) not in {GLTF, FBX}
 
 
-def _open_draft(path: Path) -> Draft:
+def _open_draft(path: Path) -> FileDraft:
     """Return a file as it is."""
     if is_layer(path):
         from animtool.validation.fixes.layers import LayerDraft
@@ -118,12 +118,12 @@ def _open_draft(path: Path) -> Draft:
 def _open_cases(
     faults: Sequence[Fault],
     options: ValidateOptions,
-    given_up: set[tuple[str, str | None, str]],
+    unfixable: set[tuple[str, str | None, str]],
 ) -> Iterator[Fault]:
     """Yield findings that count, have a fix, and were not tried yet."""
     for fault in faults:
         fixable = has_fix(fault.code) and options.counts(fault.code)
-        if fixable and _key(fault) not in given_up:
+        if fixable and _key(fault) not in unfixable:
             yield fault
 
 
@@ -131,7 +131,7 @@ def _key(fault: Fault) -> tuple[str, str | None, str]:
     return fault.code, fault.where, fault.message
 
 
-def _worse(before: Draft, step: Step) -> str:
+def _worse(before: FileDraft, step: FixStep) -> str:
     """Return why a step is refused: findings stay or come; empty if it is not."""
     if not step.done:
         return ""

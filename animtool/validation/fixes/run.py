@@ -68,8 +68,8 @@ def fix_files(
     named = _with_fixes(report)
     kept = [path for path in named if is_layer(path) and not overwrite]
     # A file and a link to it are one.
-    own = {path.resolve(): path for path in reversed(named) if path not in kept}
-    changed = list(reversed(own.values()))
+    targets = {path.resolve(): path for path in reversed(named) if path not in kept}
+    changed = list(reversed(targets.values()))
     check_outputs(changed, [], overwrite=True)
     plans = [_plan(path, options) for path in changed]
     with together():

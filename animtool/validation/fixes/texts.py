@@ -29,7 +29,7 @@ from animtool.documents.document import document_of, read_text
 from animtool.documents.edit import Add, EditError, Remove, Replace, edited
 from animtool.documents.references import split_reference
 from animtool.rig.parts import ArrayRef
-from animtool.validation.fixes.draft import Mend, NotMendedError, Step, fix_of
+from animtool.validation.fixes.draft import FixStep, Mend, NotMendedError, fix_of
 from animtool.validation.run import findings_in
 from animtool.validation.subjects.open import open_document
 from animtool.validation.subjects.rig import RigSubject
@@ -38,10 +38,10 @@ from animtool.validation.subjects.subject import CheckedFile
 _STEP = re.compile(r"([^.\[\]]+)|\[(\d+)\]")
 
 
-def place_of(fault: Fault) -> tuple[Any, ...]:
+def pointer_of(fault: Fault) -> tuple[Any, ...]:
     """Return the keys and numbers of a finding's ``where``.
 
-    >>> place_of(Fault("RIG210", "", where="meshes[2].skin.weights"))
+    >>> pointer_of(Fault("RIG210", "", where="meshes[2].skin.weights"))
     ('meshes', 2, 'skin', 'weights')
     """
     steps = _STEP.findall(fault.where or "")
@@ -53,20 +53,20 @@ def left_out(checked: CheckedFile, fault: Fault) -> Mend:
     if checked.document is None:
         raise NotMendedError("the file has no text")
     entries = checked.document.value["ignore"]
-    place = place_of(fault)
-    entry = entries[place[1]]
-    location = place if len(entries) > 1 else ("ignore",)
+    pointer = pointer_of(fault)
+    entry = entries[pointer[1]]
+    location = pointer if len(entries) > 1 else ("ignore",)
     return Mend(f"removes the entry for {entry['code']}", (Remove(location),))
 
 
 def from_bind(checked: CheckedFile, fault: Fault) -> Mend:
     """Return the file with a joint's rest pose, taken from its bind pose."""
     rig: RigSubject = checked.subject
-    place = place_of(fault)
-    entry = rig.written("joints")[place[1]]
+    pointer = pointer_of(fault)
+    entry = rig.written("joints")[pointer[1]]
     pose = rig.document.value["bind"][entry["name"]]
     keys = [key for key in ("translate", "rotate") if pose.get(key) is not None]
-    edits = tuple(Add(place, key, pose[key]) for key in keys)
+    edits = tuple(Add(pointer, key, pose[key]) for key in keys)
     return Mend(f"sets the rest pose of {entry['name']!r} to its bind pose", edits)
 
 
@@ -77,8 +77,8 @@ def summed(checked: CheckedFile, fault: Fault) -> Mend:
     may be another rig's too, and stays as it is.
     """
     rig: RigSubject = checked.subject
-    place = place_of(fault)
-    skin = rig.rig.meshes[place[1]].skin
+    pointer = pointer_of(fault)
+    skin = rig.rig.meshes[pointer[1]].skin
     if "from" in rig.document.value or skin is None:
         raise NotMendedError("the mesh is in another file")
     weights = skin.weights
@@ -89,7 +89,7 @@ def summed(checked: CheckedFile, fault: Fault) -> Mend:
     text = f"{name[: -len(weights.path.name)]}{path.name}#{weights.key}"
     remedy = f"writes {path.name} with the weights divided by their sums"
     arrays = {path: {weights.key: _divided(weights)}}
-    return Mend(remedy, (Replace(place, text),), arrays)
+    return Mend(remedy, (Replace(pointer, text),), arrays)
 
 
 def _free(path: Path, key: str) -> Path:
@@ -140,7 +140,7 @@ class TextDraft:
         """Return the first: after it the others may stand elsewhere."""
         return cases[:1]
 
-    def step(self, faults: Sequence[Fault]) -> Step:
+    def step(self, faults: Sequence[Fault]) -> FixStep:
         """Return the text with a finding fixed, unless that writes arrays.
 
         What writes arrays comes last, as the rest is checked on files that are there.
@@ -150,15 +150,15 @@ class TextDraft:
             mend = self._mend(fault)
             text = edited(self.text, self.path, mend.edits)
             if mend.arrays:
-                return Step(self)
+                return FixStep(self)
             other = replace(self, text=text)
             # That it can be read is looked at here.
             _ = other.findings
         except (NotMendedError, EditError, AnimtoolError) as error:
-            return Step(self, refused=[(fault, str(error))])
-        return Step(other, [(fault, mend.remedy)])
+            return FixStep(self, refused=[(fault, str(error))])
+        return FixStep(other, [(fault, mend.remedy)])
 
-    def finish(self, cases: Sequence[Fault]) -> Step:
+    def finish(self, cases: Sequence[Fault]) -> FixStep:
         """Return the text with the findings fixed whose remedy writes arrays."""
         text, done = self.text, []
         added = {path: dict(arrays) for path, arrays in self.arrays.items()}
@@ -174,7 +174,7 @@ class TextDraft:
             for path, arrays in mend.arrays.items():
                 added.setdefault(path, {}).update(arrays)
         codes = frozenset(fault.code for fault, _ in done)
-        return Step(replace(self, text=text, arrays=added, awaited=codes), done)
+        return FixStep(replace(self, text=text, arrays=added, awaited=codes), done)
 
     def fixable(self, faults: Sequence[Fault]) -> Iterator[Fault]:
         """Yield the findings that can be fixed, each on its own."""

@@ -88,7 +88,7 @@ _Kind: TypeAlias = tuple[str | None, str, Severity]
 
 
 @dataclass(frozen=True, slots=True)
-class Shown:
+class ShownFinding:
     """A finding as text has it."""
 
     fault: Fault
@@ -100,7 +100,7 @@ class Shown:
 class Findings:
     """The findings that text has."""
 
-    shown: list[Shown]
+    shown: list[ShownFinding]
 
 
 _SEE = clause(f", see {argument('command.verbose')}")
@@ -129,15 +129,15 @@ SUMMARY = Template(
 
 
 def text_report(
-    report: Report, *, whole: bool = False, calling: Calling = in_python
+    report: Report, *, repeats: bool = False, calling: Calling = in_python
 ) -> str:
     """Return the findings, each with the line it is in, and a last line that counts."""
     report = report.worded(calling)
-    lines = [*FINDINGS.text(Findings(_shown(report, whole=whole))), summary(report)]
+    lines = [*FINDINGS.text(Findings(_shown(report, repeats=repeats))), summary(report)]
     return "".join(f"{escaped(worded(line, calling))}\n" for line in lines)
 
 
-def _shown(report: Report, *, whole: bool) -> list[Shown]:
+def _shown(report: Report, *, repeats: bool) -> list[ShownFinding]:
     """Return the findings to print: of those of no line, the first of a kind."""
     sources = Sources()
     counts = Counter(map(_kind, report.findings))
@@ -145,10 +145,10 @@ def _shown(report: Report, *, whole: bool) -> list[Shown]:
     shown = []
     for fault in report.findings:
         kind = _kind(fault)
-        if whole or fault.lines:
-            shown.append(Shown(fault, excerpt=_excerpt(fault, sources)))
+        if repeats or fault.lines:
+            shown.append(ShownFinding(fault, excerpt=_excerpt(fault, sources)))
         elif first.setdefault(kind, fault) is fault:
-            shown.append(Shown(fault, counts[kind] - 1))
+            shown.append(ShownFinding(fault, counts[kind] - 1))
     return shown
 
 
@@ -234,8 +234,8 @@ def junit_report(report: Report) -> str:
 
 def _case(name: str, faults: Sequence[Fault], *, unreadable: bool) -> JunitCase:
     wrong = [fault for fault in faults if fault.severity is Severity.ERROR]
-    odd = [fault for fault in faults if fault.severity is not Severity.ERROR]
-    text = "\n".join(map(str, odd))
+    unexpected = [fault for fault in faults if fault.severity is not Severity.ERROR]
+    text = "\n".join(map(str, unexpected))
     if not wrong:
         return JunitCase(name, output=text)
     return JunitCase(

@@ -41,9 +41,9 @@ def sarif_report(report: Report) -> str:
         "version": version("animtool"),
         "rules": described,
     }
-    places = {rule["id"]: i for i, rule in enumerate(described)}
-    results = [_result(fault, places, sources) for fault in report.findings]
-    _tell_apart(results)
+    rule_index = {rule["id"]: i for i, rule in enumerate(described)}
+    results = [_result(fault, rule_index, sources) for fault in report.findings]
+    _number_equal(results)
     named = dict.fromkeys(map(str, report.files))
     run = {
         "tool": {"driver": driver},
@@ -68,11 +68,13 @@ def _rule(rule: Rule) -> dict[str, Any]:
     return rule_object
 
 
-def _result(fault: Fault, places: dict[str, int], sources: Sources) -> dict[str, Any]:
+def _result(
+    fault: Fault, rule_index: dict[str, int], sources: Sources
+) -> dict[str, Any]:
     text = f"{fault.message}; {fault.hint}" if fault.hint else fault.message
     result: dict[str, Any] = {
         "ruleId": fault.code,
-        **({"ruleIndex": places[fault.code]} if fault.code in places else {}),
+        **({"ruleIndex": rule_index[fault.code]} if fault.code in rule_index else {}),
         "level": _LEVELS[fault.severity],
         # Doubled, no brace is that of a placeholder (3.11.5).
         "message": {"text": text.replace("{", "{{").replace("}", "}}")},
@@ -116,11 +118,11 @@ def _fingerprint(fault: Fault, line: str | None) -> dict[str, str]:
     return {"animtool/v1": digest[:32]}
 
 
-def _tell_apart(results: Sequence[dict[str, Any]]) -> None:
+def _number_equal(results: Sequence[dict[str, Any]]) -> None:
     """Number results whose fingerprints are the same."""
-    seen: dict[str, int] = {}
+    counts: dict[str, int] = {}
     for result in results:
         marks = result["partialFingerprints"]
         mark = marks["animtool/v1"]
-        seen[mark] = seen.get(mark, 0) + 1
-        marks["animtool/v1"] = f"{mark}:{seen[mark]}"
+        counts[mark] = counts.get(mark, 0) + 1
+        marks["animtool/v1"] = f"{mark}:{counts[mark]}"

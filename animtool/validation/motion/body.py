@@ -44,7 +44,7 @@ def carriers(subject: MotionSubject) -> tuple[int, ...]:
     feet = np.isin(np.arange(len(rig.joints)), feet_of(rig.names))
     steps = _totals(rig.parents, feet)
     joints = _totals(rig.parents, np.ones(len(feet), bool))
-    chain, found = [int(rig.roots[0])], 1
+    chain, count = [int(rig.roots[0])], 1
     moving = set(subject.moving.tolist())
     while True:
         children = np.flatnonzero(rig.parents == chain[-1]).tolist()
@@ -55,10 +55,10 @@ def carriers(subject: MotionSubject) -> tuple[int, ...]:
             and 2 * steps[child] > np.count_nonzero(feet)
         ]
         if not bodies:
-            return tuple(chain[:found])
+            return tuple(chain[:count])
         chain.append(bodies[0])
         if bodies[0] in moving:
-            found = len(chain)
+            count = len(chain)
 
 
 def hips_of(subject: MotionSubject) -> int:
@@ -102,16 +102,16 @@ def placed(subject: MotionSubject) -> BoolArray:
     """
     parents = subject.take.rig.parents
     carrying = carriers(subject)
-    found = parents < 0
-    found[list(carrying)] = True
-    return np.asarray(found | np.isin(parents, carrying[:-1]), bool)
+    is_placed = parents < 0
+    is_placed[list(carrying)] = True
+    return np.asarray(is_placed | np.isin(parents, carrying[:-1]), bool)
 
 
 def body(subject: MotionSubject) -> BoolArray:
     """Return the joints that hang from the one that carries the body ``(J,)``."""
     parents = subject.take.rig.parents
-    found = np.zeros(len(parents), bool)
-    found[hips_of(subject) : hips_of(subject) + 1] = True
+    in_body = np.zeros(len(parents), bool)
+    in_body[hips_of(subject) : hips_of(subject) + 1] = True
     for joint in range(1, len(parents)):
-        found[joint] |= parents[joint] >= 0 and found[parents[joint]]
-    return found
+        in_body[joint] |= parents[joint] >= 0 and in_body[parents[joint]]
+    return in_body

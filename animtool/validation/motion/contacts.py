@@ -18,7 +18,7 @@ Scalar = TypeVar("Scalar", np.float64, np.bool_)
 # A foot stands that is this near to the lowest height it rests at, of the size [1].
 NEAR = 0.025
 # Over this long a foot that stands hardly moves [s], [size].
-STILL_SECONDS, STILL = 0.1, 0.012
+STATIC_SECONDS, STATIC_MOVE = 0.1, 0.012
 # Fewer frames in which feet are still show no ground, and nor does a lesser share of
 # all frames: feet hold for a moment in the air, too [1].
 MIN_CONTACTS, SELDOM = 4, 0.1
@@ -40,7 +40,7 @@ AT_ONE_HEIGHT, AT_TWO_HEIGHTS, AT_EACH = 0.5, 0.85, 0.2
 
 
 @dataclass(frozen=True, slots=True)
-class Contacts:
+class FootContacts:
     """The feet of a take, over its frames.
 
     Attributes:
@@ -64,10 +64,10 @@ class Contacts:
     floor: FloatArray
     carries: BoolArray
     near: BoolArray
-    still: BoolArray
+    static: BoolArray
 
 
-def contacts_of(subject: MotionSubject) -> Contacts | None:
+def contacts_of(subject: MotionSubject) -> FootContacts | None:
     """Return when feet stand; None where there are none, or they never do."""
     feet = feet_of(subject.take.rig.names)
     if not len(feet) or subject.frames < MIN_CONTACTS:
@@ -76,15 +76,15 @@ def contacts_of(subject: MotionSubject) -> Contacts | None:
     lowest = subject.heights[:, body(subject)].min(axis=1, keepdims=True)
     carries = heights < lowest + LOWEST * subject.size
     carries &= ~_lies(subject, feet)[:, None]
-    still = carries & _still(subject, subject.positions[:, feet])
+    static = carries & _static(subject, subject.positions[:, feet])
     ground = np.zeros(len(feet))
     floor = np.full(len(feet), np.inf)
     flat = np.zeros(len(feet), bool)
     for e in range(len(feet)):
-        stands = heights[still[:, e], e]
+        stands = heights[static[:, e], e]
         if len(stands) >= max(MIN_CONTACTS, SELDOM * subject.frames):
-            ground[e], share = _level(stands, NEAR * subject.size)
-            flat[e] = share > AT_ONE_HEIGHT
+            ground[e], fraction = _level(stands, NEAR * subject.size)
+            flat[e] = fraction > AT_ONE_HEIGHT
             floor[e] = _floor(stands, NEAR * subject.size)
         else:
             ground[e] = np.percentile(heights[:, e], 5)
@@ -96,7 +96,9 @@ def contacts_of(subject: MotionSubject) -> Contacts | None:
     flat = level & _agrees(ground, partners, within)
     floor[~_agrees(floor, partners, within)] = np.inf
     near = carries & flat & (np.abs(heights - ground) < within)
-    return Contacts(feet, partners, ground, level, flat, floor, carries, near, still)
+    return FootContacts(
+        feet, partners, ground, level, flat, floor, carries, near, static
+    )
 
 
 def _level(heights: FloatArray, within: float) -> tuple[float, float]:
@@ -119,15 +121,15 @@ def _floor(heights: FloatArray, within: float) -> float:
     >>> _floor(np.array([0.0, 0.1, 5.0, 5.1, 5.2]), 0.5)
     0.05
     """
-    one, share = _level(heights, within)
+    one, fraction = _level(heights, within)
     rest = heights[np.abs(heights - one) > 2.0 * within]
     if len(rest) < AT_EACH * len(heights):
-        return one if share > AT_ONE_HEIGHT else np.inf
+        return one if fraction > AT_ONE_HEIGHT else np.inf
     other, part = _level(rest, within)
     part *= len(rest) / len(heights)
     if part < AT_EACH:
-        return one if share > AT_ONE_HEIGHT else np.inf
-    return min(one, other) if share + part > AT_TWO_HEIGHTS else np.inf
+        return one if fraction > AT_ONE_HEIGHT else np.inf
+    return min(one, other) if fraction + part > AT_TWO_HEIGHTS else np.inf
 
 
 def _lies(subject: MotionSubject, feet: IntArray) -> BoolArray:
@@ -160,9 +162,9 @@ def _windows(values: NDArray[Scalar], reach: float) -> NDArray[Scalar]:
 
 def _partners(subject: MotionSubject, feet: IntArray) -> IntArray:
     """Return which foot is that of the other side, or itself without one ``(E,)``."""
-    places = {int(joint): e for e, joint in enumerate(feet)}
+    columns = {int(joint): e for e, joint in enumerate(feet)}
     partners = subject.sides.partners[feet].tolist()
-    return np.array([places.get(joint, e) for e, joint in enumerate(partners)])
+    return np.array([columns.get(joint, e) for e, joint in enumerate(partners)])
 
 
 def _agrees(ground: FloatArray, partners: IntArray, within: float) -> BoolArray:
@@ -184,10 +186,10 @@ def moves_over(
     return points[behind] - points[before], behind - before
 
 
-def _still(subject: MotionSubject, points: FloatArray) -> BoolArray:
+def _static(subject: MotionSubject, points: FloatArray) -> BoolArray:
     """Return where points ``(F, E, 3)`` hardly move around a frame ``(F, E)``."""
-    moves, frames = moves_over(subject, points, STILL_SECONDS)
+    moves, frames = moves_over(subject, points, STATIC_SECONDS)
     # At low rates a frame is longer than the time to look at.
-    allowed = STILL * frames * subject.interval / STILL_SECONDS
+    allowed = STATIC_MOVE * frames * subject.interval / STATIC_SECONDS
     lengths = np.linalg.norm(moves, axis=2)
     return np.asarray(lengths < allowed[:, None] * subject.size)

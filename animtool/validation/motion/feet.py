@@ -12,7 +12,7 @@ from animtool.maths import so3
 from animtool.maths.runs import runs
 from animtool.validation.motion.body import hips_of
 from animtool.validation.motion.contacts import (
-    Contacts,
+    FootContacts,
     contacts_of,
     moves_over,
 )
@@ -36,7 +36,7 @@ ALONG, AGAINST, MOSTLY_AGAINST = 0.1, -0.15, -0.05
 EVEN_ALONG, EVEN_AGAINST = 0.12, 0.2
 
 
-def travel_scale(subject: MotionSubject, contacts: Contacts) -> float | None:
+def travel_scale(subject: MotionSubject, contacts: FootContacts) -> float | None:
     """Return how many times too far the hips go for their feet, if they do.
 
     Over 1 feet are dragged along, and below they slip back.
@@ -47,8 +47,8 @@ def travel_scale(subject: MotionSubject, contacts: Contacts) -> float | None:
         return None
     order = np.argsort(ratios, kind="stable")
     totals = np.cumsum(weights[order]) / weights.sum()
-    places = np.searchsorted(totals, (0.15, 0.5, 0.75)).clip(0, len(order) - 1)
-    low, middle, high = ratios[order][places].tolist()
+    quartiles = np.searchsorted(totals, (0.15, 0.5, 0.75)).clip(0, len(order) - 1)
+    low, middle, high = ratios[order][quartiles].tolist()
     along = low > ALONG and middle - low < EVEN_ALONG and middle < 1.0
     against = middle < AGAINST and high < MOSTLY_AGAINST
     against &= middle - low < EVEN_AGAINST * max(1.0, -middle)
@@ -58,7 +58,7 @@ def travel_scale(subject: MotionSubject, contacts: Contacts) -> float | None:
 
 
 def _ratios(
-    subject: MotionSubject, contacts: Contacts
+    subject: MotionSubject, contacts: FootContacts
 ) -> tuple[FloatArray, FloatArray]:
     """Return velocities of the foot that stands, over those of the hips ``(N,)``.
 
@@ -66,8 +66,8 @@ def _ratios(
     slowest one counts.
     """
     points = subject.level(np.append(contacts.feet, hips_of(subject)))
-    ways, steps = moves_over(subject, points, SPAN)
-    velocities = ways / (steps * subject.interval)[:, None, None]
+    travels, steps = moves_over(subject, points, SPAN)
+    velocities = travels / (steps * subject.interval)[:, None, None]
     feet, hips = velocities[:, :-1], velocities[:, -1]
     speeds = np.where(contacts.near, np.linalg.norm(feet, axis=2), np.inf)
     slowest = feet[np.arange(len(feet)), speeds.argmin(axis=1)]
@@ -82,7 +82,7 @@ TRAVEL = 0.2
 # The foot that carries slides at this speed [size/s], for so long at least [s].
 SLIDE_SPEED, SLIDE_SECONDS = 0.12, 0.1
 # Over this way at once, or over the lesser one so many times [size], [1].
-SLIDE_WAY, OFTEN_WAY, OFTEN = 0.08, 0.035, 3
+SLIDE_LENGTH, OFTEN_LENGTH, OFTEN = 0.08, 0.035, 3
 # The speed is the lower one of those over this time before and after [s]: a foot that
 # lands slows down at once, and one that leaves has just stood. Shorter, it is noise.
 SPEED_SECONDS = 0.1
@@ -118,24 +118,30 @@ def foot_slide(subject: MotionSubject) -> Iterator[Fault]:
     fast = np.minimum(slowest, slides) > SLIDE_SPEED * subject.size
     sliding = contacts.near.any(axis=1) & fast
     lowest = subject.heights[:, contacts.feet].min(axis=1) / subject.size
-    ways = []
+    long_slides = []
     for first, end in runs(sliding):
         last, seconds = end - 1, (end - first) * subject.interval
         if _lands(slowest[first:end], lowest[first:end]):
             continue
         if seconds <= SKID_LASTS and _skids(subject, contacts, slowest, first, last):
             continue
-        way = _way(subject, contacts, first, last)
-        if way >= OFTEN_WAY * subject.size and seconds >= SLIDE_SECONDS:
-            ways.append((way, first, last))
-    if len(ways) < OFTEN and not any(w >= SLIDE_WAY * subject.size for w, *_ in ways):
+        length = _slide_length(subject, contacts, first, last)
+        if length >= OFTEN_LENGTH * subject.size and seconds >= SLIDE_SECONDS:
+            long_slides.append((length, first, last))
+    if len(long_slides) < OFTEN and not any(
+        w >= SLIDE_LENGTH * subject.size for w, *_ in long_slides
+    ):
         yield from _scaled_travel(subject, contacts)
         return
-    way, first, last = max(ways)
+    length, first, last = max(long_slides)
     foot = int(contacts.feet[int(speeds[first : last + 1].mean(axis=0).argmin())])
-    more = f"; feet slide {len(ways) - 1} more times" if len(ways) > 1 else ""
+    more = (
+        f"; feet slide {len(long_slides) - 1} more times"
+        if len(long_slides) > 1
+        else ""
+    )
     message = (
-        f"planted foot {subject.take.rig.joints[foot].name!r} slides {way:.3g} m "
+        f"planted foot {subject.take.rig.joints[foot].name!r} slides {length:.3g} m "
         f"from frame {subject.at(first)} to {subject.at(last)}{more}"
     )
     hint = "hold it with IK, or make the cycle in place"
@@ -143,7 +149,10 @@ def foot_slide(subject: MotionSubject) -> Iterator[Fault]:
 
 
 def _of_the_standing(
-    subject: MotionSubject, contacts: Contacts, speeds: FloatArray, slides: FloatArray
+    subject: MotionSubject,
+    contacts: FootContacts,
+    speeds: FloatArray,
+    slides: FloatArray,
 ) -> FloatArray:
     """Return how fast the foot slides that is the slowest one on the ground ``(F,)``.
 
@@ -151,20 +160,20 @@ def _of_the_standing(
     the foot slow, and one that turns about that does not make another foot slide.
     """
     feet, parents = contacts.feet.tolist(), subject.take.rig.parents
-    places = {foot: e for e, foot in enumerate(feet)}
+    column_of = {foot: e for e, foot in enumerate(feet)}
     tops: list[int] = []
     for e, foot in enumerate(feet):
-        above = places.get(int(parents[foot]))
+        above = column_of.get(int(parents[foot]))
         tops.append(e if above is None else tops[above])
-    found, slowest = np.zeros(len(speeds)), np.full(len(speeds), np.inf)
+    resting, slowest = np.zeros(len(speeds)), np.full(len(speeds), np.inf)
     for top in sorted(set(tops)):
         columns = np.flatnonzero(np.array(tops) == top)
         near = contacts.near[:, columns]
         speed = np.where(near, speeds[:, columns], np.inf).min(axis=1)
         slide = np.where(near, slides[:, columns], 0.0).max(axis=1)
-        found = np.where(speed < slowest, slide, found)
+        resting = np.where(speed < slowest, slide, resting)
         slowest = np.minimum(slowest, speed)
-    return found
+    return resting
 
 
 def _lands(speeds: FloatArray, heights: FloatArray) -> bool:
@@ -185,7 +194,7 @@ def _lands(speeds: FloatArray, heights: FloatArray) -> bool:
 
 def _skids(
     subject: MotionSubject,
-    contacts: Contacts,
+    contacts: FootContacts,
     speeds: FloatArray,
     first: int,
     last: int,
@@ -202,7 +211,9 @@ def _skids(
     return lands or leaves
 
 
-def _way(subject: MotionSubject, contacts: Contacts, first: int, last: int) -> float:
+def _slide_length(
+    subject: MotionSubject, contacts: FootContacts, first: int, last: int
+) -> float:
     """Return the shortest way that a foot near to the ground goes over a run [m].
 
     With half of the time that its speed is that of, before and after.
@@ -214,7 +225,7 @@ def _way(subject: MotionSubject, contacts: Contacts, first: int, last: int) -> f
     return float(np.linalg.norm(np.diff(level, axis=0), axis=2).sum(axis=0).min())
 
 
-def _scaled_travel(subject: MotionSubject, contacts: Contacts) -> Iterator[Fault]:
+def _scaled_travel(subject: MotionSubject, contacts: FootContacts) -> Iterator[Fault]:
     """Yield that feet slide all along, as the root goes too far for them or less."""
     scale = travel_scale(subject, contacts)
     if scale is None:
@@ -249,18 +260,18 @@ def _speeds(subject: MotionSubject, feet: IntArray) -> tuple[FloatArray, FloatAr
     rotations = subject.world.rotations[:, feet]
     speeds = np.full((2, count, len(feet)), np.inf)
     for sign in (-1, 1):
-        ways = np.zeros((2, count, len(feet)))
+        lengths = np.zeros((2, count, len(feet)))
         for offset in range(1, reach + 1):
             ends = np.clip(np.arange(count) + sign * offset, 0, count - 1)
-            way = np.linalg.norm(level[ends] - level, axis=2)
+            length = np.linalg.norm(level[ends] - level, axis=2)
             explained = STEEP * np.abs(heights[ends] - heights)
             angles = so3.angle_between(rotations[ends], rotations)
             explained += LEVER * subject.size * angles
-            ways = np.maximum(ways, np.stack([way, way - explained]))
+            lengths = np.maximum(lengths, np.stack([length, length - explained]))
         # The first frame has nothing before it, and the last one nothing after it.
         seconds = np.abs(ends - np.arange(count)) * subject.interval
         known = seconds > 0.0
         speeds[:, known] = np.minimum(
-            speeds[:, known], ways[:, known] / seconds[known, None]
+            speeds[:, known], lengths[:, known] / seconds[known, None]
         )
     return speeds[0], speeds[1]

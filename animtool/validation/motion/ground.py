@@ -13,7 +13,7 @@ from animtool.validation.motion.body import body, feet_of, hips_of
 from animtool.validation.motion.contacts import (
     MIN_CONTACTS,
     NEAR,
-    Contacts,
+    FootContacts,
     contacts_of,
 )
 from animtool.validation.motion.size import body_axis
@@ -53,15 +53,15 @@ def feet_off_ground(subject: MotionSubject) -> Iterator[Fault]:
     contacts = contacts_of(subject)
     if contacts is None or body_axis(subject):
         return
-    whole = list(_whole_take(subject, contacts))
-    yield from whole or [*_sunk(subject, contacts), *_floating(subject, contacts)]
+    of_take = list(_full_take(subject, contacts))
+    yield from of_take or [*_sunk(subject, contacts), *_floating(subject, contacts)]
 
 
-def _whole_take(subject: MotionSubject, contacts: Contacts) -> Iterator[Fault]:
+def _full_take(subject: MotionSubject, contacts: FootContacts) -> Iterator[Fault]:
     """Yield that all contacts are off 0 of the up axis, where that is the ground."""
     if not subject.has_rest:
         return
-    often = contacts.still.sum(axis=0)
+    often = contacts.static.sum(axis=0)
     fewest = max(MIN_CONTACTS, round(SHOWN_SECONDS / subject.interval))
     shown = np.flatnonzero((often >= fewest) & contacts.flat)
     if not len(shown):
@@ -82,7 +82,7 @@ def _whole_take(subject: MotionSubject, contacts: Contacts) -> Iterator[Fault]:
     if not rests_at_zero and abs(off) > OTHER_ORIGIN * subject.size:
         return
     foot = int(contacts.feet[shown[nearest]])
-    frame = int(np.flatnonzero(contacts.still[:, shown].any(axis=1))[0])
+    frame = int(np.flatnonzero(contacts.static[:, shown].any(axis=1))[0])
     how = "below" if off < 0.0 else "above"
     message = (
         f"the feet are {abs(off):.3g} m {how} the ground, 0 of the up axis; "
@@ -147,7 +147,7 @@ def _hangs(rest: FloatArray, heights: FloatArray, leg: list[int]) -> bool:
     return bool(heights[leg[-1]] - heights[leg[0]] > HANGS * bones.sum() > 0.0)
 
 
-def _sunk(subject: MotionSubject, contacts: Contacts) -> Iterator[Fault]:
+def _sunk(subject: MotionSubject, contacts: FootContacts) -> Iterator[Fault]:
     """Yield the foot that is furthest below the ground of its contacts."""
     heights = subject.heights[:, contacts.feet]
     ground, known = _ground_of_pairs(subject, contacts)
@@ -175,7 +175,7 @@ def _sunk(subject: MotionSubject, contacts: Contacts) -> Iterator[Fault]:
 
 
 def _ground_of_pairs(
-    subject: MotionSubject, contacts: Contacts
+    subject: MotionSubject, contacts: FootContacts
 ) -> tuple[FloatArray, BoolArray]:
     """Return where the ground of each foot is, and whether that is known ``(E,)``.
 
@@ -185,16 +185,16 @@ def _ground_of_pairs(
     ground, known = contacts.ground.copy(), contacts.flat.copy()
     if not subject.has_rest or known.all():
         return ground, known
-    _, usual, rests_at_zero = _clearances(subject, contacts.feet)
+    _, common, rests_at_zero = _clearances(subject, contacts.feet)
     higher = np.maximum(ground, ground[contacts.partners])
     split = contacts.level & contacts.level[contacts.partners] & ~known
-    split &= np.abs(higher - usual) < NEAR * subject.size
+    split &= np.abs(higher - common) < NEAR * subject.size
     if rests_at_zero:
         ground, known = np.where(split, higher, ground), known | split
     return ground, known
 
 
-def _floating(subject: MotionSubject, contacts: Contacts) -> Iterator[Fault]:
+def _floating(subject: MotionSubject, contacts: FootContacts) -> Iterator[Fault]:
     """Yield that no joint comes near to the ground for longer than a jump lasts."""
     flat = np.isfinite(contacts.floor)
     if not flat.any():
@@ -203,13 +203,13 @@ def _floating(subject: MotionSubject, contacts: Contacts) -> Iterator[Fault]:
     above = subject.heights[:, contacts.feet[flat]] - contacts.floor[flat]
     lowest = subject.heights[:, body(subject)].min(axis=1) - ground
     air = (above.min(axis=1) > AIR * subject.size) & (lowest > AIR * subject.size)
-    still = contacts.still[:, flat]
+    static = contacts.static[:, flat]
     # A file without units may be of a person, whatever its numbers are.
     tall = subject.size if subject.has_units else max(subject.size, PERSON_SIZE)
     longest = LONGEST_JUMP * np.sqrt(tall / PERSON_SIZE)
     for first, end in runs(air):
         last, seconds = end - 1, (end - first) * subject.interval
-        if seconds <= longest or _climbs(subject, still, above, first, last):
+        if seconds <= longest or _climbs(subject, static, above, first, last):
             continue
         height = float(lowest[first : last + 1].min())
         foot = int(contacts.feet[flat][above[first].argmin()])
@@ -224,7 +224,7 @@ def _floating(subject: MotionSubject, contacts: Contacts) -> Iterator[Fault]:
 
 
 def _climbs(
-    subject: MotionSubject, still: BoolArray, above: FloatArray, first: int, last: int
+    subject: MotionSubject, static: BoolArray, above: FloatArray, first: int, last: int
 ) -> bool:
     """Return whether the feet go up or down one by one, as on stairs and ladders.
 
@@ -235,11 +235,11 @@ def _climbs(
     size = subject.size
     reach = max(1, round(STEP_SECONDS / subject.interval))
     high, low = above > AIR * size, np.abs(above) < NEAR * size
-    steps = (still & high).any(axis=1) & (still & low).any(axis=1)
+    steps = (static & high).any(axis=1) & (static & low).any(axis=1)
     steps = np.asarray(steps)
     if steps[max(first - reach, 0) : first].any() or steps[last + 1 :][:reach].any():
         return True
-    within, heights = still[first : last + 1], above[first : last + 1]
+    within, heights = static[first : last + 1], above[first : last + 1]
     stands = np.flatnonzero(within.any(axis=0))
     for rows in (slice(None), slice(None, None, -1)):
         at = np.argmax(within[rows], axis=0)

@@ -60,12 +60,12 @@ def root_pops(subject: MotionSubject) -> Iterator[Fault]:
 
 def _pops(subject: MotionSubject, least: float, *, roots: bool) -> list[_Pops]:
     """Return jumps of turning, and of moving joints: of the roots, or of all others."""
-    own = [*subject.take.rig.roots, *carriers(subject)]
+    moving_joints = [*subject.take.rig.roots, *carriers(subject)]
     turning, moving = (
-        np.flatnonzero(np.isin(joints, own) == roots)
+        np.flatnonzero(np.isin(joints, moving_joints) == roots)
         for joints in (subject.turning, subject.moving)
     )
-    return [_turn_pops(subject, turning), _shift_pops(subject, moving, least)]
+    return [_rotation_pops(subject, turning), _shift_pops(subject, moving, least)]
 
 
 def _reported(
@@ -98,9 +98,9 @@ def _reported(
     yield subject.fault(code, joint, step, message, hint)
 
 
-def _turn_pops(subject: MotionSubject, columns: IntArray) -> _Pops:
+def _rotation_pops(subject: MotionSubject, columns: IntArray) -> _Pops:
     flags, amounts = turn_pops(
-        subject.turns[:, columns], subject.interval, _ignored(subject)
+        subject.rotation_steps[:, columns], subject.interval, _ignored(subject)
     )
     return _Pops(subject.turning[columns], flags, amounts, "rad")
 

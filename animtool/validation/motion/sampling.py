@@ -18,15 +18,15 @@ from animtool.validation.motion.subject import MotionSubject
 # Nearer to a frame than this a time code is that frame, rounded [time codes].
 ROUNDING = 1e-6
 # Further from it, a sample is one of its own, as for motion blur [time codes].
-OWN_SAMPLE = 0.05
+REGULAR_SAMPLE = 0.05
 # Of unevenly spaced samples, so few off the frame are astray; more are of a grid of
 # their own [1].
-ASTRAY_SHARE = 0.25
+ASTRAY_FRACTION = 0.25
 # A range may begin and end this far from the samples [time codes].
 RANGE_SLACK = 1.0
 # Of the span of the samples, how far a range may begin before or end after them, where
 # a pose is held more often [1].
-EARLY_SHARE, LATE_SHARE = 0.02, 0.1
+EARLY_FRACTION, LATE_FRACTION = 0.02, 0.1
 
 
 def off_frame(subject: MotionSubject) -> Iterator[Fault]:
@@ -35,9 +35,9 @@ def off_frame(subject: MotionSubject) -> Iterator[Fault]:
     if codes is None or len(codes) < 2:
         return
     off = codes - np.round(codes)
-    drifting = (np.abs(off) > ROUNDING) & (np.abs(off) < OWN_SAMPLE)
+    drifting = (np.abs(off) > ROUNDING) & (np.abs(off) < REGULAR_SAMPLE)
     astray = np.abs(off) > ROUNDING
-    if float(astray.mean()) < ASTRAY_SHARE:
+    if float(astray.mean()) < ASTRAY_FRACTION:
         drifting = astray
     if drifting.any():
         worst = int(np.where(drifting, np.abs(off), 0.0).argmax())
@@ -48,8 +48,8 @@ def off_frame(subject: MotionSubject) -> Iterator[Fault]:
         )
     else:
         steps = np.diff(codes)
-        whole = np.abs(steps - np.round(steps)) < ROUNDING
-        if not whole.all() or abs(off[0]) <= ROUNDING:
+        integral = np.abs(steps - np.round(steps)) < ROUNDING
+        if not integral.all() or abs(off[0]) <= ROUNDING:
             return
         worst = 0
         message = f"all samples are {off[0]:+.3g} time codes off the frame"
@@ -68,8 +68,8 @@ def other_range(subject: MotionSubject) -> Iterator[Fault]:
     first, last = float(subject.codes[0]), float(subject.codes[-1])
     early, late = first - start, end - last
     most = last - first
-    is_early = early > max(RANGE_SLACK, EARLY_SHARE * most)
-    is_late = late > max(RANGE_SLACK, LATE_SHARE * most)
+    is_early = early > max(RANGE_SLACK, EARLY_FRACTION * most)
+    is_late = late > max(RANGE_SLACK, LATE_FRACTION * most)
     if start > last or end < first or not (is_early or is_late):
         return
     message = (
@@ -115,12 +115,12 @@ SURELY, SURE_ON, SURE_JOINTS = 0.04, 0.8, 0.4
 # Few joints are at least this share of all that moves, and of two limbs or more [1].
 FEW_PACE = 0.1
 # Of the usual step: what is less is a frame repeated, in text of four digits too [1].
-STILL = 1e-4
+STATIC_SPEED = 1e-4
 # Repeats so regular and so many are a rate of its own; a repeat at least every so many
 # frames [1].
 REGULAR, MIN_REPEATS, LONGEST_PERIOD = 0.8, 5, 12
 # Share of its frames beyond which a take is keyed in poses, and does not freeze [1].
-MOSTLY_STILL = 0.5
+MOSTLY_STATIC = 0.5
 
 
 def lost_frames(subject: MotionSubject) -> Iterator[Fault]:
@@ -152,8 +152,8 @@ def _holes(subject: MotionSubject) -> Iterator[Fault]:
     if subject.codes is None or subject.reduced or subject.frames < MIN_FRAMES:
         return
     gaps = np.diff(subject.codes)
-    usual = float(np.median(gaps))
-    ratios = gaps / usual
+    typical = float(np.median(gaps))
+    ratios = gaps / typical
     even = np.abs(ratios - 1.0) < 0.25
     holes = np.flatnonzero(ratios > DOUBLE)
     # Keys of a curve have any distance; holes are few in what is sampled evenly.
@@ -164,7 +164,7 @@ def _holes(subject: MotionSubject) -> Iterator[Fault]:
     more = f"; there are {len(holes) - 1} more gaps" if len(holes) > 1 else ""
     message = (
         f"no sample between time codes {subject.at(hole)} and "
-        f"{subject.at(hole + 1)}, though one is due every {usual:g}: "
+        f"{subject.at(hole + 1)}, though one is due every {typical:g}: "
         f"{counted(count, 'sample')} lost{more}"
     )
     hint = "export the take again; USD interpolates across the gap"
@@ -179,7 +179,7 @@ def _columns(subject: MotionSubject) -> IntArray:
 def _vectors(subject: MotionSubject) -> FloatArray:
     """Return the steps of turning and of moving joints ``(F - 1, N, 3)``, as one."""
     shifts = subject.shifts * (2.0 / subject.size)
-    return np.concatenate([subject.turns, shifts], axis=1)
+    return np.concatenate([subject.rotation_steps, shifts], axis=1)
 
 
 def _double_steps(subject: MotionSubject) -> tuple[FloatArray, BoolArray]:
@@ -193,10 +193,10 @@ def _double_steps(subject: MotionSubject) -> tuple[FloatArray, BoolArray]:
     ratios, lost = np.ones(count), np.zeros(count, bool)
     a, b, c, d, e = (steps[i : count - 4 + i] for i in range(5))
     near, far = 0.5 * (b + d), 0.5 * (a + e)
-    usual = _predicted(near, far, 0)
-    off = _squares(c - usual)
-    pace = _squares(usual)
-    noise = _usual_around(off) + (EVEN**2) * np.median(pace, axis=0) + NOISE**2
+    predicted = _predicted(near, far, 0)
+    off = _squares(c - predicted)
+    pace = _squares(predicted)
+    noise = _typical_around(off) + (EVEN**2) * np.median(pace, axis=0) + NOISE**2
     shows = pace > SHOWS**2 * noise
     shows &= pace > 0.001 * pace.max(axis=1, keepdims=True)
     many = shows.sum(axis=1)
@@ -204,8 +204,8 @@ def _double_steps(subject: MotionSubject) -> tuple[FloatArray, BoolArray]:
     paces = np.sqrt(pace.sum(axis=1))
     possible = (many >= MIN_FEW) & (total > STANDS_OUT**2 * many)
     possible &= paces > MIN_PACE * np.median(paces)
-    possible &= ~(subject.cuts() | _next_to_still(subject))[2:-2]
-    on = np.einsum("snc,snc->sn", c, usual) < GOES_ON * pace
+    possible &= ~(subject.cuts() | _next_to_static(subject))[2:-2]
+    on = np.einsum("snc,snc->sn", c, predicted) < GOES_ON * pace
     against = (shows * on * pace).sum(axis=1) / np.maximum(
         (shows * pace).sum(axis=1), np.finfo(float).tiny
     )
@@ -216,14 +216,14 @@ def _double_steps(subject: MotionSubject) -> tuple[FloatArray, BoolArray]:
         further = shows & (left < 0.5 * off)
         joints = further.sum(axis=1)
         explained = np.where(against < FEW_ON, EXPLAINED, WELL_EXPLAINED) * total
-        found = (rest < explained) & (joints > MAX_JOINTS * many) & (against < MAX_ON)
-        found |= (rest < SURELY * total) & (joints > SURE_JOINTS * many)
+        skipped = (rest < explained) & (joints > MAX_JOINTS * many) & (against < MAX_ON)
+        skipped |= (rest < SURELY * total) & (joints > SURE_JOINTS * many)
         few = (rest < FEW_EXPLAINED * total) & (joints == many)
         few &= (further * pace).sum(axis=1) > FEW_PACE * pace.sum(axis=1)
         few &= _of_two_limbs(subject, further)
-        found = possible & np.where(many >= MIN_JOINTS, found, few)
-        ratios[2:-2][found & ~lost[2:-2]] = frames + 1.0
-        lost[2:-2] |= found
+        skipped = possible & np.where(many >= MIN_JOINTS, skipped, few)
+        ratios[2:-2][skipped & ~lost[2:-2]] = frames + 1.0
+        lost[2:-2] |= skipped
     return ratios, lost
 
 
@@ -249,8 +249,8 @@ def _predicted(near: FloatArray, far: FloatArray, lost: int) -> FloatArray:
     first, second = 1.0 + 0.5 * lost, 2.0 + 0.5 * lost
     bend = (far - near) / (second**2 - first**2)
     level = near - bend * first**2
-    places = np.arange(lost + 1) - 0.5 * lost
-    return np.asarray((lost + 1) * level + bend * float((places**2).sum()))
+    offsets = np.arange(lost + 1) - 0.5 * lost
+    return np.asarray((lost + 1) * level + bend * float((offsets**2).sum()))
 
 
 def _squares(vectors: FloatArray) -> FloatArray:
@@ -258,7 +258,7 @@ def _squares(vectors: FloatArray) -> FloatArray:
     return np.asarray(np.einsum("snc,snc->sn", vectors, vectors))
 
 
-def _usual_around(squares: FloatArray) -> FloatArray:
+def _typical_around(squares: FloatArray) -> FloatArray:
     """Return the usual value about each row, by column ``(S, N)``.
 
     The largest median of its block of rows and the two beside it.
@@ -274,56 +274,56 @@ def _usual_around(squares: FloatArray) -> FloatArray:
     return np.asarray(np.repeat(around, np.diff(edges), axis=0))
 
 
-def _next_to_still(subject: MotionSubject) -> BoolArray:
+def _next_to_static(subject: MotionSubject) -> BoolArray:
     """Return the steps within a few of a repeated frame, where a pace says nothing."""
-    still = subject.speeds < STILL * np.median(subject.speeds)
-    windows = sliding_window_view(np.pad(still, GAP), 2 * GAP + 1)
+    static = subject.speeds < STATIC_SPEED * np.median(subject.speeds)
+    windows = sliding_window_view(np.pad(static, GAP), 2 * GAP + 1)
     return np.asarray(windows.any(axis=1))
 
 
-def _still_steps(subject: MotionSubject) -> BoolArray | None:
+def _static_steps(subject: MotionSubject) -> BoolArray | None:
     """Return which steps repeat a frame within motion; None where that is usual."""
     if subject.frames < MIN_FRAMES or len(_columns(subject)) < 2:
         return None
     speeds = subject.speeds
-    moving = speeds[speeds > STILL * speeds.max()]
+    moving = speeds[speeds > STATIC_SPEED * speeds.max()]
     if len(moving) < MIN_FRAMES // 2:
         return None
-    return np.asarray(speeds < STILL * np.median(moving))
+    return np.asarray(speeds < STATIC_SPEED * np.median(moving))
 
 
-def _abrupt(speeds: FloatArray, usual: float, first: int, last: int) -> bool:
+def _abrupt(speeds: FloatArray, typical: float, first: int, last: int) -> bool:
     """Return whether motion stops at once before a run of steps and goes on after."""
     if first == 0 or last == len(speeds) - 1:
         return False
-    return bool(min(speeds[first - 1], speeds[last + 1]) > MIN_PACE * usual)
+    return bool(min(speeds[first - 1], speeds[last + 1]) > MIN_PACE * typical)
 
 
 def _repeats(subject: MotionSubject) -> tuple[BoolArray, bool]:
     """Return the repeated frames within motion, and whether they come regularly."""
-    still = _still_steps(subject)
-    if still is None:
+    static = _static_steps(subject)
+    if static is None:
         return np.zeros(0, bool), False
     speeds = subject.speeds
-    usual_speed = float(np.median(speeds[speeds > STILL * speeds.max()]))
-    kept = np.zeros(len(still), bool)
+    typical_speed = float(np.median(speeds[speeds > STATIC_SPEED * speeds.max()]))
+    kept = np.zeros(len(static), bool)
     starts = []
-    for first, end in runs(still):
-        if _abrupt(speeds, usual_speed, first, end - 1):
+    for first, end in runs(static):
+        if _abrupt(speeds, typical_speed, first, end - 1):
             kept[first:end] = True
             starts.append(first)
     gaps = np.diff(starts)
     if len(gaps) < MIN_REPEATS:
         return kept, False
-    usual = float(np.median(gaps))
-    regular = float(np.mean(np.abs(gaps - usual) <= 1.0)) >= REGULAR
-    return kept, regular and usual <= LONGEST_PERIOD
+    typical = float(np.median(gaps))
+    regular = float(np.mean(np.abs(gaps - typical) <= 1.0)) >= REGULAR
+    return kept, regular and typical <= LONGEST_PERIOD
 
 
 def frozen_frames(subject: MotionSubject) -> Iterator[Fault]:
     """Yield frames at which all that moves stops at once and goes on (MOT206)."""
     kept, regular = _repeats(subject)
-    if regular or not kept.any() or float(kept.mean()) > MOSTLY_STILL:
+    if regular or not kept.any() or float(kept.mean()) > MOSTLY_STATIC:
         return
     frozen = runs(kept)
     first, end = max(frozen, key=lambda run: run[1] - run[0])
@@ -341,10 +341,10 @@ def repeated_frames(subject: MotionSubject) -> Iterator[Fault]:
     kept, regular = _repeats(subject)
     if regular:
         rate = float(subject.take.clock.rate)
-        own = rate * (1.0 - float(kept.mean()))
+        actual = rate * (1.0 - float(kept.mean()))
         message = (
             f"{np.count_nonzero(kept)} of {subject.frames} frames repeat the "
-            f"previous one: the motion has about {own:.3g} frames per second, the "
+            f"previous one: the motion has about {actual:.3g} frames per second, the "
             f"take {rate:g}"
         )
         hint = "export it at its recording rate"

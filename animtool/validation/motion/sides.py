@@ -94,10 +94,10 @@ def bind_far_from_rest(subject: MotionSubject) -> Iterator[Fault]:
     away = float(np.linalg.norm(bind.mean(axis=0) - rest.mean(axis=0)))
     parents = rig.parents
     bones = np.flatnonzero(parents >= 0)
-    own = np.linalg.norm(rest[bones] - rest[parents[bones]], axis=1)
-    kept = own > SHORT * subject.size
-    bones, own = bones[kept], own[kept]
-    ratios = np.linalg.norm(bind[bones] - bind[parents[bones]], axis=1) / own
+    lengths = np.linalg.norm(rest[bones] - rest[parents[bones]], axis=1)
+    kept = lengths > SHORT * subject.size
+    bones, lengths = bones[kept], lengths[kept]
+    ratios = np.linalg.norm(bind[bones] - bind[parents[bones]], axis=1) / lengths
     other = (ratios > OTHER_LENGTH) | (ratios < 1.0 / OTHER_LENGTH)
     hint = "bind transforms are in world space, in the pose in which the mesh was bound"
     if len(bones) and float(other.mean()) > MAX_BONES:
@@ -117,11 +117,11 @@ def bind_far_from_rest(subject: MotionSubject) -> Iterator[Fault]:
         )
         yield subject.fault("MOT220", int(rig.roots[0]), None, message, hint)
         return
-    apart = np.linalg.norm(bind - rest, axis=1)
-    joint = int(apart.argmax())
-    if apart[joint] > AWAY * subject.size:
+    offsets = np.linalg.norm(bind - rest, axis=1)
+    joint = int(offsets.argmax())
+    if offsets[joint] > AWAY * subject.size:
         message = (
-            f"{rig.joints[joint].name!r} is {apart[joint]:.3g} m from its rest "
+            f"{rig.joints[joint].name!r} is {offsets[joint]:.3g} m from its rest "
             f"position in the bind pose, of a skeleton that spans {subject.size:.3g} "
             "m"
         )
@@ -146,7 +146,7 @@ def no_influence(subject: MotionSubject) -> Iterator[Fault]:
 
 # A joint is still that turns less in all frames; its other side is alive that turns
 # more [rad].
-STILL, ALIVE = 1e-6, math.radians(20.0)
+STATIC_ANGLE, ALIVE = 1e-6, math.radians(20.0)
 # Fewer frames are a pose.
 SHORTEST = 0.2
 # Share of the frames in which left lies on the right for the two to be swapped [1].
@@ -155,7 +155,7 @@ MOSTLY = 0.9
 # often so [1].
 UPRIGHT, KNOWN = 0.9, 0.3
 # Toes point ahead, and knees bend, by at least this much of the size [1].
-AHEAD = 0.01
+MIN_FACING = 0.01
 # Joints that change places turn by this much at least, and all of them together by
 # more [rad].
 MIN_EXCHANGE, MIN_TOTAL_EXCHANGE = math.radians(8.0), math.radians(30.0)
@@ -182,26 +182,24 @@ def swapped_sides(subject: MotionSubject) -> Iterator[Fault]:
     pairs = _pairs(subject)
     if not pairs:
         return
-    whole = list(_whole_take(subject, pairs))
-    yield from whole or _exchanged(subject, pairs)
+    of_take = list(_full_take(subject, pairs))
+    yield from of_take or _exchanged(subject, pairs)
 
 
-def _whole_take(
-    subject: MotionSubject, pairs: list[tuple[int, int]]
-) -> Iterator[Fault]:
+def _full_take(subject: MotionSubject, pairs: list[tuple[int, int]]) -> Iterator[Fault]:
     """Yield that the left joints lie on the right of a body that looks ahead."""
-    ahead = _ahead(subject)
+    facing = _facing(subject)
     hips = _hips(subject, pairs)
-    if ahead is None or hips is None:
+    if facing is None or hips is None:
         return
     left, right = hips
     positions = subject.positions
     feet = feet_of(subject.take.rig.names)
     trunk = 0.5 * (positions[:, left] + positions[:, right])
     upwards = trunk - positions[:, feet].mean(axis=1)
-    across = np.cross(upwards, ahead)
+    across = np.cross(upwards, facing)
     side = np.einsum("fc,fc->f", across, positions[:, left] - positions[:, right])
-    known = np.linalg.norm(ahead, axis=1) > AHEAD * subject.size
+    known = np.linalg.norm(facing, axis=1) > MIN_FACING * subject.size
     # Who crawls or lies has feet behind or beside the hips, which point anywhere.
     known &= upwards @ subject.up > UPRIGHT * np.linalg.norm(upwards, axis=1)
     if np.count_nonzero(known) < max(1.0, KNOWN * len(known)):
@@ -219,7 +217,7 @@ def _whole_take(
     yield subject.fault("MOT210", left, int(np.flatnonzero(wrong)[0]), message, hint)
 
 
-def _ahead(subject: MotionSubject) -> FloatArray | None:
+def _facing(subject: MotionSubject) -> FloatArray | None:
     """Return where the feet point, on average ``(F, 3)`` [m]; None without toes."""
     rig = subject.take.rig
     feet = set(feet_of(rig.names).tolist())
@@ -253,7 +251,7 @@ def _hips(
         # Those nearest to the root may be at one place with it.
         for top in reversed(chain):
             bone = subject.rest[top] - subject.rest[partners[top]]
-            if np.linalg.norm(bone) > AHEAD * subject.size:
+            if np.linalg.norm(bone) > MIN_FACING * subject.size:
                 return top, partners[top]
     return None
 
@@ -269,25 +267,31 @@ def _exchanged(subject: MotionSubject, pairs: list[tuple[int, int]]) -> Iterator
     right = rotations.gather(np.array([pair[1] for pair in pairs]))
     steps = so3.angle_between(left[1:], left[:-1])
     steps = np.minimum(steps, so3.angle_between(right[1:], right[:-1]))
-    own, across = _offs(left, right)
-    own_back, across_back = (off[::-1] for off in _offs(left[::-1], right[::-1]))
+    same_side, across = _offs(left, right)
+    same_side_back, across_back = (off[::-1] for off in _offs(left[::-1], right[::-1]))
     across = np.minimum(across, across_back)
-    swaps = (own > MIN_EXCHANGE) & (across < EXCHANGED * own)
-    swaps &= _neighbor_moves(steps, own, own_back) & ~subject.cuts()[:, None]
-    far = np.where(swaps, own, 0.0).sum(axis=1) > MIN_TOTAL_EXCHANGE
+    swaps = (same_side > MIN_EXCHANGE) & (across < EXCHANGED * same_side)
+    swaps &= (
+        _neighbor_moves(steps, same_side, same_side_back) & ~subject.cuts()[:, None]
+    )
+    far = np.where(swaps, same_side, 0.0).sum(axis=1) > MIN_TOTAL_EXCHANGE
     many = swaps.sum(axis=1) >= min(MIN_PAIRS, len(pairs))
-    sure = (own > SURE_EXCHANGE) & (across < SURELY * own)
+    sure = (same_side > SURE_EXCHANGE) & (across < SURELY * same_side)
     swaps &= (far & many)[:, None] | sure
-    found = np.flatnonzero(swaps.any(axis=1))
-    if not len(found):
+    steps_swapped = np.flatnonzero(swaps.any(axis=1))
+    if not len(steps_swapped):
         return
-    step = int(found[0])
+    step = int(steps_swapped[0])
     names = [
         f"{subject.take.rig.names[pairs[i][0]]!r} and "
         f"{subject.take.rig.names[pairs[i][1]]!r}"
         for i in np.flatnonzero(swaps[step]).tolist()
     ]
-    until = f", until frame {subject.at(int(found[1]))}" if len(found) > 1 else ""
+    until = (
+        f", until frame {subject.at(int(steps_swapped[1]))}"
+        if len(steps_swapped) > 1
+        else ""
+    )
     message = f"{listed(names)} swap at frame {subject.at(step + 1)}{until}"
     hint = "swap their channels there; markers of the two sides were mixed up"
     joint = pairs[int(np.flatnonzero(swaps[step])[0])][0]
@@ -296,8 +300,8 @@ def _exchanged(subject: MotionSubject, pairs: list[tuple[int, int]]) -> Iterator
 
 def _offs(left: FloatArray, right: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return how far sides are from going on as themselves, and as each other."""
-    own = np.minimum(_off(left, left), _off(right, right))
-    return own, np.maximum(_off(left, right), _off(right, left))
+    same_side = np.minimum(_off(left, left), _off(right, right))
+    return same_side, np.maximum(_off(left, right), _off(right, left))
 
 
 def _off(side: FloatArray, other: FloatArray) -> FloatArray:
@@ -307,9 +311,9 @@ def _off(side: FloatArray, other: FloatArray) -> FloatArray:
     the step before: the smaller difference counts.
     """
     turned = so3.multiply(other[1:-1], so3.conjugate(other[:-2]))
-    ahead = other[:-1].copy()
-    ahead[1:] = so3.multiply(turned, other[1:-1])
-    off = so3.angle_between(side[1:], ahead)
+    predicted = other[:-1].copy()
+    predicted[1:] = so3.multiply(turned, other[1:-1])
+    off = so3.angle_between(side[1:], predicted)
     return np.minimum(off, so3.angle_between(side[1:], other[:-1]))
 
 
@@ -320,7 +324,7 @@ def _neighbor_moves(steps: FloatArray, off: FloatArray, back: FloatArray) -> Boo
     is from what was before each step, and ``back`` from what comes after it.
     """
     rows = np.pad(steps, ((1, 1), (0, 0)))
-    moving = np.minimum(rows[:-2], rows[2:]) > STILL
+    moving = np.minimum(rows[:-2], rows[2:]) > STATIC_ANGLE
     rest = np.zeros((1, steps.shape[1]))
     before = np.concatenate([rest, off[:-1]])
     after = np.concatenate([back[1:], rest])
@@ -341,12 +345,12 @@ def dead_side(subject: MotionSubject) -> Iterator[Fault]:
     # One frame that is off is no motion.
     spreads[channel.animated] = np.maximum(
         np.percentile(away, 90, axis=0) if len(channel.animated) else 0.0,
-        np.minimum(away.max(axis=0, initial=0.0), 2.0 * STILL),
+        np.minimum(away.max(axis=0, initial=0.0), 2.0 * STATIC_ANGLE),
     )
     pairs: list[tuple[int, int]] = []
     for left, right in _pairs(subject):
         for mine, other in ((left, right), (right, left)):
-            if spreads[mine] <= STILL and spreads[other] >= ALIVE:
+            if spreads[mine] <= STATIC_ANGLE and spreads[other] >= ALIVE:
                 pairs.append((mine, other))
     if not pairs:
         return

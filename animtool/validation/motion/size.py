@@ -29,8 +29,8 @@ HIGH = (25.0, 4000.0)
 # Or, in the unit that its numbers are of, the lowest joint is this near to 0 of the up
 # axis in most frames [size], [1]. Or it comes so near at times, as on stairs, and then
 # stands in so many frames [size], [size/s], [1].
-ON_ZERO, ON_ZERO_SHARE = 0.06, 0.5
-AT_TIMES, TREADS, TREADS_SHARE = 0.05, 0.12, 0.4
+ON_ZERO, ON_ZERO_FRACTION = 0.06, 0.5
+AT_TIMES, TREADS, TREADS_FRACTION = 0.05, 0.12, 0.4
 # Of animated bones, the share that must have one such factor [1].
 MAX_BONES = 0.8
 # From a bird to a dinosaur, of rigs with feet [m]: the diagonal of their joints.
@@ -186,14 +186,14 @@ def _low_factor(subject: MotionSubject, root: int) -> float | None:
     for factor in FACTORS:
         lift = (factor - 1.0) * subject.positions[:, root]
         above = (points + lift) @ subject.up
-        if float((np.abs(above) < ON_ZERO * subject.size).mean()) > ON_ZERO_SHARE:
+        if float((np.abs(above) < ON_ZERO * subject.size).mean()) > ON_ZERO_FRACTION:
             return 1.0 / factor
         if abs(float(np.percentile(above, 5))) > AT_TIMES * subject.size:
             continue
         before = joints[np.arange(len(joints) - 1) + 1, lowest[:-1]]
         steps = before + lift[1:] - points[:-1] - lift[:-1]
         slow = np.linalg.norm(steps, axis=1) < TREADS * subject.size * subject.interval
-        if float(slow.mean()) > TREADS_SHARE:
+        if float(slow.mean()) > TREADS_FRACTION:
             return 1.0 / factor
     return None
 
@@ -263,23 +263,29 @@ def body_axis(subject: MotionSubject) -> Stance | None:
     if subject.frames < MIN_FRAMES or len(rig.joints) < MIN_JOINTS:
         return None
     rest = rest_world(rig).positions[0] if subject.has_rest else None
-    found = stance(anatomy(rig).roles, subject.positions, rig.up, rest)
-    return None if found.axis is None and not found.upside_down else found
+    stance_axis = stance(anatomy(rig).roles, subject.positions, rig.up, rest)
+    return (
+        None
+        if stance_axis.axis is None and not stance_axis.upside_down
+        else stance_axis
+    )
 
 
 def mismatched_up_axis(subject: MotionSubject) -> Iterator[Fault]:
     """Yield that the body stands along another axis than the up axis (MOT214)."""
-    rig, found = subject.take.rig, body_axis(subject)
-    if found is None:
+    rig, axis = subject.take.rig, body_axis(subject)
+    if axis is None:
         return
-    where = "upside down" if found.axis is None else f"along {found.axis}"
-    share = 100.0 * found.share
-    message = f"the body is {where} in {share:.0f}% of the frames; up is {rig.up}"
+    where = "upside down" if axis.axis is None else f"along {axis.axis}"
+    percent_of_frames = 100.0 * axis.share
+    message = (
+        f"the body is {where} in {percent_of_frames:.0f}% of the frames; up is {rig.up}"
+    )
     hint = "rotate the root"
-    if found.axis is not None:
+    if axis.axis is not None:
         hint = (
-            f"set upAxis {found.axis}, or read the file with "
-            f"{argument('source.up', found.axis)}"
+            f"set upAxis {axis.axis}, or read the file with "
+            f"{argument('source.up', axis.axis)}"
         )
     fault = subject.fault("MOT214", int(rig.roots[0]), 0, message, hint)
     # A file that states no up axis is read in the usual one.

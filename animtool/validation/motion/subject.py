@@ -29,7 +29,7 @@ SHORT, SCALE_FRAMES = 0.02, 32
 SCALED = 1.5
 # A first frame is a pose of its own that is left by so many joints, each by so far
 # [rad], and so many times as far as in the steps after it, of which so many count [1].
-POSE_JOINTS, POSE_TURN, POSE_STANDS_OUT, POSE_STEPS = 3, math.radians(30.0), 4.0, 8
+POSE_JOINTS, POSE_ANGLE, POSE_STANDS_OUT, POSE_STEPS = 3, math.radians(30.0), 4.0, 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,8 +65,8 @@ class MotionSubject:
         """Return a fault of a joint at a frame, both by index."""
         name = "" if joint is None else self.take.rig.joints[joint].name
         at = None if frame is None else float(self.times[frame])
-        found = self.fault_at(code, name, at, message, hint)
-        return replace(found, frame=at, joint=name or None)
+        fault = self.fault_at(code, name, at, message, hint)
+        return replace(fault, frame=at, joint=name or None)
 
     @property
     def frames(self) -> int:
@@ -102,7 +102,7 @@ class MotionSubject:
         return self.take.motion.translations.animated
 
     @cached_property
-    def turns(self) -> FloatArray:
+    def rotation_steps(self) -> FloatArray:
         """Rotation vectors from each frame to the next ``(F - 1, A, 3)`` [rad].
 
         In the parent's space, and per usual interval where samples are uneven.
@@ -123,9 +123,11 @@ class MotionSubject:
 
         The root of the sum of squares of turns [rad] and of moves [half the size].
         """
-        turns = np.einsum("fjc,fjc->f", self.turns, self.turns)
+        rotation_steps = np.einsum(
+            "fjc,fjc->f", self.rotation_steps, self.rotation_steps
+        )
         moves = np.einsum("fjc,fjc->f", self.shifts, self.shifts)
-        return np.asarray(np.sqrt(turns + moves * (2.0 / self.size) ** 2))
+        return np.asarray(np.sqrt(rotation_steps + moves * (2.0 / self.size) ** 2))
 
     @cached_property
     def posing(self) -> IntArray:
@@ -135,9 +137,9 @@ class MotionSubject:
         """
         if self.frames < POSE_STEPS or not len(self.turning) or self.cuts()[0]:
             return np.zeros(0, np.int64)
-        sizes = np.linalg.norm(self.turns[:POSE_STEPS], axis=2)
+        sizes = np.linalg.norm(self.rotation_steps[:POSE_STEPS], axis=2)
         after = sizes[1:].max(axis=0)
-        away = (sizes[0] > POSE_TURN) & (sizes[0] > POSE_STANDS_OUT * after)
+        away = (sizes[0] > POSE_ANGLE) & (sizes[0] > POSE_STANDS_OUT * after)
         joints = np.asarray(self.turning[away])
         return joints if len(joints) >= POSE_JOINTS else joints[:0]
 

@@ -18,9 +18,9 @@ from animtool.rig.skeleton import Rig
 from animtool.validation.subjects.clip import ClipSubject
 
 # Nearer to half a turn, rounding decides which way a turn goes.
-HALF_TURN = math.radians(178.0)
+NEAR_HALF_ROTATION = math.radians(178.0)
 # What goes on beyond the keys without repeating them.
-_STILL = frozenset({Extrapolation.HOLD, Extrapolation.LINEAR})
+_NOT_CYCLING = frozenset({Extrapolation.HOLD, Extrapolation.LINEAR})
 
 
 def outside_range(subject: ClipSubject) -> Iterator[Fault]:
@@ -48,20 +48,20 @@ def outside_range(subject: ClipSubject) -> Iterator[Fault]:
 
 def beyond(channel: ClipChannel, first: float, last: float) -> IntArray:
     """Return the keys of a channel outside some frames that do nothing in them."""
-    if not {channel.pre, channel.post} <= _STILL:
+    if not {channel.pre, channel.post} <= _NOT_CYCLING:
         return np.zeros(0, np.int64)
     before = np.flatnonzero(channel.times < first)[:-1]
     behind = np.flatnonzero(channel.times > last)[1:]
     return np.concatenate([before, behind])
 
 
-def half_turns(subject: ClipSubject) -> Iterator[Fault]:
+def half_rotations(subject: ClipSubject) -> Iterator[Fault]:
     """Yield keys half a turn from the one before: which way is open (CLIP202)."""
     for i, channel in enumerate(subject.clip.channels):
         if channel.values.shape[1] != 4:
             continue
         angles = so3.angle_between(channel.values[:-1], channel.values[1:])
-        for k in np.flatnonzero(angles > HALF_TURN).tolist():
+        for k in np.flatnonzero(angles > NEAR_HALF_ROTATION).tolist():
             if channel.interps[k] is Interp.STEP:
                 continue
             message = (
@@ -74,8 +74,8 @@ def half_turns(subject: ClipSubject) -> Iterator[Fault]:
                 "written angles"
             )
             at = ("channels", i, "keys", k + 1, "v")
-            found = subject.fault("CLIP202", at, message, hint)
-            yield replace(found, frame=float(channel.times[k]))
+            fault = subject.fault("CLIP202", at, message, hint)
+            yield replace(fault, frame=float(channel.times[k]))
 
 
 # How far values lie beyond what is allowed, signed or not.
@@ -116,8 +116,8 @@ def overshoot(subject: ClipSubject) -> Iterator[Fault]:
                 message = _beyond(channel, k, times[frames], over[frames])
                 hint = "use tangents: auto_clamped, shorter handles, or a key between"
                 at = ("channels", i, "keys", k)
-                found = subject.fault("CLIP205", at, message, hint)
-                yield replace(found, frame=float(times[frames[0]]))
+                fault = subject.fault("CLIP205", at, message, hint)
+                yield replace(fault, frame=float(times[frames[0]]))
 
 
 def _beyond(channel: ClipChannel, k: int, frames: FloatArray, over: FloatArray) -> str:
@@ -178,8 +178,8 @@ def angle_flips(subject: ClipSubject) -> Iterator[Fault]:
             message += f"; {len(flips) - 1} more times, up to frames {frames}"
         at = ("channels", i, "keys", k + 1, "v")
         hint = _unwrapping(channel, k, subject.units.angle)
-        found = subject.fault("CLIP206", at, message, hint)
-        yield replace(found, frame=float(channel.times[k]))
+        fault = subject.fault("CLIP206", at, message, hint)
+        yield replace(fault, frame=float(channel.times[k]))
 
 
 def _round(channel: ClipChannel, k: int) -> str:
@@ -187,12 +187,12 @@ def _round(channel: ClipChannel, k: int) -> str:
     one, two = np.degrees(channel.values[k]), np.degrees(channel.values[k + 1])
     axis = int(np.argmax(np.abs(two - one)))
     frames = float(channel.times[k + 1] - channel.times[k])
-    turn = abs(float(two[axis] - one[axis]))
+    angle = abs(float(two[axis] - one[axis]))
     name = f" {channel.euler[axis].lower()}" if channel.euler else ""
     return (
-        f"{channel.target!r}{name} rotates by {turn:.4g}{DEG}, from "
+        f"{channel.target!r}{name} rotates by {angle:.4g}{DEG}, from "
         f"{one[axis]:.5g}{DEG} at frame {channel.times[k]:g} to {two[axis]:.5g}{DEG} "
-        f"at frame {channel.times[k + 1]:g}, {turn / frames:.3g}{DEG} per frame; the "
+        f"at frame {channel.times[k + 1]:g}, {angle / frames:.3g}{DEG} per frame; the "
         f"shortest path is {math.degrees(_shortest(channel, k)):.3g}{DEG}"
     )
 
@@ -243,7 +243,7 @@ def _wraps(channel: ClipChannel, rig: Rig) -> IntArray:
     short = np.remainder(steps + math.pi, math.tau) - math.pi
     wraps = (np.abs(steps) > ROUND) & (np.abs(short) > OPEN) & _moving(channel)[:, None]
     limits = _range_of(channel, rig)
-    found = [
+    far = [
         k
         for k, axis in np.argwhere(wraps).tolist()
         if _wrapped(channel, k, axis, float(short[k, axis]), limits)
@@ -253,7 +253,7 @@ def _wraps(channel: ClipChannel, rig: Rig) -> IntArray:
         for k in np.flatnonzero(_moving(channel)).tolist()
         if _flipped(channel, channel.values[k], channel.values[k + 1]) is not None
     ]
-    return np.unique(np.array([*found, *flipped], np.int64))
+    return np.unique(np.array([*far, *flipped], np.int64))
 
 
 def _wrapped(

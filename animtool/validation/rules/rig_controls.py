@@ -109,12 +109,14 @@ def undefined(rig: RigSubject) -> Iterator[Fault]:
                 (control.name,) if drive.expression is None else drive.expression.names
             )
             # A value that comes from another drive without one is its fault.
-            given = np.all([sweep.spread(np.isfinite(values[n])) for n in read], axis=0)
-            wrong = sweep.spread(~np.isfinite(added)) & given
+            inputs_finite = np.all(
+                [sweep.spread(np.isfinite(values[n])) for n in read], axis=0
+            )
+            wrong = sweep.spread(~np.isfinite(added)) & inputs_finite
             if not wrong.any():
                 continue
-            own = wrong & [moved.name in read for moved in sweep.moved]
-            frame = int((own if own.any() else wrong).argmax())
+            by_moved = wrong & [moved.name in read for moved in sweep.moved]
+            frame = int((by_moved if by_moved.any() else wrong).argmax())
             by = sweep.moved[frame]
             value = float(sweep.keyed[by.name][frame])
             text = drive.expression.text if drive.expression else ""
@@ -143,10 +145,12 @@ def never_acts(rig: RigSubject) -> Iterator[Fault]:
         return
     weights = _weights(rig, driven)
     for shape in combined:
-        own = [name for name in shape.combine if name not in weights]
+        undriven = [name for name in shape.combine if name not in weights]
         at = (*rig.at("shapes", shape.name), "combine")
-        if own:
-            message = f"no control drives {own[0]!r}, which {shape.name!r} combines"
+        if undriven:
+            message = (
+                f"no control drives {undriven[0]!r}, which {shape.name!r} combines"
+            )
             yield rig.fault("RIG208", at, message, "drive it, or remove the shape")
         elif not _product(shape, weights).any():
             message = f"{shape.name!r} is 0 in every pose of the controls"
@@ -190,9 +194,9 @@ def _sweep(rig: RigSubject) -> _Sweep:
     moved: list[Control] = []
     for control in controls:
         values = np.full(count, control.default)
-        own = ranges[control.name]
-        values[len(moved) : len(moved) + len(own)] = own
-        moved += [control] * len(own)
+        samples = ranges[control.name]
+        values[len(moved) : len(moved) + len(samples)] = samples
+        moved += [control] * len(samples)
         keyed[control.name] = values
     with np.errstate(all="ignore"):
         driven = evaluate_controls(controls, keyed)
@@ -222,9 +226,9 @@ def _excess(joint: Joint, targets: dict[str, FloatArray]) -> FloatArray:
             joint.limits, parts
         ):
             return _NONE
-        turn = so3.exp(np.stack(np.broadcast_arrays(*parts), axis=-1))
-        finite = np.isfinite(turn).all(axis=-1, keepdims=True)
-        return joint.limits.excess(np.where(finite, turn, so3.IDENTITY))
+        rotation = so3.exp(np.stack(np.broadcast_arrays(*parts), axis=-1))
+        finite = np.isfinite(rotation).all(axis=-1, keepdims=True)
+        return joint.limits.excess(np.where(finite, rotation, so3.IDENTITY))
     return _NONE
 
 
@@ -262,8 +266,8 @@ def _weights(rig: RigSubject, driven: set[str]) -> dict[str, FloatArray]:
     weights = {name: targets[f"shape/{name}"] for name in sorted(driven)}
     for shape in combination_order(rig.rig.shapes):
         if shape.combine and all(name in weights for name in shape.combine):
-            own = weights.get(shape.name, np.zeros(1))
-            weights[shape.name] = own + _product(shape, weights)
+            weight = weights.get(shape.name, np.zeros(1))
+            weights[shape.name] = weight + _product(shape, weights)
     return weights
 
 

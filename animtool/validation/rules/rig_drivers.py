@@ -80,15 +80,15 @@ def _ranges(rig: RigSubject, driver: Driver) -> dict[str, FloatArray]:
     """Return values of all that a driver reads: each over its range, then all."""
     random = np.random.default_rng(0)
     names = driver.names
-    found = {}
+    ranges = {}
     for i, name in enumerate(names):
         low, high = _range(rig.rig, name)
         rest = min(max(0.0, low), high)
         values = np.full(POSES + SAMPLES * len(names), rest)
         values[SAMPLES * i : SAMPLES * (i + 1)] = np.linspace(low, high, SAMPLES)
         values[SAMPLES * len(names) :] = random.uniform(low, high, POSES)
-        found[name] = values
-    return found
+        ranges[name] = values
+    return ranges
 
 
 def _range(rig: Rig, name: str) -> tuple[float, float]:

@@ -58,12 +58,12 @@ def motionless(rig: RigSubject) -> Iterator[Fault]:
     for joint in rig.rig.joints:
         match joint.limits:
             case RangeLimit(low, high):
-                still = high - low <= SLACK
+                locked = high - low <= SLACK
             case BallLimit(swing=(a, b), twist=(low, high)):
-                still = max(a, b, high - low) <= SLACK
+                locked = max(a, b, high - low) <= SLACK
             case _:
                 continue
-        if still and joint.name not in rig.mirrored:
+        if locked and joint.name not in rig.mirrored:
             at = (*rig.at("joints", joint.name), "limits")
             message = f"the {joint.type} joint {joint.name!r} cannot move"
             yield rig.fault("RIG202", at, message, "write type: fixed")
@@ -153,12 +153,12 @@ def nearly_rest(rig: RigSubject) -> Iterator[Fault]:
         pose, joint = rig.rig.bind[name], rig.rig.joints[rig.rig.index(name)]
         away = math.dist(pose.translation, joint.translation)
         rotations = np.array([pose.rotation]), np.array([joint.rotation])
-        turn = float(so3.angle_between(*rotations)[0])
+        angle = float(so3.angle_between(*rotations)[0])
         plain = pose.stretch is None
-        if plain and away <= SLIP * rig.size and turn <= SLIP_ANGLE:
+        if plain and away <= SLIP * rig.size and angle <= SLIP_ANGLE:
             message = (
                 f"the bind pose of {name!r} equals its rest pose except for "
-                f"{length_text(away)} and {math.degrees(turn):.3g}°"
+                f"{length_text(away)} and {math.degrees(angle):.3g}°"
             )
             hint = "remove it, or write the pose in which the skin was made"
             yield rig.fault("RIG216", ("bind", name), message, hint)
@@ -173,8 +173,8 @@ def without_rest(rig: RigSubject) -> Iterator[Fault]:
         pose = bind.get(entry["name"], {})
         if any(pose.get("translate") or ()) and not {"translate", "rotate"} & {*entry}:
             name, above = entry["name"], entry.get("parent")
-            place = f"where {above!r} is" if above else "at the origin"
-            message = f"{name!r} has a bind pose but no rest pose: it rests {place}"
+            location = f"where {above!r} is" if above else "at the origin"
+            message = f"{name!r} has a bind pose but no rest pose: it rests {location}"
             hint = f"translate: {pose['translate']} is its position in the bind pose"
             yield rig.fault("RIG222", ("joints", i), message, hint)
 
@@ -184,32 +184,31 @@ def implausible_size(rig: RigSubject) -> Iterator[Fault]:
     low, high = LIKELY_METERS
     if len(rig.rig.joints) < MIN_JOINTS or low <= rig.size <= high or not rig.size:
         return
-    own = rig.rig.meters_per_unit
+    unit_m = rig.rig.meters_per_unit
     fitting = [
         str(unit)
         for unit in LengthUnit
-        if low <= rig.size / own * unit.meters <= high and unit.meters != own
+        if low <= rig.size / unit_m * unit.meters <= high and unit.meters != unit_m
     ]
     at = ("units", "length") if "units" in rig.document.value else ("joints",)
-    message = (
-        f"the rig measures {length_text(rig.size)}, with lengths in {unit_name(own)}"
-    )
+    unit = unit_name(unit_m)
+    message = f"the rig measures {length_text(rig.size)}, with lengths in {unit}"
     hint = f"try length: {' or '.join(fitting)}" if fitting else None
     yield rig.fault("RIG217", at, message, hint)
 
 
 # Bones that differ by less of the rig's size are alike [1].
-SAME_PLACE = 1e-4
+SAME_POSITION = 1e-4
 # Limits that differ by less are alike [rad], [m].
 SAME_LIMIT = 1e-6
 
 
-def other_place(rig: RigSubject) -> Iterator[Fault]:
+def other_position(rig: RigSubject) -> Iterator[Fault]:
     """Yield bones of a pair that are no mirror images at rest (RIG212)."""
-    pairs, alike = _compared(rig)
-    if not _symmetric(alike):
+    pairs, mirrored = _compared(rig)
+    if not _symmetric(mirrored):
         return
-    for (left, right), same in zip(pairs, alike.tolist(), strict=True):
+    for (left, right), same in zip(pairs, mirrored.tolist(), strict=True):
         if not same:
             at = (*rig.at("joints", right.name), "translate")
             message = f"{right.name!r} is not the mirror image of {left.name!r} at rest"
@@ -219,8 +218,8 @@ def other_place(rig: RigSubject) -> Iterator[Fault]:
 
 def other_limits(rig: RigSubject) -> Iterator[Fault]:
     """Yield joints of a pair with other types or limits (RIG213)."""
-    pairs, alike = _compared(rig)
-    if not _symmetric(alike):
+    pairs, mirrored = _compared(rig)
+    if not _symmetric(mirrored):
         return
     for left, right in pairs:
         what = "limits"
@@ -240,7 +239,7 @@ def other_limits(rig: RigSubject) -> Iterator[Fault]:
 def _compared(rig: RigSubject) -> tuple[list[tuple[Joint, Joint]], BoolArray]:
     """Return the pairs of a rig, and which are mirror images."""
     pairs = _pairs(rig)
-    return pairs, _alike(rig, pairs)
+    return pairs, _mirrored(rig, pairs)
 
 
 def _pairs(rig: RigSubject) -> list[tuple[Joint, Joint]]:
@@ -253,7 +252,7 @@ def _pairs(rig: RigSubject) -> list[tuple[Joint, Joint]]:
     ]
 
 
-def _alike(rig: RigSubject, pairs: list[tuple[Joint, Joint]]) -> BoolArray:
+def _mirrored(rig: RigSubject, pairs: list[tuple[Joint, Joint]]) -> BoolArray:
     """Return whether pairs are mirror images ``(P,)``, in the plane that most are."""
     positions, _ = rig.rest
     parents = rig.rig.parents
@@ -267,16 +266,16 @@ def _alike(rig: RigSubject, pairs: list[tuple[Joint, Joint]]) -> BoolArray:
         across = np.ones(3)
         across[axis] = -1.0
         off = np.linalg.norm(left * across - right, axis=1)
-        alike = off <= SAME_PLACE * max(rig.size, SAME_PLACE)
+        mirrored = off <= SAME_POSITION * max(rig.size, SAME_POSITION)
         # Bones in the plane itself are alike in any.
-        if np.count_nonzero(alike) > np.count_nonzero(best):
-            best = alike
+        if np.count_nonzero(mirrored) > np.count_nonzero(best):
+            best = mirrored
     return best
 
 
-def _symmetric(alike: BoolArray) -> bool:
+def _symmetric(mirrored: BoolArray) -> bool:
     """Return whether a rig is meant to have two sides that are alike."""
-    return len(alike) > 1 and 2 * int(np.count_nonzero(alike)) >= len(alike)
+    return len(mirrored) > 1 and 2 * int(np.count_nonzero(mirrored)) >= len(mirrored)
 
 
 def _same_limits(left: Joint, right: Joint) -> bool:

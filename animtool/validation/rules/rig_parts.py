@@ -179,7 +179,7 @@ def _diagonal(mesh: Mesh, archives: Archives) -> float:
 
 
 # Limits narrower than this leave no bend to speak of [rad], [m].
-STILL = 1e-3
+FIXED_SPAN = 1e-3
 # Directions nearer than this are one; sin 0.6°.
 PARALLEL = 0.01
 
@@ -251,11 +251,11 @@ def _bends(rig: RigSubject, i: int, tip: int) -> bool:
         case JointType.PRISMATIC, limits:
             return not isinstance(limits, RangeLimit) or _wide(limits)
         case JointType.PIN, limits:
-            still = isinstance(limits, RangeLimit) and not _wide(limits)
-            return not still and not _parallel(away, np.array(joint.axis))
+            is_fixed = isinstance(limits, RangeLimit) and not _wide(limits)
+            return not is_fixed and not _parallel(away, np.array(joint.axis))
         case JointType.BALL, BallLimit(swing=swing, twist=twist, twist_axis=axis):
-            twists = twist is None or twist[1] - twist[0] > STILL
-            swings = swing is None or max(swing) > STILL
+            twists = twist is None or twist[1] - twist[0] > FIXED_SPAN
+            swings = swing is None or max(swing) > FIXED_SPAN
             return swings or (twists and not _parallel(away, np.array(axis)))
         case _:
             return True
@@ -274,7 +274,7 @@ def _parallel(vector: FloatArray, axis: FloatArray) -> bool:
 
 
 def _wide(limits: RangeLimit) -> bool:
-    return limits.high - limits.low > STILL
+    return limits.high - limits.low > FIXED_SPAN
 
 
 def _reason(joint: Joint) -> str:

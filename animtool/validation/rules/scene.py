@@ -44,14 +44,14 @@ def over_other(subject: SceneSubject) -> Iterator[Fault]:
 
     Takes of one library are not the same.
     """
-    own = subject.scene.path.resolve()
+    scene_path = subject.scene.path.resolve()
     written = [
         (at, (output.path.resolve(), _take(subject.scene.path, output.bake)))
         for at, output in subject.outputs
         if output.path is not None
     ]
-    for path in sorted(own.parent.iterdir()) if written else ():
-        if path == own or not is_named(path, "scene"):
+    for path in sorted(scene_path.parent.iterdir()) if written else ():
+        if path == scene_path or not is_named(path, "scene"):
             continue
         stat = path.stat()
         others = _outputs(path, stat.st_mtime_ns, stat.st_size)
@@ -113,9 +113,9 @@ def refused(subject: SceneSubject) -> Iterator[Fault]:
         try:
             joint_bounds(subject.take.rig, output.bake.reduce or 1.0, bounds)
         except OptionError as error:
-            place = (*at, "reduce_at")
+            pointer = (*at, "reduce_at")
             for fault in error.faults:
-                yield subject.fault("SCN207", place, fault.message, fault.hint)
+                yield subject.fault("SCN207", pointer, fault.message, fault.hint)
 
 
 def without_curves(subject: SceneSubject) -> Iterator[Fault]:
@@ -135,7 +135,7 @@ NEAR_RATES = Fraction(1, 50)
 # What these come to is stated, not how: a take may have it already.
 _STATES = frozenset({"ik", "resample"})
 # Joints stay where they are in the world, whatever the table says.
-_IN_PLACE = frozenset({"root_motion"})
+_KEEPS_POSE = frozenset({"root_motion"})
 
 
 def idle(subject: SceneSubject) -> Iterator[Fault]:
@@ -195,10 +195,10 @@ def _start(subject: SceneSubject) -> Fraction | None:
 
 def near_rate(subject: SceneSubject) -> Iterator[Fault]:
     """Yield a rate that is nearly that of the take (SCN205)."""
-    given, own = subject.scene.bake.fps, subject.take.clock.rate
-    if given is None or given == own or abs(given - own) > NEAR_RATES * own:
+    output, source = subject.scene.bake.fps, subject.take.clock.rate
+    if output is None or output == source or abs(output - source) > NEAR_RATES * source:
         return
-    message = f"the output has {rate_label(given)}, but the take {rate_label(own)}"
+    message = f"the output has {rate_label(output)}, but the take {rate_label(source)}"
     hint = "remove fps; for a BVH with a wrong rate, set source.fps"
     yield subject.fault("SCN205", ("fps",), message, hint)
 
@@ -221,7 +221,9 @@ def _moves(pass_: Pass) -> bool:
     """Return whether a pass changes poses, and not only when they are."""
     retimes = TakePart.CLOCK in pass_.changes
     return (
-        TakePart.JOINTS in pass_.changes and not retimes and pass_.name not in _IN_PLACE
+        TakePart.JOINTS in pass_.changes
+        and not retimes
+        and pass_.name not in _KEEPS_POSE
     )
 
 
@@ -233,8 +235,8 @@ def out_of_time(subject: SceneSubject) -> Iterator[Fault]:
     times = take.motion.track_times.dense()[..., 0]
     indices = {prop.path: i for i, prop in enumerate(subject.scene.props)}
     for column, track in enumerate(take.tracks):
-        held = track.at(times[:, column]).held
-        if held is None or not held.all():
+        outside = track.at(times[:, column]).held
+        if outside is None or not outside.all():
             continue
         first, last = times[[0, -1], column]
         message = (

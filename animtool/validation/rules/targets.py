@@ -90,11 +90,11 @@ def _outside(
 def twice(subject: TargetsSubject) -> Iterator[Fault]:
     """Yield goals that ask the same of an effector as another (TGT202)."""
     goals = subject.targets.goals
-    alike: dict[tuple[object, ...], list[int]] = {}
+    by_effector: dict[tuple[object, ...], list[int]] = {}
     for i, goal in enumerate(goals):
         effector = goal.name, goal.goal.offset, goal.goal.root, goal.goal.priority
-        alike.setdefault(effector, []).append(i)
-    pairs = [pair for group in alike.values() for pair in combinations(group, 2)]
+        by_effector.setdefault(effector, []).append(i)
+    pairs = [pair for group in by_effector.values() for pair in combinations(group, 2)]
     for first, i in sorted(pairs)[:MAX_PAIRS]:
         one, two = goals[first], goals[i]
         kinds = [kind for kind in one.goal.kinds if kind in two.goal.kinds]
@@ -192,8 +192,8 @@ class _Asked:
     @property
     def unit(self) -> float:
         """Of the lengths in the file [m]."""
-        given = self.document.value.get("units", {}).get("length")
-        return LengthUnit(given).meters if given else self.take.rig.meters_per_unit
+        unit = self.document.value.get("units", {}).get("length")
+        return LengthUnit(unit).meters if unit else self.take.rig.meters_per_unit
 
     def fault(self, code: str, e: int, key: str, message: str, hint: str) -> Fault:
         """Return a fault of a goal, in the file of the targets."""
@@ -236,8 +236,8 @@ def out_of_reach(subject: SceneSubject) -> Iterator[Fault]:
             if len(frames) > 1:
                 message += f"; also in {len(frames)} frames in total"
             hint = "move it closer, or let joints above move: root, or goals for them"
-            found = asked.fault("TGT205", e, "position", message, hint)
-            yield replace(found, frame=float(times[worst]))
+            fault = asked.fault("TGT205", e, "position", message, hint)
+            yield replace(fault, frame=float(times[worst]))
 
 
 def _moving(rig: Rig, goals: Sequence[GoalTrack]) -> frozenset[int]:
@@ -298,14 +298,14 @@ def mismatched_unit(subject: SceneSubject) -> Iterator[Fault]:
     """Yield targets whose points fit the rig in another unit (TGT206)."""
     for asked in _all_asked(subject):
         size = rest_size(asked.take.rig)
-        own = asked.unit
+        stated = asked.unit
         # Those whose points are numbers of the file, not a prim's.
-        still = [
+        positions = [
             e
             for e, track in enumerate(asked.tracks.goals)
             if isinstance(track.values["position"], Still | Keyed | Rows)
         ]
-        points = [asked.points(e)[0][asked.points(e)[1]] for e in still]
+        points = [asked.points(e)[0][asked.points(e)[1]] for e in positions]
         cloud = np.concatenate(points) if points else np.zeros((0, 3))
         if not len(cloud):
             continue
@@ -315,16 +315,16 @@ def mismatched_unit(subject: SceneSubject) -> Iterator[Fault]:
         fitting = [
             unit
             for unit in LengthUnit
-            if np.linalg.norm(cloud * (unit.meters / own) - root, axis=1).max()
+            if np.linalg.norm(cloud * (unit.meters / stated) - root, axis=1).max()
             <= LIKELY * size
         ]
         if fitting:
             message = (
-                f"the points are in {unit_name(own)}, and all are farther from the "
+                f"the points are in {unit_name(stated)}, and all are farther from the "
                 f"rig than {FAR:g} times its size"
             )
             hint = f"units: {{length: {fitting[0]}}} is more plausible"
-            yield asked.fault("TGT206", still[0], "position", message, hint)
+            yield asked.fault("TGT206", positions[0], "position", message, hint)
 
 
 def beyond_take(subject: SceneSubject) -> Iterator[Fault]:

@@ -60,8 +60,8 @@ class ClipSubject(DocumentSubject):
     ) -> Fault:
         """Return a fault of a joint at a frame, at the key that it follows."""
         known = joint and frame is not None
-        place = self.at(joint, frame or 0.0) if known else ("channels",)
-        return self.fault(code, place, message, hint)
+        pointer = self.at(joint, frame or 0.0) if known else ("channels",)
+        return self.fault(code, pointer, message, hint)
 
     @cached_property
     def cuts(self) -> BoolArray:

@@ -25,24 +25,24 @@ def open_fbx(path: Path) -> CheckedFile:
     takes: list[MotionSubject] = []
     if scene.nodes:
         for character in characters(scene):
-            made = build_rig(scene, character, scene.path.stem)
-            faults += made.notices
-            takes += _takes(scene, made, faults)
+            built = build_rig(scene, character, scene.path.stem)
+            faults += built.notices
+            takes += _takes(scene, built, faults)
     notices = [*scene.file.notes.notices, *faults]
     return CheckedFile(Kind.FBX, notices, takes=tuple(takes))
 
 
-def _takes(scene: FbxScene, made: FbxRig, faults: list[Fault]) -> list[MotionSubject]:
-    found = []
+def _takes(scene: FbxScene, built: FbxRig, faults: list[Fault]) -> list[MotionSubject]:
+    subjects = []
     for take in scene.takes:
-        if not moves(made, take, scene):
+        if not moves(built, take, scene):
             continue
-        moving = Sampler(scene, made, take)
+        moving = Sampler(scene, built, take)
         try:
             frames = frames_of(scene, take, None, moving.numbers)
         except AnimtoolError as error:
             faults += error.faults
             continue
-        whole = take_stream(made, moving, frames).collect()
-        found.append(clip_subject(scene.path, made.rig, whole, take.where))
-    return found
+        take_data = take_stream(built, moving, frames).collect()
+        subjects.append(clip_subject(scene.path, built.rig, take_data, take.where))
+    return subjects

@@ -40,32 +40,32 @@ def open_gltf(path: Path) -> CheckedFile:
     takes: list[MotionSubject] = []
     if gltf.nodes:
         for character in characters(gltf):
-            made = _made(gltf, character, faults)
-            takes += _takes(gltf, made, faults)
+            built = _built(gltf, character, faults)
+            takes += _takes(gltf, built, faults)
     return CheckedFile(Kind.GLTF, [*gltf.notes.notices, *faults], takes=tuple(takes))
 
 
-def _made(gltf: Gltf, character: Character, faults: list[Fault]) -> GltfRig:
-    made = build_rig(gltf, character, gltf.path.stem)
-    faults += made.notices
-    return made
+def _built(gltf: Gltf, character: Character, faults: list[Fault]) -> GltfRig:
+    built = build_rig(gltf, character, gltf.path.stem)
+    faults += built.notices
+    return built
 
 
-def _takes(gltf: Gltf, made: GltfRig, faults: list[Fault]) -> list[MotionSubject]:
-    found = []
+def _takes(gltf: Gltf, built: GltfRig, faults: list[Fault]) -> list[MotionSubject]:
+    subjects = []
     for animation in gltf.animations:
-        if not moves(made, animation):
+        if not moves(built, animation):
             continue
-        moving = sampler(gltf, made, animation)
+        moving = sampler(gltf, built, animation)
         try:
             frames = frames_of(animation, None, str(gltf.path), moving.numbers)
         except AnimtoolError as error:
             faults += error.faults
             continue
-        take = clip_stream(made, moving, frames).collect()
-        subject = clip_subject(gltf.path, made.rig, take, animation.where)
-        found.append(_at_keys(subject, moving, animation, frames))
-    return found
+        take = clip_stream(built, moving, frames).collect()
+        subject = clip_subject(gltf.path, built.rig, take, animation.where)
+        subjects.append(_at_keys(subject, moving, animation, frames))
+    return subjects
 
 
 def _at_keys(
@@ -78,8 +78,8 @@ def _at_keys(
     take, clock = subject.take, subject.take.clock
     seconds = key_times(animation)
     codes = key_frames(seconds, frames)
-    whole = np.round(codes)
-    codes = np.where(np.abs(codes - whole) <= ON_FRAME, whole, codes)
+    nearest = np.round(codes)
+    codes = np.where(np.abs(codes - nearest) <= ON_FRAME, nearest, codes)
     last = float(clock.times[-1])
     range_ = (float(min(clock.start, frames.start)), last)
     if len(codes) > 1 and abs(float(np.median(np.diff(codes))) - 1.0) <= SAMPLED:
@@ -121,12 +121,12 @@ def _influencing(rig: Rig, skins: Sequence[Skin]) -> frozenset[str]:
 
     Joints above one that moves points move them too.
     """
-    found = set(rig.names) - {name for skin in skins for name in skin.joints}
+    names = set(rig.names) - {name for skin in skins for name in skin.joints}
     for skin in skins:
         used = np.unique(skin.indices.load()[skin.weights.load() > 0]).astype(int)
         for name in (skin.joints[k] for k in used.tolist()):
-            found.update(rig.names[j] for j in rig.upwards(rig.index(name)))
-    return frozenset(found)
+            names.update(rig.names[j] for j in rig.upwards(rig.index(name)))
+    return frozenset(names)
 
 
 def _bound(rig: Rig, skins: Sequence[Skin]) -> FloatArray | None:

@@ -54,7 +54,7 @@ def values_of_batches(paths: Iterable[Path]) -> dict[Path, SceneValues]:
 
     What is wrong with a batch is reported for the batch alone.
     """
-    found: dict[Path, SceneValues] = {}
+    by_scene: dict[Path, SceneValues] = {}
     for path in paths:
         if not is_named(path, "batch"):
             continue
@@ -62,12 +62,12 @@ def values_of_batches(paths: Iterable[Path]) -> dict[Path, SceneValues]:
         from animtool.batch.file import load_batch
 
         try:
-            given = scene_values(load_batch(path))
+            values_of_scenes = scene_values(load_batch(path))
         except AnimtoolError:
             continue
-        for scene, values in given.items():
-            found.setdefault(scene.resolve(), values)
-    return found
+        for scene, values in values_of_scenes.items():
+            by_scene.setdefault(scene.resolve(), values)
+    return by_scene
 
 
 def open_map(document: Document) -> CheckedFile:
@@ -168,7 +168,7 @@ _READ_AS = {
 }
 
 
-def open_file(path: Path, given: SceneValues | None = None) -> CheckedFile:
+def open_file(path: Path, values: SceneValues | None = None) -> CheckedFile:
     """Return a file as rules look at it, with every fault of its reader.
 
     ``given`` are values of variables, of a scene.
@@ -186,14 +186,14 @@ def open_file(path: Path, given: SceneValues | None = None) -> CheckedFile:
         hint = f"supported: {', '.join(readable_suffixes())}"
         message = "is not a kind of file that is checked"
         raise OptionError(Fault("IO002", message, str(path), (), hint))
-    return open_document(read_document(path), given)
+    return open_document(read_document(path), values)
 
 
-def open_document(document: Document, given: SceneValues | None = None) -> CheckedFile:
+def open_document(document: Document, values: SceneValues | None = None) -> CheckedFile:
     """Return a file that a person wrote as rules look at it, as `open_file` does."""
     kind = Kind(version_of(document, STEPS)[0])
-    if kind is Kind.SCENE and given is not None:
-        checked = _open(kind, document, given)
+    if kind is Kind.SCENE and values is not None:
+        checked = _open(kind, document, values)
     else:
         checked = _open(kind, document)
     checked.document = document

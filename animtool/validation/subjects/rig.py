@@ -33,21 +33,21 @@ class RigSubject(DocumentSubject):
         A joint that a mirror wrote is where the other side is; what comes from
         another file is where that is named.
         """
-        place = self._places.get((key, name))
-        if place is not None:
-            return place
+        pointer = self._pointers.get((key, name))
+        if pointer is not None:
+            return pointer
         return ("from",) if "from" in self.document.value else (key,)
 
     @cached_property
-    def _places(self) -> dict[tuple[str, str], Location]:
+    def _pointers(self) -> dict[tuple[str, str], Location]:
         """Where the entries of lists stand, by list and name, then by mirror."""
-        places: dict[tuple[str, str], Location] = {}
+        pointers: dict[tuple[str, str], Location] = {}
         for label in ("name", "mirror"):
             for key in self.document.value:
                 for i, entry in enumerate(self.written(key)):
                     if isinstance(entry, dict) and isinstance(entry.get(label), str):
-                        places.setdefault((key, entry[label]), (key, i))
-        return places
+                        pointers.setdefault((key, entry[label]), (key, i))
+        return pointers
 
     @cached_property
     def mirrored(self) -> frozenset[str]:
@@ -66,11 +66,11 @@ class RigSubject(DocumentSubject):
             depths[i] = 0 if joint.parent < 0 else depths[joint.parent] + 1
         positions, rotations = rig.rest_translations.copy(), rig.rest_rotations.copy()
         for depth in range(1, int(depths.max(initial=0)) + 1):
-            own = np.flatnonzero(depths == depth)
-            above = rig.parents[own]
-            turned = so3.rotate(rotations[above], positions[own])
-            positions[own] = positions[above] + turned
-            rotations[own] = so3.multiply(rotations[above], rotations[own])
+            at_depth = np.flatnonzero(depths == depth)
+            above = rig.parents[at_depth]
+            turned = so3.rotate(rotations[above], positions[at_depth])
+            positions[at_depth] = positions[above] + turned
+            rotations[at_depth] = so3.multiply(rotations[above], rotations[at_depth])
         return positions, rotations
 
     @cached_property

@@ -50,8 +50,8 @@ class SceneSubject(DocumentSubject):
         """Takes that are solved, with their rigs, and what is asked of them."""
         folder = self.scene.path.resolve().parent
         takes = []
-        for i, given in self.solved.items():
-            take, tracks = asked_of(given, self.scene.passes[i].options, folder)
+        for i, solved in self.solved.items():
+            take, tracks = asked_of(solved, self.scene.passes[i].options, folder)
             takes.append((take, tracks.placed(take.clock)))
         return takes
 
@@ -74,12 +74,14 @@ class SceneSubject(DocumentSubject):
         return ("passes", i, self.scene.passes[i].pass_.name)
 
 
-def open_scene(document: Document, given: SceneValues | None = None) -> CheckedFile:
+def open_scene(
+    document: Document, batch_values: SceneValues | None = None
+) -> CheckedFile:
     """Return a scene file as its rules see it; its source is read, its passes done.
 
     ``given`` are values of its variables that a batch gives.
     """
-    values = SceneValues() if given is None else given
+    values = SceneValues() if batch_values is None else batch_values
     scene = scene_of_document(document, values.values, parts=values.parts)
     path = str(document.path)
     checked = CheckedFile(Kind.SCENE)
@@ -120,10 +122,10 @@ def _simulated(scene: Scene, take: Take | None) -> list[Fault]:
         return []
     from animtool.scene.systems.run import SystemRun  # loads USD
 
-    own = None if take is None else motion_of(scene.path, take)
+    motion = None if take is None else motion_of(scene.path, take)
     rig = None if take is None else take.rig
     try:
-        run = SystemRun(scene.systems, _seconds(scene, take), own, main_rig=rig)
+        run = SystemRun(scene.systems, _seconds(scene, take), motion, main_rig=rig)
     except AnimtoolError as error:
         return list(error.faults)
     # Notes are of how it will be simulated.
@@ -153,7 +155,7 @@ def _played(document: Document, scene: Scene) -> tuple[SceneSubject, list[Fault]
             after, stream = step
             if isinstance(scene.passes[i].options, IkPassOptions):
                 solved[i] = take
-            if _alike(take, after):
+            if _equal_sources(take, after):
                 idle.append(i)
             take = after
     subject = SceneSubject(
@@ -169,7 +171,7 @@ def _played(document: Document, scene: Scene) -> tuple[SceneSubject, list[Fault]
     return subject, stream.notices
 
 
-def _alike(before: Take, after: Take) -> bool:
+def _equal_sources(before: Take, after: Take) -> bool:
     """Return whether a pass left a take as it was."""
     if before.clock != after.clock or before.rig.names != after.rig.names:
         return False
