@@ -1,4 +1,4 @@
-"""Pages: files read, put on one timeline, and written as one HTML file."""
+"""Builds pages: reads files, puts them on one timeline, writes one HTML file."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ TITLE = 120
 
 @dataclass(frozen=True, slots=True)
 class PreviewPage:
-    """A page that is ready to be written.
+    """A page ready to be written.
 
     Attributes:
         manifest: What it shows.
@@ -59,20 +59,20 @@ class PreviewPage:
     notices: list[Fault] = field(default_factory=list)
 
     def parts(self, watch: dict[str, Any] | None = None) -> Iterable[bytes]:
-        """Return its bytes, in parts; watch: whom to ask for changes, and the state."""
+        """Yield its bytes in parts; watch: server to poll for changes, and state."""
         manifest = self.manifest
         if watch is not None:
             manifest = manifest | {"watch": watch}
         return page_parts(manifest, self.blocks, watched=watch is not None)
 
     def html(self) -> str:
-        """Return it as text."""
+        """Return the page as text."""
         return b"".join(self.parts()).decode("utf-8")
 
 
 @dataclass(frozen=True, slots=True)
 class PageReport:
-    """A page that was written."""
+    """Report on a written page."""
 
     path: Path  # the file
     size: int  # of it [bytes]
@@ -89,7 +89,7 @@ class PageReport:
 
     @property
     def counts(self) -> dict[str, int]:
-        """How many of each kind the page shows."""
+        """Number of items of each kind on the page."""
         manifest = self.page.manifest
         shapes = ("takes", "meshes", "curves3d", "points", "instances")
         kinds = (*shapes, "cameras", "channels", "findings")
@@ -130,7 +130,7 @@ def write_page(
 
 
 def check_page_output(output: Path, files: Sequence[Path], *, overwrite: bool) -> None:
-    """Refuse a page that cannot or must not be written."""
+    """Refuse an output path that cannot or must not be written."""
     if output.suffix.lower() not in PAGE_SUFFIXES:
         message = f"a page is an .html file, but the name is {output.name!r}"
         raise OptionError(
@@ -227,7 +227,7 @@ def _add_part(draft: PageDraft, part: TimedPart) -> ShownMotion:
 
 
 def _add_markers(draft: PageDraft, name: str, markers: Markers) -> None:
-    """Add markers to a page, at the frames nearest to its own."""
+    """Add markers to a page, sampled at the nearest frames."""
     clock = markers.clock
     ratio = float(clock.fps / draft.timeline.fps)
     positions_at = (draft.timeline.codes * ratio - float(clock.start)) / float(

@@ -1,4 +1,4 @@
-"""Curves of a page: keyed channels of clips, controls, and weights of shapes."""
+"""Curves of a page: keyed clip channels, controls, and shape weights."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _AXES = "xyzw"
 
 @dataclass(frozen=True, slots=True)
 class ChannelCurve:
-    """One number over the frames of a take, as an animator reads it."""
+    """One value over the frames of a take, as an animator reads it."""
 
     name: str
     unit: str  # ``m``, ``deg`` or empty
@@ -101,7 +101,7 @@ def _keyed(
 
 
 def _unit(target: str, width: int) -> tuple[str, float]:
-    """Return the unit that a channel is shown in, and what a value is times it."""
+    """Return the display unit of a channel, and the factor to it."""
     if target.startswith(("control/", "shape/")) or width == 4:
         return "", 1.0
     if target.endswith(("translation", ".slide")):
@@ -110,7 +110,7 @@ def _unit(target: str, width: int) -> tuple[str, float]:
 
 
 def _controls(shown: ShownMotion, clip: Clip | None) -> list[ChannelCurve]:
-    """Return controls and weights of shapes that no channel of a clip keys."""
+    """Return curves of controls and shape weights that the clip does not key."""
     keyed = set() if clip is None else {channel.target for channel in clip.channels}
     rig = shown.rig
     curves = []

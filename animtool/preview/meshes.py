@@ -1,4 +1,4 @@
-"""Meshes and strands of characters: skins and shapes for the viewer, or points."""
+"""Meshes and strands of characters: skinned by the viewer, or as point caches."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def add_character(draft: PageDraft, character: ShownTake, shown: ShownMotion) ->
 
 
 def needs_points(skin: PreparedSkin | None) -> bool:
-    """Return whether the viewer cannot skin a mesh as it is meant."""
+    """Return whether the viewer cannot skin a mesh correctly."""
     if skin is None:
         return False
     if skin.method is SkinMethod.DUAL_QUATERNION:
@@ -90,7 +90,7 @@ def needs_points(skin: PreparedSkin | None) -> bool:
 
 
 def strongest(skin: PreparedSkin) -> tuple[IntArray, FloatArray]:
-    """Return the four strongest joints of each vertex, and their weights ``(V, 4)``."""
+    """Return the four largest weights of each vertex and their joints ``(V, 4)``."""
     influences = skin.influences
     counts = np.diff(influences.first)
     rows = np.repeat(np.arange(skin.vertices), counts)
@@ -115,7 +115,7 @@ def mesh_entry(
     double_sided: bool = True,
     colors: FloatArray | None = None,
 ) -> dict[str, Any]:
-    """Return what the manifest says of a mesh: its points and its triangles.
+    """Return the manifest entry of a mesh: points and triangles.
 
     colors: linear, of points ``(V, 3)``; None where ``color`` is of all of it.
     """
@@ -179,7 +179,7 @@ def _skin(draft: PageDraft, skin: PreparedSkin) -> dict[str, Any]:
 def _shapes(
     draft: PageDraft, shapes: PreparedShapes, visible: IntArray, first: int
 ) -> list[dict[str, Any]]:
-    """Return the columns of offsets that show, sparse."""
+    """Return the nonzero shape offsets, sparse."""
     parts = shapes.points
     names = [
         name if at == 1.0 else f"{name} at {at:g}"
@@ -209,7 +209,7 @@ def _shapes(
 
 
 def _points(draft: PageDraft, shown: ShownMotion, mesh: CharacterMesh) -> int:
-    """Return the stream of the points of a mesh in every frame."""
+    """Return the stream of a mesh's points in every frame."""
     parts = []
     weights = mesh.weights(shown.weights)
     for begin in range(0, shown.frames, BLOCK):

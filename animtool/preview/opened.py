@@ -1,4 +1,4 @@
-"""Files that a page shows, opened by what they are."""
+"""Opens files for a page by their kind."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ _UNSEEN = {
 
 @dataclass(frozen=True, slots=True)
 class ShownTake:
-    """A take of a file, Y up, with what its joints carry."""
+    """A take of a file, Y up, with its meshes."""
 
     name: str
     stream: TakeStream
@@ -78,7 +78,7 @@ class ShownTake:
 
 @dataclass(slots=True)
 class OpenFile:
-    """A file that is open.
+    """An open file.
 
     Attributes:
         path: The file, as it was named.
@@ -103,7 +103,7 @@ class OpenFile:
     folder: Path | None = None
 
     def located(self, fault: Fault) -> Fault:
-        """Return a fault at the scene, where it is at what was baked of it."""
+        """Return a fault located at the scene instead of its temporary layer."""
         where = fault.path
         if (
             self.folder is None
@@ -115,7 +115,7 @@ class OpenFile:
 
     @property
     def fps(self) -> Fraction | None:
-        """Time codes a second; None of a rig at rest."""
+        """Frame rate; None for a rig at rest."""
         if self.takes:
             return self.takes[0].stream.fps
         if self.markers is not None:
@@ -128,7 +128,7 @@ class OpenFile:
 def open_file(
     path: Path, options: PreviewOptions, others: Sequence[Path], context: ExitStack
 ) -> OpenFile:
-    """Open a file of any kind that can be seen.
+    """Open a file of any supported kind.
 
     Args:
         path: The file.
@@ -179,7 +179,7 @@ def open_file(
 def take_of_stream(
     name: str, stream: TakeStream, clip: Clip | None = None
 ) -> ShownTake:
-    """Return a take with the meshes of its own rig."""
+    """Return a take with the meshes of its rig."""
     stream = reorient(stream, UpAxis.Y)
     rig = stream.rig
     if not rig.meshes and not rig.attach:
@@ -189,7 +189,7 @@ def take_of_stream(
 
 
 def resting(rig: Rig) -> TakeStream:
-    """Return a take of one frame of a rig at rest."""
+    """Return a one-frame take of a rig at rest."""
     motion = Motion(
         Channel.from_dense(rig.rest_translations[None]),
         Channel.from_dense(rig.rest_rotations[None]),
@@ -231,7 +231,7 @@ def _open_markers(path: Path, source: SourceOptions) -> OpenFile:
 
 
 def _open_stage(path: Path, name: str, source: SourceOptions) -> OpenFile:
-    """Open a USD file: its characters, and what else it shows."""
+    """Open a USD file: characters and other visible prims."""
     from animtool.usd.caches.shown import open_contents
     from animtool.usd.rigs.mesh_read import source_meshes
 
@@ -282,7 +282,7 @@ def _open_stage(path: Path, name: str, source: SourceOptions) -> OpenFile:
 def _read_characters(
     opened: OpenFile, characters: Mapping[str, Callable[[], TakeStream]]
 ) -> dict[str, TakeStream]:
-    """Read characters; those that are malformed are named, where others are not."""
+    """Read all valid characters; report the malformed ones."""
     streams: dict[str, TakeStream] = {}
     errors: list[FormatError] = []
     for prim, read in characters.items():
@@ -298,7 +298,7 @@ def _read_characters(
 
 
 def _other_takes(path: Path, stream: TakeStream) -> list[Fault]:
-    """Say which other takes a clip library has."""
+    """Report the other takes of a clip library."""
     names = stream.details.get("takes")
     if not isinstance(names, list) or len(names) < 2:
         return []
@@ -309,7 +309,7 @@ def _other_takes(path: Path, stream: TakeStream) -> list[Fault]:
 
 
 def shown_scene(scene: Scene) -> Scene:
-    """Return a scene with one output, which is shown and not written."""
+    """Return a scene with the output to show, without its file."""
     output = scene.outputs[0]
     bake = replace(output.bake, form=None, chunk=None, overwrite=False, take=None)
     return replace(scene, outputs=(replace(output, path=None, bake=bake),))
@@ -318,7 +318,7 @@ def shown_scene(scene: Scene) -> Scene:
 def _view(
     folder: Path, shown: Path, options: PreviewOptions, below: Sequence[Path] = ()
 ) -> Path:
-    """Return a stage of a layer with those over it that are asked for."""
+    """Return a stage that combines a layer with the given stages."""
     from animtool.usd.layers.view import write_view
 
     over = [Path(layer) for layer in options.over]

@@ -1,4 +1,4 @@
-"""What a page would show and where it would be written, without making it."""
+"""Plans a page without building it: files read, contents shown, output path."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def page_steps(
 
 
 def _baked(path: Path, options: PreviewOptions) -> Iterator[Step]:
-    """Yield the steps of the bake that a scene is shown by."""
+    """Yield the bake steps of a scene."""
     scene = shown_scene(load_scene(path, dict(options.variables)))
     for step in bake_steps(outlined(scene, None)):
         if step.kind is not StepKind.OUTPUT:
@@ -74,7 +74,7 @@ def _read(file: OpenFile) -> Step:
 
 
 def _shown(file: OpenFile) -> Iterator[str]:
-    """Yield what a file shows."""
+    """Yield the contents of a file."""
     for fact, count in Counter(map(_take_text, file.takes)).items():
         yield fact if count == 1 else f"{count} times {fact}"
     contents = file.contents

@@ -1,4 +1,4 @@
-"""What a stage shows on a page: meshes, caches, curves, points, copies, cameras."""
+"""Adds a stage's visible prims to a page: meshes, caches, curves, points, cameras."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ SCALE_ERROR = 1e-4
 
 
 def add_stage(draft: PageDraft, contents: StageContents) -> None:
-    """Add what a stage shows beside its characters to a page."""
+    """Add the visible prims of a stage, except characters, to a page."""
     with usd_errors(contents.path), without_usd_warnings():
         codes = draft.timeline.codes * float(contents.fps / draft.timeline.fps)
         for prim in contents.prims:
@@ -75,7 +75,7 @@ def _entry(draft: PageDraft, name: str, faces: ShownFaces) -> dict[str, Any]:
 def _add_rigid(
     draft: PageDraft, prim: ShownPrim, faces: ShownFaces, codes: FloatArray
 ) -> None:
-    """Add a mesh that moves as a whole: one copy of itself."""
+    """Add a rigidly moving mesh as one instance."""
     times = codes if prim.travels else codes[:1]
     matrices = np.stack([prim.world(code) for code in times.tolist()])
     if not np.isfinite(matrices).all():
@@ -105,7 +105,7 @@ def _add_rigid(
 def _placed(
     draft: PageDraft, positions: FloatArray, rotations: FloatArray, scales: FloatArray
 ) -> dict[str, Any]:
-    """Return streams of copies ``(F, N, 3)``, ``(F, N, 4)``, ``(F, N, 3)``."""
+    """Return instance streams ``(F, N, 3)``, ``(F, N, 4)``, ``(F, N, 3)``."""
     frames = len(positions)
     where = quantized_range(positions.reshape(frames, -1), period=3)
     quantized = quantized_units(so3.align_signs(rotations).reshape(frames, -1))
@@ -121,7 +121,7 @@ def _placed(
 
 
 def _cache(draft: PageDraft, prim: ShownPrim, codes: FloatArray, count: int) -> int:
-    """Return the stream of points over time; those of other numbers are held."""
+    """Return the stream of animated points; samples of another length are held."""
     rows = np.empty((len(codes), 3 * count), np.float32)
     for i, code in enumerate(codes.tolist()):
         points = prim.points(code)
@@ -195,13 +195,13 @@ def _add_points(draft: PageDraft, prim: ShownPrim, codes: FloatArray) -> None:
 
 
 def _mean(values: FloatArray) -> float:
-    """Return the mean of those that are finite; 0 without any."""
+    """Return the mean of the finite values; 0 without any."""
     finite = values[np.isfinite(values)]
     return float(finite.mean()) if finite.size else 0.0
 
 
 class Slots:
-    """Columns for points that appear and disappear, used again by later ones."""
+    """Columns for points that appear and disappear, reused over time."""
 
     def __init__(self) -> None:
         self.count = 0
@@ -233,7 +233,7 @@ def _in_slots(rows: list[tuple[IntArray, FloatArray]], count: int) -> FloatArray
 def _slot_values(
     rows: list[tuple[IntArray, FloatArray]], values: list[FloatArray], count: int
 ) -> FloatArray | None:
-    """Return a value for each slot, that of the last point in it; None without any."""
+    """Return a value per slot, from its last point; None if there are none."""
     known = next((one for one in values if len(one)), None)
     if known is None:
         return None
@@ -284,7 +284,7 @@ def _add_copies(draft: PageDraft, prim: ShownPrim, codes: FloatArray) -> None:
 
 
 class _Copies:
-    """Copies by slot; one that is gone stays where it was last."""
+    """Instances by slot; a removed one keeps its last transform."""
 
     def __init__(self, frames: int, count: int) -> None:
         self.points = np.zeros((frames, count, 3))
@@ -296,7 +296,7 @@ class _Copies:
     def of(
         cls, samples: list[PointSample], rows: list[IntArray], count: int
     ) -> _Copies:
-        """Return the copies of samples; rows: the slot of each."""
+        """Return the instances of samples; rows: the slot of each."""
         copies = cls(len(samples), count)
         for f, (sample, slots) in enumerate(zip(samples, rows, strict=True)):
             if f:

@@ -1,4 +1,4 @@
-"""Curves of error against cost as SVG, on logarithmic axes."""
+"""SVG plots of error against cost on logarithmic axes."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ FEW_DECADES = 3
 
 
 def plot_svg(panel: Panel) -> str:
-    """Return a panel as an SVG element; its colours but those of curves are the page's.
+    """Return a panel as an SVG element, styled by the page.
 
     A line joins the settings of a method. Filled are those that none beats; around the
     present one is a ring, and a square around the one to take.
@@ -53,7 +53,7 @@ def plot_svg(panel: Panel) -> str:
 
 
 def _drawn(points: Sequence[PrecisionPoint]) -> list[PrecisionPoint]:
-    """Return the points that logarithmic axes have a place for."""
+    """Return the points that logarithmic axes can show."""
     return [p for p in points if p.cost > 0 and p.error > 0 and math.isfinite(p.error)]
 
 
@@ -73,12 +73,12 @@ class _Axis:
         return _Axis(low - margin, high + margin, begin, end)
 
     def __call__(self, value: float) -> float:
-        """Return where a value is [px]."""
+        """Return the position of a value [px]."""
         fraction = (math.log10(value) - self.low) / (self.high - self.low)
         return self.begin + fraction * (self.end - self.begin)
 
     def ticks(self) -> list[float]:
-        """Return values with a line, 20 at most."""
+        """Return tick values, 20 at most."""
         first, last = math.floor(self.low), math.ceil(self.high)
         digits: tuple[int, ...] = (1, 2, 5) if last - first <= FEW_DECADES else (1,)
         if self.high - self.low < 1:

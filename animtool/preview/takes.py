@@ -1,4 +1,4 @@
-"""Takes of a page: the skeleton at rest, what moves, contacts, and how exact it is."""
+"""Takes of a page: rest skeleton, motion, contacts, and quantization error."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ WEIGHT_ERROR = 5e-5
 
 @dataclass(frozen=True, slots=True)
 class QuantizedTrack:
-    """One kind of value of the joints: those that move, and the others."""
+    """One component of all joints: animated columns and constant values."""
 
     static: FloatArray  # of every joint ``(J, K)``
     moving: IntArray  # those that move ``(A,)``
@@ -45,7 +45,7 @@ class QuantizedTrack:
 
 @dataclass(slots=True)
 class ShownMotion:
-    """A take as the page has it.
+    """A take as stored on the page.
 
     Attributes:
         index: Its number on the page.
@@ -68,7 +68,7 @@ class ShownMotion:
 
 
 class Gathered:
-    """The motion of a take in memory: float32, what does not move once.
+    """Motion of a take in memory as float32; constant joints once.
 
     Numbers are those that a USD layer of the take would hold, so that a motion makes
     the same page whatever file it is read from.
@@ -90,7 +90,7 @@ class Gathered:
                     self._parts.setdefault(name, []).append(part)
 
     def _stored(self, name: str, values: FloatArray) -> Float32Array:
-        """Return values as they are after a way through a layer."""
+        """Return values as they would be after writing a layer."""
         if name == "translations":
             exact = (values / self._unit).astype(np.float32).astype(np.float64)
             return (exact * self._unit).astype(np.float32)
@@ -103,7 +103,7 @@ class Gathered:
         return values.astype(np.float32)
 
     def track(self, name: str) -> QuantizedTrack | None:
-        """Return a channel; joints whose values are all equal do not move."""
+        """Return a channel; constant joints are not animated."""
         if name not in self._rest:
             return None
         first, values = self._rest[name], np.concatenate(self._parts.pop(name))
@@ -197,7 +197,7 @@ def _nothing(rest: FloatArray) -> QuantizedTrack:
 
 
 def _positive(track: QuantizedTrack) -> QuantizedTrack:
-    """Return rotations whose scalar part is positive at first: a rotation has two."""
+    """Return rotations whose first scalar part is positive."""
     static = np.where(track.static[:, 3:] < 0, -track.static, track.static)
     values = track.values
     if len(values):
@@ -253,7 +253,7 @@ def _measure(
     exact: dict[str, QuantizedTrack | None],
     stream: TakeStream,
 ) -> list[tuple[int, Any]]:
-    """Measure how exact a take is stored; return when which joints of feet stand."""
+    """Measure the quantization error of a take; return foot contacts."""
     if not rig.joints or not frames:
         return []
     person, legs = _legs(draft, rig)
@@ -283,7 +283,7 @@ Legs = dict[str, tuple[int, int, int, int]]
 
 
 def _legs(draft: PageDraft, rig: Rig) -> tuple[Person | None, Legs]:
-    """Return a rig as a person, and its legs; None where it has none."""
+    """Return a rig with roles and its legs; None if it has none."""
     arrays = (rig.rest_translations, rig.rest_rotations, rig.parents)
     key = repr(rig.names).encode() + b"".join(array.tobytes() for array in arrays)
     if key not in draft.known:
@@ -304,7 +304,7 @@ def _contacts(
     feet: dict[int, FloatArray],
     rate: float,
 ) -> Iterator[tuple[int, Any]]:
-    """Yield joints of feet, and the frames in which they stand ``(F,)``."""
+    """Yield foot joints and their contact frames ``(F,)``."""
     for side, leg in legs.items():
         ankle, toe = leg[2:]
         length = person.leg_length(side)

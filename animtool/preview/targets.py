@@ -1,4 +1,4 @@
-"""Targets of inverse kinematics on a page, as markers."""
+"""Adds IK targets to a page, as markers."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _KINDS = {
 def add_targets(
     draft: PageDraft, tracks: TargetTracks, shown: ShownMotion | None, up: UpAxis | str
 ) -> None:
-    """Add where goals are to be as markers, in the frames in which they are asked.
+    """Add goal positions as markers, in the frames in which they are active.
 
     Args:
         draft: The page.
@@ -55,7 +55,7 @@ def add_targets(
 
 
 def _frames(draft: PageDraft, tracks: TargetTracks) -> IntArray:
-    """Return the samples of the page that the file is about ``(A,)``."""
+    """Return the page samples that the targets file covers ``(A,)``."""
     codes = draft.timeline.codes * _ratio(draft, tracks)
     first = -np.inf if tracks.first is None else float(tracks.first)
     last = np.inf if tracks.last is None else float(tracks.last)
@@ -80,7 +80,7 @@ def _posed(
     frames: IntArray,
     up_rotation: object,
 ) -> tuple[Rig, WorldTransforms]:
-    """Return the rig that targets are for, and its joints, as its file has its axes."""
+    """Return the rig of targets and its joints, in the axes of its file."""
     if shown is None or not shown.frames:
         names = dict.fromkeys(goal.goal.joint for goal in tracks.goals)
         rig = Rig(Path(tracks.path).stem, tuple(Joint(name, -1) for name in names))

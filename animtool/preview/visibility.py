@@ -1,4 +1,4 @@
-"""When characters of a stage, and their meshes, are hidden."""
+"""Visibility of characters and their meshes over time."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from animtool.preview.timing import TimedPart
 def add_visibility(
     draft: PageDraft, file: OpenFile, part: TimedPart, shown: ShownMotion
 ) -> None:
-    """Add to a take and its meshes the frames in which they are visible.
+    """Add the visible frames of a take and its meshes.
 
     Args:
         draft: The page, which has the take and its meshes.
@@ -42,7 +42,7 @@ def add_visibility(
 
 
 def visibility_stream(draft: PageDraft, visible: BoolArray) -> int | None:
-    """Return the stream of when something is visible ``(F,)``; None is always."""
+    """Return the stream of visibility ``(F,)``; None if always visible."""
     if visible.all():
         return None
     rows = visible[:, None] if visible.any() else visible[:1, None]

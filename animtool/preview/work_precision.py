@@ -1,4 +1,4 @@
-"""Work against precision: what settings cost, and how far they are off."""
+"""Work-precision plots: cost and error of settings."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ COSTS = {
 
 @dataclass(frozen=True, slots=True)
 class PrecisionPoint:
-    """A setting.
+    """Cost and error of one setting.
 
     Attributes:
         cost: As its panel has it.
@@ -51,7 +51,7 @@ class PrecisionPoint:
 
 @dataclass(frozen=True, slots=True)
 class PrecisionCurve:
-    """The settings of a method, in their order."""
+    """The settings of one method, in order."""
 
     name: str  # for the legend
     points: tuple[PrecisionPoint, ...]  # those that work
@@ -59,7 +59,7 @@ class PrecisionCurve:
 
 @dataclass(frozen=True, slots=True)
 class Panel:
-    """What is drawn into one frame."""
+    """Content of one plot."""
 
     title: str  # above it
     error: str  # what errors are, for the axis
@@ -71,7 +71,7 @@ class Panel:
 
 
 def check_drawable(path: Path) -> None:
-    """Refuse a picture without matplotlib (IO005), or of no such kind (SCN072)."""
+    """Refuse a plot without matplotlib (IO005), or in an unknown format (SCN072)."""
     if path.suffix.lower() not in SUFFIXES:
         message = f"{path.suffix or 'a name without a suffix'} is not a kind of picture"
         hint = f"name it {', '.join(SUFFIXES)}"
@@ -80,7 +80,7 @@ def check_drawable(path: Path) -> None:
 
 
 def draw_panels(panels: Sequence[Panel], path: Path) -> None:
-    """Draw one panel or more below each other, on logarithmic axes."""
+    """Draw panels below each other, on logarithmic axes."""
     check_drawable(path)
     matplotlib, figures, ticker = _figures()
     figure = figures.Figure(
@@ -106,7 +106,7 @@ def draw_panels(panels: Sequence[Panel], path: Path) -> None:
 
 
 def _figures() -> tuple[Any, Any, Any]:
-    """Return what of matplotlib draws: itself, its figures and its ticks."""
+    """Return matplotlib with its figure and ticker modules."""
     try:
         import matplotlib as mpl
         from matplotlib import figure, ticker
@@ -147,7 +147,7 @@ def _draw(frame: Any, panel: Panel, ticker: Any) -> None:
 
 
 def _ring(frame: Any, chosen: Sequence[PrecisionPoint]) -> None:
-    """Draw rings around what is in use."""
+    """Draw rings around the current settings."""
     if not chosen:
         return
     frame.plot(
@@ -184,7 +184,7 @@ def _draw_curve(frame: Any, curve: PrecisionCurve, i: int) -> None:
 
 
 def panels_of(tables: Sequence[TrialTable]) -> list[Panel]:
-    """Return a panel for each table, with a curve for each method."""
+    """Return a panel per table, with a curve per method."""
     return [_panel(table) for table in tables]
 
 

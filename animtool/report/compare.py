@@ -1,4 +1,4 @@
-"""How far two takes are apart, and where: joints, shapes, controls."""
+"""Compares two takes: joints, shapes, controls, and where they differ most."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from animtool.scene.sources.open import (
 
 @dataclass(frozen=True, slots=True)
 class ShapeDifference:
-    """The largest difference of weights."""
+    """Largest difference of weights."""
 
     value: float = 0.0  # how large [1]
     shape: str = ""  # of which shape, as the first take has it
@@ -43,7 +43,7 @@ class ShapeDifference:
 def compare_weights(
     first: Take, second: Take, frames: int
 ) -> tuple[ShapeDifference, int, list[str]]:
-    """Compare the weights of two takes of one rate, shapes by name.
+    """Compare the weights of two takes of equal rate, shapes by name.
 
     Shapes of ARKit's are the same however they are spelled. A shape that only one take
     has is a mismatch where its weight is ever other than 0.
@@ -74,20 +74,20 @@ def compare_weights(
 
 
 def lost_text(noun: str, lost: Sequence[str], other: str) -> str:
-    """Say what is not in the other of two."""
+    """Return text that lists what only one of two has."""
     are = "is" if len(lost) == 1 else "are"
     return f"{counted(len(lost), noun)} {are} not in the {other}: {listed(lost)}"
 
 
 def _weights(take: Take) -> FloatArray:
-    """Return the weights of every shape ``(F, S)``; those of a take without are 0."""
+    """Return the weights of every shape ``(F, S)``; missing ones are 0."""
     if take.motion.weights is None:
         return np.zeros((take.clock.count, len(take.rig.shapes)))
     return take.motion.weights.dense()[..., 0]
 
 
 def _pairs(first: Sequence[str], second: Sequence[str]) -> list[tuple[int, int]]:
-    """Match shapes by name, then by ARKit's name for them, in order."""
+    """Match shapes by name, then by ARKit name, in order."""
     pairs = [(i, second.index(name)) for i, name in enumerate(first) if name in second]
     mine, theirs = {i for i, _ in pairs}, {k for _, k in pairs}
     spelled = {
@@ -110,7 +110,7 @@ WEIGHT_TOLERANCE = 1e-5
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """The largest difference of one kind."""
+    """Largest difference of one kind."""
 
     value: float  # how large [m] or [deg]
     joint: str  # where
@@ -120,7 +120,7 @@ class Difference:
 
 @dataclass(frozen=True, slots=True)
 class TakeDifference:
-    """How two takes differ over the joints, shapes and frames that both have."""
+    """Differences of two takes over their common joints, shapes and frames."""
 
     world: Difference  # world position [m]
     translation: Difference  # local translation [m]
@@ -141,7 +141,7 @@ class TakeDifference:
     def within(
         self, meters: float, degrees: float, weights: float = WEIGHT_TOLERANCE
     ) -> bool:
-        """Return whether the takes agree to the tolerances."""
+        """Return whether the takes agree within tolerances."""
         return (
             not self.mismatches
             and self.world.value <= meters
@@ -193,7 +193,7 @@ def compare(
 
 
 def _stream_difference(one: TakeStream, two: TakeStream) -> TakeDifference:
-    """Compare two takes that are open, the second turned as the first."""
+    """Compare two open takes, the second in the axes of the first."""
     difference = compare_takes(one.collect(), reorient(two, one.rig.up).collect())
     difference.notices.extend([*one.notices, *two.notices])
     meters = one.rig.meters_per_unit, two.rig.meters_per_unit
@@ -233,7 +233,7 @@ def _character_difference(first: _Openers, second: _Openers) -> TakeDifference:
 def _skeleton_pairs(
     first: Sequence[str], second: Sequence[str]
 ) -> list[tuple[str, str]]:
-    """Match skeletons by path, then by path below the first prim; else in order.
+    """Match skeletons by path, then by path below the root prim, then in order.
 
     >>> _skeleton_pairs(["/a/x/s", "/a/y/s"], ["/b/y/s", "/b/z/s"])
     [('/a/y/s', '/b/y/s')]
@@ -257,7 +257,7 @@ def _skeleton_pairs(
 def _merged(
     total: TakeDifference, part: TakeDifference, skeleton: str
 ) -> TakeDifference:
-    """Return differences of several skeletons with those of one more."""
+    """Return the differences of several skeletons merged with one more."""
     kinds = ("world", "translation", "rotation", "scale", "weight")
     larger = {
         kind: replace(difference, skeleton=skeleton)
@@ -281,7 +281,7 @@ def _merged(
 
 
 def space_notes(ups: tuple[UpAxis, UpAxis], meters: tuple[float, float]) -> list[str]:
-    """Return in which up axes and units [m] two files are, where these differ."""
+    """Return a note if up axes or units [m] of two files differ."""
     notes = []
     if ups[0] is not ups[1]:
         notes.append(f"{ups[0]} up instead of {ups[1]} up; compared with {ups[0]} up")
@@ -292,7 +292,7 @@ def space_notes(ups: tuple[UpAxis, UpAxis], meters: tuple[float, float]) -> list
 
 
 def compare_takes(first: Take, second: Take) -> TakeDifference:
-    """Compare two takes; those of no common joint or frame differ by nothing else."""
+    """Compare two takes over their common joints and frames."""
     pairs = _joint_pairs(first.rig, second.rig)
     mismatches = _mismatches(first, second, pairs)
     if first.clock.rate != second.clock.rate:

@@ -1,4 +1,4 @@
-"""What all characters of a stage do, where it has several: the worst ones by name."""
+"""Summary of all characters of a stage; the extremes by name."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from animtool.retarget.person import Person
 
 @dataclass(frozen=True, slots=True)
 class Extreme:
-    """The most or the least of something, and whose it is."""
+    """Largest or smallest value, and the character it belongs to."""
 
     value: float
     character: str  # path of its Skeleton
@@ -26,7 +26,7 @@ class Extreme:
 
 @dataclass(frozen=True, slots=True)
 class CharactersFacts:
-    """All characters of a stage in numbers."""
+    """Summary of all characters of a stage."""
 
     count: int
     joints: int  # of all together
@@ -41,7 +41,7 @@ class CharactersFacts:
 
 @dataclass(frozen=True, slots=True)
 class _Extent:
-    """One character in numbers."""
+    """Summary of one character."""
 
     low: list[float]
     high: list[float]
@@ -52,7 +52,7 @@ class _Extent:
 
 
 def describe_characters(path: Path | str) -> CharactersFacts | None:
-    """Return what the characters of a stage do; None where there is at most one.
+    """Return a summary of a stage's characters; None for one or none.
 
     Args:
         path: A USD file.
@@ -101,7 +101,7 @@ def _value(extreme: Extreme) -> float:
 
 
 def _extent(name: str, take: Take) -> _Extent:
-    """Return a character in numbers; hips are those of people alone."""
+    """Return the summary of a character; hip height only for people."""
     person = Person.of(take.rig, anatomy(take.rig).roles)
     hips, positions = hips_and_joints(take, person, range(len(take.rig.joints)))
     flat = np.stack(list(positions.values()), axis=1).reshape(-1, 3)

@@ -1,4 +1,4 @@
-"""What an FBX holds: nodes, skins, characters and takes, whether or not they move."""
+"""Contents of an FBX file: nodes, skins, characters and takes."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from animtool.report.describe_gltf import GltfClip, GltfContents
 
 
 def fbx_contents(path: Path | str) -> GltfContents:
-    """Return what an FBX holds.
+    """Return the contents of an FBX file.
 
     Raises:
         FormatError: It is broken, as `animtool.formats.fbx.read.read_fbx` has it.

@@ -1,4 +1,4 @@
-"""What a glTF holds: nodes, skins, characters and clips, whether or not they move."""
+"""Contents of a glTF file: nodes, skins, characters and clips."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class GltfClip:
 
 @dataclass(frozen=True, slots=True)
 class GltfContents:
-    """What a file holds, used or not."""
+    """Contents of a file, used or not."""
 
     nodes: int
     meshes: int
@@ -40,7 +40,7 @@ class GltfContents:
 
 @dataclass(frozen=True, slots=True)
 class GltfDescription:
-    """A file in which nothing could move: it has no nodes."""
+    """A file without nodes, so without anything to animate."""
 
     path: str
     format: str
@@ -49,7 +49,7 @@ class GltfDescription:
 
 
 def gltf_contents(path: Path | str) -> GltfContents:
-    """Return what a glTF holds.
+    """Return the contents of a glTF file.
 
     Raises:
         FormatError: It is broken, as `animtool.formats.gltf.read.read_gltf` has it.
@@ -58,7 +58,7 @@ def gltf_contents(path: Path | str) -> GltfContents:
 
 
 def describe_nodeless(path: Path) -> GltfDescription | None:
-    """Describe a glTF without nodes, of which there is no take; None of others."""
+    """Describe a glTF file without nodes; otherwise None."""
     note_input(path)
     gltf = open_gltf(path)
     if gltf.nodes:

@@ -1,4 +1,4 @@
-"""What a file of markers holds."""
+"""Describes a marker file."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from animtool.motion.markers import Markers
 
 @dataclass(frozen=True, slots=True)
 class MarkersDescription:
-    """Markers in numbers."""
+    """Summary of a marker file."""
 
     path: str  # the file
     format: str  # what such files are
@@ -47,7 +47,7 @@ class MarkersDescription:
 
 
 def describe_markers(path: Path, markers: Markers) -> MarkersDescription:
-    """Return what a file of markers holds."""
+    """Return the summary of a marker file."""
     labelled = np.array([not name.startswith("*") for name in markers.names], bool)
     visible = markers.seen
     missing = np.pad(~visible[:, labelled], ((1, 1), (0, 0))).astype(np.int8)

@@ -1,4 +1,4 @@
-"""What a scene asks for."""
+"""Describes scenes."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from animtool.scene.scene import Scene
 
 @dataclass(frozen=True, slots=True)
 class PropDescription:
-    """A thing beside the character."""
+    """A prop next to the character."""
 
     file: str  # that it is read from
     prim: str  # its prim there
@@ -31,7 +31,7 @@ class PassDescription:
 
 @dataclass(frozen=True, slots=True)
 class SystemDescription:
-    """A system in numbers, before it is simulated."""
+    """Summary of a system before simulation."""
 
     name: str  # of its prim
     kind: str  # what is simulated
@@ -52,7 +52,7 @@ class SystemDescription:
 
 @dataclass(frozen=True, slots=True)
 class OutputDescription:
-    """An output that a bake would write."""
+    """An output of a bake."""
 
     file: str  # the file
     kind: str  # what it holds: `usd`, `clip` or `bvh`
@@ -68,7 +68,7 @@ class OutputDescription:
 
 @dataclass(frozen=True, slots=True)
 class SceneDescription:
-    """A scene as its file says it; nothing that it names is read."""
+    """A scene as in its file; the files it names are not read."""
 
     path: str  # the file
     sources: list[str]  # what is read
@@ -87,7 +87,7 @@ class SceneDescription:
 
 
 def describe_scene(scene: Scene) -> SceneDescription:
-    """Describe a scene that was loaded."""
+    """Describe a loaded scene."""
     bake = scene.bake
     frames, rate = bake.frame_range, bake.fps
     return SceneDescription(

@@ -1,4 +1,4 @@
-"""How tables of time against error are printed."""
+"""Text of time-against-error tables."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def _marks(row: TrialRow) -> str:
 
 
 def _ending(row: TrialRow) -> str:
-    """Return why a row has no error, empty where it has one."""
+    """Return why a row has no error; empty if it has one."""
     if not row.reason:
         return ""
     text = f"{row.ended}: {row.reason}"
@@ -80,7 +80,7 @@ def _ending(row: TrialRow) -> str:
 
 
 def _left_out(part: TrialTable) -> dict[str, list[str]]:
-    """Return why methods are not for it, each reason once."""
+    """Return why methods were excluded, each reason once."""
     causes: dict[str, dict[str, None]] = {}
     for row in part.rows:
         if row.status is None:
@@ -91,7 +91,7 @@ def _left_out(part: TrialTable) -> dict[str, list[str]]:
 
 
 def _advice(part: TrialTable) -> str:
-    """Return what to take in place of the chosen setting, nothing where unknown."""
+    """Return the setting to use instead of the chosen one; empty if unknown."""
     if part.reference is None or part.reference.sensitive:
         return ""
     better, chosen = part.recommended, part.chosen
@@ -121,7 +121,7 @@ def _cost(row: TrialRow, measure: CostMeasure) -> float:
 
 
 def _figure(name: str, scale: float) -> Callable[[TrialRow], str]:
-    """Return what prints a figure of a row; nothing where it has none."""
+    """Return the formatter of a row's figure; empty if it has none."""
 
     def printed(row: TrialRow) -> str:
         value = row.figures.get(Figure(name))
@@ -161,7 +161,7 @@ TABLES = Template(
 
 @dataclass(frozen=True, slots=True)
 class TableParts:
-    """A table in parts, for a page."""
+    """Parts of a table for a page."""
 
     head: list[str]  # what it is of, and what it was compared with
     rows: list[list[str]]  # cells, heads first

@@ -1,4 +1,4 @@
-"""Severity profiles: how much each code counts for what a file is delivered as."""
+"""Severity profiles: severities of codes by purpose of a file."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _ERROR, _WARNING, _NOTE = Severity.ERROR, Severity.WARNING, Severity.NOTE
 
 @dataclass(frozen=True, slots=True)
 class SeverityProfile:
-    """What codes count for."""
+    """Severities of codes."""
 
     about: str  # what it is for, a line
     levels: Levels  # severities that replace those of the rules
@@ -100,7 +100,7 @@ PROFILES: dict[str, SeverityProfile] = {
 
 
 def load_profile(name: str, folder: Path | None = None) -> Levels:
-    """Return the levels of a profile by its name, or of a file."""
+    """Return the levels of a profile, by name or of a file."""
     if name in PROFILES:
         return PROFILES[name].levels
     path = Path(name) if folder is None else folder / name
@@ -121,7 +121,7 @@ def _document(path: Path) -> Mapping[str, Any]:
 
 
 def _toml(path: Path) -> Mapping[str, Any]:
-    """Return a TOML file, or of project settings the part on severities."""
+    """Return a TOML profile, or the severity part of project settings."""
     try:
         table = parse_toml(read_input(path, MAX_TEXT_BYTES).decode("utf-8"))
     except FormatError as error:

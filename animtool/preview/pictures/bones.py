@@ -1,4 +1,4 @@
-"""Skeletons of a page: bones as octahedra, joints as balls, and axes of joints."""
+"""Draws skeletons: bones as octahedra, joints as balls, joint axes."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Color = tuple[int, int, int]
 
 
 class Bones:
-    """Skeletons of takes."""
+    """Renderer of the skeletons of takes."""
 
     def __init__(self, device: Device) -> None:
         self._device = device

@@ -1,4 +1,4 @@
-"""Pictures of files: stills, sheets, and films that play or go round."""
+"""Renders pictures of files: single frames, sheets, and turntable or playback films."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ Progress = Callable[[float], None]
 
 @dataclass(frozen=True, slots=True)
 class PictureReport:
-    """A picture or film that was written.
+    """Report on a written picture or film.
 
     Attributes:
         path: The file.
@@ -93,7 +93,7 @@ class PictureReport:
 
     @property
     def count(self) -> int:
-        """How many frames are shown."""
+        """Number of frames shown."""
         return len(self.frames)
 
     @property
@@ -108,7 +108,7 @@ class PictureReport:
 
     @property
     def every(self) -> int | None:
-        """Every how many frames of the motion a film shows one; None where all."""
+        """Frame step of a film; None if all frames are shown."""
         if not self.rate or len(set(self.frames)) < 2:
             return None
         step = self.page.manifest["time"]["step"]
@@ -125,7 +125,7 @@ def write_pictures(
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> PictureReport:
-    """Write a still, a sheet or a film of files, drawn as their page draws them.
+    """Render a picture, sheet or film of files, as their page shows them.
 
     It needs the extra ``pictures``, and OpenGL 3.3, which Mesa has without a graphics
     card. Frames of a film are compressed as they are drawn: its length takes no memory.
@@ -168,7 +168,7 @@ def write_pictures(
 def save_pictures(
     page: PreviewPage, output: Path, pictures: PictureOptions | None = None
 ) -> PictureReport:
-    """Write a still, a sheet or a film of a page; see `write_pictures`."""
+    """Render a picture, sheet or film of a page; see `write_pictures`."""
     kind = picture_kind(output)
     assert kind is not None
     pictures = pictures or PictureOptions()
@@ -189,7 +189,7 @@ def _device() -> Iterator[Device]:
 def _check(
     pictures: PictureOptions, kind: PictureKind, frames: tuple[int, ...]
 ) -> None:
-    """Refuse what no picture of this kind can be, before anything is read."""
+    """Refuse invalid picture options before anything is read."""
     needed("PIL.Image")
     if kind.codec:
         needed("av")
@@ -212,7 +212,7 @@ def _check(
 
 
 class Studio:
-    """A page, and how pictures of it are taken."""
+    """Renders pictures of one page."""
 
     def __init__(
         self,
@@ -262,7 +262,7 @@ class Studio:
         return PictureReport(output, size, pixels, codes, rate, about, self._page)
 
     def _samples(self) -> list[int]:
-        """Return the samples of a still or a sheet."""
+        """Return the samples of a picture or sheet."""
         codes = self._scene.codes
         if self._frames:
             samples = []
@@ -321,7 +321,7 @@ class Studio:
         return math.ceil(cells / math.ceil(cells / ROW))
 
     def _captions(self, cells: int, size: tuple[int, int]) -> list[Caption]:
-        """Return what is written on each picture."""
+        """Return the captions of all pictures."""
         texts = self._options.caption
         if len(texts) not in {0, 1, cells}:
             message = f"{counted(len(texts), 'caption')} for "
@@ -332,7 +332,7 @@ class Studio:
         return [Caption((), 0)] * cells
 
     def _title(self, cells: int, width: int, height: int) -> Caption:
-        """Return what is written on a sheet as a whole."""
+        """Return the title of a sheet."""
         texts = self._options.caption
         one = texts[0] if len(texts) == 1 < cells else ""
         return caption_of(one, width, height)
@@ -340,7 +340,7 @@ class Studio:
     def _view(
         self, camera: CameraChoice, size: tuple[int, int], caption: Caption, sample: int
     ) -> CameraView:
-        """Return a view that has the whole motion in its picture."""
+        """Return a camera view that frames the complete motion."""
         view = CameraView(*size, caption.height, light=light_of(self._options))
         camera.aim(view)
         self._scene.look(view, sample)
@@ -382,7 +382,7 @@ class Studio:
         return self._report(output, (size[1], size[0]), samples, rate)
 
     def _played(self) -> tuple[list[int], Fraction]:
-        """Return the samples of a film, and how many it shows a second."""
+        """Return the samples of a film, and its frame rate."""
         time = self._page.manifest["time"]
         rate = Fraction(*time["rate"]) / Fraction(time["step"])
         if time["count"] == 1:

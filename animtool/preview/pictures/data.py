@@ -1,4 +1,4 @@
-"""Streams of a page read again: blocks are decoded when needed, the last few kept."""
+"""Reads the streams of a page: blocks are decoded on demand, the last few cached."""
 
 from __future__ import annotations
 
@@ -32,15 +32,15 @@ class Streams:
         self._size = 0
 
     def width(self, number: int) -> int:
-        """Return how many values a sample of a stream has."""
+        """Return the number of values per sample of a stream."""
         return int(self._entries[number]["width"])
 
     def array(self, number: int | None) -> Array:
-        """Return the values of a stream of one sample."""
+        """Return the values of a one-sample stream."""
         return np.zeros(0, np.float32) if number is None else self.at(number, 0)
 
     def at(self, number: int, sample: int) -> Array:
-        """Return the values of a sample, that of the nearest where there is none."""
+        """Return the values at a sample, clamped to the nearest one."""
         if number in self._constant:
             return self._constant[number]
         spans = self._entries[number]["block"]

@@ -1,4 +1,4 @@
-"""The ground of a picture: its grid, contact shadow, and the paths of root and feet."""
+"""Draws the ground: grid, contact shadow, and trails of root and feet."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ WIDE, HIGH, DEEP, SUNK = 1.1, 0.35, 2e-3, 0.2
 
 
 def round_up(x: float) -> float:
-    """Return the next of 1, 2, 5, 10, …, or that which is hardly less.
+    """Return the next of 1, 2, 5, 10, …, or the last one if hardly less.
 
     >>> round_up(0.31), round_up(2.001)
     (0.5, 2.0)
@@ -33,7 +33,7 @@ def round_up(x: float) -> float:
 
 
 class DrawnGround:
-    """The grid."""
+    """The ground grid."""
 
     def __init__(self, device: Device, radius: float) -> None:
         self._lines = DrawnLines(device)
@@ -41,7 +41,7 @@ class DrawnGround:
         self._key: tuple[int, int] | None = None
 
     def draw(self, eye: Eye, center: FloatArray, line: Color, strong: Color) -> None:
-        """Draw it around a point."""
+        """Draw the grid around a point."""
         cell = self._cell
         # As JavaScript rounds.
         cx, cz = (math.floor(center[k] / cell + 0.5) for k in (0, 2))
@@ -74,7 +74,7 @@ class DrawnGround:
 
 
 class Trails:
-    """Paths of roots and feet around the frame, and what touches the ground."""
+    """Trails of roots and feet around the frame, with ground contacts."""
 
     def __init__(self, device: Device, codes: FloatArray) -> None:
         self._codes = codes
@@ -88,7 +88,7 @@ class Trails:
         contact: Color,
         shown: frozenset[str],
     ) -> None:
-        """Put them where they are at a sample."""
+        """Set the trails at a sample."""
         trails = [np.zeros((0, 10))]
         rings = [np.zeros((0, 10))]
         for pose in poses:
@@ -124,7 +124,7 @@ class Trails:
         return np.concatenate(parts)
 
     def draw(self, eye: Eye) -> None:
-        """Draw them."""
+        """Draw the trails."""
         self._trails.draw(eye, width=2)
         self._rings.draw(eye, width=3)
 
@@ -138,7 +138,7 @@ def _ring(at: FloatArray, radius: float, color: Color) -> FloatArray:
 
 
 class Shadow:
-    """The contact shadow: what is near above the ground darkens it."""
+    """Contact shadow: geometry near the ground darkens it."""
 
     def __init__(self, device: Device) -> None:
         gl, module = device.gl, device.module
@@ -156,7 +156,7 @@ class Shadow:
         self._area = (0.0, 0.0, 1.0)
 
     def cast(self, view: CameraView, draw: Callable[[Eye], None]) -> bool:
-        """Make the map around what the camera looks at; return whether there is one."""
+        """Render the shadow map around the camera target; return if there is one."""
         half = view.radius * WIDE
         if view.floor < -SUNK * view.radius:
             return False
@@ -193,7 +193,7 @@ class Shadow:
 
 
 def _looking_up(view: CameraView, x: float, z: float, half: float) -> Eye:
-    """Return a camera that looks up from the ground, without perspective."""
+    """Return an orthographic camera that looks up from below the ground."""
     high = HIGH * view.radius
     low = -DEEP * high
     k = 2 / (high - low)

@@ -1,4 +1,4 @@
-"""Kinds of files that pictures are written to, by suffix."""
+"""Picture and film formats by file suffix."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ PAGE_SUFFIXES = (".html", ".htm")
 
 @dataclass(frozen=True, slots=True)
 class PictureKind:
-    """An entry of the table.
+    """A picture or film format.
 
     Attributes:
         about: What such files are, with the licence of what compresses them.
@@ -76,7 +76,7 @@ KINDS: dict[str, PictureKind] = {
 
 
 def picture_kind(path: Path) -> PictureKind | None:
-    """Return what a path is written as; None is a page.
+    """Return the picture format of a path; None for a page.
 
     Raises:
         OptionError: Its suffix is of neither (PRV002).

@@ -1,4 +1,4 @@
-"""Poses: where the joints of a take of a page are at a sample, and were around it."""
+"""Poses of a take: joint transforms at a sample, and trails around it."""
 
 from __future__ import annotations
 
@@ -94,13 +94,13 @@ class DrawnPose:
         return list(dict.fromkeys([self.root, *feet]))
 
     def at(self, number: int | None, sample: int) -> FloatArray | None:
-        """Return values of a stream of the take at a sample of the page."""
+        """Return a stream's values at a page sample."""
         if number is None:
             return None
         return self._streams.at(number, sample - self.first)
 
     def update(self, sample: int) -> None:
-        """Pose the skeleton."""
+        """Pose the skeleton at a sample."""
         visible = self.at(self.record.get("visible"), sample)
         self.visible = visible is None or visible[0] != 0
         self.world = self._posed(sample)
@@ -118,11 +118,11 @@ class DrawnPose:
 
     @property
     def positions(self) -> FloatArray:
-        """Where the joints are ``(J, 3)``."""
+        """Joint positions ``(J, 3)``."""
         return self.world[:, :3, 3]
 
     def tip_ends(self) -> tuple[list[int], FloatArray]:
-        """Return the joints that have tips, and where these are ``(N, 3)``."""
+        """Return joints with tips, and the tip positions ``(N, 3)``."""
         joints = [j for j, _ in self.tips]
         ends = [
             self.world[j, :3, :3] @ at + self.world[j, :3, 3] for j, at in self.tips
@@ -130,7 +130,7 @@ class DrawnPose:
         return joints, np.reshape(ends, (-1, 3))
 
     def path(self, first: int, last: int) -> FloatArray:
-        """Return where trailed joints are in samples, both ends too ``(F, T, 3)``."""
+        """Return trail joint positions in a range of samples ``(F, T, 3)``."""
         known = self._paths
         # Those that the next picture of a film needs are kept.
         self._paths = {i: known[i] for i in range(first, last + 1) if i in known}
@@ -141,7 +141,7 @@ class DrawnPose:
         return np.stack([self._paths[i] for i in range(first, last + 1)])
 
     def touching(self, codes: FloatArray) -> BoolArray:
-        """Return which trailed joints touch at time codes ``(F, T)``."""
+        """Return which trail joints are in contact at time codes ``(F, T)``."""
         touching = np.zeros((len(codes), len(self.trailed)), bool)
         for each in self.record.get("contacts") or []:
             for column, joint in enumerate(self.trailed):
@@ -151,7 +151,7 @@ class DrawnPose:
 
 
 def in_spans(codes: FloatArray, spans: list[list[float]]) -> BoolArray:
-    """Return which time codes are in some spans ``(F,)``."""
+    """Return which time codes are inside spans ``(F,)``."""
     inside = np.zeros(len(codes), bool)
     for first, last in spans:
         inside |= (codes >= first - 1e-6) & (codes <= last + 1e-6)
@@ -159,7 +159,7 @@ def in_spans(codes: FloatArray, spans: list[list[float]]) -> BoolArray:
 
 
 def _levels(parents: IntArray) -> list[IntArray]:
-    """Return joints by how many others are above them, each level after the last."""
+    """Return joints grouped by depth, parents first."""
     depth = np.full(len(parents), -1)
     level = np.flatnonzero(parents < 0)
     levels: list[IntArray] = []

@@ -1,4 +1,4 @@
-"""What is asked of pictures, read from text: sizes, cameras, light, what is shown."""
+"""Parses picture options: size, camera, light, layers."""
 
 from __future__ import annotations
 
@@ -43,17 +43,17 @@ class CameraChoice:
     shot: int | None = None
 
     def aim(self, view: CameraView) -> None:
-        """Turn a view, before it is framed."""
+        """Rotate a view before it is framed."""
         view.yaw, view.pitch = self.yaw, min(max(self.pitch, -STEEP), STEEP)
 
     def position(self, view: CameraView) -> None:
-        """Put a view where it is said to be, after it is framed."""
+        """Place a view after it is framed, if a position is given."""
         if self.distance is not None:
             view.distance, view.target = self.distance, np.array(self.target)
 
 
 def refused(where: str, message: str, hint: str) -> OptionError:
-    """Return the error of an option that a picture cannot have."""
+    """Return the error of an invalid picture option."""
     return OptionError(Fault("PRV006", message, hint=hint, where=where))
 
 
@@ -71,7 +71,7 @@ def size_of(
 
 
 def sheet_of(options: PictureOptions) -> tuple[int, int] | None:
-    """Return columns and rows of a sheet; None where none is asked for."""
+    """Return columns and rows of a sheet; None without one."""
     if options.sheet is None:
         return None
     columns, rows = _pair(options.sheet, "sheet", "4x3")
@@ -91,7 +91,7 @@ def _pair(text: str, where: str, example: str) -> tuple[int, int]:
 
 
 def layers_of(options: PictureOptions) -> frozenset[str]:
-    """Return what is drawn."""
+    """Return the layers to draw."""
     for name in options.show:
         if name not in LAYERS:
             message = f"unknown part of a picture {name!r}"
@@ -100,7 +100,7 @@ def layers_of(options: PictureOptions) -> frozenset[str]:
 
 
 def light_of(options: PictureOptions) -> FloatArray:
-    """Return from where the key light comes, in the frame of the view."""
+    """Return the direction of the key light in view space."""
     if options.light is None:
         light: FloatArray = LIGHT / np.linalg.norm(LIGHT)
         return light
@@ -114,7 +114,7 @@ def light_of(options: PictureOptions) -> FloatArray:
 
 
 def camera_of(text: str, names: Sequence[str]) -> CameraChoice:
-    """Return a camera; names: those of the page's own."""
+    """Return a camera choice; names: those of the page's shot cameras."""
     text = text.strip()
     if text in PRESETS:
         return CameraChoice(*PRESETS[text])
@@ -139,7 +139,7 @@ def camera_of(text: str, names: Sequence[str]) -> CameraChoice:
 
 
 def _numbers(text: str) -> list[float]:
-    """Return finite numbers that commas separate, none where there are others."""
+    """Return comma-separated finite numbers; none if invalid."""
     try:
         numbers = [float(part) for part in text.split(",")]
     except ValueError:

@@ -1,4 +1,4 @@
-"""Everything of a page that is drawn in space, and the order in which it is drawn."""
+"""Draws all 3D content of a page, in order."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ Solid: TypeAlias = DrawnMesh | Instances | PointCloud | DrawnStrands
 
 
 class DrawnScene:
-    """A page in a context of OpenGL."""
+    """The contents of a page in an OpenGL context."""
 
     def __init__(
         self,
@@ -91,7 +91,7 @@ class DrawnScene:
         return None if take is None else self._poses[take]
 
     def look(self, view: CameraView, sample: int) -> None:
-        """Show all that is there from first to last; what travels is followed."""
+        """Frame everything from first to last sample; follow a travelling character."""
         self._update(sample)
         for pose in self._poses:
             box = Bounds()
@@ -128,7 +128,7 @@ class DrawnScene:
         return at
 
     def _grown(self, box: Bounds, cast: Bounds, shift: FloatArray | float) -> Bounds:
-        """Grow boxes around all and around characters; return that to look at."""
+        """Grow bounds of everything and of characters; return those to frame."""
         bounds, around = Bounds(), Bounds()
         for pose in self._poses:
             if pose.visible:
@@ -145,7 +145,7 @@ class DrawnScene:
         return cast if not cast.empty and box.radius > WIDE * cast.radius else box
 
     def _update(self, sample: int) -> None:
-        """Put everything where it is at a sample."""
+        """Pose everything at a sample."""
         if sample == self._sample:
             return
         self._sample = sample

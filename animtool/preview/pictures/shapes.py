@@ -1,4 +1,4 @@
-"""Meshes, their copies, points and strands of a page, as its `meshes.js` draws them."""
+"""Draws meshes, instances, points and strands, as the viewer's `meshes.js` does."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ STRAND_COLOR = (0.26, 0.15, 0.07)
 
 
 def normals_of(points: Array, faces: Array) -> FloatArray:
-    """Return normals of points, as large faces as much ``(V, 3)``."""
+    """Return area-weighted vertex normals ``(V, 3)``."""
     a, b, c = (points[faces[:, k]].astype(np.float64) for k in range(3))
     face_normals = np.cross(b - a, c - a)
     corners, count = faces.ravel(), len(points)
@@ -45,7 +45,7 @@ def normals_of(points: Array, faces: Array) -> FloatArray:
 
 
 class DrawnGeometry:
-    """Buffers of a mesh at rest, which all meshes of the same streams share."""
+    """Buffers of a rest mesh, shared by meshes of the same streams."""
 
     def __init__(self, device: Device, streams: Streams, record: dict[str, Any]):
         self.rest = streams.array(record["points"]).reshape(-1, 3)
@@ -78,7 +78,7 @@ class DrawnGeometry:
             self.joints = self.joints.reshape(-1, 4)
 
     def set_points(self, points: Array, normals: Array | None = None) -> None:
-        """Move the points."""
+        """Replace the points."""
         if normals is None:
             normals = normals_of(points, self.faces) if self.smooth else points
         self.points.write(np.asarray(points, "<f4"))
@@ -86,7 +86,7 @@ class DrawnGeometry:
 
 
 class DrawnMesh:
-    """A mesh: it is skinned in the shader, and has shapes, or a cache."""
+    """A mesh: skinned in the shader, with shapes, or cached points."""
 
     def __init__(
         self,
@@ -138,7 +138,7 @@ class DrawnMesh:
         return known[key]
 
     def array(self, more: list[tuple[Any, str, str]]) -> Any:
-        """Return what draws it, with further parts."""
+        """Return the vertex array with further buffers."""
         rigid = {"joints", "weights"} if self._joints is None else set()
         parts = [part for part in self.geometry.parts if part[2] not in rigid]
         return self._device.gl.vertex_array(
@@ -147,11 +147,11 @@ class DrawnMesh:
 
     @property
     def skinned(self) -> bool:
-        """Whether joints move its points."""
+        """Whether joints deform it."""
         return self._joints is not None
 
     def update(self, sample: int) -> None:
-        """Move it to where it is at a sample."""
+        """Pose it at a sample."""
         pose, record = self.pose, self.record
         first = pose.first if pose else 0
         visible = record.get("visible")
@@ -176,7 +176,7 @@ class DrawnMesh:
             self.geometry.set_points(self._shown)
 
     def _shape(self, weights: FloatArray) -> None:
-        """Displace points by the shapes that have a weight, where these are others."""
+        """Apply blend shapes if their weights changed."""
         amounts = np.array([weights[column] for column, _, _ in self._shapes])
         if np.array_equal(amounts, self._amounts):
             return
@@ -188,7 +188,7 @@ class DrawnMesh:
         self.geometry.set_points(points)
 
     def bound(self, box: Bounds) -> None:
-        """Add where it is: of skins some vertices, each with its first joint."""
+        """Grow bounds by it; skinned meshes use some vertices and first joints."""
         pose, geometry = self.pose, self.geometry
         if self.copied or (pose is not None and not pose.visible):
             return
@@ -204,7 +204,7 @@ class DrawnMesh:
         )
 
     def surrounds(self, radius: float) -> bool:
-        """Return whether it is a ground, or a room around all, and casts no shadow.
+        """Return whether it is a ground or a surrounding room, without shadow.
 
         radius: of what is shown.
         """
@@ -215,7 +215,7 @@ class DrawnMesh:
         return bool(high[1] < FLAT * radius or wide > WIDE * radius)
 
     def draw(self, eye: Eye, array: Any = None, copies: int = 1) -> None:
-        """Draw it, or copies of it, each where the parts of an array say."""
+        """Draw it once, or instanced by the rows of an array."""
         if self.hidden or not copies:
             return
         shift = self.pose.shift if self.pose else (0.0, 0.0, 0.0)
@@ -233,7 +233,7 @@ class DrawnMesh:
 
 
 class Instances:
-    """Copies of a mesh: rigid bodies, flocks, crowds and props."""
+    """Instances of a mesh: rigid bodies, flocks, crowds and props."""
 
     def __init__(
         self, device: Device, streams: Streams, record: dict[str, Any], mesh: DrawnMesh
@@ -248,7 +248,7 @@ class Instances:
         self.matrices = np.zeros((0, 4, 4))
 
     def update(self, sample: int) -> None:
-        """Move the copies to where they are at a sample."""
+        """Place the instances at a sample."""
 
         def at(name: str) -> Array | None:
             number = self._record.get(name)
@@ -280,7 +280,7 @@ class Instances:
             )
 
     def bound(self, box: Bounds) -> None:
-        """Add where the copies are."""
+        """Grow bounds by the instances."""
         sizes = self._mesh.geometry.reach * np.linalg.norm(
             self.matrices[:, :3, 0], axis=1
         )
@@ -288,12 +288,12 @@ class Instances:
             box.add(self.matrices[:, :3, 3] + side * sizes[:, None])
 
     def draw(self, eye: Eye) -> None:
-        """Draw them."""
+        """Draw the instances."""
         self._mesh.draw(eye, self._array, len(self.matrices))
 
 
 class PointCloud:
-    """Points of a system or of a capture."""
+    """Points of a simulation or a capture."""
 
     def __init__(self, device: Device, streams: Streams, record: dict[str, Any]):
         self._streams, self._record = streams, record
@@ -309,12 +309,12 @@ class PointCloud:
         self._points = np.zeros((0, 3))
 
     def update(self, sample: int) -> None:
-        """Move the points to where they are at a sample."""
+        """Place the points at a sample."""
         self._points = placed(self._streams.at(self._record["positions"], sample))
         self._sprites.set(self._points, self._tints, self._radii)
 
     def bound(self, box: Bounds) -> None:
-        """Add where the points are."""
+        """Grow bounds by the points."""
         box.add(self._points[self._points[:, 0] < FAR / 10])
 
     def draw(self, eye: Eye) -> None:
@@ -323,7 +323,7 @@ class PointCloud:
 
 
 class DrawnStrands:
-    """Strands and ropes: polylines in space, as wide as they are, at least a pixel."""
+    """Strands and ropes: polylines with their width, at least a pixel."""
 
     def __init__(
         self,
@@ -343,7 +343,7 @@ class DrawnStrands:
         self._points = np.zeros((0, 3))
 
     def update(self, sample: int) -> None:
-        """Move them to where they are at a sample."""
+        """Place the strands at a sample."""
         pose, record = self.pose, self._record
         first = pose.first if pose else 0
         stored = self._streams.at(record["points"], sample - first)
@@ -360,7 +360,7 @@ class DrawnStrands:
         self._lines.set(*ends, self._color)
 
     def bound(self, box: Bounds) -> None:
-        """Add where they are."""
+        """Grow bounds by the strands."""
         box.add(self._points)
 
     def draw(self, eye: Eye) -> None:

@@ -1,4 +1,4 @@
-"""What pictures have of the viewer of pages: its shaders and its colours, as text."""
+"""Shaders and colors of the page viewer, read from its sources."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ HEAD = (
 
 
 def shader(module: str, name: str) -> str:
-    """Return a shader of the viewer, as the page gives it to WebGL.
+    """Return a shader of the viewer, as used by WebGL.
 
     >>> shader("bones.js", "THIN_FRAGMENT").startswith("in vec3 tint;")
     True

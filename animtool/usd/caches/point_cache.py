@@ -1,4 +1,4 @@
-"""What joints deform as point caches: a stage of meshes, or overs on a rig."""
+"""Bakes joint deformation to point caches: a stage of meshes, or overs on a rig."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class CacheJob:
-    """What `author_cache` needs beside the blocks."""
+    """Settings of `author_cache`."""
 
     output: Path | None  # the file; None is usda for stdout
     paths: RigPaths
@@ -74,7 +74,7 @@ class CacheJob:
 def mesh_paths(
     surfaces: Sequence[Surface], strands: Sequence[Strands], paths: RigPaths
 ) -> tuple[str, ...]:
-    """Return where a stage has meshes, then strands: as a stage with a skeleton."""
+    """Return prim paths of meshes, then strands, as in a stage with a skeleton."""
     return (*mesh_names(surfaces, paths)[0], *strand_paths(strands, paths))
 
 
@@ -85,7 +85,7 @@ def round_points(
     meters_per_unit: float,
     space: PointSpace,
 ) -> Block:
-    """Return frames of a mesh rounded to what USD holds, and what the rounding did.
+    """Return frames of a mesh rounded to float32, and the rounding error.
 
     codes: time codes ``(F,)``; deformed: its frames [m]; meters_per_unit: unit of the
     layer [m].
@@ -117,7 +117,7 @@ def round_points(
 
 
 def _widened(extents: Float32Array, margin: float) -> Float32Array:
-    """Return bounds of what is drawn about points, as `UsdGeom.Curves` has them."""
+    """Return bounds of points widened by the curve width, as `UsdGeom.Curves` does."""
     with np.errstate(over="ignore"):
         return extents + np.array([[-margin], [margin]], np.float32)
 
@@ -131,7 +131,7 @@ def _turned(normals: FloatArray, linear: FloatArray) -> FloatArray:
 def author_cache(
     job: CacheJob, blocks: Iterator[Block]
 ) -> tuple[Any, list[CachedMesh]]:
-    """Author a layer in memory; nothing is written yet.
+    """Author the cache layer in memory; nothing is saved yet.
 
     A stage has ``Xform`` prims where one with a skeleton has the model and the
     SkelRoot, and meshes and strands at the same paths, bound to nothing. A layer makes
@@ -156,7 +156,7 @@ def author_cache(
 
 
 def _author_prims(layer: Any, job: CacheJob) -> None:
-    """Write everything but points."""
+    """Author everything except the points."""
     if job.target is not None:
         job.target.author(layer, normals=job.normals)
         return
@@ -168,7 +168,7 @@ def _author_prims(layer: Any, job: CacheJob) -> None:
 
 
 def cache_metadata(job: CacheJob, first: float, last: float) -> StageMetadata:
-    """Return what a layer of a cache states, for frames from first to last."""
+    """Return the layer metadata of a cache with frames from first to last."""
     frames = job.frames or (Fraction(first), Fraction(last))
     default = Sdf.Path(job.paths.model).GetPrefixes()[0].name
     unit, up = job.meters_per_unit, job.up
@@ -179,7 +179,7 @@ def cache_metadata(job: CacheJob, first: float, last: float) -> StageMetadata:
 
 @dataclass(frozen=True, slots=True)
 class ChunkedCache:
-    """A cache whose chunks are written, and a layer in memory that joins them."""
+    """A cache whose chunks are written, and the in-memory layer that joins them."""
 
     layer: Any
     reports: list[CachedMesh]
@@ -236,7 +236,7 @@ def write_chunks(job: CacheJob, blocks: Iterator[Block], size: int) -> ChunkedCa
 def _chunk(
     job: CacheJob, path: Path, reports: Sequence[CachedMesh], *, rest: bool
 ) -> Iterator[list[PointWriter]]:
-    """Give the writers of a file, with defaults of points if asked."""
+    """Return the writers of one chunk file, optionally with default points."""
     layer = new_layer(path)
     for mesh in job.meshes:
         prim(layer, mesh, over=True)
@@ -251,7 +251,7 @@ def _chunk(
 
 
 class _ChunkedMesh:
-    """What the layer that joins chunks has of a mesh, and its report."""
+    """A mesh of the joining layer, and its report."""
 
     def __init__(self, path: str) -> None:
         self.report = CachedMesh(path)
@@ -259,7 +259,7 @@ class _ChunkedMesh:
         self._static: dict[str, Float32Array] | None = None
 
     def count(self, block: Block) -> None:
-        """Note which attributes frames have, and whether points move."""
+        """Record which attributes occur, and whether points change."""
         values = block.values
         if not self.report.sampled:
             self._static = {name: rows[0].copy() for name, rows in values.items()}
@@ -270,7 +270,7 @@ class _ChunkedMesh:
             self._static = None
 
     def author(self, spec: Any, *, with_defaults: bool) -> None:
-        """Declare what the files hold; what never moves has its value here, which wins.
+        """Declare the attributes of the chunks; author constant ones as defaults here.
 
         whole: whether the first chunk, a sublayer for its defaults, has zeros there.
         """

@@ -1,4 +1,4 @@
-"""The meshes and strands of a rig layer that a point cache goes over."""
+"""The meshes and strands of a rig layer that a point cache overrides."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ SAME = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class TargetMesh:
-    """A mesh of a rig layer, or strands."""
+    """A mesh or strands of a rig layer."""
 
     name: str  # as the rig names it
     path: str  # its prim, as a layer over the rig names it
@@ -39,7 +39,7 @@ class TargetMesh:
 
 @dataclass(frozen=True, slots=True)
 class CacheTarget:
-    """A rig whose meshes and strands a cache moves in UsdSkel's place."""
+    """A rig whose meshes and strands a cache animates instead of UsdSkel."""
 
     rig: RigTarget  # the rig's stage
     meshes: tuple[TargetMesh, ...]  # those that the cache has points of
@@ -53,12 +53,12 @@ class CacheTarget:
 
     @property
     def unit(self) -> float:
-        """Length unit that the stage states [m]."""
+        """Length unit of the stage [m]."""
         return self.rig.unit
 
     @property
     def up(self) -> UpAxis:
-        """Up axis that the stage states."""
+        """Up axis of the stage."""
         return self.rig.up
 
     def author(self, layer: Any, *, normals: bool) -> None:
@@ -77,7 +77,7 @@ class CacheTarget:
                 attribute(spec, name, kind, Sdf.ValueBlock())
 
     def check(self, layer: Any, *, points: bool = True) -> None:
-        """Compose the layer with its rig, and see that its points are what shows.
+        """Compose the layer with its rig, and verify that its points win.
 
         points: whether it holds the points itself.
         """
@@ -108,7 +108,7 @@ class CacheTarget:
 def open_cache_target(
     rig: RigTarget, counts: Mapping[str, int], curves: Mapping[str, tuple[int, ...]]
 ) -> CacheTarget:
-    """Find the meshes and strands of a rig by the names that a cache has for them."""
+    """Match the meshes and strands of a rig by the names of a cache."""
     at = rig.stage.GetPrimAtPath(rig.on_stage(rig.paths.skeleton))
     skeleton = UsdSkel.Skeleton(at)
     root = UsdSkel.Root.Find(at).GetPrim()
@@ -216,7 +216,7 @@ def _placement(mesh: Any, skeleton: Any) -> FloatArray | None:
 
 
 def _blocked(mesh: Any, *, followed: bool) -> tuple[str, ...]:
-    """Return the normals of a prim that would not fit points which move."""
+    """Return authored normals that would not fit the animated points."""
     blocked = []
     if mesh.GetNormalsAttr().HasAuthoredValue() and not followed:
         blocked.append("normals")
@@ -229,7 +229,7 @@ def _blocked(mesh: Any, *, followed: bool) -> tuple[str, ...]:
 def _notice(
     code: str, names: Sequence[str], what: str, hint: str, path: Path
 ) -> list[Fault]:
-    """Return a warning of how many of what there are, and their names; none of none."""
+    """Return a warning with counts and names; None if there are no names."""
     if not names:
         return []
     message = f"{len(names)} {what}: {listed(names, MAX_NAMED)}"
@@ -237,7 +237,7 @@ def _notice(
 
 
 def _left_notice(root: Any, deformed: set[Any], path: Path) -> list[Fault]:
-    """Name what UsdSkel moved below the SkelRoot, and nothing moves now."""
+    """Report meshes that UsdSkel animated and the cache leaves static."""
     cache = UsdSkel.Cache()
     cache.Populate(UsdSkel.Root(root), Usd.TraverseInstanceProxies())
     bindings = cache.ComputeSkelBindings(

@@ -1,4 +1,4 @@
-"""PointBased prims: their attributes, blocks of their frames, and the one writer.
+"""Writer of PointBased prims: attributes, and blocks of their frames.
 
 What joints deform and what is simulated both come as blocks of named values; prims of
 every kind state their types in one table.
@@ -34,7 +34,7 @@ _TYPES = Sdf.ValueTypeNames
 
 @dataclass(frozen=True, slots=True)
 class AttributeKind:
-    """Type of an attribute, how a value becomes USD's, and its interpolation."""
+    """Type, value conversion and interpolation of an attribute."""
 
     type_name: Any
     make: Callable[[Any], Any]
@@ -70,7 +70,7 @@ ATTRIBUTES = {
 
 
 def kind_of(name: str, values: npt.NDArray[Any]) -> AttributeKind:
-    """Return how an attribute is written: a primvar as its values ``(…, N[, 3])`` are.
+    """Return how an attribute is written; primvars by the shape of their values.
 
     name: as `split_attribute` reads it.
     """
@@ -86,7 +86,7 @@ def kind_of(name: str, values: npt.NDArray[Any]) -> AttributeKind:
 
 
 def author_values(spec: Any, values: Mapping[str, Any]) -> None:
-    """Write values of `ATTRIBUTES` that never change, in their order."""
+    """Author constant values of `ATTRIBUTES`, in order."""
     for name, value in values.items():
         kind = ATTRIBUTES[name]
         attribute(
@@ -104,13 +104,13 @@ LINEAR = {"type": "linear", "wrap": "nonperiodic"}
 
 
 def author_width(spec: Any, width: float) -> None:
-    """State one width of all curves, in the layer's unit."""
+    """Author one constant width for all curves, in stage units."""
     widths = Vt.FloatArray([width])
     attribute(spec, "widths", _TYPES.FloatArray, widths, interpolation="constant")
 
 
 def split_attribute(path: str, name: str) -> tuple[str, str]:
-    """Return the prim that has an attribute of a prim at a path, and its name there.
+    """Return the prim path and attribute name of a dotted attribute below a path.
 
     >>> split_attribute("/it", "brick_3.xformOp:orient")
     ('/it/brick_3', 'xformOp:orient')
@@ -121,7 +121,7 @@ def split_attribute(path: str, name: str) -> tuple[str, str]:
 
 @dataclass(slots=True)
 class CharactersReport:
-    """What was written of characters."""
+    """Numbers of written characters, samples and errors."""
 
     own: int = 0  # with an animation of their own
     shared: int = 0  # with a part in one that others have, too
@@ -133,7 +133,7 @@ class CharactersReport:
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """Frames of one prim as the layer will hold them, in its unit."""
+    """Frames of one prim as written, in stage units."""
 
     prim: int  # place among those that are written
     codes: FloatArray  # time codes (F,)
@@ -150,14 +150,14 @@ class Block:
         return sum(rows.nbytes for rows in self.values.values())
 
     def some(self, frames: slice) -> Block:
-        """Return some of the frames; the error stays that of all."""
+        """Return a subset of the frames; the error is that of all."""
         values = {name: rows[frames] for name, rows in self.values.items()}
         return replace(self, codes=self.codes[frames], values=values)
 
 
 @dataclass(frozen=True, slots=True)
 class PointSpace:
-    """Where the points of a mesh are written."""
+    """Space in which the points of a mesh are written."""
 
     # Mesh from skeleton space, in the layer's unit (4, 4); None where they are one.
     placement: FloatArray | None = None
@@ -166,7 +166,7 @@ class PointSpace:
 
 @dataclass(slots=True)
 class CachedMesh:
-    """What was written of a PointBased prim."""
+    """What was written for one PointBased prim."""
 
     path: str
     vertices: int = 0  # of its points, the most at any frame
@@ -181,7 +181,7 @@ class CachedMesh:
     characters: CharactersReport | None = None  # where it has these
 
     def count(self, block: Block) -> None:
-        """Add a block of frames; of errors the larger is kept."""
+        """Add a block of frames; keeps the larger error."""
         self.vertices = max(self.vertices, block.vertices)
         self.samples += len(block.codes)
         self.bytes += block.bytes
@@ -191,7 +191,7 @@ class CachedMesh:
 
 
 def labels_of(report: CachedMesh, name: str) -> Labels:
-    """Return what the values of an attribute of a prim are of."""
+    """Return labels for messages about an attribute's values."""
     names = () if name == "extent" else report.names
     of = "body" if names else "point"
     location = ".".join(split_attribute(report.path, name))
@@ -199,7 +199,7 @@ def labels_of(report: CachedMesh, name: str) -> Labels:
 
 
 class PointWriter:
-    """Writes blocks of one prim, which is there already, to a layer.
+    """Writes blocks of frames of one existing prim to a layer.
 
     It has samples of what changes, and a default of what does not. With `every`, each
     frame of attributes that are there is a sample, as in what is simulated, and with
@@ -249,7 +249,7 @@ class PointWriter:
         return self._layer.GetPrimAtPath(self._report.path)
 
     def release(self, *, rest: bool) -> None:
-        """Sample everything, whether it changes or not.
+        """Sample every attribute, whether it changes or not.
 
         With ``rest``, there are defaults too, but for velocities: a mesh at no time.
         """
@@ -259,7 +259,7 @@ class PointWriter:
                 channel.rest()
 
     def finish(self, *, rest: bool) -> None:
-        """Write the defaults of what never changed, and report what does.
+        """Author constant values as defaults, and report what is sampled.
 
         With ``rest``, what has samples has a default too; a rig has its own.
         """
@@ -285,7 +285,7 @@ class PointWriter:
 
 
 def empty_attribute(spec: Any, name: str) -> SampleWriter:
-    """Return an attribute without value in place of what a mesh at rest has."""
+    """Replace an attribute of the rest mesh by one without a value."""
     remove_attribute(spec, name)
     kind = ATTRIBUTES[name]
     attr = attribute(spec, name, kind.type_name, interpolation=kind.interpolation)
@@ -293,13 +293,13 @@ def empty_attribute(spec: Any, name: str) -> SampleWriter:
 
 
 def remove_attribute(spec: Any, name: str) -> None:
-    """Remove an attribute, if the prim has it."""
+    """Remove an attribute from the prim if present."""
     if name in spec.attributes:
         spec.RemoveProperty(spec.attributes[name])
 
 
 class FramePrim(Protocol):
-    """A prim of frames, as their form needs it."""
+    """Interface of a prim that frame forms write to."""
 
     unit: float  # of the layer [m]
     rotation: FloatArray  # how the prim stands in the layer (4,)
@@ -310,33 +310,33 @@ class FramePrim(Protocol):
 
     @property
     def parts(self) -> list[str]:
-        """Names of the prims below, of a frame that has names."""
+        """Names of the child prims of a frame with names."""
 
     def narrowed(
         self, name: str, values: npt.NDArray[Any], code: float
     ) -> Float32Array:
-        """Return values ``(N,)`` or ``(N, 3)`` of an attribute in float32."""
+        """Return values ``(N,)`` or ``(N, 3)`` of an attribute as float32."""
 
     def write_static(self, layer: Any, path: str, frame: Frame) -> None:
-        """Write a frame as a prim that never moves."""
+        """Write a frame as a static prim."""
 
 
 FrameT = TypeVar("FrameT", "CurvesFrame", "MeshFrame", "PointsFrame", "TransformsFrame")
 
 
 class FrameForm(Generic[FrameT]):
-    """How a type of frame is written: its prim, attributes and values."""
+    """How one type of frame is written: prim, attributes and values."""
 
     type_name: ClassVar[str]
     sampled: ClassVar[tuple[str, ...]]  # attributes that every frame has, in order
     points: ClassVar[str] = "points"  # what the prim calls its points
 
     def shape(self, frame: FrameT) -> Mapping[str, IntArray]:  # noqa: ARG002
-        """Return attributes of whole numbers that say how points are joined."""
+        """Return the integer topology attributes of a frame."""
         return {}
 
     def tears(self, frame: FrameT) -> bool:  # noqa: ARG002
-        """Return whether the shape may be another at another frame."""
+        """Return whether the topology may change between frames."""
         return False
 
     def kinds(self, frame: FrameT) -> dict[str, AttributeKind]:
@@ -347,22 +347,22 @@ class FrameForm(Generic[FrameT]):
         return {**kinds, "extent": ATTRIBUTES["extent"]}
 
     def divide(self, spec: Any, frame: FrameT) -> None:
-        """Write prims below the prim that have samples."""
+        """Create the child prims that have samples."""
 
     def describe(self, writer: FramePrim, spec: Any, frame: FrameT) -> None:
-        """Write what else the prim is, which no frame changes."""
+        """Author the constant attributes of the prim."""
 
     def values(
         self, writer: FramePrim, frame: FrameT, points: Float32Array, code: float
     ) -> Mapping[str, npt.NDArray[Any]]:
-        """Return what a frame has beside points ``(N, 3)`` and velocities."""
+        """Return the values of a frame besides points ``(N, 3)`` and velocities."""
         raise NotImplementedError
 
 
 def bounds(
     points: Float32Array, margin: float | FloatArray | Float32Array
 ) -> Float32Array:
-    """Return bounds ``(2, 3)`` of points and what is about them; zeros of none."""
+    """Return padded bounds ``(2, 3)`` of points; zeros without points."""
     if not len(points):
         return np.zeros((2, 3), np.float32)
     if isinstance(margin, float):

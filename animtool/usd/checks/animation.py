@@ -1,4 +1,4 @@
-"""Checks on SkelAnimation prims, and on what skel relationships lead to."""
+"""Checks on SkelAnimation prims and on targets of skel relationships."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _NAMES = {
 
 
 def check_bindings(subject: StageSubject) -> Iterator[Fault]:
-    """Check that bindings lead to prims of their kind.
+    """Check that skel bindings target prims of the right type.
 
     In a layer whose rig is elsewhere, prims that it lacks may be there.
     """
@@ -70,7 +70,7 @@ SAME_SIDE = 0.7
 
 
 def check_animations(subject: StageSubject) -> Iterator[Fault]:
-    """Check counts, numbers and rotations of every SkelAnimation, in every sample."""
+    """Check array lengths, values and rotations of every SkelAnimation sample."""
     for animation in subject.of_type(UsdSkel.Animation):
         joints = tokens(animation.GetJointsAttr())
         yield from names_twice(animation.GetJointsAttr())
@@ -162,7 +162,7 @@ def _rotations(
 
 
 def check_known_joints(subject: StageSubject) -> Iterator[Fault]:
-    """Check that a Skeleton has the joints of its animation, and meshes its shapes."""
+    """Check that a Skeleton has its animation's joints, and meshes its shapes."""
     shapes: dict[Any, set[str]] = {}
     bound: dict[Any, Any] = {}
     for prim in subject.prims:

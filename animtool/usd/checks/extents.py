@@ -40,7 +40,7 @@ _PLACING = ("positions", "protoIndices", "orientations", "orientationsf", "scale
 
 
 def check_extents(subject: StageSubject) -> Iterator[Fault]:
-    """Check that prims have an extent, and that it is what USD computes."""
+    """Check that prims have an extent equal to the one USD computes."""
     if subject.alone:
         return
     for prim in subject.prims:
@@ -66,7 +66,7 @@ def check_extents(subject: StageSubject) -> Iterator[Fault]:
 
 
 def extent_sources(subject: StageSubject, prim: Any) -> list[Any] | None:
-    """Return the attributes that an extent follows; None where it has none to follow.
+    """Return the attributes that determine an extent; None if there are none.
 
     Where points or joints are no numbers, there is nothing to compare with.
     """
@@ -97,7 +97,7 @@ def extent_sources(subject: StageSubject, prim: Any) -> list[Any] | None:
 
 
 def _copied_sources(subject: StageSubject, instancer: Any) -> list[Any] | None:
-    """Return what the extent of copies follows.
+    """Return the attributes that determine the extent of instances.
 
     None of copies of copies: USD would go on for ever where these hold themselves.
     """
@@ -117,7 +117,7 @@ def _copied_sources(subject: StageSubject, instancer: Any) -> list[Any] | None:
 
 
 def _joints_below(root: Any) -> bool:
-    """Return whether a Skeleton of a SkelRoot has joints."""
+    """Return whether a Skeleton below a SkelRoot has joints."""
     return any(
         tokens(UsdSkel.Skeleton(prim).GetJointsAttr())
         for prim in Usd.PrimRange(root, Usd.TraverseInstanceProxies())
@@ -182,18 +182,18 @@ def _compare(
 
 
 class _SkinnedRoot:
-    """What a SkelRoot skins, looked at where its extent is not the one expected."""
+    """Skinned points of a SkelRoot, read only if its extent is unexpected."""
 
     def __init__(self, bounded: Any) -> None:
         self._prim = bounded.GetPrim()
 
     @cached_property
     def bounds(self) -> SkinnedBounds | None:
-        """Bounds of its points; None of another prim."""
+        """Bounds of its points; None for other prims."""
         return SkinnedBounds(self._prim) if self._prim.IsA(UsdSkel.Root) else None
 
     def holds(self, code: Any, extent: FloatArray, computed: FloatArray) -> bool:
-        """Return whether an extent is that of USD, widened by points that leave it."""
+        """Return whether an extent is USD's, widened by points outside it."""
         posed = None if self.bounds is None else self.bounds.at(code)
         if posed is None:
             return False
@@ -202,7 +202,7 @@ class _SkinnedRoot:
 
 
 def joined_bounds(first: FloatArray, second: FloatArray) -> FloatArray:
-    """Return the bounds ``(2, 3)`` of two.
+    """Return the union of two bounds ``(2, 3)``.
 
     >>> joined_bounds(np.array([[0.0], [2.0]]), np.array([[1.0], [3.0]])).tolist()
     [[0.0], [3.0]]
@@ -212,7 +212,7 @@ def joined_bounds(first: FloatArray, second: FloatArray) -> FloatArray:
 
 
 def _overhang_text(root: Any, extents: FloatArray, times: FloatArray) -> str:
-    """Say how far skinned points leave the extents of a SkelRoot at most, and when."""
+    """Describe how far skinned points leave the extents of a SkelRoot, and when."""
     over = overhang(root, extents, times.tolist())
     # What rounding moves is no overhang, as of `bounds_apart`.
     reach = float(np.abs(extents).max(initial=0.0))
@@ -227,7 +227,7 @@ def _overhang_text(root: Any, extents: FloatArray, times: FloatArray) -> str:
 def bounds_difference(
     extents: FloatArray, bounds: FloatArray, *, exact: bool
 ) -> tuple[FloatArray, FloatArray]:
-    """Return how far extents are from bounds: beyond the tolerance, and in full.
+    """Return how far extents differ from bounds: beyond the tolerance, and in total.
 
     The first is at most 0 where they are within it.
 
@@ -241,7 +241,7 @@ def bounds_difference(
 
 
 def _computed(bounded: Any, code: Any) -> Any:
-    """Return what USD computes; None where it cannot, as of a broken Skeleton."""
+    """Return the extent USD computes; None if it cannot, as for a broken Skeleton."""
     try:
         return UsdGeom.Boundable.ComputeExtentFromPlugins(bounded, code)
     except Tf.ErrorException:
@@ -249,14 +249,14 @@ def _computed(bounded: Any, code: Any) -> Any:
 
 
 def _chosen(count: int) -> IntArray:
-    """Return evenly spaced numbers below a count, `MAX_ASKED` at most."""
+    """Return up to `MAX_ASKED` evenly spaced indices below a count."""
     return np.unique(np.linspace(0, count - 1, min(count, MAX_ASKED)).astype(np.int64))
 
 
 def _joint_bounds(
     subject: StageSubject, bounded: Any, source: list[Any], times: FloatArray
 ) -> FloatArray | None:
-    """Return what a SkelRoot with one skeleton spans at every time ``(F, 2, 3)``.
+    """Return the joint bounds of a one-skeleton SkelRoot per sample ``(F, 2, 3)``.
 
     None where only USD can tell: more skeletons or one that is placed, attributes
     sampled at other times, values that other checks refuse.
@@ -324,7 +324,7 @@ def _locals(
 def _bounds(
     parents: IntArray, moves: AnyArray, rotations: AnyArray, sizes: AnyArray
 ) -> FloatArray:
-    """Return the bounds of the joints' origins ``(F, 2, 3)``."""
+    """Return the bounds of the joint origins ``(F, 2, 3)``."""
     count = max(len(moves), len(rotations), len(sizes))
     bounds = np.zeros((count, 2, 3))
     plain = bool((sizes == 1).all())

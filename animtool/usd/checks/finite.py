@@ -1,4 +1,4 @@
-"""Checks on every attribute: its type, its numbers, its splines.
+"""Checks on every attribute: type, finite values, splines.
 
 It reads layers, not the stage: what a stronger opinion hides, and the variants that are
 not selected, are in the file too.
@@ -24,7 +24,7 @@ from animtool.usd.layers.finite import floats_of, largest
 
 
 def check_types(subject: StageSubject) -> Iterator[Fault]:
-    """Check that the strongest opinion on an attribute is of its schema's type.
+    """Check that the strongest opinion of an attribute has its schema's type.
 
     Properties of SkelBindingAPI count where it is not applied, too, and inbetweens.
     """
@@ -39,7 +39,7 @@ def check_types(subject: StageSubject) -> Iterator[Fault]:
 
 
 def _expected_type(attr: Any) -> Any:
-    """Return the type that an attribute should have, None where any will do."""
+    """Return the type that an attribute should have; None if any is allowed."""
     name = attr.GetName()
     if name.startswith("inbetweens:"):
         return Sdf.ValueTypeNames.Vector3fArray
@@ -52,7 +52,7 @@ def _expected_type(attr: Any) -> Any:
 
 
 def check_splines(subject: StageSubject) -> Iterator[Fault]:
-    """Check that splines go forward in time, and that no samples hide them.
+    """Check that spline knots increase in time, and that no samples hide them.
 
     A knot that is not finite is refused by USD as the layer is read.
     """
@@ -76,7 +76,7 @@ def check_splines(subject: StageSubject) -> Iterator[Fault]:
 
 
 def check_uniform(subject: StageSubject) -> Iterator[Fault]:
-    """Check that no uniform attribute has samples."""
+    """Check that no uniform attribute has time samples."""
     for attr in subject.attributes:
         if attr.GetVariability() != Sdf.VariabilityUniform:
             continue
@@ -132,7 +132,7 @@ def _named(layer: Any) -> str:
 
 
 def _limited(problems: list[tuple[Any, str]], where: str) -> Iterator[Fault]:
-    """Yield the findings on one prim, the last of many with how many more there are."""
+    """Yield the first findings of a prim; the last one counts the rest."""
     for i, (path, message) in enumerate(problems[:MAX_FINDINGS], 1):
         rest = len(problems) - MAX_FINDINGS if i == MAX_FINDINGS else 0
         more = f"; so are {rest} more values of this prim" if rest > 0 else ""
@@ -142,7 +142,7 @@ def _limited(problems: list[tuple[Any, str]], where: str) -> Iterator[Fault]:
 def _of_layer(
     subject: StageSubject, layer: Any, *, is_root: bool
 ) -> Iterator[tuple[Any, str]]:
-    """Yield the paths of specs with numbers that are not finite, prim by prim."""
+    """Yield spec paths with non-finite numbers, grouped by prim."""
     paths: list[Any] = []
     layer.Traverse(Sdf.Path.absoluteRootPath, paths.append)
     for path in sorted(paths, key=lambda path: (str(path.GetPrimPath()), str(path))):
@@ -164,7 +164,7 @@ def _of_layer(
 
 
 def _of_data(value: Any, name: str) -> str:
-    """Return what is wrong with a number of metadata; empty for nothing."""
+    """Return the fault of a metadata value; empty if valid."""
     if isinstance(value, Mapping):
         parts = (_of_data(item, f"{name}:{key}") for key, item in value.items())
         return next(filter(None, parts), "")
@@ -185,7 +185,7 @@ def _of_data(value: Any, name: str) -> str:
 
 
 def _of_attribute(subject: StageSubject, layer: Any, spec: Any) -> str:
-    """Return what is wrong with values of an attribute; empty for nothing."""
+    """Return the fault of an attribute's values; empty if valid."""
     default = floats_of(spec.default) if spec.HasDefaultValue() else None
     problems = []
     if default is not None and not _is_allowed(subject, spec, default):
@@ -209,7 +209,7 @@ def _of_attribute(subject: StageSubject, layer: Any, spec: Any) -> str:
 
 
 def _is_known(subject: StageSubject, path: Any) -> bool:
-    """Return whether another check read these samples, which are the only ones."""
+    """Return whether another check already covers the attribute's only samples."""
     if path not in subject.finite:
         return False
     stack = subject.stage.GetAttributeAtPath(path).GetPropertyStack()
@@ -243,7 +243,7 @@ def _is_allowed(subject: StageSubject, spec: Any, numbers: npt.NDArray[Any]) -> 
 
 @cache
 def _infinite_names() -> tuple[re.Pattern[str], ...]:
-    """Return the names of attributes whose fallback an applied schema has infinite."""
+    """Return attributes whose schema fallback is infinite."""
     registry, names = Usd.SchemaRegistry(), set()
     for schema in Tf.Type.Find(Usd.APISchemaBase).GetAllDerivedTypes():
         name = Usd.SchemaRegistry.GetSchemaTypeName(schema)
@@ -267,6 +267,6 @@ def _worst(numbers: npt.NDArray[Any]) -> str:
 
 
 def _element(numbers: npt.NDArray[Any]) -> str:
-    """Say at which place of an array the first number is that is not finite."""
+    """Return the array index of the first non-finite number as text."""
     index = _bad(numbers)
     return f", element {index[0]}" if len(index) else ""

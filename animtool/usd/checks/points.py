@@ -1,4 +1,4 @@
-"""Checks on points that move, and on copies: counts, numbers, places and bounds.
+"""Checks on animated points and instancers: counts, values and extents.
 
 A cache may be larger than memory: each sample is read, looked at and let go.
 """
@@ -119,7 +119,7 @@ def _velocities(
 def _extent(
     subject: StageSubject, geometry: Any, points: SampledArray, bounds: FloatArray
 ) -> Iterator[Fault]:
-    """Compare the bounds of a mesh's moving points with its extent."""
+    """Compare the bounds of a mesh's animated points with its extent."""
     prim, attr = geometry.GetPrim(), geometry.GetExtentAttr()
     if not points.animated or not prim.IsA(UsdGeom.Mesh) or subject.alone:
         return
@@ -203,7 +203,7 @@ def _prototypes(
 def _lengths(
     attr: Any, sampled: SampledArray, indices: SampledArray
 ) -> Iterator[Fault]:
-    """Compare lengths with those of protoIndices, held from sample to sample."""
+    """Compare array lengths with those of protoIndices at each sample."""
     if not len(indices.counts):
         return
     previous = np.zeros(len(sampled.counts), np.int64)

@@ -193,7 +193,7 @@ def _takes(subject: StageSubject, path: Path) -> list[AnimationTake]:
 
 
 def _run(check: Check, subject: StageSubject) -> Iterator[Fault]:
-    """Yield what a check finds; what USD itself refuses meanwhile is a finding too.
+    """Yield the findings of a check; errors that USD raises meanwhile are findings too.
 
     Where a value is of another type than its schema wants, a check ends there.
     """
@@ -210,7 +210,7 @@ def _run(check: Check, subject: StageSubject) -> Iterator[Fault]:
 
 
 def _distinct(faults: list[Fault]) -> list[Fault]:
-    """Return faults without those that one before says of the same place.
+    """Return faults without repeats of an earlier fault at the same location.
 
     Of a code and a place, the first message counts: a validator of USD may find
     what ours did.

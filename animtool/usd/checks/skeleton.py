@@ -25,7 +25,7 @@ from animtool.usd.rigs.rest_pose import rest_transforms
 
 
 def check_physics(subject: StageSubject) -> Iterator[Fault]:
-    """Check bodies, frames, axes and limits of every joint prim."""
+    """Check bodies, frames, axes and limits of every physics joint."""
     for joint in subject.of_type(UsdPhysics.Joint):
         yield from _bodies(subject, joint)
         yield from _frames(joint)
@@ -71,7 +71,7 @@ def _axis(prim: Any) -> Iterator[Fault]:
 
 
 def _limits(prim: Any) -> Iterator[Fault]:
-    """Check pairs of limits; of the limit API, low above high locks the axis."""
+    """Check limit pairs; in the limit API, low above high locks the axis."""
     yield from _pair(prim, "physics:lowerLimit", "physics:upperLimit")
     for schema in prim.GetAppliedSchemas():
         head, _, name = str(schema).partition(":")
@@ -160,7 +160,7 @@ def _bind(skeleton: Any, joints: list[str], *, skins: bool) -> Iterator[Fault]:
 def _swapped(
     skeleton: Any, joints: list[str], rest: FloatArray, bind: FloatArray, skins: bool
 ) -> Iterator[Fault]:
-    """Tell transforms that stand for others from those that are as they should be."""
+    """Detect rest and bind transforms that are swapped."""
     parents = joint_parents(joints)
     if (parents >= np.arange(len(joints))).any():
         return

@@ -1,4 +1,4 @@
-"""Checks on blend shapes and influences of joints, and on the prims that they move."""
+"""Checks on blend shapes, joint influences, and the prims they deform."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ SUM_TOLERANCE = 4e-3
 
 
 def check_skins(subject: StageSubject) -> Iterator[Fault]:
-    """Check indices, weights and bind transform of every prim that has its own.
+    """Check indices, weights and bind transform of every skinned prim.
 
     What prims above geometry hold for it to inherit is not looked at, nor are prims
     without points.
@@ -78,13 +78,13 @@ def _joints(prim: Any, binding: Any, indices: FloatArray) -> Iterator[Fault]:
 
 
 def _bound_joints(prim: Any) -> list[str]:
-    """Return skel:joints of a prim or the nearest prim above that has them."""
+    """Return skel:joints of a prim or its nearest ancestor that authors them."""
     attrs = (UsdSkel.BindingAPI(above).GetJointsAttr() for above in upwards(prim))
     return next((tokens(a) for a in attrs if a and a.HasAuthoredValue()), [])
 
 
 def _layout(prim: Any, indices: Any, weights: Any, count: int, heavy: int) -> str:
-    """Return what does not fit of the counts; empty where all does."""
+    """Return the mismatch of counts as text; empty if they agree."""
     sizes = indices.GetElementSize(), weights.GetElementSize()
     kinds = indices.GetInterpolation(), weights.GetInterpolation()
     if sizes[0] != sizes[1] or kinds[0] != kinds[1]:
@@ -103,12 +103,12 @@ def _layout(prim: Any, indices: Any, weights: Any, count: int, heavy: int) -> st
 
 
 def has_points(prim: Any) -> bool:
-    """Return whether a prim is geometry that something can be wrong with."""
+    """Return whether a prim is point-based geometry that is checked."""
     return prim.IsA(UsdGeom.Gprim) and point_count(prim) != 0
 
 
 def point_count(prim: Any) -> int | None:
-    """Return how many points a prim has; None where it is no kind that has some."""
+    """Return the number of points of a prim; None if its type has none."""
     if not prim.IsA(UsdGeom.PointBased):
         return None
     return PointReader(prim).count()
@@ -150,7 +150,7 @@ def _geom_bind(attr: Any) -> Iterator[Fault]:
 
 
 def check_targets(subject: StageSubject) -> Iterator[Fault]:
-    """Check that a prim with points names one target for each shape."""
+    """Check that a prim with blend shapes names one target per shape."""
     for prim in subject.prims:
         if not has_points(prim):
             continue
@@ -175,7 +175,7 @@ def check_shapes(subject: StageSubject) -> Iterator[Fault]:
 
 
 def _points(subject: StageSubject) -> dict[Any, int]:
-    """Return the number of points of what each shape moves."""
+    """Return the point count of the prims that each shape deforms."""
     counts: dict[Any, int] = {}
     for prim in subject.prims:
         targets = prim.GetRelationship("skel:blendShapeTargets")

@@ -1,4 +1,4 @@
-"""The bounds of what a SkelRoot skins, point by point, as UsdSkel poses it.
+"""Exact bounds of the points that a SkelRoot skins, as UsdSkel poses them.
 
 `ComputeExtentFromPlugins` has the joints and a padding of the rest pose, which skinned
 points may leave.
@@ -22,7 +22,7 @@ MAX_POINTS = 20_000_000
 
 @dataclass(frozen=True, slots=True)
 class _SkinnedPrim:
-    """A prim that a Skeleton moves."""
+    """A prim that a Skeleton deforms."""
 
     query: Any  # its `UsdSkel.SkinningQuery`
     points: Any  # at rest
@@ -46,7 +46,7 @@ class SkinnedBounds:
         return sum(len(one.points) for _, prims in self._bound for one in prims)
 
     def at(self, code: Any) -> FloatArray | None:
-        """Return the bounds ``(2, 3)`` at a time code; None where nothing is skinned.
+        """Return the bounds ``(2, 3)`` at a time code; None without skinned points.
 
         None too where UsdSkel cannot: other checks report broken influences.
         """
@@ -77,7 +77,7 @@ class SkinnedBounds:
 def overhang(
     root: Any, extents: FloatArray, times: Sequence[float]
 ) -> tuple[float, float, bool] | None:
-    """Return how far skinned points leave extents at most, when, and of all samples.
+    """Return the largest distance of skinned points outside extents, and where.
 
     Where these are many, the last is False, and it is the largest of some.
 
@@ -105,7 +105,7 @@ def overhang(
 
 
 def _bindings(root: Any) -> list[tuple[Any, list[_SkinnedPrim]]]:
-    """Return the skeletons below a SkelRoot, as queries, with what each moves."""
+    """Return the skeletons below a SkelRoot as queries, with their skinned prims."""
     cache, everything = UsdSkel.Cache(), Usd.TraverseInstanceProxies()
     schema = UsdSkel.Root(root)
     cache.Populate(schema, everything)
@@ -116,7 +116,7 @@ def _bindings(root: Any) -> list[tuple[Any, list[_SkinnedPrim]]]:
 
 
 def _skinned(binding: Any) -> list[_SkinnedPrim]:
-    """Return the prims with points that a binding has."""
+    """Return the prims with points of a binding."""
     prims = []
     for query in binding.GetSkinningTargets():
         prim = query.GetPrim()
@@ -139,7 +139,7 @@ def _skinned(binding: Any) -> list[_SkinnedPrim]:
 def _posed(
     one: _SkinnedPrim, skeleton: Any, transforms: Any, code: Any
 ) -> tuple[FloatArray | None, Any]:
-    """Return the points of a prim ``(N, 3)``, and the prim whose space they are in."""
+    """Return the posed points of a prim ``(N, 3)``, and the prim of their space."""
     query, points = one.query, type(one.points)(one.points)
     animation = skeleton.GetAnimQuery()
     if one.shapes is not None and animation:

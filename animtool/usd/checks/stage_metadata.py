@@ -1,4 +1,4 @@
-"""Checks on what a stage says of itself, and on what its layers refer to."""
+"""Checks on stage metadata, and on assets that its layers reference."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from animtool.usd.rigs.prims import stored_data
 
 
 def check_composition(subject: StageSubject) -> Iterator[Fault]:
-    """Check that all arcs of the stage resolve."""
+    """Check that all composition arcs resolve."""
     reported = set()
     for error in subject.stage.GetCompositionErrors():
         text = re.sub(r"@[^@]*/([^@/]+)@", r"@\1@", " ".join(str(error).split()))
@@ -32,7 +32,7 @@ def check_composition(subject: StageSubject) -> Iterator[Fault]:
 
 
 def check_assets(subject: StageSubject) -> Iterator[Fault]:
-    """Check that asset paths are relative, and that those of attributes resolve."""
+    """Check that asset paths are relative and resolve."""
     for layer in subject.stage.GetUsedLayers():
         wrong = [p for p in layer.GetCompositionAssetDependencies() if _absolute(p)]
         for path in wrong:
@@ -66,7 +66,7 @@ def _absolute(path: str) -> bool:
 
 
 def _owner(layer: Any, asset: str) -> str:
-    """Return the prim of a layer that refers to an asset, / for a sublayer."""
+    """Return the prim that references an asset; / for a sublayer."""
     paths = ["/"]
 
     def look(path: Any) -> None:
@@ -97,7 +97,7 @@ SAME_TIME = 1e-6
 
 
 def check_rate_values(subject: StageSubject) -> Iterator[Fault]:
-    """Check that the rates which layers state are positive.
+    """Check that frame rates of layers are positive.
 
     Where one is not, USD may never return from a question about samples.
     """
@@ -112,12 +112,12 @@ def check_rate_values(subject: StageSubject) -> Iterator[Fault]:
 
 
 def _layers(subject: StageSubject) -> Iterator[Any]:
-    """Yield the layers that are composed; clips have times of their own."""
+    """Yield the composed layers, except value clips."""
     yield from subject.stage.GetUsedLayers(includeClipLayers=False)
 
 
 def check_rates(subject: StageSubject) -> Iterator[Fault]:
-    """Check that rates are stated, and the same in all layers of a stage."""
+    """Check that frame rates are authored and equal in all layers."""
     root = subject.stage.GetRootLayer().pseudoRoot
     missing = [name for name in RATES if not root.HasInfo(name)]
     if missing and any(
@@ -153,7 +153,7 @@ def _retimed(subject: StageSubject) -> Iterator[Fault]:
 
 
 def check_range(subject: StageSubject) -> Iterator[Fault]:
-    """Check that the stage's range is one, and holds the samples."""
+    """Check that the stage's range is valid and contains the samples."""
     stage = subject.stage
     start, end = stage.GetStartTimeCode(), stage.GetEndTimeCode()
     if not (math.isfinite(start) and math.isfinite(end)):
@@ -202,7 +202,7 @@ def check_range(subject: StageSubject) -> Iterator[Fault]:
 def _between_frames(
     subject: StageSubject, start: float, end: float, samples: tuple[float, float]
 ) -> Iterator[Fault]:
-    """Yield that the range begins or ends between frames, where no sample is."""
+    """Yield a fault if the range starts or ends where no sample is."""
     ends = {"starts": start, "ends": end}
     off = {
         verb: code for verb, code in ends.items() if abs(code - round(code)) > SAME_TIME
@@ -221,12 +221,12 @@ def _between_frames(
 
 
 def _is_shared(prim: Any) -> bool:
-    """Return whether each who has a part in an animation begins elsewhere in it."""
+    """Return whether sharers of an animation start at different offsets."""
     return bool(stored_data(prim).get("shared"))
 
 
 def check_units(subject: StageSubject) -> Iterator[Fault]:
-    """Check that unit and up axis are such, and the same in all sublayers.
+    """Check that unit and up axis are valid and equal in all sublayers.
 
     That they are stated, USD checks.
     """

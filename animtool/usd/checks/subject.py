@@ -1,4 +1,4 @@
-"""What the checks look at: a stage, its prims and samples, each read once."""
+"""Input of the checks: a stage, its prims and samples, each read once."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class SampledArray:
 
 
 def at_samples(sampled: SampledArray, bad: BoolArray | IntArray) -> str:
-    """Say at which samples something is, by a mask or by their numbers.
+    """Return text that lists samples, by a mask or by their numbers.
 
     ``bad`` ``(F,)``.
     """
@@ -70,7 +70,7 @@ class StageSubject:
 
     @cached_property
     def prims(self) -> list[Any]:
-        """Active prims, overs too; of equal instances the first."""
+        """Active prims including overs; one of each set of equal instances."""
         predicate = Usd.PrimIsActive & Usd.PrimIsLoaded & ~Usd.PrimIsAbstract
         start = self.stage.GetPseudoRoot()
         prims, visited = [], set()
@@ -85,12 +85,12 @@ class StageSubject:
 
     @cached_property
     def attributes(self) -> list[Any]:
-        """Attributes with opinions, of all prims."""
+        """Attributes with opinions on all prims."""
         return [a for prim in self.prims for a in prim.GetAuthoredAttributes()]
 
     @property
     def alone(self) -> bool:
-        """Whether the rig is elsewhere: every root prim is an over."""
+        """Whether the rig is in another file: every root prim is an over."""
         roots = self.stage.GetPseudoRoot().GetAllChildren()
         return bool(roots) and not any(root.IsDefined() for root in roots)
 
@@ -106,7 +106,7 @@ class StageSubject:
         return self._times[key]
 
     def sampled(self, attr: Any) -> SampledArray:
-        """Return all values of an array attribute; the default where it has no samples.
+        """Return all values of an array attribute; its default without samples.
 
         An attribute without a value has no times.
         """
@@ -116,7 +116,7 @@ class StageSubject:
         return self._sampled[key]
 
     def read(self, attr: Any) -> SampledArray:
-        """Return what `sampled` does, without keeping it."""
+        """Return the same as `sampled`, without caching."""
         times = self.times(attr)
         if times:
             arrays = _arrays(attr, times)
@@ -129,7 +129,7 @@ class StageSubject:
 
 
 def _arrays(attr: Any, times: list[float]) -> list[Any]:
-    """Return the value at each sample: from the layer itself, thrice as quick."""
+    """Return the value at each sample, from the layer itself: three times faster."""
     first = Usd.TimeCode(times[0])
     if attr.GetResolveInfo(first).GetSource() == Usd.ResolveInfoSourceTimeSamples:
         for spec, offset in attr.GetPropertyStackWithLayerOffsets(first):

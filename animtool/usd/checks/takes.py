@@ -1,4 +1,4 @@
-"""The animations of a stage as takes, from the samples that the checks have read."""
+"""Animations of a stage as takes, built from the samples the checks have read."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ from animtool.usd.takes.library import take_range
 
 @dataclass(frozen=True, slots=True)
 class AnimationTake:
-    """A SkelAnimation with the skeleton that it moves."""
+    """A SkelAnimation with its Skeleton."""
 
     path: str  # the SkelAnimation
     take: Take  # F frames, one a sample
@@ -71,7 +71,7 @@ class AnimationTake:
 
 @dataclass(frozen=True, slots=True)
 class _Shared:
-    """What the animations of a stage are compared with, read once for all of them."""
+    """Stage data that all animations are compared with, read once."""
 
     # First and last time code of the samples of each prim, by its path.
     spans: dict[Any, tuple[float, float]]
@@ -81,7 +81,7 @@ class _Shared:
 
     @staticmethod
     def of(subject: StageSubject) -> _Shared:
-        """Return what is shared by the animations of a stage."""
+        """Return the shared data of a stage."""
         spans: dict[Any, tuple[float, float]] = {}
         for attr in subject.attributes:
             if times := subject.times(attr):
@@ -102,7 +102,7 @@ class _Shared:
 
 
 def animation_takes(subject: StageSubject, path: Path) -> list[AnimationTake]:
-    """Return the animations of a stage that are sound enough to be looked at.
+    """Return the valid animations of a stage as takes.
 
     Those with arrays of a wrong length, or values that are not finite, are left out:
     the checks report them.
@@ -129,7 +129,7 @@ def animation_takes(subject: StageSubject, path: Path) -> list[AnimationTake]:
 
 
 def _bound(skeletons: list[Any]) -> dict[Any, Any]:
-    """Return the Skeleton of each animation that one is bound to."""
+    """Return the Skeleton that each animation is bound to."""
     bound: dict[Any, Any] = {}
     for skeleton in skeletons:
         binding = UsdSkel.BindingAPI(skeleton.GetPrim())
@@ -140,7 +140,7 @@ def _bound(skeletons: list[Any]) -> dict[Any, Any]:
 
 
 def _nearest(animation: Any, skeletons: list[Any]) -> Any:
-    """Return the Skeleton with most joints of an animation, such as a library's."""
+    """Return the Skeleton that shares most joints with an animation."""
     joints = set(tokens(animation.GetJointsAttr()))
     best = None
     most = len(joints) // 2
@@ -203,7 +203,7 @@ def _take(
 
 
 def _shown_rate(stage: Any) -> float | None:
-    """Return the frames a second that a stage states."""
+    """Return the frame rate of a stage."""
     if not stage.HasAuthoredMetadata("framesPerSecond"):
         return None
     rate = float(stage.GetFramesPerSecond())
@@ -213,7 +213,7 @@ def _shown_rate(stage: Any) -> float | None:
 def _rig(
     subject: StageSubject, animation: Any, skeleton: Any, joints: list[str], path: Path
 ) -> SkeletonRig:
-    """Return the rig that an animation moves; alone it rests at its first sample."""
+    """Return the rig of an animation; without Skeleton it rests at the first sample."""
     if skeleton is not None and tokens(skeleton.GetJointsAttr()):
         return skeleton_rig(skeleton, path)
     meters = UsdGeom.GetStageMetersPerUnit(subject.stage)
@@ -235,7 +235,7 @@ def _rig(
 def _values(
     subject: StageSubject, attr: Any, count: int, width: int, codes: FloatArray
 ) -> FloatArray | None:
-    """Return an attribute at time codes ``(F, count, width)``; None if not sound."""
+    """Return an attribute at time codes ``(F, count, width)``; None if invalid."""
     if not count or not attr:
         return None
     sampled = subject.sampled(attr)
@@ -264,7 +264,7 @@ def _motion(
     shapes: list[str],
     rows: Sequence[FloatArray | None],
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray | None] | None:
-    """Return T, R and S of every joint of a rig, and the weights; None if not sound."""
+    """Return T, R and S of every joint, and the weights; None if invalid."""
     rig = of_rig.rig
     weights = rows[3]
     if (joints and any(row is None for row in rows[:3])) or (
@@ -301,7 +301,7 @@ def _clock(subject: StageSubject, codes: FloatArray) -> Clock:
 def _range(
     subject: StageSubject, animation: Any, shared: _Shared
 ) -> tuple[float, float] | None:
-    """Return the range that an animation states, or else its stage for all that moves.
+    """Return the range of an animation, else the stage's if it covers all of them.
 
     Where something else on the stage moves longer, the range is not about this one.
     """
@@ -323,7 +323,7 @@ def _range(
 def _influencing(
     skeleton: Any, rig: SkeletonRig, shared: _Shared
 ) -> frozenset[str] | None:
-    """Return the joints that move points, or have one below that does."""
+    """Return the joints that influence points, and their ancestors."""
     used: set[int] = set()
     skins = shared.skins.get(skeleton.GetPath())
     if not skins:
@@ -345,7 +345,7 @@ def _influencing(
 
 
 def _used(binding: Any, indices: Any, count: int) -> Iterator[int]:
-    """Yield the indices of joints with any weight."""
+    """Yield the indices of joints with nonzero weight."""
     which = np.array(indices.Get() or (), np.int64)
     weights = np.array(binding.GetJointWeightsPrimvar().Get() or (), np.float64)
     if len(weights) == len(which):
@@ -354,7 +354,7 @@ def _used(binding: Any, indices: Any, count: int) -> Iterator[int]:
 
 
 def _bind(skeleton: Any, rig: Rig, placement: SkeletonPlacement) -> FloatArray | None:
-    """Return where the joints are in the bind pose; None where it is not sound."""
+    """Return the joint positions of the bind pose; None if invalid."""
     matrices = matrix_array(skeleton.GetBindTransformsAttr())
     if len(matrices) != len(rig.joints) or not np.isfinite(matrices).all():
         return None

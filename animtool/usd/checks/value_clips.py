@@ -101,7 +101,7 @@ def _times(clip_set: dict[str, Any], where: str) -> Iterator[Fault]:
 def _template(
     prim: Any, name: str, clip_set: dict[str, Any], where: str
 ) -> Iterator[Fault]:
-    """Compare the clips that a template stands for with the files there are."""
+    """Compare the clips of a template with the existing files."""
     start, end, stride = (
         float(clip_set.get(f"template{key}", math.nan))
         for key in ("StartTime", "EndTime", "Stride")
@@ -124,7 +124,7 @@ def _template(
 
 
 def _sampled(layer: Any, target: str) -> set[str]:
-    """Return the properties at or below a prim that have samples, relative to it."""
+    """Return the sampled properties of a prim and its descendants, relative to it."""
     names = set()
 
     def look(path: Any) -> None:
@@ -161,7 +161,7 @@ def _manifest(
 def _spans(
     clip_set: dict[str, Any], target: str, layers: list[Any], where: str
 ) -> Iterator[Fault]:
-    """Check that a clip has samples of what another one has."""
+    """Check that all clips sample the same properties."""
     properties = [None if x is None else _sampled(x, target) for x in layers]
     everything = set().union(*(p for p in properties if p is not None))
     if clip_set.get("interpolateMissingClipValues"):

@@ -1,4 +1,4 @@
-"""Fixes of what prims lack or have wrong: values, schemas, normals, extents."""
+"""Fixes for missing or invalid values, schemas, normals and extents."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ ROUNDING = 1e-6
 
 
 def normalised(target: FixTarget, fault: Fault) -> Edit:
-    """Divide the weights of each point by their sum."""
+    """Normalize the weights of each point to a sum of one."""
     spec = target.attribute(fault)
     attr = target.stage.GetAttributeAtPath(fault.where)
     size = int(attr.GetMetadata("elementSize") or 1)
@@ -61,7 +61,7 @@ def normalised(target: FixTarget, fault: Fault) -> Edit:
 
 
 def default_prim(target: FixTarget, _: Fault) -> Edit:
-    """State the only root prim as the default."""
+    """Set the only root prim as defaultPrim."""
     if target.layer.HasDefaultPrim():
         raise NotFixableError("the default prim is missing from the stage")
     roots = target.stage.GetPseudoRoot().GetAllChildren()
@@ -90,7 +90,7 @@ def binding_api(target: FixTarget, fault: Fault) -> Edit:
 
 
 def unit_scales(target: FixTarget, fault: Fault) -> Edit:
-    """Author scales of one for an animation that lacks scales alone."""
+    """Author unit scales for an animation that lacks only scales."""
     prim = target.prim(fault)
     animation = UsdSkel.Animation(prim)
     others = (animation.GetTranslationsAttr(), animation.GetRotationsAttr())
@@ -109,7 +109,7 @@ def unit_scales(target: FixTarget, fault: Fault) -> Edit:
 
 
 def rest_from_bind(target: FixTarget, fault: Fault) -> Edit:
-    """Author restTransforms as the bind transforms relative to their parents."""
+    """Author restTransforms from the bind transforms relative to the parents."""
     prim = target.prim(fault)
     skeleton = UsdSkel.Skeleton(prim)
     joints = tokens(skeleton.GetJointsAttr())
@@ -136,7 +136,7 @@ def rest_from_bind(target: FixTarget, fault: Fault) -> Edit:
 
 
 def default_value(target: FixTarget, fault: Fault) -> Edit:
-    """Make a default of samples that are all equal."""
+    """Replace equal time samples by a default."""
     spec = target.attribute(fault)
     layer, path = spec.layer, spec.path
     times = layer.ListTimeSamplesForPath(path)
@@ -158,7 +158,7 @@ NAME = "extent"
 
 
 def computed(target: FixTarget, fault: Fault) -> Edit:
-    """Write `UsdGeom.Boundable.ComputeExtentFromPlugins` at every sample.
+    """Author `UsdGeom.Boundable.ComputeExtentFromPlugins` at every sample.
 
     That of a SkelRoot is widened where skinned points leave it.
 
@@ -185,7 +185,7 @@ def computed(target: FixTarget, fault: Fault) -> Edit:
 
 
 def _author(target: FixTarget, prim: Any) -> Change:
-    """Write the extent of a prim at every sample of what it follows."""
+    """Author the extent of a prim at every sample of its sources."""
     bounded, layer = UsdGeom.Boundable(prim), target.layer
     attr, subject = bounded.GetExtentAttr(), StageSubject(target.stage)
     sources = extent_sources(subject, prim) or []
@@ -207,7 +207,7 @@ def _author(target: FixTarget, prim: Any) -> Change:
 
 
 def _layer_spec(target: FixTarget, prim: Any) -> Any:
-    """Return the extent's spec in the root layer where it is the strongest."""
+    """Return the extent's root layer spec if it is the strongest opinion."""
     attr = prim.GetAttribute(NAME)
     stack = attr.GetPropertyStack(Usd.TimeCode.EarliestTime()) if attr else ()
     return stack[0] if stack and stack[0].layer == target.layer else None
@@ -220,7 +220,7 @@ def _over(target: FixTarget, prim: Any) -> Any:
 
 
 def _bounds(bounded: Any, code: Any, skinned: SkinnedBounds | None) -> Any:
-    """Return what USD computes, wider where skinned points leave it."""
+    """Return the extent USD computes, widened by skinned points outside it."""
     try:
         extent = UsdGeom.Boundable.ComputeExtentFromPlugins(bounded, code)
     except Tf.ErrorException:

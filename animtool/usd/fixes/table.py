@@ -1,4 +1,4 @@
-"""Which codes of USD files have one safe remedy, and the edit that applies it.
+"""Table of USD codes with a safe fix, and the edit of each.
 
 No pxr is needed.
 """

@@ -1,4 +1,4 @@
-"""Rates, ranges and samples of a layer, and signs of its quaternions."""
+"""Fixes for rates, ranges and sample times, and for signs of quaternions."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ MIN_LENGTH = 1e-3
 
 
 def continuous(target: FixTarget, fault: Fault) -> Edit:
-    """Negate the rotations that change their sign between samples."""
+    """Negate rotations whose sign flips between samples."""
     spec = target.attribute(fault)
 
     def edit() -> Change:
@@ -42,7 +42,7 @@ def continuous(target: FixTarget, fault: Fault) -> Edit:
 
 
 def unit(target: FixTarget, fault: Fault) -> Edit:
-    """Divide rotations by their lengths."""
+    """Normalize rotations."""
     spec = target.attribute(fault)
 
     def edit() -> Change:
@@ -82,7 +82,7 @@ ASSUMED_RATE = 24.0
 
 
 def rates(target: FixTarget, _: Fault) -> Edit:
-    """State both rates, the missing one as USD takes it today."""
+    """Author both rates; the missing one gets USD's fallback."""
     layer = target.layer
 
     def edit() -> Change:
@@ -100,17 +100,17 @@ def rates(target: FixTarget, _: Fault) -> Edit:
 
 
 def sample_range(target: FixTarget, _: Fault) -> Edit:
-    """State the range of the samples as the layer's."""
+    """Set the layer's range to that of its samples."""
     return lambda: _ranged(target, widen=False)
 
 
 def wider_range(target: FixTarget, _: Fault) -> Edit:
-    """Widen the layer's range to hold all samples; one apart becomes theirs."""
+    """Widen the layer's range to contain all samples."""
     return lambda: _ranged(target, widen=True)
 
 
 def full_range(target: FixTarget, _: Fault) -> Edit:
-    """Bring the ends of the layer's range from between frames to frames outwards.
+    """Round the ends of the layer's range outwards to frames.
 
     Where that is less than a frame before or after all samples, to the samples.
     """
@@ -155,7 +155,7 @@ def _stated(layer: Any) -> str:
 
 
 def _span(stage: Any) -> tuple[float, float]:
-    """Return the first and last frame of the samples, those of motion blur apart."""
+    """Return the first and last frame of the samples, ignoring motion blur samples."""
     subject = StageSubject(stage)
     times = sorted({t for attr in subject.attributes for t in subject.times(attr)})
     if not times or not (math.isfinite(times[0]) and math.isfinite(times[-1])):
@@ -169,7 +169,7 @@ def _span(stage: Any) -> tuple[float, float]:
 
 
 def integer_frames(target: FixTarget, fault: Fault) -> Edit:
-    """Move samples that lie a little off a whole frame onto it, and a range with them.
+    """Snap samples slightly off a frame to it, and the range with them.
 
     Samples between frames, as those of motion blur, stay.
     """
@@ -215,7 +215,7 @@ def integer_frames(target: FixTarget, fault: Fault) -> Edit:
 
 
 def _moving(layer: Any) -> list[Any]:
-    """Return the paths of a layer that have samples, in order."""
+    """Return the paths of a layer that have time samples, in order."""
     moving: list[Any] = []
 
     def look(path: Any) -> None:

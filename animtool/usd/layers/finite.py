@@ -1,4 +1,4 @@
-"""The gate of numbers: what USD cannot hold as a finite number is never authored.
+"""Guards USD output: values that USD cannot hold as finite numbers are refused.
 
 Attributes are float16, float32 or float64. A number beyond the range of its type
 becomes infinite in the file without a word, so each is checked before it is written.
@@ -32,14 +32,14 @@ _MAX_ROUNDED = 2.0**103
 
 @dataclass(frozen=True, slots=True)
 class Labels:
-    """What an attribute's values are of, for messages."""
+    """Names of an attribute's values, for messages."""
 
     attribute: str  # its name or path
     of: str = ""  # what each value is of, such as ``joint``; or what the one value is
     names: Sequence[str] = ()  # of those, where they have names
 
     def at(self, index: Sequence[int]) -> str:
-        """Return in words which value is meant."""
+        """Return the name of one value."""
         if not index or not self.of:
             return self.of or "a value"
         first = index[0]
@@ -49,7 +49,7 @@ class Labels:
 
 @cache
 def largest(type_name: Any) -> str:
-    """Return the letter of one of ``Sdf.ValueTypeNames``: h, f, d; empty of others."""
+    """Return the float kind of one of ``Sdf.ValueTypeNames``: h, f, d; else empty."""
     name = str(type_name.scalarType.cppTypeName)
     if name in _SCALARS:
         return _SCALARS[name]
@@ -129,7 +129,7 @@ def check_data(value: object, name: str) -> None:
 
 
 def floats_of(value: Any) -> npt.NDArray[Any] | None:
-    """Return the floats of a value; None where it has none."""
+    """Return the floats of a value; None if it has none."""
     if hasattr(value, "imaginary"):
         value = [*value.imaginary, value.real]
     elif hasattr(value, "GetValue"):
@@ -150,7 +150,7 @@ def _refuse(
     labels: Labels,
     codes: FloatArray | None,
 ) -> None:
-    """Name the first value whose number in the file would not be finite, if any is."""
+    """Raise an error that names the first value not finite in the file, if any."""
     limit = _LIMITS[letter]
     bad = np.argwhere(~(np.abs(narrow) <= limit))
     if not len(bad):

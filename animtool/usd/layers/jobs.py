@@ -1,4 +1,4 @@
-"""What is to be written as USD, the files that it is, and what was written."""
+"""Jobs of USD output: what to write, to which files, and what was written."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ SUFFIXES = (".usd", ".usda", ".usdc")
 
 
 class LayerForm(StrEnum):
-    """What to write.
+    """Which layers to write.
 
     ``stage`` is one file with skeleton and animation; ``split`` the same in three
     layers; ``layer`` only the animation, over a rig that lives elsewhere; ``library`` a
@@ -48,7 +48,7 @@ class LayerForm(StrEnum):
 
 
 def output_paths(output: Path, form: LayerForm) -> list[Path]:
-    """Return the files that a form writes, in the order written, ``output`` last."""
+    """Return the files of a form in write order, ``output`` last."""
     if form is not LayerForm.SPLIT:
         return [output]
     return [
@@ -66,7 +66,7 @@ def check_path(path: Path) -> None:
 
 
 def check_suffix(path: Path) -> None:
-    """Refuse a path that is not that of a USD file (OUT004)."""
+    """Refuse a path without a USD suffix (OUT004)."""
     if path.suffix.lower() in SUFFIXES:
         check_path(path)
         return
@@ -88,7 +88,7 @@ class RootPath:
 
 @dataclass(frozen=True, slots=True)
 class WrittenBlock:
-    """Frames as the layer will hold them, in its unit."""
+    """Frames as written, in stage units."""
 
     codes: FloatArray  # time codes ``(F,)``
     translations: Float32Array  # ``(F, J, 3)`` float32
@@ -109,7 +109,7 @@ class WrittenBlock:
 
 @dataclass(slots=True)
 class Rounding:
-    """What rounding did over all blocks."""
+    """Rounding errors over all blocks."""
 
     error: float = 0.0  # largest distance that it moved a joint [m]
     code: float = 0.0  # time code of that
@@ -117,7 +117,7 @@ class Rounding:
     scales: bool = False  # whether scales were rounded too, to UsdSkel's float16
 
     def count(self, block: WrittenBlock) -> None:
-        """Take the larger of the two errors."""
+        """Keep the larger error of each kind."""
         self.scales |= block.scales_rounded
         if block.error > self.error:
             self.error, self.code = block.error, block.error_code
@@ -126,7 +126,7 @@ class Rounding:
 
 @dataclass(frozen=True, slots=True)
 class UsdJob:
-    """What `write_usd` needs beside the blocks."""
+    """Settings of `write_usd`."""
 
     form: LayerForm  # stage, split or layer
     output: Path | None  # the file; None writes usda to stdout
@@ -191,7 +191,7 @@ class WrittenTake:
 
 @dataclass(slots=True)
 class UsdResult:
-    """What was written."""
+    """Result of `write_usd`."""
 
     span: FrameSpan  # first frame, last frame and rate that the written layer states
     outputs: list[Path] = field(default_factory=list)
@@ -223,15 +223,15 @@ class UsdResult:
 
     @property
     def joints(self) -> int:
-        """Joints in the SkelAnimation that has most."""
+        """Largest number of joints of a SkelAnimation."""
         return max(take.joints for take in self.takes)
 
     @property
     def rounding(self) -> Rounding:
-        """What rounding moved most in any take."""
+        """Largest rounding errors of any take."""
         return max((take.rounding for take in self.takes), key=lambda r: r.error)
 
     @property
     def curves(self) -> list[CurveReport]:
-        """What became of the curves of controls of all takes."""
+        """Reports on the control curves of all takes."""
         return [curve for take in self.takes for curve in take.curves]

@@ -1,4 +1,4 @@
-"""What USD prints by itself."""
+"""Filters known messages that USD prints to stderr."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _DIAGNOSTICS = (
 
 @contextmanager
 def without_version_warnings() -> Iterator[None]:
-    """Leave out what USD's writers print about splines and time codes as such.
+    """Context that drops USD's warnings about splines and time codes.
 
     They print to the process's stderr, past Python. Everything else that arrives
     there meanwhile is printed afterwards.
@@ -40,7 +40,7 @@ def without_version_warnings() -> Iterator[None]:
 
 @contextmanager
 def without_usd_warnings() -> Iterator[None]:
-    """Leave out what USD prints about the layers that it opens.
+    """Context that drops USD's warnings about opened layers.
 
     Everything else that arrives there meanwhile is printed afterwards.
     """
@@ -74,7 +74,7 @@ def _captured(known: tuple[bytes, ...]) -> Iterator[None]:
 
 
 def _print_others(buffer: IO[bytes], known: tuple[bytes, ...]) -> None:
-    """Print what was held but for lines with known texts."""
+    """Print the captured lines except those with known texts."""
     buffer.seek(0)
     for line in buffer:
         if not any(text in line for text in known):

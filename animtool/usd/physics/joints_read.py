@@ -1,4 +1,4 @@
-"""Joints between bodies that UsdPhysics says of a stage."""
+"""Reads joints between bodies from UsdPhysics."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def read_joint(
     body_index: Mapping[str, int],
     moved: Sequence[bool],
 ) -> PhysicsJoint | None:
-    """Return a joint between bodies, by path; None where it joins none, or is off.
+    """Return a joint between bodies; None if it is disabled or joins none.
 
     moved: Which bodies are moved by what happens to them.
     """
@@ -103,7 +103,7 @@ def read_joint(
 
 
 def _most(source: PhysicsStage, prim: Any, name: str, power: int) -> float:
-    """Return the force [N] or torque [N m] that a joint breaks at; infinite is none."""
+    """Return the break force [N] or torque [N m] of a joint; inf if unbreakable."""
     value = source.endless(prim.GetAttribute(f"physics:{name}"))
     if value is None or not 0 < value < MAX_FORCE:
         return math.inf
@@ -118,7 +118,7 @@ def _side(
     local: FloatArray,
     body_index: Mapping[str, int],
 ) -> tuple[int, FloatArray]:
-    """Return the body of a side, -1 the world, and the joint's frame there."""
+    """Return the body of a side (-1 is the world) and the joint frame in it."""
     if target is None:
         return -1, source.up(local)
     prim = source.stage.GetPrimAtPath(target) if target.IsPrimPath() else None
@@ -147,7 +147,7 @@ def _side(
 def _limits(
     source: PhysicsStage, prim: Any, kind: str
 ) -> tuple[tuple[float, float] | None, tuple[float, float] | None]:
-    """Return least and most, and the swing of a ball."""
+    """Return lower and upper limit, and the swing of a ball joint."""
     if kind == "fixed":
         return None, None
     if kind == "ball":
@@ -184,7 +184,7 @@ def _checked_range(
     limits: tuple[float, float] | None,
     most: float = 2 * math.pi,
 ) -> tuple[float, float] | None:
-    """Return limits that a joint can hold; None, and a notice, of others."""
+    """Return valid limits; None and a notice if they are invalid."""
     if limits is None:
         return None
     low, high = limits

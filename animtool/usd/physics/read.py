@@ -1,4 +1,4 @@
-"""Bodies and colliders that UsdPhysics says of a stage."""
+"""Reads bodies and colliders from UsdPhysics."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ LONG = {"Capsule", "Plane"}
 def read_shapes(
     source: PhysicsStage, prim: Any, outer: FloatArray, *, static: bool
 ) -> Iterator[PhysicsShape]:
-    """Yield the shape of a prim in a frame, none of what has no such shape."""
+    """Yield the collision shape of a prim in a frame, if it has a supported one."""
     translation, rotation, _ = decompose(outer[None])
     pose, scale = source.pose(source.matrix(prim))
     frame = np.concatenate([translation[0] * source.unit, rotation[0]])
@@ -95,7 +95,7 @@ def read_shapes(
 
 
 def _axis(source: PhysicsStage, prim: Any) -> FloatArray:
-    """Return the axis that a prim names ``(3,)``."""
+    """Return the axis of a prim as a unit vector ``(3,)``."""
     attribute = prim.GetAttribute("axis")
     axis = str(attribute.Get())
     if axis not in AXES:
@@ -108,7 +108,7 @@ def _axis(source: PhysicsStage, prim: Any) -> FloatArray:
 def _mesh(
     source: PhysicsStage, prim: Any, scale: FloatArray
 ) -> tuple[FloatArray, IntArray]:
-    """Return points [m] and triangles of a mesh; none of one that is empty."""
+    """Return points [m] and triangles of a mesh; empty if it has none."""
     reader, time = PointReader(prim), source.cache.GetTime()
     points, (counts, corners) = reader.at(time), reader.faces(time)
     if not len(points) or not len(counts):
@@ -152,7 +152,7 @@ MAX_PRIMS = 100_000
 
 
 def read_bodies(path: Path, root: str, frame: float | None) -> Physics:
-    """Return what UsdPhysics says below a prim, in metres and y up.
+    """Return all bodies below a prim, in metres and Y up.
 
     ``frame``: the time code that comes at 0 s; None is the first of the stage. What is
     not read is named in the notices (SIM136).
@@ -261,7 +261,7 @@ def _body(source: PhysicsStage, prim: Any, name: str) -> PhysicsBody:
 
 
 def _parts(body: Any) -> Iterator[Any]:
-    """Yield a body and what is below it, without other bodies."""
+    """Yield a body and its descendants, except other bodies."""
     parts = iter(Usd.PrimRange(body, Usd.TraverseInstanceProxies()))
     for prim in parts:
         if prim != body and is_body(prim):
@@ -271,7 +271,7 @@ def _parts(body: Any) -> Iterator[Any]:
 
 
 def _moves(source: PhysicsStage, prim: Any) -> tuple[FloatArray, FloatArray | None]:
-    """Return times [s] and poses of a kinematic body; none of one that stays."""
+    """Return times [s] and poses of a kinematic body; none if it is static."""
     codes = placing_times(prim)
     if len(codes) < 2:
         return np.zeros(1), None
@@ -289,7 +289,7 @@ def _moves(source: PhysicsStage, prim: Any) -> tuple[FloatArray, FloatArray | No
 
 
 def _mass(source: PhysicsStage, prim: Any, scale: FloatArray) -> dict[str, Any]:
-    """Return what a body weighs; what is 0 or not given is left to its shapes."""
+    """Return the authored mass properties; the others follow from the shapes."""
     api = UsdPhysics.MassAPI(prim)
     values: dict[str, Any] = {}
     if not prim.HasAPI(UsdPhysics.MassAPI):

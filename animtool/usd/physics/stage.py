@@ -1,4 +1,4 @@
-"""A stage as UsdPhysics is read off it: numbers and poses in metres, y up."""
+"""Reads numbers and poses of a UsdPhysics stage in metres, Y up."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ MAX_FORCE = 1e37
 
 @dataclass(slots=True)
 class PhysicsStage:
-    """A stage at the time code that comes at 0 s.
+    """A stage at the time code of 0 s.
 
     Attributes:
         path: Of its file.
@@ -52,7 +52,7 @@ class PhysicsStage:
     _noted: set[str] = field(default_factory=set)
 
     def __post_init__(self) -> None:
-        """Read what all prims have in common."""
+        """Read units, axes and gravity."""
         self.unit = float(UsdGeom.GetStageMetersPerUnit(self.stage))
         self.kilograms = float(UsdPhysics.GetStageKilogramsPerUnit(self.stage))
         if not SMALLEST_METADATA <= self.kilograms <= LARGEST_METADATA:
@@ -67,7 +67,7 @@ class PhysicsStage:
         self.cache = UsdGeom.XformCache(Usd.TimeCode(self.start))
 
     def note(self, prim: Any, message: str) -> None:
-        """Note what is not read of a prim (SIM136)."""
+        """Add a notice about something unsupported on a prim (SIM136)."""
         text = f"{excerpt(str(prim.GetPath()))} {message}"
         if text not in self._noted:
             fault = Fault("SIM136", text, str(self.path), severity=Severity.WARNING)
@@ -77,7 +77,7 @@ class PhysicsStage:
     def numbers(
         self, attribute: Any, count: int, least: float = -LARGEST
     ) -> FloatArray | None:
-        """Return the numbers of an attribute ``(count,)``; None of what says none."""
+        """Return the numbers of an attribute ``(count,)``; None if absent."""
         value = attribute.Get() if attribute else None
         if value is None:
             return None
@@ -95,19 +95,19 @@ class PhysicsStage:
         return row
 
     def number(self, attribute: Any, least: float = -LARGEST) -> float | None:
-        """Return the number of an attribute; None of what says none."""
+        """Return the number of an attribute; None if absent."""
         row = self.numbers(attribute, 1, least)
         return None if row is None else float(row[0])
 
     def endless(self, attribute: Any) -> float | None:
-        """Return a number that may be infinite, as the largest of float32 is meant."""
+        """Return a number that may be infinite; the largest float32 means infinite."""
         value = attribute.Get() if attribute else None
         if isinstance(value, float) and abs(value) >= MAX_FORCE:
             return math.copysign(math.inf, value)
         return self.number(attribute)
 
     def matrix(self, prim: Any) -> FloatArray:
-        """Return where a prim is ``(4, 4)``, row vectors, in the unit of the stage."""
+        """Return a prim's world transform ``(4, 4)``, row vectors, stage units."""
         matrix = np.array(self.cache.GetLocalToWorldTransform(prim), np.float64)
         most = LARGEST / max(self.unit, 1.0)
         outside = matrix[~(np.abs(matrix) <= most)]
@@ -117,17 +117,17 @@ class PhysicsStage:
         return matrix
 
     def pose(self, matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return pose ``(7,)`` in metres, as the stage stands, and scales ``(3,)``."""
+        """Return a pose ``(7,)`` in metres in stage axes, and scales ``(3,)``."""
         translation, rotation, scale = decompose(matrix[None])
         return np.concatenate([translation[0] * self.unit, rotation[0]]), scale[0]
 
     def up(self, pose: FloatArray) -> FloatArray:
-        """Return a pose of the stage's world with y up ``(7,)``."""
+        """Return a pose of the stage's world in Y up ``(7,)``."""
         at = so3.rotate(self.up_rotation, pose[:3])
         return np.concatenate([at, so3.multiply(self.up_rotation, pose[3:])])
 
     def gravity(self) -> FloatArray:
-        """Return the gravity of its first scene, y up ``(3,)`` [m/s²]."""
+        """Return the gravity of the first physics scene, Y up ``(3,)`` [m/s²]."""
         for prim in self.stage.Traverse():
             if not prim.IsA(UsdPhysics.Scene):
                 continue
@@ -151,7 +151,7 @@ class PhysicsStage:
 
 
 def within(frame: FloatArray, pose: FloatArray) -> FloatArray:
-    """Return a pose as another frame of the same world sees it ``(7,)``."""
+    """Return a world pose relative to another frame ``(7,)``."""
     back = so3.conjugate(frame[3:])
     at = so3.rotate(back, pose[:3] - frame[:3])
     return np.concatenate([at, so3.multiply(back, pose[3:])])
@@ -164,6 +164,6 @@ def is_body(prim: Any) -> bool:
 
 
 def collides(prim: Any) -> bool:
-    """Return whether a prim is a shape that bodies run into."""
+    """Return whether a prim is a collider."""
     enabled = prim.GetAttribute("physics:collisionEnabled").Get()
     return prim.HasAPI(UsdPhysics.CollisionAPI) and enabled is not False

@@ -1,4 +1,4 @@
-"""Bodies, joints and colliders as UsdPhysics has them, written beside their Xforms."""
+"""Writes bodies, joints and colliders as UsdPhysics on existing Xforms."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ _GEOMETRY = {"sphere": "Sphere", "capsule": "Capsule", "box": "Cube", "plane": "
 
 
 class PhysicsWriter:
-    """Writes what bodies are below a prim that has an Xform for each.
+    """Writer of physics for bodies that have an Xform each.
 
     Args:
         spec: The prim.
@@ -69,7 +69,7 @@ class PhysicsWriter:
         self._materials: dict[tuple[float, float], str] = {}
 
     def write(self) -> None:
-        """Write all of it."""
+        """Write scene, bodies, joints and materials."""
         physics, scope = self._physics, f"{self._top}/{PHYSICS}"
         self._layer.pseudoRoot.SetInfo("kilogramsPerUnit", 1.0)
         prim(self._layer, scope, "Scope")
@@ -84,7 +84,7 @@ class PhysicsWriter:
     def _below(
         self, kind: str, several: Sequence[NamedT]
     ) -> Iterator[tuple[str, NamedT]]:
-        """Yield paths in a scope of their own, and what comes there."""
+        """Yield prim paths in a separate scope, with their entries."""
         scope = f"{self._top}/{PHYSICS}/{kind}s"
         if several:
             prim(self._layer, scope, "Scope")
@@ -134,7 +134,7 @@ class PhysicsWriter:
             self._shape(f"{path}/shape_{k + 1}", shape, "convexHull")
 
     def _shape(self, path: str, shape: PhysicsShape, approximation: str) -> None:
-        """Write a shape that nothing shows: `purpose` is guide."""
+        """Write an invisible collision shape: `purpose` is guide."""
         mesh = shape.kind == "mesh"
         spec = prim(self._layer, path, "Mesh" if mesh else _GEOMETRY[shape.kind])
         schemas = ["PhysicsCollisionAPI", "MaterialBindingAPI"]
@@ -180,7 +180,7 @@ class PhysicsWriter:
         attribute(spec, name, token, approximation, uniform=True)
 
     def _material(self, friction: float, restitution: float) -> str:
-        """Return the path of a material, which is written once."""
+        """Return the path of a material, written on first use."""
         key = friction, restitution
         if key not in self._materials:
             scope = f"{self._top}/{PHYSICS}/Materials"
@@ -225,7 +225,7 @@ class PhysicsWriter:
             apply_schemas(spec, schemas)
 
     def _drive(self, spec: Any, kind: str, drive: JointDrive) -> list[str]:
-        """Write a drive; return the schemas that it needs."""
+        """Write a drive; return the schemas to apply."""
         if kind == "prismatic":
             axes, scale, gain = {"linear": drive.target}, 1 / self._unit, 1.0
             force = 1 / self._unit

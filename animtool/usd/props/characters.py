@@ -1,4 +1,4 @@
-"""Characters of a crowd: instances of rigs, each with an animation or a part in one.
+"""Crowd characters: instances of rigs with separate or shared animations.
 
 Samples that interpolation finds all the same are left out. The hips' own motion is in
 the prim of the character, so that its animation has rotations alone.
@@ -53,7 +53,7 @@ BEYOND = 1.2
 
 @dataclass
 class Characters:
-    """Takes the frames of characters, and writes them at the end.
+    """Collects the frames of crowd characters, and writes them at the end.
 
     Attributes:
         path: Of the prim above them.
@@ -71,7 +71,7 @@ class Characters:
     _rotations: list[list[Float32Array]] = field(default_factory=list)
 
     def begin(self, layer: Any, frame: CharactersFrame) -> None:
-        """Write the prim above them, and the rigs, which nothing shows."""
+        """Write the parent prim, and the rigs as invisible prototypes."""
         self._first = frame
         prim(layer, self.path, "Xform")
         for cast, paths in zip(frame.casts, self._rigs(frame), strict=True):
@@ -81,13 +81,13 @@ class Characters:
         above.ClearInfo("kind")
 
     def _rigs(self, frame: CharactersFrame) -> list[RigPaths]:
-        """Return where the rigs are."""
+        """Return the paths of the rigs."""
         names = [cast.rig.name for cast in frame.casts]
         legal = distinct_names(names, names, names).names
         return [RigPaths.below(f"{self.path}/{PROTOTYPES}/{name}") for name in legal]
 
     def add(self, code: float, frame: CharactersFrame) -> None:
-        """Take a frame."""
+        """Add a frame."""
         self.codes.append(code)
         for name in ("points", "headings", "roots", "near", "clocks", "visible"):
             self._rows.setdefault(name, []).append(getattr(frame, name))
@@ -122,7 +122,7 @@ class Characters:
 
 
 def _author_cast(layer: Any, cast: Cast, paths: RigPaths, unit: float) -> None:
-    """Write a rig, and what characters do who but stand."""
+    """Write a rig, and the animation that standing characters share."""
     rig = cast.rig
     names = joint_names(rig.joints, 0)
     author_rig(layer, rig, names, paths, unit)
@@ -153,17 +153,17 @@ class _CharacterTrack:
 
     @cached_property
     def size(self) -> float:
-        """Return how far the joints of the rig reach [m]."""
+        """Return the reach of the rig's joints [m]."""
         return float(np.ptp(self.rest, axis=0).max())
 
     @cached_property
     def rest(self) -> FloatArray:
-        """Return where joints are at rest ``(J, 3)`` [m]."""
+        """Return the rest positions of the joints ``(J, 3)`` [m]."""
         return np.asarray(rest_world(self.cast.rig).positions[0])
 
     @cached_property
     def arms(self) -> FloatArray:
-        """Return how far joints below each that moves are from it ``(M,)`` [m]."""
+        """Return each moving joint's reach to its farthest descendant ``(M,)`` [m]."""
         parents = self.cast.rig.parents.tolist()
         far = np.zeros(len(parents))
         for j in range(len(parents)):
@@ -176,13 +176,13 @@ class _CharacterTrack:
 
     @cached_property
     def shown(self) -> IntArray:
-        """Return joints that show what a pose is: those that move, and feet."""
+        """Return the joints that define a pose: moving joints and feet."""
         cast = self.cast
         return np.union1d(cast.moves, np.array(cast.feet))
 
     @cached_property
     def chain(self) -> RotationChain:
-        """Return the joints that show what a pose is, those between at rest."""
+        """Return those joints as a chain, with static joints between them at rest."""
         rig, shown = self.cast.rig, self.shown.tolist()
         numbers = {joint: m for m, joint in enumerate(self.cast.moves.tolist())}
         parents, positions, rotations = [], [], []
@@ -219,7 +219,7 @@ class _Group:
     track: _CharacterTrack
 
     def write(self, names: Sequence[str]) -> None:
-        """Write all of them, by name."""
+        """Write all characters, by name."""
         track, report = self.track, self.owner.report
         size = track.size * float(track.scales.max(initial=0.0))
         report.error = max(report.error, NEAR * size)
@@ -243,7 +243,7 @@ class _Group:
             self._animate(path, rotations, moves, kept)
 
     def bound(self) -> None:
-        """Write bounds of the rig that hold whatever a character does.
+        """Author bounds of the rig that contain every pose.
 
         What is on a joint is no farther from the hips than when the rig lies stretched.
         """
@@ -258,7 +258,7 @@ class _Group:
         attribute(root, "extent", _TYPES.Float3Array, box)
 
     def _sharing(self) -> BoolArray:
-        """Return who does but stand all the time, as others do ``(n,)``."""
+        """Return which characters only stand and can share an animation ``(n,)``."""
         track = self.track
         static = np.isfinite(track.clocks).all(axis=0) & track.visible.all(axis=0)
         static &= np.ptp(track.points, axis=0).max(axis=-1) <= SAME_POSITION
@@ -272,7 +272,7 @@ class _Group:
         return np.asarray(static & (static.sum() > 1))
 
     def _author_root(self, path: str, i: int, put_right: FloatArray | None) -> None:
-        """Write where a character is, and its rig.
+        """Write the root transform of a character, and its rig reference.
 
         ``put_right``: how far its hips are moved; None where its animation has them.
         """
@@ -328,7 +328,7 @@ class _Group:
     def _animate(
         self, path: str, poses: Float32Array, moves: BoolArray, kept: BoolArray
     ) -> None:
-        """Write an animation of a character's own, of poses ``(F, M, 4)``.
+        """Write a separate animation of poses ``(F, M, 4)`` for a character.
 
         Joints that do not move are in a pose that never changes, if they are not at
         rest.
@@ -345,7 +345,7 @@ class _Group:
         put_samples(self.layer, rotations, self.track.codes, rows, arrays)
 
     def _animation(self, path: str, which: IntArray) -> Any:
-        """Return a new animation of some joints that stay where they are at rest."""
+        """Return a new animation of joints that keep their rest translations."""
         cast, unit = self.track.cast, self.owner.unit
         joints = cast.moves[which]
         spec = prim(self.layer, path, "SkelAnimation")
@@ -362,7 +362,7 @@ class _Group:
         return spec
 
     def _use_shared(self, path: str, i: int) -> None:
-        """Write that a character has a part in the animation of those who stand."""
+        """Bind a character to the shared standing animation, with a time offset."""
         track, fps = self.track, self.owner.fps
         above = f"{self.paths.model}/{STANDING}"
         if self.layer.GetPrimAtPath(above) is None:
@@ -375,7 +375,7 @@ class _Group:
         ]
 
     def _stand(self, path: str) -> None:
-        """Write what those do who stand, from 0 s on, for as long as any could."""
+        """Write the shared standing animation from 0 s, as long as any needs it."""
         cast, fps, codes = self.track.cast, self.owner.fps, self.track.codes
         spec = self._animation(path, np.arange(len(cast.moves)))
         spec.SetInfo("customData", {"animtool": {"thinned": True, "shared": True}})
@@ -399,7 +399,7 @@ class _Group:
 
 
 def _standing(cast: Cast, table: FloatArray, clocks: FloatArray) -> FloatArray:
-    """Return turns or places of who has stood for times ``(K,)`` [s]."""
+    """Return standing rotations or positions at clock times ``(K,)`` [s]."""
     count = len(table)
     at = clocks / (cast.period or 1.0) * count
     low = np.floor(at).astype(np.int64)
@@ -412,7 +412,7 @@ def _standing(cast: Cast, table: FloatArray, clocks: FloatArray) -> FloatArray:
 
 
 def _continuous(rotations: Float32Array) -> Float32Array:
-    """Return turns ``(F, …, 4)`` whose signs go on from frame to frame."""
+    """Return rotations ``(F, …, 4)`` with signs continuous over frames."""
     products = (rotations[1:] * rotations[:-1]).sum(axis=-1)
     signs = np.cumprod(np.where(products < 0, -1, 1), axis=0).astype(np.float32)
     continuous = rotations.copy()
@@ -421,7 +421,7 @@ def _continuous(rotations: Float32Array) -> Float32Array:
 
 
 def _changing(values: Float32Array, same: float) -> IntArray:
-    """Return frames of values ``(F, K)`` but those between two of the same value."""
+    """Return the frames of values ``(F, K)`` without those between equal neighbors."""
     steps = (np.abs(np.diff(values, axis=0)) > same).any(axis=1)
     if not steps.any():
         return np.zeros(1, np.int64)

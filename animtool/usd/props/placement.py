@@ -1,4 +1,4 @@
-"""Where props are written: below a character in its space, or in a stage's world."""
+"""Where props are written: in a character's space, or in the stage's world."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class PropPlacements:
-    """Where things are to be written."""
+    """Prim paths and spaces of the props of a take."""
 
     model: str  # the prim of the character
     meters_per_unit: float  # unit of the rig [m]
@@ -35,13 +35,13 @@ class PropPlacements:
     variant: str = ""  # the model in the variant of a take; empty where there is none
 
     def unit(self, path: str) -> float:
-        """Return the length unit of what is at a path [m]."""
+        """Return the length unit at a prim path [m]."""
         if self.target is None or within(path, self.model):
             return self.meters_per_unit
         return self.target.unit
 
     def spec(self, path: str) -> str:
-        """Return where a layer has a prim of the stage."""
+        """Return the layer path of a stage prim."""
         if not self.variant:
             return path
         return str(Sdf.Path(path).ReplacePrefix(self.model, self.variant))
@@ -49,7 +49,7 @@ class PropPlacements:
     def located(
         self, track: Track, path: str, codes: FloatArray, known: Transforms
     ) -> Transforms:
-        """Return a track at time codes ``(F,)``, in the space of the prim above it."""
+        """Return a track at time codes ``(F,)``, in the space of its parent prim."""
         if self.target is None or not track.placed:
             return known
         if within(path, self.model):
@@ -69,7 +69,7 @@ class PropPlacements:
         return replace(known, rotations=so3.align_signs(known.rotations))
 
     def _with_rig(self, known: Transforms, codes: FloatArray) -> Transforms:
-        """Return what goes along with a take, where the rig's stage has that."""
+        """Return transforms of a take moved with the rig's stage placement."""
         assert self.target is not None
         rig_placement = self.target.placement()
         if rig_placement.uneven:
@@ -92,7 +92,7 @@ def prop_placements(
     take: str = "",
     to_rig: Callable[[FloatArray], Placement] | None = None,
 ) -> PropPlacements:
-    """Return where a take's tracks go.
+    """Return the placements of a take's tracks.
 
     rig_layer: another layer that holds the rig; None where there is none;
     meters_per_unit: unit of the rig [m]; to_rig: see `PropPlacements`.
@@ -117,7 +117,7 @@ def prop_placements(
 def space_above(
     target: RigTarget, path: str, codes: FloatArray, *, inside: bool
 ) -> FloatArray | None:
-    """Return the way to the prim above a path of a layer, at time codes ``(F,)``.
+    """Return the inverse world matrices of a layer path's parent at time codes.
 
     From the Skeleton's space, or with ``inside`` off from the world: column vectors in
     the numbers of the stage ``(F, 4, 4)``, one where nothing moves; None is the same.
@@ -147,7 +147,7 @@ def matrices_inside(
     path: str,
     codes: FloatArray,
 ) -> FloatArray | None:
-    """Return the way from where a take is to the prim above a path of its layer.
+    """Return the matrices from take space to the parent space of a layer path.
 
     Column vectors in the unit of the rig ``(F, 4, 4)``; None is the same.
     """
@@ -165,7 +165,7 @@ def matrices_inside(
 
 
 def _below(known: Transforms, matrices: FloatArray) -> Transforms:
-    """Return transforms after matrices, in parts where these only move and scale."""
+    """Return transforms after matrices, as T, R, S if these only move and scale."""
     from animtool.usd.rigs.prims import decompose
 
     translations, rotations, scales = decompose(matrices.swapaxes(1, 2))
@@ -179,5 +179,5 @@ def _below(known: Transforms, matrices: FloatArray) -> Transforms:
 
 
 def within(path: str, above: str) -> bool:
-    """Return whether a path is another, or below it."""
+    """Return whether a path equals another, or is below it."""
     return path == above or path.startswith(f"{above}/")

@@ -1,4 +1,4 @@
-"""Where a prim of a stage is over time, as goals of a rig need it."""
+"""World transforms of a stage prim over time, for goals of a rig."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from animtool.usd.rigs.prims import (
 def open_prim(
     path: Path, prim: str, rig: Rig, space: str | None = None
 ) -> Callable[[FloatArray], tuple[FloatArray, FloatArray]]:
-    """Return a prim's transforms over time, in the world of a rig.
+    """Return a function of a prim's world transforms over time, in rig axes.
 
     Units and up axis of the stage are converted to the rig's; second 0 is time code
     0. Scales of the prim are left out.
@@ -67,7 +67,7 @@ def open_prim(
 
 
 def world_matrices(prim: Any, codes: FloatArray, above: Any = None) -> FloatArray:
-    """Return a prim's transforms, relative to another if given ``(F, 4, 4)``."""
+    """Return a prim's matrices ``(F, 4, 4)``, world or relative to another prim."""
     cache = UsdGeom.XformCache()
     matrices = []
     for code in codes.tolist():
@@ -80,7 +80,7 @@ def world_matrices(prim: Any, codes: FloatArray, above: Any = None) -> FloatArra
 
 
 def _prim(stage: Any, path: Path, name: str, where: str | None = None) -> Any:
-    """Return a prim, or say that there is none, ``where`` it was named."""
+    """Return a prim, or raise an error at ``where`` it is named."""
     prim = find_prim(stage, name)
     if prim:
         return prim

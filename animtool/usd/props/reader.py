@@ -1,4 +1,4 @@
-"""Where a prim of a stage is over time, and its values: props and cameras."""
+"""Reads transforms and attribute values of props and cameras over time."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ _LENGTHS = frozenset(_OF_CAMERAS[:7])
 
 @dataclass(frozen=True, slots=True)
 class PropSource:
-    """A prim of a stage that is open."""
+    """An open stage prim, sampled by time."""
 
     track: Track  # it, over the time codes of its file
     fps: Fraction  # time codes a second
@@ -95,7 +95,7 @@ class PropSource:
 
 
 def open_prop(request: PropRequest, up: UpAxis) -> PropSource:
-    """Open a prim whose transform and values are to be read over time.
+    """Open a prim to read its transform and values over time.
 
     Its place is that in the world of its file: all operations of it and of the prims
     above come together. Units are metres, the up axis is that of the rig.
@@ -153,7 +153,7 @@ def _opened(request: PropRequest, stage: Any, prim: Any, up: UpAxis) -> PropSour
 
 
 def _type_name(prim: Any, request: PropRequest) -> str:
-    """Return the type to write: that of a camera or light, else of a mere frame."""
+    """Return the prim type to write: camera or light, else Xform."""
     type_name = str(prim.GetTypeName())
     if prim.IsA(UsdGeom.Gprim) or prim.IsA(UsdGeom.PointInstancer) or not type_name:
         type_name = "Xform"
@@ -231,7 +231,7 @@ def _described(attribute: Any) -> Attribute:
 
 
 def _span(stage: Any, keys: FloatArray) -> tuple[Fraction, Fraction]:
-    """Return the time codes that a prim is for: those of the stage, and its keys."""
+    """Return the time codes of a prim: the stage's range and its keys."""
     ends = keys[[0, -1]].tolist() if len(keys) else []
     if stage.HasAuthoredTimeCodeRange() or not ends:
         ends += [stage.GetStartTimeCode(), stage.GetEndTimeCode()]
@@ -240,7 +240,7 @@ def _span(stage: Any, keys: FloatArray) -> tuple[Fraction, Fraction]:
 
 @dataclass(slots=True)
 class _Sampler:
-    """Reads a prim at time codes."""
+    """Samples a prim at time codes."""
 
     stage: Any  # open as long as this is, and its prims with it
     prim: Any
@@ -260,7 +260,7 @@ class _Sampler:
     scales: FloatArray | None = None
 
     def settle(self) -> None:
-        """Find the keys, and by them what the prim is like."""
+        """Collect the keys, and decide from them what is constant."""
         moving = list(self._moving())
         stated = {time for part in moving for time in part.GetTimeSamples()}
         self.keys = np.array(sorted(stated))
@@ -280,7 +280,7 @@ class _Sampler:
         )
 
     def _moving(self) -> Iterator[Any]:
-        """Yield attributes and places that may change over time."""
+        """Yield attributes and xformables that may change over time."""
         for attribute in self.attributes:
             if attribute.ValueMightBeTimeVarying():
                 yield attribute
@@ -292,7 +292,7 @@ class _Sampler:
                 return
 
     def at(self, times: FloatArray) -> Transforms:
-        """Return the prim at time codes ``(F,)``.
+        """Return the prim's transforms and values at time codes ``(F,)``.
 
         Raises:
             FormatError: Its transform or a value is not finite (USD171).
@@ -324,7 +324,7 @@ class _Sampler:
         return outside if outside.any() else None
 
     def _on_keys(self, times: FloatArray) -> FloatArray:
-        """Return time codes, those of keys where they are as near as rounding goes."""
+        """Return time codes snapped to keys within rounding."""
         if not len(self.keys):
             return times
         behind = np.searchsorted(self.keys, times).clip(max=len(self.keys) - 1)
@@ -348,7 +348,7 @@ class _Sampler:
         return tuple(columns)
 
     def _matrices(self, codes: FloatArray) -> FloatArray:
-        """Return where the prim is, column vectors, [m] ``(F, 4, 4)``."""
+        """Return world matrices, column vectors [m] ``(F, 4, 4)``."""
         with usd_errors(Path(self.where)):
             matrices = world_matrices(self.prim, codes).swapaxes(1, 2)
         self._check(matrices)
@@ -364,13 +364,13 @@ class _Sampler:
 
 
 def _plain(scales: FloatArray) -> FloatArray:
-    """Return scales without what rounding left of a short decimal."""
+    """Return scales without the rounding error of short decimals."""
     plain = np.round(scales, 9)
     return np.where(np.abs(plain - scales) <= ROUNDED * np.abs(scales), plain, scales)
 
 
 def _lasting(transforms: Transforms, count: int) -> Transforms:
-    """Return one transform, and its values, as that of all times."""
+    """Return one transform and its values for all times."""
 
     def all_times(values: Any) -> Any:
         return np.repeat(values, count, axis=0)
@@ -387,7 +387,7 @@ def _lasting(transforms: Transforms, count: int) -> Transforms:
 def _split(
     matrices: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray, float]:
-    """Return translations, rotations, scales, and the share that they leave out."""
+    """Return translations, rotations, scales, and the relative shear left out."""
     positions, rotations, scales = decompose(matrices.swapaxes(1, 2))
     rotations = so3.normalize(rotations)
     again = so3.to_matrix(rotations) * scales[:, None, :]

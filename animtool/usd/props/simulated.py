@@ -1,4 +1,4 @@
-"""What is simulated as prims of a layer, written while it is made.
+"""Writes simulated prims to a layer while the simulation runs.
 
 Each frame is a record of a prim's values; `FORMS` says how each type is written.
 """
@@ -82,15 +82,15 @@ class _Curves(FrameForm[CurvesFrame]):
     sampled = ("points", "velocities", "extent")
 
     def shape(self, frame: CurvesFrame) -> Mapping[str, IntArray]:
-        """Return how many points each curve has."""
+        """Return the number of points per curve."""
         return {"curveVertexCounts": frame.counts.astype(np.int32)}
 
     def tears(self, frame: CurvesFrame) -> bool:
-        """Return whether a curve may become two."""
+        """Return whether a curve may split in two."""
         return frame.tears
 
     def describe(self, writer: FramePrim, spec: Any, frame: CurvesFrame) -> None:
-        """Write kind and width of the curves."""
+        """Author type and width of the curves."""
         author_values(spec, LINEAR)
         author_width(spec, frame.width / writer.unit)
 
@@ -101,7 +101,7 @@ class _Curves(FrameForm[CurvesFrame]):
         points: Float32Array,
         code: float,  # noqa: ARG002
     ) -> Mapping[str, npt.NDArray[Any]]:
-        """Return bounds of what is drawn."""
+        """Return the padded bounds."""
         return {"extent": bounds(points, frame.width / writer.unit / 2)}
 
 
@@ -112,7 +112,7 @@ class _Points(FrameForm[PointsFrame]):
     def values(
         self, writer: FramePrim, frame: PointsFrame, points: Float32Array, code: float
     ) -> Mapping[str, npt.NDArray[Any]]:
-        """Return ids, widths and bounds of the balls."""
+        """Return ids, widths and bounds of the particles."""
         widths = writer.narrowed("widths", 2 * frame.radii / writer.unit, code)
         extent = bounds(points, widths[:, None] / 2)
         return {"ids": frame.ids, "widths": widths, "extent": extent}
@@ -128,13 +128,13 @@ _XFORMS = XformsForm()
 
 
 def form_of(frame: Frame) -> FrameForm[Any]:
-    """Return how a frame is written."""
+    """Return the form that writes a type of frame."""
     divided = isinstance(frame, TransformsFrame) and frame.xforms
     return _XFORMS if divided else FORMS[type(frame)]
 
 
 class SimulatedPrim:
-    """One prim of frames: its attributes written once, every frame made a block."""
+    """Writer of one simulated prim: constants once, every frame as a block."""
 
     def __init__(
         self,
@@ -159,11 +159,11 @@ class SimulatedPrim:
 
     @cached_property
     def parts(self) -> list[str]:
-        """Names of the prims below, of a frame that has names."""
+        """Names of the child prims of a frame with names."""
         return part_names(self._first.names).names
 
     def begin(self, layer: Any, frame: Frame) -> None:
-        """Write the prim of a first frame: attributes, and what no frame changes."""
+        """Write the prim at the first frame: attributes and constants."""
         self._first, report = frame, self.report
         if isinstance(frame, CharactersFrame):
             from animtool.usd.props.characters import Characters
@@ -194,7 +194,7 @@ class SimulatedPrim:
         form.describe(self, spec, frame)
 
     def block(self, number: int, code: float, frame: Frame) -> Block:
-        """Return a frame as the layer will hold it; ``number`` is the prim's."""
+        """Return a frame as a block to write; ``number`` is the prim's index."""
         codes = np.array([code])
         if isinstance(frame, CharactersFrame):
             assert self._characters is not None
@@ -220,7 +220,7 @@ class SimulatedPrim:
         return Block(number, codes, _rows(sampled), len(points), error, code, vertex)
 
     def finish(self, layer: Any) -> None:
-        """Write what shows only behind the last frame."""
+        """Author values that are known only after the last frame."""
         if self._characters is not None:
             self._characters.finish(layer)
             report = self._characters.report
@@ -232,7 +232,7 @@ class SimulatedPrim:
     def narrowed(
         self, name: str, values: npt.NDArray[Any], code: float
     ) -> Float32Array:
-        """Return values ``(N,)`` or ``(N, 3)`` of an attribute in float32."""
+        """Return values ``(N,)`` or ``(N, 3)`` of an attribute as float32."""
         labels = labels_of(self.report, name)
         rows = narrowed(values[None], "f", labels, np.array([code]))
         return np.asarray(rows[0], np.float32)
@@ -240,7 +240,7 @@ class SimulatedPrim:
     def _rounded(
         self, name: str, values: FloatArray, code: float
     ) -> tuple[Float32Array, float, int]:
-        """Return ``(N, 3)`` in the layer's unit, the largest error [m], its point."""
+        """Return rounded points ``(N, 3)``, the largest error [m] and its point."""
         labels = labels_of(self.report, name)
         rows, error, _, vertex = rounded(
             values[None], self.unit, labels, np.array([code])
@@ -248,7 +248,7 @@ class SimulatedPrim:
         return rows[0], error, vertex
 
     def write_static(self, layer: Any, path: str, frame: Frame) -> None:
-        """Write a frame as a prim that never moves."""
+        """Write a frame as a static prim."""
         prim_writer = SimulatedPrim(path, self.unit)
         prim_writer.begin(layer, frame)
         spec = layer.GetPrimAtPath(path)
@@ -260,13 +260,13 @@ class SimulatedPrim:
 
 
 def _rows(values: Mapping[str, npt.NDArray[Any]]) -> dict[str, npt.NDArray[Any]]:
-    """Return the values of one frame as those of several ``(1, …)``."""
+    """Return the values of one frame with a leading frame axis ``(1, …)``."""
     return {name: array[None] for name, array in values.items()}
 
 
 @dataclass(frozen=True, slots=True)
 class SimulatedJob:
-    """What to write."""
+    """Settings of writing simulated prims."""
 
     model: str  # path of the prim above all others
     names: Sequence[str]  # of the other prims, legal and distinct
@@ -282,18 +282,18 @@ class SimulatedJob:
 
     @property
     def paths(self) -> list[str]:
-        """Where the prims are."""
+        """Paths of the prims."""
         return [f"{self.model}/{name}" for name in self.names]
 
     def prims(self) -> list[SimulatedPrim]:
-        """Return the prims, nothing of them written."""
+        """Return new writers of the prims."""
         unit, rotation = self.meters_per_unit, self.rotation
         fps = float(self.metadata.span.fps)
         return [SimulatedPrim(path, unit, rotation, fps) for path in self.paths]
 
 
 def simulated_layer(job: SimulatedJob, output: Path | None) -> Any:
-    """Return a layer with nothing but the prim above the others.
+    """Return a layer with only the parent prim.
 
     output: the file that it becomes; None is usda for stdout.
     """
@@ -304,7 +304,7 @@ def simulated_layer(job: SimulatedJob, output: Path | None) -> Any:
 
 
 def grow_simulated(job: SimulatedJob, rows: Rows, growing: Growing) -> list[CachedMesh]:
-    """Put prims into a layer, frame by frame; return what was written of each."""
+    """Write prims to a layer frame by frame; return a report per prim."""
     prims, layer = job.prims(), growing.layer
     reports = [one.report for one in prims]
     writer = OneLayer([PointWriter(layer, report, every=True) for report in reports])
@@ -317,7 +317,7 @@ def grow_simulated(job: SimulatedJob, rows: Rows, growing: Growing) -> list[Cach
 def chunk_simulated(
     job: SimulatedJob, rows: Rows, layer: Any, files: ClipFiles, size: int
 ) -> tuple[list[Path], list[CachedMesh]]:
-    """Write samples of prims in files of some each, and let a layer join them.
+    """Write samples of prims to chunk files, joined by a layer.
 
     size: samples a file. The layer, in memory, has the prim above the others, and gets
     these without samples.
@@ -362,7 +362,7 @@ def _blocks(
     layer: Any,
     growing: Growing | None = None,  # told of each row; None is in chunks
 ) -> Iterator[Block]:
-    """Yield frames; at the first a layer gets the prims, without samples.
+    """Yield blocks of frames; the prims are created at the first one.
 
     Each is turned as a whole where another axis is up, or goes to where a rig is.
     """
@@ -391,7 +391,7 @@ def _blocks(
 def _author_placement(
     spec: Any, job: SimulatedJob, placement_matrices: FloatArray
 ) -> None:
-    """Write where a prim is below a model that a rig's stage has somewhere."""
+    """Author the transform of a prim below a model placed by the rig's stage."""
     assert job.codes is not None
     if job.rotation is not None:
         turned = np.eye(4)
@@ -406,14 +406,14 @@ def _author_placement(
 
 
 def _refuse_characters(frames: Sequence[Frame]) -> None:
-    """Refuse what is not written frame by frame (SIM151)."""
+    """Refuse characters, which are not written frame by frame (SIM151)."""
     if any(isinstance(frame, CharactersFrame) for frame in frames):
         message = "characters with rigs are written in one piece, not in chunks"
         raise OptionError(Fault("SIM151", message, hint=f"remove {argument('chunk')}"))
 
 
 def _declare(layer: Any, reports: Sequence[CachedMesh], source: Any) -> None:
-    """Make the attributes that have samples, as another layer has them."""
+    """Declare the sampled attributes with the types of another layer."""
     for report in reports:
         prim(layer, report.path, over=True)
         for name in report.sampled:

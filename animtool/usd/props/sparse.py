@@ -1,4 +1,4 @@
-"""Poses that are left out, where interpolation between others finds them."""
+"""Drops poses that interpolation between the others reproduces."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ SPANS = {2: (1,), 3: (2,), 4: (3,), 6: (3, 3), 9: (4, 4), 16: (9, 6), 32: (16, 1
 
 @dataclass(frozen=True)
 class RotationChain:
-    """Joints that show what a pose is, as `fitting_spans` has them.
+    """Joints that define a pose, as input of `fitting_spans`.
 
     Attributes:
         parents: Which of them is above each, -1 for none ``(S,)``.
@@ -45,7 +45,7 @@ class RotationChain:
     def fitting(
         self, rotations: FloatArray, stands: BoolArray, begins: IntArray, wide: int
     ) -> tuple[BoolArray, FloatArray]:
-        """Return which spans fit, and how far joints are moved in them."""
+        """Return which spans interpolate well, and the joint errors in them."""
         near = (part * self.size for part in (NEAR, NEAR_STANDING, NEAR_HIPS))
         return _kernels.fitting_spans(
             rotations, self.parents, self.numbers, self.positions, self.before,
@@ -95,7 +95,7 @@ def kept_samples(
 
 
 def _fewest(fits: dict[int, BoolArray]) -> BoolArray:
-    """Return the fewest frames that lead from the first to the last by spans."""
+    """Return the fewest frames that connect first and last by valid spans."""
     count = len(fits[1])
     steps, best = [1] * count, [0] * count
     known = {wide: good.tolist() for wide, good in fits.items()}
@@ -114,7 +114,7 @@ def _fewest(fits: dict[int, BoolArray]) -> BoolArray:
 
 
 def slerped(a: FloatArray, b: FloatArray, fraction: FloatArray) -> FloatArray:
-    """Return unit quaternions ``(…, 4)`` between two, whose product is not below 0."""
+    """Return the slerp of unit quaternions ``(…, 4)`` in one hemisphere."""
     cosine = np.clip(np.einsum("...k,...k->...", a, b), -1.0, 1.0)
     angle = np.arccos(cosine)
     sine = np.sin(angle)
@@ -126,7 +126,7 @@ def slerped(a: FloatArray, b: FloatArray, fraction: FloatArray) -> FloatArray:
 
 
 def turning(rotations: Float32Array, arms: FloatArray, size: float) -> BoolArray:
-    """Return which joints turn ``(M,)``, of poses ``(F, M, 4)``.
+    """Return which joints rotate ``(M,)`` in poses ``(F, M, 4)``.
 
     ``arms``: how far what is below each reaches ``(M,)`` [m]; ``size``: of the rig [m].
     """

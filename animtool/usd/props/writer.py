@@ -1,4 +1,4 @@
-"""Prims that move as a whole: tracks beside a rig, and copies of meshes.
+"""Writes prims that move rigidly: props of a take, and instances of meshes.
 
 Props, cameras and lights are a prim each; copies a PointInstancer, or Xforms by name.
 """
@@ -46,7 +46,7 @@ from animtool.usd.props.placement import PropPlacements, within
 
 @dataclass(slots=True)
 class PropSamples:
-    """Tracks of a take on their way to a layer, apart from the motion of its rig."""
+    """Prop tracks of a take sampled for a layer."""
 
     tracks: tuple[Track, ...]  # what they are
     # Time codes of the frames that have passed, one array a block.
@@ -55,7 +55,7 @@ class PropSamples:
     times: list[FloatArray] = field(default_factory=list)
 
     def see(self, codes: FloatArray, motion: Motion) -> None:
-        """Keep which times of the tracks frames show."""
+        """Record which times of the tracks are written."""
         assert motion.track_times is not None
         self.codes.append(codes)
         self.times.append(motion.track_times.dense()[..., 0])
@@ -66,7 +66,7 @@ _Make: TypeAlias = Callable[[Any], Any]
 
 
 def prop_paths(tracks: Sequence[Track], model: str) -> list[str]:
-    """Return where tracks are on a stage that has a character at a path."""
+    """Return the prim paths of tracks on a stage with a character at a path."""
     return [
         track.path if track.path.startswith("/") else f"{model}/{track.path}"
         for track in tracks
@@ -76,7 +76,7 @@ def prop_paths(tracks: Sequence[Track], model: str) -> list[str]:
 def check_props(
     tracks: Sequence[Track], paths: RigPaths, stage: Any = None, *, library: bool
 ) -> None:
-    """Refuse things where the character is, or where another thing is.
+    """Refuse prop paths that overlap the character or each other.
 
     stage: what the layer goes over; None is nothing; library: whether takes are
     variants of the model.
@@ -105,7 +105,7 @@ def check_props(
 
 
 def overlap(one: str, other: str) -> bool:
-    """Return whether a path is another, or one of them is below the other."""
+    """Return whether one path contains the other."""
     return within(one, other) or within(other, one)
 
 
@@ -141,7 +141,7 @@ def author_props(
 def _constant_notice(
     track: Track, path: str, codes: FloatArray, constant: BoolArray
 ) -> Fault:
-    """Name the frames at which a thing is held, as its file has none such."""
+    """Return a notice of frames where a prop is frozen outside its file's frames."""
     spans = [
         " to ".join(dict.fromkeys(f"{codes[i]:.10g}" for i in (first, end - 1)))
         for first, end in runs(constant)
@@ -158,7 +158,7 @@ def _constant_notice(
 
 
 def _author_above(layer: Any, path: str, placements: PropPlacements) -> None:
-    """Define the prims above a path that nothing else does."""
+    """Define the ancestor prims that nothing else defines."""
     for above in list(Sdf.Path(path).GetAncestorsRange())[1:]:
         text = str(above)
         if above.IsAbsoluteRootPath() or within(placements.model, text):
@@ -232,7 +232,7 @@ PROTOTYPES, PHYSICS = "Prototypes", "Physics"  # prims that are no copy
 
 
 class InstancerForm(FrameForm[TransformsFrame]):
-    """Copies as a PointInstancer."""
+    """Instances written as a PointInstancer."""
 
     type_name = "PointInstancer"
     sampled = (
@@ -247,7 +247,7 @@ class InstancerForm(FrameForm[TransformsFrame]):
     points = "positions"
 
     def describe(self, writer: FramePrim, spec: Any, frame: TransformsFrame) -> None:
-        """Write the meshes below the prim."""
+        """Write the prototype meshes below the prim."""
         relationship(spec, "prototypes", *_prototypes(writer, spec, frame.meshes))
 
     def values(
@@ -257,7 +257,7 @@ class InstancerForm(FrameForm[TransformsFrame]):
         points: Float32Array,
         code: float,
     ) -> Mapping[str, npt.NDArray[Any]]:
-        """Return which mesh each is, its turn and scale, and bounds of all."""
+        """Return prototype index, orientation and scale of each, and the bounds."""
         boxes = np.stack([_corners(mesh.points) for mesh in frame.meshes])
         corners = boxes[frame.copied] * (frame.scales[:, None] / writer.unit)
         corners = so3.rotate(frame.rotations[:, None], corners) + points[:, None]
@@ -275,13 +275,13 @@ class InstancerForm(FrameForm[TransformsFrame]):
 
 
 class XformsForm(FrameForm[TransformsFrame]):
-    """Copies with names: an Xform each, with a mesh that refers to a prototype."""
+    """Named instances: an Xform each, whose mesh references a prototype."""
 
     type_name = "Xform"
     points = ""
 
     def kinds(self, frame: TransformsFrame) -> dict[str, AttributeKind]:
-        """Return the operations of those that move."""
+        """Return the transform ops of the animated instances."""
         return {
             f"{part}.{name}": ATTRIBUTES[name]
             for i, part in enumerate(part_names(frame.names).names)
@@ -290,12 +290,12 @@ class XformsForm(FrameForm[TransformsFrame]):
         }
 
     def divide(self, spec: Any, frame: TransformsFrame) -> None:
-        """Write the Xforms, in order."""
+        """Create the Xforms, in order."""
         for part in part_names(frame.names).names:
             prim(spec.layer, f"{spec.path}/{part}", "Xform")
 
     def describe(self, writer: FramePrim, spec: Any, frame: TransformsFrame) -> None:
-        """Write meshes, in which order operations follow, and where the still ones are.
+        """Write meshes, xformOpOrder, and transforms of static instances.
 
         The prototypes are a class, which nothing shows.
         """
@@ -328,7 +328,7 @@ class XformsForm(FrameForm[TransformsFrame]):
         points: Float32Array,  # noqa: ARG002
         code: float,  # noqa: ARG002
     ) -> Mapping[str, npt.NDArray[Any]]:
-        """Return where those are that move."""
+        """Return the transforms of the animated instances."""
         return {
             f"{part}.{name}": value
             for i, part in enumerate(writer.parts)
@@ -342,12 +342,12 @@ class XformsForm(FrameForm[TransformsFrame]):
 def _placed(
     frame: TransformsFrame, i: int, unit: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return translation, in a unit [m], and rotation of a copy."""
+    """Return translation, in a unit [m], and rotation of an instance."""
     return frame.points[i] / unit, frame.rotations[i]
 
 
 def part_names(names: Sequence[str]) -> UsdNames:
-    """Return legal and distinct names of copies.
+    """Return legal, distinct names of instances.
 
     >>> part_names(["brick[3]", "brick_3"]).names
     ['brick_3', 'brick_3_2']
@@ -358,7 +358,7 @@ def part_names(names: Sequence[str]) -> UsdNames:
 
 
 def _prototypes(writer: FramePrim, spec: Any, meshes: Sequence[MeshFrame]) -> list[str]:
-    """Write meshes below a prim; return their paths."""
+    """Write prototype meshes below a prim; return their paths."""
     above = prim(spec.layer, f"{spec.path}/{PROTOTYPES}", "Scope")
     paths = [f"{above.path}/mesh_{i + 1}" for i in range(len(meshes))]
     for path, mesh in zip(paths, meshes, strict=True):
@@ -367,6 +367,6 @@ def _prototypes(writer: FramePrim, spec: Any, meshes: Sequence[MeshFrame]) -> li
 
 
 def _corners(points: FloatArray) -> FloatArray:
-    """Return the corners ``(8, 3)`` of the box about points ``(N, 3)``."""
+    """Return the corners ``(8, 3)`` of the bounds of points ``(N, 3)``."""
     ends = np.stack([points.min(axis=0), points.max(axis=0)])
     return ends[np.indices((2, 2, 2)).reshape(3, 8), np.arange(3)[:, None]].T

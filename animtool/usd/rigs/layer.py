@@ -1,4 +1,4 @@
-"""A rig alone as USD: the layer that other departments refer to."""
+"""Writes a rig as a USD layer that other departments reference."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ _AXES = "XYZ"
 
 @dataclass(frozen=True, slots=True)
 class JointDescription:
-    """What a joint prim says of a joint."""
+    """Description of a physics joint prim."""
 
     name: str  # USD name of the joint
     type: JointType  # what it can do
@@ -59,7 +59,7 @@ class JointDescription:
 def author_physics(
     layer: Any, model: str, rig: Rig, names: Sequence[str], meters_per_unit: float
 ) -> int:
-    """Write bodies and joints below ``MODEL/Physics``; return how many joints.
+    """Write bodies and joints below ``MODEL/Physics``; return the joint count.
 
     meters_per_unit: unit of the layer [m].
     """
@@ -139,7 +139,7 @@ def _prim_type(joint: Joint) -> str:
 
 
 def _frame(joint: Joint) -> tuple[str, FloatArray]:
-    """Return the axis token, empty for none, and the joint's own frame in the body."""
+    """Return the axis token, empty for none, and the joint frame in the body."""
     if isinstance(joint.limits, BallLimit):
         token = "" if joint.limits.twist is not None else "X"
         return token, so3.from_matrix(joint.limits.axes.T)
@@ -154,7 +154,7 @@ def _frame(joint: Joint) -> tuple[str, FloatArray]:
 
 
 def author_ball(spec: Any, limits: BallLimit, *, locked: bool) -> list[str]:
-    """Write the limits of a ball; return the schemas that it needs.
+    """Author the limits of a ball joint; return the schemas to apply.
 
     One that is ``locked`` in place by limits, for it twists, is no spherical joint.
     """
@@ -179,7 +179,7 @@ def author_ball(spec: Any, limits: BallLimit, *, locked: bool) -> list[str]:
 
 
 def read_physics(stage: Any, meters_per_unit: float) -> dict[str, JointDescription]:
-    """Return what the joint prims of a stage say, by the name of the joint.
+    """Return the joint types and limits of physics joints, by joint name.
 
     Joints of other tools are read where they have one axis or none; where there is no
     ``animtool:joint``, a PhysicsJoint is a ball.
@@ -229,7 +229,7 @@ def _on_axis(vector: FloatArray) -> tuple[float, float, float]:
 
 
 def read_ball(joint: Any, axis: tuple[float, float, float]) -> BallLimit | None:
-    """Return the limits of a ball about an axis; None is any way."""
+    """Return the limits of a ball joint about an axis; None if free."""
 
     def limit(name: str) -> tuple[float, float] | None:
         low, high = (
@@ -261,7 +261,7 @@ RATE = Fraction(24)
 
 
 def write_rig_layer(rig: Rig, path: Path) -> tuple[int, list[Fault]]:
-    """Write a rig layer; return its size in bytes and what is odd about names.
+    """Write a rig layer; return its size in bytes and notices about names.
 
     It holds the model, the SkelRoot, the Skeleton with bind and rest, the meshes and
     blend shapes, and in customData what USD has no place for. It binds no animation.
@@ -303,7 +303,7 @@ def _metadata(layer: Any, rig: Rig, paths: RigPaths) -> None:
 
 
 def write_physics_layer(rig: Rig, path: Path, rig_path: Path) -> tuple[int, int]:
-    """Write joints as UsdPhysics has them, over a rig layer.
+    """Write joints as UsdPhysics over a rig layer.
 
     Returns bytes, and how many joints.
     """

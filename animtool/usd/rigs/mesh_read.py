@@ -60,7 +60,7 @@ _METHODS = {"classicLinear": "linear", "dualQuaternion": "dual_quaternion"}
 def read_meshes(
     skeleton: Any, rig: SkeletonRig, where: str
 ) -> tuple[tuple[Mesh, ...], tuple[Shape, ...], list[Fault]]:
-    """Return meshes, shapes and what is left out of them.
+    """Return meshes, shapes and notices of what is left out.
 
     Normals that are not one a vertex are left out (USD116), as are the shapes of a mesh
     that name no target. A mesh that follows joints as a whole has their influences at
@@ -81,7 +81,7 @@ def read_meshes(
 
 
 def bound_meshes(skeleton: Any) -> list[tuple[str, Any]]:
-    """Return the meshes that a Skeleton moves: distinct names, and queries."""
+    """Return the meshes a Skeleton deforms, as distinct names and queries."""
     used: set[str] = set()
     return [
         (unique_name(prim_name(query.GetPrim()), used), query)
@@ -90,7 +90,7 @@ def bound_meshes(skeleton: Any) -> list[tuple[str, Any]]:
 
 
 def bound_shapes(skeleton: Any) -> tuple[str, ...]:
-    """Return the names of the shapes that meshes of a Skeleton have."""
+    """Return the names of the blend shapes of a Skeleton's meshes."""
     names = (
         str(token)
         for _, query in bound_meshes(skeleton)
@@ -101,7 +101,7 @@ def bound_shapes(skeleton: Any) -> tuple[str, ...]:
 
 
 def _bind(query: Any, skeleton: Any, at: PrimLocation) -> tuple[float, ...] | None:
-    """Return where a mesh is bound, or placed; None where that is the origin."""
+    """Return the bind transform of a mesh; None if it is the identity."""
     if query.HasJointInfluences():
         authored = query.GetGeomBindTransform()
     else:
@@ -155,7 +155,7 @@ def _mesh(
 
 
 def _subdivision(mesh: Any, with_normals: bool) -> Subdivision | None:
-    """Return the rule, None where it is the usual one."""
+    """Return the subdivision scheme; None for the default one."""
     scheme = str(mesh.GetSubdivisionSchemeAttr().Get())
     by_scheme = {name: rule for rule, name in SUBDIVISION.items()}.get(scheme)
     default = Subdivision.NONE if with_normals else Subdivision.CATMULL_CLARK
@@ -163,7 +163,7 @@ def _subdivision(mesh: Any, with_normals: bool) -> Subdivision | None:
 
 
 def _faces(mesh: Any, points: int, at: PrimLocation) -> FloatArray:
-    """Return the faces ``(N, K)``, -1 where one has fewer vertices than others."""
+    """Return faces ``(N, K)``, padded with -1."""
     counts, indices = PointReader(mesh.GetPrim()).faces(None)
     if not len(counts):
         at.fail("USD017", "the mesh has no faces")
@@ -215,7 +215,7 @@ def _skin(query: Any, points: int, rig: SkeletonRig, at: PrimLocation) -> Skin:
 def _shapes(
     query: Any, mesh: str, points: int, where: str, known: set[str]
 ) -> list[Shape]:
-    """Return the shapes of a mesh; one that another mesh has too gets its name."""
+    """Return the blend shapes of a mesh; shapes shared by name keep one name."""
     if not query.HasBlendShapes():
         return []
     order = [str(token) for token in query.GetBlendShapeOrder() or ()]
@@ -289,7 +289,7 @@ def _shape(shape: Any, name: str, mesh: str, points: int, where: str) -> Shape:
 
 
 def read_strands(skeleton: Any, rig: SkeletonRig, where: str) -> tuple[Attachment, ...]:
-    """Return the linear curves that one joint each carries, as strands.
+    """Return linear curves bound to one joint each, as strands.
 
     Curves of other kinds, of different lengths, or that follow several joints, are
     passed over. Points are in the unit of the rig.
@@ -300,7 +300,7 @@ def read_strands(skeleton: Any, rig: SkeletonRig, where: str) -> tuple[Attachmen
 def bound_strands(
     skeleton: Any, rig: SkeletonRig, where: str
 ) -> list[tuple[Attachment, Any]]:
-    """Return what `read_strands` does, each with its prim."""
+    """Return the strands of `read_strands`, each with its prim."""
     strands: list[tuple[Attachment, Any]] = []
     used: set[str] = set()
     for query in skinned_prims(skeleton, UsdGeom.BasisCurves):
@@ -316,7 +316,7 @@ def bound_strands(
 
 
 def _carrier(query: Any, rig: SkeletonRig, at: PrimLocation) -> str | None:
-    """Return the joint that carries a prim as a whole; None where it is not one."""
+    """Return the single joint a prim is rigidly bound to; None if there are others."""
     if not query.HasJointInfluences() or not query.IsRigidlyDeformed():
         return None
     indices = integers(query.GetJointIndicesPrimvar().GetAttr(), Usd.TimeCode.Default())
@@ -333,7 +333,7 @@ def _carrier(query: Any, rig: SkeletonRig, at: PrimLocation) -> str | None:
 
 
 def _points(curves: Any, query: Any, at: PrimLocation) -> FloatArray | None:
-    """Return points ``(S, K, 3)`` at bind; None of curves that are no strands."""
+    """Return bind points ``(S, K, 3)``; None if the curves are not strands."""
     counts = integers(curves.GetCurveVertexCountsAttr())
     if curves.GetTypeAttr().Get() != UsdGeom.Tokens.linear or not len(counts):
         return None

@@ -1,4 +1,4 @@
-"""Where a stage has a Skeleton: the one place that composes its transforms.
+"""Placement of a Skeleton on a stage, composed from all transforms above it.
 
 What pxr composes above a Skeleton, ``LocalToWorld`` in metres, is a `Placement` in the
 unit and the up axis of the rig: it is none for a rig in centimetres that a shot in
@@ -35,7 +35,7 @@ KEEP, DROP = "keep", "drop"
 
 @dataclass(frozen=True, slots=True)
 class SkeletonPlacement:
-    """Where a Skeleton is over the frames of a take."""
+    """Placement of a Skeleton over the frames of a take."""
 
     full: Placement  # all that is above its joints
     # The part that a layer over the rig does not replace: without what moves the
@@ -50,23 +50,23 @@ class SkeletonPlacement:
 
     @property
     def stands(self) -> Placement:
-        """Where it stands and faces, at rest."""
+        """Where it is placed and faces at rest."""
         return self._at_rest()[0]
 
     @property
     def rest(self) -> Placement:
-        """What its rest pose is brought to: its size, upright, where it stands."""
+        """Placement of its rest pose: size, upright rotation and position."""
         stands, sized = self._at_rest()
         return stands.after(sized)
 
     @property
     def sized(self) -> Placement:
-        """What makes its rest pose its size, and upright."""
+        """Scale and upright rotation of its rest pose."""
         return self._at_rest()[1]
 
     @property
     def motion(self) -> Placement:
-        """What moves it where it stands: all but how it stands, frame by frame."""
+        """Placement per frame relative to `stands`."""
         stands, _ = self.fixed.split(self._up)
         return stands.inverse().after(self.full).steady()
 
@@ -76,7 +76,7 @@ class SkeletonPlacement:
 
 
 def movers(skeleton: Any) -> list[Any]:
-    """Return the prims whose transforms place a Skeleton, if one of them moves."""
+    """Return the prims whose transforms place a Skeleton, if any is animated."""
     chain = [mover for prim in upwards(skeleton) if (mover := UsdGeom.Xformable(prim))]
     moves = any(mover.TransformMightBeTimeVarying() for mover in chain)
     return chain if moves else []
@@ -85,7 +85,7 @@ def movers(skeleton: Any) -> list[Any]:
 def skeleton_placement(
     skeleton: Any, rig: Rig, codes: Sequence[float] | None = None
 ) -> SkeletonPlacement:
-    """Return where a Skeleton prim is at time codes; None is its first.
+    """Return the placement of a Skeleton at time codes; None is its first.
 
     rig: as its numbers are, whose unit and up axis the placement is in.
     """
@@ -113,7 +113,7 @@ def skeleton_placement(
 
 
 def _may_ride(skeleton: Any) -> bool:
-    """Return whether a prim that places a Skeleton moves, but for its SkelRoot."""
+    """Return whether an ancestor other than the SkelRoot moves the Skeleton."""
     root = UsdSkel.Root.Find(skeleton)
     root_path = root.GetPath() if root else None
     return any(
@@ -133,7 +133,7 @@ def _times(skeleton: Any, codes: Sequence[float] | None) -> list[float]:
 
 
 def fixed_matrices(skeleton: Any, codes: Sequence[float]) -> FloatArray:
-    """Return what a layer over the rig does not replace above a Skeleton's joints.
+    """Return the matrices above a Skeleton's joints that a layer keeps.
 
     As pxr has it ``(F, 4, 4)``, at time codes.
     """
@@ -144,7 +144,7 @@ def fixed_matrices(skeleton: Any, codes: Sequence[float]) -> FloatArray:
 def _without_root_motion(
     skeleton: Any, times: Sequence[float], full: FloatArray
 ) -> FloatArray:
-    """Return transforms without the operations that move the SkelRoot itself."""
+    """Return matrices without the SkelRoot's animated operations."""
     root = UsdSkel.Root.Find(skeleton)
     if not root or not root.TransformMightBeTimeVarying():
         return full
@@ -170,7 +170,7 @@ def moves_root(operation: Any) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class _StageUnits:
-    """From the world of a stage to metres, with the up axis of a rig."""
+    """Conversion from stage world to metres in a rig's up axis."""
 
     unit: float  # of the stage [m]
     size: float  # what the scales of transforms are multiplied by
@@ -180,7 +180,7 @@ class _StageUnits:
 
     @staticmethod
     def of(skeleton: Any, rig: Rig, matrix: FloatArray) -> _StageUnits:
-        """Return those of a Skeleton that has a transform."""
+        """Return the conversion for a Skeleton with a transform."""
         stage = skeleton.GetStage()
         unit, up = float(UsdGeom.GetStageMetersPerUnit(stage)), up_axis(stage)
         unit_mismatch = []
@@ -203,7 +203,7 @@ class _StageUnits:
         return _StageUnits(unit, size, turned, righted, " and ".join(unit_mismatch))
 
     def placement(self, matrices: FloatArray) -> Placement:
-        """Return transforms ``(F, 4, 4)`` as a placement, the nearest where uneven."""
+        """Return matrices ``(F, 4, 4)`` as a placement, the nearest if uneven."""
         translations, rotations, scales = decompose(matrices)
         sizes = np.cbrt(np.abs(scales).prod(axis=-1)) * self.size
         translations = translations * self.unit
@@ -217,7 +217,7 @@ class _StageUnits:
 
 
 def _snapped(placement: Placement) -> Placement:
-    """Return a placement whose rounding is gone, where it is none."""
+    """Return a placement snapped to the identity within rounding."""
     if not placement.moves and placement.is_none:
         return Placement.turn(so3.IDENTITY)
     near = np.abs(placement.sizes - 1.0) <= EVEN / 10
@@ -229,7 +229,7 @@ def _snapped(placement: Placement) -> Placement:
 
 
 def _uneven(matrices: FloatArray) -> str:
-    """Say with numbers why joints cannot hold a transform; empty where they can."""
+    """Return why joints cannot hold a transform, with numbers; empty if they can."""
     linear = matrices[:, :3, :3]
     lengths = np.linalg.norm(linear, axis=-1)
     mirrored = np.linalg.det(linear) <= 0.0
@@ -261,7 +261,7 @@ def refuse_uneven(placement: SkeletonPlacement, where: PrimLocation) -> None:
 
 
 def uneven_notice(placement: SkeletonPlacement, where: PrimLocation) -> list[Fault]:
-    """Say with numbers which transform is left out (USD109)."""
+    """Return a notice of a transform that is left out, with numbers (USD109)."""
     if not placement.uneven:
         return []
     message = f"the character {placement.uneven}, which joints cannot represent: "
@@ -271,7 +271,7 @@ def uneven_notice(placement: SkeletonPlacement, where: PrimLocation) -> list[Fau
 
 
 def unit_mismatch_notice(placement: SkeletonPlacement, where: str) -> list[Fault]:
-    """Say so where a rig is read in its own unit or up axis (USD110)."""
+    """Return a notice if rig and stage units or up axes differ (USD110)."""
     if not placement.unit_mismatch:
         return []
     message = (
@@ -286,7 +286,7 @@ NOWHERE = SkeletonPlacement(Placement.turn(so3.IDENTITY), Placement.turn(so3.IDE
 
 
 def rest_rig(rig: Rig, placement: SkeletonPlacement, choice: str | None = None) -> Rig:
-    """Return a rig, as its numbers are, with its rest pose where its stage has it.
+    """Return a rig whose rest pose is placed where its stage has it.
 
     choice: ``drop`` leaves out where the stage has it; None keeps it.
     """
@@ -306,7 +306,7 @@ def rest_rig(rig: Rig, placement: SkeletonPlacement, choice: str | None = None) 
 
 
 def local_placement(skeleton: Any, rig: Rig) -> SkeletonPlacement:
-    """Return where a rig is at rest; an uneven placement is left out of that."""
+    """Return the rest placement of a rig, without an uneven transform."""
     placement = skeleton_placement(skeleton, rig)
     if placement.uneven:
         return replace(NOWHERE, uneven=placement.uneven)

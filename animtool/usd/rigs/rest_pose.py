@@ -1,4 +1,4 @@
-"""The rest pose of a Skeleton, and what is used where none is authored.
+"""The rest pose of a Skeleton, and its replacement where none is authored.
 
 UsdSkel poses a Skeleton without restTransforms by an animation of all its joints, and
 not at all by one that lacks some.
@@ -40,7 +40,7 @@ class RestPose:
 
 
 def rest_pose(skeleton: Any, joints: Sequence[str]) -> RestPose | None:
-    """Return the rest pose of a Skeleton, as authored where it is.
+    """Return the rest pose of a Skeleton, authored if possible.
 
     Else it is the bind pose; without one, the first sample of a bound animation of all
     joints. None where there is neither.
@@ -56,7 +56,7 @@ def rest_pose(skeleton: Any, joints: Sequence[str]) -> RestPose | None:
 
 
 def relative_bind(skeleton: Any, joints: Sequence[str]) -> FloatArray | None:
-    """Return the bind transforms relative to the parents ``(J, 4, 4)``.
+    """Return the bind transforms relative to their parents ``(J, 4, 4)``.
 
     None where they are of another number, not finite or without an inverse, or
     identities of several joints, which are placeholders.
@@ -76,7 +76,7 @@ def relative_bind(skeleton: Any, joints: Sequence[str]) -> FloatArray | None:
 def rest_transforms(
     skeleton: Any, joints: Sequence[str], *, animated: bool = True
 ) -> Iterator[Fault]:
-    """Yield what is wrong with the rest transforms of a Skeleton that has joints.
+    """Yield faults of the rest transforms of a Skeleton with joints.
 
     animated: whether what it is bound to counts, as it does not for a layer over it.
     """
@@ -93,7 +93,7 @@ def rest_transforms(
 
 
 def _missing(skeleton: Any, joints: Sequence[str], *, animated: bool) -> Fault:
-    """Return the finding of no rest transforms: a warning where others stand in."""
+    """Return the fault of missing rest transforms: a warning if replaced."""
     where = skeleton.GetRestTransformsAttr().GetPath()
     message = f"no restTransforms for {counted(len(joints), 'joint')}"
     lacking = _lacking(_animation(skeleton), joints) if animated else []
@@ -113,7 +113,7 @@ def _missing(skeleton: Any, joints: Sequence[str], *, animated: bool) -> Fault:
 def readable_rest(
     skeleton: Any, joints: Sequence[str], where: PrimLocation, *, animated: bool = True
 ) -> tuple[FloatArray, list[Fault]]:
-    """Return the rest transforms ``(J, 4, 4)`` and a warning where others stand in.
+    """Return rest transforms ``(J, 4, 4)``, and a warning if they are replaced.
 
     What no reader can go on with is raised.
     """
@@ -129,14 +129,14 @@ def readable_rest(
 
 
 def _animation(skeleton: Any) -> Any:
-    """Return the animation that a Skeleton is bound to; None without."""
+    """Return the animation bound to a Skeleton; None if unbound."""
     binding = UsdSkel.BindingAPI(skeleton.GetPrim())
     source = binding.GetInheritedAnimationSource()
     return UsdSkel.Animation(source) if source else None
 
 
 def _lacking(animation: Any, joints: Sequence[str]) -> list[str]:
-    """Return the joints that an animation lacks, where it moves any."""
+    """Return the joints missing from an animation that has joints."""
     if animation is None:
         return []
     moved = set(tokens(animation.GetJointsAttr()))

@@ -40,7 +40,7 @@ KEY = "stands"
 
 
 def rest_record(rig: Rig, resting: Rig | None = None) -> dict[str, Any]:
-    """Return what a file records of where a rig stands; empty where it does not.
+    """Return the record of a rig's rest placement; empty if it has none.
 
     resting: the rig whose rest pose the file has; None is the same. Where that stands
     somewhere, so is recorded who does not.
@@ -59,7 +59,7 @@ def rest_record(rig: Rig, resting: Rig | None = None) -> dict[str, Any]:
 def with_recorded_rest(
     rig: Rig, skeleton: Any, animation: Any, where: PrimLocation
 ) -> Rig:
-    """Return a rig, as its numbers are, that stands where its motion is recorded to.
+    """Return a rig with the rest placement recorded in its motion file.
 
     skeleton: the prim of its rest pose; None is none; animation: that of its motion;
     None is the rest pose.
@@ -77,7 +77,7 @@ def with_recorded_rest(
 
 
 def _recorded(prim: Any, where: PrimLocation) -> tuple[Placement, bool] | None:
-    """Return what a prim records, and whether it rides; None where it does not."""
+    """Return the recorded placement of a prim, and whether it moves; None if absent."""
     # What writes needs nothing of stages.
     from animtool.usd.rigs.prims import stored_data
 
@@ -144,7 +144,7 @@ def author_rig(
 
 
 def says_more(rig: Rig) -> bool:
-    """Return whether a rig holds what USD has no place for.
+    """Return whether a rig contains data that USD cannot express.
 
     The type of a joint with channels follows from these, which stand apart.
     """
@@ -159,7 +159,7 @@ def says_more(rig: Rig) -> bool:
 
 
 def stripped(rig: Rig) -> Rig:
-    """Return a rig without the arrays, which USD holds."""
+    """Return a rig without the arrays that USD holds."""
     shapes = tuple(
         Shape(shape.name, combine=shape.combine, driven=shape.driven)
         for shape in rig.shapes
@@ -169,7 +169,7 @@ def stripped(rig: Rig) -> Rig:
 
 
 def _pins(rig: Rig) -> dict[str, Any]:
-    """Return the vertices that stay with the skin, by the cloth's name."""
+    """Return the pinned vertices by cloth name."""
     return {
         entry.name: Vt.IntArray.FromNumpy(_integers(entry.pins, entry.name))
         for entry in rig.attach
@@ -193,7 +193,7 @@ def skeleton_hash(tokens: Any, rest: Any, bind: Any) -> str:
 
 
 def _matrices(positions: FloatArray, linear: FloatArray) -> Any:
-    """Return row-vector matrices, as USD has them."""
+    """Return row-vector matrices, as in USD."""
     matrices = np.zeros((len(positions), 4, 4))
     matrices[:, :3, :3] = linear.swapaxes(-1, -2)
     matrices[:, 3, :3] = positions
@@ -202,7 +202,7 @@ def _matrices(positions: FloatArray, linear: FloatArray) -> Any:
 
 
 def joint_extras(rig: Rig, names: list[str]) -> str:
-    """Return what USD has no place for, as canonical JSON; empty if there is none.
+    """Return joint data that USD cannot express, as canonical JSON; else empty.
 
     Channel orders and the ends of bones [m], by USD name.
     """
@@ -224,7 +224,7 @@ def joint_extras(rig: Rig, names: list[str]) -> str:
 def author_binding(
     layer: Any, paths: RigPaths, *, skeleton: bool, animation: bool = True
 ) -> None:
-    """Bind the animation, and the skeleton too where the rig does not."""
+    """Bind the animation, and the skeleton if the rig does not."""
     spec = layer.GetPrimAtPath(paths.binding)
     if spec is None:
         spec = prim(layer, paths.binding, over=True)
@@ -284,7 +284,7 @@ def _curves(spec: Any, points: FloatArray, width: float) -> None:
 
 
 def _bound(spec: Any, token: str) -> None:
-    """Bind a prim to one joint as a whole."""
+    """Bind a prim rigidly to one joint."""
     apply_schemas(spec, ["SkelBindingAPI"])
     joints = Vt.TokenArray([token])
     attribute(spec, "skel:joints", _TYPES.TokenArray, joints, uniform=True)

@@ -1,4 +1,4 @@
-"""What a rig says beyond USD, beside what USD says of it now."""
+"""Merges rig data stored in customData with the current USD content."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ from animtool.usd.rigs.skinned import unique_name
 def joined_attachments(
     rig: Rig, strands: Mapping[str, Attachment], pins: Mapping[str, Any]
 ) -> tuple[tuple[Attachment, ...], list[str]]:
-    """Return a rig's attachments with their arrays, and names of those left out.
+    """Return a rig's attachments with arrays, and names of dropped ones.
 
     Strands are as USD has them; others than the rig's stand last. What is left out has
     lost its mesh or curves, or the vertices that it pins.
@@ -78,7 +78,7 @@ def joined_attachments(
 
 
 def _fits(entry: Attachment, counts: dict[str, int], pins: Mapping[str, Any]) -> bool:
-    """Return whether a cloth has its mesh, and that the vertices of its pins."""
+    """Return whether a cloth's mesh exists and its pins are valid vertices."""
     indices = np.array(pins.get(entry.name, ()))
     count = counts.get(entry.mesh, 0)
     integral = indices.ndim == 1 and (not len(indices) or indices.dtype.kind in "iu")
@@ -97,7 +97,7 @@ def joined_rig(
     bind: Any,
     path: Path,
 ) -> tuple[Rig, list[Fault]]:
-    """Return a rig with what its customData says beyond USD.
+    """Return a rig with the data of its customData.
 
     Where the Skeleton is what it was when it was written, joints are exactly those of
     the rig that it was written from. Else USD's own tree, rest and bind count, what
@@ -134,7 +134,7 @@ def joined_rig(
 def with_attachments(
     joined: Rig, read: Rig, data: dict[str, Any], path: Path
 ) -> tuple[Rig, list[Fault]]:
-    """Return a joined rig whose cloth and strands have what USD holds of them.
+    """Return a joined rig whose cloth and strands have their USD arrays.
 
     Those whose mesh or curves USD lost or broke are left out, and named (USD119).
     """
@@ -154,7 +154,7 @@ def with_attachments(
 
 
 def _renamed(mesh: Mesh, names: dict[str, str]) -> Mesh:
-    """Return a mesh whose skin names joints as the rig does."""
+    """Return a mesh whose skin uses the rig's joint names."""
     if mesh.skin is None:
         return mesh
     joints = tuple(names[name] for name in mesh.skin.joints)
@@ -162,7 +162,7 @@ def _renamed(mesh: Mesh, names: dict[str, str]) -> Mesh:
 
 
 def _shapes(stored: Rig, read: Rig) -> tuple[Shape, ...]:
-    """Return shapes in the stored order, their arrays as USD has them."""
+    """Return shapes in stored order, with USD's arrays."""
     by_name = {shape.name: shape for shape in read.shapes}
     known = {shape.name for shape in stored.shapes}
     return (
@@ -223,7 +223,7 @@ def _equal_rest(one: Joint, other: Joint) -> bool:
 
 
 def _without(rig: Rig, gone: list[str]) -> Rig:
-    """Return a rig without what names joints that are gone."""
+    """Return a rig without references to removed joints."""
     lost = set(gone)
     joints = tuple(
         replace(
@@ -260,7 +260,7 @@ def _control(control: Control, lost: set[str]) -> Control:
 
 
 def _driver(driver: Driver | None, lost: set[str]) -> Driver | None:
-    """Return a driver; None where it reads a joint that is lost."""
+    """Return a driver; None if it reads a removed joint."""
     read = () if driver is None else driver.names
     return None if lost & {split_coordinate(name)[0] for name in read} else driver
 
@@ -272,7 +272,7 @@ SCALE_TOLERANCE = 1e-4
 
 
 def read_rig(path: Path) -> Rig:
-    """Return the rig of a USD file, with what there is to say of it as its notices."""
+    """Return the rig of a USD file with its notices."""
     rig, notices = read_rig_with_data(path)
     return replace(rig, notices=tuple(notices))
 
@@ -329,7 +329,7 @@ def read_rig_with_data(
 def _bind_poses(
     skeleton: Any, of_skeleton: SkeletonRig
 ) -> tuple[dict[str, Pose], FloatArray]:
-    """Return the local bind transforms that are not those of rest, and their scales.
+    """Return local bind transforms that differ from rest, and their scales.
 
     The scales ``(J, 3)`` are no part of the poses.
     """
@@ -359,7 +359,7 @@ def _bind_poses(
 
 
 def _scale_notice(rig: SkeletonRig, bind: FloatArray, where: str) -> list[Fault]:
-    """Name the joints whose scale at rest or at bind time a rig does not hold."""
+    """Report joints with a rest or bind scale, which rigs cannot hold."""
     off = np.abs(np.stack([rig.rest_scales, bind]) - 1.0).max(axis=(0, 2))
     names = [rig.rig.names[j] for j in np.flatnonzero(off > SCALE_TOLERANCE)]
     if not names:

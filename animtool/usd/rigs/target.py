@@ -1,4 +1,4 @@
-"""The rig that an animation layer is made for."""
+"""The target rig of an animation layer."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ from animtool.usd.takes.over_rig import OverRig
 
 @dataclass(frozen=True, slots=True)
 class RigTarget:
-    """A rig on a stage, and where a layer over it has its prims."""
+    """A rig on a stage, and the prim paths of a layer over it."""
 
     path: Path
     stage: Any
@@ -72,14 +72,14 @@ class RigTarget:
     notices: list[Fault]  # what is odd about it
 
     def placement(self, codes: FloatArray | None = None) -> SkeletonPlacement:
-        """Return where the rig's stage has its Skeleton, at time codes."""
+        """Return the rig's Skeleton placement at time codes."""
         prim = self.stage.GetPrimAtPath(self.on_stage(self.paths.skeleton))
         times = None if codes is None else codes.tolist()
         return skeleton_placement(prim, self.skeleton.rig, times)
 
     @property
     def names(self) -> UsdNames:
-        """Names of its joints, and those of their source where they are others."""
+        """Names of its joints, and their original names if different."""
         rig, tokens = self.skeleton.rig, self.skeleton.tokens
         originals = {
             leaf: joint.source_name
@@ -90,18 +90,18 @@ class RigTarget:
         return UsdNames(rig.names, originals, [])
 
     def on_stage(self, path: str) -> str:
-        """Return where the rig's own stage has a prim of a layer over it."""
+        """Return the stage path of a prim of the layer over the rig."""
         model = Sdf.Path(self.stage_model)
         return str(Sdf.Path(path).ReplacePrefix(Sdf.Path(self.paths.model), model))
 
     def on_layer(self, path: Any) -> str:
-        """Return where a layer over the rig has a prim of its own stage."""
+        """Return the layer path of a prim of the rig's stage."""
         model = Sdf.Path(self.paths.model)
         return str(Sdf.Path(path).ReplacePrefix(Sdf.Path(self.stage_model), model))
 
 
 def open_target(path: Path, prim_path: str | None) -> RigTarget:
-    """Open the stage that holds a rig: a rig layer, or a shot that refers to one."""
+    """Open the stage that holds a rig: a rig layer, or a shot that references one."""
     with usd_errors(path), without_usd_warnings():
         return _target(open_stage(path), path, prim_path)
 
@@ -172,7 +172,7 @@ def _target(stage: Any, path: Path, prim_path: str | None) -> RigTarget:
 
 
 def _unit_notice(stage: Any, rig: Rig, where: str) -> list[Fault]:
-    """Say so where a shot is in other units than the rig that it refers to."""
+    """Report a shot in other units than the rig it references."""
     unit, up = UsdGeom.GetStageMetersPerUnit(stage), up_axis(stage)
     same_unit = math.isclose(unit, rig.meters_per_unit, rel_tol=1e-6)
     if same_unit and up is rig.up:
@@ -184,7 +184,7 @@ def _unit_notice(stage: Any, rig: Rig, where: str) -> list[Fault]:
 
 
 def _bound_in_shot(stage: Any, paths: RigPaths, where: str) -> list[Fault]:
-    """Say so where a shot itself binds an animation to a rig that it refers to."""
+    """Report a shot that itself binds an animation to the referenced rig."""
     layer = stage.GetRootLayer()
     skeleton = layer.GetPrimAtPath(paths.skeleton)
     if skeleton is not None and skeleton.specifier == Sdf.SpecifierDef:
@@ -197,7 +197,7 @@ def _bound_in_shot(stage: Any, paths: RigPaths, where: str) -> list[Fault]:
 
 
 def _operations(root: Any) -> tuple[list[str], list[str]]:
-    """Return the transform operations that place a SkelRoot, and that move it."""
+    """Return the xform ops that place a SkelRoot, and those that animate it."""
     placing: list[str] = []
     moving: list[str] = []
     for operation in UsdGeom.Xformable(root).GetOrderedXformOps():
@@ -207,7 +207,7 @@ def _operations(root: Any) -> tuple[list[str], list[str]]:
 
 
 def _model(stage: Any, root: Any, prim_path: str | None) -> Any:
-    """Return the path of the prim that stands for the character."""
+    """Return the path of the character's root prim."""
     if prim_path is not None and root.GetPath().HasPrefix(Sdf.Path(prim_path)):
         return Sdf.Path(prim_path)
     default = stage.GetDefaultPrim()
@@ -217,7 +217,7 @@ def _model(stage: Any, root: Any, prim_path: str | None) -> Any:
 
 
 def _binding(skeleton: Any, root: Any, model: Any) -> str:
-    """Return the prim nearest the Skeleton that binds an animation, else the root.
+    """Return the nearest prim above the Skeleton that binds an animation, or the root.
 
     What binds above the model is not the character's alone: the root is nearer.
     """
@@ -248,7 +248,7 @@ _NONE: IntArray = np.zeros(0, np.int64)
 
 @dataclass(frozen=True, slots=True)
 class RigJointMap:
-    """How the joints of a take stand in a target rig."""
+    """Map from the joints of a take to those of a target rig."""
 
     rig: Rig  # the target's joints
     # Joint of the take for each joint of the target ``(J,)``, -1 for none.
@@ -266,13 +266,13 @@ class RigJointMap:
     size: float = 1.0  # of the world, a length of 1 m in the numbers of the rig
 
     def at(self, codes: FloatArray, motion: Motion) -> Motion:
-        """Return the motion of the target at time codes ``(F,)``; see `apply`."""
+        """Return the target's motion at time codes ``(F,)``; see `apply`."""
         if self.to_rig is not None:
             motion = placed_motion(motion, self.roots, self.to_rig(codes))
         return self.apply(motion)
 
     def apply(self, motion: Motion) -> Motion:
-        """Return the motion of the target; joints that the take lacks are at rest."""
+        """Return the target's motion; joints missing from the take are at rest."""
         scales = motion.scales
         mapped = None
         if scales is not None or (self.rest_scales != 1.0).any():
@@ -379,7 +379,7 @@ def map_joints(
 
 
 def _check_shapes(take: Rig, target: RigTarget) -> None:
-    """Refuse a take that has no joint of a rig and is not one of its shapes alone."""
+    """Refuse a take that shares neither joints nor shapes with a rig."""
     rig, known = target.skeleton.rig, _known_shapes(target)
     names = [shape.name for shape in take.shapes]
     shared = known is None or {arkit_name(n) or n for n in names} & {
@@ -401,7 +401,7 @@ def _check_shapes(take: Rig, target: RigTarget) -> None:
 def match_shapes(
     target: RigTarget, shapes: Sequence[str]
 ) -> tuple[tuple[str, ...], list[Fault]]:
-    """Return the names that a rig has for some shapes, and what is odd about them.
+    """Return the rig's names of shapes, and notices of ambiguous ones.
 
     A shape of ARKit's is found however the rig spells it (USD118); what is on no mesh
     is named (USD114). A rig without meshes says nothing of the shapes that it will
@@ -435,7 +435,7 @@ def match_shapes(
 
 
 def _known_shapes(target: RigTarget) -> set[str] | None:
-    """Return the shapes that a rig's meshes have; None where it has no mesh."""
+    """Return the blend shapes of a rig's meshes; None without meshes."""
     root = target.stage.GetPrimAtPath(target.on_stage(target.paths.root))
     meshes = [
         prim
@@ -452,7 +452,7 @@ def _known_shapes(target: RigTarget) -> set[str] | None:
 
 
 def compose_check(target: RigTarget, layer: Any) -> Any:
-    """Return a stage of the layer over its rig, as a shot would compose them."""
+    """Return a stage of the layer over its rig, composed as in a shot."""
     stage = Usd.Stage.CreateInMemory()
     root = stage.GetRootLayer()
     if target.paths.model == target.stage_model:
@@ -467,7 +467,7 @@ def compose_check(target: RigTarget, layer: Any) -> Any:
 
 
 def resolved_animation(stage: Any, skeleton_path: str) -> str:
-    """Return the path of the animation that UsdSkel resolves for a Skeleton."""
+    """Return the animation path that UsdSkel resolves for a Skeleton."""
     skeleton = UsdSkel.Skeleton(stage.GetPrimAtPath(skeleton_path))
     source = animation_source(skeleton)
     return "" if source is None else str(source.GetPath())

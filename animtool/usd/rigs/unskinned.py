@@ -1,4 +1,4 @@
-"""Meshes that no joint moves, and a transform does: what a cache has not of them."""
+"""Rigidly animated meshes of a character, which a point cache leaves out."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ MOVED = 1e-6
 def unskinned_notice(
     skeleton: Any, where: str, choice: str | None = None
 ) -> list[Fault]:
-    """Name the meshes of a character that move, and that no joint moves (USD147).
+    """Report animated meshes of a character that no joint deforms (USD147).
 
     choice: its placement; with ``drop`` what moves all of the character is no motion.
     """
@@ -55,7 +55,7 @@ def unskinned_notice(
 
 
 def _skinned(root: Any) -> set[Any]:
-    """Return the paths of what joints move below a SkelRoot."""
+    """Return the paths of skinned prims below a SkelRoot."""
     cache = UsdSkel.Cache()
     cache.Populate(root, Usd.TraverseInstanceProxies())
     return {
@@ -67,7 +67,7 @@ def _skinned(root: Any) -> set[Any]:
 
 
 def _distance(prim: Any, skeleton: Any, choice: str | None) -> float:
-    """Return how far a mesh goes from where it is first [m]."""
+    """Return how far a mesh moves from its first position [m]."""
     chain = [*movers(prim), *(movers(skeleton) if choice == DROP else ())]
     times = sorted({time for mover in chain for time in mover.GetTimeSamples()})
     if len(times) < 2:
@@ -85,7 +85,7 @@ def _distance(prim: Any, skeleton: Any, choice: str | None) -> float:
 
 
 def _corners(prim: Any) -> FloatArray:
-    """Return the corners ``(8, 3)`` of the box about a mesh."""
+    """Return the corners ``(8, 3)`` of a mesh's bounds."""
     points = numbers(PointReader(prim).attr, 3, Usd.TimeCode.EarliestTime())
     if not len(points):
         return np.zeros((1, 3))

@@ -1,4 +1,4 @@
-"""The values of a SkelAnimation over frames, checked."""
+"""Reads and validates the values of a SkelAnimation over frames."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ from animtool.usd.takes.library import take_range
 
 
 def scale_channel(dense: FloatArray) -> Channel | None:
-    """Return the channel of scales ``(F, J, 3)``; None where nothing is scaled."""
+    """Return the channel of scales ``(F, J, 3)``; None if all are one."""
     return None if (dense == 1.0).all() else Channel.from_dense(dense)
 
 
 def animated_shapes(animation: Any) -> list[str]:
-    """Return the shapes that an animation has weights of."""
+    """Return the blend shapes of an animation."""
     if not animation.GetBlendShapeWeightsAttr().HasAuthoredValue():
         return []
     return [str(token) for token in array_value(animation.GetBlendShapesAttr())]
@@ -59,7 +59,7 @@ def sampled_values(
     of: str = "joint",
     drift: float = 0.0,
 ) -> FloatArray:
-    """Return an attribute's samples ``(F, J, K)``; F is 1 where it does not change.
+    """Return an attribute's samples ``(F, J, K)``; F is 1 if it is constant.
 
     drift: how far from a frame a sample is that frame's [time codes].
     """
@@ -87,7 +87,7 @@ def sampled_values(
 def nearest_samples(
     times: list[float], codes: list[float], drift: float
 ) -> list[float]:
-    """Return the sample of each frame that has one so near, else the frame's time.
+    """Return the time of the nearest sample within tolerance, else the frame's.
 
     >>> nearest_samples([1.0, 2.02, 3.5], [1.0, 2.0, 3.0], 0.05)
     [1.0, 2.02, 3.0]
@@ -105,7 +105,7 @@ def nearest_samples(
 
 
 def _time_text(time: Any) -> str:
-    """Return a time in words; the earliest is that of a value that does not change."""
+    """Return a time as text; the earliest stands for a constant value."""
     if time.IsEarliestTime():
         return "the only value"
     return f"time code {time.GetValue():g}"
@@ -114,7 +114,7 @@ def _time_text(time: Any) -> str:
 def normalised(
     rotations: FloatArray, names: Sequence[str], codes: list[float], where: PrimLocation
 ) -> tuple[FloatArray, list[Fault]]:
-    """Return rotations ``(F, J, 4)`` at unit length, and a warning of the worst."""
+    """Return rotations ``(F, J, 4)`` at unit length, and a warning of the worst one."""
     lengths = np.sqrt(np.einsum("fjc,fjc->fj", rotations, rotations))
     deviations = np.abs(lengths - 1.0)
     notices = []
@@ -165,7 +165,7 @@ class SampleGrid:
 
 @dataclass(frozen=True, slots=True)
 class _Span:
-    """First frame, and the last where the take or its stage states one."""
+    """First frame, and the last if the take or its stage authors one."""
 
     first: Fraction
     last: Fraction | None
@@ -183,7 +183,7 @@ def _span(stage: Any, animation: Any) -> _Span:
 def among_rest(
     rest: FloatArray, rows: FloatArray | None, columns: IntArray, frames: int
 ) -> FloatArray:
-    """Return the values of some joints among those of a rig at rest ``(F, J, …)``.
+    """Return values of some joints, the others at rest ``(F, J, …)``.
 
     places: of each joint in the rig, -1 where it has none such; no rows are at rest.
     """
@@ -197,13 +197,13 @@ def among_rest(
 def sample_grid(
     stage: Any, animation: Any, times: list[float], where: PrimLocation
 ) -> SampleGrid:
-    """Return the frames of an animation."""
+    """Return the frame grid of an animation."""
     grid = _grid(times, _span(stage, animation), where)
     return _plain_rate(grid, rate_from_float(stage.GetTimeCodesPerSecond()))
 
 
 def _plain_rate(grid: SampleGrid, fps: Fraction) -> SampleGrid:
-    """Return a grid with the step of the usual rate that its own is written for.
+    """Return a grid with the step of the standard rate near its own rate.
 
     A layer that says 23.976 for 24000/1001 has its frames 1.001001 time codes apart in
     a stage of 24.
@@ -232,7 +232,7 @@ def _grid(times: list[float], span: _Span, where: PrimLocation) -> SampleGrid:
 
 
 def _exact_grid(times: list[float]) -> SampleGrid | None:
-    """Return the coarsest grid that holds every sample; None where it is too fine."""
+    """Return the coarsest grid that contains every sample; None if too fine."""
     exact = [time_fraction(time) for time in times]
     gaps = {b - a for a, b in pairwise(exact)}
     step = _common_divisor(gaps)
@@ -243,7 +243,7 @@ def _exact_grid(times: list[float]) -> SampleGrid | None:
 
 
 def _drifting_grid(times: list[float]) -> SampleGrid | None:
-    """Return a grid that every sample is near to; None where there is none."""
+    """Return a grid near every sample; None if there is none."""
     codes = np.array(times)
     gaps = np.diff(codes)
     # Attributes that drift apart have samples of one frame almost at the same time.
@@ -256,7 +256,7 @@ def _drifting_grid(times: list[float]) -> SampleGrid | None:
 
 
 def _near_grid(codes: FloatArray, step: Fraction) -> SampleGrid | None:
-    """Return the grid of a step if every sample is near one of its frames."""
+    """Return the grid of a step if every sample is near a frame of it."""
     length = float(step)
     most = LARGEST_DRIFT * min(length, 1.0)
     is_plain = step.denominator <= PLAIN_STEP_DENOMINATORS[-1]
@@ -278,7 +278,7 @@ def _near_grid(codes: FloatArray, step: Fraction) -> SampleGrid | None:
 
 
 def _astray_grid(times: list[float]) -> SampleGrid | None:
-    """Return the grid of samples of which some are astray from whole time codes.
+    """Return the integer grid of samples of which some are off.
 
     None where two would be one, or where the others fit none either.
     """
@@ -297,7 +297,7 @@ def _astray_grid(times: list[float]) -> SampleGrid | None:
 
 
 def _integer_codes(times: list[float], where: PrimLocation) -> SampleGrid:
-    """Return every time code that the samples span."""
+    """Return all integer time codes that the samples span."""
     exact = [time_fraction(time) for time in times]
     first, last = math.floor(exact[0]), math.ceil(exact[-1])
     if last - first > MAX_FRAMES:
@@ -309,7 +309,7 @@ def _integer_codes(times: list[float], where: PrimLocation) -> SampleGrid:
 
 
 def _from_stated(grid: SampleGrid, span: _Span) -> SampleGrid:
-    """Return a grid from the stated first frame on, where that is just after its first.
+    """Return a grid that starts at the authored first frame, if just before its own.
 
     Samples within a frame before the first serve its motion blur.
     """
@@ -323,6 +323,6 @@ def _from_stated(grid: SampleGrid, span: _Span) -> SampleGrid:
 
 
 def _common_divisor(gaps: set[Fraction]) -> Fraction:
-    """Return the largest step that every gap is a multiple of."""
+    """Return the largest step that divides every gap."""
     denominator = math.lcm(*(gap.denominator for gap in gaps))
     return Fraction(math.gcd(*(int(gap * denominator) for gap in gaps)), denominator)

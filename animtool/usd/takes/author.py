@@ -50,7 +50,7 @@ BLOCK_FRAMES = 512  # of a take that is written in one call
 
 
 def author(job: UsdJob, takes: Iterable[UsdTake]) -> tuple[Authored, UsdResult]:
-    """Author the layers of a job in memory; nothing is written yet.
+    """Author the layers of a job in memory; nothing is saved yet.
 
     The takes are drawn one after the other: one that is authored need not be kept.
     """
@@ -113,7 +113,7 @@ def author(job: UsdJob, takes: Iterable[UsdTake]) -> tuple[Authored, UsdResult]:
 
 @dataclass(frozen=True, slots=True)
 class _LayerPart:
-    """A take whose samples are authored: its writer, what it wrote, its curves."""
+    """A take with authored samples: writer, report and curves."""
 
     writer: AnimationWriter
     written: WrittenTake
@@ -123,7 +123,7 @@ class _LayerPart:
 def _author_take(
     job: UsdJob, authored: Authored, take: UsdTake, *, first: bool
 ) -> _LayerPart:
-    """Author a SkelAnimation and what binds it; extents and curves come later."""
+    """Author a SkelAnimation and its binding; extents and curves come later."""
     layer, paths = authored.animation, job.paths
     if take.name:
         from animtool.usd.takes.library import take_paths
@@ -180,7 +180,7 @@ def _author_take(
 
 
 def _author_data(animation: Any, key: str, value: Mapping[str, Any] | bool) -> None:
-    """State something of a SkelAnimation that USD has no place for."""
+    """Author SkelAnimation data that USD cannot express, as customData."""
     data_before = dict(animation.GetInfo("customData") or {})
     stated = value if isinstance(value, bool) else dict(value)
     data = {**data_before.get("animtool", {}), key: stated}
@@ -201,7 +201,7 @@ def _written(job: UsdJob, take: UsdTake, writer: AnimationWriter) -> WrittenTake
 
 
 def _begin_library(job: UsdJob, authored: Authored, name: str) -> None:
-    """Select the first take, and bind the skeleton outside of the variants."""
+    """Select the first take, and bind the skeleton outside the variants."""
     from animtool.usd.takes.library import author_selection
 
     author_selection(authored.animation, job.paths, name)
@@ -211,7 +211,7 @@ def _begin_library(job: UsdJob, authored: Authored, name: str) -> None:
 
 @dataclass(slots=True)
 class Authored:
-    """Layers in memory."""
+    """Authored layers in memory."""
 
     animation: Any  # holds the SkelAnimation
     rig: Any = None  # holds the skeleton; the same layer in a stage, None in a layer
@@ -219,7 +219,7 @@ class Authored:
 
     @property
     def layers(self) -> list[Any]:
-        """The layer of the animation, and that of the rig where it is another."""
+        """The animation layer, and the rig layer if separate."""
         separate = self.rig is not None and self.rig is not self.animation
         return [self.animation, self.rig] if separate else [self.animation]
 
@@ -230,7 +230,7 @@ def write_usd(
     result: UsdResult,
     save: Callable[[Any, Path | None], int] = save_layer,
 ) -> None:
-    """Write the layers of a job, that which refers to the others last."""
+    """Save the layers of a job, the referencing layer last."""
     if job.output is None:
         with _quietly(result):
             result.bytes = save(authored.animation, None)
@@ -249,7 +249,7 @@ def write_usd(
 
 
 def _quietly(result: UsdResult) -> AbstractContextManager[None]:
-    """Hold back what USD says of files with splines, or a library's time codes."""
+    """Context that drops USD's messages about splines and libraries."""
     newer = any(take.curves or take.name for take in result.takes)
     return without_version_warnings() if newer else nullcontext()
 

@@ -1,4 +1,4 @@
-"""Joints: a motion as a SkelAnimation, block by block."""
+"""Writes motion as a SkelAnimation, block by block."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def round_blocks(
     root_motion: bool = False,
     size: float = 1.0,
 ) -> Iterator[WrittenBlock]:
-    """Yield blocks rounded to what USD holds, and what the rounding did.
+    """Yield blocks rounded to USD's precision, and the rounding errors.
 
     size: what the rig's stage scales it by, where the error is seen.
     """
@@ -94,7 +94,7 @@ def _weights(motion: Motion, rig: Rig, codes: FloatArray) -> Float32Array | None
 def _move_root(
     rig: Rig, translations: FloatArray, rotations: FloatArray, meters_per_unit: float
 ) -> RootPath:
-    """Put the first root at rest in place; return the motion that this takes away.
+    """Put the first root joint at rest in place; return the removed root motion.
 
     The SkelRoot's transform X and the local transforms M' of the roots satisfy
     X · M' = M, with M' of the first root at rest.
@@ -121,7 +121,7 @@ _TRANSFORMS = {
 
 @dataclass
 class AnimationWriter:
-    """Writes a SkelAnimation and what moves with it."""
+    """Writer of a SkelAnimation and the related SkelRoot values."""
 
     layer: Any
     paths: RigPaths  # the character's prims
@@ -132,7 +132,7 @@ class AnimationWriter:
     rounding: Rounding = field(default_factory=Rounding)  # what rounding did so far
 
     def __post_init__(self) -> None:
-        """Make the prim and its attributes."""
+        """Create the prim and its attributes."""
         spec = prim(self.layer, self.paths.animation, "SkelAnimation")
         types = Sdf.ValueTypeNames
         names = self.joints
@@ -185,7 +185,7 @@ class AnimationWriter:
         return [n for n, samples in named.items() if samples and samples.sampled]
 
     def finish(self, placing: list[str], *, replaces_motion: bool) -> None:
-        """Write the defaults of what never changed and the SkelRoot's motion.
+        """Author constant values as defaults, and the SkelRoot's motion.
 
         replaces_motion: whether it has others, which must no longer move it.
         """
@@ -200,13 +200,13 @@ class AnimationWriter:
             author_order(self.layer.GetPrimAtPath(self.paths.root), *placing)
 
     def padded_bounds(self, padding: float | np.float32) -> list[Float32Array]:
-        """Return the bounds of the joints, padded: ``(F, 2, 3)``, one array a block."""
+        """Return padded joint bounds ``(F, 2, 3)``, one array per block."""
         pad = np.array([[-padding] * 3, [padding] * 3], np.float32)
         with np.errstate(over="ignore"):
             return [extents + pad for extents in self._extents]
 
     def author_bounds(self, extents: list[Float32Array]) -> None:
-        """Write the SkelRoot's bounds ``(F, 2, 3)``, one array a block."""
+        """Author the SkelRoot's bounds ``(F, 2, 3)``, one array per block."""
         spec = self.layer.GetPrimAtPath(self.paths.root)
         attr = attribute(spec, "extent", Sdf.ValueTypeNames.Float3Array)
         samples = SampleWriter(attr, Vt.Vec3fArray.FromNumpy)
@@ -216,16 +216,16 @@ class AnimationWriter:
 
     @property
     def codes(self) -> list[FloatArray]:
-        """Time codes of every sample, one array a block."""
+        """Time codes of every sample, one array per block."""
         return self._codes
 
     @property
     def weights(self) -> list[Float32Array]:
-        """Weights of the shapes ``(F, S)``, one array a block; none where none move."""
+        """Shape weights ``(F, S)``, one array per block; none if constant."""
         return self._weights
 
     def _author_weights(self) -> None:
-        """Write the weights of the shapes that are not zero in every frame."""
+        """Author the weights of shapes that are nonzero in some frame."""
         used = np.any([(rows != 0.0).any(axis=0) for rows in self._weights], axis=0)
         if not used.any():
             return
@@ -242,7 +242,7 @@ class AnimationWriter:
         self._weight_samples = samples
 
     def _author_root(self, placing: list[str]) -> None:
-        """Write the SkelRoot's motion, behind the operations that place it."""
+        """Author the SkelRoot's motion after its placing operations."""
         spec = self.layer.GetPrimAtPath(self.paths.root)
         types = Sdf.ValueTypeNames
         names = ["xformOp:translate:rootMotion", "xformOp:orient:rootMotion"]

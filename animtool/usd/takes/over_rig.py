@@ -1,4 +1,4 @@
-"""What a layer holds of where a take is, over a rig that a stage has somewhere."""
+"""Converts a take for a layer over a rig that a stage places."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from animtool.usd.rigs.placement import (
 
 @dataclass(frozen=True, slots=True)
 class OverRig:
-    """How a take comes to the numbers of a rig."""
+    """A take converted to the space of a rig layer."""
 
     stream: TakeStream  # without where it stands, where that is dropped
     sized: Placement  # makes the rig, as its numbers are, as large and as upright
@@ -45,7 +45,7 @@ def over_rig(
     where: str,
     raw: Rig,
 ) -> OverRig:
-    """Return how a take comes to the numbers of a rig that a stage has somewhere.
+    """Return a take in the space of a rig that a stage places.
 
     The layer makes the character as large and as upright as the take. Where that
     stands is kept, or dropped: the rig's stage then has it where it has the rig.
@@ -113,7 +113,7 @@ NEAR = 1e-3
 
 
 def _stands_there(take: Rig, raw: Rig, rig_placement: SkeletonPlacement) -> bool:
-    """Return whether a take rests where a stage has a rig, and not where it is alone.
+    """Return whether a take rests at the stage placement of the rig, not its own.
 
     As a take does that was read from such a stage, and came as another kind of file:
     a BVH, whose joints are not turned at rest, has its roots there.
@@ -144,7 +144,7 @@ def _stands_there(take: Rig, raw: Rig, rig_placement: SkeletonPlacement) -> bool
 
 
 def _is_sized(take: Rig, raw: Rig, size: float) -> bool:
-    """Return whether bones are as long as a rig's in the world, and not in its space.
+    """Return whether bone lengths match the rig in world scale, not in local scale.
 
     An animation without its Skeleton says no more of the space that it is in.
     """

@@ -1,4 +1,4 @@
-"""A SkelAnimation on a stage as a take."""
+"""Reads a SkelAnimation of a stage as a take."""
 
 from __future__ import annotations
 
@@ -126,7 +126,7 @@ def _read_stage(
 
 
 def _takes(stage: Any, below: str) -> TakeSet | None:
-    """Return the takes that the character has to choose from."""
+    """Return the take set of the character."""
     skeletons = find_skeletons(stage, below)
     if skeletons:
         return find_take_set(skeletons[0].GetPrim())
@@ -189,7 +189,7 @@ def _placement(
     where: PrimLocation,
     choice: str | None,
 ) -> tuple[SkeletonPlacement, list[Fault]]:
-    """Return where a Skeleton is at time codes, which its take has to hold."""
+    """Return the placement of a Skeleton at time codes, which its take includes."""
     if prim is None:
         return NOWHERE, []
     placement = skeleton_placement(prim, rig, codes)
@@ -203,7 +203,7 @@ def _placement(
 def _placed(
     motion: Motion, rig: Rig, placement: SkeletonPlacement, choice: str | None
 ) -> Motion:
-    """Return a motion, as the numbers of a rig are, where its stage has it."""
+    """Return the motion moved to the stage placement of its rig."""
     path = placement.motion if choice == DROP else placement.full
     if path.is_none:
         return motion
@@ -214,7 +214,7 @@ def _placed(
 def _dropped(
     stream: TakeStream, placement: SkeletonPlacement, prim: Any, path: str
 ) -> TakeStream:
-    """Return a take without where it stands, which its motion is without already.
+    """Return a take without its stage placement, which is kept separately.
 
     Its joints still hold what the file records of that.
     """
@@ -234,7 +234,7 @@ def _dropped(
 def _dropped_placement(
     placement: SkeletonPlacement, rig_stands: Placement | None, prim: Any, rig: Rig
 ) -> Callable[[FloatArray], Placement]:
-    """Return where a take without it stood, at time codes of its stage."""
+    """Return a function of the dropped placement by stage time codes."""
     stage: Any = None if prim is None else prim.GetStage()
 
     def stood(codes: FloatArray) -> Placement:
@@ -252,7 +252,7 @@ def _dropped_placement(
 def _join_stored(
     stream: TakeStream, skeleton: Any, rig: SkeletonRig, path: Path
 ) -> None:
-    """Give the take's rig what the Skeleton's customData says of it beyond USD."""
+    """Add the rig data of the Skeleton's customData to a take."""
     data = stored_data(skeleton.GetPrim())
     if not data.get("rig"):
         return
@@ -277,7 +277,7 @@ def _join_stored(
 
 
 def _among(blocks: Iterator[Motion], columns: IntArray, count: int) -> Iterator[Motion]:
-    """Yield blocks whose weights stand at some places among others, which are 0."""
+    """Yield blocks whose weights fill some columns; the others are 0."""
     for block in blocks:
         old = block.weights
         if old is None:
@@ -319,7 +319,7 @@ def _first_animation(stage: Any, below: str) -> Any:
 
 
 def _lost_motion(animation: Any, where: PrimLocation) -> list[Fault]:
-    """Say so where a layer alone moves a SkelRoot, whose rig is elsewhere."""
+    """Report root motion of a layer that is read without its rig."""
     parent = animation.GetPrim().GetParent()
     order = parent.GetAttribute("xformOpOrder")
     if not order or not order.HasAuthoredValue():
@@ -354,7 +354,7 @@ def _rig_of_animation(animation: Any, path: Path, stage: Any) -> SkeletonRig:
 def _resting(
     skeleton: SkeletonRig, stage: Any, path: Path, prim: Any, choice: str | None
 ) -> tuple[TakeStream, SkeletonPlacement]:
-    """Return a rig without animation: one frame, at rest; and where that is."""
+    """Return a take of one frame at rest, for a rig without animation."""
     shapes = () if skeleton.tokens else bound_shapes(UsdSkel.Skeleton(prim))
     rig = skeleton.rig
     check_moves(len(rig.joints), len(shapes), PrimLocation.of(path, prim))
@@ -418,7 +418,7 @@ def _read(
     }
 
     def dense(name: str, rest: FloatArray) -> FloatArray:
-        """Return an attribute for the Skeleton's joints, at rest if not animated."""
+        """Return an attribute for all Skeleton joints; unanimated ones at rest."""
         attr, width, rows = attributes.get(name), rest.shape[1], None
         if attr is not None:
             rows = sampled_values(
@@ -456,7 +456,7 @@ def _read(
 def _attributes(
     animation: Any, columns: IntArray, where: PrimLocation, notices: list[Fault]
 ) -> dict[str, Any]:
-    """Return what an animation must have for UsdSkel to use it, by name.
+    """Return the attributes UsdSkel requires of an animation, by name.
 
     Nothing where it moves no joint: it has weights of shapes alone, or only names
     joints, which then stay at rest.
@@ -475,7 +475,7 @@ def _attributes(
 def _columns(
     skeleton: SkeletonRig, animation: Any, prim: Any, where: PrimLocation
 ) -> tuple[IntArray, list[Fault]]:
-    """Return where joints are in the Skeleton, and a warning of those left out (-1)."""
+    """Return Skeleton columns of the animation's joints (-1 unknown), and a warning."""
     attr = animation.GetJointsAttr()
     index = {token: i for i, token in enumerate(skeleton.tokens)}
     columns = np.array([index.get(token, -1) for token in tokens(attr)], np.int64)
@@ -486,7 +486,7 @@ def _columns(
 
 
 def _grid_notices(grid: SampleGrid, samples: int, where: PrimLocation) -> list[Fault]:
-    """Return notices of samples that are not evenly spaced, or not on frames."""
+    """Return notices of samples that are uneven or off frames."""
     notices = []
     every = "time code" if grid.step == 1 else f"{float(grid.step):g} time codes"
     if not grid.even:

@@ -1,4 +1,4 @@
-"""Names that USD does not allow, or cannot tell apart, with all that refers to them."""
+"""Renames entries whose names USD forbids or cannot distinguish, and references."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from animtool.validation.subjects.subject import CheckedFile
 
 
 def naming(rig: Path, names: Sequence[str]) -> Iterator[tuple[Path, str]]:
-    """Yield files that use one of the names of a rig, and the first of them.
+    """Yield files that use a name of a rig, with the first such name.
 
     A use is a key or value that is the name, or has it as a part, such as
     ``joint/NAME.rotation``; words in comments and texts are none. Rigs with joints of
@@ -47,7 +47,7 @@ def naming(rig: Path, names: Sequence[str]) -> Iterator[tuple[Path, str]]:
 
 
 def _first_use(path: Path, text: str, rig: Path, names: Sequence[str]) -> str | None:
-    """Return the first name that a file uses for something of a rig."""
+    """Return the first name of a rig that a file uses."""
     try:
         value = document_of(text, path).value
     except AnimtoolError:
@@ -60,7 +60,7 @@ def _first_use(path: Path, text: str, rig: Path, names: Sequence[str]) -> str | 
 
 
 def _is_used(name: str, texts: Sequence[str]) -> bool:
-    """Return whether a name is one of some keys and values, or a part of one."""
+    """Return whether a name occurs in keys or values, or in part of one."""
     part = re.compile(rf"(?:^|[/\[#,]){re.escape(name)}(?:$|[/.\]#,])")
     return any(part.search(text) for text in texts)
 
@@ -85,7 +85,7 @@ def _documents(rig: Path) -> Iterator[Path]:
 
 
 def _may_mean(path: Path, value: Mapping[str, Any], rig: Path) -> bool:
-    """Return whether a file's names may be those of a rig."""
+    """Return whether names in a file may refer to a rig."""
     stated = value.get("rig")
     if not isinstance(stated, str):
         return True
@@ -95,7 +95,7 @@ def _may_mean(path: Path, value: Mapping[str, Any], rig: Path) -> bool:
 
 
 def _has_names_of(other: Path, rig: Path) -> bool:
-    """Return whether a rig is that one, or a sidecar of some rig."""
+    """Return whether a rig is the given one, or a sidecar."""
     if other == rig:
         return True
     if READERS.get(other.suffix.lower()) is not DOCUMENT:
@@ -129,7 +129,7 @@ _LISTS = {
 
 
 def allowed(checked: CheckedFile, fault: Fault) -> Mend:
-    """Return the file with every name of a list as USD allows it."""
+    """Return the file with every name of a list made legal for USD."""
     rig = _complete_rig(checked)
     key = str(pointer_of(fault)[0])
     old = [name for name in names_in(rig, key) if legal(name) != name]
@@ -137,7 +137,7 @@ def allowed(checked: CheckedFile, fault: Fault) -> Mend:
 
 
 def distinct(checked: CheckedFile, fault: Fault) -> Mend:
-    """Return the file with another name for one of two that USD cannot tell apart.
+    """Return the file with one of two names renamed that are equal in USD.
 
     Of the two the one that USD does not allow, or the second of these.
     """
@@ -170,7 +170,7 @@ def _renamed(rig: RigSubject, key: str, old: list[str]) -> Mend:
 
 
 def _fresh(old: list[str], names: list[str]) -> dict[str, str]:
-    """Return a name for each old one, such as none other becomes in USD."""
+    """Return a unique USD name for each old one."""
     new: dict[str, str] = {}
     kept = {legal(name) for name in names if name not in old} | {*names}
     for name in old:
@@ -225,7 +225,7 @@ def _formulas(value: Mapping[str, Any], new: Mapping[str, str]) -> Iterator[Edit
 def _named(
     node: Any, steps: tuple[str, ...], at: Location
 ) -> Iterator[tuple[Location, str]]:
-    """Yield the names at a path of `USES`, and where they are."""
+    """Yield the names at a path of `USES`, and their locations."""
     if not steps:
         if isinstance(node, str):
             yield at, node

@@ -1,4 +1,4 @@
-"""Files mended in memory: one step after another, each checked before the next."""
+"""Plans fixes of a file in memory, each step validated before the next."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from animtool.validation.run import Report
 
 @dataclass(slots=True)
 class FileMend:
-    """A file, and what mending it makes of it."""
+    """A file and its fixed content."""
 
     path: Path  # the file
     after: FileDraft  # its content when mended
@@ -27,12 +27,12 @@ class FileMend:
     left: list[tuple[Fault, str]] = field(default_factory=list)
 
     def difference(self) -> str:
-        """Return what changes, for a person."""
+        """Return the changes as text."""
         return self.after.difference()
 
 
 def plan_file(path: Path, options: ValidateOptions) -> FileMend:
-    """Return a file with what is wrong mended as far as that is safe, in memory.
+    """Return a file with all safe fixes applied in memory.
 
     A mend is kept where its finding is gone and none has come.
     """
@@ -60,7 +60,7 @@ def plan_file(path: Path, options: ValidateOptions) -> FileMend:
 
 
 def with_fixable(report: Report) -> Report:
-    """Return a report that knows which of its findings have a safe remedy."""
+    """Return a report that marks findings with a safe fix."""
     cases: dict[str, list[Fault]] = {}
     for fault in report.findings:
         if fault.path is None or is_package(Path(fault.path)):
@@ -78,7 +78,7 @@ def with_fixable(report: Report) -> Report:
 
 
 def is_layer(path: Path) -> bool:
-    """Return whether a file is a USD layer, which is fixed in a copy.
+    """Return whether a file is a USD layer, which is fixed as a copy.
 
     >>> is_layer(Path("shot.usdc")), is_layer(Path("hero.rig.yaml"))
     (True, False)
@@ -87,7 +87,7 @@ def is_layer(path: Path) -> bool:
 
 
 def is_package(path: Path) -> bool:
-    """Return whether a file is a USD package, whose layers cannot be written.
+    """Return whether a file is a USD package, whose layers are read-only.
 
     >>> is_package(Path("shot.usdz")), is_package(Path("shot.usdc"))
     (True, False)
@@ -96,7 +96,7 @@ def is_package(path: Path) -> bool:
 
 
 def has_fixes(path: Path) -> bool:
-    """Return whether files of a kind are fixed: texts and USD.
+    """Return whether files of a kind can be fixed: texts and USD.
 
     >>> has_fixes(Path("walk.bvh")), has_fixes(Path("fox.glb"))
     (True, False)
@@ -105,7 +105,7 @@ def has_fixes(path: Path) -> bool:
 
 
 def _open_draft(path: Path) -> FileDraft:
-    """Return a file as it is."""
+    """Return the draft of a file, unchanged."""
     if is_layer(path):
         from animtool.validation.fixes.layers import LayerDraft
 
@@ -132,7 +132,7 @@ def _key(fault: Fault) -> tuple[str, str | None, str]:
 
 
 def _worse(before: FileDraft, step: FixStep) -> str:
-    """Return why a step is refused: findings stay or come; empty if it is not."""
+    """Return why a step is rejected: findings remain or appear; empty if accepted."""
     if not step.done:
         return ""
     old = Counter(fault.code for fault in before.findings)

@@ -1,4 +1,4 @@
-"""Documents mended in memory, a finding at a time, with all else as it stands."""
+"""Documents fixed in memory, one finding at a time, with all other text kept."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def pointer_of(fault: Fault) -> tuple[Any, ...]:
 
 
 def left_out(checked: CheckedFile, fault: Fault) -> Mend:
-    """Return the file without an entry, and without the list that it was alone in."""
+    """Return the file without an entry, and without its list if that is empty then."""
     if checked.document is None:
         raise NotMendedError("the file has no text")
     entries = checked.document.value["ignore"]
@@ -60,7 +60,7 @@ def left_out(checked: CheckedFile, fault: Fault) -> Mend:
 
 
 def from_bind(checked: CheckedFile, fault: Fault) -> Mend:
-    """Return the file with a joint's rest pose, taken from its bind pose."""
+    """Return the file with a joint's rest pose taken from its bind pose."""
     rig: RigSubject = checked.subject
     pointer = pointer_of(fault)
     entry = rig.written("joints")[pointer[1]]
@@ -71,7 +71,7 @@ def from_bind(checked: CheckedFile, fault: Fault) -> Mend:
 
 
 def summed(checked: CheckedFile, fault: Fault) -> Mend:
-    """Return the file with weights that are divided by their sums, in a new npz.
+    """Return the file with normalized weights in a new npz.
 
     That is what every reader of the file does with them. The npz that holds them now
     may be another rig's too, and stays as it is.
@@ -93,7 +93,7 @@ def summed(checked: CheckedFile, fault: Fault) -> Mend:
 
 
 def _free(path: Path, key: str) -> Path:
-    """Return a file beside another that is not there yet."""
+    """Return an unused path next to a file."""
     problem = name_problem(f"{path.stem}_{key}.npz")
     if problem is not None:
         raise NotMendedError(f"the name of the array, {excerpt(key)}, {problem}")
@@ -122,22 +122,22 @@ class TextDraft:
 
     @classmethod
     def read(cls, path: Path) -> TextDraft:
-        """Return a file as it is."""
+        """Return the draft of a file, unchanged."""
         text = read_text(path)
         return cls(path, text, text)
 
     @cached_property
     def checked(self) -> CheckedFile:
-        """The text as rules look at the file."""
+        """The text as a subject of rules."""
         return open_document(document_of(self.text, self.path))
 
     @cached_property
     def findings(self) -> Sequence[Fault]:
-        """Findings of the rules in it."""
+        """Findings in the text."""
         return findings_in(self.checked)
 
     def batch(self, cases: Sequence[Fault]) -> Sequence[Fault]:
-        """Return the first: after it the others may stand elsewhere."""
+        """Return the first finding: its fix may move the others."""
         return cases[:1]
 
     def step(self, faults: Sequence[Fault]) -> FixStep:
@@ -159,7 +159,7 @@ class TextDraft:
         return FixStep(other, [(fault, mend.remedy)])
 
     def finish(self, cases: Sequence[Fault]) -> FixStep:
-        """Return the text with the findings fixed whose remedy writes arrays."""
+        """Return the text with the findings fixed that need new arrays."""
         text, done = self.text, []
         added = {path: dict(arrays) for path, arrays in self.arrays.items()}
         for fault in cases:
@@ -177,7 +177,7 @@ class TextDraft:
         return FixStep(replace(self, text=text, arrays=added, awaited=codes), done)
 
     def fixable(self, faults: Sequence[Fault]) -> Iterator[Fault]:
-        """Yield the findings that can be fixed, each on its own."""
+        """Yield the findings that can be fixed one by one."""
         for fault in faults:
             try:
                 edited(self.text, self.path, self._mend(fault).edits)
@@ -186,7 +186,7 @@ class TextDraft:
             yield fault
 
     def difference(self) -> str:
-        """Return what changes, as ``diff -u`` writes it."""
+        """Return the changes as a unified diff."""
         name = self.path.as_posix()
         lines = difflib.unified_diff(
             _lines(self.before), _lines(self.text), f"a/{name}", f"b/{name}"
@@ -197,11 +197,11 @@ class TextDraft:
         )
 
     def outputs(self) -> Sequence[Path]:
-        """Return the npz files that the text needs beside it."""
+        """Return the npz files written next to the text."""
         return tuple(self.arrays)
 
     def write(self, output: Path) -> Sequence[str]:
-        """Write the text to a file, its new arrays before it."""
+        """Write the text to a file, after its new arrays."""
         with together():
             with ahead(list(self.arrays)):
                 for path, arrays in self.arrays.items():
@@ -213,7 +213,7 @@ class TextDraft:
         return ()
 
     def _check_arrays(self) -> None:
-        """Refuse arrays that are read otherwise than they were written."""
+        """Refuse arrays that do not read back equal."""
         if not self.arrays:
             return
         unread = {*self.awaited, "RIG018", "RIG019"}
@@ -230,7 +230,7 @@ class TextDraft:
 
 
 def _lines(text: str) -> list[str]:
-    r"""Return lines with their ends, of which only \n counts."""
+    r"""Return lines with their ends; only \n counts."""
     return [line + "\n" for line in text.split("\n")[:-1]] + [
         rest for rest in text.split("\n")[-1:] if rest
     ]

@@ -1,4 +1,4 @@
-"""Reports in the forms that people and services read, as text."""
+"""Report formats for people and services."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ FORMATS = {
 def written(
     report: Report, form: str, *, repeats: bool = False, calling: Calling = in_python
 ) -> str:
-    """Return a report in one of the forms of `FORMATS`.
+    """Return a report in one of `FORMATS`.
 
     Args:
         report: What was found.

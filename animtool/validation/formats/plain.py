@@ -1,4 +1,4 @@
-"""Findings as text, as JSON and as JUnit XML.
+"""Findings as text, JSON and JUnit XML.
 
 No times: the same files give the same bytes.
 
@@ -44,7 +44,7 @@ BEFORE = 32
 
 @dataclass(slots=True)
 class Sources:
-    """Lines of files; the last file read is kept."""
+    """Source lines of files; the last file is cached."""
 
     path: str | None = None  # the file that is kept
     lines: list[str] = field(default_factory=list)  # of it
@@ -65,7 +65,7 @@ def _lines(path: Path) -> list[str]:
 
 
 def cut(line: str, column: int) -> Iterator[str]:
-    """Yield a line, and a line with a caret below a 1-based column of it.
+    """Yield a source line, and a line with a caret below a 1-based column.
 
     >>> list(cut("joints: []", 9))
     ['joints: []', '        ^']
@@ -89,7 +89,7 @@ _Kind: TypeAlias = tuple[str | None, str, Severity]
 
 @dataclass(frozen=True, slots=True)
 class ShownFinding:
-    """A finding as text has it."""
+    """A finding as printed."""
 
     fault: Fault
     more: int = 0  # others of its file that say the same
@@ -98,7 +98,7 @@ class ShownFinding:
 
 @dataclass(frozen=True, slots=True)
 class Findings:
-    """The findings that text has."""
+    """The printed findings."""
 
     shown: list[ShownFinding]
 
@@ -131,14 +131,14 @@ SUMMARY = Template(
 def text_report(
     report: Report, *, repeats: bool = False, calling: Calling = in_python
 ) -> str:
-    """Return the findings, each with the line it is in, and a last line that counts."""
+    """Return the findings, each with its source line, and a summary line."""
     report = report.worded(calling)
     lines = [*FINDINGS.text(Findings(_shown(report, repeats=repeats))), summary(report)]
     return "".join(f"{escaped(worded(line, calling))}\n" for line in lines)
 
 
 def _shown(report: Report, *, repeats: bool) -> list[ShownFinding]:
-    """Return the findings to print: of those of no line, the first of a kind."""
+    """Return the findings to print; without line, only the first of a kind."""
     sources = Sources()
     counts = Counter(map(_kind, report.findings))
     first: dict[_Kind, Fault] = {}
@@ -153,12 +153,12 @@ def _shown(report: Report, *, repeats: bool) -> list[ShownFinding]:
 
 
 def _kind(fault: Fault) -> _Kind:
-    """Return what findings share that say the same of one file."""
+    """Return the key that repeated findings of a file share."""
     return fault.path, fault.code, fault.severity
 
 
 def summary(report: Report) -> str:
-    """Return what was found, in one line.
+    """Return a summary of findings in one line.
 
     >>> summary(Report((), ()))
     '0 files: nothing found'
@@ -167,7 +167,7 @@ def summary(report: Report) -> str:
 
 
 def _excerpt(fault: Fault, sources: Sources) -> tuple[str, ...]:
-    """Return the line of a finding, and one that points into it."""
+    """Return the source line of a finding, and a caret line."""
     if fault.path is None or not fault.lines:
         return ()
     number = fault.lines[0]
@@ -187,7 +187,7 @@ _LEVELS = {
 
 
 def github_report(report: Report) -> str:
-    """Return a command for each finding."""
+    """Return a GitHub workflow command for each finding."""
     return "".join(_command(fault) + "\n" for fault in report.findings)
 
 
@@ -215,12 +215,12 @@ def _data(text: str) -> str:
 
 
 def json_report(report: Report) -> str:
-    """Return every file that was looked at, and every finding."""
+    """Return every checked file and every finding as JSON."""
     return json_printed(plain_value(report), indent=2) + "\n"
 
 
 def junit_report(report: Report) -> str:
-    """Return a suite of all files; warnings and notes are what a case says."""
+    """Return a JUnit suite of all files; warnings and notes are system output."""
     by_file: dict[str, list[Fault]] = defaultdict(list)
     for fault in report.findings:
         by_file[fault.path or "animtool"].append(fault)

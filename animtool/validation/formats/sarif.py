@@ -1,4 +1,4 @@
-"""A report as SARIF 2.1.0, which code hosts and editors read.
+"""Reports as SARIF 2.1.0, for code hosts and editors.
 
 References:
     OASIS, "Static Analysis Results Interchange Format (SARIF) Version 2.1.0", 2020.
@@ -31,7 +31,7 @@ _LEVELS = {
 
 
 def sarif_report(report: Report) -> str:
-    """Return one run: the rules that found something, with their pages, and results."""
+    """Return one run: the rules with findings, their pages, and results."""
     codes = sorted({fault.code for fault in report.findings})
     rules, _ = all_rules()
     sources = Sources()
@@ -104,7 +104,7 @@ def _region(fault: Fault, line: str | None) -> dict[str, Any]:
 
 
 def _location(path: str) -> dict[str, str]:
-    """Return a file as a URI: relative where the path is."""
+    """Return a file as a URI, relative if its path is."""
     pure = PurePath(path)
     if pure.is_absolute():
         return {"uri": pure.as_uri()}
@@ -112,14 +112,14 @@ def _location(path: str) -> dict[str, str]:
 
 
 def _fingerprint(fault: Fault, line: str | None) -> dict[str, str]:
-    """Return what stays the same where lines above are added or taken away."""
+    """Return an identity that survives inserted or removed lines above."""
     parts = (fault.code, fault.path or "", line or fault.where or fault.message)
     digest = hashlib.sha256("\0".join(parts).encode("utf-8", "replace")).hexdigest()
     return {"animtool/v1": digest[:32]}
 
 
 def _number_equal(results: Sequence[dict[str, Any]]) -> None:
-    """Number results whose fingerprints are the same."""
+    """Number results with equal fingerprints."""
     counts: dict[str, int] = {}
     for result in results:
         marks = result["partialFingerprints"]

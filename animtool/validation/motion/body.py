@@ -1,4 +1,4 @@
-"""What of a rig is its body: its feet, and the joints that carry it."""
+"""Detects body joints of a rig: feet, and the joints that carry the body."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ TRUNK = 0.4
 
 
 def feet_of(names: tuple[str, ...] | list[str]) -> IntArray:
-    """Return the indices of the joints that are of feet.
+    """Return the indices of foot joints.
 
     >>> feet_of(["hips", "LeftFoot", "toe_l", "flywheel", "l_ankle"]).tolist()
     [1, 2, 4]
@@ -33,7 +33,7 @@ def feet_of(names: tuple[str, ...] | list[str]) -> IntArray:
 
 
 def carriers(subject: MotionSubject) -> tuple[int, ...]:
-    """Return the joints that move the whole body, from the first root to the hips.
+    """Return the joints that move the complete body, from the first root to the hips.
 
     Below a root that stays at the origin, or that has the path of a walk, another
     joint carries the body. What hangs from these beside it are targets and props.
@@ -62,12 +62,12 @@ def carriers(subject: MotionSubject) -> tuple[int, ...]:
 
 
 def hips_of(subject: MotionSubject) -> int:
-    """Return the joint that carries the body; the first one of a rig without roots."""
+    """Return the joint that carries the body; the first one without roots."""
     return (carriers(subject) or (0,))[-1]
 
 
 def _totals(parents: IntArray, values: BoolArray) -> IntArray:
-    """Return how many values are true of each joint and all below it ``(J,)``.
+    """Return the number of true values per subtree ``(J,)``.
 
     >>> _totals(np.array([-1, 0, 1, 0]), np.array([True, False, True, True])).tolist()
     [3, 1, 1, 1]
@@ -96,7 +96,7 @@ def limbs_of(parents: IntArray) -> IntArray:
 
 
 def placed(subject: MotionSubject) -> BoolArray:
-    """Return the joints whose translation is a location, and no bone ``(J,)``.
+    """Return the joints whose translation is a position, not a bone ``(J,)``.
 
     Roots, what carries the body, and what hangs from a joint above that.
     """
@@ -108,7 +108,7 @@ def placed(subject: MotionSubject) -> BoolArray:
 
 
 def body(subject: MotionSubject) -> BoolArray:
-    """Return the joints that hang from the one that carries the body ``(J,)``."""
+    """Return the joints below the one that carries the body ``(J,)``."""
     parents = subject.take.rig.parents
     in_body = np.zeros(len(parents), bool)
     in_body[hips_of(subject) : hips_of(subject) + 1] = True

@@ -1,4 +1,4 @@
-"""Feet: which joints they are, when they carry the body, and where the ground is."""
+"""Detects ground contacts: foot joints, stance frames, and ground height."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ AT_ONE_HEIGHT, AT_TWO_HEIGHTS, AT_EACH = 0.5, 0.85, 0.2
 
 @dataclass(frozen=True, slots=True)
 class FootContacts:
-    """The feet of a take, over its frames.
+    """Foot contacts of a take.
 
     Attributes:
         feet: Indices of the joints ``(E,)``.
@@ -68,7 +68,7 @@ class FootContacts:
 
 
 def contacts_of(subject: MotionSubject) -> FootContacts | None:
-    """Return when feet stand; None where there are none, or they never do."""
+    """Return the foot contacts; None if there are no feet or stance frames."""
     feet = feet_of(subject.take.rig.names)
     if not len(feet) or subject.frames < MIN_CONTACTS:
         return None
@@ -102,7 +102,7 @@ def contacts_of(subject: MotionSubject) -> FootContacts | None:
 
 
 def _level(heights: FloatArray, within: float) -> tuple[float, float]:
-    """Return the height that most of some are near to, and which share of them is.
+    """Return the most common height, and the fraction of values near it.
 
     >>> _level(np.array([0.0, 0.1, 0.2, 5.0]), 0.5)
     (0.1, 0.75)
@@ -116,7 +116,7 @@ def _level(heights: FloatArray, within: float) -> tuple[float, float]:
 
 
 def _floor(heights: FloatArray, within: float) -> float:
-    """Return the lower one of two heights that nearly all are near to; else infinity.
+    """Return the lower of two heights that nearly all values are near; else infinity.
 
     >>> _floor(np.array([0.0, 0.1, 5.0, 5.1, 5.2]), 0.5)
     0.05
@@ -133,7 +133,7 @@ def _floor(heights: FloatArray, within: float) -> float:
 
 
 def _lies(subject: MotionSubject, feet: IntArray) -> BoolArray:
-    """Return when other joints than feet are at the ground, or nearly so ``(F,)``."""
+    """Return frames in which joints other than feet are near the ground ``(F,)``."""
     parents = subject.take.rig.parents
     others = body(subject)
     leg = set(feet.tolist())
@@ -154,21 +154,21 @@ def _lies(subject: MotionSubject, feet: IntArray) -> BoolArray:
 
 
 def _windows(values: NDArray[Scalar], reach: float) -> NDArray[Scalar]:
-    """Return the values of the frames about each, held at the ends ``(F, W)``."""
+    """Return sliding windows over frames, padded at the ends ``(F, W)``."""
     frames = round(reach)
     padded = np.pad(values, frames, mode="edge")
     return sliding_window_view(padded, 2 * frames + 1)
 
 
 def _partners(subject: MotionSubject, feet: IntArray) -> IntArray:
-    """Return which foot is that of the other side, or itself without one ``(E,)``."""
+    """Return the opposite foot of each foot, or itself ``(E,)``."""
     columns = {int(joint): e for e, joint in enumerate(feet)}
     partners = subject.sides.partners[feet].tolist()
     return np.array([columns.get(joint, e) for e, joint in enumerate(partners)])
 
 
 def _agrees(ground: FloatArray, partners: IntArray, within: float) -> BoolArray:
-    """Return whether each foot stands as high as that of the other side ``(E,)``."""
+    """Return whether each foot stands as high as its opposite ``(E,)``."""
     with np.errstate(invalid="ignore"):
         return np.asarray(np.abs(ground - ground[partners]) < within)
 
@@ -176,7 +176,7 @@ def _agrees(ground: FloatArray, partners: IntArray, within: float) -> BoolArray:
 def moves_over(
     subject: MotionSubject, points: FloatArray, span: float
 ) -> tuple[FloatArray, IntArray]:
-    """Return where points ``(F, E, 3)`` go about each frame, and in how many frames.
+    """Return displacements of points ``(F, E, 3)`` around each frame, and their spans.
 
     span: about how long [s]. Moves ``(F, E, 3)`` [m] and frames ``(F,)``.
     """
@@ -187,7 +187,7 @@ def moves_over(
 
 
 def _static(subject: MotionSubject, points: FloatArray) -> BoolArray:
-    """Return where points ``(F, E, 3)`` hardly move around a frame ``(F, E)``."""
+    """Return where points ``(F, E, 3)`` are nearly static ``(F, E)``."""
     moves, frames = moves_over(subject, points, STATIC_SECONDS)
     # At low rates a frame is longer than the time to look at.
     allowed = STATIC_MOVE * frames * subject.interval / STATIC_SECONDS

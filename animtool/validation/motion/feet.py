@@ -1,4 +1,4 @@
-"""Feet that slide while they carry the body."""
+"""Foot slide while in contact."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ EVEN_ALONG, EVEN_AGAINST = 0.12, 0.2
 
 
 def travel_scale(subject: MotionSubject, contacts: FootContacts) -> float | None:
-    """Return how many times too far the hips go for their feet, if they do.
+    """Return the ratio of hip travel to foot travel, if it is consistently off.
 
     Over 1 feet are dragged along, and below they slip back.
     """
@@ -60,7 +60,7 @@ def travel_scale(subject: MotionSubject, contacts: FootContacts) -> float | None
 def _ratios(
     subject: MotionSubject, contacts: FootContacts
 ) -> tuple[FloatArray, FloatArray]:
-    """Return velocities of the foot that stands, over those of the hips ``(N,)``.
+    """Return velocities of the stance foot relative to the hips ``(N,)``.
 
     Along the hips' velocity, and their speeds [m/s]. Of feet near to the ground the
     slowest one counts.
@@ -98,7 +98,7 @@ LEVER, STEEP = 0.07, 2.0
 
 
 def foot_slide(subject: MotionSubject) -> Iterator[Fault]:
-    """Yield that the foot that carries the body slides (MOT208).
+    """Yield a fault if the foot that carries the body slides (MOT208).
 
     Of the feet on the ground the slowest counts: one may be dragged while the other
     stands, and a heel turns about its toes.
@@ -154,7 +154,7 @@ def _of_the_standing(
     speeds: FloatArray,
     slides: FloatArray,
 ) -> FloatArray:
-    """Return how fast the foot slides that is the slowest one on the ground ``(F,)``.
+    """Return the slide speed of the slowest foot on the ground ``(F,)``.
 
     All of its joints near to the ground count: one that stands, such as its toe, makes
     the foot slow, and one that turns about that does not make another foot slide.
@@ -177,7 +177,7 @@ def _of_the_standing(
 
 
 def _lands(speeds: FloatArray, heights: FloatArray) -> bool:
-    """Return whether a foot slows down as it falls, or gets faster as it rises.
+    """Return whether a foot decelerates while landing, or accelerates while lifting.
 
     ``speeds`` [m/s] and ``heights`` [size], ``(N,)`` each.
 
@@ -199,7 +199,7 @@ def _skids(
     first: int,
     last: int,
 ) -> bool:
-    """Return whether feet slow down just after the air, or get faster just before it.
+    """Return whether feet decelerate after a flight, or accelerate before one.
 
     ``speeds`` of the slowest foot ``(F,)`` [m/s].
     """
@@ -214,7 +214,7 @@ def _skids(
 def _slide_length(
     subject: MotionSubject, contacts: FootContacts, first: int, last: int
 ) -> float:
-    """Return the shortest way that a foot near to the ground goes over a run [m].
+    """Return the shortest path of a foot near the ground over a run [m].
 
     With half of the time that its speed is that of, before and after.
     """
@@ -226,7 +226,7 @@ def _slide_length(
 
 
 def _scaled_travel(subject: MotionSubject, contacts: FootContacts) -> Iterator[Fault]:
-    """Yield that feet slide all along, as the root goes too far for them or less."""
+    """Yield a fault if root travel does not match the feet throughout."""
     scale = travel_scale(subject, contacts)
     if scale is None:
         return
@@ -242,13 +242,13 @@ def _scaled_travel(subject: MotionSubject, contacts: FootContacts) -> Iterator[F
 
 
 def _travel(subject: MotionSubject) -> float:
-    """Return how far the hips go along the ground, from corner to corner [m]."""
+    """Return the diagonal of the hips' path along the ground [m]."""
     points = subject.level(np.array([hips_of(subject)]))[:, 0]
     return float(np.linalg.norm(points.max(axis=0) - points.min(axis=0)))
 
 
 def _speeds(subject: MotionSubject, feet: IntArray) -> tuple[FloatArray, FloatArray]:
-    """Return how fast feet go along the ground, and slide, ``(F, E)`` each [m/s].
+    """Return ground speeds and slide speeds of feet, ``(F, E)`` each [m/s].
 
     Of how far they are away within a short time before and after each frame the lesser
     one counts: a foot that turns back stands no more than one that goes on. They slide

@@ -1,4 +1,4 @@
-"""Feet that sink into the ground, or float above it."""
+"""Feet that penetrate the ground, or float above it."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ SHOWN_SECONDS = 0.3
 
 
 def feet_off_ground(subject: MotionSubject) -> Iterator[Fault]:
-    """Yield feet that sink into the ground or float above it (MOT209).
+    """Yield feet that penetrate the ground or float above it (MOT209).
 
     The ground is 0 of the up axis where the rig rests standing on that, else the
     height at which the feet stand most.
@@ -58,7 +58,7 @@ def feet_off_ground(subject: MotionSubject) -> Iterator[Fault]:
 
 
 def _full_take(subject: MotionSubject, contacts: FootContacts) -> Iterator[Fault]:
-    """Yield that all contacts are off 0 of the up axis, where that is the ground."""
+    """Yield a fault if all contacts are offset from the ground at 0."""
     if not subject.has_rest:
         return
     often = contacts.static.sum(axis=0)
@@ -95,7 +95,7 @@ def _full_take(subject: MotionSubject, contacts: FootContacts) -> Iterator[Fault
 def _clearances(
     subject: MotionSubject, feet: IntArray
 ) -> tuple[FloatArray, FloatArray, bool]:
-    """Return how far foot joints are above the ground when they stand.
+    """Return the heights of foot joints above the ground in stance.
 
     Least and most ``(E,)`` [m], and whether the rig rests on 0 of the up axis. Legs
     that hang at rest show it; of others only that feet are flat is known.
@@ -126,7 +126,7 @@ def _clearances(
 
 
 def _leg(parents: list[int], feet: set[int], hips: int, foot: int) -> list[int]:
-    """Return the joints of a foot's leg, from its ankle up to its thigh.
+    """Return the joints of a foot's leg, from ankle up to thigh.
 
     >>> _leg([-1, 0, 1, 2, 3], {3, 4}, 0, 4)
     [3, 2, 1]
@@ -142,13 +142,13 @@ def _leg(parents: list[int], feet: set[int], hips: int, foot: int) -> list[int]:
 
 
 def _hangs(rest: FloatArray, heights: FloatArray, leg: list[int]) -> bool:
-    """Return whether a leg hangs at rest: it reaches down by most of its length."""
+    """Return whether a leg hangs straight down at rest."""
     bones = np.linalg.norm(np.diff(rest[leg], axis=0), axis=1)
     return bool(heights[leg[-1]] - heights[leg[0]] > HANGS * bones.sum() > 0.0)
 
 
 def _sunk(subject: MotionSubject, contacts: FootContacts) -> Iterator[Fault]:
-    """Yield the foot that is furthest below the ground of its contacts."""
+    """Yield the foot that is deepest below the ground of its contacts."""
     heights = subject.heights[:, contacts.feet]
     ground, known = _ground_of_pairs(subject, contacts)
     below = (ground - heights) * known
@@ -177,7 +177,7 @@ def _sunk(subject: MotionSubject, contacts: FootContacts) -> Iterator[Fault]:
 def _ground_of_pairs(
     subject: MotionSubject, contacts: FootContacts
 ) -> tuple[FloatArray, BoolArray]:
-    """Return where the ground of each foot is, and whether that is known ``(E,)``.
+    """Return the ground height per foot, and whether it is known ``(E,)``.
 
     Where one foot stands at 0 of the up axis, as at rest, and the other one below
     that, they do not agree, and 0 is the ground of both.
@@ -195,7 +195,7 @@ def _ground_of_pairs(
 
 
 def _floating(subject: MotionSubject, contacts: FootContacts) -> Iterator[Fault]:
-    """Yield that no joint comes near to the ground for longer than a jump lasts."""
+    """Yield a fault if no joint is near the ground for longer than a jump."""
     flat = np.isfinite(contacts.floor)
     if not flat.any():
         return
@@ -226,7 +226,7 @@ def _floating(subject: MotionSubject, contacts: FootContacts) -> Iterator[Fault]
 def _climbs(
     subject: MotionSubject, static: BoolArray, above: FloatArray, first: int, last: int
 ) -> bool:
-    """Return whether the feet go up or down one by one, as on stairs and ladders.
+    """Return whether the feet climb one by one, as on stairs and ladders.
 
     Their first contacts in a run are at several heights, or their last ones; or one
     stands high shortly before or after it, and the other one still on the ground.

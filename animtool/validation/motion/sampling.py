@@ -1,4 +1,4 @@
-"""Frames that are lost, frozen, repeated or off the grid."""
+"""Lost, frozen, repeated and off-grid frames."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ EARLY_FRACTION, LATE_FRACTION = 0.02, 0.1
 
 
 def off_frame(subject: MotionSubject) -> Iterator[Fault]:
-    """Yield that samples lie off the frames (MOT216)."""
+    """Yield a fault if samples are off the frames (MOT216)."""
     codes = subject.codes
     if codes is None or len(codes) < 2:
         return
@@ -58,7 +58,7 @@ def off_frame(subject: MotionSubject) -> Iterator[Fault]:
 
 
 def other_range(subject: MotionSubject) -> Iterator[Fault]:
-    """Yield that the stated range begins or ends where no sample is (MOT217).
+    """Yield a fault if the range starts or ends where no sample is (MOT217).
 
     Samples outside of it are USD256's.
     """
@@ -124,7 +124,7 @@ MOSTLY_STATIC = 0.5
 
 
 def lost_frames(subject: MotionSubject) -> Iterator[Fault]:
-    """Yield steps that go as far as two or more in smooth motion (MOT205).
+    """Yield steps as long as two or more in smooth motion (MOT205).
 
     In a file with time codes a lost frame is a hole between them.
     """
@@ -148,7 +148,7 @@ def lost_frames(subject: MotionSubject) -> Iterator[Fault]:
 
 
 def _holes(subject: MotionSubject) -> Iterator[Fault]:
-    """Yield the holes between the time codes of samples."""
+    """Yield gaps between the time codes of samples."""
     if subject.codes is None or subject.reduced or subject.frames < MIN_FRAMES:
         return
     gaps = np.diff(subject.codes)
@@ -172,18 +172,18 @@ def _holes(subject: MotionSubject) -> Iterator[Fault]:
 
 
 def _columns(subject: MotionSubject) -> IntArray:
-    """Return the joints that turn or move, those that do both twice."""
+    """Return the animated joints, twice if they both rotate and translate."""
     return np.concatenate([subject.turning, subject.moving])
 
 
 def _vectors(subject: MotionSubject) -> FloatArray:
-    """Return the steps of turning and of moving joints ``(F - 1, N, 3)``, as one."""
+    """Return rotation and translation steps ``(F - 1, N, 3)``, scaled alike."""
     shifts = subject.shifts * (2.0 / subject.size)
     return np.concatenate([subject.rotation_steps, shifts], axis=1)
 
 
 def _double_steps(subject: MotionSubject) -> tuple[FloatArray, BoolArray]:
-    """Return how many steps' way each step goes, and which of them are losses ``(S,)``.
+    """Return the length of each step in frames, and which are losses ``(S,)``.
 
     A loss is a step that is far from what the two on either side predict of one, and
     near to what they predict of several.
@@ -228,7 +228,7 @@ def _double_steps(subject: MotionSubject) -> tuple[FloatArray, BoolArray]:
 
 
 def _of_two_limbs(subject: MotionSubject, flags: BoolArray) -> BoolArray:
-    """Return in which rows joints of more than one limb are flagged ``(S,)``.
+    """Return rows in which joints of more than one limb are flagged ``(S,)``.
 
     A finger that jumps with its hand is no loss. A trunk that both turns and moves as
     far as in several steps counts as two. ``flags`` ``(S, N)`` of the columns.
@@ -241,7 +241,7 @@ def _of_two_limbs(subject: MotionSubject, flags: BoolArray) -> BoolArray:
 
 
 def _predicted(near: FloatArray, far: FloatArray, lost: int) -> FloatArray:
-    """Return how far a step goes over some lost frames, by the steps around it.
+    """Return the predicted step over lost frames, from its neighbors.
 
     ``near`` and ``far`` are the means of the steps next to it and of those after these
     ``(S, N, 3)``. A parabola through these and their mirror images is summed.
@@ -259,7 +259,7 @@ def _squares(vectors: FloatArray) -> FloatArray:
 
 
 def _typical_around(squares: FloatArray) -> FloatArray:
-    """Return the usual value about each row, by column ``(S, N)``.
+    """Return the typical value around each row, per column ``(S, N)``.
 
     The largest median of its block of rows and the two beside it.
     """
@@ -275,14 +275,14 @@ def _typical_around(squares: FloatArray) -> FloatArray:
 
 
 def _next_to_static(subject: MotionSubject) -> BoolArray:
-    """Return the steps within a few of a repeated frame, where a pace says nothing."""
+    """Return steps close to a repeated frame, where pace is unreliable."""
     static = subject.speeds < STATIC_SPEED * np.median(subject.speeds)
     windows = sliding_window_view(np.pad(static, GAP), 2 * GAP + 1)
     return np.asarray(windows.any(axis=1))
 
 
 def _static_steps(subject: MotionSubject) -> BoolArray | None:
-    """Return which steps repeat a frame within motion; None where that is usual."""
+    """Return steps that repeat a frame within motion; None if that is common."""
     if subject.frames < MIN_FRAMES or len(_columns(subject)) < 2:
         return None
     speeds = subject.speeds
@@ -293,14 +293,14 @@ def _static_steps(subject: MotionSubject) -> BoolArray | None:
 
 
 def _abrupt(speeds: FloatArray, typical: float, first: int, last: int) -> bool:
-    """Return whether motion stops at once before a run of steps and goes on after."""
+    """Return whether motion stops abruptly before a run of steps and resumes."""
     if first == 0 or last == len(speeds) - 1:
         return False
     return bool(min(speeds[first - 1], speeds[last + 1]) > MIN_PACE * typical)
 
 
 def _repeats(subject: MotionSubject) -> tuple[BoolArray, bool]:
-    """Return the repeated frames within motion, and whether they come regularly."""
+    """Return the repeated frames within motion, and whether they are regular."""
     static = _static_steps(subject)
     if static is None:
         return np.zeros(0, bool), False
@@ -321,7 +321,7 @@ def _repeats(subject: MotionSubject) -> tuple[BoolArray, bool]:
 
 
 def frozen_frames(subject: MotionSubject) -> Iterator[Fault]:
-    """Yield frames at which all that moves stops at once and goes on (MOT206)."""
+    """Yield frames at which all motion stops abruptly and resumes (MOT206)."""
     kept, regular = _repeats(subject)
     if regular or not kept.any() or float(kept.mean()) > MOSTLY_STATIC:
         return
@@ -337,7 +337,7 @@ def frozen_frames(subject: MotionSubject) -> Iterator[Fault]:
 
 
 def repeated_frames(subject: MotionSubject) -> Iterator[Fault]:
-    """Yield that frames are repeated to reach a rate (MOT207)."""
+    """Yield a fault if frames are repeated to reach a rate (MOT207)."""
     kept, regular = _repeats(subject)
     if regular:
         rate = float(subject.take.clock.rate)
@@ -355,7 +355,7 @@ def repeated_frames(subject: MotionSubject) -> Iterator[Fault]:
 
 
 def _is_multiple(ratio: float) -> bool:
-    """Return whether a positive ratio is a whole number, or one part of a whole.
+    """Return whether a positive ratio is an integer or the inverse of one.
 
     >>> _is_multiple(2.0), _is_multiple(1 / 3), _is_multiple(1.25)
     (True, True, False)
@@ -365,7 +365,7 @@ def _is_multiple(ratio: float) -> bool:
 
 
 def _off_grid_step(subject: MotionSubject) -> Iterator[Fault]:
-    """Yield that samples lie evenly, but neither on frames nor on parts of them."""
+    """Yield a fault if samples are even, but not on frames or simple subframes."""
     if subject.codes is None or subject.frames < MIN_FRAMES:
         return
     gaps = np.diff(subject.codes)

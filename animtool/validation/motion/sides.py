@@ -1,4 +1,4 @@
-"""Values that no motion needs, and sides that are swapped or still."""
+"""Implausible values, and body sides that are swapped or static."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ SHORT = 0.02
 
 
 def motionless(subject: MotionSubject) -> Iterator[Fault]:
-    """Yield that nothing moves in any frame (MOT201)."""
+    """Yield a fault if nothing moves (MOT201)."""
     motion = subject.take.motion
     if motion.frames < POSE_FRAMES:
         return
@@ -41,7 +41,7 @@ def motionless(subject: MotionSubject) -> Iterator[Fault]:
 
 
 def zero_scale(subject: MotionSubject) -> Iterator[Fault]:
-    """Yield joints that are scaled to nothing (MOT218)."""
+    """Yield joints with zero scale (MOT218)."""
     scales = subject.take.motion.scales
     if scales is None:
         return
@@ -61,7 +61,7 @@ def zero_scale(subject: MotionSubject) -> Iterator[Fault]:
 
 
 def large_weights(subject: MotionSubject) -> Iterator[Fault]:
-    """Yield shapes whose weights are far outside of 0 to 1 (MOT219)."""
+    """Yield shapes with weights far outside 0 to 1 (MOT219)."""
     weights = subject.take.motion.weights
     if weights is None:
         return
@@ -87,7 +87,7 @@ def large_weights(subject: MotionSubject) -> Iterator[Fault]:
 
 
 def bind_far_from_rest(subject: MotionSubject) -> Iterator[Fault]:
-    """Yield that the bind pose is of another size or place than the rest (MOT220)."""
+    """Yield a fault if bind and rest pose differ in size or position (MOT220)."""
     if subject.bind is None or not subject.has_rest:
         return
     rig, bind, rest = subject.take.rig, subject.bind, subject.rest
@@ -129,7 +129,7 @@ def bind_far_from_rest(subject: MotionSubject) -> Iterator[Fault]:
 
 
 def no_influence(subject: MotionSubject) -> Iterator[Fault]:
-    """Yield the joints that carry no point of a mesh (MOT221)."""
+    """Yield the joints that influence no point of a mesh (MOT221)."""
     if subject.influencing is None:
         return
     rig = subject.take.rig
@@ -171,13 +171,13 @@ SURELY, SURE_EXCHANGE = 0.1, math.radians(20.0)
 
 
 def _pairs(subject: MotionSubject) -> list[tuple[int, int]]:
-    """Return the joints that have another side, left first."""
+    """Return the joints with an opposite side, left first."""
     partners = subject.sides.partners
     return [(left, int(partners[left])) for left in subject.sides.left]
 
 
 def swapped_sides(subject: MotionSubject) -> Iterator[Fault]:
-    """Yield that left and right are swapped, in all frames or in some (MOT210)."""
+    """Yield a fault if left and right are swapped, in all or some frames (MOT210)."""
     subject = subject.main
     pairs = _pairs(subject)
     if not pairs:
@@ -187,7 +187,7 @@ def swapped_sides(subject: MotionSubject) -> Iterator[Fault]:
 
 
 def _full_take(subject: MotionSubject, pairs: list[tuple[int, int]]) -> Iterator[Fault]:
-    """Yield that the left joints lie on the right of a body that looks ahead."""
+    """Yield a fault if left joints are on the right of a body facing forward."""
     facing = _facing(subject)
     hips = _hips(subject, pairs)
     if facing is None or hips is None:
@@ -218,7 +218,7 @@ def _full_take(subject: MotionSubject, pairs: list[tuple[int, int]]) -> Iterator
 
 
 def _facing(subject: MotionSubject) -> FloatArray | None:
-    """Return where the feet point, on average ``(F, 3)`` [m]; None without toes."""
+    """Return the mean direction of the feet ``(F, 3)`` [m]; None without toes."""
     rig = subject.take.rig
     feet = set(feet_of(rig.names).tolist())
     ends = [i for i in feet if rig.joints[i].parent in feet]
@@ -237,7 +237,7 @@ def _facing(subject: MotionSubject) -> FloatArray | None:
 def _hips(
     subject: MotionSubject, pairs: list[tuple[int, int]]
 ) -> tuple[int, int] | None:
-    """Return the pair of joints that the feet hang from, nearest to the root."""
+    """Return the pair of joints above the feet that is nearest to the root."""
     rig = subject.take.rig
     feet = set(feet_of(rig.names).tolist())
     partners = dict(pairs)
@@ -257,7 +257,7 @@ def _hips(
 
 
 def _exchanged(subject: MotionSubject, pairs: list[tuple[int, int]]) -> Iterator[Fault]:
-    """Yield the step at which joints of two sides go on as each other."""
+    """Yield the step at which joints of two sides swap their motion."""
     rotations = subject.take.motion.rotations
     moves = set(rotations.animated.tolist())
     pairs = [pair for pair in pairs if moves.issuperset(pair)]
@@ -299,13 +299,13 @@ def _exchanged(subject: MotionSubject, pairs: list[tuple[int, int]]) -> Iterator
 
 
 def _offs(left: FloatArray, right: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return how far sides are from going on as themselves, and as each other."""
+    """Return how far sides are from continuing as themselves, and as each other."""
     same_side = np.minimum(_off(left, left), _off(right, right))
     return same_side, np.maximum(_off(left, right), _off(right, left))
 
 
 def _off(side: FloatArray, other: FloatArray) -> FloatArray:
-    """Return how far rotations are from those that others before would go on to.
+    """Return the angle of rotations from the extrapolation of others.
 
     ``(F, P, 4)`` each, result ``(F - 1, P)`` [rad]. The others stay, or turn on as in
     the step before: the smaller difference counts.
@@ -318,7 +318,7 @@ def _off(side: FloatArray, other: FloatArray) -> FloatArray:
 
 
 def _neighbor_moves(steps: FloatArray, off: FloatArray, back: FloatArray) -> BoolArray:
-    """Return where the steps before and after are motion that goes on ``(F - 1, P)``.
+    """Return where the neighbor steps are continuous motion ``(F - 1, P)``.
 
     Poses of a library that are held, or take turns, exchange sides by intent. ``off``
     is from what was before each step, and ``back`` from what comes after it.
@@ -332,7 +332,7 @@ def _neighbor_moves(steps: FloatArray, off: FloatArray, back: FloatArray) -> Boo
 
 
 def dead_side(subject: MotionSubject) -> Iterator[Fault]:
-    """Yield joints that never turn while those of the other side do (MOT211)."""
+    """Yield joints that never rotate while their opposites do (MOT211)."""
     channel = subject.take.motion.rotations
     roots = {*subject.take.rig.roots, *carriers(subject)}
     # Where the root stays put, parts were keyed one by one, and one arm may wave.

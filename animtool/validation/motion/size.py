@@ -1,4 +1,4 @@
-"""Size and stance: units, up axis, bones that change their length."""
+"""Size and stance: units, up axis, bone lengths."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ MIN_FRAMES = 8
 
 
 def stretched(subject: MotionSubject) -> Iterator[Fault]:
-    """Yield bones whose length changes by over a half (MOT212)."""
+    """Yield bones whose length changes by more than half (MOT212)."""
     subject = subject.main
     if not subject.has_rest or _bone_factor(subject) is not None:
         return
@@ -80,7 +80,7 @@ def stretched(subject: MotionSubject) -> Iterator[Fault]:
 
 
 def _bone_factor(subject: MotionSubject) -> float | None:
-    """Return the factor between animated bones and those at rest, if it is a unit's."""
+    """Return the ratio of animated to rest bones, if it is a unit conversion."""
     rig, translations = subject.take.rig, subject.take.motion.translations
     bones = np.flatnonzero(~placed(subject))
     rest = np.linalg.norm(rig.rest_translations[bones], axis=1)
@@ -94,7 +94,7 @@ def _bone_factor(subject: MotionSubject) -> float | None:
 
 
 def _unit_factor(ratios: FloatArray) -> float | None:
-    """Return the factor of two units that most ratios are near to."""
+    """Return the unit conversion factor that most ratios are near."""
     if not len(ratios):
         return None
     for factor in (*FACTORS, *(1.0 / factor for factor in FACTORS)):
@@ -105,7 +105,7 @@ def _unit_factor(ratios: FloatArray) -> float | None:
 
 
 def other_units(subject: MotionSubject) -> Iterator[Fault]:
-    """Yield that the motion, or the whole character, is in another unit (MOT213)."""
+    """Yield a fault if motion, or all of the character, uses another unit (MOT213)."""
     subject = subject.main
     factor = _bone_factor(subject) if subject.has_rest else None
     if factor is not None:
@@ -147,7 +147,7 @@ def other_units(subject: MotionSubject) -> Iterator[Fault]:
 
 
 def _root_factor(subject: MotionSubject) -> tuple[int, float] | None:
-    """Return a root that moves at many times its height at rest, and how many.
+    """Return a root that moves at many times its rest height, and the factor.
 
     Where the rig rests at its hips, these are as high as its legs are long.
     """
@@ -175,7 +175,7 @@ def _root_factor(subject: MotionSubject) -> tuple[int, float] | None:
 
 
 def _low_factor(subject: MotionSubject, root: int) -> float | None:
-    """Return the part of a unit that a root's numbers are of, if its feet show that.
+    """Return the unit factor by which a root is too low, if its feet show that.
 
     Multiplied back, its translation puts the lowest joint on the ground, however the
     body crouches or crawls.
@@ -199,7 +199,7 @@ def _low_factor(subject: MotionSubject, root: int) -> float | None:
 
 
 def _high(ratio: float) -> float | None:
-    """Return the factor of two units that a height is nearest to, if it is one.
+    """Return the unit conversion factor nearest to a height, if any.
 
     Who crawls or climbs is lower or higher than at rest, and nobody so many times.
 
@@ -212,13 +212,13 @@ def _high(ratio: float) -> float | None:
 
 
 def _is_character(subject: MotionSubject) -> bool:
-    """Return whether a rig has feet and joints enough to be of a person or animal."""
+    """Return whether a rig has the feet and joints of a person or animal."""
     rig = subject.take.rig
     return len(rig.joints) >= MIN_JOINTS and len(feet_of(rig.names)) > 0
 
 
 def _times(factor: float) -> str:
-    """Return a factor in words.
+    """Return a factor as text.
 
     >>> _times(100.0), _times(0.01)
     ('100 times', '1/100')
@@ -227,7 +227,7 @@ def _times(factor: float) -> str:
 
 
 def _length(meters: float) -> str:
-    """Return a length in a unit that people would say it in.
+    """Return a length as text in a fitting unit.
 
     >>> _length(0.0012), _length(158.0)
     ('1.2 mm', '158 m')
@@ -240,7 +240,7 @@ def _length(meters: float) -> str:
 
 
 def strange_size(subject: MotionSubject) -> Iterator[Fault]:
-    """Yield that a skeleton is smaller or larger than anything that moves (MOT215)."""
+    """Yield a skeleton of implausible size (MOT215)."""
     low, high = ANYTHING
     if not subject.has_units:
         return
@@ -258,7 +258,7 @@ def strange_size(subject: MotionSubject) -> Iterator[Fault]:
 
 
 def body_axis(subject: MotionSubject) -> Stance | None:
-    """Return how a body stands, where that is not along the axis that is up."""
+    """Return the stance of a body if it does not stand along the up axis."""
     rig = subject.take.rig
     if subject.frames < MIN_FRAMES or len(rig.joints) < MIN_JOINTS:
         return None
@@ -272,7 +272,7 @@ def body_axis(subject: MotionSubject) -> Stance | None:
 
 
 def mismatched_up_axis(subject: MotionSubject) -> Iterator[Fault]:
-    """Yield that the body stands along another axis than the up axis (MOT214)."""
+    """Yield a body that stands along an axis other than up (MOT214)."""
     rig, axis = subject.take.rig, body_axis(subject)
     if axis is None:
         return

@@ -1,4 +1,4 @@
-"""Clips: their keys, and their curves between and beyond these."""
+"""Rules on clips: keys, and curves between and beyond them."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _NOT_CYCLING = frozenset({Extrapolation.HOLD, Extrapolation.LINEAR})
 
 
 def outside_range(subject: ClipSubject) -> Iterator[Fault]:
-    """Yield channels with keys outside the clip's range that do nothing (CLIP201).
+    """Yield channels whose keys outside the clip's range have no effect (CLIP201).
 
     The first one on either side shapes the curve on its way there, and all are played
     where a channel repeats them.
@@ -47,7 +47,7 @@ def outside_range(subject: ClipSubject) -> Iterator[Fault]:
 
 
 def beyond(channel: ClipChannel, first: float, last: float) -> IntArray:
-    """Return the keys of a channel outside some frames that do nothing in them."""
+    """Return the keys of a channel that have no effect inside a frame range."""
     if not {channel.pre, channel.post} <= _NOT_CYCLING:
         return np.zeros(0, np.int64)
     before = np.flatnonzero(channel.times < first)[:-1]
@@ -56,7 +56,7 @@ def beyond(channel: ClipChannel, first: float, last: float) -> IntArray:
 
 
 def half_rotations(subject: ClipSubject) -> Iterator[Fault]:
-    """Yield keys half a turn from the one before: which way is open (CLIP202)."""
+    """Yield keys 180° from the previous one: the direction is ambiguous (CLIP202)."""
     for i, channel in enumerate(subject.clip.channels):
         if channel.values.shape[1] != 4:
             continue
@@ -101,7 +101,7 @@ OPEN = 1e-3
 
 
 def overshoot(subject: ClipSubject) -> Iterator[Fault]:
-    """Yield curves that leave limits between keys that keep them (CLIP205)."""
+    """Yield curves that exceed limits between keys within them (CLIP205)."""
     times = np.array(subject.frames)
     for i, channel in enumerate(subject.clip.channels):
         excess = _excess(channel, subject.rig)
@@ -121,7 +121,7 @@ def overshoot(subject: ClipSubject) -> Iterator[Fault]:
 
 
 def _beyond(channel: ClipChannel, k: int, frames: FloatArray, over: FloatArray) -> str:
-    """Return what to say of the frames of a segment that lie beyond limits."""
+    """Return text on the frames of a segment that exceed limits."""
     most = float(over.max())
     angle = channel.target.endswith((".angle", ".rotation"))
     much = f"{math.degrees(most):.3g}\N{DEGREE SIGN}" if angle else f"{most:.3g}"
@@ -136,7 +136,7 @@ def _beyond(channel: ClipChannel, k: int, frames: FloatArray, over: FloatArray) 
 
 
 def _excess(channel: ClipChannel, rig: Rig) -> Excess | None:
-    """Return what tells how far a channel's values are beyond what its target may."""
+    """Return a function of how far a channel's values exceed its target's limits."""
     kind, _, name = channel.target.partition("/")
     if kind == "control":
         control = next(c for c in rig.controls if c.name == name)
@@ -164,7 +164,7 @@ def _at(channel: ClipChannel, times: FloatArray) -> FloatArray:
 
 
 def angle_flips(subject: ClipSubject) -> Iterator[Fault]:
-    """Yield angles that go a whole turn round from a key to the next (CLIP206)."""
+    """Yield angles that rotate a full circle from one key to the next (CLIP206)."""
     for i, channel in enumerate(subject.clip.channels):
         if not channel.euler and not channel.target.endswith(".angle"):
             continue
@@ -183,7 +183,7 @@ def angle_flips(subject: ClipSubject) -> Iterator[Fault]:
 
 
 def _round(channel: ClipChannel, k: int) -> str:
-    """Return what to say of an angle that goes round behind a key."""
+    """Return text on an angle that rotates a full circle after a key."""
     one, two = np.degrees(channel.values[k]), np.degrees(channel.values[k + 1])
     axis = int(np.argmax(np.abs(two - one)))
     frames = float(channel.times[k + 1] - channel.times[k])
@@ -198,7 +198,7 @@ def _round(channel: ClipChannel, k: int) -> str:
 
 
 def _unwrapping(channel: ClipChannel, k: int, unit: float) -> str:
-    """Return how to write the key behind another so that it goes the short way.
+    """Return how to write the next key so that rotation takes the short path.
 
     unit: of the file [rad].
     """
@@ -220,7 +220,7 @@ def _far(one: FloatArray, two: FloatArray) -> float:
 
 
 def _flips(channel: ClipChannel) -> IntArray:
-    """Return the keys of a sampled curve behind which angles go round for nothing."""
+    """Return the keys of a sampled curve after which angles wrap."""
     near = np.diff(channel.times) <= SAMPLED
     far = (np.abs(np.diff(channel.values, axis=0)) > FAR).any(axis=1)
     flips = np.flatnonzero(near & far & _moving(channel))
@@ -233,7 +233,7 @@ def _moving(channel: ClipChannel) -> BoolArray:
 
 
 def _wraps(channel: ClipChannel, rig: Rig) -> IntArray:
-    """Return the keys behind which an angle wraps, whatever the time to the next.
+    """Return the keys after which an angle wraps, whatever the key spacing.
 
     Keys that go round on purpose count whole turns on, or end on one; a spin is at the
     same speed before or behind. What wraps was brought into half a turn on either side
@@ -263,7 +263,7 @@ def _wrapped(
     short: float,
     limits: RangeLimit | None,
 ) -> bool:
-    """Return whether an axis wraps behind a key, the short way being ``short``."""
+    """Return whether an axis wraps after a key; ``short`` is the short path."""
     values = channel.values[:, axis]
     one, two = float(values[k]), float(values[k + 1])
     if limits is not None and not limits.low <= one + short <= limits.high:
@@ -279,7 +279,7 @@ def _wrapped(
 
 
 def _range_of(channel: ClipChannel, rig: Rig) -> RangeLimit | None:
-    """Return the limits of the angle of a pin; None where it has none."""
+    """Return the angle limits of a pin joint; None without limits."""
     joint, _, part = channel.target.removeprefix("joint/").rpartition(".")
     if part != "angle":
         return None
@@ -290,7 +290,7 @@ def _range_of(channel: ClipChannel, rig: Rig) -> RangeLimit | None:
 def _flipped(
     channel: ClipChannel, one: FloatArray, two: FloatArray
 ) -> FloatArray | None:
-    """Return the other three angles of a rotation, where they are much nearer to one.
+    """Return the equivalent Euler angles of a rotation, if much nearer to another.
 
     Two of three differ by half a turn, and the middle one is mirrored; None where
     that is not so.
@@ -305,7 +305,7 @@ def _flipped(
 
 
 def _shortest(channel: ClipChannel, k: int) -> float:
-    """Return the angle between what two keys mean [rad]."""
+    """Return the rotation angle between two keys [rad]."""
     if not channel.euler:
         step = float(channel.values[k + 1, 0] - channel.values[k, 0])
         return abs(math.remainder(step, math.tau))
@@ -314,7 +314,7 @@ def _shortest(channel: ClipChannel, k: int) -> float:
 
 
 def open_cycles(subject: ClipSubject) -> Iterator[Fault]:
-    """Yield channels that jump where their cycle begins again (CLIP207)."""
+    """Yield channels with a discontinuity where their cycle repeats (CLIP207)."""
     clip = subject.clip
     for i, channel in enumerate(clip.channels):
         for key, how, reached in (
@@ -336,7 +336,7 @@ def open_cycles(subject: ClipSubject) -> Iterator[Fault]:
 
 
 def _meets(channel: ClipChannel) -> bool:
-    """Return whether a channel ends as it begins; whole turns are none."""
+    """Return whether a channel ends as it begins, modulo full rotations."""
     first, last = channel.values[0], channel.values[-1]
     if channel.target.endswith(".angle") and abs(last[0] - first[0]) > FAR:
         return abs(math.remainder(float(last[0] - first[0]), math.tau)) <= OPEN

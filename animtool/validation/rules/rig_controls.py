@@ -1,4 +1,4 @@
-"""Controls: what they drive, and how far, over the whole of their ranges."""
+"""Rules on controls: what they drive over their ranges, and how far."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _NONE: FloatArray = np.zeros(1)
 
 @dataclass(frozen=True, slots=True)
 class _Sweep:
-    """Every control led over its range, one after the other."""
+    """Every control swept over its range, one after the other."""
 
     moved: list[Control]  # which control moves in each frame ``(F,)``
     keyed: dict[str, FloatArray]  # values of all of them ``(F,)``
@@ -45,12 +45,12 @@ class _Sweep:
         return np.broadcast_to(values, len(self.moved))
 
     def keys(self, frame: int) -> str:
-        """Return which control is where in a frame."""
+        """Return the control values of a frame."""
         name = self.moved[frame].name
         return f"{name!r} at {float(self.keyed[name][frame]):g}"
 
     def worst(self, excess: FloatArray) -> Iterator[tuple[Control, int]]:
-        """Yield controls that lead beyond something, and the frame where most."""
+        """Yield controls that exceed something, and the worst frame."""
         # What is not finite is a fault of the expression (RIG207).
         wide = self.spread(np.where(np.isfinite(excess), np.abs(excess), 0.0))
         worst: dict[str, int] = {}
@@ -98,7 +98,7 @@ def beyond_range(rig: RigSubject) -> Iterator[Fault]:
 
 
 def undefined(rig: RigSubject) -> Iterator[Fault]:
-    """Yield drives that have no value somewhere in a control's range (RIG207)."""
+    """Yield drives without a value somewhere in a control's range (RIG207)."""
     sweep = _sweep(rig)
     values = sweep.driven.controls
     for control in rig.rig.controls:
@@ -127,7 +127,7 @@ def undefined(rig: RigSubject) -> Iterator[Fault]:
 
 
 def never_acts(rig: RigSubject) -> Iterator[Fault]:
-    """Yield correctives that no pose of the controls brings about (RIG208)."""
+    """Yield correctives that no control pose activates (RIG208)."""
     # What coordinates of joints drive moves without controls.
     moved = set(plan_of(rig.rig).shapes) if rig.rig.is_driven else set()
     combined = [
@@ -186,7 +186,7 @@ def idle(rig: RigSubject) -> Iterator[Fault]:
 
 @lru_cache(maxsize=1)
 def _sweep(rig: RigSubject) -> _Sweep:
-    """Return what each control does while the others are at their defaults."""
+    """Return a sweep of each control with the others at their defaults."""
     controls = rig.rig.controls
     ranges = {control.name: _values(control) for control in controls}
     count = sum(map(len, ranges.values()))
@@ -233,7 +233,7 @@ def _excess(joint: Joint, targets: dict[str, FloatArray]) -> FloatArray:
 
 
 def _well_within(limits: BallLimit, parts: list[FloatArray]) -> bool:
-    """Return whether turns are so small that swing and twist cannot be too large.
+    """Return whether rotations are too small to exceed swing and twist limits.
 
     Neither is larger than the turn itself. Most are, and the whole way is slow.
     """
@@ -243,7 +243,7 @@ def _well_within(limits: BallLimit, parts: list[FloatArray]) -> bool:
 
 
 def _drive(rig: RigSubject, control: Control, target: str) -> Location:
-    """Return the drive of a control that leads to a target, or the control."""
+    """Return the drive of a control that affects a target, or the control."""
     at = rig.at("controls", control.name)
     for k, drive in enumerate(control.drives):
         if f"{drive.target}.".startswith(target):

@@ -1,4 +1,4 @@
-"""Joints of a rig: limits, the bind pose, left and right."""
+"""Rules on joints: limits, bind pose, left and right."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ ACROSS = 0.1
 
 
 def rest_outside(rig: RigSubject) -> Iterator[Fault]:
-    """Yield joints whose limits leave their rest pose out (RIG201)."""
+    """Yield joints whose limits exclude their rest pose (RIG201)."""
     for joint in rig.rig.joints:
         at = (*rig.at("joints", joint.name), "limits")
         hint = "limits are relative to the rest pose, which is 0"
@@ -54,7 +54,7 @@ def rest_outside(rig: RigSubject) -> Iterator[Fault]:
 
 
 def motionless(rig: RigSubject) -> Iterator[Fault]:
-    """Yield joints that their limits leave no motion (RIG202)."""
+    """Yield joints whose limits allow no motion (RIG202)."""
     for joint in rig.rig.joints:
         match joint.limits:
             case RangeLimit(low, high):
@@ -70,7 +70,7 @@ def motionless(rig: RigSubject) -> Iterator[Fault]:
 
 
 def across(rig: RigSubject) -> Iterator[Fault]:
-    """Yield ball joints that twist across their bone (RIG203)."""
+    """Yield ball joints whose twist axis is across their bone (RIG203)."""
     for i, joint in enumerate(rig.rig.joints):
         limits = joint.limits
         bone = _bone(rig, i)
@@ -90,7 +90,7 @@ def across(rig: RigSubject) -> Iterator[Fault]:
 
 
 def follower(rig: RigSubject) -> Iterator[Fault]:
-    """Yield joints that the joint they follow leads beyond their limits (RIG205)."""
+    """Yield mimic joints that their source moves beyond their limits (RIG205)."""
     for joint in rig.rig.joints:
         if joint.mimic is None or not isinstance(joint.limits, RangeLimit):
             continue
@@ -113,7 +113,7 @@ def follower(rig: RigSubject) -> Iterator[Fault]:
 
 
 def shown(rig: RigSubject, joint: Joint, value: float) -> str:
-    """Return a coordinate of a joint in the rig's own unit."""
+    """Return a joint coordinate in the rig's unit."""
     if joint.type is JointType.PRISMATIC:
         unit = rig.rig.meters_per_unit
         return f"{value / unit:.4g} {unit_name(unit)}"
@@ -146,7 +146,7 @@ MIN_JOINTS = 8
 
 
 def nearly_rest(rig: RigSubject) -> Iterator[Fault]:
-    """Yield bind poses that are the rest pose but for a hair (RIG216)."""
+    """Yield bind poses that differ from rest only by rounding (RIG216)."""
     for name in rig.document.value.get("bind", {}):
         if name not in rig.rig.bind or not rig.size:
             continue
@@ -165,7 +165,7 @@ def nearly_rest(rig: RigSubject) -> Iterator[Fault]:
 
 
 def without_rest(rig: RigSubject) -> Iterator[Fault]:
-    """Yield joints that have a bind pose, and none at rest (RIG222)."""
+    """Yield joints that have a bind pose but no rest pose (RIG222)."""
     bind = rig.document.value.get("bind", {})
     if "from" in rig.document.value:
         return
@@ -204,7 +204,7 @@ SAME_LIMIT = 1e-6
 
 
 def other_position(rig: RigSubject) -> Iterator[Fault]:
-    """Yield bones of a pair that are no mirror images at rest (RIG212)."""
+    """Yield paired bones that are not mirror images at rest (RIG212)."""
     pairs, mirrored = _compared(rig)
     if not _symmetric(mirrored):
         return
@@ -217,7 +217,7 @@ def other_position(rig: RigSubject) -> Iterator[Fault]:
 
 
 def other_limits(rig: RigSubject) -> Iterator[Fault]:
-    """Yield joints of a pair with other types or limits (RIG213)."""
+    """Yield paired joints with different types or limits (RIG213)."""
     pairs, mirrored = _compared(rig)
     if not _symmetric(mirrored):
         return
@@ -243,7 +243,7 @@ def _compared(rig: RigSubject) -> tuple[list[tuple[Joint, Joint]], BoolArray]:
 
 
 def _pairs(rig: RigSubject) -> list[tuple[Joint, Joint]]:
-    """Return joints and their counterparts that no mirror wrote."""
+    """Return joints and their counterparts that were written separately."""
     partners = pair_sides(rig.rig.names, rig.rig.parents).partners.tolist()
     return [
         (joint, rig.rig.joints[other])
@@ -253,7 +253,7 @@ def _pairs(rig: RigSubject) -> list[tuple[Joint, Joint]]:
 
 
 def _mirrored(rig: RigSubject, pairs: list[tuple[Joint, Joint]]) -> BoolArray:
-    """Return whether pairs are mirror images ``(P,)``, in the plane that most are."""
+    """Return which pairs are mirror images in the most common plane ``(P,)``."""
     positions, _ = rig.rest
     parents = rig.rig.parents
     bones = positions - np.where(parents[:, None] < 0, 0.0, positions[parents])
@@ -274,7 +274,7 @@ def _mirrored(rig: RigSubject, pairs: list[tuple[Joint, Joint]]) -> BoolArray:
 
 
 def _symmetric(mirrored: BoolArray) -> bool:
-    """Return whether a rig is meant to have two sides that are alike."""
+    """Return whether a rig is meant to be symmetric."""
     return len(mirrored) > 1 and 2 * int(np.count_nonzero(mirrored)) >= len(mirrored)
 
 
@@ -295,7 +295,7 @@ def _same_limits(left: Joint, right: Joint) -> bool:
 
 
 def _same_range(one: tuple[float, float], two: tuple[float, float]) -> bool:
-    """Return whether two ranges are the same, or the same the other way round."""
+    """Return whether two ranges are equal or mirrored."""
     return any(
         np.allclose(one, other, rtol=0, atol=SAME_LIMIT)
         for other in (two, (-two[1], -two[0]))

@@ -1,4 +1,4 @@
-"""Scenes: passes, frames, props, variables and outputs."""
+"""Rules on scenes: passes, frames, props, variables and outputs."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from animtool.validation.subjects.scene import SceneSubject
 
 
 def over_input(subject: SceneSubject) -> Iterator[Fault]:
-    """Yield outputs that are inputs too (OUT003)."""
+    """Yield outputs that are also inputs (OUT003)."""
     scene = subject.scene
     read = {*subject.read, *scene.inputs, scene.path}
     for at, output in subject.outputs:
@@ -40,7 +40,7 @@ def over_input(subject: SceneSubject) -> Iterator[Fault]:
 
 
 def over_other(subject: SceneSubject) -> Iterator[Fault]:
-    """Yield outputs that another scene of the folder writes too (SCN204).
+    """Yield outputs that another scene of the folder also writes (SCN204).
 
     Takes of one library are not the same.
     """
@@ -63,13 +63,13 @@ def over_other(subject: SceneSubject) -> Iterator[Fault]:
 
 
 def _take(scene: Path, bake: BakeOptions) -> str:
-    """Return the take of a library that is written; empty where it is a whole file."""
+    """Return the library take that is written; empty for a complete file."""
     return take_name(bake, scene) if bake.form == "library" else ""
 
 
 @lru_cache(maxsize=4096)
 def _outputs(path: Path, _changed: int, _size: int) -> tuple[tuple[Path, str], ...]:
-    """Return the files and takes a scene writes, once a scene and version of it."""
+    """Return the files and takes a scene writes, cached by scene version."""
     try:
         document = read_document(path)
         resolve_variables(document, model_for(document.value), {})
@@ -86,7 +86,7 @@ def _outputs(path: Path, _changed: int, _size: int) -> tuple[tuple[Path, str], .
 
 
 def _named_take(entry: dict[str, Any]) -> BakeOptions:
-    """Return of an entry of outputs what says whether it is a take, and which."""
+    """Return the take key and name of an output entry."""
     form, take = entry.get("as"), entry.get("take")
     return BakeOptions(
         form="library" if form == "library" else None,
@@ -95,7 +95,7 @@ def _named_take(entry: dict[str, Any]) -> BakeOptions:
 
 
 def homeless(subject: SceneSubject) -> Iterator[Fault]:
-    """Yield outputs whose folder is not there (SCN212)."""
+    """Yield outputs whose folder does not exist (SCN212)."""
     for at, output in subject.outputs:
         folder = None if output.path is None else output.path.parent
         if folder is None or folder.is_dir():
@@ -107,7 +107,7 @@ def homeless(subject: SceneSubject) -> Iterator[Fault]:
 
 
 def refused(subject: SceneSubject) -> Iterator[Fault]:
-    """Yield tolerances of joints that there are none of (SCN207)."""
+    """Yield tolerances of unknown joints (SCN207)."""
     for at, output in subject.outputs:
         bounds = dict(output.bake.reduce_at)
         try:
@@ -119,7 +119,7 @@ def refused(subject: SceneSubject) -> Iterator[Fault]:
 
 
 def without_curves(subject: SceneSubject) -> Iterator[Fault]:
-    """Yield curves that are to be kept, and that there are none of (SCN208)."""
+    """Yield curves to keep that do not exist (SCN208)."""
     for at, output in subject.outputs:
         if output.bake.keep_curves and not subject.curves:
             message = "there is no control whose curve could be kept"
@@ -150,19 +150,19 @@ def idle(subject: SceneSubject) -> Iterator[Fault]:
 
 
 def outside_take(subject: SceneSubject) -> Iterator[Fault]:
-    """Yield a range that reaches beyond what there is to write (SCN202)."""
+    """Yield a range that extends beyond the take (SCN202)."""
     yield from _outside(subject, "SCN202", "extends beyond the take", wholly=False)
 
 
 def without_frames(subject: SceneSubject) -> Iterator[Fault]:
-    """Yield a range in which there is nothing to write (SCN211)."""
+    """Yield a range without any frame to write (SCN211)."""
     yield from _outside(subject, "SCN211", "contains no frame of the take", wholly=True)
 
 
 def _outside(
     subject: SceneSubject, code: str, how: str, *, wholly: bool
 ) -> Iterator[Fault]:
-    """Yield a range that is outside the take, wholly or in part."""
+    """Yield a range that is completely or partly outside the take."""
     scene, clock = subject.scene, subject.take.clock
     frame_range, start = scene.bake.frame_range, _start(subject)
     if frame_range is None or start is None:
@@ -184,7 +184,7 @@ def _outside(
 
 
 def _start(subject: SceneSubject) -> Fraction | None:
-    """Return the first time code of the output; None where a rig layer decides."""
+    """Return the first output time code; None if a rig layer decides."""
     bake = subject.scene.bake
     if bake.start is not None or bake.rig_layer is not None:
         return bake.start
@@ -194,7 +194,7 @@ def _start(subject: SceneSubject) -> Fraction | None:
 
 
 def near_rate(subject: SceneSubject) -> Iterator[Fault]:
-    """Yield a rate that is nearly that of the take (SCN205)."""
+    """Yield a rate slightly different from the take's (SCN205)."""
     output, source = subject.scene.bake.fps, subject.take.clock.rate
     if output is None or output == source or abs(output - source) > NEAR_RATES * source:
         return
@@ -204,7 +204,7 @@ def near_rate(subject: SceneSubject) -> Iterator[Fault]:
 
 
 def undone_goals(subject: SceneSubject) -> Iterator[Fault]:
-    """Yield passes that change poses which `ik` has brought to targets (SCN210)."""
+    """Yield passes that change poses after `ik` reached its targets (SCN210)."""
     solved = ""
     for i, entry in enumerate(subject.scene.passes):
         if i in subject.solved:
@@ -218,7 +218,7 @@ def undone_goals(subject: SceneSubject) -> Iterator[Fault]:
 
 
 def _moves(pass_: Pass) -> bool:
-    """Return whether a pass changes poses, and not only when they are."""
+    """Return whether a pass changes poses, not only their timing."""
     retimes = TakePart.CLOCK in pass_.changes
     return (
         TakePart.JOINTS in pass_.changes
@@ -228,7 +228,7 @@ def _moves(pass_: Pass) -> bool:
 
 
 def out_of_time(subject: SceneSubject) -> Iterator[Fault]:
-    """Yield things whose files have no frame of the take (SCN213)."""
+    """Yield props whose files have no frame of the take (SCN213)."""
     take = subject.take
     if take.motion.track_times is None:
         return
@@ -248,7 +248,7 @@ def out_of_time(subject: SceneSubject) -> Iterator[Fault]:
 
 
 def idle_variables(subject: SceneSubject) -> Iterator[Fault]:
-    """Yield variables that no text uses (SCN209)."""
+    """Yield unused variables (SCN209)."""
     for name in sorted(subject.scene.idle_variables):
         message = f"no text of the scene uses ${{{name}}}"
         yield subject.fault("SCN209", ("variables", name), message, "remove it")

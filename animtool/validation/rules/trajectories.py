@@ -1,4 +1,4 @@
-"""Rules for files of markers: gaps, spikes, names and sizes."""
+"""Rules on marker files: gaps, spikes, names and sizes."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ FRAMES_COMPARED = 64
 
 
 def gaps(subject: MarkersSubject) -> Iterator[Fault]:
-    """Yield the labelled markers that are missing from many frames (MKR201)."""
+    """Yield labelled markers missing from many frames (MKR201)."""
     markers = subject.markers
     shares = 1.0 - markers.seen.mean(axis=0)
     often = [
@@ -48,7 +48,7 @@ def gaps(subject: MarkersSubject) -> Iterator[Fault]:
 
 
 def spikes(subject: MarkersSubject) -> Iterator[Fault]:
-    """Yield the markers that are off for a few frames (MKR202)."""
+    """Yield markers with spikes of a few frames (MKR202)."""
     outliers = find_spikes(subject.markers)
     if outliers:
         worst = max(outliers, key=lambda spike: spike.size)
@@ -64,7 +64,7 @@ def spikes(subject: MarkersSubject) -> Iterator[Fault]:
 
 
 def unlabelled(subject: MarkersSubject) -> Iterator[Fault]:
-    """Yield that many points have no label (MKR203)."""
+    """Yield a fault if many points have no label (MKR203)."""
     names, visible = subject.markers.names, subject.markers.seen
     nameless = np.array([name.startswith("*") for name in names], np.bool_)
     total = int(visible.sum())
@@ -76,7 +76,7 @@ def unlabelled(subject: MarkersSubject) -> Iterator[Fault]:
 
 
 def sizes(subject: MarkersSubject) -> Iterator[Fault]:
-    """Yield that markers are too far apart or too near (MKR204)."""
+    """Yield a fault if markers are too far apart or too close (MKR204)."""
     extents = _extents(subject.markers.positions, subject.markers.seen)
     if not len(extents):
         return
@@ -95,7 +95,7 @@ def sizes(subject: MarkersSubject) -> Iterator[Fault]:
 
 
 def _extents(positions: FloatArray, visible: BoolArray) -> FloatArray:
-    """Return the diagonals of the boxes around frames with three points or more."""
+    """Return the bounds diagonals of frames with three points or more."""
     several = visible.sum(axis=1) >= 3
     if not several.any():
         return np.zeros(0)
@@ -107,7 +107,7 @@ def _extents(positions: FloatArray, visible: BoolArray) -> FloatArray:
 
 
 def same_points(subject: MarkersSubject) -> Iterator[Fault]:
-    """Yield the markers that are in one place in most frames (MKR205)."""
+    """Yield markers at equal positions in most frames (MKR205)."""
     markers = subject.markers
     labelled = [i for i, name in enumerate(markers.names) if not name.startswith("*")]
     count = len(labelled)
@@ -133,7 +133,7 @@ def same_points(subject: MarkersSubject) -> Iterator[Fault]:
 
 
 def unseen(subject: MarkersSubject) -> Iterator[Fault]:
-    """Yield the markers that no frame has (MKR206)."""
+    """Yield markers without any frame (MKR206)."""
     markers = subject.markers
     counts = markers.seen.sum(axis=0).tolist()
     never = [

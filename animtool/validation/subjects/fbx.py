@@ -1,4 +1,4 @@
-"""FBX files as their rules see them: what is wrong with them, and a take each."""
+"""FBX files as subjects: reader faults, and one subject per take."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from animtool.validation.subjects.subject import CheckedFile
 
 
 def open_fbx(path: Path) -> CheckedFile:
-    """Return what is wrong with an FBX, and a take of each take of each character."""
+    """Return the faults of an FBX file, and the takes of its characters."""
     note_input(path)
     scene = open_scene(path)
     faults: list[Fault] = []

@@ -1,4 +1,4 @@
-"""glTF files as their rules see them: what is wrong with them, and a take a clip."""
+"""glTF files as subjects: reader faults, and one subject per clip."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ SAMPLED = 0.25
 
 
 def open_gltf(path: Path) -> CheckedFile:
-    """Return what is wrong with a glTF, and a take of each clip of each character."""
+    """Return the faults of a glTF file, and the clips of its characters."""
     note_input(path)
     gltf = open_document(path)
     faults: list[Fault] = []
@@ -97,7 +97,7 @@ def _at_keys(
 
 
 def clip_subject(path: Path, rig: Rig, take: Take, where: str) -> MotionSubject:
-    """Return a clip as the motion rules see it; its faults are at its place."""
+    """Return a clip as a motion subject; faults are located at the clip."""
 
     def fault_at(
         code: str, joint: str, frame: float | None, message: str, hint: str
@@ -117,7 +117,7 @@ def clip_subject(path: Path, rig: Rig, take: Take, where: str) -> MotionSubject:
 
 
 def _influencing(rig: Rig, skins: Sequence[Skin]) -> frozenset[str]:
-    """Return the joints that move points, and those of no skin, which are to move none.
+    """Return the joints that influence points, and all joints outside skins.
 
     Joints above one that moves points move them too.
     """
@@ -130,7 +130,7 @@ def _influencing(rig: Rig, skins: Sequence[Skin]) -> frozenset[str]:
 
 
 def _bound(rig: Rig, skins: Sequence[Skin]) -> FloatArray | None:
-    """Return where the joints were when they were bound ``(J, 3)`` [m].
+    """Return the bind positions of the joints ``(J, 3)`` [m].
 
     A glTF does not say where the mesh was then: the topmost joint that is bound is
     where it is at rest. Joints that are not bound are at rest; None without any bound.

@@ -1,4 +1,4 @@
-"""A scene file as its rules see it."""
+"""Scene files as subjects."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ REFUSED, OF_OPTIONS = "SCN207", {"CLI002", "CLI004"}
 
 @dataclass(frozen=True, eq=False)
 class SceneSubject(DocumentSubject):
-    """A scene, and what comes of its source and passes."""
+    """A scene with its source and the result of its passes."""
 
     scene: Scene  # what the file makes
     take: Take  # its source with all passes done
@@ -47,7 +47,7 @@ class SceneSubject(DocumentSubject):
 
     @cached_property
     def asked(self) -> list[tuple[Take, TargetTracks]]:
-        """Takes that are solved, with their rigs, and what is asked of them."""
+        """Takes of IK passes, with their rigs and sampled targets."""
         folder = self.scene.path.resolve().parent
         takes = []
         for i, solved in self.solved.items():
@@ -57,12 +57,12 @@ class SceneSubject(DocumentSubject):
 
     @property
     def targets(self) -> set[str]:
-        """The targets files that its passes name, as their faults have them."""
+        """The targets files of its passes, as named in faults."""
         return {str(tracks.path) for _, tracks in self.asked}
 
     @cached_property
     def outputs(self) -> list[tuple[Location, SceneOutput]]:
-        """What is written, and where the file says it."""
+        """Output files, and their locations in the scene file."""
         several = isinstance(self.document.value.get("output"), list)
         return [
             (("output", i) if several else ("output",), output)
@@ -70,14 +70,14 @@ class SceneSubject(DocumentSubject):
         ]
 
     def at_pass(self, i: int) -> Location:
-        """Return where a pass stands."""
+        """Return the location of a pass."""
         return ("passes", i, self.scene.passes[i].pass_.name)
 
 
 def open_scene(
     document: Document, batch_values: SceneValues | None = None
 ) -> CheckedFile:
-    """Return a scene file as its rules see it; its source is read, its passes done.
+    """Return the subject of a scene file; reads its source and runs its passes.
 
     ``given`` are values of its variables that a batch gives.
     """
@@ -105,7 +105,7 @@ def open_scene(
 
 
 def _refused(scene: Scene, take: Take | None) -> list[Fault]:
-    """Return what a bake would refuse, and what is odd about how systems begin."""
+    """Return the errors of a bake, and warnings about initial states of systems."""
     from animtool.scene.bake.outline import outlined  # loads USD
     from animtool.scene.bake.plan import refusals
 
@@ -117,7 +117,7 @@ def _refused(scene: Scene, take: Take | None) -> list[Fault]:
 
 
 def _simulated(scene: Scene, take: Take | None) -> list[Fault]:
-    """Return what keeps systems from beginning, and what is odd about how they do."""
+    """Return errors and warnings of initializing the systems."""
     if not scene.systems:
         return []
     from animtool.scene.systems.run import SystemRun  # loads USD
@@ -133,7 +133,7 @@ def _simulated(scene: Scene, take: Take | None) -> list[Fault]:
 
 
 def _seconds(scene: Scene, take: Take | None) -> float:
-    """Return how long systems are simulated [s]."""
+    """Return the duration of the simulation [s]."""
     if take is not None:
         return float(take.clock.duration)
     from animtool.scene.systems.bake import FPS
@@ -145,7 +145,7 @@ def _seconds(scene: Scene, take: Take | None) -> float:
 
 
 def _played(document: Document, scene: Scene) -> tuple[SceneSubject, list[Fault]]:
-    """Return a scene with what its passes do, and what is noticed on the way."""
+    """Return a scene with its passes run, and their notices."""
     idle: list[int] = []
     solved: dict[int, Take] = {}
     with recorded_inputs() as inputs:
@@ -172,7 +172,7 @@ def _played(document: Document, scene: Scene) -> tuple[SceneSubject, list[Fault]
 
 
 def _equal_sources(before: Take, after: Take) -> bool:
-    """Return whether a pass left a take as it was."""
+    """Return whether a pass left a take unchanged."""
     if before.clock != after.clock or before.rig.names != after.rig.names:
         return False
     parts = [f.name for f in fields(Motion) if f.name != "points"]
