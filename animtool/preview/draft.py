@@ -83,7 +83,7 @@ class PageDraft:
     notices: list[str] = field(default_factory=list)
     rotation_error: float = 0.0
     position_error: float = 0.0
-    # What was found of rigs, which characters of a crowd share.
+    # Results per rig, which characters of a crowd share.
     known: dict[bytes, Any] = field(default_factory=dict)
 
     def note(self, message: str) -> None:

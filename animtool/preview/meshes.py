@@ -145,7 +145,7 @@ def _mesh(
 ) -> dict[str, Any]:
     points = surface.points
     if surface.skin is None:
-        # Nothing else places it.
+        # No joint or transform places it.
         points = points @ surface.geom_bind[:3, :3].T + surface.geom_bind[:3, 3]
     return mesh_entry(
         draft,
@@ -163,7 +163,7 @@ def _skin(draft: PageDraft, skin: PreparedSkin) -> dict[str, Any]:
     joints, weights = strongest(skin)
     sums = weights.sum(axis=1, keepdims=True)
     weights = np.divide(weights, sums, out=np.zeros_like(weights), where=sums > 0)
-    # Rounded so that each vertex has a whole: the strongest takes what is left.
+    # Rounded to a sum of one: the strongest weight takes the remainder.
     steps = np.rint(weights * 65535)
     steps[:, 0] += np.where(sums[:, 0] > 0, 65535 - steps.sum(axis=1), 0)
     stored = steps.reshape(1, -1).astype("<u2")

@@ -353,7 +353,7 @@ def _open_scene(path: Path, options: PreviewOptions, context: ExitStack) -> Open
     opened = _open_stage(shown, path.name, SourceOptions())
     opened.path, opened.folder = path, folder
     if len(outputs) > 1:
-        # Its meshes are points: the skeleton that moved them is in a layer of its own.
+        # Its meshes are point caches: their skeleton is in a separate layer.
         takes = _open_stage(bones, path.name, SourceOptions()).takes
         opened.takes += [
             replace(one, surfaces=(), strands=(), prim="") for one in takes

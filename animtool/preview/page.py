@@ -98,7 +98,7 @@ def page_parts(
         "bootstrap": _BOOTSTRAP,
     }
     template = viewer_text("page.html")
-    # Split once, so that what is filled in is never looked at again.
+    # Split once, so that inserted text is never parsed.
     for part in re.split(r"(\{\{\w+\}\})", template):
         name = part.strip("{}")
         if part == "{{blocks}}":

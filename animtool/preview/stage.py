@@ -26,7 +26,7 @@ from animtool.usd.layers.sdf import usd_errors
 from animtool.usd.layers.stderr import without_usd_warnings
 from animtool.usd.props.reader import open_prop
 
-# So many copies are small on a page: without a colour of their own they are dark.
+# This many instances are small on a page: without a color they are drawn dark.
 MANY, DARK = 100, (0.03, 0.04, 0.06)
 # Scales of copies may be off by as much [1].
 SCALE_ERROR = 1e-4

@@ -11,7 +11,7 @@ from animtool.preview.work_precision import Panel, PrecisionPoint
 
 WIDTH, HEIGHT = 720, 400
 LEFT, RIGHT, TOP, BOTTOM = 70, 200, 14, 46
-# Told apart by people who do not see some colours too (Okabe and Ito, 2008).
+# Distinguishable with color vision deficiency (Okabe and Ito, 2008).
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#777777")
 DASHES = ("", "6 3", "2 3")
 # Axes with fewer decades have lines at 2 and 5 too.

@@ -133,7 +133,7 @@ class TakeDifference:
     mismatches: list[str]  # what one has and the other has not, in words
     # What differs and is no difference of the takes, in words.
     notes: list[str] = field(default_factory=list)
-    notices: list[Fault] = field(default_factory=list)  # what is odd about the files
+    notices: list[Fault] = field(default_factory=list)  # warnings and notes
     skeletons: int = (
         1  # skeletons compared, whose joints and shapes are counted together
     )

@@ -55,12 +55,12 @@ class TakeDescription:
     # Names of the takes that a clip library has; empty for other files.
     takes: list[str]
     take: str  # the one described
-    points: list[PointPrim]  # prims beside it whose points have samples, of a USD file
-    notices: list[Fault]  # what is odd
+    points: list[PointPrim]  # other prims of a USD file with animated points
+    notices: list[Fault]  # warnings and notes
     # The shot that a USD layer states, as reports of bakes have it; None for none.
     shot: dict[str, object] | None = None
     capture: CaptureFacts | None = None  # of a person; None for other takes
-    cycle: Cycle | None = None  # of a person who repeats something
+    cycle: Cycle | None = None  # of a person's repeating motion
     # All characters of the stage, where it has several and none is named.
     characters: CharactersFacts | None = None
     contents: GltfContents | None = None  # of a glTF or an FBX, used or not

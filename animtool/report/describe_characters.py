@@ -30,7 +30,7 @@ class CharactersFacts:
 
     count: int
     joints: int  # of all together
-    unread: int  # characters whose motion cannot be read; `validate` says why
+    unread: int  # characters whose motion cannot be read; see `validate`
     # Lowest and highest joint position of all over all frames [m].
     bounds: tuple[list[float], list[float]] | None
     speed_mean: float | None  # of hips over the ground, of all people [m/s]

@@ -32,7 +32,7 @@ class GltfContents:
     skins: int
     animations: int
     scenes: int
-    characters: list[str]  # paths; empty where the whole file is one
+    characters: list[str]  # paths; empty if the file is one character
     clips: list[GltfClip]
     bones: dict[str, str]  # humanoid bones of a VRM, and the names of their nodes
     not_read: list[str]  # what else it has

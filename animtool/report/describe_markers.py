@@ -21,7 +21,7 @@ class MarkersDescription:
     """Summary of a marker file."""
 
     path: str  # the file
-    format: str  # what such files are
+    format: str  # name of the file format
     markers: int  # number of markers and points
     unlabelled: int  # those without a label
     frames: int  # number of frames
@@ -30,14 +30,14 @@ class MarkersDescription:
     duration: Fraction  # from the first frame to the last [s]
     up: str  # up axis
     gaps: int  # gaps of labelled markers
-    missing: float  # share of their positions that is missing
+    missing: float  # fraction of missing positions
     longest_gap: float  # the longest gap [s]
     spikes: int  # positions that are off for a few frames
     filled: int  # positions that were computed over a gap
     # Lowest and highest position over all frames [m]; None where none is seen.
     bounds: tuple[list[float], list[float]] | None
     names: list[str]  # of the labelled markers
-    notices: list[Fault]  # what is odd
+    notices: list[Fault]  # warnings and notes
     json_keys: ClassVar[str] = "* rate=fps#"
 
     @property

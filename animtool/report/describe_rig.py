@@ -51,7 +51,7 @@ class RigDescription:
     mass: float | None  # of all joints that state one [kg]; None where none does
     units: str  # unit of the file
     up: str  # up axis
-    notices: list[Fault]  # what is odd
+    notices: list[Fault]  # warnings and notes
 
     @property
     def others(self) -> dict[str, int]:
@@ -133,7 +133,7 @@ class GoalDescription:
 
     effector: str  # as the file names it
     asks: tuple[str, ...]  # which parts it gives a value
-    held: tuple[tuple[float, float], ...]  # its held spans, first and last frame
+    held: tuple[tuple[float, float], ...]  # hold spans, first and last frame
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,7 +145,7 @@ class TargetsDescription:
     first: float  # first frame, of its range or of all that it mentions
     last: float  # last frame
     goals: tuple[GoalDescription, ...]  # its goals
-    notices: tuple[Fault, ...]  # what is odd about it
+    notices: tuple[Fault, ...]  # warnings and notes
 
 
 def describe_targets(path: Path) -> TargetsDescription:

@@ -34,7 +34,7 @@ class SystemDescription:
     """Summary of a system before simulation."""
 
     name: str  # of its prim
-    kind: str  # what is simulated
+    kind: str  # kind of simulation
     # What it is made of: of springs `particles`, `springs` and `curves` or `faces`; of
     # particles `emitters`, `forces` and the `most` at once.
     counts: dict[str, int]
@@ -45,7 +45,7 @@ class SystemDescription:
     joined: list[str]  # systems that it is one with
     meets: list[str]  # systems that it runs into
     tied: list[str]  # bodies that carry its pins, as system.body
-    files: list[str]  # what is read for it beside the scene
+    files: list[str]  # files read for it
     character: bool  # whether it runs into, or hangs on, the scene's own character
     line: int  # of the scene
 
@@ -62,7 +62,7 @@ class OutputDescription:
     there: list[str]  # those of them that are there already
     points: bool  # whether meshes are written deformed
     chunk: int | None  # samples a file; None is one file
-    systems: list[str]  # names of what is simulated that go into it
+    systems: list[str]  # names of its systems
     line: int  # of the scene
 
 
@@ -71,18 +71,18 @@ class SceneDescription:
     """A scene as in its file; the files it names are not read."""
 
     path: str  # the file
-    sources: list[str]  # what is read
+    sources: list[str]  # source files
     rig: str | None  # the rig that it names; None is that of the source
-    props: list[PropDescription]  # what is carried beside the character
-    passes: list[PassDescription]  # what is done to it
+    props: list[PropDescription]  # props
+    passes: list[PassDescription]  # passes
     systems: list[SystemDescription]  # what is simulated
     outputs: list[OutputDescription]  # what would be baked
     fps: float | None  # frames a second; None is that of the source or the rig layer
-    rate: str  # the same, exact, as text; empty where there is none
+    rate: str  # the same, exact, as text; empty without
     first: int | None  # first frame to write; None is that of the source
     last: int | None  # last frame to write; likewise
     variables: list[str]  # names of variables that it uses or gives
-    # None: what is odd about a scene is for `animtool validate`.
+    # Always empty: `animtool validate` reports warnings.
     notices: list[Fault] = field(default_factory=list)
 
 

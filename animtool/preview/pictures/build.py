@@ -157,7 +157,7 @@ def write_pictures(
     listed = options.frame_range
     frames = listed.frames if isinstance(listed, FrameList) else ()
     _check(pictures, kind, frames)
-    # What is missing is said before scenes are baked.
+    # Missing packages are reported before scenes are baked.
     with _device() as device:
         with sparing_inputs([output]):
             page = make_page(paths, options)

@@ -23,14 +23,14 @@ from animtool.preview.pictures.shapes import (
 )
 from animtool.preview.pictures.sources import theme_colors
 
-# What can be shown, and what is where nothing else is asked for.
+# All layers, and the default ones.
 LAYERS = (
     *("bones", "axes", "meshes", "trails", "contacts", "cameras", "grid", "shadows"),
 )
 DEFAULT_LAYERS = frozenset(LAYERS) - {"axes"}
 # Most takes that are looked at one by one: with more it is a crowd.
 CAST = 4
-# So many times as large as its characters, a stage is not shown as a whole.
+# A stage this many times larger than its characters is not framed completely.
 WIDE = 4
 # Parts of the motion, at whose ends the camera looks where everything is.
 LOOKS = 12

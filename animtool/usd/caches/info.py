@@ -55,8 +55,8 @@ class PointPrim:
     # `meshes` of a PointInstancer; empty where there is none.
     pieces: str
     piece_count: tuple[int, int]  # least and most of these
-    samples: int  # of the points, and of what places them; 0 where they never move
-    first: float | None  # time code of the first; None where there is none
+    samples: int  # of points and transforms; 0 if static
+    first: float | None  # time code of the first sample; None without
     last: float | None  # time code of the last; likewise
     # Whether the same points stay, joined alike, as far as numbers of points, ids at
     # both ends and what may change tell.
@@ -95,10 +95,10 @@ class PointsDescription:
     duration: Fraction  # from the first to the last [s]
     types: dict[str, int]  # how many prims there are, by type
     prims: list[PointPrim]  # what there is of each
-    chunks: list[ChunkSet]  # files that hold its samples in turn
+    chunks: list[ChunkSet]  # clip files in time order
     units: str  # unit of the file
     up: str  # up axis of the file
-    notices: list[Fault]  # what is odd
+    notices: list[Fault]  # warnings and notes
     json_keys: ClassVar[str] = "* rate=fps#"
 
 

@@ -61,7 +61,7 @@ class ShownFaces:
     indices: IntArray  # corners, face by face
     color: tuple[float, float, float] | None  # None where none is stated
     double_sided: bool
-    # Linear, of each point ``(N, 3)``; None where they have none of their own.
+    # Linear, per point ``(N, 3)``; None without point colors.
     colors: FloatArray | None = None
 
 
@@ -409,14 +409,14 @@ def _kind(prim: Any) -> str:
 def _below(prim: Any, root: Any, meters: float) -> FloatArray:
     """Return the transform of a prim relative to its prototype root."""
     world = UsdGeom.Imageable(prim).ComputeLocalToWorldTransform(0)
-    # The transform of the prototype itself counts; what is above it does not.
+    # The transform of the prototype itself counts, those above it do not.
     above = UsdGeom.Imageable(root).ComputeParentToWorldTransform(0)
     matrix = np.array(world * above.GetInverse(), np.float64).T.copy()
     matrix[:3, 3] *= meters
     return matrix
 
 
-# Of an implicit shape: what turns the z axis to its own.
+# Rotations from z to the axis of an implicit shape.
 _AXES = {"X": [2, 0, 1], "Y": [1, 2, 0], "Z": [0, 1, 2]}
 
 

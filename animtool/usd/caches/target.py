@@ -44,7 +44,7 @@ class CacheTarget:
     rig: RigTarget  # the rig's stage
     meshes: tuple[TargetMesh, ...]  # those that the cache has points of
     strands: tuple[TargetMesh, ...]
-    notices: tuple[Fault, ...]  # what is odd
+    notices: tuple[Fault, ...]  # warnings and notes
 
     @property
     def prims(self) -> tuple[TargetMesh, ...]:

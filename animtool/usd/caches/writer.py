@@ -123,19 +123,19 @@ def split_attribute(path: str, name: str) -> tuple[str, str]:
 class CharactersReport:
     """Numbers of written characters, samples and errors."""
 
-    own: int = 0  # with an animation of their own
+    own: int = 0  # characters with a separate animation
     shared: int = 0  # with a part in one that others have, too
     samples: int = 0  # poses of those with their own
     frames: int = 0  # of these
     error: float = 0.0  # most that a joint is off between samples [m]
-    slide: float = 0.0  # likewise a foot that stands [m]
+    slide: float = 0.0  # likewise of a planted foot [m]
 
 
 @dataclass(frozen=True, slots=True)
 class Block:
     """Frames of one prim as written, in stage units."""
 
-    prim: int  # place among those that are written
+    prim: int  # index of the written prim
     codes: FloatArray  # time codes (F,)
     # By attribute, as `split_attribute` reads its name, in order (F, …).
     values: Mapping[str, npt.NDArray[Any]]
@@ -268,7 +268,7 @@ class PointWriter:
         moves = bool(channels) and channels["points"].sampled
         if velocities is not None:
             if moves:
-                # UsdGeomPointBased uses them beside points of the same times only.
+                # UsdGeomPointBased uses them only with points at the same times.
                 velocities.release()
                 channels["velocities"] = velocities
             else:
@@ -302,7 +302,7 @@ class FramePrim(Protocol):
     """Interface of a prim that frame forms write to."""
 
     unit: float  # of the layer [m]
-    rotation: FloatArray  # how the prim stands in the layer (4,)
+    rotation: FloatArray  # orientation of the prim in the layer (4,)
 
     @property
     def triangles(self) -> IntArray:

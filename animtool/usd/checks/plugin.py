@@ -14,7 +14,7 @@ from pxr import Sdf, UsdValidation
 from animtool.core.errors import Fault, Severity
 from animtool.usd.checks.run import ANIMTOOL_KEYWORD, check_stage
 
-# What plugInfo.json says, and what `register` does without it.
+# As in plugInfo.json; `register` uses them without it.
 PLUGIN_NAME = "animtool.usd.checks.plugin:Checks"
 NAME = "animtool:Checks"
 

@@ -109,7 +109,7 @@ def _where(error: Any) -> str:
 
 Check: TypeAlias = Callable[[StageSubject], Iterator[Fault]]
 
-# These ask for no sample; the others need rates that are such.
+# These read no samples; the others need valid rates.
 UNTIMED: tuple[Check, ...] = (check_rate_values, check_composition, check_units)
 TIMED: tuple[Check, ...] = (
     check_assets,
@@ -174,7 +174,7 @@ def check_stage(stage: Any) -> list[Fault]:
 
 def _faults(subject: StageSubject) -> list[Fault]:
     faults = [fault for check in UNTIMED for fault in _run(check, subject)]
-    # Where a rate is none, samples have no time.
+    # With an invalid rate, samples have no time.
     if all(fault.code != "USD253" for fault in faults):
         faults += [fault for check in TIMED for fault in _run(check, subject)]
     known = {fault.where for fault in faults if fault.code in ALREADY}

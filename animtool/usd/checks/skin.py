@@ -200,7 +200,7 @@ def _shape(shape: Any, points: int | None) -> Iterator[Fault]:
     turned += [_rows(step.GetNormalOffsetsAttr()) for step in inbetweens]
     turning = max(map(len, turned))
     if not len(offsets) and turning:
-        # A shape may turn normals alone.
+        # A shape may change normals only.
         offsets = np.zeros((turning if expected is None else expected, 3))
     if expected is not None and len(offsets) != expected:
         counted_as = "pointIndices" if len(indices) else "points"

@@ -50,7 +50,7 @@ def _values(attr: Any, value: Any) -> Iterator[Fault]:
         if _absolute(asset.path):
             message = f"it refers to {excerpt(asset.path, 80)}"
             yield finding("USD262", attr.GetPath(), message)
-        # Pattern paths such as texture.<UDIM>.png are resolved by who reads them.
+        # Pattern paths such as texture.<UDIM>.png are resolved by their reader.
         elif asset.path and not asset.resolvedPath and "<" not in asset.path:
             message = f"{excerpt(asset.path, 80)} does not exist"
             yield finding("USD263", attr.GetPath(), message)

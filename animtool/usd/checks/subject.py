@@ -24,7 +24,7 @@ class SampledArray:
 
     times: FloatArray  # time codes ``(F,)``; NaN alone for a default
     arrays: list[Any]  # one a time; None where it is blocked
-    counts: IntArray  # their lengths ``(F,)``, -1 where there is none
+    counts: IntArray  # their lengths ``(F,)``, -1 without a value
 
     def rows(self, count: int, width: int) -> tuple[IntArray, AnyArray]:
         """Return the samples of one length: which, and values ``(N, count, width)``."""
@@ -33,7 +33,7 @@ class SampledArray:
             return which[:0], np.zeros((0, count, width), np.float32)
         first = np.array(self.arrays[which[0]])
         values = np.zeros((len(which), *first.shape), first.dtype)
-        # A Vt array is a buffer of its own: one copy each.
+        # Each Vt array is a separate buffer: one copy each.
         for row, i in enumerate(which.tolist()):
             values[row] = self.arrays[i]
         return which, values.reshape(len(which), count, width)

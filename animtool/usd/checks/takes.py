@@ -115,7 +115,7 @@ def animation_takes(subject: StageSubject, path: Path) -> list[AnimationTake]:
     for animation in subject.of_type(UsdSkel.Animation):
         skeleton = bound.get(animation.GetPath())
         if skeleton is None:
-            # What characters have parts in is none's motion.
+            # A shared animation is not the motion of any one character.
             if stored_data(animation.GetPrim()).get("shared"):
                 continue
             skeleton = _nearest(animation, skeletons)
@@ -220,7 +220,7 @@ def _rig(
     up = up_axis(subject.stage)
     name = str(animation.GetPrim().GetName())
     if not joints:
-        # A face of shapes alone: nothing turns.
+        # A face with shapes only: no joint rotates.
         rig = Rig(name, (Joint(name, -1),), meters, up)
         return SkeletonRig(rig, [], np.ones((1, 3)))
     rest = np.tile(np.eye(4), (len(joints), 1, 1))

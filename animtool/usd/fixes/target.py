@@ -42,7 +42,7 @@ class Change:
     """Result of an edit."""
 
     text: str  # the action and its counts, for the report
-    # Largest change of a number, None where that says nothing.
+    # Largest change of a number, None if not meaningful.
     largest: float | None = None
     unit: str = ""  # of that number
 

@@ -141,7 +141,7 @@ class ClipFiles:
     def remove_others(self, kept: Collection[Path]) -> None:
         """Delete chunks left by an earlier, longer bake."""
         for path in set(self.there()) - set(kept):
-            # What cannot be removed is in nobody's way.
+            # Files that cannot be removed do no harm.
             with suppress(OSError):
                 path.unlink()
 

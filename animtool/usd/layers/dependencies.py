@@ -87,7 +87,7 @@ class _Walk:
 
 def _names(layer: Any, variables: Mapping[str, Any]) -> Iterator[str]:
     """Yield the asset paths of all files that a layer may compose."""
-    # Value clips are among them, and what templates of these stand for.
+    # Value clips and files of clip templates are included.
     for names in UsdUtils.ExtractExternalReferences(layer.identifier):
         yield from filter(None, names)
     if not variables:

@@ -35,7 +35,7 @@ class Labels:
     """Names of an attribute's values, for messages."""
 
     attribute: str  # its name or path
-    of: str = ""  # what each value is of, such as ``joint``; or what the one value is
+    of: str = ""  # what has the value, such as ``joint``
     names: Sequence[str] = ()  # of those, where they have names
 
     def at(self, index: Sequence[int]) -> str:

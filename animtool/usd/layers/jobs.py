@@ -159,7 +159,7 @@ class UsdTake:
     # which needs no variant.
     name: str = ""
     source_name: str = ""  # what the source of a library's take is called
-    # Things beside the rig, gathered while the blocks are drawn; None is none.
+    # Props next to the rig, collected while the blocks are read; None without.
     props: PropSamples | None = None
     # From where the take is to the numbers of a rig layer; see `PropPlacements`.
     to_rig: Callable[[FloatArray], Placement] | None = None
@@ -182,9 +182,9 @@ class WrittenTake:
     joints: int = 0  # joints in the SkelAnimation
     # What rounding to float32, and of scales to float16, moved.
     rounding: Rounding = field(default_factory=Rounding)
-    # What became of the curves of controls.
+    # Reports on the control curves.
     curves: list[CurveReport] = field(default_factory=list)
-    props: list[str] = field(default_factory=list)  # paths of the things beside the rig
+    props: list[str] = field(default_factory=list)  # paths of the props
     # What there is to say of its frames.
     notices: list[Fault] = field(default_factory=list)
 

@@ -17,7 +17,7 @@ from animtool.core.readers import PACKAGE
 UNPACKED = "USD could not pack it"
 # The first day that a zip file can state.
 _FIRST_DAY = struct.pack("<HH", 0, (1 << 5) | 1)
-# Where the time stands in headers of a file and of the directory.
+# Offsets of the timestamp in file and directory headers.
 _OF_FILE, _OF_DIRECTORY = 10, 12
 _DIRECTORY_HEADER = b"PK\x01\x02"
 

@@ -46,7 +46,7 @@ from animtool.usd.layers.finite import (
 from animtool.usd.layers.names import legal_name
 from animtool.usd.layers.package import unpacked
 
-# USD maps binary layers into memory, and reads those of text whole.
+# USD maps binary layers into memory, and reads text layers completely.
 MAX_LAYER_BYTES = 1_000_000_000_000
 MAX_TEXT_LAYER_BYTES = 4_000_000_000
 CRATE = b"PXR-USDC"

@@ -36,11 +36,11 @@ from animtool.usd.rigs.prims import (
     upwards,
 )
 
-# Shapes that UsdPhysics says bodies collide with, and what they are made of.
+# Collision shapes of UsdPhysics, and the attributes that define them.
 
 # Scales that differ by less are one [1].
 EQUAL_SCALES = 1e-5
-# Shapes that are as long in all ways across their axis.
+# Shapes that are round about their axis.
 ROUND = {"Sphere", "Capsule"}
 # Shapes with an axis.
 LONG = {"Capsule", "Plane"}
@@ -301,7 +301,7 @@ def _mass(source: PhysicsStage, prim: Any, scale: FloatArray) -> dict[str, Any]:
     if mass:
         values["mass"] = mass * source.kilograms
     centre = api.GetCenterOfMassAttr()
-    # By the schema, what is -inf is not given.
+    # In the schema, -inf means not authored.
     centre_value = np.array(centre.Get())
     centre_local = None
     if centre_value.dtype.kind != "f" or not np.isneginf(centre_value).all():

@@ -35,7 +35,7 @@ from animtool.usd.rigs.layer import author_ball
 from animtool.usd.rigs.meshes import author_mesh
 
 _TYPES = Sdf.ValueTypeNames
-PHYSICS = "Physics"  # the scope of what is no body
+PHYSICS = "Physics"  # scope of everything except bodies
 _JOINTS = {
     "fixed": "PhysicsFixedJoint",
     "pin": "PhysicsRevoluteJoint",

@@ -45,7 +45,7 @@ from animtool.usd.rigs.skeleton import author_rig
 
 _TYPES = Sdf.ValueTypeNames
 PROTOTYPES, STANDING = "Prototypes", "Standing"
-# A place that neighbours have too is left out [m], and so is a heading [rad].
+# Samples equal to both neighbors within this are dropped: position [m], heading [rad].
 SAME_POSITION, SAME_HEADING = 1e-6, 1e-6
 # Skin goes beyond joints by a part of how far these reach.
 BEYOND = 1.2
@@ -379,7 +379,7 @@ class _Group:
         cast, fps, codes = self.track.cast, self.owner.fps, self.track.codes
         spec = self._animation(path, np.arange(len(cast.moves)))
         spec.SetInfo("customData", {"animtool": {"thinned": True, "shared": True}})
-        # Whoever stands is at most a period ahead of the first frame.
+        # Standing characters start at most one period before the first frame.
         last = codes[-1] - codes[0] + cast.period * fps if len(cast.turns) > 1 else 0.0
         rows = np.arange(int(np.ceil(last)) + 1)
         clocks = rows / fps

@@ -73,7 +73,7 @@ class PropPlacements:
         assert self.target is not None
         rig_placement = self.target.placement()
         if rig_placement.uneven:
-            # It is read without such a transform, and the rig has it again.
+            # It is read without such a transform, which the rig applies again.
             return known
         fixed = (
             self.target.placement(codes) if rig_placement.rides else rig_placement

@@ -38,7 +38,7 @@ from animtool.usd.rigs.prims import (
     upwards,
 )
 
-# What float64 rounds along a hierarchy is a smaller share of a transform than this.
+# Rounding of float64 along a hierarchy is below this fraction of a transform.
 ROUNDED = 1e-11
 # A time this near to a key [time code] is that of the key.
 ON_KEY = 1e-9
@@ -247,16 +247,16 @@ class _Sampler:
     attributes: Sequence[Any]
     described: tuple[Attribute, ...]  # the same, without values
     unit: float  # of the stage [m]
-    # From its up axis to that of the rig; None is none.
+    # From its up axis to the rig's; None if equal.
     up_rotation: tuple[float, float, float, float] | None
     where: str
-    placed: bool  # whether it has a place in the world
+    placed: bool  # whether it has a world transform
     # Time codes at which something is stated, ascending.
     keys: FloatArray = field(default_factory=lambda: np.zeros(0))
     moves: bool = True  # whether anything is another at one time than at another
-    sheared: bool = False  # whether places are matrices
-    shear: float = 0.0  # largest share of a transform that was left out so far
-    # Those of every time, where they are even but for rounding.
+    sheared: bool = False  # whether transforms are written as matrices
+    shear: float = 0.0  # largest relative shear left out so far
+    # The constant scales, if they vary only by rounding.
     scales: FloatArray | None = None
 
     def settle(self) -> None:
@@ -269,7 +269,7 @@ class _Sampler:
             codes = np.array([self.stage.GetStartTimeCode()])
         self.sheared = self.placed and _split(self._matrices(codes))[3] > ROUNDED
         transforms = self.at(codes)
-        # Values that are functions of time, such as splines, have no samples.
+        # Values such as splines are functions of time without samples.
         self.moves = any(not part.GetTimeSamples() for part in moving) or any(
             bool((values != values[:1]).any())
             for values in (transforms.matrix(), *transforms.values)

@@ -145,7 +145,7 @@ class SimulatedPrim:
     ) -> None:
         self.report = CachedMesh(path)
         self.unit = meters_per_unit  # of the layer [m]
-        # How the prim stands in the layer (4,).
+        # Orientation of the prim in the layer (4,).
         self.rotation = so3.IDENTITY if rotation is None else rotation
         self.fps = fps  # time codes a second
         self._characters: Characters | None = None
@@ -271,9 +271,9 @@ class SimulatedJob:
     model: str  # path of the prim above all others
     names: Sequence[str]  # of the other prims, legal and distinct
     metadata: StageMetadata  # what the layer states
-    meters_per_unit: float  # unit of what is below the model [m]
+    meters_per_unit: float  # length unit below the model [m]
     rotation: FloatArray | None = (
-        None  # from y up to the up axis there (4,); None is none
+        None  # from Y up to the layer's up axis (4,); None for Y
     )
     # From the world of a take to below the model, at all time codes: columns in that
     # unit ``(F, 4, 4)``, or one; None is the same.

@@ -12,9 +12,9 @@ from animtool.core.record import dataclass
 # extent of its rig, two and a half centimetres of a person. That is a foot in the air,
 # for a frame, of someone far away.
 NEAR = 0.018
-# A foot that stands may be off by this part, a millimetre, hips by this, to keep it.
+# Tolerances of a planted foot (a millimetre), and of hips.
 NEAR_STANDING, NEAR_HIPS = 0.0006, 0.004
-# A joint that turns so little that nothing moves farther by it does not turn.
+# A joint is static if its rotation moves nothing farther than this.
 STATIC_MOVE = 0.003
 # How many frames may lie between two samples, and the spans that must fit before.
 SPANS = {2: (1,), 3: (2,), 4: (3,), 6: (3, 3), 9: (4, 4), 16: (9, 6), 32: (16, 16)}

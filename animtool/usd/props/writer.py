@@ -179,7 +179,7 @@ def _author_track(
     spec: Any, track: Track, codes: FloatArray, sampled: Transforms, unit: float
 ) -> None:
     types = Sdf.ValueTypeNames
-    # What is referred to has points in a unit of its own.
+    # Points of a referenced file are in that file's unit.
     factor = 1.0 if track.reference is None else track.reference.meters_per_unit / unit
 
     def author(name: str, type_name: Any, rows: Any, make: _Make) -> None:

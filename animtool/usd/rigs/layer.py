@@ -35,7 +35,7 @@ from animtool.usd.layers.sdf import (
 from animtool.usd.rigs.meshes import author_meshes
 from animtool.usd.rigs.skeleton import author_rig
 
-# Low above high is UsdPhysics' way to say that nothing moves there.
+# Low above high locks an axis in UsdPhysics.
 LOCKED = (1.0, -1.0)
 # What is off an axis by less is rounding of float32.
 ON_AXIS = 1e-6
@@ -52,7 +52,7 @@ class JointDescription:
     type: JointType  # what it can do
     # Unit axis of a pin or prismatic joint, in the joint's rest frame.
     axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
-    # How far it may go [rad], [m]; None is any way.
+    # Limits [rad], [m]; None without.
     limits: RangeLimit | BallLimit | None = None
 
 
@@ -161,7 +161,7 @@ def author_ball(spec: Any, limits: BallLimit, *, locked: bool) -> list[str]:
     swing = None if limits.swing is None else np.degrees(limits.swing).tolist()
     if not locked:
         if swing is not None:
-            # The first cone leans towards Y, which is a turn about Z.
+            # The first cone angle leans towards Y, a rotation about Z.
             attribute(spec, "physics:coneAngle0Limit", _TYPES.Float, swing[1])
             attribute(spec, "physics:coneAngle1Limit", _TYPES.Float, swing[0])
         return []
@@ -246,7 +246,7 @@ def read_ball(joint: Any, axis: tuple[float, float, float]) -> BallLimit | None:
         )
         if first is None or second is None or not 0 <= min(first, second) < math.inf:
             return None
-        # One that has no end is half a turn.
+        # An infinite one is 180 degrees.
         first, second = min(first, 180.0), min(second, 180.0)
         return BallLimit((math.radians(first), math.radians(second)), None, axis)
     twist, about_y, about_z = limit("rotX"), limit("rotY"), limit("rotZ")
@@ -256,7 +256,7 @@ def read_ball(joint: Any, axis: tuple[float, float, float]) -> BallLimit | None:
     return None if twist is None and swing is None else BallLimit(swing, twist, axis)
 
 
-# What USD takes where a layer says nothing; an animation over the rig adopts it.
+# USD's fallback rate; an animation over the rig adopts it.
 RATE = Fraction(24)
 
 

@@ -249,7 +249,7 @@ def _shape(shape: Any, name: str, mesh: str, points: int, where: str) -> Shape:
     turning = [shape.GetNormalOffsetsAttr()]
     turning += [step.GetNormalOffsetsAttr() for step in steps]
     if not len(deltas) and any(attr and len(array_value(attr)) for attr in turning):
-        # It turns normals alone.
+        # It changes normals only.
         deltas = np.zeros((rows, 3))
     if len(deltas) != rows:
         at.fail("USD240", f"{len(deltas)} offsets for {rows} points")
@@ -407,6 +407,6 @@ def _meshes(
     if placement is not None and not placement.is_none:
         rig = placed_rig(rig, placement)
         bind = placement_matrix(placement) @ bind
-        # Joints carry no scale of their own for it: their lengths have it.
+        # Joints have no scale for it: it is in their lengths.
         bind[:, :3, :3] /= placement.size
     return StageMeshes(surfaces_of(rig), strands_of(rig), bind, rig.up, notices)

@@ -38,7 +38,7 @@ from animtool.usd.layers.sdf import (
 )
 from animtool.usd.rigs.skeleton import SCOPE
 
-# Fewer moving vertices than this share are written with their indices: an index is a
+# Fewer moving vertices than this fraction are written with their indices: an index is a
 # third of an offset.
 SPARSE = 0.75
 
@@ -326,7 +326,7 @@ def _shape(spec: Any, shape: SurfaceShape, meters_per_unit: float) -> None:
 # A bone is an octahedron, widest a fifth of the way along.
 WAIST = 0.2
 HALF_WIDTH = 0.08
-# Of the length, at either end: no two bones share a point, which tools would merge.
+# Gap at either end, of the length: tools would merge points that bones share.
 GAP = 0.005
 
 _FACES = np.array([[[0, b, a], [5, a, b]] for a, b in ((1, 2), (2, 3), (3, 4), (4, 1))])

@@ -296,7 +296,7 @@ def rest_rig(rig: Rig, placement: SkeletonPlacement, choice: str | None = None) 
     stands = placement.stands
     placed = placed_rig(rig, placement.rest)
     if sized.stands is not None:
-        # Its numbers have it stand somewhere too.
+        # Its values include a placement, too.
         stands = stands.after(sized.stands)
     return replace(
         placed,

@@ -93,7 +93,7 @@ class SkeletonRig:
     rig: Rig  # its joints, named by the last part of their path
     tokens: list[str]  # their paths as the prim has them
     rest_scales: FloatArray  # scale of the rest transforms ``(J, 3)``
-    notices: tuple[Fault, ...] = ()  # what is odd about the prim
+    notices: tuple[Fault, ...] = ()  # warnings and notes on the prim
 
 
 def open_stage(path: Path) -> Any:
@@ -188,7 +188,7 @@ def skeleton_rig(skeleton: Any, path: Path, *, animated: bool = True) -> Skeleto
     if tokens:
         rest, notices = readable_rest(skeleton, tokens, where, animated=animated)
     data = stored_data(skeleton.GetPrim())
-    # What animtool wrote has names of its own.
+    # Files by animtool have stored names.
     named = () if data else array_value(skeleton.GetJointNamesAttr())
     model = skeleton.GetPrim().GetParent().GetParent() or skeleton.GetPrim()
     name = model.GetName() if model.GetName() != "/" else skeleton.GetPrim().GetName()

@@ -70,7 +70,7 @@ def with_recorded_rest(
         return rig
     stands, rides = moving
     if skeleton is not None and resting is not moving:
-        # The rest pose is another take's of a library, or has no place.
+        # The rest pose belongs to another take of a library, or is not placed.
         back = stands if resting is None else stands.after(resting[0].inverse())
         rig = placed_rig(rig, back)
     return replace(rig, stands=None if stands.is_none else stands, rides=rides)
@@ -103,7 +103,7 @@ _TYPES = Sdf.ValueTypeNames
 _EXTRAS_VERSION = 1
 # Below the SkelRoot, what holds the curves.
 SCOPE = "Strands"
-# How wide curves are drawn [m]: the format of rigs says nothing of it.
+# Width of drawn curves [m]: rig files do not define it.
 WIDTH = 4e-4
 
 

@@ -85,7 +85,7 @@ def _fits(entry: Attachment, counts: dict[str, int], pins: Mapping[str, Any]) ->
     return bool(count and integral and ((indices >= 0) & (indices < count)).all())
 
 
-# Rest transforms nearer than this [m], [1] are the same but for rounding.
+# Rest transforms closer than this [m], [1] differ only by rounding.
 SAME = 1e-9
 
 

@@ -66,10 +66,10 @@ class RigTarget:
     start: Fraction | None  # the stage's start time code, where it states one
     operations: list[str]  # transform operations of the SkelRoot that place it
     moves: bool  # whether it has others, which move it: the take replaces those
-    skeletons: int  # how many skeletons share the SkelRoot's extent
+    skeletons: int  # number of skeletons below the SkelRoot
     unit: float  # length unit that the stage states [m]; the rig has its own
     up: UpAxis  # up axis that the stage states
-    notices: list[Fault]  # what is odd about it
+    notices: list[Fault]  # warnings and notes
 
     def placement(self, codes: FloatArray | None = None) -> SkeletonPlacement:
         """Return the rig's Skeleton placement at time codes."""

@@ -139,10 +139,10 @@ def normalised(
 FINEST_GRID = 8
 # More frames than any take of unevenly spaced keys: there, a key has gone astray.
 MAX_FRAMES = 100_000
-# Samples within this share of a step, or of a time code, from a frame are that frame's:
+# Samples within this fraction of a step or time code from a frame are that frame's:
 # exporters add up float steps, which drift. Shutter offsets are many times larger.
 LARGEST_DRIFT = 0.02
-# Where samples fit no other grid, those so near to a whole time code are that frame's
+# Where samples fit no other grid, those this near an integer time code are that frame's
 # [time codes]; further away, a sample may be meant where it is.
 OFF_FRAME = 0.05
 # Steps that people and exporters mean, and steps of rates that differ by a little.
@@ -246,7 +246,7 @@ def _drifting_grid(times: list[float]) -> SampleGrid | None:
     """Return a grid near every sample; None if there is none."""
     codes = np.array(times)
     gaps = np.diff(codes)
-    # Attributes that drift apart have samples of one frame almost at the same time.
+    # Drifting attributes have samples of one frame at almost equal times.
     gaps = gaps[gaps > LARGEST_DRIFT * np.quantile(gaps, 0.75, method="lower")]
     middle, mean = Fraction(float(np.median(gaps))), Fraction(float(gaps.mean()))
     steps = [middle.limit_denominator(most) for most in PLAIN_STEP_DENOMINATORS]

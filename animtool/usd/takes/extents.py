@@ -70,7 +70,7 @@ def _shape_padding(prim: Any, reach: dict[str, float]) -> float:
             continue
         steps = [step.GetAttr() for step in shape.GetInbetweens()]
         if steps:
-            # On the way to an inbetween, a small weight may move points as far as it.
+            # Below an inbetween's weight, a small weight may move points as far as it.
             weight = max(weight, 1.0)
         pad += weight * max(map(_largest, (shape.GetOffsetsAttr(), *steps)))
     return pad

@@ -30,7 +30,7 @@ from animtool.usd.rigs.placement import (
 class OverRig:
     """A take converted to the space of a rig layer."""
 
-    stream: TakeStream  # without where it stands, where that is dropped
+    stream: TakeStream  # without its placement, where that is dropped
     sized: Placement  # makes the rig, as its numbers are, as large and as upright
     # From where the take is to the rig's numbers, at time codes ``(F,)``; None: the
     # same.
@@ -75,7 +75,7 @@ def over_rig(
     stands, rig = rig_placement.stands, stream.rig
     placed = rig_placement.rides or not rig_placement.fixed.is_none
     if choice is None and _stands_there(rig, raw, rig_placement):
-        # Its numbers hold the place of the rig, and nothing records that.
+        # Its values include the rig's placement, which is not recorded.
         rig = replace(rig, stands=stands, rides=rig_placement.rides)
         stream = replace(stream, rig=rig)
     alone = not rig.has_rest and rig.stands is None and choice != KEEP

@@ -296,7 +296,7 @@ def _bound_animation(skeleton: Any) -> Any:
         return None
     if source := animation_source(skeleton):
         return UsdSkel.Animation(source)
-    # An animation that UsdSkel cannot use is bound all the same: reading says why.
+    # Bind an animation that UsdSkel cannot use, too: reading it reports why.
     binding = UsdSkel.BindingAPI(skeleton.GetPrim()).GetInheritedAnimationSource()
     return UsdSkel.Animation(binding) if binding else None
 

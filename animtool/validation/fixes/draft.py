@@ -63,7 +63,7 @@ class FixStep:
     refused: Sequence[tuple[Fault, str]] = ()  # findings that were not, and why
 
 
-# What a finding's code is mended by in documents; USD layers have edits of their own.
+# Fixes of documents by code; USD layers have a separate table.
 FIXES = {
     "RIG210": "animtool.validation.fixes.texts:summed",
     "RIG219": "animtool.validation.fixes.names:distinct",
@@ -81,7 +81,7 @@ class NotMendedError(Exception):
 class Mend:
     """Edits that fix a finding."""
 
-    remedy: str  # what is done, for the report
+    remedy: str  # what the fix does, for the report
     edits: tuple[Edit, ...]  # of the file's text
     # Of new npz files, by file and name.
     arrays: Mapping[Path, Mapping[str, npt.NDArray[Any]]] = field(default_factory=dict)

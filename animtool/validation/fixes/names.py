@@ -120,7 +120,7 @@ USES = {
 }
 # Where expressions read joints.
 FORMULAS = ("joints/*/driven/expr", "shapes/*/driven/expr", "controls/*/driven/expr")
-# What a list's names are called by in the places of `ignore`.
+# Names of the lists in the locations of `ignore`.
 _LISTS = {
     "joints": ("joints", "colliders", "masses"),
     "meshes": ("meshes",),

@@ -21,7 +21,7 @@ class FileMend:
 
     path: Path  # the file
     after: FileDraft  # its content when mended
-    # Findings, each as it stood when its turn came, and what was done.
+    # Findings in the order they were fixed, and the fix.
     mended: list[tuple[Fault, str]] = field(default_factory=list)
     # Findings of a code that has a fix, and why they stay.
     left: list[tuple[Fault, str]] = field(default_factory=list)
@@ -46,7 +46,7 @@ def plan_file(path: Path, options: ValidateOptions) -> FileMend:
         if step.done and not worse:
             plan.after = step.draft
             plan.mended.extend(step.done)
-            # The others may stand elsewhere now, and fare better.
+            # The others may have moved, and succeed now.
             unfixable.clear()
             plan.left.clear()
             continue

@@ -28,8 +28,8 @@ class Fixes:
     """Result of fixing files."""
 
     files: tuple[FileMend, ...]  # those with findings of a code that has a fix
-    report: Report  # what is found after it
-    notes: tuple[str, ...] = ()  # remarks on files as a whole
+    report: Report  # validation after the fixes
+    notes: tuple[str, ...] = ()  # notes on complete files
 
     @property
     def left(self) -> tuple[tuple[Fault, str], ...]:

@@ -38,7 +38,7 @@ _ENDS = re.compile("\r\n|[\n\r\x85\u2028\u2029]")
 # Longer files are arrays, of which no one reads a line.
 MAX_BYTES = 4_000_000
 WIDTH = 96
-# How much of a cut line stands before the place.
+# Fraction of a cut line before the fault's column.
 BEFORE = 32
 
 

@@ -97,7 +97,7 @@ def _region(fault: Fault, line: str | None) -> dict[str, Any]:
     region: dict[str, Any] = {"startLine": fault.lines[0]}
     if fault.column is not None:
         region["startColumn"] = fault.column
-    # Of a file on one line, every finding would hold the whole.
+    # For a one-line file, every finding would contain all of it.
     if line is not None and len(line) <= LONGEST_SNIPPET:
         region["snippet"] = {"text": line}
     return region

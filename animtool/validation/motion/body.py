@@ -9,7 +9,7 @@ import numpy as np
 from animtool.core.array_types import BoolArray, IntArray
 from animtool.validation.motion.subject import MotionSubject
 
-# Words for feet, whole or as part of a name put together: not flyWHEEL.
+# Words for feet, alone or in compound names, but not flyWHEEL.
 _WORDS = "foot|feet|toe|ankle|heel|paw|hoof"
 _FOOT = re.compile(
     rf"(?<![A-Za-z])(?:{_WORDS})|{'|'.join(w.capitalize() for w in _WORDS.split('|'))}"

@@ -15,27 +15,27 @@ from animtool.validation.motion.subject import MotionSubject
 
 Scalar = TypeVar("Scalar", np.float64, np.bool_)
 
-# A foot stands that is this near to the lowest height it rests at, of the size [1].
+# A foot is planted this close to its lowest resting height, of the size [1].
 NEAR = 0.025
-# Over this long a foot that stands hardly moves [s], [size].
+# A planted foot moves less than this distance over this time [s], [size].
 STATIC_SECONDS, STATIC_MOVE = 0.1, 0.012
-# Fewer frames in which feet are still show no ground, and nor does a lesser share of
-# all frames: feet hold for a moment in the air, too [1].
+# Fewer static frames, or a smaller fraction of all frames, show no ground: feet pause
+# in the air, too [1].
 MIN_CONTACTS, SELDOM = 4, 0.1
-# Where it is seldom still, it slides all along: it stands at the height that it is
-# nearest to for this share of the frames [1].
+# A foot that is seldom static slides throughout: it is planted at the height that it
+# is near for this fraction of the frames [1].
 MOSTLY_LOW = 0.25
-# A foot carries the body where no other joint is lower by more, of the size [1].
+# A foot carries the body if no other joint is lower by more, of the size [1].
 LOWEST = 0.05
-# Nor is there a hand, a knee or the trunk this near to the ground: who crawls, kneels
-# or lies drags the feet. These are joints that rest so much above the feet [size].
+# A body also crawls, kneels or lies, and drags its feet, if a hand, a knee or the trunk
+# is this close to the ground: joints that rest this far above the feet [size].
 LIES, ABOVE_FEET = 0.12, 0.15
-# And so long before and after: the feet of who goes down or gets up leave or take the
-# weight [s]. The ground is where feet are lowest within this time: in the air a knee
-# may be as low as they are.
+# The same before and after: feet take or release the weight while a body goes down or
+# gets up [s]. The ground is the lowest foot height in this time: in the air a knee may
+# be as low as the feet.
 GOES_DOWN, STRIDE = 0.15, 0.3
-# Share of the contacts of a foot that are at one height, where its ground is flat; and
-# at two heights, each with so many, where part of the take floats, or is on a step [1].
+# Fraction of a foot's contacts at one height if its ground is flat; and at two heights,
+# each, if part of the take floats or is on a step [1].
 AT_ONE_HEIGHT, AT_TWO_HEIGHTS, AT_EACH = 0.5, 0.85, 0.2
 
 

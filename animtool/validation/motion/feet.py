@@ -19,20 +19,20 @@ from animtool.validation.motion.contacts import (
 from animtool.validation.motion.size import body_axis
 from animtool.validation.motion.subject import MotionSubject
 
-# How far a body travels, against how far its feet tread.
+# Body travel relative to foot travel.
 
-# Velocities are over about this time [s].
+# Time over which velocities are measured [s].
 SPAN = 0.1
-# Slower hips [size/s] show no ratio, nor does a shorter time [s]. Feet that slide less
-# in all are not seen to [size].
+# Slower hips [size/s], or a shorter time [s], show no ratio. Feet that slide less in
+# total are not reported [size].
 SLOW, MIN_SECONDS, MIN_SLIDE = 0.1, 0.2, 0.05
-# Where the travel is scaled, the foot that stands moves along with the hips or against
-# them, at a part of their speed that hardly changes. Over the path, the 15th percentile
-# of this ratio is above the first one here, or the median and the 75th below the others
-# [1]: a foot that rolls goes along a little.
+# With scaled travel, the planted foot moves with the hips, or against them, at a nearly
+# constant fraction of their speed. The 15th percentile of this ratio is above the first
+# value, or the median and the 75th are below the others [1]: a rolling foot moves along
+# a little.
 ALONG, AGAINST, MOSTLY_AGAINST = 0.1, -0.15, -0.05
 # From the 15th percentile to the median the ratio changes by less than this, along and
-# against [1]: feet that slide on purpose, as in a dance, have no ratio.
+# against [1]: feet that slide on purpose, as in a dance, have no constant ratio.
 EVEN_ALONG, EVEN_AGAINST = 0.12, 0.2
 
 
@@ -77,23 +77,23 @@ def _ratios(
     return np.asarray(along / pace[known] ** 2), np.asarray(pace[known])
 
 
-# A take that travels less is one on the spot, whose feet slide on purpose [size].
+# A take that travels less is in place, and its feet slide on purpose [size].
 TRAVEL = 0.2
-# The foot that carries slides at this speed [size/s], for so long at least [s].
+# Minimum speed of a sliding planted foot [size/s], and minimum duration [s].
 SLIDE_SPEED, SLIDE_SECONDS = 0.12, 0.1
-# Over this way at once, or over the lesser one so many times [size], [1].
+# One slide of the first length, or this many of the second [size], [1].
 SLIDE_LENGTH, OFTEN_LENGTH, OFTEN = 0.08, 0.035, 3
-# The speed is the lower one of those over this time before and after [s]: a foot that
-# lands slows down at once, and one that leaves has just stood. Shorter, it is noise.
+# The speed is the lower of those over this time before and after [s]: a landing foot
+# decelerates, and a lifting one was planted just before. Shorter times are noise.
 SPEED_SECONDS = 0.1
-# Who lands slows down at least to this part of the speed [1] while falling by so much
-# [size], and who leaves the other way round.
+# A landing foot decelerates at least to this fraction of its speed [1] while it falls
+# by this height [size]; a lifting one does the reverse.
 LANDS, LIFTS = 0.6, 0.005
-# Who lands from the air skids on for a moment, and slows down as well [1]: it begins so
-# soon after [s], and lasts no longer than this [s].
+# After a jump a body skids on and decelerates [1]: the skid starts this soon after
+# landing [s], and lasts at most this long [s].
 SKIDS, SKID_SECONDS, SKID_LASTS = 0.75, 0.15, 0.25
-# What a foot goes by as it turns about a point under it, of the size a radian, and as
-# it rises or falls so many times as far, is no slide [1].
+# Motion of a foot that rotates about a point under it, of the size per radian, or that
+# rises or falls this many times as far, is not slide [1].
 LEVER, STEEP = 0.07, 2.0
 
 

@@ -19,27 +19,27 @@ from animtool.validation.motion.contacts import (
 from animtool.validation.motion.size import body_axis
 from animtool.validation.motion.subject import MotionSubject
 
-# A foot is sunk that is this far below its ground [size], for so long [s].
+# A foot is sunk if it is this far below its ground [size], for this long [s].
 SUNK, SUNK_SECONDS = 0.04, 0.05
-# Of a character as tall as a person, the longest jump [s] for a size of 2.2 m; of
-# others as the root of their size.
+# Longest jump [s] of a person-sized character (2.2 m); for others it scales with the
+# square root of their size.
 LONGEST_JUMP, PERSON_SIZE = 1.2, 2.2
-# No foot, and no other joint, is nearer to the ground in the air [size].
+# In the air no joint is closer to the ground than this [size].
 AIR = 0.05
-# On stairs one foot stands on a step within this time of the other on the ground [s],
-# and steps are so high at least [size].
+# On stairs one foot is on a step within this time of the other on the ground [s], and
+# steps have this height at least [size].
 STEP_SECONDS, STEP_HEIGHT = 0.8, 0.0375
-# Where the rig rests on 0 of the up axis, within this, its feet stand as high as at
-# rest [size]. Contacts this far above it are not on it; below it, those that are sunk.
+# If the rig rests on 0 of the up axis within this, its feet stand at their rest height
+# [size]. Contacts this far above it float; sunk ones are below it.
 STANDS_AT_ZERO, OFF_ZERO = 0.06, 0.05
-# Elsewhere 0 is taken for the ground too, but contacts so far from it have another
+# Otherwise 0 counts as the ground too, but contacts this far from it have another
 # origin, such as the hips [size].
 OTHER_ORIGIN = 0.25
-# A leg hangs at rest that reaches down by this share of its length; legs that are
-# spread show nothing of how high feet stand [1], and these then are no higher [size],
-# and no lower than this part of it [1].
+# A leg hangs at rest if it reaches down by this fraction of its length; spread legs do
+# not show the height of feet [1]. Then these are no higher than this [size], and no
+# lower than this fraction of it [1].
 HANGS, ANKLE, TOE, FLAT = 0.95, 0.08, 0.03, 0.3
-# Fewer seconds of contacts do not show that a whole take is off the ground.
+# Fewer seconds of contacts do not show that a complete take is off the ground.
 SHOWN_SECONDS = 0.3
 
 

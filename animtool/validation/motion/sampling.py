@@ -15,17 +15,17 @@ from animtool.maths.runs import runs
 from animtool.validation.motion.body import limbs_of
 from animtool.validation.motion.subject import MotionSubject
 
-# Nearer to a frame than this a time code is that frame, rounded [time codes].
+# A time code closer to a frame than this is that frame, rounded [time codes].
 ROUNDING = 1e-6
-# Further from it, a sample is one of its own, as for motion blur [time codes].
+# Farther from it, a sample is intended, such as for motion blur [time codes].
 REGULAR_SAMPLE = 0.05
-# Of unevenly spaced samples, so few off the frame are astray; more are of a grid of
-# their own [1].
+# Fraction of unevenly spaced samples that may be off the frames; more of them are a
+# separate grid [1].
 ASTRAY_FRACTION = 0.25
 # A range may begin and end this far from the samples [time codes].
 RANGE_SLACK = 1.0
-# Of the span of the samples, how far a range may begin before or end after them, where
-# a pose is held more often [1].
+# How far a range may start before or end after the samples, of their span: poses are
+# often held [1].
 EARLY_FRACTION, LATE_FRACTION = 0.02, 0.1
 
 
@@ -81,45 +81,45 @@ def other_range(subject: MotionSubject) -> Iterator[Fault]:
     yield subject.fault("MOT217", None, 0, message, hint)
 
 
-# Fewer frames do not show what is usual in them.
+# Fewer frames do not show a typical step.
 MIN_FRAMES = 12
-# Fewer joints that move do not tell a lost frame from a key of theirs [1].
+# With fewer moving joints, a lost frame looks like a key [1].
 MIN_JOINTS = 4
-# A step over lost frames is as far as all of theirs, of which up to so many are looked
-# for: more are a cut [1]. No more is left then of the squared difference to one step:
-# other steps of captures that joints agree in leave .45 and more [1].
+# A step over lost frames is as long as all of theirs; up to this many are searched,
+# more are a cut [1]. At most this fraction of the squared difference to one step may
+# remain: steps that joints of captures agree in leave .45 or more [1].
 MAX_LOST, EXPLAINED = 6, 0.35
-# Where few joints move, all of them must show it, and no more than this be left [1].
+# If few joints move, all of them must agree, with at most this remainder [1].
 FEW_EXPLAINED, MIN_FEW = 0.06, 2
-# The step is as many times further from what is predicted than others around it, within
-# blocks of so many frames, are mostly [1]. No joint goes more evenly than a part of its
-# usual step, which is text of few digits, or than this [rad].
+# The step must be this many times farther from its prediction than most others in
+# blocks of this many frames [1]. Joints are not smoother than this fraction of a typical step,
+# which is text of few digits, or than this [rad].
 STANDS_OUT, BLOCK, EVEN, NOISE = 5.0, 40, 0.02, 1e-5
-# A joint shows a loss whose step is as many times what others differ by [1].
+# A joint shows a loss if its step is this many times the typical deviation [1].
 SHOWS = 4.0
-# Holes between samples are longer than so many steps [1].
+# Gaps between samples are longer than this many steps [1].
 DOUBLE = 1.6
-# So many steps about a repeated frame are looked at together [1].
+# Number of steps around a repeated frame that are examined together [1].
 GAP = 3
-# Of the usual step: less shows no loss, and is no motion that stops [1].
+# Of the typical step: less shows no loss, and is not motion that stops [1].
 MIN_PACE = 0.3
-# Share of the joints that must show a loss: a single one jumps for itself [1].
+# Fraction of the joints that must show a loss: a single joint may pop [1].
 MAX_JOINTS = 0.5
-# Joints that go no more than this many steps contradict it: no more than a share of
-# them, by the squares of their steps, of which fast ones have more; and where these are
-# not few, no more of the difference may be left than this [1].
+# Joints that move no more than this many steps contradict a loss. They may be at most
+# this fraction, weighted by squared steps; and if they are not few, at most this much
+# of the difference may remain [1].
 GOES_ON, FEW_ON, MAX_ON, WELL_EXPLAINED = 1.25, 0.15, 0.4, 0.2
-# Where hardly anything of the difference is left, fast joints may contradict it, as a
-# foot that lands there does, and fewer may agree [1].
+# If hardly any difference remains, fast joints such as a landing foot may contradict,
+# and fewer joints must agree [1].
 SURELY, SURE_ON, SURE_JOINTS = 0.04, 0.8, 0.4
-# Few joints are at least this share of all that moves, and of two limbs or more [1].
+# Few joints must be this fraction of all moving ones, and of two limbs [1].
 FEW_PACE = 0.1
-# Of the usual step: what is less is a frame repeated, in text of four digits too [1].
+# Of the typical step: less is a repeated frame, even in text of four digits [1].
 STATIC_SPEED = 1e-4
-# Repeats so regular and so many are a rate of its own; a repeat at least every so many
+# Repeats this regular and this many are a frame rate; one at least every so many
 # frames [1].
 REGULAR, MIN_REPEATS, LONGEST_PERIOD = 0.8, 5, 12
-# Share of its frames beyond which a take is keyed in poses, and does not freeze [1].
+# With a larger fraction of repeats a take is keyed in poses, and does not freeze [1].
 MOSTLY_STATIC = 0.5
 
 
@@ -156,7 +156,7 @@ def _holes(subject: MotionSubject) -> Iterator[Fault]:
     ratios = gaps / typical
     even = np.abs(ratios - 1.0) < 0.25
     holes = np.flatnonzero(ratios > DOUBLE)
-    # Keys of a curve have any distance; holes are few in what is sampled evenly.
+    # Curve keys have any spacing; even sampling has few gaps.
     if not len(holes) or np.count_nonzero(even) < 0.9 * len(gaps):
         return
     hole = int(holes[0])

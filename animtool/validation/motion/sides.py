@@ -13,15 +13,15 @@ from animtool.maths import so3
 from animtool.validation.motion.body import carriers, feet_of
 from animtool.validation.motion.subject import MotionSubject
 
-# Takes that are shorter show no more than a pose, in which a foot may stand [s].
+# Shorter takes show only a pose, in which a foot may be static [s].
 POSE_FRAMES = 2
-# A smaller scale leaves nothing to see [1].
+# A smaller scale is invisible [1].
 ZERO = 1e-4
-# Weights beyond 1 exaggerate; further than this they are percent, or a fault [1].
+# Weights beyond 1 exaggerate; larger ones are percent, or a fault [1].
 LARGEST_WEIGHT, SMALLEST_WEIGHT = 2.0, -1.0
 PERCENT = 10.0
-# Bones may differ by this factor between bind and rest; of this share of them, and
-# the bind pose may stand so many sizes away [1].
+# Bones may differ by this factor between bind and rest, for this fraction of them; and
+# the bind pose may be this many sizes away [1].
 OTHER_LENGTH, MAX_BONES, AWAY = 2.0, 0.5, 1.5
 SHORT = 0.02
 
@@ -144,29 +144,28 @@ def no_influence(subject: MotionSubject) -> Iterator[Fault]:
     yield subject.fault("MOT221", rig.index(idle[0]), None, message, hint)
 
 
-# A joint is still that turns less in all frames; its other side is alive that turns
-# more [rad].
+# A joint is static if it rotates less in all frames; its opposite is active if it
+# rotates more [rad].
 STATIC_ANGLE, ALIVE = 1e-6, math.radians(20.0)
 # Fewer frames are a pose.
 SHORTEST = 0.2
-# Share of the frames in which left lies on the right for the two to be swapped [1].
+# Fraction of the frames with left on the right, for a swap [1].
 MOSTLY = 0.9
-# They are judged where hips are above the feet, within 26 degrees, and where this is
-# often so [1].
+# Frames count with the hips above the feet within 26 degrees, if there are enough
+# of them [1].
 UPRIGHT, KNOWN = 0.9, 0.3
-# Toes point ahead, and knees bend, by at least this much of the size [1].
+# Toes point forward, and knees bend, by at least this much of the size [1].
 MIN_FACING = 0.01
-# Joints that change places turn by this much at least, and all of them together by
-# more [rad].
+# Swapped joints rotate by this much at least, and all of them together by more [rad].
 MIN_EXCHANGE, MIN_TOTAL_EXCHANGE = math.radians(8.0), math.radians(30.0)
 # Fewer frames do not show that both sides move before and after.
 MIN_STEPS = 5
-# Fewer pairs that change places at once are a pose of their own.
+# Fewer pairs that swap at once are just a pose.
 MIN_PAIRS = 2
-# Where two joints change places, going on as the other leaves a step this much of
-# what going on as oneself does [1].
+# When two joints swap, continuing as the other leaves this fraction of the deviation
+# from continuing as itself [1].
 EXCHANGED = 0.35
-# Of a single pair it is so little, of a larger step [1], [rad].
+# For a single pair the fraction is lower, and the step larger [1], [rad].
 SURELY, SURE_EXCHANGE = 0.1, math.radians(20.0)
 
 
@@ -200,7 +199,7 @@ def _full_take(subject: MotionSubject, pairs: list[tuple[int, int]]) -> Iterator
     across = np.cross(upwards, facing)
     side = np.einsum("fc,fc->f", across, positions[:, left] - positions[:, right])
     known = np.linalg.norm(facing, axis=1) > MIN_FACING * subject.size
-    # Who crawls or lies has feet behind or beside the hips, which point anywhere.
+    # A crawling or lying body has feet beside its hips that point anywhere.
     known &= upwards @ subject.up > UPRIGHT * np.linalg.norm(upwards, axis=1)
     if np.count_nonzero(known) < max(1.0, KNOWN * len(known)):
         return
@@ -248,7 +247,7 @@ def _hips(
             if joint in partners:
                 chain.append(joint)
             joint = rig.joints[joint].parent
-        # Those nearest to the root may be at one place with it.
+        # Joints nearest to the root may be at its position.
         for top in reversed(chain):
             bone = subject.rest[top] - subject.rest[partners[top]]
             if np.linalg.norm(bone) > MIN_FACING * subject.size:

@@ -18,26 +18,26 @@ from animtool.rig.skeleton import JointType
 from animtool.validation.motion.body import body, feet_of, hips_of, placed
 from animtool.validation.motion.subject import MotionSubject
 
-# Share of its length that a bone may change by, and of the rig's size below which a
-# bone has none to speak of [1].
+# Fraction by which a bone's length may change, and length below which a bone counts as
+# zero, of the rig's size [1].
 GROWS, SHORT = 0.5, 0.02
-# Factors by which units are mistaken: m, cm, mm and in, and how near to one [1].
+# Factors between units that are often confused: m, cm, mm, in; and the tolerance [1].
 FACTORS = (10.0, 100.0, 1000.0, 39.37)
 NEAR_FACTOR = 0.15
-# A root this many times as high as at rest is of another unit, whatever it does [1].
+# A root this many times higher than at rest is in another unit [1].
 HIGH = (25.0, 4000.0)
-# Or, in the unit that its numbers are of, the lowest joint is this near to 0 of the up
-# axis in most frames [size], [1]. Or it comes so near at times, as on stairs, and then
-# stands in so many frames [size], [size/s], [1].
+# Otherwise, in the unit of its numbers, the lowest joint is this close to 0 of the up
+# axis in most frames [size], [1]; or sometimes, as on stairs, and is then static in
+# this many frames [size], [size/s], [1].
 ON_ZERO, ON_ZERO_FRACTION = 0.06, 0.5
 AT_TIMES, TREADS, TREADS_FRACTION = 0.05, 0.12, 0.4
-# Of animated bones, the share that must have one such factor [1].
+# Fraction of animated bones that must share one factor [1].
 MAX_BONES = 0.8
-# From a bird to a dinosaur, of rigs with feet [m]: the diagonal of their joints.
+# Diagonal of the joints of rigs with feet, from a bird to a dinosaur [m].
 CHARACTER = (0.1, 25.0)
-# People and most animals [m]; another unit must bring a character into this.
+# People and most animals [m]; a corrected unit must give this size.
 LIKELY = (0.3, 5.0)
-# What anything with a skeleton spans, feet or not [m]: from an insect to a ship.
+# Extent of any skeleton, with feet or without [m]: from an insect to a ship.
 ANYTHING = (0.004, 400.0)
 # Fewer joints are a prop, of any size.
 MIN_JOINTS = 10
@@ -249,7 +249,7 @@ def strange_size(subject: MotionSubject) -> Iterator[Fault]:
     if _is_character(subject) and next(other_units(subject), None) is not None:
         return
     if subject.size * 1e3 < low * 1e-3:
-        # All joints are at one place: a rig of controls, or of one joint.
+        # All joints are at one position: a rig of controls, or one joint.
         return
     message = f"the skeleton spans {_length(subject.size)}"
     unit = subject.take.rig.meters_per_unit
@@ -288,5 +288,5 @@ def mismatched_up_axis(subject: MotionSubject) -> Iterator[Fault]:
             f"{argument('source.up', axis.axis)}"
         )
     fault = subject.fault("MOT214", int(rig.roots[0]), 0, message, hint)
-    # A file that states no up axis is read in the usual one.
+    # A file without an up axis is read with the default one.
     yield fault if subject.has_units else replace(fault, severity=Severity.NOTE)

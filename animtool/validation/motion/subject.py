@@ -18,17 +18,17 @@ from animtool.motion.take import Take
 from animtool.rig.kinematics import WorldTransforms, rest_world
 from animtool.rig.sides import SidePairs, pair_sides
 
-# Code, joint (empty: the whole take), frame (None: all of them), message, hint.
+# Code, joint (empty: the take), frame (None: all), message, hint.
 FaultAt: TypeAlias = Callable[[str, str, float | None, str, str], Fault]
 
-# A rig that spans less has no size to compare with [m].
+# A smaller rig has no reference size [m].
 SMALLEST_SIZE = 1e-9
-# Of the rig's size: shorter bones show no scale [1]. So many frames show it.
+# Shorter bones show no scale, of the rig's size [1]; this many frames do.
 SHORT, SCALE_FRAMES = 0.02, 32
-# Bones that are posed less longer or shorter than this stretch, and are not scaled [1].
+# Bones whose length changes less than this stretch; they are not scaled [1].
 SCALED = 1.5
-# A first frame is a pose of its own that is left by so many joints, each by so far
-# [rad], and so many times as far as in the steps after it, of which so many count [1].
+# A first frame is a reference pose if this many joints leave it, each by this angle
+# [rad], and by this many times the steps after it, of which so many count [1].
 POSE_JOINTS, POSE_ANGLE, POSE_STANDS_OUT, POSE_STEPS = 3, math.radians(30.0), 4.0, 8
 
 
@@ -54,7 +54,7 @@ class MotionSubject:
     influencing: frozenset[str] | None = None
     # Positions of the joints in the bind pose, world ``(J, 3)`` [m].
     bind: FloatArray | None = None
-    # Frames a second that the file states beside its time codes.
+    # Frame rate of the file, if it differs from its time codes.
     shown_rate: float | None = None
     # Whether samples were left out on purpose, which others give back.
     reduced: bool = False

@@ -17,9 +17,9 @@ from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.skeleton import Rig
 from animtool.validation.subjects.clip import ClipSubject
 
-# Nearer to half a turn, rounding decides which way a turn goes.
+# Closer to 180 degrees, rounding decides the direction of rotation.
 NEAR_HALF_ROTATION = math.radians(178.0)
-# What goes on beyond the keys without repeating them.
+# Extrapolation that does not repeat the keys.
 _NOT_CYCLING = frozenset({Extrapolation.HOLD, Extrapolation.LINEAR})
 
 
@@ -78,25 +78,24 @@ def half_rotations(subject: ClipSubject) -> Iterator[Fault]:
             yield replace(fault, frame=float(channel.times[k]))
 
 
-# How far values lie beyond what is allowed, signed or not.
+# Function of how far values exceed a limit, signed or not.
 Excess = Callable[[FloatArray], FloatArray]
 
-# Beyond a limit by less is rounding of what a file holds [rad], [m], [1].
+# A smaller excess over a limit is rounding in the file [rad], [m], [1].
 SLACK = 1e-6
-# Keys so near [frame] are of a curve that was sampled, in which angles jump by a
-# whole turn and mean none.
+# Keys this close [frame] belong to a sampled curve, in which angles wrap by a full
+# rotation without meaning.
 SAMPLED = 2.0
-# Angles that go farther from a key to the next, while what they mean is nearer, take a
-# way round: by a whole turn, or by half a turn of two of three [rad].
+# Angles that change more between keys, though the rotations are closer, take a detour:
+# by 360 degrees, or by 180 degrees of two of three [rad].
 FAR, NEAR = math.radians(150.0), math.radians(90.0)
-# Keys that are farther apart in time wrap where they go by more than this, which the
-# short way is less than a sixth of a turn of [rad]; angles that flip, two by half a
-# turn, do where the other three are as near.
+# Keys farther apart in time wrap if angles change by more than this, and the short path
+# is below 60 degrees [rad]; angles flip, two by 180 degrees, if the third is as close.
 ROUND, ROUND_NEAR = math.radians(300.0), math.radians(60.0)
-# What goes on at this part of a speed before or behind is a spin [1].
+# A speed that continues at this fraction before or after is a spin [1].
 SPIN = 0.5
 DEG = "\N{DEGREE SIGN}"
-# Ends of a cycle that differ by less are seen as one [rad]; of all its values [1].
+# Ends of a cycle that differ by less look equal [rad]; of the value range [1].
 OPEN = 1e-3
 
 

@@ -21,13 +21,13 @@ from animtool.rig.skeleton import Joint
 from animtool.validation.rules.rig_joints import shown
 from animtool.validation.subjects.rig import RigSubject
 
-# Values of each control that are looked at, beside the points of its curves.
+# Sampled values of each control, besides the points of its curves.
 SAMPLES = 17
 # Poses of all controls at once, in which a corrective must act in some.
 POSES = 2048
 # Share of the poses in which a control is at an end of its range.
 AT_ENDS = 0.8
-# Beyond rounding of degrees in a file [rad], [m]; of a range, as a share [1].
+# Tolerance for degrees rounded in a file [rad], [m]; of a range [1].
 SLACK = 1e-6
 _NONE: FloatArray = np.zeros(1)
 

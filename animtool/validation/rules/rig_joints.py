@@ -139,7 +139,7 @@ def _rounded(axis: FloatArray) -> str:
 # A bind pose that differs by less of the rig's size, and by a smaller angle, is a slip.
 SLIP = 1e-3
 SLIP_ANGLE = math.radians(0.5)
-# Characters are of such a size [m]; a unit that is wrong is wrong by 39 or more.
+# Plausible size of a character [m]; a wrong unit is off by a factor of 39 or more.
 LIKELY_METERS = (0.05, 30.0)
 # Fewer joints are a prop, of any size.
 MIN_JOINTS = 8

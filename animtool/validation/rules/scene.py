@@ -134,7 +134,7 @@ NEAR_RATES = Fraction(1, 50)
 
 # What these come to is stated, not how: a take may have it already.
 _STATES = frozenset({"ik", "resample"})
-# Joints stay where they are in the world, whatever the table says.
+# World positions of joints stay equal, despite the table.
 _KEEPS_POSE = frozenset({"root_motion"})
 
 

@@ -28,7 +28,7 @@ from animtool.rig.skeleton import Rig
 from animtool.validation.motion.subject import MotionSubject
 from animtool.validation.subjects.subject import CheckedFile
 
-# A clip has samples where its keys are a frame apart, nearly [frame].
+# Keys with this spacing are samples [frame].
 SAMPLED = 0.25
 
 
