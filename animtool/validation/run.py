@@ -245,7 +245,7 @@ def validate(
 
     Raises:
         FormatError: A path has a null byte (IO001).
-        NothingFoundError: There is no file to look at (VAL006).
+        NothingFoundError: No file to check (VAL006).
         OptionError: A code that there is none of (VAL005), a file of a kind that is
             not checked (IO002), or settings of a project that are malformed.
     """

@@ -272,7 +272,7 @@ class _ChunkedMesh:
     def author(self, spec: Any, *, with_defaults: bool) -> None:
         """Declare the attributes of the chunks; author constant ones as defaults here.
 
-        whole: whether the first chunk, a sublayer for its defaults, has zeros there.
+        with_defaults: author first values here, where no rig has them.
         """
         for name in self.report.sampled:
             if self._static is None:

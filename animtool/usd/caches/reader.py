@@ -278,7 +278,7 @@ class MeshSource:
         """Return the mesh at a time code; None is the earliest sample.
 
         Raises:
-            OptionError: It makes no sense (SIM051).
+            OptionError: The value is invalid (SIM051).
         """
         time = Usd.TimeCode.EarliestTime() if code is None else Usd.TimeCode(code)
         points, (counts, indices) = self._reader.at(time), self._reader.faces(time)

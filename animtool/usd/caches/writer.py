@@ -251,7 +251,7 @@ class PointWriter:
     def release(self, *, rest: bool) -> None:
         """Sample every attribute, whether it changes or not.
 
-        With ``rest``, there are defaults too, but for velocities: a mesh at no time.
+        With ``rest``, author defaults too, except velocities: the mesh without a time.
         """
         for name, channel in self._channels.items():
             channel.release()
@@ -261,7 +261,7 @@ class PointWriter:
     def finish(self, *, rest: bool) -> None:
         """Author constant values as defaults, and report what is sampled.
 
-        With ``rest``, what has samples has a default too; a rig has its own.
+        With ``rest``, sampled attributes get a default too; a rig already has them.
         """
         channels, report = self._channels, self._report
         velocities = channels.pop("velocities", None)

@@ -37,7 +37,7 @@ _NAMES = {
 def check_bindings(subject: StageSubject) -> Iterator[Fault]:
     """Check that skel bindings target prims of the right type.
 
-    In a layer whose rig is elsewhere, prims that it lacks may be there.
+    In a layer over another file's rig, missing targets may be in that file.
     """
     for prim in subject.prims:
         for name, schema in _SCHEMAS.items():

@@ -1,8 +1,8 @@
 """Checks on extents, over all samples.
 
-What a SkelRoot with one skeleton spans is the bounds of its joints and a padding that
-does not change, so that all samples are compared at once and USD itself is asked only
-about those that stand out. Of others, it is asked about `MAX_ASKED` samples.
+The extent of a SkelRoot with one skeleton is the bounds of its joints plus a constant
+padding, so all samples are compared at once and USD computes only the outliers. For
+other prims USD computes `MAX_ASKED` samples.
 """
 
 from __future__ import annotations

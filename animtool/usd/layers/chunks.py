@@ -242,8 +242,8 @@ class Chunks:
     ) -> None:
         """Begin.
 
-        size: samples a file; prims: how many there are; build: gives what writes each
-        prim to a file, 0 being the first, that is whole at the end of the block.
+        size: samples per file; prims: number of prims; build: context with the writers
+        of a file, counted from 0, that is complete at the end of the block.
         """
         self.files, self._size, self._build = files, size, build
         self._done = [0] * prims

@@ -37,8 +37,8 @@ class LayerForm(StrEnum):
     """Which layers to write.
 
     ``stage`` is one file with skeleton and animation; ``split`` the same in three
-    layers; ``layer`` only the animation, over a rig that lives elsewhere; ``library`` a
-    take of a clip library, beside those that this has.
+    layers; ``layer`` only the animation, over a rig in another file; ``library`` a take
+    added to a clip library.
     """
 
     STAGE = "stage"
@@ -161,11 +161,10 @@ class UsdTake:
     source_name: str = ""  # what the source of a library's take is called
     # Props next to the rig, collected while the blocks are read; None without.
     props: PropSamples | None = None
-    # From where the take is to the numbers of a rig layer; see `PropPlacements`.
+    # From take space to the space of a rig layer; see `PropPlacements`.
     to_rig: Callable[[FloatArray], Placement] | None = None
     reduced: bool = False  # whether samples are left out that others give back
-    # What the file records of where its joints stand; empty where they do not, or a
-    # rig layer does.
+    # Recorded rest placement; empty without one, or if a rig layer has it.
     rest_record: Mapping[str, Any] = field(default_factory=dict)
 
 

@@ -51,9 +51,9 @@ class PhysicsWriter:
     Args:
         spec: The prim.
         parts: Names of the Xforms.
-        physics: What they are.
+        physics: Their bodies and joints.
         unit: Of the layer [m].
-        turn: How the prim stands in the layer ``(4,)``.
+        up_rotation: From Y up to the layer's up axis ``(4,)``.
     """
 
     def __init__(

@@ -94,7 +94,7 @@ def prop_placements(
 ) -> PropPlacements:
     """Return the placements of a take's tracks.
 
-    rig_layer: another layer that holds the rig; None where there is none;
+    rig_layer: another layer that holds the rig, or None;
     meters_per_unit: unit of the rig [m]; to_rig: see `PropPlacements`.
     """
 

@@ -33,8 +33,7 @@ def open_prim(
     Units and up axis of the stage are converted to the rig's; second 0 is time code
     0. Scales of the prim are left out.
 
-    space: path of a prim in whose frame the rig stands, its numbers being the rig's
-    own; None is the world.
+    space: path of a prim whose local space is the rig's; None is the world.
 
     Returns A function from seconds ``(F,)`` to positions ``(F, 3)`` [m] and rotations
     ``(F, 4)``; it raises `FormatError` where a transform is not finite.

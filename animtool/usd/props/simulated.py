@@ -364,7 +364,7 @@ def _blocks(
 ) -> Iterator[Block]:
     """Yield blocks of frames; the prims are created at the first one.
 
-    Each is turned as a whole where another axis is up, or goes to where a rig is.
+    Prims are rotated to the layer's up axis, or moved to a rig's placement.
     """
     types = Sdf.ValueTypeNames
     for i, (code, frames) in enumerate(rows):

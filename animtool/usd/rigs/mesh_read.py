@@ -62,10 +62,9 @@ def read_meshes(
 ) -> tuple[tuple[Mesh, ...], tuple[Shape, ...], list[Fault]]:
     """Return meshes, shapes and notices of what is left out.
 
-    Normals that are not one a vertex are left out (USD116), as are the shapes of a mesh
-    that name no target. A mesh that follows joints as a whole has their influences at
-    every vertex; one that follows none stands where its prim places it. Numbers are in
-    the unit of the rig.
+    Normals other than one per vertex are left out (USD116), as are shapes without a
+    target. Rigidly bound meshes get their influences at every vertex; unbound ones are
+    placed by their prim. Values are in the unit of the rig.
     """
     meshes: list[Mesh] = []
     shapes: list[Shape] = []

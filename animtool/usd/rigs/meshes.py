@@ -114,7 +114,7 @@ def mesh_names(
 ) -> tuple[list[str], dict[str, str]]:
     """Return prim paths of meshes, and the original names of renamed ones.
 
-    They stand below the SkelRoot, beside the Skeleton, the animation and strands.
+    They are siblings of Skeleton, animation and strands below the SkelRoot.
     """
     taken = [Sdf.Path(path).name for path in (paths.skeleton, paths.animation)]
     taken.append(SCOPE)

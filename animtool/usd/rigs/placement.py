@@ -87,7 +87,7 @@ def skeleton_placement(
 ) -> SkeletonPlacement:
     """Return the placement of a Skeleton at time codes; None is its first.
 
-    rig: as its numbers are, whose unit and up axis the placement is in.
+    rig: in local values; the placement uses its unit and up axis.
     """
     moving = bool(movers(skeleton))
     times = _times(skeleton, codes) if moving else [0.0]

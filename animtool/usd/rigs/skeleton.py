@@ -42,8 +42,8 @@ KEY = "stands"
 def rest_record(rig: Rig, resting: Rig | None = None) -> dict[str, Any]:
     """Return the record of a rig's rest placement; empty if it has none.
 
-    resting: the rig whose rest pose the file has; None is the same. Where that stands
-    somewhere, so is recorded who does not.
+    resting: the rig whose rest pose the file has; None is the same. If that one is
+    placed, a take without placement is recorded as such.
     """
     others = (rig,) if resting is None else (rig, resting)
     if all(one.stands is None and not one.rides for one in others):
@@ -146,7 +146,7 @@ def author_rig(
 def says_more(rig: Rig) -> bool:
     """Return whether a rig contains data that USD cannot express.
 
-    The type of a joint with channels follows from these, which stand apart.
+    Types of joints with channels follow from these, which are stored separately.
     """
     parts = (rig.controls, rig.chains, rig.attach, rig.colliders, rig.masses)
     return any(map(bool, parts)) or any(

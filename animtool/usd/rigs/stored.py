@@ -47,8 +47,8 @@ def joined_attachments(
 ) -> tuple[tuple[Attachment, ...], list[str]]:
     """Return a rig's attachments with arrays, and names of dropped ones.
 
-    Strands are as USD has them; others than the rig's stand last. What is left out has
-    lost its mesh or curves, or the vertices that it pins.
+    Strands come from USD; those unknown to the rig are last. Dropped entries have lost
+    their mesh or curves, or the vertices they pin.
     """
     others = dict(strands)
     counts = {mesh.name: len(mesh.points.load()) for mesh in rig.meshes}
@@ -99,10 +99,10 @@ def joined_rig(
 ) -> tuple[Rig, list[Fault]]:
     """Return a rig with the data of its customData.
 
-    Where the Skeleton is what it was when it was written, joints are exactly those of
-    the rig that it was written from. Else USD's own tree, rest and bind count, what
-    names joints that are gone is left out, and a warning says so (USD117). Cloth and
-    strands have no arrays yet; see `with_attachments`.
+    If the Skeleton is unchanged since it was written, joints equal those of the source
+    rig. Otherwise USD's hierarchy, rest and bind win, references to removed joints are
+    dropped with a warning (USD117). Cloth and strands have no arrays yet; see
+    `with_attachments`.
     """
     text = data.get("rig")
     if not text:
@@ -136,7 +136,7 @@ def with_attachments(
 ) -> tuple[Rig, list[Fault]]:
     """Return a joined rig whose cloth and strands have their USD arrays.
 
-    Those whose mesh or curves USD lost or broke are left out, and named (USD119).
+    Those with missing or invalid mesh or curves are dropped and reported (USD119).
     """
     if not data.get("rig"):
         return joined, []

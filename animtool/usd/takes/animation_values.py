@@ -185,7 +185,7 @@ def among_rest(
 ) -> FloatArray:
     """Return values of some joints, the others at rest ``(F, J, …)``.
 
-    places: of each joint in the rig, -1 where it has none such; no rows are at rest.
+    columns: rig joint of each row, -1 if unknown; without rows all are at rest.
     """
     dense = np.repeat(rest[None], frames, axis=0)
     if rows is not None:

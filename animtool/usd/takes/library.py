@@ -1,10 +1,10 @@
 """Clip libraries: takes of one character, each bound by a variant of its model.
 
-Every take is a SkelAnimation ``Anim_{take}`` beside the Skeleton. The variant set
+Every take is a SkelAnimation ``Anim_{take}`` next to the Skeleton. The variant set
 ``take`` of the model binds one: a variant holds ``skel:animationSource``, the
 SkelRoot's extent and, where it carries the root's motion, its transform. None of
-these stands outside of the variants, where it would be stronger than they are.
-``customData`` of a SkelAnimation says which frames are its own::
+these is authored outside the variants, where it would be stronger than they are.
+``customData`` of a SkelAnimation has the frames of the take::
 
     animtool = { dictionary take = { string name, timecode start, timecode end } }
 """

@@ -47,16 +47,16 @@ def over_rig(
 ) -> OverRig:
     """Return a take in the space of a rig that a stage places.
 
-    The layer makes the character as large and as upright as the take. Where that
-    stands is kept, or dropped: the rig's stage then has it where it has the rig.
+    The layer gives the character the size and up axis of the take. The take's placement
+    is kept, or dropped in favor of the stage placement of the rig.
 
     Args:
         stream: The take, with the up axis of the rig.
-        placement: Where the rig's stage has it, at time codes; None is the first.
-        choice: ``keep``, ``drop``, or None: drop where the rig stands somewhere, unless
-            the take rides on what the rig does not.
+        placement: Stage placement of the rig at time codes; None is the first.
+        choice: ``keep``, ``drop``, or None: drop if the rig is placed, unless the take
+            moves with a prim that the rig does not.
         where: The rig layer, for notices.
-        raw: The rig, as its numbers are.
+        raw: The rig in local values.
     """
     rig_placement = placement(None)
     spot = PrimLocation(where, "")

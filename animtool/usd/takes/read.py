@@ -99,8 +99,8 @@ def read_usd(
     their first sample.
 
     take: which take of a clip library; None is the one that it selects.
-    placement: ``drop`` leaves out where the character stands and faces, but for what
-        moves its SkelRoot; its size and its up axis stay. None keeps it.
+    placement: ``drop`` leaves out position and heading of the character, except motion
+        of its SkelRoot; size and up axis stay. None keeps it.
     """
     path = Path(path)
     with usd_errors(path), without_usd_warnings():

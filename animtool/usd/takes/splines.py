@@ -91,8 +91,7 @@ def author_controls(
 ) -> list[CurveReport]:
     """Write the curves of controls; return a report per control.
 
-    The attribute of a control whose name USD forbids has the name as its display
-    name.
+    Controls with names illegal in USD keep them as display names.
     """
     names = distinct_names(*[list(controls)] * 3)
     reports = []

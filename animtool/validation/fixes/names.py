@@ -27,9 +27,9 @@ from animtool.validation.subjects.subject import CheckedFile
 def naming(rig: Path, names: Sequence[str]) -> Iterator[tuple[Path, str]]:
     """Yield files that use a name of a rig, with the first such name.
 
-    A use is a key or value that is the name, or has it as a part, such as
-    ``joint/NAME.rotation``; words in comments and texts are none. Rigs with joints of
-    their own, and files for one of these, have names of their own and are left out.
+    A use is a key or value that is or contains the name, such as
+    ``joint/NAME.rotation``, but not words in comments and texts. Rigs with separate
+    joints, and files for these, are skipped.
     """
     rig_path = rig.resolve()
     for path in _documents(rig):

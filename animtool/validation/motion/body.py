@@ -35,8 +35,8 @@ def feet_of(names: tuple[str, ...] | list[str]) -> IntArray:
 def carriers(subject: MotionSubject) -> tuple[int, ...]:
     """Return the joints that move the complete body, from the first root to the hips.
 
-    Below a root that stays at the origin, or that has the path of a walk, another
-    joint carries the body. What hangs from these beside it are targets and props.
+    Below a static root, or one with the path of a walk, another joint carries the body.
+    Other children of these are targets and props.
     """
     rig = subject.take.rig
     if not rig.roots:

@@ -45,15 +45,15 @@ class FootContacts:
 
     Attributes:
         feet: Indices of the joints ``(E,)``.
-        partners: Which one is that of the other side, or itself ``(E,)``.
-        ground: Height at which each foot stands, from its contacts ``(E,)`` [m].
+        partners: The opposite foot, or itself ``(E,)``.
+        ground: Contact height of each foot ``(E,)`` [m].
         level: Whether most of its contacts are at that height ``(E,)``.
-        flat: Whether a foot and that of the other side stand at one height ``(E,)``.
-        floor: The lower one of two heights at which a foot stands often; else its
-            ground; infinite where there are more than two ``(E,)`` [m].
+        flat: Whether a foot and its opposite have one contact height ``(E,)``.
+        floor: The lower of two common contact heights; else the ground; infinite for
+            more than two ``(E,)`` [m].
         carries: Whether no other joint is much lower ``(F, E)``.
-        near: Whether a foot carries, and is near to a ground that is flat ``(F, E)``.
-        still: Whether it carries and does not move ``(F, E)``.
+        near: Whether a foot carries the body near flat ground ``(F, E)``.
+        static: Whether it carries the body without moving ``(F, E)``.
     """
 
     feet: IntArray

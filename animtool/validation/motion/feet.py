@@ -100,8 +100,8 @@ LEVER, STEEP = 0.07, 2.0
 def foot_slide(subject: MotionSubject) -> Iterator[Fault]:
     """Yield a fault if the foot that carries the body slides (MOT208).
 
-    Of the feet on the ground the slowest counts: one may be dragged while the other
-    stands, and a heel turns about its toes.
+    The slowest foot on the ground counts: one may drag while the other is planted, and
+    a heel rotates about its toes.
     """
     subject = subject.main
     contacts = contacts_of(subject)
@@ -156,8 +156,8 @@ def _of_the_standing(
 ) -> FloatArray:
     """Return the slide speed of the slowest foot on the ground ``(F,)``.
 
-    All of its joints near to the ground count: one that stands, such as its toe, makes
-    the foot slow, and one that turns about that does not make another foot slide.
+    All joints of a foot near the ground count: a planted toe makes the foot slow, and
+    a heel that rotates about it does not count as slide.
     """
     feet, parents = contacts.feet.tolist(), subject.take.rig.parents
     column_of = {foot: e for e, foot in enumerate(feet)}
@@ -250,9 +250,8 @@ def _travel(subject: MotionSubject) -> float:
 def _speeds(subject: MotionSubject, feet: IntArray) -> tuple[FloatArray, FloatArray]:
     """Return ground speeds and slide speeds of feet, ``(F, E)`` each [m/s].
 
-    Of how far they are away within a short time before and after each frame the lesser
-    one counts: a foot that turns back stands no more than one that goes on. They slide
-    by what turning and lifting the foot leave of it.
+    The lower of the distances a short time before and after each frame counts: a foot
+    that reverses is not planted. Slide excludes rotating and lifting the foot.
     """
     count = subject.frames
     reach = max(1, round(SPEED_SECONDS / subject.interval))

@@ -46,8 +46,8 @@ SHOWN_SECONDS = 0.3
 def feet_off_ground(subject: MotionSubject) -> Iterator[Fault]:
     """Yield feet that penetrate the ground or float above it (MOT209).
 
-    The ground is 0 of the up axis where the rig rests standing on that, else the
-    height at which the feet stand most.
+    The ground is 0 of the up axis if the rig rests on it, else the most common height
+    of planted feet.
     """
     subject = subject.main
     contacts = contacts_of(subject)
@@ -97,8 +97,8 @@ def _clearances(
 ) -> tuple[FloatArray, FloatArray, bool]:
     """Return the heights of foot joints above the ground in stance.
 
-    Least and most ``(E,)`` [m], and whether the rig rests on 0 of the up axis. Legs
-    that hang at rest show it; of others only that feet are flat is known.
+    Minimum and maximum ``(E,)`` [m], and whether the rig rests on 0 of the up axis.
+    Legs that hang at rest show it; for others only flat feet are assumed.
     """
     rig, size = subject.take.rig, subject.rest_size
     scale = subject.size / size
@@ -179,8 +179,8 @@ def _ground_of_pairs(
 ) -> tuple[FloatArray, BoolArray]:
     """Return the ground height per foot, and whether it is known ``(E,)``.
 
-    Where one foot stands at 0 of the up axis, as at rest, and the other one below
-    that, they do not agree, and 0 is the ground of both.
+    If one foot is planted at 0 of the up axis, as at rest, and the other one lower, 0
+    is the ground of both.
     """
     ground, known = contacts.ground.copy(), contacts.flat.copy()
     if not subject.has_rest or known.all():
@@ -228,9 +228,9 @@ def _climbs(
 ) -> bool:
     """Return whether the feet climb one by one, as on stairs and ladders.
 
-    Their first contacts in a run are at several heights, or their last ones; or one
-    stands high shortly before or after it, and the other one still on the ground.
-    ``still`` and ``above`` ``(F, E)`` [m].
+    Their first or last contacts in a run are at several heights; or shortly before or
+    after it one foot is high and the other one on the ground. ``static`` and ``above``
+    ``(F, E)`` [m].
     """
     size = subject.size
     reach = max(1, round(STEP_SECONDS / subject.interval))

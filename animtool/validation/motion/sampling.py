@@ -92,8 +92,8 @@ MAX_LOST, EXPLAINED = 6, 0.35
 # If few joints move, all of them must agree, with at most this remainder [1].
 FEW_EXPLAINED, MIN_FEW = 0.06, 2
 # The step must be this many times farther from its prediction than most others in
-# blocks of this many frames [1]. Joints are not smoother than this fraction of a typical step,
-# which is text of few digits, or than this [rad].
+# blocks of this many frames [1]. Joints are not smoother than this fraction of a
+# typical step, which is text of few digits, or than this [rad].
 STANDS_OUT, BLOCK, EVEN, NOISE = 5.0, 40, 0.02, 1e-5
 # A joint shows a loss if its step is this many times the typical deviation [1].
 SHOWS = 4.0

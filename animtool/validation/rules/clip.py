@@ -234,9 +234,9 @@ def _moving(channel: ClipChannel) -> BoolArray:
 def _wraps(channel: ClipChannel, rig: Rig) -> IntArray:
     """Return the keys after which an angle wraps, whatever the key spacing.
 
-    Keys that go round on purpose count whole turns on, or end on one; a spin is at the
-    same speed before or behind. What wraps was brought into half a turn on either side
-    of 0, or into one turn from 0, and goes the other way before and behind.
+    Intended rotations continue over full circles, or end on one; a spin keeps its speed
+    before or after. Wrapped angles are reduced to ±180 or 0 to 360 degrees, and reverse
+    before and after.
     """
     steps = np.diff(channel.values, axis=0)
     short = np.remainder(steps + math.pi, math.tau) - math.pi
