@@ -214,7 +214,7 @@ def joined_bounds(first: FloatArray, second: FloatArray) -> FloatArray:
 def _overhang_text(root: Any, extents: FloatArray, times: FloatArray) -> str:
     """Describe how far skinned points leave the extents of a SkelRoot, and when."""
     over = overhang(root, extents, times.tolist())
-    # What rounding moves is no overhang, as of `bounds_apart`.
+    # What rounding moves is no overhang, as of `bounds_difference`.
     reach = float(np.abs(extents).max(initial=0.0))
     if over is None or over[0] <= 1e-6 * (1 + reach):
         return "; no skinned point exceeds it"

@@ -22,7 +22,7 @@ def test_cameras_are_named_turned_or_copied_from_a_page() -> None:
     copied = camera_of("0.6,0.18,4.5,1,0.9,-2", names)
     view = CameraView(10, 10)
     copied.aim(view)
-    copied.place(view)
+    copied.position(view)
     assert (view.yaw, view.pitch, view.distance) == (0.6, 0.18, 4.5)
     assert view.target.tolist() == [1, 0.9, -2]
 
