@@ -28,7 +28,7 @@ from animtool.preview.findings import (
     ordered,
 )
 from animtool.preview.meshes import add_character
-from animtool.preview.opened import OpenFile, open_file
+from animtool.preview.open_file import OpenFile, open_file
 from animtool.preview.options import PreviewOptions
 from animtool.preview.page import page_parts
 from animtool.preview.pictures.kinds import PAGE_SUFFIXES
@@ -155,7 +155,7 @@ def make_page(
 
 def make_take_page(name: str, stream: TakeStream) -> PreviewPage:
     """Return the page of a take in memory."""
-    from animtool.preview.opened import take_of_stream
+    from animtool.preview.open_file import take_of_stream
 
     opened = OpenFile(Path(name), "m", stream.rig.up, [take_of_stream(name, stream)])
     draft, notices = _drafted([opened], PreviewOptions())

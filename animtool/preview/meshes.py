@@ -10,7 +10,7 @@ import numpy as np
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.maths.faces import triangulated
 from animtool.preview.draft import PageDraft
-from animtool.preview.opened import ShownTake
+from animtool.preview.open_file import ShownTake
 from animtool.preview.streams import Quantized, plain, quantized_range
 from animtool.preview.takes import ShownMotion
 from animtool.rig.surfaces import Surface

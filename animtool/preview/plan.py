@@ -10,7 +10,7 @@ from pathlib import Path
 from animtool.core.errors import counted
 from animtool.core.names import is_named
 from animtool.core.rates import rate_label
-from animtool.preview.opened import OpenFile, ShownTake, open_file, shown_scene
+from animtool.preview.open_file import OpenFile, ShownTake, open_file, shown_scene
 from animtool.preview.options import PreviewOptions
 from animtool.scene.bake.outline import outlined
 from animtool.scene.bake.steps import Step, StepKind, bake_steps

@@ -132,7 +132,7 @@ def show(
         height: Of the page in the notebook [px].
 
     >>> from animtool.rig.skeleton import Joint, Rig
-    >>> from animtool.preview.opened import resting
+    >>> from animtool.preview.open_file import resting
     >>> shown = show(resting(Rig("arm", (Joint("a", -1),))).collect())
     >>> shown._repr_html_().startswith('<iframe sandbox="allow-scripts" title="arm"')
     True

@@ -16,7 +16,7 @@ from animtool.core.record import dataclass
 from animtool.core.shot import FrameRange
 from animtool.motion.take import TakeStream
 from animtool.preview.draft import Timeline
-from animtool.preview.opened import OpenFile, ShownTake
+from animtool.preview.open_file import OpenFile, ShownTake
 from animtool.preview.options import PreviewOptions
 from animtool.preview.takes import Gathered
 from animtool.scene.bake.first_frame import frame_start

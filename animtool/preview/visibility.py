@@ -7,7 +7,7 @@ import numpy as np
 from animtool.core.array_types import BoolArray
 from animtool.core.clock import time_codes
 from animtool.preview.draft import PageDraft
-from animtool.preview.opened import OpenFile
+from animtool.preview.open_file import OpenFile
 from animtool.preview.streams import Quantized
 from animtool.preview.takes import ShownMotion
 from animtool.preview.timing import TimedPart

@@ -204,10 +204,10 @@ def _stream_difference(one: TakeStream, two: TakeStream) -> TakeDifference:
     return difference
 
 
-_Openers: TypeAlias = Mapping[str, Callable[[], TakeStream]]
+_TakeReaders: TypeAlias = Mapping[str, Callable[[], TakeStream]]
 
 
-def _character_difference(first: _Openers, second: _Openers) -> TakeDifference:
+def _character_difference(first: _TakeReaders, second: _TakeReaders) -> TakeDifference:
     """Compare the skeletons of two stages, by their paths."""
     pairs = _skeleton_pairs(list(first), list(second))
     mismatches = [

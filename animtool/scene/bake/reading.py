@@ -345,5 +345,5 @@ def output_files(
 
     sets = [point_files(path)] if options.deform else []
     sets += [system_files(path)] if simulated else []
-    chunks = [file for one in sets for file in (one.manifest, *one.there())]
+    chunks = [file for one in sets for file in (one.manifest, *one.existing_chunks())]
     return [*files, *chunks]

@@ -183,7 +183,7 @@ def check_copy(source: Path, output: Path) -> None:
             raise OptionError(Fault("OUT004", message, str(path), (), hint))
 
 
-def spare_composed_layers(source: Path, output: Path) -> None:
+def refuse_composed_layers(source: Path, output: Path) -> None:
     """Raise if a copy would overwrite a layer that the source composes."""
     if not output.exists():
         return

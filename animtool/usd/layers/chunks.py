@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 BUFFERED_BYTES = 32_000_000
 
 
-class Growing:
+class GrowingLayer:
     """A layer that receives samples."""
 
     def __init__(self, layer: Any, path: Path | None = None) -> None:
@@ -67,23 +67,23 @@ class Growing:
 
 
 @contextmanager
-def growing_crate(temporary: Path, path: Path) -> Iterator[Growing]:
+def growing_crate(temporary: Path, path: Path) -> Iterator[GrowingLayer]:
     """Context of a new crate file that is complete at the end of the block."""
     with _written(path):
         layer = Sdf.Layer.CreateNew(str(temporary), args={"format": "usdc"})
-    growing = Growing(layer, path)
+    growing = GrowingLayer(layer, path)
     yield growing
     growing.save()
 
 
 @contextmanager
-def growing_layer(layer: Any, path: Path | None) -> Iterator[Growing]:
+def growing_layer(layer: Any, path: Path | None) -> Iterator[GrowingLayer]:
     """Context of a layer that receives samples; it is saved at the end if asked.
 
     path: the file; None is usda on stdout.
     """
     if path is None or path.suffix.lower() == ".usda":
-        growing = Growing(layer)
+        growing = GrowingLayer(layer)
         yield growing
         growing.size = save_layer(layer, path)
         return
@@ -131,7 +131,7 @@ class ClipFiles:
         """
         return f"./{self.chunk(0).name}"
 
-    def there(self) -> list[Path]:
+    def existing_chunks(self) -> list[Path]:
         """Return the existing chunks, in order."""
         stem, folder = re.escape(self.output.stem), self.output.parent
         name = re.compile(rf"{stem}\.{self.name}\.\d{{4,}}\.usdc")
@@ -140,7 +140,7 @@ class ClipFiles:
 
     def remove_others(self, kept: Collection[Path]) -> None:
         """Delete chunks left by an earlier, longer bake."""
-        for path in set(self.there()) - set(kept):
+        for path in set(self.existing_chunks()) - set(kept):
             # Files that cannot be removed do no harm.
             with suppress(OSError):
                 path.unlink()

@@ -266,7 +266,7 @@ class _Group:
         # On uneven ground legs differ.
         cast = track.cast
         for i in np.flatnonzero(static).tolist():
-            (at,) = _standing(cast, cast.turns, track.clocks[:1, i])
+            (at,) = _standing_values(cast, cast.turns, track.clocks[:1, i])
             near = np.abs((at * track.rotations[0, i]).sum(axis=-1)) > 1 - 1e-6
             static[i] = bool(near.all())
         return np.asarray(static & (static.sum() > 1))
@@ -366,7 +366,7 @@ class _Group:
         track, fps = self.track, self.owner.fps
         above = f"{self.paths.model}/{STANDING}"
         if self.layer.GetPrimAtPath(above) is None:
-            self._stand(above)
+            self._write_shared(above)
         clock = float(track.clocks[0, i]) % max(track.cast.period, 1e-9)
         offset = float(track.codes[0]) - clock * fps
         spec = prim(self.layer, f"{path}/Anim", "SkelAnimation")
@@ -374,7 +374,7 @@ class _Group:
             Sdf.Reference("", above, Sdf.LayerOffset(offset))
         ]
 
-    def _stand(self, path: str) -> None:
+    def _write_shared(self, path: str) -> None:
         """Write the shared standing animation from 0 s, as long as any needs it."""
         cast, fps, codes = self.track.cast, self.owner.fps, self.track.codes
         spec = self._animation(path, np.arange(len(cast.moves)))
@@ -383,14 +383,16 @@ class _Group:
         last = codes[-1] - codes[0] + cast.period * fps if len(cast.turns) > 1 else 0.0
         rows = np.arange(int(np.ceil(last)) + 1)
         clocks = rows / fps
-        rotations = _continuous(_standing(cast, cast.turns, clocks).astype(np.float32))
+        rotations = _continuous(
+            _standing_values(cast, cast.turns, clocks).astype(np.float32)
+        )
         arrays = [
             Vt.QuatfArray.FromNumpy(np.ascontiguousarray(one)) for one in rotations
         ]
         codes = rows.astype(np.float64)
         put_samples(self.layer, spec.attributes["rotations"], codes, rows, arrays)
         moved = np.repeat(cast.rig.rest_translations[None, cast.moves], len(rows), 0)
-        moved[:, cast.moves == 0] = _standing(cast, cast.roots, clocks)[:, None]
+        moved[:, cast.moves == 0] = _standing_values(cast, cast.roots, clocks)[:, None]
         arrays = [
             Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(one))
             for one in (moved / self.owner.unit).astype(np.float32)
@@ -398,7 +400,7 @@ class _Group:
         put_samples(self.layer, spec.attributes["translations"], codes, rows, arrays)
 
 
-def _standing(cast: Cast, table: FloatArray, clocks: FloatArray) -> FloatArray:
+def _standing_values(cast: Cast, table: FloatArray, clocks: FloatArray) -> FloatArray:
     """Return standing rotations or positions at clock times ``(K,)`` [s]."""
     count = len(table)
     at = clocks / (cast.period or 1.0) * count

@@ -49,7 +49,7 @@ from animtool.usd.caches.writer import (
 from animtool.usd.layers.chunks import (
     Chunks,
     ClipFiles,
-    Growing,
+    GrowingLayer,
     OneLayer,
     author_span,
     growing_crate,
@@ -303,7 +303,9 @@ def simulated_layer(job: SimulatedJob, output: Path | None) -> Any:
     return layer
 
 
-def grow_simulated(job: SimulatedJob, rows: Rows, growing: Growing) -> list[CachedMesh]:
+def grow_simulated(
+    job: SimulatedJob, rows: Rows, growing: GrowingLayer
+) -> list[CachedMesh]:
     """Write prims to a layer frame by frame; return a report per prim."""
     prims, layer = job.prims(), growing.layer
     reports = [one.report for one in prims]
@@ -360,7 +362,7 @@ def _blocks(
     prims: Sequence[SimulatedPrim],
     rows: Rows,
     layer: Any,
-    growing: Growing | None = None,  # told of each row; None is in chunks
+    growing: GrowingLayer | None = None,  # told of each row; None is in chunks
 ) -> Iterator[Block]:
     """Yield blocks of frames; the prims are created at the first one.
 

@@ -128,7 +128,7 @@ def author_rig(
         named = dict(zip(rig.names, map(str, tokens), strict=True))
         author_strands(layer, strands_of(rig), paths, named, meters_per_unit)
     data: dict[str, Any] = {}
-    if says_more(rig):
+    if has_extra_data(rig):
         data["rig"] = rig_text(stripped(rig))
         if pins := _pins(rig):
             data["pins"] = pins
@@ -143,7 +143,7 @@ def author_rig(
         spec.SetInfo("customData", {"animtool": data})
 
 
-def says_more(rig: Rig) -> bool:
+def has_extra_data(rig: Rig) -> bool:
     """Return whether a rig contains data that USD cannot express.
 
     Types of joints with channels follow from these, which are stored separately.

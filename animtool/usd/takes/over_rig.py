@@ -74,7 +74,7 @@ def over_rig(
         stream, notices = replace(stream, notices=others), []
     stands, rig = rig_placement.stands, stream.rig
     placed = rig_placement.rides or not rig_placement.fixed.is_none
-    if choice is None and _stands_there(rig, raw, rig_placement):
+    if choice is None and _rests_at_stage_placement(rig, raw, rig_placement):
         # Its values include the rig's placement, which is not recorded.
         rig = replace(rig, stands=stands, rides=rig_placement.rides)
         stream = replace(stream, rig=rig)
@@ -112,7 +112,9 @@ _NONE = Placement(np.zeros((1, 3)), np.array([[0.0, 0.0, 0.0, 1.0]]), np.ones(1)
 NEAR = 1e-3
 
 
-def _stands_there(take: Rig, raw: Rig, rig_placement: SkeletonPlacement) -> bool:
+def _rests_at_stage_placement(
+    take: Rig, raw: Rig, rig_placement: SkeletonPlacement
+) -> bool:
     """Return whether a take rests at the stage placement of the rig, not its own.
 
     As a take does that was read from such a stage, and came as another kind of file:

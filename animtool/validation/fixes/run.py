@@ -108,12 +108,12 @@ def fix_copy(
             (OUT003), or one of the two is no plain layer (OUT004).
         OutputError: It cannot be written.
     """
-    from animtool.usd.fixes.target import check_copy, spare_composed_layers
+    from animtool.usd.fixes.target import check_copy, refuse_composed_layers
 
     options = (options or ValidateOptions()).resolved()
     check_copy(source, output)
     check_outputs([output], [source], overwrite=overwrite)
-    spare_composed_layers(source, output)
+    refuse_composed_layers(source, output)
     plan = _plan(source, options)
     notes = plan.after.write(output)
     report = validate_files([output], options)

@@ -114,7 +114,7 @@ def foot_slide(subject: MotionSubject) -> Iterator[Fault]:
     speeds, slides = _speeds(subject, contacts.feet)
     speeds = np.where(contacts.carries, speeds, np.inf)
     slowest = speeds.min(axis=1)
-    slides = _of_the_standing(subject, contacts, speeds, slides)
+    slides = _slowest_slides(subject, contacts, speeds, slides)
     fast = np.minimum(slowest, slides) > SLIDE_SPEED * subject.size
     sliding = contacts.near.any(axis=1) & fast
     lowest = subject.heights[:, contacts.feet].min(axis=1) / subject.size
@@ -148,7 +148,7 @@ def foot_slide(subject: MotionSubject) -> Iterator[Fault]:
     yield subject.fault("MOT208", foot, first, message, hint)
 
 
-def _of_the_standing(
+def _slowest_slides(
     subject: MotionSubject,
     contacts: FootContacts,
     speeds: FloatArray,
